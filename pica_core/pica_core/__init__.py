@@ -1,0 +1,1 @@
+"""The avatar: its numbers, its file, its graphs. The base needs numpy only; torch stays in model/ and train/."""

@@ -1,0 +1,55 @@
+"""The 52 ARKit blendshape names and one moment of a tracked face.
+
+Order: Live Link Face's UDP order, which is ARKit's own order of `ARFaceAnchor.BlendShapeLocation`. Files and
+trackers are always mapped by *name*; the order matters only inside this code base.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float32]
+
+_PER_EYE = ("Blink", "LookDown", "LookIn", "LookOut", "LookUp", "Squint", "Wide")
+
+ARKIT_NAMES: tuple[str, ...] = (
+    *(f"eye{shape}{side}" for side in ("Left", "Right") for shape in _PER_EYE),
+    *("jawForward", "jawLeft", "jawRight", "jawOpen"),
+    *("mouthClose", "mouthFunnel", "mouthPucker", "mouthLeft", "mouthRight"),
+    *("mouthSmileLeft", "mouthSmileRight", "mouthFrownLeft", "mouthFrownRight"),
+    *("mouthDimpleLeft", "mouthDimpleRight", "mouthStretchLeft", "mouthStretchRight"),
+    *("mouthRollLower", "mouthRollUpper", "mouthShrugLower", "mouthShrugUpper"),
+    *("mouthPressLeft", "mouthPressRight", "mouthLowerDownLeft", "mouthLowerDownRight"),
+    *("mouthUpperUpLeft", "mouthUpperUpRight"),
+    *("browDownLeft", "browDownRight", "browInnerUp", "browOuterUpLeft", "browOuterUpRight"),
+    *("cheekPuff", "cheekSquintLeft", "cheekSquintRight"),
+    *("noseSneerLeft", "noseSneerRight", "tongueOut"),
+)
+NUM_ARKIT = 52
+ARKIT_INDEX: dict[str, int] = {name: index for index, name in enumerate(ARKIT_NAMES)}
+
+
+def _zeros(count: int) -> FloatArray:
+    return np.zeros(count, np.float32)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ExpressionFrame:
+    """One sample of a face tracker.
+
+    Attributes:
+        captured_us: When the face looked like this, on the sender's clock, integer microseconds.
+        arkit: Blendshape values in `ARKIT_NAMES` order, about [0, 1]. float32 ``[52]``.
+        rotation: Head rotation as a rotation vector (axis times angle, radians), head to seat. float32 ``[3]``.
+        translation_m: Head offset from its seat in metres, seat axes. float32 ``[3]``.
+        has_face: False while the tracker sees nobody.
+    """
+
+    captured_us: int
+    arkit: FloatArray
+    rotation: FloatArray = field(default_factory=lambda: _zeros(3))
+    translation_m: FloatArray = field(default_factory=lambda: _zeros(3))
+    has_face: bool = True

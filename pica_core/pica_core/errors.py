@@ -1,0 +1,38 @@
+"""What can be wrong with an avatar, a capture or a machine.
+
+    PicaCoreError
+    ├── AvatarFileError     an avatar file that must not be used
+    ├── CaptureError        a capture that cannot be read
+    ├── CheckpointError     a checkpoint that does not fit
+    ├── ShapeError          an array of the wrong shape handed to a public function
+    └── GraphicsError       no GL context, or one that is too old
+
+``exit_code`` is what the ``pica`` command ends with when the error reaches it: 2 says that the input or
+the machine is at fault and the message says how to mend it.
+"""
+
+
+class PicaCoreError(Exception):
+    """Root of the errors of this package."""
+
+    exit_code = 2
+
+
+class AvatarFileError(PicaCoreError):
+    """The file is not an avatar this version can trust: names the file, the field and the limit."""
+
+
+class CaptureError(PicaCoreError):
+    """The capture is incomplete or inconsistent: names the file and the field."""
+
+
+class CheckpointError(PicaCoreError):
+    """The checkpoint is of another model, another version, or damaged."""
+
+
+class ShapeError(PicaCoreError, ValueError):
+    """An array has the wrong shape: names the argument, its shape and the wanted one."""
+
+
+class GraphicsError(PicaCoreError):
+    """A GL context could not be made, or lacks what we need: names the fix."""

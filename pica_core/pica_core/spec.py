@@ -1,0 +1,130 @@
+"""The sizes of a Pixel Codec Avatar, in one place.
+
+Every default is the paper's (Ma et al., "Pixel Codec Avatars", CVPR 2021, section 3 and appendix A.1) unless its
+line says otherwise. A spec is data: it is written into avatar files and checkpoints, and whoever reads one rebuilds
+graphs and shaders from these numbers alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+LATENT_SIZE = 8
+LATENT_CHANNELS = 4
+LATENT_SHAPE = (LATENT_SIZE, LATENT_SIZE, LATENT_CHANNELS)
+"""Rows, columns, channels of Z. Channel-last, as on the wire."""
+NUM_LATENT = LATENT_SIZE * LATENT_SIZE * LATENT_CHANNELS
+VIEW_CHANNELS = 3
+POSITION_CHANNELS = 3
+RGB_CHANNELS = 3
+LEAKY_SLOPE = 0.2
+"""Negative slope of every LeakyReLU (paper A.1)."""
+BLOCKS = ("B", "H2", "C")
+"""Building blocks of the decoders that we know. The paper draws its block in Fig. 3b, which the text does not give."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AvatarSpec:
+    """Everything that fixes the shapes of an avatar's tensors."""
+
+    block: str = "C"
+    """Building block of the two per-object decoders (our choice; see `decoder_layers`)."""
+    map_size: int = 256
+    """Rows and columns of position map and expression map, texels. A power of two times `LATENT_SIZE`."""
+    hidden_channels: tuple[int, ...] = (32, 16, 16, 8)
+    """Output channels of all decoder blocks but the last."""
+    expression_channels: int = 4
+    """Channels of the expression map E."""
+    uv_encoding_size: int = 1024
+    """Rows and columns of the joint encoding map m_uv, texels."""
+    uv_encoding_channels: int = 4
+    axis_encoding_size: int = 10_000
+    """Entries of each of the per-axis encodings m_u and m_v."""
+    axis_encoding_channels: int = 2
+    xyz_channels: tuple[int, ...] = (4, 4)
+    """Output channels of the SIREN that encodes head-frame xyz."""
+    pixel_channels: tuple[int, ...] = (8, 8, 8, RGB_CHANNELS)
+    """Output channels of the pixel decoder's layers."""
+
+    def __post_init__(self) -> None:
+        if self.block not in BLOCKS:
+            raise ValueError(f"block is {self.block!r}; known are {', '.join(BLOCKS)}")
+        doublings = len(self.hidden_channels) + 1
+        if self.map_size != LATENT_SIZE << doublings:
+            raise ValueError(
+                f"map_size is {self.map_size}; {doublings} decoder blocks make {LATENT_SIZE << doublings}"
+            )
+        for name, low, high in (
+            ("expression_channels", 1, 16),
+            ("uv_encoding_size", 1, 4096),
+            ("uv_encoding_channels", 1, 4),
+            ("axis_encoding_size", 1, 16_384),
+            ("axis_encoding_channels", 1, 2),
+        ):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise ValueError(f"{name} is {value}; allowed are {low} to {high}")
+        for name in ("hidden_channels", "xyz_channels", "pixel_channels"):
+            widths = getattr(self, name)
+            if not 1 <= len(widths) <= 8 or not all(1 <= width <= 64 for width in widths):
+                raise ValueError(f"{name} is {widths}; allowed are 1 to 8 layers of width 1 to 64")
+        if self.pixel_channels[-1] != RGB_CHANNELS:
+            raise ValueError(f"pixel_channels ends in {self.pixel_channels[-1]}; colours have 3")
+
+    @property
+    def decoder_channels(self) -> dict[str, tuple[int, tuple[int, ...]]]:
+        """Input channels and each block's output channels of the two decoders, by name."""
+        return {
+            "geometry": (LATENT_CHANNELS, (*self.hidden_channels, POSITION_CHANNELS)),
+            "expression": (
+                LATENT_CHANNELS + VIEW_CHANNELS,
+                (*self.hidden_channels, self.expression_channels),
+            ),
+        }
+
+    @property
+    def pixel_input_channels(self) -> int:
+        """Width of p = [z, x, u]: expression code, encoded xyz, encoded uv. 16 in the paper."""
+        uv_channels = self.uv_encoding_channels + 2 * self.axis_encoding_channels
+        return self.expression_channels + self.xyz_channels[-1] + uv_channels
+
+    def to_json(self) -> dict[str, Any]:
+        """The spec as plain JSON values; `from_json` reads it back."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, values: Any) -> AvatarSpec:
+        """Read a spec, trusting nothing.
+
+        Raises:
+            ValueError: Not a map, an unknown or missing field, a wrong type, or a size out of range.
+        """
+        if not isinstance(values, dict):
+            raise ValueError(f"spec is {type(values).__name__}; a map is needed")
+        known = {field.name for field in fields(cls)}
+        if set(values) != known:
+            wrong = sorted(known.symmetric_difference(map(str, values)))
+            raise ValueError(f"spec fields missing or unknown: {', '.join(wrong)}")
+        read: dict[str, Any] = {}
+        for name, value in values.items():
+            if name == "block":
+                if not isinstance(value, str):
+                    raise ValueError(f"spec.block is {value!r}; a string is needed")
+                read[name] = value
+            elif isinstance(value, list | tuple):
+                if len(value) > 8 or not all(type(item) is int for item in value):
+                    raise ValueError(f"spec.{name} is {value!r}; at most 8 integers are allowed")
+                read[name] = tuple(value)
+            elif type(value) is int:
+                read[name] = value
+            else:
+                raise ValueError(f"spec.{name} is {value!r}; an integer is needed")
+        for name in ("hidden_channels", "xyz_channels", "pixel_channels"):
+            if not isinstance(read[name], tuple):
+                raise ValueError(f"spec.{name} is {read[name]!r}; a list is needed")
+        return cls(**read)
+
+
+PAPER_SPEC = AvatarSpec(block="H2")
+"""The paper's sizes; H2 is the candidate block whose parameter count lies nearest to the paper's 5.47 M."""
