@@ -1,7 +1,7 @@
 """The 52 ARKit blendshape names and one moment of a tracked face.
 
-Order: Live Link Face's UDP order, which is ARKit's own order of `ARFaceAnchor.BlendShapeLocation`. Files and
-trackers are always mapped by *name*; the order matters only inside this code base.
+Order: Live Link Face's UDP order, which is ARKit's own order of `ARFaceAnchor.BlendShapeLocation`.
+Files and trackers are always mapped by *name*; the order matters only inside this code base.
 """
 
 from __future__ import annotations
@@ -43,7 +43,8 @@ class ExpressionFrame:
     Attributes:
         captured_us: When the face looked like this, on the sender's clock, integer microseconds.
         arkit: Blendshape values in `ARKIT_NAMES` order, about [0, 1]. float32 ``[52]``.
-        rotation: Head rotation as a rotation vector (axis times angle, radians), head to seat. float32 ``[3]``.
+        rotation: Head rotation as a rotation vector (axis times angle, radians), head to seat.
+            float32 ``[3]``.
         translation_m: Head offset from its seat in metres, seat axes. float32 ``[3]``.
         has_face: False while the tracker sees nobody.
     """

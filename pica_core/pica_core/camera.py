@@ -1,7 +1,7 @@
 """Pinhole cameras in the OpenCV convention, and the one bridge from there to GL clip space.
 
-Camera axes: x right, y down, z forward. `rotation` and `translation_m` take head-frame (or world) points to camera
-axes. Pixel centres lie at integer + 0.5; image row 0 is the top row.
+Camera axes: x right, y down, z forward. `rotation` and `translation_m` take head-frame (or world)
+points to camera axes. Pixel centres lie at integer + 0.5; image row 0 is the top row.
 """
 
 from __future__ import annotations
@@ -50,7 +50,8 @@ class Camera:
             points_m: World points in metres. ``[..., 3]``.
 
         Returns:
-            Pixel coordinates (x right, y down) float64 ``[..., 2]`` and depths in metres float64 ``[...]``.
+            Pixel coordinates (x right, y down) float64 ``[..., 2]`` and depths in metres float64
+            ``[...]``.
             Not checked: points behind the camera have negative depth and meaningless pixels.
         """
         points = np.asarray(points_m, np.float64)
@@ -61,10 +62,10 @@ class Camera:
         return image[..., :2] / image[..., 2:], seen[..., 2]
 
     def clip_from_world(self, near_m: float = 0.02, far_m: float = 20.0) -> FloatArray:
-        """The 4x4 matrix from world metres to GL clip space, for column vectors. float32 ``[4, 4]``.
+        """The matrix from world metres to GL clip space, for columns. float32 ``[4, 4]``.
 
-        GL's window rows count upwards, images' downwards; this matrix keeps +y up in clip space, so row 0 of what
-        GL reads back is the *bottom* image row. Readers flip once.
+        GL's window rows count upwards, images' downwards; this matrix keeps +y up in clip space, so
+        row 0 of what GL reads back is the *bottom* image row. Readers flip once.
         """
         k = self.intrinsics
         w, h = self.width, self.height
@@ -80,7 +81,7 @@ class Camera:
         return (projection @ view).astype(np.float32)
 
     def scaled(self, width: int, height: int) -> Camera:
-        """The same camera with an image of another size; the field of view stays if the aspect does."""
+        """The same camera with another image size; the field of view stays if the aspect does."""
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return Camera(
             name=self.name,
@@ -111,7 +112,8 @@ def look_at(
         vertical_fov: Full vertical field of view, radians.
         width: Image columns, pixels.
         height: Image rows, pixels.
-        up: World direction that points up in the image; must not be parallel to the viewing direction.
+        up: World direction that points up in the image; must not be parallel to the viewing
+            direction.
 
     Raises:
         ValueError: `centre_m` equals `target_m`, or the viewing direction is parallel to `up`.

@@ -1,11 +1,13 @@
-"""The per-object decoders as a list of plain layers: one description, read by torch and by ONNX alike.
+"""The per-object decoders as a list of plain layers: one description for torch and ONNX alike.
 
-The paper's block (Fig. 3b) doubles the resolution and gives its first convolution a bias per channel *and* location
-("untied bias"); the figure itself is not in the text. Candidates, our choice by name in the spec:
+The paper's block (Fig. 3b) doubles the resolution and gives its first convolution a bias per
+channel *and* location ("untied bias"); the figure itself is not in the text. Candidates, our choice
+by name in the spec:
 
     B    deconv 4x4 stride 2, untied bias at output size, leaky; conv 3x3
-    H2   conv 3x3, untied bias at input size, leaky; deconv 4x4 stride 2, untied bias at output size, leaky; conv 3x3
-    C    conv 3x3, untied bias at input size, leaky; conv 1x1 to 4c; pixel shuffle   (cheapest: 3-4x fewer multiply-adds)
+    H2   conv 3x3, untied bias at input size, leaky; then B
+    C    conv 3x3, untied bias at input size, leaky; conv 1x1 to 4c; pixel shuffle
+         (the cheapest: 3-4 times fewer multiply-adds)
 
 A LeakyReLU follows every block but the last, whose output is the map itself.
 """
@@ -22,11 +24,12 @@ LayerKind = Literal["conv3", "conv1", "deconv4", "untied_bias", "leaky_relu", "p
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """One operation of a decoder. Weighted layers own tensors ``{name}.weight`` (and ``{name}.bias``).
+    """One operation of a decoder; weighted ones own ``{name}.weight`` (and ``{name}.bias``).
 
-    Tensor shapes, float32, torch's layout: conv weight ``[out, in, k, k]`` and bias ``[out]``; deconv weight
-    ``[in, out, 4, 4]`` and bias ``[out]`` (padding 1); untied_bias ``{name}.weight`` ``[out, size, size]``.
-    A convolution directly before an untied bias has no bias of its own: `has_bias` is False.
+    Tensor shapes, float32, torch's layout: conv weight ``[out, in, k, k]`` and bias ``[out]``;
+    deconv weight ``[in, out, 4, 4]`` and bias ``[out]`` (padding 1); untied_bias ``{name}.weight``
+    ``[out, size, size]``. A convolution directly before an untied bias has no bias of its own:
+    `has_bias` is False.
     """
 
     kind: LayerKind
@@ -64,7 +67,8 @@ class Layer:
 def decoder_layers(spec: AvatarSpec, decoder: str) -> list[Layer]:
     """The layers of the decoder named ``"geometry"`` or ``"expression"``, in order.
 
-    Input is ``[N, C, 8, 8]`` (Z, with the tiled view direction after it for "expression"), output ``[N, C, 256, 256]``.
+    Input is ``[N, C, 8, 8]`` (Z, with the tiled view direction after it for "expression"), output
+    ``[N, C, 256, 256]``.
     """
     in_channels, outputs = spec.decoder_channels[decoder]
     layers: list[Layer] = []

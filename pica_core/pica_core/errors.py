@@ -7,8 +7,8 @@
     ├── ShapeError          an array of the wrong shape handed to a public function
     └── GraphicsError       no GL context, or one that is too old
 
-``exit_code`` is what the ``pica`` command ends with when the error reaches it: 2 says that the input or
-the machine is at fault and the message says how to mend it.
+``exit_code`` is what the ``pica`` command ends with when the error reaches it: 2 says that the
+input or the machine is at fault and the message says how to mend it.
 """
 
 

@@ -15,21 +15,22 @@ GL_VERSION = 330
 def create_context() -> moderngl.Context:
     """Make a headless GL context: EGL on Linux (no X server needed), the platform's own elsewhere.
 
-    Released GL objects are collected by `Context.gc`, which the owner of the context calls between frames; a context
-    belongs to the thread that made it.
+    Released GL objects are collected by `Context.gc`, which the owner of the context calls between
+    frames; a context belongs to the thread that made it.
 
     Raises:
-        GraphicsError: No context, or one older than GL 3.3; the message names the packages or the driver to install.
+        GraphicsError: No context, or one older than GL 3.3; the message names the packages or the
+            driver to install.
     """
     try:
         if sys.platform == "linux":
             context = moderngl.create_context(require=GL_VERSION, standalone=True, backend="egl")
         else:
             context = moderngl.create_context(require=GL_VERSION, standalone=True)
-    except Exception as error:  # moderngl raises bare Exception for everything that the driver refuses
+    except Exception as error:  # moderngl raises bare Exception for whatever the driver refuses
         raise GraphicsError(
-            f"no OpenGL {GL_VERSION / 100:.1f} context ({str(error).strip() or 'no reason given'}); on Debian or "
-            "Ubuntu: apt-get install libegl1 libgl1 libegl-mesa0 libgl1-mesa-dri; "
+            f"no OpenGL {GL_VERSION / 100:.1f} context ({str(error).strip() or 'no reason given'}); "
+            "on Debian or Ubuntu: apt-get install libegl1 libgl1 libegl-mesa0 libgl1-mesa-dri; "
             "elsewhere install or update the graphics driver"
         ) from error
     context.gc_mode = "context_gc"

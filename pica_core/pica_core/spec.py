@@ -1,8 +1,8 @@
 """The sizes of a Pixel Codec Avatar, in one place.
 
-Every default is the paper's (Ma et al., "Pixel Codec Avatars", CVPR 2021, section 3 and appendix A.1) unless its
-line says otherwise. A spec is data: it is written into avatar files and checkpoints, and whoever reads one rebuilds
-graphs and shaders from these numbers alone.
+Every default is the paper's (Ma et al., "Pixel Codec Avatars", CVPR 2021, section 3 and appendix
+A.1) unless its line says otherwise. A spec is data: it is written into avatar files and
+checkpoints, and whoever reads one rebuilds graphs and shaders from these numbers alone.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ RGB_CHANNELS = 3
 LEAKY_SLOPE = 0.2
 """Negative slope of every LeakyReLU (paper A.1)."""
 BLOCKS = ("B", "H2", "C")
-"""Building blocks of the decoders that we know. The paper draws its block in Fig. 3b, which the text does not give."""
+"""Building blocks of the decoders that we know. The paper draws its block in Fig. 3b, which the
+text does not give.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -31,7 +33,9 @@ class AvatarSpec:
     block: str = "C"
     """Building block of the two per-object decoders (our choice; see `decoder_layers`)."""
     map_size: int = 256
-    """Rows and columns of position map and expression map, texels. A power of two times `LATENT_SIZE`."""
+    """Rows and columns of position map and expression map, texels. A power of two times
+    `LATENT_SIZE`.
+    """
     hidden_channels: tuple[int, ...] = (32, 16, 16, 8)
     """Output channels of all decoder blocks but the last."""
     expression_channels: int = 4
@@ -53,7 +57,8 @@ class AvatarSpec:
         doublings = len(self.hidden_channels) + 1
         if self.map_size != LATENT_SIZE << doublings:
             raise ValueError(
-                f"map_size is {self.map_size}; {doublings} decoder blocks make {LATENT_SIZE << doublings}"
+                f"map_size is {self.map_size}; "
+                f"{doublings} decoder blocks make {LATENT_SIZE << doublings}"
             )
         for name, low, high in (
             ("expression_channels", 1, 16),
@@ -98,7 +103,8 @@ class AvatarSpec:
         """Read a spec, trusting nothing.
 
         Raises:
-            ValueError: Not a map, an unknown or missing field, a wrong type, or a size out of range.
+            ValueError: Not a map, an unknown or missing field, a wrong type, or a size out of
+                range.
         """
         if not isinstance(values, dict):
             raise ValueError(f"spec is {type(values).__name__}; a map is needed")
@@ -127,4 +133,6 @@ class AvatarSpec:
 
 
 PAPER_SPEC = AvatarSpec(block="H2")
-"""The paper's sizes; H2 is the candidate block whose parameter count lies nearest to the paper's 5.47 M."""
+"""The paper's sizes; H2 is the candidate block whose parameter count lies nearest to the paper's
+5.47 M.
+"""

@@ -1,0 +1,1 @@
+"""The Pixel Codec Avatar in torch: encoder, per-object decoders, pixel decoder."""

@@ -1,0 +1,1 @@
+"""Training: rasteriser, losses, loop, evaluation, export. Needs the extra ``train``."""
