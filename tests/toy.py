@@ -1,0 +1,101 @@
+"""A small avatar with random weights but the look of a head, for tests that need a valid one."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.avatar_file import Avatar, Manifest, spec_tensor_shapes
+from pica_core.spec import AvatarSpec
+
+FloatArray = npt.NDArray[np.float32]
+
+TOY_SPEC = AvatarSpec(uv_encoding_size=64, axis_encoding_size=200)
+"""The shipped sizes but for smaller encoding maps: files of 1 MB, tests of milliseconds."""
+
+
+def head_surface(u: FloatArray, v: FloatArray) -> FloatArray:
+    """A bumpy head in metres: u runs from the right ear over the face (0.5) to the left one.
+
+    v runs from top to chin. The back is open, so UVs have no seam.
+    """
+    turn = (u - 0.5) * 1.7 * np.pi
+    tilt = (v - 0.5) * 0.92 * np.pi
+    nose = 0.022 * np.exp(-((turn / 0.18) ** 2) - ((tilt - 0.15) / 0.28) ** 2)
+    eyes = -0.012 * np.exp(-(((np.abs(turn) - 0.42) / 0.16) ** 2) - ((tilt + 0.12) / 0.11) ** 2)
+    mouth = 0.006 * np.exp(-((turn / 0.3) ** 2) - ((tilt - 0.62) / 0.07) ** 2)
+    radius = 0.095 + nose + eyes + mouth
+    x = radius * np.cos(tilt) * np.sin(turn) * 0.85
+    y = -radius * np.sin(tilt) * 1.25
+    z = radius * np.cos(tilt) * np.cos(turn)
+    return np.stack([x, y, z], axis=-1).astype(np.float32)
+
+
+def grid_faces(rows: int, columns: int) -> npt.NDArray[np.int32]:
+    """Two counter-clockwise triangles per cell of a grid: columns run to +x, rows downwards."""
+    corner = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
+    a, b, c, d = corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]
+    triangles = np.stack([np.stack([a, c, b], -1), np.stack([b, c, d], -1)], axis=-2)
+    return np.ascontiguousarray(triangles.reshape(-1, 3))
+
+
+def make_toy_avatar(
+    *, seed: int = 7, spec: AvatarSpec = TOY_SPEC, grid: int = 48, name: str = "Toy"
+) -> Avatar:
+    """A valid avatar: plausible mesh, skin-like colours with features, random decoders."""
+    rng = np.random.default_rng(seed)
+    tensors: dict[str, npt.NDArray[np.generic]] = {}
+    for key, shape in spec_tensor_shapes(spec).items():
+        fan_in = int(np.prod(shape[1:])) if key.endswith(".weight") else 1
+        spread = 0.05 if "bias" in key else np.sqrt(1.5 / fan_in)
+        tensors[key] = (rng.standard_normal(shape) * spread).astype(np.float32)
+    texel = (np.arange(spec.map_size, dtype=np.float32) + 0.5) / spec.map_size
+    tensors["geometry.mean"] = head_surface(*np.meshgrid(texel, texel))
+    tensors |= _paint(spec, rng, tensors)
+    corner = np.linspace(0.004, 0.996, grid, dtype=np.float32)
+    u, v = np.meshgrid(corner, corner)
+    tensors["mesh.vertex_uv"] = np.stack([u, v], axis=-1).reshape(-1, 2)
+    tensors["mesh.faces"] = grid_faces(grid, grid)
+    width = 52
+    for index, out in enumerate((32, 256)):
+        tensors[f"encoder.{index}.weight"] = (
+            rng.standard_normal((out, width)) / np.sqrt(width)
+        ).astype(np.float32)
+        tensors[f"encoder.{index}.bias"] = np.zeros(out, np.float32)
+        width = out
+    manifest = Manifest(
+        name=name,
+        identity=f"toy-{seed}",
+        licence="Apache-2.0",
+        spec=spec,
+        position_scale_m=0.003,
+        latent_scale=(4.0, 4.0, 4.0, 4.0),
+        bounds_min_m=(-0.15, -0.2, -0.15),
+        bounds_max_m=(0.15, 0.2, 0.2),
+        model_card={"training": "none: random weights"},
+    )
+    return Avatar(manifest, tensors)
+
+
+def _paint(
+    spec: AvatarSpec, rng: np.random.Generator, tensors: dict[str, npt.NDArray[np.generic]]
+) -> dict[str, FloatArray]:
+    """Encodings and a pixel decoder that show eyes and lips, so that a picture is worth looking
+    at."""
+    texel = (np.arange(spec.uv_encoding_size, dtype=np.float32) + 0.5) / spec.uv_encoding_size
+    u, v = np.meshgrid(texel, texel)
+    turn, tilt = (u - 0.5) * 1.7 * np.pi, (v - 0.5) * 0.92 * np.pi
+    eye = np.exp(-(((np.abs(turn) - 0.42) / 0.13) ** 4) - ((tilt + 0.12) / 0.08) ** 4)
+    iris = np.exp(-(((np.abs(turn) - 0.42) / 0.05) ** 4) - ((tilt + 0.12) / 0.07) ** 4)
+    lips = np.exp(-((turn / 0.3) ** 4) - ((tilt - 0.62) / 0.06) ** 4)
+    hair = 1 / (1 + np.exp((tilt + 0.75) * 20))
+    maps = np.stack([eye, iris, lips, hair], axis=-1)[..., : spec.uv_encoding_channels]
+    painted = {"uv_encoding": (2 * maps - 1).astype(np.float32)}
+    first = spec.expression_channels + spec.xyz_channels[-1]
+    weight = rng.standard_normal(tensors["pixel.0.weight"].shape).astype(np.float32) * 0.12
+    for channel in range(min(4, spec.uv_encoding_channels, weight.shape[0])):
+        weight[channel, first + channel] = 1.2
+    painted["pixel.0.weight"] = weight
+    last = f"pixel.{len(spec.pixel_channels) - 1}.bias"
+    painted[last] = np.array([0.62, 0.47, 0.4], np.float32)
+    return painted
