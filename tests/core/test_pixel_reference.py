@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from toy import make_toy_avatar
 
 from pica_core.errors import ShapeError
 from pica_core.pixel_reference import (
@@ -16,6 +15,7 @@ from pica_core.pixel_reference import (
     sample_bilinear,
     sample_linear,
 )
+from toy import make_toy_avatar
 
 pytestmark = pytest.mark.unit
 
