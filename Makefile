@@ -1,0 +1,51 @@
+# `make demo` and `make test` set up all that they need: .venv, wheels, the system's GL libraries.
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+BIN := .venv/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+DEMO ?=
+
+.PHONY: demo test lint types imports pytest extras golden clean
+
+demo: .venv/.ready-demo
+	@sh scripts/system_libraries.sh
+	$(BIN)/pica demo $(DEMO)
+
+test: .venv/.ready-test
+	@sh scripts/system_libraries.sh
+	@$(MAKE) --no-print-directory lint types imports extras pytest
+
+lint: .venv/.ready-test
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+
+types: .venv/.ready-test
+	$(BIN)/mypy
+
+imports: .venv/.ready-test
+	$(BIN)/lint-imports
+
+pytest: .venv/.ready-test
+	$(BIN)/python -m pytest $(PYTEST)
+
+# Each part alone in an environment of its own: the relay without numpy, the client without torch.
+extras: .venv/.ready-test
+	$(BIN)/python scripts/check_extras.py
+
+.venv/bin/python:
+	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed (set PYTHON=...)"; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+		|| { echo "$(PYTHON) is too old; Python 3.11 or newer is needed (set PYTHON=...)"; exit 1; }
+	@sh scripts/system_libraries.sh --venv $(PYTHON)
+	$(PYTHON) -m venv .venv
+	$(PIP) install --quiet --upgrade 'pip>=25.1'
+
+.venv/.ready-demo: .venv/bin/python pyproject.toml constraints.txt
+	$(PIP) install --quiet --constraint constraints.txt --editable '.[view,video]'
+	@touch $@
+
+.venv/.ready-test: .venv/bin/python pyproject.toml constraints.txt
+	$(PIP) install --quiet --constraint constraints.txt --editable '.[all]' --group dev
+	@touch $@
+
+clean:
+	rm -rf .venv build dist out

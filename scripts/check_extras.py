@@ -1,0 +1,93 @@
+"""Install each part alone in a fresh environment and start it there.
+
+    base    `pica relay` starts, and neither numpy nor torch is installed
+    view    every module of `pica_client` imports, and torch is not installed
+
+The environments are temporary; wheels come from pip's cache when it has them.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import venv
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+TIMEOUT_S = 60
+
+
+def make_environment(folder: Path, extra: str) -> Path:
+    """A virtual environment with the project (as a wheel, not editable) and one extra."""
+    venv.create(folder, with_pip=True)
+    python = folder / ("Scripts" if os.name == "nt" else "bin") / "python"
+    target = f"{ROOT}[{extra}]" if extra else str(ROOT)
+    command = [python, "-m", "pip", "--disable-pip-version-check", "install", "--quiet"]
+    subprocess.run([*command, "--constraint", ROOT / "constraints.txt", target], check=True)
+    return python
+
+
+def assert_absent(python: Path, *modules: str) -> None:
+    """Fail if a module can be imported there."""
+    code = "import importlib.util as u, sys; sys.exit(any(u.find_spec(m) for m in sys.argv[1:]))"
+    result = subprocess.run([python, "-I", "-c", code, *modules], cwd="/")
+    if result.returncode:
+        sys.exit(f"one of {', '.join(modules)} is installed in {python.parent.parent}")
+
+
+def check_relay(folder: Path) -> None:
+    """The base install runs a relay without numpy."""
+    python = make_environment(folder, "")
+    assert_absent(python, "numpy", "torch", "onnxruntime", "moderngl")
+    ready = folder / "ready"
+    command = [python, "-I", "-m", "pica_command", "relay", "--port", "0", "--ready-file", ready]
+    relay = subprocess.Popen(command, cwd=folder, stderr=subprocess.DEVNULL)
+    try:
+        for _ in range(TIMEOUT_S * 10):
+            if ready.exists() or relay.poll() is not None:
+                break
+            try:
+                relay.wait(0.1)
+            except subprocess.TimeoutExpired:
+                continue
+        if not ready.exists():
+            sys.exit(f"the relay did not start; exit status {relay.poll()}")
+        relay.send_signal(signal.SIGINT)
+        if relay.wait(TIMEOUT_S) != 0:
+            sys.exit(f"the relay ended with status {relay.returncode}")
+    finally:
+        if relay.poll() is None:
+            relay.kill()
+            relay.wait()
+    print("base: the relay runs without numpy")
+
+
+def check_client(folder: Path) -> None:
+    """The viewer's install imports the whole client without torch."""
+    python = make_environment(folder, "view")
+    assert_absent(python, "torch")
+    code = (
+        "import importlib, pkgutil, pica_client\n"
+        "names = [m.name for m in pkgutil.walk_packages(pica_client.__path__, 'pica_client.')]\n"
+        "skipped = [n for n in names if n.endswith('recorder')]  # needs the extra 'video'\n"
+        "[importlib.import_module(n) for n in names if n not in skipped]\n"
+        "print(len(names) - len(skipped), 'modules of the client import without torch')"
+    )
+    output = subprocess.run(
+        [python, "-I", "-c", code], cwd=folder, check=True, capture_output=True, text=True
+    )
+    print(f"view: {output.stdout.strip()}")
+
+
+def main() -> None:
+    """Check both, each in its own temporary folder."""
+    for check in (check_relay, check_client):
+        with tempfile.TemporaryDirectory(prefix="pica-extras-") as folder:
+            check(Path(folder))
+
+
+if __name__ == "__main__":
+    main()
