@@ -1,0 +1,181 @@
+"""Control messages <-> bytes: the kind byte 1, then one msgpack map.
+
+The map's ``type`` names the message, the other keys are its fields. Reading is strict where it
+protects us (sizes, types, ranges) and lax where it lets the protocol grow (unknown keys are
+ignored, missing ones take their default). Sizes are bounded before msgpack sees the bytes: its
+default settings turn 10 kB of hostile input into 68 MB of memory.
+"""
+
+import types
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from typing import Any, Final, NamedTuple, Union, cast, get_args, get_origin, get_type_hints
+
+import msgpack
+
+from pica_protocol.errors import LocalProtocolError, RemoteProtocolError
+from pica_protocol.limits import (
+    MAX_CONTROL_BYTES,
+    MAX_MAP_FIELDS,
+    MAX_PEERS,
+    MAX_REPORT_STREAMS,
+    MAX_TEXT_BYTES,
+    quoted,
+)
+from pica_protocol.messages import MESSAGE_TYPES, Message
+
+CONTROL_KIND: Final = 1
+"""First byte of a websocket message that carries one control message."""
+
+_PREFIX = bytes([CONTROL_KIND])
+_TYPE_NAMES: Final = {cls: name for name, cls in MESSAGE_TYPES.items()}
+
+_Reader = Callable[[object, str], Any]
+
+
+def encode_message(message: Message) -> bytes:
+    """Return the websocket message that carries ``message``.
+
+    Raises:
+        LocalProtocolError: It would exceed ``MAX_CONTROL_BYTES``.
+    """
+    record = {"type": _TYPE_NAMES[type(message)], **_plain_record(message)}
+    data = _PREFIX + cast(bytes, msgpack.packb(record))
+    if len(data) > MAX_CONTROL_BYTES:
+        raise LocalProtocolError(
+            f"{record['type']} of {len(data)} bytes, the limit is {MAX_CONTROL_BYTES}"
+        )
+    return data
+
+
+def decode_message(data: bytes, max_bytes: int = MAX_CONTROL_BYTES) -> Message:
+    """Return the message that ``data`` carries.
+
+    Raises:
+        RemoteProtocolError: Too long, not msgpack within the limits, of an unknown type, or with a
+            field that is missing, of the wrong type or out of range; the text names it.
+    """
+    if len(data) > max_bytes:
+        raise RemoteProtocolError(f"control message of {len(data)} bytes, the limit is {max_bytes}")
+    if not data.startswith(_PREFIX):
+        raise RemoteProtocolError(f"not a control message: first byte {quoted(data[:1])}")
+    record = _unpack(data)
+    if not isinstance(record, dict):
+        raise RemoteProtocolError(f"expected a map, got {type(record).__name__}")
+    name = record.get("type")
+    if not isinstance(name, str) or name not in MESSAGE_TYPES:
+        raise RemoteProtocolError(f"unknown message type {quoted(name)}")
+    try:
+        return cast(Message, _read_record(MESSAGE_TYPES[name], record, name))
+    except ValueError as error:  # from the message's own check
+        raise RemoteProtocolError(str(error)) from error
+
+
+def _unpack(data: bytes) -> object:
+    try:
+        return msgpack.unpackb(
+            memoryview(data)[1:],
+            raw=False,
+            strict_map_key=True,
+            ext_hook=_refuse_extension,
+            max_str_len=MAX_TEXT_BYTES,
+            max_bin_len=0,
+            max_array_len=max(MAX_PEERS, MAX_REPORT_STREAMS),
+            max_map_len=MAX_MAP_FIELDS,
+            max_ext_len=0,
+        )
+    # msgpack raises ValueError and its subclasses for bad bytes; RecursionError guards its
+    # fallback, OverflowError a timestamp out of range.
+    except (ValueError, RecursionError, OverflowError, msgpack.UnpackException) as error:
+        what = str(error) or type(error).__name__
+        raise RemoteProtocolError(f"not msgpack within the limits: {quoted(what)}") from error
+
+
+def _refuse_extension(code: int, _data: bytes) -> object:
+    raise ValueError(f"extension type {code}")
+
+
+class _Field(NamedTuple):
+    name: str
+    read: _Reader
+    default: object
+
+
+def _plain_record(record: Any) -> dict[str, object]:
+    return {field.name: _plain(getattr(record, field.name)) for field in _SCHEMAS[type(record)]}
+
+
+def _plain(value: Any) -> object:
+    if isinstance(value, tuple):
+        return [_plain(item) for item in value]
+    return _plain_record(value) if type(value) in _SCHEMAS else value
+
+
+def _read_record(cls: type, value: object, path: str) -> object:
+    if not isinstance(value, dict):
+        raise _wrong(path, "a map", value)
+    values = {}
+    for field in _SCHEMAS[cls]:
+        item = value.get(field.name, MISSING)
+        if item is not MISSING:
+            values[field.name] = field.read(item, f"{path}.{field.name}")
+        elif field.default is MISSING:
+            raise RemoteProtocolError(f"{path}.{field.name} is missing")
+    return cls(**values)
+
+
+def _read_int(value: object, path: str) -> int:
+    if type(value) is not int:  # not isinstance: True is an int to Python, not to the protocol
+        raise _wrong(path, "an integer", value)
+    return value
+
+
+def _read_int_or_none(value: object, path: str) -> int | None:
+    return None if value is None else _read_int(value, path)
+
+
+def _read_text(value: object, path: str) -> str:
+    if not isinstance(value, str):
+        raise _wrong(path, "text", value)
+    return value
+
+
+def _reader(hint: Any) -> _Reader:
+    """Return what reads a field of this annotation; records met on the way get their schema too."""
+    if hint is int:
+        return _read_int
+    if hint is str:
+        return _read_text
+    if get_origin(hint) in (Union, types.UnionType) and set(get_args(hint)) == {int, type(None)}:
+        return _read_int_or_none
+    if get_origin(hint) is tuple:
+        read_item = _reader(get_args(hint)[0])
+
+        def read_items(value: object, path: str) -> tuple[object, ...]:
+            if not isinstance(value, list):
+                raise _wrong(path, "a list", value)
+            return tuple(read_item(item, f"{path}[{i}]") for i, item in enumerate(value))
+
+        return read_items
+    if is_dataclass(hint):
+        cls = cast(type, hint)
+        _add_schema(cls)
+        return lambda value, path: _read_record(cls, value, path)
+    raise TypeError(f"no reader for {hint!r}")
+
+
+def _add_schema(cls: type) -> None:
+    hints: Mapping[str, Any] = get_type_hints(cls)
+    _SCHEMAS[cls] = tuple(
+        _Field(field.name, _reader(hints[field.name]), field.default)
+        for field in fields(cast(Any, cls))
+    )
+
+
+def _wrong(path: str, wanted: str, value: object) -> RemoteProtocolError:
+    return RemoteProtocolError(f"{path} must be {wanted}, got {quoted(value)}")
+
+
+_SCHEMAS: dict[type, tuple[_Field, ...]] = {}
+for _cls in MESSAGE_TYPES.values():
+    _add_schema(_cls)

@@ -1,0 +1,81 @@
+"""What can go wrong between two speakers of the protocol, and whose fault it is.
+
+ProtocolError
+├── LocalProtocolError     our own code broke the rules: a bug on this side
+└── RemoteProtocolError    the other side did; carries the close code it is to be told
+"""
+
+from enum import IntEnum
+
+
+class CloseCode(IntEnum):
+    """Why a connection ended: in ``Bye`` and in the websocket close frame alike.
+
+    Below 4000 the meaning is that of RFC 6455 section 7.4.1; 4000 and up are ours.
+    """
+
+    NORMAL = 1000
+    """The peer left on purpose."""
+    GOING_AWAY = 1001
+    """The relay, or the client, is stopping."""
+    CONNECTION_LOST = 1006
+    """Never sent: what a side concludes when the socket dies without a close frame."""
+    MESSAGE_TOO_BIG = 1009
+    """A websocket message above the limit; sent by the websocket layer itself."""
+    INTERNAL_ERROR = 1011
+    """A fault of the relay, or a peer that stopped answering pings."""
+    MALFORMED = 4000
+    """Bytes that are no message, or a field out of its limits."""
+    WRONG_VERSION = 4001
+    """The other side speaks another version."""
+    UNEXPECTED_MESSAGE = 4002
+    """A good message at the wrong time; see the state tables."""
+    HANDSHAKE_TIMEOUT = 4003
+    """Hello or Join did not come in time."""
+    ROOM_FULL = 4004
+    """The room has as many peers as the relay allows."""
+    TOO_SLOW = 4005
+    """The peer does not read: control messages pile up, or nothing leaves for too long."""
+    FOREIGN_STREAM = 4006
+    """A frame on a stream that is not the sender's own."""
+    RELAY_FULL = 4007
+    """The relay has as many connections or rooms as it allows."""
+
+
+_WORTH_RETRYING = frozenset(
+    {
+        CloseCode.GOING_AWAY,
+        CloseCode.CONNECTION_LOST,
+        CloseCode.INTERNAL_ERROR,
+        CloseCode.HANDSHAKE_TIMEOUT,
+        CloseCode.TOO_SLOW,
+        CloseCode.RELAY_FULL,
+        1005,  # closed without a code
+        1012,  # service restart, from a proxy
+        1013,  # try again later, from a proxy
+        1014,  # bad gateway, from a proxy
+    }
+)
+
+
+def is_worth_retrying(code: int) -> bool:
+    """Say whether the same join may succeed later without anybody changing anything."""
+    return code in _WORTH_RETRYING
+
+
+class ProtocolError(Exception):
+    """Root of the errors of this package."""
+
+    exit_code = 2
+
+
+class LocalProtocolError(ProtocolError):
+    """This side used a session in a way its state forbids: a bug here, nothing to tell the peer."""
+
+
+class RemoteProtocolError(ProtocolError):
+    """The other side sent what it must not; ``code`` is what to close the connection with."""
+
+    def __init__(self, message: str, code: CloseCode = CloseCode.MALFORMED) -> None:
+        super().__init__(message)
+        self.code = code

@@ -1,0 +1,97 @@
+"""Every number that bounds a message, and the checks that quote them.
+
+The checks raise ``ValueError`` with field, value and limit. A message checks itself when it is
+made, so one written here is as well-formed as one that was read from a stranger.
+"""
+
+import re
+
+MAX_FRAME_BYTES = 1200
+"""Header and payload of one media frame: fits a datagram on any path (chosen: RFC 9000 14.1)."""
+
+MAX_MEDIA_MESSAGE_BYTES = 16_384
+"""One websocket message of media frames (chosen: 13 of the largest frames, a TLS record)."""
+
+MAX_CONTROL_BYTES = 65_536
+"""One control message from the relay: ``Joined`` with the largest room fits; a test proves it."""
+
+MAX_CLIENT_MESSAGE_BYTES = 16_384
+"""One message of either kind from a client: the relay reads no more than this at once."""
+
+MAX_LAYER = 7
+"""Highest temporal layer; three are planned, eight fit the relay's counters (chosen)."""
+
+MAX_STREAM = 65_535
+"""Streams are unsigned 16 bit, unique in a room; 0 means "not allotted yet"."""
+
+MAX_PEERS = 64
+"""Peers in one room that a message can name (chosen: a conference, not a stadium)."""
+
+MAX_TRACKS = 4
+"""Tracks of one peer: face, voice, and two to spare (chosen)."""
+
+MAX_REPORT_STREAMS = 64
+"""Streams in one report; a receiver of more sends several reports."""
+
+MAX_TEXT_BYTES = 128
+"""The longest text in any message, in UTF-8; single fields are bounded more tightly."""
+
+MAX_NAME_BYTES = 64
+"""A peer's display name, in UTF-8."""
+
+MAX_REASON_BYTES = 120
+"""A close reason, in UTF-8; a websocket close frame carries 123 (RFC 6455 5.5)."""
+
+MAX_MAP_FIELDS = 16
+"""Fields in one map; room for later versions to add some."""
+
+_TOKEN = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+_SHA256_HEX = re.compile(r"[0-9a-f]{64}")
+
+
+def check_range(field: str, value: int, low: int, high: int) -> None:
+    """Refuse an integer outside [low, high]."""
+    if not low <= value <= high:
+        raise ValueError(f"{field} must be in {low}..{high}, got {value}")
+
+
+def check_token(field: str, value: str) -> None:
+    """Refuse anything but 1 to 64 of ``A-Z a-z 0-9 _ . -``: names that end up in logs and paths."""
+    if not _TOKEN.fullmatch(value):
+        raise ValueError(f"{field} must be 1..64 of A-Z a-z 0-9 _ . -, got {quoted(value)}")
+
+
+def check_text(field: str, value: str, max_bytes: int, *, required: bool = False) -> None:
+    """Refuse text that is too long in UTF-8, or holds what could confuse a terminal."""
+    if required and not value.strip():
+        raise ValueError(f"{field} must not be empty")
+    if not value.isprintable():
+        raise ValueError(f"{field} must be printable text, got {quoted(value)}")
+    if len(value.encode()) > max_bytes:
+        raise ValueError(f"{field} must be at most {max_bytes} bytes of UTF-8, got {quoted(value)}")
+
+
+def check_sha256(field: str, value: str) -> None:
+    """Refuse anything but "" or 64 lower-case hexadecimal digits."""
+    if value and not _SHA256_HEX.fullmatch(value):
+        raise ValueError(f"{field} must be empty or 64 hexadecimal digits, got {quoted(value)}")
+
+
+def check_count(field: str, items: tuple[object, ...], limit: int) -> None:
+    """Refuse a sequence with more than ``limit`` items."""
+    if len(items) > limit:
+        raise ValueError(f"{field} must have at most {limit} items, got {len(items)}")
+
+
+def quoted(value: object) -> str:
+    """Show a value in an error without letting it fill the log: 40 ASCII characters at most."""
+    if isinstance(value, (list, dict)):
+        return f"a {type(value).__name__} of {len(value)}"
+    text = ascii(value)
+    return text if len(text) <= 40 else f"{text[:37]}..."
+
+
+def clipped_reason(reason: str) -> str:
+    """Make any text fit the limits of a close reason: printable, at most 120 bytes of UTF-8."""
+    clean = "".join(char if char.isprintable() else " " for char in reason)
+    return clean.encode("utf-8", "replace")[:MAX_REASON_BYTES].decode("utf-8", "ignore")

@@ -1,0 +1,258 @@
+"""The control messages: frozen records that check their own limits.
+
+Direction and bytes of each are shown in ``docs/protocol.md``. The annotations are the schema that
+``codec.py`` reads: ``int``, ``str``, ``int | None``, another record, or a tuple of one of these. A
+later version may add a field with a default; it never reorders, retypes or removes one.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+from pica_protocol import PROTOCOL_VERSION
+from pica_protocol.limits import (
+    MAX_LAYER,
+    MAX_NAME_BYTES,
+    MAX_PEERS,
+    MAX_REASON_BYTES,
+    MAX_REPORT_STREAMS,
+    MAX_STREAM,
+    MAX_TRACKS,
+    check_count,
+    check_range,
+    check_sha256,
+    check_text,
+    check_token,
+    quoted,
+)
+
+MAX_COUNTER: Final = 2**63 - 1
+MAX_TRACK_KIND_BYTES: Final = 16
+DROP_POLICIES: Final = ("latest",)
+"""What may be dropped when a receiver is slow. ``latest``: every frame but the newest of a
+stream."""
+BYE_CODES: Final = (1000, 1001, 1009, 1011)
+"""Codes below 3000 that a ``Bye`` may carry (RFC 6455 7.4)."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Track:
+    """One thing a peer publishes. The relay looks at ``stream`` and ``policy`` only."""
+
+    kind: str
+    """What the payloads are, for receivers: ``face`` today. A short word of a-z, 0-9, _ . -"""
+    policy: str = "latest"
+    """Drop policy, one of ``DROP_POLICIES``."""
+    avatar: str = ""
+    """SHA-256 of the avatar file a receiver needs to draw this track, in hexadecimal, or empty."""
+    stream: int = 0
+    """The stream its frames travel on; 0 in ``Join``, allotted by the relay in ``Joined``."""
+
+    def __post_init__(self) -> None:
+        check_token("track.kind", self.kind)
+        check_text("track.kind", self.kind, MAX_TRACK_KIND_BYTES)
+        if self.policy not in DROP_POLICIES:
+            raise ValueError(
+                f"track.policy must be one of {DROP_POLICIES}, got {quoted(self.policy)}"
+            )
+        check_sha256("track.avatar", self.avatar)
+        check_range("track.stream", self.stream, 0, MAX_STREAM)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Peer:
+    """Somebody in the room, as the others see them."""
+
+    peer_id: str
+    """Opaque, unique in the room for its lifetime; made by the relay."""
+    name: str
+    """What the person wants to be called; not unique, not to be trusted."""
+    tracks: tuple[Track, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_token("peer.peer_id", self.peer_id)
+        check_text("peer.name", self.name, MAX_NAME_BYTES, required=True)
+        check_count("peer.tracks", self.tracks, MAX_TRACKS)
+        for track in self.tracks:
+            check_range("peer.tracks.stream", track.stream, 1, MAX_STREAM)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Hello:
+    """First message of a client."""
+
+    version: int = PROTOCOL_VERSION
+    software: str = ""
+
+    def __post_init__(self) -> None:
+        check_range("hello.version", self.version, 0, MAX_COUNTER)
+        check_text("hello.software", self.software, MAX_NAME_BYTES)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Welcome:
+    """The relay's answer to ``Hello``."""
+
+    version: int = PROTOCOL_VERSION
+    software: str = ""
+
+    def __post_init__(self) -> None:
+        check_range("welcome.version", self.version, 0, MAX_COUNTER)
+        check_text("welcome.software", self.software, MAX_NAME_BYTES)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Join:
+    """Ask for a place in a room, naming what this client will publish (nothing: a mere viewer)."""
+
+    room: str
+    name: str
+    tracks: tuple[Track, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_token("join.room", self.room)
+        check_text("join.name", self.name, MAX_NAME_BYTES, required=True)
+        check_count("join.tracks", self.tracks, MAX_TRACKS)
+        for track in self.tracks:
+            check_range("join.tracks.stream", track.stream, 0, 0)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Joined:
+    """The place in the room: own id, own tracks with their streams, and everybody present."""
+
+    room: str
+    peer_id: str
+    tracks: tuple[Track, ...] = ()
+    """The tracks of the ``Join`` in the same order, each with its stream."""
+    peers: tuple[Peer, ...] = ()
+    """The others who are here already."""
+
+    def __post_init__(self) -> None:
+        check_token("joined.room", self.room)
+        check_token("joined.peer_id", self.peer_id)
+        check_count("joined.tracks", self.tracks, MAX_TRACKS)
+        for track in self.tracks:
+            check_range("joined.tracks.stream", track.stream, 1, MAX_STREAM)
+        check_count("joined.peers", self.peers, MAX_PEERS)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PeerJoined:
+    """Somebody came in."""
+
+    peer: Peer
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PeerLeft:
+    """Somebody went, on purpose or not. Their streams end with it."""
+
+    peer_id: str
+    reason: str = ""
+
+    def __post_init__(self) -> None:
+        check_token("peer_left.peer_id", self.peer_id)
+        check_text("peer_left.reason", self.reason, MAX_REASON_BYTES)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Leave:
+    """A client goes; the relay answers ``Bye`` with code 1000 and closes."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Want:
+    """A receiver's wish for one stream: frames up to ``layer``, or none. Default is everything."""
+
+    stream: int
+    layer: int | None = None
+    """Highest layer to forward; None stops the stream."""
+
+    def __post_init__(self) -> None:
+        check_range("want.stream", self.stream, 1, MAX_STREAM)
+        if self.layer is not None:
+            check_range("want.layer", self.layer, 0, MAX_LAYER)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class KeyframeRequest:
+    """A receiver asks for a keyframe; the relay passes it on to the publisher at a limited rate."""
+
+    stream: int
+
+    def __post_init__(self) -> None:
+        check_range("keyframe_request.stream", self.stream, 1, MAX_STREAM)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StreamReport:
+    """How one stream arrived since the last report."""
+
+    stream: int
+    received: int
+    lost: int = 0
+    """Holes in the sequence: dropped by the relay, or never sent."""
+    concealed: int = 0
+    """Display times for which there was no fresh frame."""
+
+    def __post_init__(self) -> None:
+        check_range("report.stream", self.stream, 1, MAX_STREAM)
+        for field, value in (
+            ("received", self.received),
+            ("lost", self.lost),
+            ("concealed", self.concealed),
+        ):
+            check_range(f"report.{field}", value, 0, MAX_COUNTER)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Report:
+    """What a receiver saw, for the relay's statistics."""
+
+    streams: tuple[StreamReport, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_count("report.streams", self.streams, MAX_REPORT_STREAMS)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Bye:
+    """Last message of either side; the websocket close frame repeats code and reason."""
+
+    code: int
+    reason: str = ""
+
+    def __post_init__(self) -> None:
+        if self.code not in BYE_CODES and not 3000 <= self.code <= 4999:
+            raise ValueError(f"bye.code must be one a close frame may carry, got {self.code}")
+        check_text("bye.reason", self.reason, MAX_REASON_BYTES)
+
+
+Message = (
+    Hello
+    | Welcome
+    | Join
+    | Joined
+    | PeerJoined
+    | PeerLeft
+    | Leave
+    | Want
+    | KeyframeRequest
+    | Report
+    | Bye
+)
+
+MESSAGE_TYPES: Final[dict[str, type[Message]]] = {
+    "hello": Hello,
+    "welcome": Welcome,
+    "join": Join,
+    "joined": Joined,
+    "peer_joined": PeerJoined,
+    "peer_left": PeerLeft,
+    "leave": Leave,
+    "want": Want,
+    "keyframe_request": KeyframeRequest,
+    "report": Report,
+    "bye": Bye,
+}
+"""The name each message has on the wire, in its ``type`` field."""

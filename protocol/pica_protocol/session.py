@@ -1,0 +1,443 @@
+"""Both ends of one connection, without the connection: bytes in, events out, bytes to send.
+
+A shell does four things with a session, and nothing else::
+
+    events = session.receive_data(data, now)        what a websocket message means
+    data   = session.messages_to_send(now)          what must go out, in order
+    when   = session.next_timer()                   when it wants to be woken, or None
+    events = session.handle_timer(now)              it is that time
+
+plus ``receive_close`` when the socket has ended. A session never raises for what the other side
+sent: it queues a ``Bye``, reports ``Closed`` and is done; the shell sends what is left and closes
+the websocket with the code and reason of ``session.closed``. It raises ``LocalProtocolError`` for
+what this side must not do.
+
+Events come back from the call that caused them. A queue to drain separately would be one more thing
+that a shell can forget.
+
+    Client                                 Relay's side
+    GREETING  Hello and Join are out       GREETING  nothing received
+    JOINING   Welcome received             JOINING   Hello received, Welcome is out
+    JOINED    Joined received              DECIDING  Join received; accept() or close() is due
+    LEAVING   Leave is out                 JOINED    Joined is out
+    CLOSED                                 CLOSED
+
+Media flows while JOINED. The client sends Hello and Join together: a join costs one round trip.
+What may be received in which state, and where it leads, stands in the two tables below; all else is
+``UNEXPECTED_MESSAGE``. ``Bye`` ends every state.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Final, NamedTuple
+
+from pica_protocol import PROTOCOL_VERSION
+from pica_protocol.codec import CONTROL_KIND, decode_message, encode_message
+from pica_protocol.errors import CloseCode, LocalProtocolError, RemoteProtocolError
+from pica_protocol.frames import (
+    MEDIA_KIND,
+    SEQUENCE_MODULUS,
+    Frame,
+    FrameSpan,
+    decode_media,
+    encode_frame,
+    media_message,
+    scan_frames,
+)
+from pica_protocol.limits import (
+    MAX_CLIENT_MESSAGE_BYTES,
+    MAX_CONTROL_BYTES,
+    clipped_reason,
+    quoted,
+)
+from pica_protocol.messages import (
+    Bye,
+    Hello,
+    Join,
+    Joined,
+    KeyframeRequest,
+    Leave,
+    Message,
+    Peer,
+    PeerJoined,
+    PeerLeft,
+    Report,
+    Track,
+    Want,
+    Welcome,
+)
+
+HANDSHAKE_TIMEOUT_S: Final = 5.0
+"""From the open socket to the place in the room (chosen: ten slow round trips)."""
+
+MAX_QUEUED_MESSAGES: Final = 64
+"""Control messages a client may queue before its shell sends them; more is a bug here."""
+
+
+class State(Enum):
+    """Where a session stands; each side uses its own subset, see above."""
+
+    GREETING = "greeting"
+    JOINING = "joining"
+    DECIDING = "deciding"
+    JOINED = "joined"
+    LEAVING = "leaving"
+    CLOSED = "closed"
+
+
+class Media(NamedTuple):
+    """A checked media message, as the relay wants it: the bytes, and where the frames lie in
+    them."""
+
+    message: bytes
+    spans: list[FrameSpan]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Closed:
+    """The session is over."""
+
+    code: int
+    """A ``CloseCode``, or whatever else the websocket was closed with."""
+    reason: str
+    is_remote: bool
+    """Whether the other side, or the network, ended it."""
+
+
+ClientEvent = Joined | PeerJoined | PeerLeft | KeyframeRequest | Frame | Closed
+ServerEvent = Join | Want | KeyframeRequest | Report | Media | Closed
+
+_Table = Mapping[State, Mapping[type, State]]
+
+CLIENT_TABLE: Final[_Table] = {
+    State.GREETING: {Welcome: State.JOINING},
+    State.JOINING: {Joined: State.JOINED},
+    State.JOINED: {
+        PeerJoined: State.JOINED,
+        PeerLeft: State.JOINED,
+        KeyframeRequest: State.JOINED,
+        Media: State.JOINED,
+    },
+    # What was under way when Leave went out still arrives.
+    State.LEAVING: {
+        Welcome: State.LEAVING,
+        Joined: State.LEAVING,
+        PeerJoined: State.LEAVING,
+        PeerLeft: State.LEAVING,
+        KeyframeRequest: State.LEAVING,
+        Media: State.LEAVING,
+    },
+    State.CLOSED: {},
+}
+
+SERVER_TABLE: Final[_Table] = {
+    State.GREETING: {Hello: State.JOINING},
+    State.JOINING: {Join: State.DECIDING, Leave: State.CLOSED},
+    State.DECIDING: {Leave: State.CLOSED},
+    State.JOINED: {
+        Want: State.JOINED,
+        KeyframeRequest: State.JOINED,
+        Report: State.JOINED,
+        Media: State.JOINED,
+        Leave: State.CLOSED,
+    },
+    State.CLOSED: {},
+}
+
+
+class _Session:
+    """What both ends share: the table, the outgoing control messages, the deadline and the end."""
+
+    def __init__(self, table: _Table, max_bytes: int, deadline: float) -> None:
+        self.state = State.GREETING
+        self.closed: Closed | None = None
+        self._table = table
+        self._max_bytes = max_bytes
+        self._deadline: float | None = deadline
+        self._outgoing: list[bytes] = []
+
+    def next_timer(self) -> float | None:
+        """Return when ``handle_timer`` is due, or None."""
+        return self._deadline
+
+    def close(self, code: int, reason: str) -> None:
+        """End the session from this side: ``Bye`` goes out, then the shell closes the websocket."""
+        if self.state is not State.CLOSED:
+            self._end(code, reason, is_remote=False)
+
+    def _advance(self, received: type) -> None:
+        """Take the step of the table, or refuse the message."""
+        state = self._table[self.state].get(received)
+        if state is None:
+            raise RemoteProtocolError(
+                f"unexpected {received.__name__} while {self.state.value}",
+                CloseCode.UNEXPECTED_MESSAGE,
+            )
+        self.state = state
+
+    def _queue(self, message: Message) -> None:
+        self._outgoing.append(encode_message(message))
+
+    def _end(self, code: int, reason: str, *, is_remote: bool) -> Closed:
+        reason = clipped_reason(reason)
+        if not is_remote:
+            self._queue(Bye(code=code, reason=reason))
+        self.state = State.CLOSED
+        self.closed = Closed(code=code, reason=reason, is_remote=is_remote)
+        self._deadline = None
+        return self.closed
+
+    def _checked_version(self, version: int) -> None:
+        if version != PROTOCOL_VERSION:
+            raise RemoteProtocolError(
+                f"we speak protocol version {PROTOCOL_VERSION}, you {quoted(version)}",
+                CloseCode.WRONG_VERSION,
+            )
+
+    def _checked_kind(self, data: bytes | str) -> bytes:
+        if isinstance(data, str):
+            raise RemoteProtocolError("text message, all messages are binary")
+        if len(data) == 0 or data[0] not in (CONTROL_KIND, MEDIA_KIND):
+            raise RemoteProtocolError(f"unknown kind of message, first byte {quoted(data[:1])}")
+        return data
+
+
+class ClientSession(_Session):
+    """The client's end: greets, joins one room, publishes frames, and keeps the list of peers.
+
+    Attributes:
+        state: Where it stands.
+        peer_id: Our own id, once joined.
+        tracks: Our own tracks; with their streams, once joined.
+        peers: Everybody else in the room by id, kept up to date.
+        closed: How it ended, or None.
+        frames_replaced: Frames that a newer one of the same stream overtook before they were sent.
+    """
+
+    def __init__(
+        self,
+        *,
+        room: str,
+        name: str,
+        tracks: tuple[Track, ...] = (),
+        software: str = "",
+        now: float,
+        timeout_s: float = HANDSHAKE_TIMEOUT_S,
+    ) -> None:
+        """Start on a websocket that is open: ``Hello`` and ``Join`` wait in ``messages_to_send``.
+
+        Raises:
+            ValueError: A name, room or track is out of its limits.
+        """
+        super().__init__(CLIENT_TABLE, MAX_CONTROL_BYTES, now + timeout_s)
+        self.peer_id = ""
+        self.tracks = tracks
+        self.peers: dict[str, Peer] = {}
+        self.frames_replaced = 0
+        self._next_sequence = [0] * len(tracks)
+        self._waiting_frames: dict[int, bytes] = {}
+        self._queue(Hello(software=software))
+        self._queue(Join(room=room, name=name, tracks=tracks))
+
+    def receive_data(self, data: bytes | str, now: float) -> list[ClientEvent]:
+        """Take one websocket message; a text one is the other side's mistake."""
+        if self.state is State.CLOSED:
+            return []
+        try:
+            data = self._checked_kind(data)
+            if data[0] == MEDIA_KIND:
+                frames = decode_media(data)
+                self._advance(Media)
+                return [] if self.state is State.LEAVING else list[ClientEvent](frames)
+            return self._receive_message(decode_message(data, self._max_bytes))
+        except RemoteProtocolError as error:
+            return [self._end(error.code, str(error), is_remote=False)]
+
+    def receive_close(self, code: int, reason: str, now: float) -> list[ClientEvent]:
+        """Take note that the websocket has ended; after a ``Bye`` this is no news."""
+        if self.state is State.CLOSED:
+            return []
+        return [self._end(code, reason, is_remote=True)]
+
+    def messages_to_send(self, now: float) -> list[bytes]:
+        """Take the websocket messages that must go out now, in order."""
+        messages, self._outgoing = self._outgoing, []
+        if self._waiting_frames:
+            messages.append(media_message(self._waiting_frames.values()))
+            self._waiting_frames.clear()
+        return messages
+
+    def handle_timer(self, now: float) -> list[ClientEvent]:
+        """Give up if the relay has not let us in, or out, by now."""
+        if self._deadline is None or now < self._deadline:
+            return []
+        if self.state is State.LEAVING:
+            return [self._end(CloseCode.NORMAL, "left", is_remote=False)]
+        reason = f"the relay did not answer in time while {self.state.value}"
+        return [self._end(CloseCode.HANDSHAKE_TIMEOUT, reason, is_remote=False)]
+
+    def send_frame(
+        self,
+        payload: bytes,
+        captured_us: int,
+        *,
+        track: int = 0,
+        layer: int = 0,
+        is_keyframe: bool = False,
+    ) -> None:
+        """Queue a frame of one of our tracks; it replaces one of that track that still waits.
+
+        Raises:
+            LocalProtocolError: Not joined, or there is no such track.
+            ValueError: The payload is too long, or another field out of its limits.
+        """
+        if self.state is not State.JOINED or not 0 <= track < len(self.tracks):
+            raise LocalProtocolError(f"cannot send on track {track} while {self.state.value}")
+        stream = self.tracks[track].stream
+        sequence = self._next_sequence[track]
+        frame = Frame(
+            stream=stream,
+            sequence=sequence,
+            captured_us=captured_us,
+            payload=payload,
+            layer=layer,
+            is_keyframe=is_keyframe,
+        )
+        self._next_sequence[track] = (sequence + 1) % SEQUENCE_MODULUS
+        self.frames_replaced += stream in self._waiting_frames
+        self._waiting_frames[stream] = encode_frame(frame)
+
+    def want(self, stream: int, layer: int | None) -> None:
+        """Ask for the frames of a stream up to ``layer``, or for none."""
+        self._queue_when_joined(Want(stream=stream, layer=layer))
+
+    def request_keyframe(self, stream: int) -> None:
+        """Ask the publisher of a stream for a keyframe."""
+        self._queue_when_joined(KeyframeRequest(stream=stream))
+
+    def report(self, report: Report) -> None:
+        """Tell the relay how streams arrived."""
+        self._queue_when_joined(report)
+
+    def leave(self, now: float, timeout_s: float = 1.0) -> None:
+        """Go in good order: the relay answers with ``Bye``, or we stop waiting for it."""
+        if self.state in (State.CLOSED, State.LEAVING):
+            return
+        self.state = State.LEAVING
+        self._waiting_frames.clear()
+        self._queue(Leave())
+        self._deadline = now + timeout_s
+
+    def _receive_message(self, message: Message) -> list[ClientEvent]:
+        if isinstance(message, Bye):
+            return [self._end(message.code, message.reason, is_remote=True)]
+        self._advance(type(message))
+        if self.state is State.LEAVING:
+            return []
+        match message:
+            case Welcome():
+                self._checked_version(message.version)
+                return []
+            case Joined():
+                if [replace(track, stream=0) for track in message.tracks] != list(self.tracks):
+                    raise RemoteProtocolError("joined with other tracks than ours")
+                self.peer_id = message.peer_id
+                self.tracks = message.tracks
+                self.peers = {peer.peer_id: peer for peer in message.peers}
+                self._deadline = None
+                return [message]
+            case PeerJoined(peer=peer):
+                self.peers[peer.peer_id] = peer
+                return [message]
+            case PeerLeft(peer_id=peer_id):
+                self.peers.pop(peer_id, None)
+                return [message]
+            case KeyframeRequest():
+                return [message]
+        raise AssertionError(f"the table admits {message} and nobody handles it")
+
+    def _queue_when_joined(self, message: Message) -> None:
+        if self.state is not State.JOINED:
+            raise LocalProtocolError(
+                f"cannot send {type(message).__name__} while {self.state.value}"
+            )
+        if len(self._outgoing) >= MAX_QUEUED_MESSAGES:
+            raise LocalProtocolError(
+                f"{MAX_QUEUED_MESSAGES} messages wait to be sent: drain messages_to_send"
+            )
+        self._queue(message)
+
+
+class ServerSession(_Session):
+    """The relay's end: greets back, asks the relay to decide on the join, passes on what follows.
+
+    Attributes:
+        state: Where it stands.
+        closed: How it ended, or None.
+    """
+
+    def __init__(self, *, software: str = "", now: float, timeout_s: float = HANDSHAKE_TIMEOUT_S):
+        """Start on a websocket that is open; the client speaks first."""
+        super().__init__(SERVER_TABLE, MAX_CLIENT_MESSAGE_BYTES, now + timeout_s)
+        self._software = software
+
+    def receive_data(self, data: bytes | str, now: float) -> list[ServerEvent]:
+        """Take one websocket message.
+
+        After a ``Join`` event the relay owes the client ``accept`` or ``close``.
+        """
+        if self.state is State.CLOSED:
+            return []
+        try:
+            data = self._checked_kind(data)
+            if data[0] == MEDIA_KIND:
+                media = Media(data, scan_frames(data))
+                self._advance(Media)
+                return [media]
+            return self._receive_message(decode_message(data, self._max_bytes))
+        except RemoteProtocolError as error:
+            return [self._end(error.code, str(error), is_remote=False)]
+
+    def receive_close(self, code: int, reason: str, now: float) -> list[ServerEvent]:
+        """Take note that the websocket has ended; after a ``Bye`` this is no news."""
+        if self.state is State.CLOSED:
+            return []
+        return [self._end(code, reason, is_remote=True)]
+
+    def messages_to_send(self, now: float) -> list[bytes]:
+        """Take the control messages that must go out now, in order."""
+        messages, self._outgoing = self._outgoing, []
+        return messages
+
+    def handle_timer(self, now: float) -> list[ServerEvent]:
+        """Close a connection that has not asked to join by now."""
+        if self._deadline is None or now < self._deadline:
+            return []
+        awaited = "hello" if self.state is State.GREETING else "join"
+        reason = f"no {awaited} in time"
+        return [self._end(CloseCode.HANDSHAKE_TIMEOUT, reason, is_remote=False)]
+
+    def accept(self, joined: Joined) -> None:
+        """Let the client in; ``close`` is the other answer to a ``Join``."""
+        if self.state is not State.DECIDING:
+            raise LocalProtocolError(f"nobody asked to join: {self.state.value}")
+        self.state = State.JOINED
+        self._deadline = None
+        self._queue(joined)
+
+    def _receive_message(self, message: Message) -> list[ServerEvent]:
+        if isinstance(message, Bye):
+            return [self._end(message.code, message.reason, is_remote=True)]
+        self._advance(type(message))
+        match message:
+            case Hello():
+                self._checked_version(message.version)
+                self._queue(Welcome(software=self._software))
+                return []
+            case Leave():
+                self._queue(Bye(code=CloseCode.NORMAL, reason="left"))
+                return [self._end(CloseCode.NORMAL, "left", is_remote=True)]
+            case Join() | Want() | KeyframeRequest() | Report():
+                return [message]
+        raise AssertionError(f"the table admits {message} and nobody handles it")
