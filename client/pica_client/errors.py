@@ -1,0 +1,50 @@
+"""What can go wrong in a sender or a receiver that its user can mend.
+
+    ClientError
+    ├── OptionError         an option, or a combination of them, that makes no sense
+    ├── SourceError         a tracker, recording or performance that cannot be read
+    ├── AvatarLookupError   an avatar that is neither shipped nor in the given files
+    ├── RelayError          the way to the relay
+    │   ├── RelayUnreachableError   nobody answers at that address
+    │   └── RelayRefusedError       somebody answers, and says no
+    └── CallProcessError    a process of a demo or bench that did not do its part
+
+``exit_code`` is what the ``pica`` command ends with when the error reaches it (see
+`pica_core.errors`).
+"""
+
+
+class ClientError(Exception):
+    """Root of the errors of this package: the input or the machine is at fault."""
+
+    exit_code = 2
+
+
+class OptionError(ClientError, ValueError):
+    """An option is out of range: names the option, the value and the limit."""
+
+
+class SourceError(ClientError):
+    """The source cannot be read: names the file, the line or column, and the fix."""
+
+
+class AvatarLookupError(ClientError):
+    """No avatar of that name or hash: names those that are there."""
+
+
+class RelayError(ClientError):
+    """The relay cannot be used."""
+
+
+class RelayUnreachableError(RelayError):
+    """Nobody answers: names the address and how to start a relay."""
+
+
+class RelayRefusedError(RelayError):
+    """The relay closed the door for good: names its close code and reason."""
+
+
+class CallProcessError(ClientError):
+    """A process of a demo or bench ended early: names it and quotes its last words."""
+
+    exit_code = 1

@@ -1,0 +1,236 @@
+"""Performances that ship with the package: generated faces with the statistics of real ones.
+
+    talk             somebody tells a story: phrases, pauses, stress with brows and head
+    listen           somebody follows it: nods, smiles, a short answer now and then
+    range_of_motion  every muscle once, as actors do before a capture
+
+No person was recorded for these; results on them are not results on people. What they share with
+seven real Live Link Face takes is checked by `tests/client/test_performances.py`: few principal
+components (talk: 95 % of the variance in 5 or 6), a mean step of 0.001 to 0.006 a frame with jumps
+at blinks, values in [0, 1], and mouthClose never more than 0.07 above jawOpen (it is a corrective:
+alone it is nonsense).
+
+The same name and seed give the same performance on every machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_client.errors import SourceError
+from pica_client.sources import tracks
+from pica_client.sources.source import Recording
+from pica_client.sources.tracks import SAMPLE_FPS, Track
+from pica_core.arkit import ARKIT_INDEX, NUM_ARKIT
+
+DURATION_S = 60.0
+"""Length of a performance before it repeats."""
+MOUTH_CLOSE_MARGIN = 0.07
+"""Largest mouthClose minus jawOpen in seven real recordings."""
+NECK_TO_HEAD_M = 0.12
+"""From the joint that a head turns about up to the origin between the ears (chosen: an adult's,
+roughly)."""
+
+REST = {
+    **{f"eyeBlink{side}": 0.09 for side in ("Left", "Right")},
+    **{f"eyeLookDown{side}": 0.10 for side in ("Left", "Right")},
+    **{f"mouthSmile{side}": 0.05 for side in ("Left", "Right")},
+    **{f"mouthStretch{side}": 0.06 for side in ("Left", "Right")},
+    "mouthFunnel": 0.04,
+    "mouthPucker": 0.06,
+    "mouthShrugUpper": 0.06,
+    "mouthShrugLower": 0.06,
+    "browInnerUp": 0.06,
+    "jawForward": 0.03,
+}
+"""A face at rest as trackers see it: not all zero."""
+
+
+class Mixer:
+    """Adds movements to a face at rest, shape by shape."""
+
+    def __init__(self, num_samples: int) -> None:
+        self.values = np.zeros((num_samples, NUM_ARKIT))
+        self.add(np.ones(num_samples), REST)
+
+    def add(self, track: Track, weights: Mapping[str, float]) -> None:
+        """Add a movement. A name without a side stands for both sides where the shape has sides."""
+        for name, weight in weights.items():
+            names = (name,) if name in ARKIT_INDEX else (f"{name}Left", f"{name}Right")
+            for each in names:
+                self.values[:, ARKIT_INDEX[each]] += weight * track
+
+    def blink(self, track: Track) -> None:
+        """Close both lids; a blink covers whatever the lids did before."""
+        for side, strength in (("Left", 1.0), ("Right", 0.98)):
+            column = self.values[:, ARKIT_INDEX[f"eyeBlink{side}"]]
+            np.maximum(column, strength * track, out=column)
+
+    def look(self, left: Track, up: Track) -> None:
+        """Turn both eyes, lids following the gaze down."""
+        self.add(np.maximum(left, 0), {"eyeLookOutLeft": 1.0, "eyeLookInRight": 1.0})
+        self.add(np.maximum(-left, 0), {"eyeLookInLeft": 1.0, "eyeLookOutRight": 1.0})
+        self.add(np.maximum(up, 0), {"eyeLookUp": 1.0, "eyeWide": 0.15})
+        self.add(np.maximum(-up, 0), {"eyeLookDown": 1.0, "eyeBlink": 0.3})
+
+    def speak(self, speech: tracks.Speech, loudness: float) -> None:
+        """Move the mouth."""
+        self.add(
+            speech.jaw * loudness,
+            {"jawOpen": 0.52, "mouthLowerDown": 0.30, "mouthUpperUp": 0.15, "jawForward": 0.03},
+        )
+        self.add(
+            speech.rounding * loudness,
+            {"mouthFunnel": 0.36, "mouthPucker": 0.34, "mouthStretch": -0.05},
+        )
+        self.add(
+            speech.spreading * loudness,
+            {"mouthStretch": 0.14, "mouthSmile": 0.08, "mouthDimple": 0.04, "mouthLowerDown": 0.05},
+        )
+        self.add(
+            speech.closure * loudness,
+            {"mouthPress": 0.09, "mouthRollLower": 0.08, "mouthRollUpper": 0.05, "jawOpen": 0.03},
+        )
+        # Lips that meet over an open jaw: the corrective takes back as much of the jaw as there is.
+        jaw = self.values[:, ARKIT_INDEX["jawOpen"]]
+        self.values[:, ARKIT_INDEX["mouthClose"]] += 0.6 * np.clip(speech.closure, 0, 1) * jaw
+
+    def finish(self) -> npt.NDArray[np.float32]:
+        """The values as a tracker would give them. float32 ``[T, 52]``."""
+        values = np.clip(self.values, 0, 1)
+        close, jaw = ARKIT_INDEX["mouthClose"], ARKIT_INDEX["jawOpen"]
+        values[:, close] = np.minimum(values[:, close], values[:, jaw] + 0.9 * MOUTH_CLOSE_MARGIN)
+        return values.astype(np.float32)
+
+
+def _talk(rng: np.random.Generator, times_s: Track) -> tuple[Mixer, Track]:
+    mixer = Mixer(len(times_s))
+    speech = tracks.speech(rng, times_s)
+    mixer.speak(speech, 1.1)
+    mood = np.clip(tracks.drift(rng, times_s, period_s=(9, 20)), 0, 1)
+    mixer.add(mood, {"mouthSmile": 0.5, "cheekSquint": 0.26, "eyeSquint": 0.18, "mouthDimple": 0.1})
+    brows = tracks.smooth(speech.stress * (tracks.drift(rng, times_s, period_s=(3, 8)) > 0), 0.15)
+    mixer.add(brows, {"browInnerUp": 0.45, "browOuterUp": 0.38, "eyeWide": 0.1})
+    frown = np.clip(tracks.drift(rng, times_s, period_s=(6, 15)) - 0.25, 0, 1)
+    mixer.add(frown, {"browDown": 0.08})
+    mixer.look(*tracks.saccades(rng, times_s, spread=0.075, rest_s=(0.6, 2.5)))
+    mixer.blink(tracks.blinks(rng, times_s))
+    pitch = 0.05 * tracks.smooth(speech.stress, 0.2) + 0.06 * tracks.nods(
+        rng, times_s, every_s=(8, 16)
+    )
+    return mixer, pitch
+
+
+def _listen(rng: np.random.Generator, times_s: Track) -> tuple[Mixer, Track]:
+    mixer = Mixer(len(times_s))
+    answers = tracks.speech(rng, times_s, phrase_s=(0.5, 1.0), pause_s=(3.0, 6.0))
+    mixer.speak(answers, 0.6)
+    smile = np.clip(1.4 * tracks.drift(rng, times_s, period_s=(7, 16)), 0, 1)
+    mixer.add(
+        smile, {"mouthSmile": 0.55, "cheekSquint": 0.3, "eyeSquint": 0.2, "mouthDimple": 0.15}
+    )
+    interest = np.clip(1.4 * tracks.drift(rng, times_s, period_s=(5, 12)) - 0.2, 0, 1)
+    mixer.add(interest, {"browInnerUp": 0.5, "browOuterUp": 0.4, "eyeWide": 0.12})
+    doubt = np.clip(1.4 * tracks.drift(rng, times_s, period_s=(8, 18)) - 0.4, 0, 1)
+    mixer.add(doubt, {"browDown": 0.4, "mouthPress": 0.25, "mouthPucker": 0.2, "mouthLeft": 0.15})
+    mixer.look(*tracks.saccades(rng, times_s, spread=0.09, rest_s=(1.0, 4.0)))
+    mixer.blink(tracks.blinks(rng, times_s, every_s=(2.0, 5.0)))
+    return mixer, 0.11 * tracks.nods(rng, times_s, every_s=(2.5, 6.0))
+
+
+MOTIONS: tuple[Mapping[str, float], ...] = (
+    {"jawOpen": 1.0, "mouthLowerDown": 0.4, "mouthUpperUp": 0.2},
+    {"mouthSmile": 0.9, "cheekSquint": 0.6, "eyeSquint": 0.4, "mouthDimple": 0.3},
+    {"browInnerUp": 0.9, "browOuterUp": 0.9, "eyeWide": 0.7},
+    {"browDown": 0.9, "noseSneer": 0.6, "eyeSquint": 0.5, "mouthUpperUp": 0.4},
+    {"mouthPucker": 0.8, "mouthFunnel": 0.5},
+    {"mouthFunnel": 0.85, "jawOpen": 0.35, "mouthUpperUp": 0.2},
+    {"mouthFrown": 0.8, "mouthShrugLower": 0.6, "mouthShrugUpper": 0.3, "browInnerUp": 0.4},
+    {"eyeBlink": 0.95, "cheekSquint": 0.3, "eyeSquint": 0.5},
+    {"mouthLeft": 0.55, "jawLeft": 0.2, "mouthDimpleLeft": 0.3, "mouthSmileLeft": 0.2},
+    {"mouthRight": 0.55, "jawRight": 0.2, "mouthDimpleRight": 0.3, "mouthSmileRight": 0.2},
+    {"cheekPuff": 0.35, "mouthPress": 0.2, "mouthRollLower": 0.3},
+    {"mouthRollLower": 0.4, "mouthRollUpper": 0.35, "mouthPress": 0.25, "jawOpen": 0.06},
+    {"mouthStretch": 0.8, "mouthLowerDown": 0.7, "mouthFrown": 0.3, "jawOpen": 0.15},
+    {"tongueOut": 0.8, "jawOpen": 0.5, "mouthLowerDown": 0.3},
+    {"jawForward": 0.3, "mouthShrugLower": 0.3, "mouthLowerDown": 0.2},
+    {"eyeLookUp": 0.3, "browInnerUp": 0.3, "eyeWide": 0.2},
+    {"eyeLookDown": 0.7, "eyeBlink": 0.35},
+    {"eyeLookOutLeft": 0.3, "eyeLookInRight": 0.3},
+    {"eyeLookInLeft": 0.3, "eyeLookOutRight": 0.3},
+    {"jawOpen": 0.5, "mouthClose": 0.45, "mouthPucker": 0.2},
+)
+"""What an actor is asked for, one after the other; sides together where no side is named."""
+
+
+def _range_of_motion(rng: np.random.Generator, times_s: Track) -> tuple[Mixer, Track]:
+    mixer = Mixer(len(times_s))
+    slot_s = (times_s[-1] - 2 * tracks.EDGE_S) / len(MOTIONS)
+    for index, motion in enumerate(rng.permutation(len(MOTIONS))):
+        begin_s = tracks.EDGE_S + (index + rng.uniform(0.0, 0.12)) * slot_s
+        shape = tracks.bump(
+            times_s, begin_s, rng.uniform(0.2, 0.45), 0.3 * slot_s, rng.uniform(0.25, 0.5)
+        )
+        strength = rng.uniform(0.85, 1.0)
+        mixer.add(strength * shape, MOTIONS[motion])
+    mixer.look(*tracks.saccades(rng, times_s, spread=0.04, rest_s=(1.0, 3.0)))
+    mixer.blink(tracks.blinks(rng, times_s))
+    return mixer, 0.05 * tracks.nods(rng, times_s, every_s=(6.0, 12.0))
+
+
+PERFORMANCES: dict[str, Callable[[np.random.Generator, Track], tuple[Mixer, Track]]] = {
+    "talk": _talk,
+    "listen": _listen,
+    "range_of_motion": _range_of_motion,
+}
+"""Each gives the face and the head's pitch (radians, chin down positive) over the sample times."""
+
+
+def make_performance(name: str, *, seed: int = 0, start_s: float = 0.0) -> Recording:
+    """Generate a performance.
+
+    Args:
+        name: One of `PERFORMANCES`.
+        seed: Chooses the player: same manner, other words. 0 to 2³²−1.
+        start_s: Where in the performance the source begins, seconds.
+
+    Returns:
+        A looping recording at 60 samples a second.
+
+    Raises:
+        SourceError: Unknown name or seed out of range.
+    """
+    if name not in PERFORMANCES:
+        raise SourceError(f"performance {name!r} is unknown; known are {', '.join(PERFORMANCES)}")
+    if not 0 <= seed < 2**32:
+        raise SourceError(f"performance seed is {seed}; allowed are 0 to 4294967295")
+    # Every name has its own generator, so that talk#1 and listen#1 do not blink together.
+    rng = np.random.default_rng([seed, *name.encode()])
+    times_s = tracks.sample_times(DURATION_S)
+    mixer, pitch = PERFORMANCES[name](rng, times_s)
+    slow = (4.0, 11.0)
+    rotation = np.stack(
+        (
+            pitch + 0.035 * tracks.drift(rng, times_s, period_s=slow),
+            0.09 * tracks.drift(rng, times_s, period_s=slow),
+            0.03 * tracks.drift(rng, times_s, period_s=slow),
+        ),
+        axis=1,
+    )
+    # The head turns about the neck: its origin swings along, and the body sways a little under it.
+    swing = NECK_TO_HEAD_M * np.stack(
+        (-rotation[:, 2], np.zeros(len(times_s)), rotation[:, 0]), axis=1
+    )
+    sway = 0.004 * np.stack([tracks.drift(rng, times_s, period_s=slow) for _ in range(3)], axis=1)
+    return Recording(
+        times_s=times_s,
+        arkit=mixer.finish(),
+        rotation=rotation.astype(np.float32),
+        translation_m=(swing + sway).astype(np.float32),
+        has_face=np.ones(len(times_s), np.bool_),
+        loop_gap_s=1 / SAMPLE_FPS,
+        start_s=start_s,
+    )

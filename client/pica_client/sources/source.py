@@ -1,0 +1,105 @@
+"""What every source of expressions is: a face as a function of time.
+
+A source knows no clock and never waits: the sender asks it for the face at a moment of the
+*source's* time (seconds since the source began) and does the pacing itself. So the same source
+serves a 30 fps call, a 90 Hz one, a test on a virtual clock and a statistics check.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.arkit import NUM_ARKIT, ExpressionFrame
+
+FloatArray = npt.NDArray[np.float32]
+
+
+class Source(Protocol):
+    """A face as a function of time."""
+
+    def frame_at(self, time_s: float) -> ExpressionFrame:
+        """The face at a moment of the source's time, interpolated between its samples.
+
+        Args:
+            time_s: Seconds since the source began; any finite number (recordings loop in both
+                directions).
+
+        Returns:
+            The face; its `captured_us` is the source's own time, to be replaced by the sender with
+            its clock.
+        """
+        ...
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Recording:
+    """Samples of a face that loop for ever: the common end of files and of generated performances.
+
+    Between two samples values are interpolated linearly; rotation vectors too, which for the small
+    angle between two neighbouring samples differs from a slerp by less than the tracker's noise.
+    The last sample runs into the first one within `loop_gap_s`.
+
+    Attributes:
+        times_s: Strictly rising times of the samples; the first is 0. float64 ``[T]``.
+        arkit: Values in `ARKIT_NAMES` order. float32 ``[T, 52]``.
+        rotation: Head rotation vectors, radians, head to seat. float32 ``[T, 3]``.
+        translation_m: Head offsets from the seat in metres. float32 ``[T, 3]``.
+        has_face: Whether the tracker saw somebody. bool ``[T]``.
+        loop_gap_s: From the last sample to the repeated first one.
+        start_s: Where in the recording the source's time 0 lies.
+    """
+
+    times_s: npt.NDArray[np.float64]
+    arkit: FloatArray
+    rotation: FloatArray
+    translation_m: FloatArray
+    has_face: npt.NDArray[np.bool_]
+    loop_gap_s: float
+    start_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        count = len(self.times_s)
+        if count == 0:
+            raise ValueError("a recording needs at least one sample")
+        shapes = (self.arkit.shape, self.rotation.shape, self.translation_m.shape)
+        if shapes != ((count, NUM_ARKIT), (count, 3), (count, 3)) or len(self.has_face) != count:
+            raise ValueError(f"recording of {count} samples has arrays of shapes {shapes}")
+        if self.times_s[0] != 0 or np.any(np.diff(self.times_s) <= 0):
+            raise ValueError("times_s must start at 0 and rise")
+        if not self.loop_gap_s > 0:
+            raise ValueError(f"loop_gap_s is {self.loop_gap_s}; it must be above 0")
+
+    @property
+    def duration_s(self) -> float:
+        """Length of one turn of the loop."""
+        return float(self.times_s[-1]) + self.loop_gap_s
+
+    def frame_at(self, time_s: float) -> ExpressionFrame:
+        """See `Source.frame_at`."""
+        looped_s = (time_s + self.start_s) % self.duration_s
+        after = int(np.searchsorted(self.times_s, looped_s, side="right"))
+        before = after - 1
+        begin_s = float(self.times_s[before])
+        if after == len(self.times_s):
+            after, span_s = 0, self.loop_gap_s
+        else:
+            span_s = float(self.times_s[after]) - begin_s
+        if not (self.has_face[before] and self.has_face[after]):
+            after = before  # there is nothing between a face and no face
+        weight = np.float32(min((looped_s - begin_s) / span_s, 1.0))
+
+        def blend(values: FloatArray) -> FloatArray:
+            mixed: FloatArray = values[before] + weight * (values[after] - values[before])
+            return mixed
+
+        return ExpressionFrame(
+            captured_us=round(time_s * 1e6),
+            arkit=blend(self.arkit),
+            rotation=blend(self.rotation),
+            translation_m=blend(self.translation_m),
+            has_face=bool(self.has_face[before]),
+        )

@@ -1,0 +1,175 @@
+"""The movements that performances are made of: one number over time, drawn from a generator.
+
+Each function gives a track sampled at `times_s`. The rhythms are those of people as textbooks give
+them (blinks every 2 to 6 s of 150 to 300 ms; 4 to 5 syllables a second, in phrases with pauses;
+gaze that jumps and rests); the exact distributions are our choice. Equal generators give equal
+tracks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Track = npt.NDArray[np.float64]
+
+SAMPLE_FPS = 60.0
+"""Samples a second of every generated track (chosen: twice the usual stream, so that a blink keeps
+its shape)."""
+EDGE_S = 0.6
+"""Nothing begins this near to either end, so that a loop closes without cutting a movement in
+two."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Speech:
+    """What a mouth does while somebody talks; every track is about [0, 1], float64 ``[T]``."""
+
+    jaw: Track
+    """How far the jaw is open: one bump a syllable."""
+    rounding: Track
+    """Lips forward and round, as in "oh"."""
+    spreading: Track
+    """Lips drawn apart, as in "ee"."""
+    closure: Track
+    """Lips pressed on each other, as in "m", "b", "p"."""
+    stress: Track
+    """Raised over the syllables that carry the weight of a phrase; brows and head go with it."""
+
+
+def sample_times(duration_s: float) -> Track:
+    """The times of all samples of a track of that length."""
+    return np.arange(round(duration_s * SAMPLE_FPS)) / SAMPLE_FPS
+
+
+def smooth(track: Track, width_s: float) -> Track:
+    """Round a track off with a raised-cosine window of the given full width at half height."""
+    half = max(round(width_s * SAMPLE_FPS), 1)
+    window = np.hanning(2 * half + 1)
+    padded = np.pad(track, half, mode="edge")
+    smoothed: Track = np.convolve(padded, window / window.sum(), mode="valid")
+    return smoothed
+
+
+def bump(times_s: Track, begin_s: float, rise_s: float, hold_s: float, fall_s: float) -> Track:
+    """From 0 to 1 and back with smooth ends; exactly 0 before and after."""
+    rising = np.clip((times_s - begin_s) / rise_s, 0, 1)
+    falling = np.clip((begin_s + rise_s + hold_s + fall_s - times_s) / fall_s, 0, 1)
+    shape = np.minimum(rising, falling)
+    eased: Track = shape * shape * (3 - 2 * shape)
+    return eased
+
+
+def blinks(
+    rng: np.random.Generator, times_s: Track, *, every_s: tuple[float, float] = (2.0, 6.0)
+) -> Track:
+    """Lids that close and open: 150 to 300 ms in all, shutting faster than they open."""
+    track = np.zeros_like(times_s)
+    begin_s = rng.uniform(EDGE_S, every_s[0])
+    while begin_s < times_s[-1] - EDGE_S:
+        duration_s = rng.uniform(0.17, 0.28)
+        shut = bump(times_s, begin_s, 0.38 * duration_s, 0.1 * duration_s, 0.52 * duration_s)
+        track = np.maximum(track, rng.uniform(0.9, 1.0) * shut)
+        begin_s += rng.uniform(*every_s)
+    return track
+
+
+def saccades(
+    rng: np.random.Generator, times_s: Track, *, spread: float, rest_s: tuple[float, float]
+) -> tuple[Track, Track]:
+    """Where the eyes look: (to the subject's left, up), ±`spread`; jumps of 50 ms, then rest."""
+    left, up = np.zeros_like(times_s), np.zeros_like(times_s)
+    begin_s = EDGE_S
+    while begin_s < times_s[-1] - EDGE_S:
+        target_left, target_up = spread * rng.normal(size=2).clip(-2, 2) * (1.0, 0.6)
+        if rng.random() < 0.4:  # people come back to whom they talk with
+            target_left, target_up = 0.0, 0.0
+        after = times_s >= begin_s
+        left[after], up[after] = target_left, target_up
+        begin_s += rng.uniform(*rest_s)
+    at_end = times_s >= times_s[-1] - EDGE_S
+    left[at_end], up[at_end] = 0.0, 0.0
+    return smooth(left, 0.04), smooth(up, 0.04)
+
+
+def drift(rng: np.random.Generator, times_s: Track, *, period_s: tuple[float, float]) -> Track:
+    """A slow wandering of about ±1 that closes on itself at the end of the track."""
+    duration_s = len(times_s) / SAMPLE_FPS
+    track: Track = np.zeros_like(times_s)
+    weights = rng.uniform(0.5, 1.0, size=4)
+    for weight in weights:
+        turns = max(round(duration_s / rng.uniform(*period_s)), 1)
+        phase = rng.uniform(0, 2 * np.pi)
+        track += weight * np.sin(2 * np.pi * turns * times_s / duration_s + phase)
+    track /= weights.sum()
+    return track
+
+
+def nods(rng: np.random.Generator, times_s: Track, *, every_s: tuple[float, float]) -> Track:
+    """Nods of two or three swings at about 2 Hz; +1 is the chin at its lowest."""
+    track = np.zeros_like(times_s)
+    begin_s = rng.uniform(EDGE_S, every_s[0])
+    while begin_s < times_s[-1] - 2.0:
+        swings, rate_hz = int(rng.integers(2, 4)), rng.uniform(1.7, 2.4)
+        length_s = swings / rate_hz
+        inside = (times_s >= begin_s) & (times_s < begin_s + length_s)
+        phase = (times_s[inside] - begin_s) * rate_hz
+        # Each swing is a little smaller than the one before.
+        track[inside] = (0.5 - 0.5 * np.cos(2 * np.pi * phase)) * 0.75 ** np.floor(phase)
+        begin_s += length_s + rng.uniform(*every_s)
+    return track
+
+
+def speech(
+    rng: np.random.Generator,
+    times_s: Track,
+    *,
+    phrase_s: tuple[float, float] = (1.6, 4.5),
+    pause_s: tuple[float, float] = (0.4, 1.3),
+) -> Speech:
+    """Phrases of 4 to 5 syllables a second, each with its own vowel and weight, and pauses."""
+    # Knots (time, value) of each track; the gaps between them are filled by straight lines and
+    # rounded off.
+    knots: dict[str, list[tuple[float, float]]] = {
+        name: [(0.0, 0.0)] for name in ("jaw", "rounding", "spreading", "closure", "stress")
+    }
+
+    def put(name: str, at_s: float, value: float) -> None:
+        knots[name].append((at_s, value))
+
+    begin_s = EDGE_S
+    while begin_s < times_s[-1] - EDGE_S - phrase_s[0]:
+        end_s = min(begin_s + rng.uniform(*phrase_s), times_s[-1] - EDGE_S)
+        for name in knots:
+            put(name, begin_s, 0.0)
+        syllable_s = begin_s
+        while syllable_s < end_s - 0.15:
+            length_s = float(np.clip(rng.normal(0.22, 0.035), 0.15, 0.32))
+            centre_s, next_s = syllable_s + 0.55 * length_s, syllable_s + length_s
+            stressed = rng.random() < 0.3
+            vowel = rng.random()
+            put("jaw", centre_s, rng.uniform(0.75, 1.0) if stressed else rng.uniform(0.3, 0.75))
+            put("jaw", next_s, rng.uniform(0.05, 0.3))
+            put("rounding", centre_s, rng.uniform(0.6, 1.0) if vowel < 0.35 else 0.0)
+            put("spreading", centre_s, rng.uniform(0.5, 1.0) if vowel > 0.65 else 0.1)
+            put("stress", centre_s, 1.0 if stressed else 0.0)
+            put("closure", centre_s, 0.0)
+            put("closure", next_s, rng.uniform(0.7, 1.0) if rng.random() < 0.3 else 0.0)
+            syllable_s = next_s
+        for name in knots:
+            put(name, syllable_s + 0.12, 0.0)
+        begin_s = syllable_s + 0.12 + rng.uniform(*pause_s)
+
+    def fill(name: str, width_s: float) -> Track:
+        at_s, values = np.array(knots[name]).T
+        return smooth(np.interp(times_s, at_s, values), width_s)
+
+    return Speech(
+        jaw=fill("jaw", 0.06),
+        rounding=fill("rounding", 0.08),
+        spreading=fill("spreading", 0.08),
+        closure=fill("closure", 0.04),
+        stress=fill("stress", 0.12),
+    )
