@@ -1,0 +1,151 @@
+"""`pica train` and `pica export`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from pica_core.avatar_file import avatar_id, save_avatar
+from pica_core.capture.dataset import Capture
+from pica_core.errors import CheckpointError
+from pica_core.train.config import PRESETS, TrainConfig
+from pica_core.train.data import TrainingData
+from pica_core.train.evaluate import evaluate, mean_mse
+from pica_core.train.export import make_avatar
+from pica_core.train.loop import Losses, Trainer, open_trainer, read_checkpoint
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TrainOptions:
+    """Options of `pica train`."""
+
+    capture: Path
+    """Folder of the capture (`pica capture synth` makes one)."""
+    out: Path
+    """Folder of the run: checkpoint, metrics, held-out error."""
+    preset: Literal["tiny", "small", "long"] = "small"
+    """How much to train: tiny (seconds), small (about ten minutes on two cores), long."""
+    block: Literal["B", "H2", "C"] | None = None
+    """Block of the decoders, if not the preset's."""
+    encoder: Literal["light", "paper"] | None = None
+    """Encoder, if not the preset's."""
+    seed: int = 0
+    """Seed of initial weights, batches and noise."""
+    threads: int = 2
+    """CPU threads of torch."""
+    resume: bool = False
+    """Go on from the run's checkpoint."""
+    eval_frames: int = 25
+    """Held-out frames to evaluate at the end."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ExportOptions:
+    """Options of `pica export`."""
+
+    run: Path
+    """Folder of a finished run of `pica train`."""
+    capture: Path
+    """The capture that the run was trained on."""
+    out: Path
+    """The avatar file to write."""
+    name: str
+    """Name to show."""
+    licence: str = "Apache-2.0"
+    """Licence of the avatar."""
+
+
+def train(options: TrainOptions) -> dict[str, Any]:
+    """Train an avatar on a capture: geometry, then everything jointly, then its live encoder."""
+    config = _config(options)
+    torch.set_num_threads(options.threads)
+    data = TrainingData(Capture.open(options.capture), config.model.spec().map_size)
+    if not options.resume and (options.out / "checkpoint.pt").exists():
+        raise CheckpointError(f"{options.out}: a run is there already; --resume goes on with it")
+    with open_trainer(data, config, options.out) as trainer:
+        if options.resume:
+            trainer.restore()
+        _run_with_progress(trainer)
+        rows = evaluate(trainer, max_frames=options.eval_frames)
+        steps = trainer.step
+    (options.out / "evaluation.json").write_text(json.dumps(rows, indent=1) + "\n")
+    result = {
+        "steps": steps,
+        "mse": mean_mse(rows, "encoder"),
+        "driver_mse": mean_mse(rows, "driver"),
+        "vertex_error_mm": rows[0]["vertex_error_mm"],
+        "rows": rows,
+    }
+    print(
+        f"held-out MSE (0-255, rasterised pixels): {result['mse']:.1f} by the model's encoder, "
+        f"{result['driver_mse']:.1f} from ARKit values",
+        file=sys.stderr,
+    )
+    return result
+
+
+def export(options: ExportOptions) -> dict[str, Any]:
+    """Write the avatar file of a trained run."""
+    state = read_checkpoint(options.run / "checkpoint.pt")
+    config = TrainConfig.from_json(json.loads(state["config"]))
+    data = TrainingData(Capture.open(options.capture), config.model.spec().map_size)
+    with open_trainer(data, config, options.run) as trainer:
+        trainer.restore()
+        card = {
+            "capture": f"{data.capture.identity}, {data.capture.source}",
+            "training": f"{trainer.step} of {trainer.total_steps} steps, seed {config.seed}",
+            "block": config.model.block,
+            "encoder": config.model.encoder,
+        }
+        evaluation = options.run / "evaluation.json"
+        if evaluation.exists():
+            rows = json.loads(evaluation.read_text())
+            card["held_out_mse"] = f"{mean_mse(rows, 'driver'):.1f} (0-255, from ARKit values)"
+        avatar = make_avatar(
+            trainer.model,
+            data,
+            name=options.name,
+            identity=data.capture.identity,
+            licence=options.licence,
+            model_card=card,
+        )
+    save_avatar(options.out, avatar)
+    size = options.out.stat().st_size
+    print(f"{options.out}: {size / 1e6:.2f} MB", file=sys.stderr)
+    return {"path": str(options.out), "bytes": size, "id": avatar_id(options.out)}
+
+
+def _config(options: TrainOptions) -> TrainConfig:
+    config = replace(PRESETS[options.preset], seed=options.seed)
+    model = config.model
+    if options.block is not None:
+        model = replace(model, block=options.block)
+    if options.encoder is not None:
+        model = replace(model, encoder=options.encoder)
+    return replace(config, model=model)
+
+
+def _run_with_progress(trainer: Trainer) -> None:
+    """Run with a bar on stderr: phase, losses, time left."""
+    columns = (
+        TextColumn("{task.description:9}"),
+        BarColumn(),
+        TextColumn("{task.completed}/{task.total}"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[losses]}"),
+    )
+    with Progress(*columns, console=Console(stderr=True), refresh_per_second=2) as progress:
+        task = progress.add_task("", total=trainer.total_steps, completed=trainer.step, losses="")
+
+        def show(step: int, phase: str, losses: Losses) -> None:
+            shown = "  ".join(f"{name} {value:.4f}" for name, value in losses.items())
+            progress.update(task, completed=step, description=phase, losses=shown)
+
+        trainer.run(show)

@@ -1,0 +1,165 @@
+"""Options of a training run and the presets that ship with them.
+
+A run has three phases, in this order (reasons: `docs/training.md`):
+
+    geometry    encoder and geometry decoder on tracked meshes alone; no rendering
+    joint       everything on images, meshes and KL, as in the paper
+    driver      the expression encoder (52 ARKit values to the latent) on the model's own codes
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+from pica_core.model.pixel_decoder import FIRST_FREQUENCY
+from pica_core.spec import AvatarSpec
+
+PHASES = ("geometry", "joint", "driver")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ModelConfig:
+    """What is built."""
+
+    block: str = "C"
+    """Block of the per-object decoders: B, H2 or C."""
+    encoder: str = "light"
+    """"paper" (161.7 G multiply-adds a frame) or "light"."""
+    uv_encoding_size: int = 512
+    """Rows and columns of m_uv; 1024 in the paper, for images of 2048 x 1334."""
+    axis_encoding_size: int = 10_000
+    """Entries of m_u and of m_v."""
+    encoding_amplitude: float = 0.25
+    """Half-width of the encodings' uniform start; 1 in the paper. Smaller leaves less noise in
+    texels that few images saw."""
+    first_frequency: float = FIRST_FREQUENCY
+    """Scale of the first sine layers."""
+
+    def spec(self) -> AvatarSpec:
+        """The sizes as an `AvatarSpec`."""
+        return AvatarSpec(
+            block=self.block,
+            uv_encoding_size=self.uv_encoding_size,
+            axis_encoding_size=self.axis_encoding_size,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LossConfig:
+    """Weights of the losses; units stand in `pica_core.train.losses`."""
+
+    image: float = 2.0
+    """Weight of the image loss (paper 2)."""
+    mesh: float = 0.1
+    """Weight of the mesh loss (paper 0.1)."""
+    kl: float = 0.001
+    """Weight of the KL divergence (paper 0.001)."""
+    region_weight: float = 4.0
+    """Importance of a vertex at mouth or eyes in the mesh loss, against 1 elsewhere; also how much
+    more often a pixel there is drawn."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ScheduleConfig:
+    """How long and how fast."""
+
+    geometry_steps: int = 2500
+    """Steps of the geometry phase."""
+    joint_steps: int = 3000
+    """Steps of the joint phase."""
+    driver_steps: int = 3000
+    """Steps of the driver phase."""
+    geometry_batch: int = 8
+    """Frames per step of the geometry phase."""
+    joint_batch: int = 4
+    """Images per step of the joint phase (paper 4)."""
+    driver_batch: int = 32
+    """Frames per step of the driver phase."""
+    pixels_per_image: int = 8192
+    """Covered pixels drawn from each image; 0 takes all, as the paper does."""
+    geometry_rate: float = 4e-3
+    """Peak learning rate of the geometry phase."""
+    joint_rate: float = 1e-3
+    """Peak learning rate of the joint phase (paper 1e-3)."""
+    encoding_rate: float = 1e-2
+    """Peak learning rate of the encoding maps, whose texels each see few pixels."""
+    driver_rate: float = 2e-3
+    """Peak learning rate of the driver phase."""
+
+    @property
+    def steps(self) -> tuple[int, int, int]:
+        """Steps of each phase, in the order of `PHASES`."""
+        return self.geometry_steps, self.joint_steps, self.driver_steps
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TrainConfig:
+    """A whole run."""
+
+    model: ModelConfig = field(default_factory=ModelConfig)
+    """What is built."""
+    losses: LossConfig = field(default_factory=LossConfig)
+    """What is minimised."""
+    schedule: ScheduleConfig = field(default_factory=ScheduleConfig)
+    """How long and how fast."""
+    detach_pixel_xyz: bool = True
+    """No gradient to the geometry through the pixel decoder's xyz input (paper A.3)."""
+    seed: int = 0
+    """Seed of initial weights, batches and noise."""
+    checkpoint_every: int = 500
+    """Steps between checkpoints."""
+
+    def __post_init__(self) -> None:
+        schedule = self.schedule
+        for name in ("geometry_steps", "joint_steps", "driver_steps", "pixels_per_image"):
+            if getattr(schedule, name) < 0:
+                raise ValueError(f"{name} is {getattr(schedule, name)}; it must not be negative")
+        for name in ("geometry_batch", "joint_batch", "driver_batch"):
+            if getattr(schedule, name) < 1:
+                raise ValueError(f"{name} is {getattr(schedule, name)}; at least 1 is needed")
+        if self.checkpoint_every < 1:
+            raise ValueError(f"checkpoint_every is {self.checkpoint_every}; at least 1 is needed")
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON values; `from_json` reads them back."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, values: dict[str, Any]) -> TrainConfig:
+        """Read what `to_json` wrote.
+
+        Raises:
+            TypeError: A field that this version does not know.
+        """
+        parts = {
+            "model": ModelConfig(**values["model"]),
+            "losses": LossConfig(**values["losses"]),
+            "schedule": ScheduleConfig(**values["schedule"]),
+        }
+        return cls(**{**values, **parts})
+
+
+_SMALL = TrainConfig()
+PRESETS: dict[str, TrainConfig] = {
+    "tiny": replace(
+        _SMALL,
+        model=replace(_SMALL.model, uv_encoding_size=64, axis_encoding_size=256),
+        schedule=replace(
+            _SMALL.schedule,
+            geometry_steps=60,
+            joint_steps=60,
+            driver_steps=60,
+            geometry_batch=4,
+            joint_batch=2,
+            pixels_per_image=2048,
+        ),
+        checkpoint_every=50,
+    ),
+    "small": _SMALL,
+    "long": replace(
+        _SMALL,
+        schedule=replace(_SMALL.schedule, geometry_steps=6000, joint_steps=9000, driver_steps=6000),
+    ),
+}
+"""tiny: seconds, for tests. small: about ten minutes on two cores. long: what ships."""

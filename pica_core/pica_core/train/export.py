@@ -1,0 +1,101 @@
+"""Checkpoint to avatar file: what the receiver and the sender need, under the file's names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from pica_core.avatar_file import Avatar
+from pica_core.avatar_manifest import Manifest
+from pica_core.model.avatar import PixelCodecAvatar
+from pica_core.model.pixel_decoder import XYZ_UNIT_M
+from pica_core.train.data import TrainingData
+
+LATENT_HEADROOM = 1.25
+"""The 8-bit range of a latent channel, against the largest value over the training frames."""
+
+
+def avatar_tensors(
+    model: PixelCodecAvatar,
+    vertex_uv: npt.NDArray[np.float32],
+    faces: npt.NDArray[np.int32],
+) -> dict[str, npt.NDArray[np.generic]]:
+    """A model's weights as the avatar file's tensors.
+
+    The unit of the xyz input is folded into the first xyz layer, so that the file's weights apply
+    to metres.
+
+    Args:
+        model: The trained model.
+        vertex_uv: ``[V, 2]``.
+        faces: ``[F, 3]``.
+    """
+    pixel = model.pixel_decoder
+    encoding = pixel.encoding
+    tensors: dict[str, Tensor] = {
+        **model.geometry.named_tensors(),
+        **model.expression.named_tensors(),
+        "geometry.mean": model.position_mean.permute(1, 2, 0),
+        "uv_encoding": encoding.joint[0].permute(1, 2, 0),
+        "u_encoding": encoding.along_u[0, :, 0].T,
+        "v_encoding": encoding.along_v[0, :, 0].T,
+        **pixel.xyz.named_tensors("xyz"),
+        **pixel.colour.named_tensors("pixel"),
+    }
+    tensors["xyz.0.weight"] = tensors["xyz.0.weight"] / XYZ_UNIT_M
+    for index, layer in enumerate(model.expression_encoder.layers):
+        tensors[f"encoder.{index}.weight"] = layer.weight
+        tensors[f"encoder.{index}.bias"] = layer.bias
+    arrays: dict[str, npt.NDArray[np.generic]] = {
+        name: np.ascontiguousarray(values.detach().numpy(), np.float32)
+        for name, values in tensors.items()
+    }
+    arrays["mesh.vertex_uv"] = np.ascontiguousarray(vertex_uv, np.float32)
+    arrays["mesh.faces"] = np.ascontiguousarray(faces, np.int32)
+    return arrays
+
+
+def make_avatar(
+    model: PixelCodecAvatar,
+    data: TrainingData,
+    *,
+    name: str,
+    identity: str,
+    licence: str,
+    model_card: Mapping[str, str],
+) -> Avatar:
+    """The avatar of a trained model.
+
+    The latent's 8-bit range comes from the expression encoder's codes of all training frames, since
+    those are what a sender sends.
+    """
+    with torch.no_grad():
+        codes = model.expression_encoder(data.arkit[data.train_frames])
+    scale = codes.abs().amax(dim=(0, 2, 3)).clamp_min(1e-3) * LATENT_HEADROOM
+    train = data.vertices_m[data.train_frames]
+    margin_m = 0.01
+    manifest = Manifest(
+        name=name,
+        identity=identity,
+        licence=licence,
+        spec=model.spec,
+        position_scale_m=model.position_scale_m,
+        latent_scale=_four(scale.tolist()),
+        bounds_min_m=_three((train.min((0, 1)) - margin_m).tolist()),
+        bounds_max_m=_three((train.max((0, 1)) + margin_m).tolist()),
+        model_card=dict(model_card),
+    )
+    faces = data.faces.numpy().astype(np.int32)
+    return Avatar(manifest, avatar_tensors(model, data.vertex_uv.numpy(), faces))
+
+
+def _three(values: list[float]) -> tuple[float, float, float]:
+    return values[0], values[1], values[2]
+
+
+def _four(values: list[float]) -> tuple[float, float, float, float]:
+    return values[0], values[1], values[2], values[3]

@@ -1,0 +1,111 @@
+"""Triangle ids from GL and the interpolation in torch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from pica_core.camera import Camera, look_at
+from pica_core.train.rasterise import Rasteriser, interpolate, interpolation_weights
+
+pytestmark = [pytest.mark.train, pytest.mark.render]
+
+
+def front_camera(size: int = 64) -> Camera:
+    return look_at(
+        centre_m=(0, 0, 1), target_m=(0, 0, 0), vertical_fov=0.5, width=size, height=size
+    )
+
+
+TRIANGLE = np.array([[-0.1, -0.1, 0.0], [0.1, -0.1, 0.05], [0.0, 0.12, -0.05]], np.float32)
+FACE = np.array([[0, 1, 2]], np.int32)
+
+
+def test_a_triangle_in_the_upper_image_half_lands_in_upper_rows() -> None:
+    raised = TRIANGLE + np.float32([0, 0.1, 0])
+
+    with Rasteriser(FACE, 3) as rasteriser:
+        ids = rasteriser.triangle_ids(raised, front_camera())
+
+    rows, _ = np.nonzero(ids >= 0)
+    assert rows.mean() < 32
+
+
+def test_a_triangle_to_the_subjects_left_lands_right_in_a_front_image() -> None:
+    shifted = TRIANGLE + np.float32([0.1, 0, 0])
+
+    with Rasteriser(FACE, 3) as rasteriser:
+        ids = rasteriser.triangle_ids(shifted, front_camera())
+
+    _, columns = np.nonzero(ids >= 0)
+    assert columns.mean() > 32
+
+
+def test_back_faces_are_not_drawn() -> None:
+    with Rasteriser(FACE[:, ::-1].copy(), 3) as rasteriser:
+        ids = rasteriser.triangle_ids(TRIANGLE, front_camera())
+
+    assert (ids < 0).all()
+
+
+def test_the_nearer_of_two_triangles_is_seen() -> None:
+    vertices = np.concatenate([TRIANGLE, TRIANGLE + np.float32([0, 0, 0.2])])
+    faces = np.array([[0, 1, 2], [3, 4, 5]], np.int32)
+
+    with Rasteriser(faces, 6) as rasteriser:
+        ids = rasteriser.triangle_ids(vertices, front_camera())
+
+    assert ids[32, 32] == 1
+
+
+def test_interpolated_points_project_back_to_their_pixel_centres() -> None:
+    camera = front_camera()
+    with Rasteriser(FACE, 3) as rasteriser:
+        ids = rasteriser.triangle_ids(TRIANGLE, camera)
+    pixels = np.flatnonzero(ids >= 0)
+    uv = torch.rand(3, 2)
+
+    _, xyz, depth = interpolate(
+        torch.from_numpy(TRIANGLE), uv, torch.from_numpy(FACE).long(), camera, ids, pixels
+    )
+
+    seen, depths = camera.project(xyz.numpy())
+    assert np.allclose(seen[:, 0], pixels % 64 + 0.5, atol=1e-3)
+    assert np.allclose(seen[:, 1], pixels // 64 + 0.5, atol=1e-3)
+    assert np.allclose(depths, depth.numpy(), atol=1e-6)
+
+
+def test_weights_are_perspective_correct() -> None:
+    # A segment from depth 1 to depth 3 seen in the middle of its image: two thirds of the way in
+    # depth belong to the near end (1/z is linear on the screen, z is not).
+    corners = torch.tensor([[[-1.0, 0, 1], [3.0, 0, 3], [-1.0, 5, 1]]], dtype=torch.float64)
+    ray = torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64)
+
+    weights, depth = interpolation_weights(corners, ray)
+
+    assert torch.allclose(weights, torch.tensor([[0.75, 0.25, 0.0]], dtype=torch.float64))
+    assert torch.allclose(depth, torch.tensor([1.5], dtype=torch.float64))
+
+
+def test_gradients_of_weights_and_depth_agree_with_finite_differences() -> None:
+    generator = torch.Generator().manual_seed(1)
+    corners = torch.rand(4, 3, 3, dtype=torch.float64, generator=generator)
+    corners = (corners + torch.tensor([0.0, 0.0, 1.0])).requires_grad_()
+    rays = torch.cat(
+        [
+            torch.rand(4, 2, dtype=torch.float64, generator=generator),
+            torch.ones(4, 1, dtype=torch.float64),
+        ],
+        1,
+    )
+
+    assert torch.autograd.gradcheck(lambda c: interpolation_weights(c, rays), (corners,))
+
+
+def test_a_rasteriser_serves_images_of_changing_size() -> None:
+    with Rasteriser(FACE, 3) as rasteriser:
+        for index in range(20):
+            size = 16 + index % 2
+            ids = rasteriser.triangle_ids(TRIANGLE, front_camera(size))
+            assert ids.shape == (size, size)
+            assert ids[size // 2, size // 2] == 0
