@@ -1,0 +1,122 @@
+"""The dispatcher: what it finds, what it prints, what it ends with."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint
+from typing import Any
+
+import pica_command.main as command
+import pytest
+
+pytestmark = pytest.mark.unit
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GreetOptions:
+    """Options of the example."""
+
+    name: str = "you"
+    """Whom to greet."""
+
+
+class BadInputError(Exception):
+    """An error of a user, as the packages mark it."""
+
+    exit_code = 2
+
+
+def greet(options: GreetOptions) -> dict[str, Any]:
+    """Greet somebody."""
+    if options.name == "nobody":
+        raise BadInputError("name is 'nobody';\n   somebody is needed")
+    if options.name == "crash":
+        raise RuntimeError("a bug")
+    if options.name == "torch":
+        raise ModuleNotFoundError("No module named 'torch'", name="torch")
+    if options.name == "missing":
+        raise FileNotFoundError(2, "No such file or directory", "a.pica")
+    if options.name == "interrupt":
+        raise KeyboardInterrupt
+    return {"greeting": f"hello {options.name}"}
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
+    entries = [
+        EntryPoint(name, f"{__name__}:greet", command.COMMAND_GROUP)
+        for name in ("greet", "say.greet")
+    ]
+    monkeypatch.setattr(command, "entry_points", lambda group: entries)
+    monkeypatch.setattr(EntryPoint, "load", lambda _: greet)
+    return lambda *words: command.main(words)
+
+
+def test_json_is_the_last_line_of_stdout(
+    run: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("greet", "--name", "Ada", "--json") == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1]) == {"greeting": "hello Ada"}
+
+
+def test_two_words_find_a_dotted_entry_point(run: Callable[..., int]) -> None:
+    assert run("say", "greet") == 0
+
+
+def test_bad_input_ends_with_2_and_one_line(
+    run: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("greet", "--name", "nobody") == 2
+    assert capsys.readouterr().err == "pica greet: name is 'nobody'; somebody is needed\n"
+
+
+def test_a_missing_file_is_bad_input_and_named(
+    run: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("greet", "--name", "missing") == 2
+    assert "a.pica" in capsys.readouterr().err
+
+
+def test_a_missing_extra_names_the_line_that_mends_it(
+    run: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("greet", "--name", "torch") == 2
+    assert "pip install 'pica-telepresence[train]'" in capsys.readouterr().err
+
+
+def test_a_bug_ends_with_1_and_its_traceback(
+    run: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("greet", "--name", "crash") == 1
+    assert "RuntimeError: a bug" in capsys.readouterr().err
+
+
+def test_an_interrupt_ends_with_130_and_no_traceback(
+    run: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("greet", "--name", "interrupt") == 130
+    assert capsys.readouterr().err == "pica greet: stopped\n"
+
+
+def test_an_unknown_command_ends_with_2_and_lists_the_known_ones(
+    run: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("dance") == 2
+    assert "pica say greet" in capsys.readouterr().err
+
+
+def test_an_unknown_option_ends_with_2(run: Callable[..., int]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        run("greet", "--nam", "Ada")
+
+    assert ended.value.code == 2
+
+
+@pytest.mark.parametrize(
+    ("module", "extra"),
+    [("torch", "train"), ("PIL", "capture"), ("numpy.linalg", "send"), ("av", "video")],
+)
+def test_the_smallest_extra_that_brings_a_module_is_offered(module: str, extra: str) -> None:
+    assert command._extra_with(module) == extra
