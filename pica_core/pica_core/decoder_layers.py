@@ -43,6 +43,7 @@ class Layer:
     def tensor_shapes(self) -> dict[str, tuple[int, ...]]:
         """Name and shape of every tensor that this layer owns; empty for layers without weights."""
         weight = f"{self.name}.weight"
+        shapes: dict[str, tuple[int, ...]]
         match self.kind:
             case "conv3" | "conv1":
                 kernel = 3 if self.kind == "conv3" else 1

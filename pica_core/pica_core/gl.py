@@ -24,7 +24,7 @@ def create_context() -> moderngl.Context:
     """
     try:
         if sys.platform == "linux":
-            context = moderngl.create_context(require=GL_VERSION, standalone=True, backend="egl")
+            context = moderngl.create_context(require=GL_VERSION, standalone=True, backend="egl")  # type: ignore[arg-type]
         else:
             context = moderngl.create_context(require=GL_VERSION, standalone=True)
     except Exception as error:  # moderngl raises bare Exception for whatever the driver refuses

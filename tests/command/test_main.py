@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from typing import Any
 
-import pica_command.main as command
 import pytest
+
+import pica_command.main as command
 
 pytestmark = pytest.mark.unit
 

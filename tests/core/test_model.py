@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from torch import nn
+
 from pica_core.decoder_layers import decoder_layers
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.decoders import MapDecoder, sample_map
 from pica_core.model.encoder import LightEncoder, PaperEncoder
 from pica_core.model.pixel_decoder import PixelDecoder
 from pica_core.spec import BLOCKS, PAPER_SPEC, AvatarSpec
-from torch import nn
 
 pytestmark = pytest.mark.train
 

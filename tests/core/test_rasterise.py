@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+
 from pica_core.camera import Camera, look_at
 from pica_core.train.rasterise import Rasteriser, interpolate, interpolation_weights
 

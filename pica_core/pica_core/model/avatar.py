@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from pica_core.arkit import NUM_ARKIT
 from pica_core.model.decoders import MapDecoder, sample_map, tile_view_direction
-from pica_core.model.encoder import ENCODERS
+from pica_core.model.encoder import make_encoder
 from pica_core.model.pixel_decoder import FIRST_FREQUENCY, PixelDecoder
 from pica_core.spec import LATENT_CHANNELS, LATENT_SIZE, LEAKY_SLOPE, NUM_LATENT, AvatarSpec
 
@@ -87,7 +87,7 @@ class PixelCodecAvatar(nn.Module):
         self.position_scale_m = position_scale_m
         mean = torch.as_tensor(position_mean, dtype=torch.float32).permute(2, 0, 1)
         self.register_buffer("position_mean", mean.contiguous())
-        self.encoder = ENCODERS[encoder]()
+        self.encoder = make_encoder(encoder)
         self.geometry = MapDecoder(spec, "geometry")
         self.expression = MapDecoder(spec, "expression")
         self.pixel_decoder = PixelDecoder(
@@ -116,11 +116,12 @@ class PixelCodecAvatar(nn.Module):
                 decoder's xyz input. The paper needs it for stable training (appendix A.3); the
                 other path, through rasterisation to uv, stays open.
         """
-        counts = torch.bincount(surface.image, minlength=len(expression_map)).tolist()
+        counts = torch.bincount(surface.image, minlength=len(expression_map))
+        parts = torch.split(surface.uv, counts.tolist())
         codes = torch.cat(
             [
                 sample_map(expression_map[index : index + 1], uv)[0]
-                for index, uv in enumerate(surface.uv.split(counts))
+                for index, uv in enumerate(parts)
             ]
         )
         xyz_m = surface.xyz_m.detach() if detach_xyz else surface.xyz_m

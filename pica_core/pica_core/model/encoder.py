@@ -77,7 +77,18 @@ class LightEncoder(_GridEncoder):
         super().__init__(_halving([3, 8, 16]), geom_head, [28, 32, 48, 64])
 
 
-ENCODERS: dict[str, type[_GridEncoder]] = {"paper": PaperEncoder, "light": LightEncoder}
+def make_encoder(name: str) -> PaperEncoder | LightEncoder:
+    """The encoder called "paper" or "light".
+
+    Raises:
+        ValueError: Another name.
+    """
+    match name:
+        case "paper":
+            return PaperEncoder()
+        case "light":
+            return LightEncoder()
+    raise ValueError(f"encoder is {name!r}; known are 'paper' and 'light'")
 
 
 def reparameterise(mean: Tensor, log_variance: Tensor, noise: Tensor) -> Tensor:

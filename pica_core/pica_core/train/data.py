@@ -41,9 +41,9 @@ class UvRaster:
 
     def position_map(self, vertices_m: FloatArray) -> FloatArray:
         """A mesh ``[V, 3]`` as a map ``[256, 256, 3]``, padded outwards from the charts."""
-        values = (vertices_m[self.corners] * self.weights[:, :, None]).sum(1)
+        values: FloatArray = (vertices_m[self.corners] * self.weights[:, :, None]).sum(1)
         size = len(self.covered)
-        return values[self.nearest].reshape(size, size, 3).astype(np.float32)
+        return values[self.nearest].reshape(size, size, 3).astype(np.float32, copy=False)
 
 
 def rasterise_uv(vertex_uv: FloatArray, faces: npt.NDArray[np.int32], size: int) -> UvRaster:
@@ -69,9 +69,8 @@ def rasterise_uv(vertex_uv: FloatArray, faces: npt.NDArray[np.int32], size: int)
     corners = both_sides[ids[covered]].astype(np.int64)
     a, b, c = (vertex_uv[corners[:, i]] * size for i in range(3))
     point = np.stack([columns + 0.5, rows + 0.5], 1)
-    cross = lambda p, q: p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]  # noqa: E731
-    areas = np.stack([cross(b - point, c - point), cross(c - point, a - point)], 1)
-    areas = np.concatenate([areas, cross(a - point, b - point)[:, None]], 1)
+    opposite = ((b - point, c - point), (c - point, a - point), (a - point, b - point))
+    areas = np.stack([p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0] for p, q in opposite], 1)
     weights = (areas / areas.sum(1, keepdims=True)).astype(np.float32)
     return UvRaster(covered, corners, weights, _grow(covered))
 
@@ -162,3 +161,11 @@ class TrainingData:
         """From the head's origin to the camera, unit length, head frame, ``[3]``."""
         centre = camera.centre_m
         return (centre / np.linalg.norm(centre)).astype(np.float32)
+
+    def camera(self, frame: int, name: str) -> Camera:
+        """The camera of an image, head to camera."""
+        return self.capture.cams[name]
+
+    def cameras_of(self, frame: int) -> list[str]:
+        """Names of the cameras that saw a frame."""
+        return list(self.capture.cams)

@@ -47,9 +47,8 @@ def avatar_tensors(
         **pixel.colour.named_tensors("pixel"),
     }
     tensors["xyz.0.weight"] = tensors["xyz.0.weight"] / XYZ_UNIT_M
-    for index, layer in enumerate(model.expression_encoder.layers):
-        tensors[f"encoder.{index}.weight"] = layer.weight
-        tensors[f"encoder.{index}.bias"] = layer.bias
+    for name, values in model.expression_encoder.layers.named_parameters():
+        tensors[f"encoder.{name}"] = values
     arrays: dict[str, npt.NDArray[np.generic]] = {
         name: np.ascontiguousarray(values.detach().numpy(), np.float32)
         for name, values in tensors.items()
