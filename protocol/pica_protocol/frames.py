@@ -4,7 +4,7 @@
     0       2     stream        whose frame this is; unique in the room
     2       2     sequence      counts the frames of a stream, wraps at 65536
     4       1     layer         temporal layer, 0 is the base
-    5       1     flags         bit 0: keyframe, decodable alone; the others are sent as 0 and ignored
+    5       1     flags         bit 0: keyframe, decodable alone; the rest is sent as 0, ignored
     6       2     length        bytes of payload that follow the header
     8       8     captured_us   microseconds of the sender's own clock
 

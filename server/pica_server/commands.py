@@ -1,0 +1,89 @@
+"""``pica relay``: run a relay until it is told to stop."""
+
+import asyncio
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from pica_server.config import RelayConfig
+from pica_server.errors import ListenError
+from pica_server.relay import Relay
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RelayOptions:
+    """Options of ``pica relay``."""
+
+    config: Annotated[RelayConfig, tyro.conf.arg(name="")] = field(default_factory=RelayConfig)
+    """Where to listen, and the limits."""
+    ready_file: Path | None = None
+    """Write the URL into this file once the relay listens, and remove it at the end."""
+
+
+def relay(options: RelayOptions) -> dict[str, Any]:
+    """Run the relay: forwards between the peers of a room, until SIGINT or SIGTERM.
+
+    The first line on stderr says where it listens.
+
+    Returns:
+        Its statistics at the end; ``forward_ms`` holds percentiles of the forwarding latency.
+
+    Raises:
+        ListenError: The address or the ready file cannot be had.
+    """
+    return asyncio.run(_run(options))
+
+
+async def _run(options: RelayOptions) -> dict[str, Any]:
+    stop = asyncio.Event()
+    with _stop_on_signal(stop):
+        async with Relay(options.config) as server:
+            url = server.url
+            with _ready_file(options.ready_file, url):
+                _say(f"listening on {url}")
+                if options.config.insecure:
+                    _say("INSECURE: anybody who reaches this port may join any room")
+                await stop.wait()
+            _say(f"stopping, {server.hub.num_connections} connections to close")
+    return {"url": url, **server.stats()}
+
+
+@contextmanager
+def _stop_on_signal(stop: asyncio.Event) -> Iterator[None]:
+    # signal.signal and not loop.add_signal_handler: the latter is missing on Windows.
+    loop = asyncio.get_running_loop()
+    names = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(name, lambda *_: loop.call_soon_threadsafe(stop.set)) for name in names]
+    try:
+        yield
+    finally:
+        for name, handler in zip(names, before, strict=True):
+            signal.signal(name, handler)
+
+
+@contextmanager
+def _ready_file(path: Path | None, url: str) -> Iterator[None]:
+    if path is None:
+        yield
+        return
+    unfinished = path.with_name(f"{path.name}.part")
+    try:
+        unfinished.write_text(f"{url}\n")
+        os.replace(unfinished, path)
+    except OSError as error:
+        raise ListenError(f"cannot write --ready-file {path}: {error.strerror}") from error
+    try:
+        yield
+    finally:
+        path.unlink(missing_ok=True)
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)

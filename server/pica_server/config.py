@@ -1,0 +1,69 @@
+"""Everything an operator may set, with unit and range."""
+
+import ipaddress
+from dataclasses import dataclass
+
+from pica_protocol.limits import MAX_PEERS
+from pica_server.errors import ConfigurationError
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RelayConfig:
+    """Settings of one relay."""
+
+    host: str = "127.0.0.1"
+    """Address to listen on. Without tokens it must be this machine's own, see ``insecure``."""
+    port: int = 8765
+    """TCP port; 0 takes a free one."""
+    insecure: bool = False
+    """Listen beyond this machine although anybody who reaches the port may join any room."""
+    room_capacity: int = 16
+    """Peers in one room."""
+    max_connections: int = 1024
+    """Websockets in all, joined or not."""
+    handshake_timeout_s: float = 5.0
+    """Seconds a client has to open the websocket, and then again to join."""
+    stall_timeout_s: float = 10.0
+    """Seconds one message to a peer may wait for the peer to read before it is closed."""
+    ping_interval_s: float = 10.0
+    """Seconds between the pings that find silent peers; a pong is due within the same time."""
+    close_timeout_s: float = 2.0
+    """Seconds a closing handshake may take before the socket is cut."""
+    keyframe_interval_s: float = 0.5
+    """Shortest time between two keyframe requests that are passed on for one stream."""
+    send_buffer_bytes: int = 16_384
+    """Bytes of one connection that the kernel may hold; what waits there is stale and cannot be
+    replaced by newer frames. The kernel may round it up."""
+    max_control_bytes: int = 262_144
+    """Bytes of control messages that may wait for one peer before it is closed."""
+
+    def __post_init__(self) -> None:
+        _check("port", self.port, 0, 65_535)
+        _check("room-capacity", self.room_capacity, 1, MAX_PEERS)
+        _check("max-connections", self.max_connections, 1, 1_000_000)
+        _check("handshake-timeout-s", self.handshake_timeout_s, 0.05, 600)
+        _check("stall-timeout-s", self.stall_timeout_s, 0.05, 600)
+        _check("ping-interval-s", self.ping_interval_s, 0.05, 600)
+        _check("close-timeout-s", self.close_timeout_s, 0.05, 600)
+        _check("keyframe-interval-s", self.keyframe_interval_s, 0, 600)
+        _check("send-buffer-bytes", self.send_buffer_bytes, 2048, 16_777_216)
+        _check("max-control-bytes", self.max_control_bytes, 65_536, 16_777_216)
+        if not self.insecure and not _is_loopback(self.host):
+            raise ConfigurationError(
+                f"--host {self.host} can be reached from other machines and this relay has no "
+                "tokens: keep --host 127.0.0.1 behind a proxy, or add --insecure to let anybody in"
+            )
+
+
+def _check(field: str, value: float, low: float, high: float) -> None:
+    if not low <= value <= high:
+        raise ConfigurationError(f"--{field} must be in {low}..{high}, got {value}")
+
+
+def _is_loopback(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False

@@ -1,0 +1,283 @@
+"""All decisions of a relay: connections, rooms and what goes to whom. No socket, no clock.
+
+The shell tells the hub what happened (``connect``, ``receive``, ``disconnect``, ``handle_timer``),
+asks which connections have something to send (``take_ready``) and takes it from them one message at
+a time (``take``, ``sent``). A connection is over when its ``closed`` is set; what it still has to
+send ends with a ``Bye``.
+
+Every connection stands once in the timer heap, with the next moment at which it could be late:
+first with its handshake, then with reading what it was sent.
+"""
+
+import heapq
+from itertools import count
+
+from pica_protocol.codec import encode_message
+from pica_protocol.errors import CloseCode
+from pica_protocol.frames import FLAG_KEYFRAME
+from pica_protocol.messages import (
+    Join,
+    KeyframeRequest,
+    Message,
+    PeerJoined,
+    PeerLeft,
+    Report,
+    Want,
+)
+from pica_protocol.session import Closed, Media, ServerEvent, ServerSession
+from pica_server.config import RelayConfig
+from pica_server.errors import OutboxFullError, RoomFullError
+from pica_server.outbox import Outbox, Parcel
+from pica_server.room import Room
+from pica_server.stats import RelayStats
+
+SOFTWARE = "pica-relay"
+
+
+class Connection:
+    """One websocket as the hub sees it; the shell reads ``closed`` and nothing else."""
+
+    __slots__ = ("outbox", "peer_id", "room", "sending_since", "serial", "session")
+
+    def __init__(self, serial: int, session: ServerSession, outbox: Outbox) -> None:
+        self.serial = serial
+        self.session = session
+        self.outbox = outbox
+        self.room: Room | None = None
+        self.peer_id = f"p{serial}"
+        self.sending_since: float | None = None
+
+    @property
+    def closed(self) -> Closed | None:
+        """How it ended, or None."""
+        return self.session.closed
+
+
+class Hub:
+    """The relay without its sockets.
+
+    Attributes:
+        stats: What it has done so far.
+    """
+
+    def __init__(self, config: RelayConfig) -> None:
+        self.stats = RelayStats()
+        self._config = config
+        self._serials = count(1)
+        self._connections: dict[str, Connection] = {}
+        self._rooms: dict[str, Room] = {}
+        self._ready: dict[Connection, None] = {}
+        self._timers: list[tuple[float, int, Connection]] = []
+
+    @property
+    def num_connections(self) -> int:
+        """Connections that are not over yet."""
+        return len(self._connections)
+
+    @property
+    def num_rooms(self) -> int:
+        """Rooms with somebody in them."""
+        return len(self._rooms)
+
+    def connect(self, now: float) -> Connection:
+        """Take a new websocket; it is closed at once when the relay is full."""
+        config = self._config
+        session = ServerSession(software=SOFTWARE, now=now, timeout_s=config.handshake_timeout_s)
+        connection = Connection(next(self._serials), session, Outbox(config.max_control_bytes))
+        self.stats.connections += 1
+        is_full = len(self._connections) >= config.max_connections
+        self._connections[connection.peer_id] = connection
+        self._push_timer(connection, now)
+        if is_full:
+            self.close(connection, CloseCode.RELAY_FULL, "the relay is full", now)
+        return connection
+
+    def receive(self, connection: Connection, data: bytes | str, now: float) -> None:
+        """Take one websocket message of a connection."""
+        self.stats.bytes_in += len(data)
+        for event in connection.session.receive_data(data, now):
+            self._handle(connection, event, now)
+        self._flush(connection, now)
+
+    def disconnect(self, connection: Connection, code: int, reason: str, now: float) -> None:
+        """Take note that a websocket has ended."""
+        for event in connection.session.receive_close(code, reason, now):
+            self._handle(connection, event, now)
+
+    def close(self, connection: Connection, code: CloseCode, reason: str, now: float) -> None:
+        """End a connection from this side."""
+        if connection.closed is None:
+            connection.session.close(code, reason)
+            self._finish(connection, now)
+
+    def close_all(self, code: CloseCode, reason: str, now: float) -> None:
+        """End every connection: the relay is stopping."""
+        for connection in list(self._connections.values()):
+            self.close(connection, code, reason, now)
+
+    def take_ready(self) -> list[Connection]:
+        """Take the list of connections that have got something to send, or have closed."""
+        ready = list(self._ready)
+        self._ready.clear()
+        return ready
+
+    def take(self, connection: Connection, now: float) -> Parcel | None:
+        """Take the next message for a connection; the shell calls ``sent`` when it is out."""
+        parcel = connection.outbox.take()
+        if parcel is not None:
+            connection.sending_since = now
+        return parcel
+
+    def sent(self, connection: Connection, parcel: Parcel, now: float) -> None:
+        """Take note that the socket took a message."""
+        connection.sending_since = None
+        stats = self.stats
+        stats.messages_out += 1
+        stats.bytes_out += len(parcel.data)
+        stats.frames_out += len(parcel.received_s)
+        for received_s in parcel.received_s:
+            stats.forwarding.record(now - received_s)
+
+    def next_timer(self) -> float | None:
+        """Return when ``handle_timer`` is due, or None."""
+        return self._timers[0][0] if self._timers else None
+
+    def handle_timer(self, now: float) -> None:
+        """Close those who are late by now."""
+        while self._timers and self._timers[0][0] <= now:
+            _, _, connection = heapq.heappop(self._timers)
+            if connection.closed is not None:
+                continue
+            for event in connection.session.handle_timer(now):
+                self._handle(connection, event, now)
+            since = connection.sending_since
+            stall_timeout_s = self._config.stall_timeout_s
+            if since is not None and since + stall_timeout_s <= now:
+                reason = f"nothing read for {stall_timeout_s:g} s"
+                self.close(connection, CloseCode.TOO_SLOW, reason, now)
+            if connection.closed is None:
+                self._push_timer(connection, now)
+
+    def _push_timer(self, connection: Connection, now: float) -> None:
+        deadline = connection.session.next_timer()
+        if deadline is None:
+            since = connection.sending_since
+            deadline = (now if since is None else since) + self._config.stall_timeout_s
+        heapq.heappush(self._timers, (deadline, connection.serial, connection))
+
+    def _handle(self, connection: Connection, event: ServerEvent, now: float) -> None:
+        match event:
+            case Media():
+                self._forward(connection, event, now)
+            case Join():
+                self._join(connection, event, now)
+            case Closed():
+                self._finish(connection, now)
+            case Report():
+                self.stats.reported_lost += sum(stream.lost for stream in event.streams)
+                self.stats.reported_concealed += sum(s.concealed for s in event.streams)
+            case Want(stream=stream, layer=layer):
+                assert connection.room is not None  # the session's table: only while joined
+                connection.room.want(connection.peer_id, stream, layer)
+            case KeyframeRequest(stream=stream):
+                assert connection.room is not None
+                publisher = connection.room.request_keyframe(stream, now)
+                if publisher is not None:
+                    self._send(self._connections[publisher], event, now)
+
+    def _forward(self, connection: Connection, media: Media, now: float) -> None:
+        room = connection.room
+        assert room is not None
+        for span in media.spans:
+            if not room.owns(connection.peer_id, span.stream):
+                reason = f"frame on stream {span.stream}, which is not yours"
+                self.close(connection, CloseCode.FOREIGN_STREAM, reason, now)
+                return
+        for span in media.spans:
+            stream = span.stream
+            frame = media.message[span.start : span.end]
+            if span.flags & FLAG_KEYFRAME and span.layer == 0:
+                room.remember_keyframe(stream, frame)
+            receivers = room.receivers(stream, span.layer)
+            for peer_id in receivers:
+                receiver = self._connections[peer_id]
+                if receiver.outbox.put_frame(stream, frame, now):
+                    self.stats.dropped["replaced"] += 1
+                self._ready[receiver] = None
+            self.stats.frames_in += 1
+            self.stats.unwanted += len(room) - 1 - len(receivers)
+
+    def _join(self, connection: Connection, join: Join, now: float) -> None:
+        config = self._config
+        room = self._rooms.get(join.room)
+        if room is None:
+            room = Room(join.room, config.room_capacity, config.keyframe_interval_s)
+        try:
+            joined = room.join(connection.peer_id, join.name, join.tracks)
+        except RoomFullError as error:
+            self.close(connection, CloseCode.ROOM_FULL, str(error), now)
+            return
+        self._rooms[join.room] = room
+        connection.room = room
+        self.stats.joins += 1
+        connection.session.accept(joined)
+        self._flush(connection, now)
+        for stream, frame in room.keyframes.items():
+            connection.outbox.put_frame(stream, frame, now)
+        arrival = PeerJoined(peer=room.peer(connection.peer_id))
+        self._tell_others(room, connection.peer_id, arrival, now)
+
+    def _finish(self, connection: Connection, now: float) -> None:
+        """Clear up after a connection that is over: its last words, its place, the others' view."""
+        closed = connection.closed
+        assert closed is not None
+        if self._connections.pop(connection.peer_id, None) is None:
+            return
+        self.stats.closed[int(closed.code)] += 1
+        last_words = connection.session.messages_to_send(now)
+        self.stats.dropped["departed"] += connection.outbox.finish(last_words)
+        self._ready[connection] = None
+        room, connection.room = connection.room, None
+        if room is None:
+            return
+        peer = room.leave(connection.peer_id)
+        if len(room) == 0:
+            del self._rooms[room.name]
+            return
+        for track in peer.tracks:
+            for other in room.peers:
+                if self._connections[other.peer_id].outbox.forget_stream(track.stream):
+                    self.stats.dropped["departed"] += 1
+        departure = PeerLeft(peer_id=peer.peer_id, reason=_farewell(closed))
+        self._tell_others(room, peer.peer_id, departure, now)
+
+    def _tell_others(self, room: Room, peer_id: str, message: Message, now: float) -> None:
+        for other in room.peers:
+            # Closing one that is full tells the rest, and so may close more: look again.
+            connection = self._connections.get(other.peer_id)
+            if connection is not None and other.peer_id != peer_id:
+                self._send(connection, message, now)
+
+    def _send(self, connection: Connection, message: Message, now: float) -> None:
+        self._put_control(connection, encode_message(message), now)
+
+    def _flush(self, connection: Connection, now: float) -> None:
+        """Move what the session has to say into the outbox."""
+        for data in connection.session.messages_to_send(now):
+            self._put_control(connection, data, now)
+
+    def _put_control(self, connection: Connection, data: bytes, now: float) -> None:
+        if connection.closed is not None:
+            return
+        try:
+            connection.outbox.put_control(data)
+        except OutboxFullError as error:
+            self.close(connection, CloseCode.TOO_SLOW, str(error), now)
+        self._ready[connection] = None
+
+
+def _farewell(closed: Closed) -> str:
+    """Say why somebody is gone in a word the others may see."""
+    if not closed.is_remote:
+        return "removed"
+    return "left" if closed.code == CloseCode.NORMAL else "lost"

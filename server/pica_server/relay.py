@@ -1,0 +1,243 @@
+"""The relay's shell: websockets on one side, the hub on the other, and nothing decided here.
+
+Each websocket has a reader (read, feed the hub, wake whoever got something) and a writer (take from
+the hub, send, until nothing is left). Frames that arrive in one turn of the event loop leave in one
+message, and a writer whose peer reads slowly blocks nobody: what it has not taken yet stays in its
+outbox, where newer frames replace older ones. One timer serves all deadlines.
+
+The buffers behind an outbox are kept small, because what they hold can be neither replaced nor
+withdrawn: 4 KiB in the transport and a bounded socket buffer in the kernel, of which unsent bytes
+are bounded once more where the system can (``TCP_NOTSENT_LOWAT``).
+"""
+
+import asyncio
+import http
+import logging
+import socket
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Any, Self
+
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+from websockets.typing import Subprotocol
+
+from pica_protocol import SUBPROTOCOL
+from pica_protocol.errors import CloseCode
+from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
+from pica_server.config import RelayConfig
+from pica_server.errors import ListenError
+from pica_server.hub import Connection, Hub
+
+_MAX_QUEUED_MESSAGES = 16
+"""Messages read ahead from one websocket before its socket is left alone."""
+_WRITE_LIMIT_BYTES = 4096
+_UNSENT_LIMIT_BYTES = 4096
+_MESSAGES_PER_TURN = 32
+"""Messages of one websocket that are handled before the others get their turn."""
+
+_logger = logging.getLogger(__name__)
+# What strangers do to a public port (bad HTTP, cut handshakes) is no error of ours and no news.
+_websockets_logger = logging.getLogger(f"{__name__}.websockets")
+_websockets_logger.setLevel(logging.CRITICAL)
+
+
+class Relay:
+    """A relay that listens while its ``async with`` block runs::
+
+    async with Relay(RelayConfig(port=0)) as relay:
+        print(relay.url)
+        await stop.wait()
+    """
+
+    def __init__(self, config: RelayConfig) -> None:
+        self.config = config
+        self.hub = Hub(config)
+        self._server: Server | None = None
+        self._wakers: dict[Connection, _Waker] = {}
+        self._timer: asyncio.TimerHandle | None = None
+
+    @property
+    def url(self) -> str:
+        """Where it listens, with the port that it really has."""
+        assert self._server is not None, "only while it listens"
+        host, port = self._server.sockets[0].getsockname()[:2]
+        return f"ws://[{host}]:{port}" if ":" in host else f"ws://{host}:{port}"
+
+    def stats(self) -> dict[str, Any]:
+        """Return the counters, and what is open now."""
+        hub = self.hub
+        return {
+            "open_connections": hub.num_connections,
+            "rooms": hub.num_rooms,
+            **hub.stats.as_dict(),
+        }
+
+    async def __aenter__(self) -> Self:
+        config = self.config
+        server = serve(
+            self._serve,
+            config.host,
+            config.port,
+            process_request=_answer_health,
+            subprotocols=[Subprotocol(SUBPROTOCOL)],
+            select_subprotocol=_select_subprotocol,
+            compression=None,
+            max_size=MAX_CLIENT_MESSAGE_BYTES,
+            max_queue=_MAX_QUEUED_MESSAGES,
+            write_limit=_WRITE_LIMIT_BYTES,
+            open_timeout=config.handshake_timeout_s,
+            ping_interval=config.ping_interval_s,
+            ping_timeout=config.ping_interval_s,
+            close_timeout=config.close_timeout_s,
+            server_header=None,
+            logger=_websockets_logger,
+        )
+        try:
+            self._server = await server
+        except OSError as error:
+            raise ListenError(
+                f"cannot listen on {config.host}:{config.port}: {error.strerror or error}; "
+                "choose another --port (0 takes a free one) or --host"
+            ) from error
+        return self
+
+    async def __aexit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        assert self._server is not None
+        self._server.close(close_connections=False)
+        self.hub.close_all(CloseCode.GOING_AWAY, "the relay is stopping", self._now())
+        self._after_events()
+        await self._server.wait_closed()
+        if self._timer is not None:
+            self._timer.cancel()
+
+    async def _serve(self, websocket: ServerConnection) -> None:
+        """Serve one websocket until it has ended; the server owns this task."""
+        _bound_kernel_buffer(websocket, self.config.send_buffer_bytes)
+        connection = self.hub.connect(self._now())
+        waker = self._wakers[connection] = _Waker(websocket, self.config.close_timeout_s)
+        try:
+            if websocket.subprotocol is None:
+                reason = f"speak the websocket sub-protocol {SUBPROTOCOL}"
+                self.hub.close(connection, CloseCode.WRONG_VERSION, reason, self._now())
+            self._after_events()
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._read(websocket, connection))
+                tasks.create_task(self._write(websocket, connection, waker))
+        except Exception:
+            _logger.exception("connection failed")
+            raise  # the library closes the websocket with 1011
+        finally:
+            waker.cancel_cut()
+            self.hub.disconnect(connection, CloseCode.INTERNAL_ERROR, "", self._now())
+            del self._wakers[connection]
+            self._after_events()
+
+    async def _read(self, websocket: ServerConnection, connection: Connection) -> None:
+        num_handled = 0
+        try:
+            while True:
+                data = await websocket.recv()
+                self.hub.receive(connection, data, self._now())
+                self._after_events()
+                num_handled += 1
+                if num_handled % _MESSAGES_PER_TURN == 0:
+                    await asyncio.sleep(0)  # recv() does not yield while messages are queued
+        except ConnectionClosed:
+            code = websocket.close_code or CloseCode.CONNECTION_LOST
+            self.hub.disconnect(connection, code, websocket.close_reason or "", self._now())
+            self._after_events()
+
+    async def _write(
+        self, websocket: ServerConnection, connection: Connection, waker: "_Waker"
+    ) -> None:
+        hub = self.hub
+        try:
+            while True:
+                while (parcel := hub.take(connection, self._now())) is not None:
+                    await websocket.send(parcel.data)
+                    hub.sent(connection, parcel, self._now())
+                if connection.closed is not None:
+                    await websocket.close(connection.closed.code, connection.closed.reason)
+                    return
+                await waker.wait()
+        except ConnectionClosed:
+            return
+
+    def _after_events(self) -> None:
+        """Wake the writers that have something to do, and set the timer to the next deadline."""
+        for connection in self.hub.take_ready():
+            waker = self._wakers.get(connection)
+            if waker is not None:
+                waker.wake(is_last=connection.closed is not None)
+        when = self.hub.next_timer()
+        if self._timer is not None:
+            if self._timer.when() == when:
+                return
+            self._timer.cancel()
+            self._timer = None
+        if when is not None:
+            self._timer = asyncio.get_running_loop().call_at(when, self._on_timer)
+
+    def _on_timer(self) -> None:
+        self._timer = None
+        self.hub.handle_timer(self._now())
+        self._after_events()
+
+    def _now(self) -> float:
+        return asyncio.get_running_loop().time()
+
+
+class _Waker:
+    """Wakes one writer, and cuts the socket of a peer that does not let us close it in time."""
+
+    def __init__(self, websocket: ServerConnection, close_timeout_s: float) -> None:
+        self._websocket = websocket
+        self._close_timeout_s = close_timeout_s
+        self._event = asyncio.Event()
+        self._cut: asyncio.TimerHandle | None = None
+
+    async def wait(self) -> None:
+        await self._event.wait()
+        self._event.clear()
+
+    def wake(self, *, is_last: bool) -> None:
+        self._event.set()
+        if is_last and self._cut is None:
+            # The library's own close_timeout starts only once its buffer has drained, and the
+            # buffer of a peer that does not read never drains.
+            loop = asyncio.get_running_loop()
+            cut = self._websocket.transport.abort
+            self._cut = loop.call_later(self._close_timeout_s, cut)
+
+    def cancel_cut(self) -> None:
+        if self._cut is not None:
+            self._cut.cancel()
+
+
+def _select_subprotocol(
+    _websocket: ServerConnection, offered: Sequence[Subprotocol]
+) -> Subprotocol | None:
+    # Whoever offers none is let in and told so with a close code: clearer than an HTTP 400.
+    return Subprotocol(SUBPROTOCOL) if SUBPROTOCOL in offered else None
+
+
+def _answer_health(websocket: ServerConnection, request: Request) -> Response | None:
+    if request.path == "/healthz":
+        return websocket.respond(http.HTTPStatus.OK, "ok\n")
+    return None
+
+
+def _bound_kernel_buffer(websocket: ServerConnection, send_buffer_bytes: int) -> None:
+    sock = websocket.transport.get_extra_info("socket")
+    if sock is None or sock.family not in (socket.AF_INET, socket.AF_INET6):
+        return
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, send_buffer_bytes)
+    if hasattr(socket, "TCP_NOTSENT_LOWAT"):
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, _UNSENT_LIMIT_BYTES)

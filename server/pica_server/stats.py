@@ -1,0 +1,86 @@
+"""Counters of a relay and the percentiles of its forwarding latency. Pure: times are arguments."""
+
+import math
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any
+
+_BUCKETS_PER_OCTAVE = 8
+_SMALLEST_S = 1e-6
+_NUM_BUCKETS = 27 * _BUCKETS_PER_OCTAVE  # up to 134 s
+
+
+class LatencyHistogram:
+    """Latencies in buckets a twelfth wide: bounded memory, percentiles within 5 % of the value."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._buckets = [0] * _NUM_BUCKETS
+
+    def record(self, latency_s: float) -> None:
+        """Count one latency; what lies outside 1 µs to 134 s goes to the nearest bucket."""
+        bucket = int(math.log2(max(latency_s, _SMALLEST_S) / _SMALLEST_S) * _BUCKETS_PER_OCTAVE)
+        self._buckets[min(bucket, _NUM_BUCKETS - 1)] += 1
+        self.count += 1
+
+    def percentile_s(self, percent: float) -> float | None:
+        """Return the middle of the bucket where the percentile lies; None without any latency."""
+        rank = max(1, math.ceil(self.count * percent / 100))
+        seen = 0
+        for bucket, count in enumerate(self._buckets):
+            seen += count
+            if seen >= rank:
+                return float(_SMALLEST_S * 2 ** ((bucket + 0.5) / _BUCKETS_PER_OCTAVE))
+        return None
+
+
+@dataclass(slots=True)
+class RelayStats:
+    """What a relay has done since it started."""
+
+    connections: int = 0
+    """Websockets opened."""
+    joins: int = 0
+    """Peers let into a room."""
+    frames_in: int = 0
+    bytes_in: int = 0
+    """Of all messages received, as websocket payload."""
+    frames_out: int = 0
+    bytes_out: int = 0
+    """Of all messages sent, as websocket payload."""
+    messages_out: int = 0
+    dropped: Counter[str] = field(default_factory=Counter)
+    """Frames that a receiver did not get: ``replaced`` by a newer one, ``departed`` with either
+    end."""
+    unwanted: int = 0
+    """Frames that a receiver had asked not to get."""
+    closed: Counter[int] = field(default_factory=Counter)
+    """Connections ended, by close code."""
+    reported_lost: int = 0
+    """Frames that receivers reported missing."""
+    reported_concealed: int = 0
+    """Display times that receivers reported without a fresh frame."""
+    forwarding: LatencyHistogram = field(default_factory=LatencyHistogram)
+    """From a frame's receipt to the moment the receiver's socket took it."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as plain values; latencies in milliseconds."""
+        percentiles = {f"p{p}": self.forwarding.percentile_s(p) for p in (50, 95, 99)}
+        return {
+            "connections": self.connections,
+            "joins": self.joins,
+            "frames_in": self.frames_in,
+            "bytes_in": self.bytes_in,
+            "frames_out": self.frames_out,
+            "bytes_out": self.bytes_out,
+            "messages_out": self.messages_out,
+            "dropped": dict(self.dropped),
+            "unwanted": self.unwanted,
+            "closed": {str(code): count for code, count in sorted(self.closed.items())},
+            "reported_lost": self.reported_lost,
+            "reported_concealed": self.reported_concealed,
+            "forward_ms": {
+                name: None if value is None else round(value * 1000, 4)
+                for name, value in percentiles.items()
+            },
+        }
