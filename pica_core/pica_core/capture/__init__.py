@@ -1,0 +1,1 @@
+"""Captures: the synthetic stage and its heads, the dataset layout, and its reader. numpy, moderngl and pillow only."""

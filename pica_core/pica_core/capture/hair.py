@@ -1,0 +1,96 @@
+"""The hair shell: an opaque surface a little above the scalp, with clumps in its silhouette.
+
+Rows run from the crown along the strands to the hair's edge, columns round the head starting and ending at the back.
+Strands themselves are appearance (shaders), not geometry. Millimetres, head frame.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.capture.identity import Identity
+from pica_core.capture.layout import Chart
+from pica_core.capture.skin import smoothstep
+from pica_core.capture.surface import HeadField, cast
+
+Float64Array = npt.NDArray[np.float64]
+
+
+def _periodic_noise(angle: Float64Array, seed: int, low: int, high: int) -> Float64Array:
+    """Smooth noise over the circle with integer frequencies `low` to `high`, about unit size."""
+    random = np.random.default_rng(seed)
+    total = np.zeros_like(angle)
+    for frequency in range(low, high + 1):
+        phase, gain = random.uniform(0, 2 * np.pi), random.normal()
+        total += gain * np.cos(frequency * angle + phase)
+    return total / np.sqrt(0.5 * (high - low + 1))
+
+
+def hairline(identity: Identity, azimuth: Float64Array) -> Float64Array:
+    """Height of the hair's lower edge, mm, by azimuth in radians (0 front, pi back, sign ignored)."""
+    hair = identity.hair
+    degrees = np.degrees(np.abs(azimuth))
+    if hair.covers_ears:
+        at = [0, 20, 38, 52, 62, 75, 100, 140, 180]
+        heights = [hair.front, hair.front - 1, hair.front - 10, 44, hair.side, hair.side - 8, hair.side - 14, hair.nape, hair.nape]
+    else:
+        at = [0, 18, 34, 46, 57, 66, 78, 88, 104, 118, 135, 155, 180]
+        heights = [
+            hair.front, hair.front + 1, hair.front + 3, hair.front - 8, hair.front - 30,
+            hair.side + 6, hair.side - 12, hair.side + 8, hair.side + 14, hair.side - 8, hair.nape + 14, hair.nape, hair.nape + 2,
+        ]
+    return np.interp(degrees, at, heights)
+
+
+def build_hair(identity: Identity, field: HeadField, chart: Chart) -> Float64Array:
+    """Positions of the hair chart's vertices. ``[R, C, 3]``."""
+    hair = identity.hair
+    rows, columns = chart.unit
+    # Columns crowd a little towards the face, where the edge is seen.
+    c = 2 * columns - 1
+    azimuth = np.pi * np.sign(c) * (0.82 * np.abs(c) + 0.18 * np.abs(c) ** 3)
+    edge = hairline(identity, azimuth)
+    edge = edge + 1.6 * _periodic_noise(azimuth, identity.seed, 17, 29) * smoothstep(0.2, 0.6, np.abs(azimuth))
+    # Along a strand: first over the cranium by latitude, then (long hair) straight down.
+    t = np.clip(rows / 0.93, 0.0, 1.0)  # the last rows tuck the edge in
+    tuck = np.clip((rows - 0.93) / 0.07, 0.0, 1.0)
+    hang_from = np.minimum(np.maximum(edge, -20.0), 140)
+    centre_y = 46.0
+    reach_z = np.where(np.abs(azimuth) < np.pi / 2, 92.0, 88.0)
+    reach = np.hypot(70.0 * np.sin(azimuth), reach_z * np.cos(azimuth))
+    end_latitude = np.arctan2(hang_from - centre_y, np.sqrt(np.maximum(1 - ((hang_from - centre_y) / 92.0) ** 2, 0.1)) * reach)
+    hang = np.maximum(hang_from - edge, 0.0)
+    share = hang / (hang + 90.0 * (0.5 * np.pi - end_latitude))
+    on_head = np.clip(t / np.maximum(1 - share, 1e-6), 0, 1)
+    drop = np.where(share > 1e-3, np.clip((t - (1 - share)) / np.maximum(share, 1e-6), 0, 1), 0.0) * hang
+    latitude = 0.5 * np.pi - 0.02 - on_head * (0.5 * np.pi - 0.02 - end_latitude)
+    direction = np.stack(
+        [np.cos(latitude) * np.sin(azimuth), np.sin(latitude), np.cos(latitude) * np.cos(azimuth)], -1
+    )
+    origin = np.broadcast_to([0.0, centre_y, 0.0], direction.shape)
+    scalp = cast(field, origin.reshape(-1, 3), direction.reshape(-1, 3)).reshape(direction.shape)
+    away = direction.copy()
+    away[..., 1] *= 0.6
+    front = smoothstep(1.15, 0.35, np.abs(azimuth))
+    top = np.clip(np.sin(latitude), 0, 1)
+    thickness = hair.side_thickness + (hair.top_thickness - hair.side_thickness) * top**0.8
+    thickness = thickness + front * hair.fringe * smoothstep(0.45, 0.95, on_head)
+    if hair.parting:
+        part = np.radians(hair.parting)
+        valley = np.exp(-(((azimuth - part) * np.cos(latitude)) / 0.05) ** 2)
+        thickness = thickness * (1 - 0.55 * valley * (np.abs(azimuth) < 1.2))
+    clump = _periodic_noise(azimuth + 0.35 * hair.curl * np.sin(6 * t + 2 * azimuth), identity.seed + 1, 9, 26)
+    wave = np.sin(16.0 * t + 3.0 * _periodic_noise(azimuth, identity.seed + 2, 3, 9))
+    ragged = smoothstep(0.05, 0.5, t)
+    thickness = thickness + ragged * (0.9 * clump + 2.2 * hair.curl * wave * smoothstep(0.3, 0.8, t))
+    thickness = np.maximum(thickness, 2.0) * (1 - 0.55 * smoothstep(0.88, 1.0, t) * (hang < 1))
+    points = scalp + away * thickness[..., None]
+    # Hanging hair leaves the head where it is widest and closes in towards its ends.
+    points[..., 1] -= drop
+    out = np.stack([np.sin(azimuth), 0 * azimuth, np.cos(azimuth)], -1)
+    points += out * (hang > 1)[..., None] * (10.0 * np.sin(np.pi * np.clip(drop / np.maximum(hang, 1), 0, 1) * 0.9))[..., None]
+    # Tuck the edge back under, so that the shell shows a rim and no gap.
+    points -= away * (tuck * np.where(hang > 1, 7.0, np.maximum(thickness, 2) + 2.5))[..., None]
+    points[..., 1] += tuck * 1.5
+    return points

@@ -1,0 +1,365 @@
+"""The built-in heads: 52 ARKit values in, a posed mesh out.
+
+    skin = rest + fields(arkit)  ->  lids slide over the eyeballs  ->  everything below turns with the jaw
+
+The mesh is one topology for every identity (`layout`), so an avatar trained on one head has the UVs of all others.
+Lengths are metres at this module's boundary and millimetres inside the package.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.arkit import ARKIT_INDEX, NUM_ARKIT
+from pica_core.capture.hair import build_hair
+from pica_core.capture.identity import Identity, get_identity
+from pica_core.capture.layout import EYE_ROW, MOUTH_ROW, Chart, build_charts
+from pica_core.capture.lids import LidPose, Lids
+from pica_core.capture.parts import collar, ear, eyeball, mouth_bag, teeth, tongue
+from pica_core.capture.shapes import build_motion
+from pica_core.capture.skin import (
+    LOWER_BORDER_ROW,
+    LOWER_CONTACT_ROW,
+    UPPER_BORDER_ROW,
+    UPPER_CONTACT_ROW,
+    EyeSurface,
+    Skin,
+    build_skin,
+    smoothstep,
+)
+from pica_core.capture.surface import HeadField
+from pica_core.errors import ShapeError
+
+FloatArray = npt.NDArray[np.float32]
+Float64Array = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int32]
+BoolArray = npt.NDArray[np.bool_]
+
+MATERIALS = ("skin", "eye", "teeth", "tongue", "mouth_bag", "collar", "hair")
+"""Material ids, in the order that the appearance shader knows."""
+
+JAW_PIVOT = (0.0, 2.0, 8.0)
+"""The condyle axis, mm: a little below and ahead of the ear axis."""
+JAW_OPEN = np.radians(17.5)
+"""Rotation at jawOpen = 1; about 35 mm between the incisors."""
+JAW_TONGUE = np.radians(6.0)
+"""Rotation that tongueOut brings along, so that the tongue finds a gap."""
+JAW_SLIDE = (6.5, 5.0)
+"""jawLeft/jawRight and jawForward at 1, mm."""
+EYE_YAW, EYE_PITCH_UP, EYE_PITCH_DOWN = np.radians([35.0, 25.0, 28.0])
+"""Gaze at a look shape of 1."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class SurfaceCoordinates:
+    """What the appearance needs to know about each vertex.
+
+    Attributes:
+        material: Index into `MATERIALS`. float32 ``[V]``.
+        rest_m: Position at rest, head frame, metres. float32 ``[V, 3]``.
+        local: Four numbers per vertex whose meaning depends on the material. float32 ``[V, 4]``. Skin: vermilion
+            depth (0 at the border, 1 at the contact line), rows to the nearest lid margin, hair coverage, ear (1 on
+            ears). Eye: frontal x, y in iris radii. Teeth: place along the arch, place from gum to edge. Tongue, bag
+            and collar: chart row and column. Hair: place along the strand, azimuth / pi.
+    """
+
+    material: FloatArray
+    rest_m: FloatArray
+    local: FloatArray
+
+
+class Head:
+    """One identity's head.
+
+    Attributes:
+        name: Identity name.
+        identity: Its parameters.
+        charts: Charts of the UV square, by name.
+        vertex_uv: Texture coordinates on texel centres of the position map. float32 ``[V, 2]``.
+        faces: Triangles, counter-clockwise from outside. int32 ``[F, 3]``.
+        regions: Named vertex sets, bool ``[V]`` each: face, lips, lids, mouth_interior, eyeballs, teeth, tongue, ears,
+            neck, scalp, hair, collar; ``mouth`` and ``eyes`` join what moves together; ``left`` is the subject's
+            left half.
+        coordinates: What the appearance is written in.
+    """
+
+    def __init__(self, identity: Identity) -> None:
+        self.identity = identity
+        self.name = identity.name
+        self.charts = build_charts()
+        face = identity.face
+        field = HeadField(face)
+        self._eye_surface = EyeSurface(field)
+        chart = self.charts["skin"]
+        skin = build_skin(face, field, self._eye_surface, chart)
+        self._motion = build_motion(face, field, skin, chart)
+        self._lids = [
+            Lids(face, self._eye_surface, skin, chart, side) for side in (1.0, -1.0)
+        ]
+        self.vertex_uv: FloatArray = np.concatenate([c.vertex_uv for c in self.charts.values()])
+        self.faces: IntArray = np.concatenate(
+            [
+                c.faces(skin.mouth_hole | skin.eye_hole if name == "skin" else None)
+                for name, c in self.charts.items()
+            ]
+        )
+        self._rest = self._build_rest(face, field, skin)
+        self._jaw, self._jaw_closed = self._jaw_weights(field)
+        self._fields = self._motion.fields.reshape(NUM_ARKIT, -1).astype(np.float32)
+        self._incident, self._weld = self._normal_tables()
+        neutral = self.vertices(np.zeros(NUM_ARKIT, np.float32))
+        self.coordinates = self._coordinates(neutral, skin)
+        self.regions = self._regions(neutral)
+
+    @property
+    def num_vertices(self) -> int:
+        """V."""
+        return len(self.vertex_uv)
+
+    def _build_rest(self, face: object, field: HeadField, skin: Skin) -> Float64Array:
+        shape = self.identity.face
+        inner_z = float(skin.points[..., 2][self.charts["skin"].rows == MOUTH_ROW].max())
+        front = inner_z - 1.0
+        mouth_y = field.mouth_y
+        parts = {
+            "skin": skin.points,
+            "teeth_upper": teeth(self.charts["teeth_upper"], front, mouth_y - 1.5, upper=True),
+            "teeth_lower": teeth(self.charts["teeth_lower"], front - 2.6, mouth_y - 2.6, upper=False),
+            "tongue": tongue(self.charts["tongue"], mouth_y, front),
+            "mouth_bag": mouth_bag(self.charts["mouth_bag"], mouth_y, front),
+            "collar": collar(self.charts["collar"], shape),
+            "hair": build_hair(self.identity, field, self.charts["hair"]),
+        }
+        for side, name in ((1.0, "left"), (-1.0, "right")):
+            parts[f"eye_{name}"] = eyeball(self.charts[f"eye_{name}"], field.eye_centre, side)
+            parts[f"ear_{name}"] = ear(self.charts[f"ear_{name}"], field, shape, side)
+        self._eye_centre = np.asarray(field.eye_centre)
+        rest = np.concatenate([parts[name].reshape(-1, 3) for name in self.charts])
+        return rest
+
+    def _jaw_weights(self, field: HeadField) -> tuple[FloatArray, FloatArray]:
+        free = np.zeros(self.num_vertices)
+        free[self.charts["teeth_lower"].span] = 1.0
+        y, z = self._rest[:, 1], self._rest[:, 2]
+        tongue_span, bag = self.charts["tongue"].span, self.charts["mouth_bag"].span
+        free[tongue_span] = smoothstep(20.0, 60.0, z[tongue_span])
+        free[bag] = smoothstep(field.mouth_y + 6, field.mouth_y - 10, y[bag])
+        closed = free.copy()
+        free[self.charts["skin"].span] = self._motion.jaw
+        closed[self.charts["skin"].span] = self._motion.jaw_closed
+        return free.astype(np.float32), closed.astype(np.float32)
+
+    def vertices(self, arkit: npt.ArrayLike) -> FloatArray:
+        """Pose the head.
+
+        Args:
+            arkit: The 52 shapes in `ARKIT_NAMES` order, about [0, 1]. ``[52]``.
+
+        Returns:
+            Vertices in metres, head frame. float32 ``[V, 3]``.
+
+        Raises:
+            ShapeError: `arkit` does not have 52 values.
+        """
+        values = np.asarray(arkit, np.float32)
+        if values.shape != (NUM_ARKIT,):
+            raise ShapeError(f"arkit is {values.shape}; [{NUM_ARKIT}] is needed")
+        return self.vertices_batch(values[None])[0]
+
+    def vertices_batch(self, arkit: npt.ArrayLike) -> FloatArray:
+        """Pose the head several times: arkit ``[N, 52]`` to float32 ``[N, V, 3]``, metres.
+
+        Raises:
+            ShapeError: The last dimension is not 52.
+        """
+        values = np.asarray(arkit, np.float32)
+        if values.ndim != 2 or values.shape[1] != NUM_ARKIT:
+            raise ShapeError(f"arkit is {values.shape}; [N, {NUM_ARKIT}] is needed")
+        count = len(values)
+        points = np.broadcast_to(self._rest.astype(np.float32), (count, *self._rest.shape)).copy()
+        skin = self.charts["skin"]
+        points[:, skin.span] += (values @ self._fields).reshape(count, -1, 3)
+        self._turn_eyes(points, values)
+        self._move_tongue(points, values)
+        self._turn_jaw(points, values)
+        points *= 0.001
+        return points
+
+    def _shape(self, values: FloatArray, name: str) -> FloatArray:
+        column: FloatArray = values[:, ARKIT_INDEX[name]]
+        return column
+
+    def _turn_eyes(self, points: FloatArray, values: FloatArray) -> None:
+        for lids, side, name in zip(self._lids, (1.0, -1.0), ("Left", "Right"), strict=True):
+            yaw = side * EYE_YAW * (
+                self._shape(values, f"eyeLookOut{name}") - self._shape(values, f"eyeLookIn{name}")
+            )
+            pitch = EYE_PITCH_UP * self._shape(values, f"eyeLookUp{name}")
+            pitch = pitch - EYE_PITCH_DOWN * self._shape(values, f"eyeLookDown{name}")
+            span = self.charts[f"eye_{name.lower()}"].span
+            centre = self._eye_centre * [side, 1.0, 1.0]
+            local = (self._rest[span] - centre).astype(np.float32)
+            sp, cp = np.sin(pitch)[:, None], np.cos(pitch)[:, None]
+            sy, cy = np.sin(yaw)[:, None], np.cos(yaw)[:, None]
+            y = cp * local[:, 1] + sp * local[:, 2]
+            z = cp * local[:, 2] - sp * local[:, 1]
+            points[:, span, 0] = cy * local[:, 0] + sy * z + centre[0]
+            points[:, span, 1] = y + centre[1]
+            points[:, span, 2] = cy * z - sy * local[:, 0] + centre[2]
+            pose = LidPose(
+                blink=self._shape(values, f"eyeBlink{name}").astype(np.float64),
+                wide=self._shape(values, f"eyeWide{name}").astype(np.float64),
+                squint=self._shape(values, f"eyeSquint{name}").astype(np.float64),
+                pitch=pitch.astype(np.float64),
+            )
+            index = self.charts["skin"].first + lids.index
+            weight = lids.weight[:, None]
+            blended = points[:, index] * (1 - weight) + lids.points(pose) * weight
+            points[:, index] = blended
+
+    def _move_tongue(self, points: FloatArray, values: FloatArray) -> None:
+        span = self.charts["tongue"].span
+        out = self._shape(values, "tongueOut")[:, None]
+        rest = self._rest[span]
+        forward = smoothstep(rest[:, 2].min() + 8, rest[:, 2].max(), rest[:, 2]).astype(np.float32)
+        points[:, span, 2] += 34.0 * out * forward
+        points[:, span, 1] += out * (4.5 * forward - 13.0 * forward**3)
+        points[:, span, 0] *= 1 - 0.25 * out * forward
+
+    def _turn_jaw(self, points: FloatArray, values: FloatArray) -> None:
+        opening = self._shape(values, "jawOpen")
+        close = np.clip(self._shape(values, "mouthClose") / np.maximum(opening, 1e-3), 0.0, 1.0)
+        weight = self._jaw + close[:, None] * (self._jaw_closed - self._jaw)
+        angle = JAW_OPEN * opening + JAW_TONGUE * self._shape(values, "tongueOut")
+        turn = angle[:, None] * weight
+        sine, cosine = np.sin(turn), np.cos(turn)
+        y = points[..., 1] - JAW_PIVOT[1]
+        z = points[..., 2] - JAW_PIVOT[2]
+        points[..., 1] = cosine * y - sine * z + JAW_PIVOT[1]
+        points[..., 2] = cosine * z + sine * y + JAW_PIVOT[2]
+        sideways = self._shape(values, "jawLeft") - self._shape(values, "jawRight")
+        points[..., 0] += JAW_SLIDE[0] * sideways[:, None] * weight
+        points[..., 2] += JAW_SLIDE[1] * self._shape(values, "jawForward")[:, None] * weight
+
+    def _normal_tables(self) -> tuple[IntArray, list[tuple[IntArray, IntArray]]]:
+        """Faces around each vertex (padded with F), and vertex pairs that share a normal across chart seams."""
+        count = np.zeros(self.num_vertices, np.int32)
+        flat = self.faces.ravel()
+        order = np.argsort(flat, kind="stable")
+        corner_vertex, corner_face = flat[order], (order // 3).astype(np.int32)
+        count = np.bincount(flat, minlength=self.num_vertices).astype(np.int32)
+        start = np.cumsum(count) - count
+        table = np.full((self.num_vertices, int(count.max())), len(self.faces), np.int32)
+        table[corner_vertex, np.arange(len(flat)) - start[corner_vertex]] = corner_face
+        weld: list[tuple[IntArray, IntArray]] = []
+        for name, axis in (("skin", 1), ("collar", 1), ("hair", 1), ("ear_left", 0), ("ear_right", 0)):
+            chart = self.charts[name]
+            index = (chart.first + np.arange(chart.count, dtype=np.int32)).reshape(chart.shape)
+            weld.append((index.take(0, axis), index.take(-1, axis)))
+        return table, weld
+
+    def normals(self, vertices: FloatArray) -> FloatArray:
+        """Unit vertex normals, area weighted and smooth across seams. float32 ``[V, 3]``."""
+        a, b, c = (vertices[self.faces[:, corner]] for corner in range(3))
+        face_normals = np.zeros((len(self.faces) + 1, 3), np.float32)
+        face_normals[:-1] = np.cross(b - a, c - a)
+        normals = face_normals[self._incident].sum(1)
+        for first, last in self._weld:
+            both = normals[first] + normals[last]
+            normals[first] = both
+            normals[last] = both
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        unit: FloatArray = normals / np.maximum(length, 1e-20)
+        return unit
+
+    def _coordinates(self, neutral: FloatArray, skin: Skin) -> SurfaceCoordinates:
+        material = np.zeros(self.num_vertices, np.float32)
+        local = np.zeros((self.num_vertices, 4), np.float32)
+        names = {
+            "eye_left": "eye", "eye_right": "eye", "teeth_upper": "teeth", "teeth_lower": "teeth",
+            "tongue": "tongue", "mouth_bag": "mouth_bag", "collar": "collar", "hair": "hair",
+        }
+        for name, chart in self.charts.items():
+            rows, columns = (value.ravel() for value in chart.unit)
+            material[chart.span] = MATERIALS.index(names.get(name, "skin"))
+            if name == "skin":
+                row = np.repeat(chart.rows.astype(np.float64), len(chart.columns))
+                x = np.abs(skin.points[..., 0].ravel())
+                upper = (row - UPPER_BORDER_ROW) / (UPPER_CONTACT_ROW - UPPER_BORDER_ROW)
+                lower = (LOWER_BORDER_ROW - row) / (LOWER_BORDER_ROW - LOWER_CONTACT_ROW)
+                depth = np.where(row <= MOUTH_ROW, upper, lower)
+                front = (x < skin.mouth_half + 12) & (skin.points[..., 2].ravel() > 50)
+                # Past the corner the lips end: their depth falls below the border there.
+                depth = depth - 2.2 * smoothstep(skin.mouth_half - 2.0, skin.mouth_half + 6.0, x)
+                local[chart.span, 0] = np.where(front, np.clip(depth, -3, 2.5), -3.0)
+                inner, outer = skin.eye_corners
+                beyond = np.maximum(np.maximum(inner - x, x - outer), 0.0)
+                steps = np.where(row <= EYE_ROW, row - EYE_ROW, row - EYE_ROW - 1)
+                signed = steps - np.sign(steps + 0.5 * (row > EYE_ROW) - 0.25) * 0.0
+                lid = signed + np.where(row <= EYE_ROW, -1, 1) * beyond * 1.3
+                near = skin.points[..., 2].ravel() > 40
+                local[chart.span, 1] = np.where(near, np.clip(lid, -30, 30), 30.0)
+            elif name.startswith("eye"):
+                side = 1.0 if name == "eye_left" else -1.0
+                centre = self._eye_centre * [side, 1, 1]
+                local[chart.span, :3] = (self._rest[chart.span] - centre) / 12.1
+                local[chart.span, 3] = side
+            elif name.startswith("teeth"):
+                local[chart.span, 0] = 2 * columns - 1
+                local[chart.span, 1] = rows
+                local[chart.span, 2] = 1.0 if name == "teeth_upper" else -1.0
+            elif name.startswith("ear"):
+                local[chart.span] = np.stack([np.full_like(rows, -3), np.full_like(rows, 30), columns, rows * 0 + 1], -1)
+            else:
+                local[chart.span, 0], local[chart.span, 1] = rows, columns
+        return SurfaceCoordinates(material=material, rest_m=neutral, local=local)
+
+    def _regions(self, neutral: FloatArray) -> dict[str, BoolArray]:
+        def of(*names: str) -> BoolArray:
+            mask = np.zeros(self.num_vertices, np.bool_)
+            for name in names:
+                mask[self.charts[name].span] = True
+            return mask
+
+        local, skin = self.coordinates.local, of("skin")
+        x, y, z = neutral.T
+        row = np.zeros(self.num_vertices)
+        chart = self.charts["skin"]
+        row[chart.span] = np.repeat(chart.rows, len(chart.columns))
+        lids = np.zeros(self.num_vertices, np.bool_)
+        for side in self._lids:
+            lids[chart.first + side.index[side.weight > 0.5]] = True
+        lips = skin & (local[:, 0] > -0.15)
+        interior = of("teeth_upper", "teeth_lower", "tongue", "mouth_bag")
+        around = skin & (np.abs(x) < 0.042) & (np.abs(y - y[lips].mean()) < 0.024) & (z > 0.05)
+        neck = skin & (row > 154)
+        scalp = skin & ((row < 36) | (z < 0.0)) & ~neck
+        return {
+            "face": skin & ~neck & ~scalp,
+            "lips": lips,
+            "lids": lids,
+            "mouth_interior": interior,
+            "mouth": interior | around | lips,
+            "eyeballs": of("eye_left", "eye_right"),
+            "eyes": of("eye_left", "eye_right") | lids,
+            "teeth": of("teeth_upper", "teeth_lower"),
+            "tongue": of("tongue"),
+            "ears": of("ear_left", "ear_right"),
+            "neck": neck,
+            "scalp": scalp,
+            "hair": of("hair"),
+            "collar": of("collar"),
+            "left": x > 0,
+        }
+
+
+def make_head(name: str) -> Head:
+    """Build a built-in head by identity name (``S1``, ``S2``).
+
+    Raises:
+        CaptureError: No identity has this name.
+    """
+    return Head(get_identity(name))

@@ -1,0 +1,321 @@
+"""The skin chart at rest: rows and columns of the UV square become a face with lips and lids.
+
+Rows follow the features: one runs along each lid margin, each vermilion border and each lip's contact line, so
+borders are crisp at any density. Between those anchor rows heights are interpolated per column; in depth the base
+comes from the distance field (`surface`), and lids and lips are laid over it.
+
+All lengths in this module are millimetres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.capture.identity import FaceShape
+from pica_core.capture.layout import EYE_ROW, MIDLINE_COLUMN, MOUTH_ROW, Chart
+from pica_core.capture.surface import EYE_RADIUS, EYE_Y, HeadField, cast
+
+Float64Array = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+CREASE_ROW = 60
+"""Row of the fold above the upper lid."""
+LOWER_FOLD_ROW = 82
+"""Row where the lower lid runs out into the cheek."""
+UPPER_BORDER_ROW = 112
+"""Row of the upper vermilion border."""
+UPPER_CONTACT_ROW = 119
+"""Row where the upper lip touches the lower one."""
+LOWER_CONTACT_ROW = 130
+"""Row where the lower lip touches the upper one."""
+LOWER_BORDER_ROW = 139
+"""Row of the lower vermilion border."""
+SUBNASALE_ROW = 107
+"""Row under the nose where the upper lip begins."""
+CHIN_ROW = 151
+"""Row around the lowest point of the chin."""
+COLUMN_MM = 0.8
+"""Width of a texel column on the front of the face."""
+LID_THICKNESS = 1.7
+"""Eyeball surface to the outside of a lid."""
+
+
+def smoothstep(low: float, high: float, value: npt.ArrayLike) -> Float64Array:
+    """0 below `low`, 1 above `high`, smooth between."""
+    t = np.clip((np.asarray(value, np.float64) - low) / (high - low), 0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
+def bump(value: npt.ArrayLike, centre: float, width: float) -> Float64Array:
+    """A Gaussian of unit height; `width` is its standard deviation."""
+    result: Float64Array = np.exp(-0.5 * ((np.asarray(value, np.float64) - centre) / width) ** 2)
+    return result
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Skin:
+    """The skin at rest and the coordinates that shapes and appearance are written in.
+
+    Attributes:
+        points: Rest positions, head frame, mm. ``[R, C, 3]``.
+        mouth_half: Half the mouth's width, snapped to a column, mm.
+        eye_corners: Inner and outer canthus |x|, snapped to columns, mm.
+        mouth_hole: Missing quads of the mouth slit. bool ``[R - 1, C - 1]``.
+        eye_hole: Missing quads of both eye slits. bool ``[R - 1, C - 1]``.
+    """
+
+    points: Float64Array
+    mouth_half: float
+    eye_corners: tuple[float, float]
+    mouth_hole: BoolArray
+    eye_hole: BoolArray
+
+
+class EyeSurface:
+    """Where lids glide: the eyeball, widened by the lid, melting into the socket around it.
+
+    Frontal coordinates: `u` mm outwards from the pupil (towards the temple), `y` mm above the ear axis. Lids move in
+    `y` only, and depth follows from here, so a lid can never leave the eyeball or enter it.
+    """
+
+    def __init__(self, field: HeadField) -> None:
+        self.centre = field.eye_centre
+        x, y, _ = field.eye_centre
+        grid_u, grid_y = np.meshgrid(np.linspace(-19, 20, 14), np.linspace(-14, 15, 11))
+        u, v = grid_u.ravel(), grid_y.ravel()
+        origin = np.stack([x + u, y + v, np.zeros_like(u)], -1)
+        forward = np.broadcast_to([0.0, 0.0, 1.0], origin.shape)
+        depth = cast(field, origin, forward)[:, 2]
+        self._coefficients = np.linalg.lstsq(self._basis(u, v), depth, rcond=None)[0]
+
+    @staticmethod
+    def _basis(u: Float64Array, v: Float64Array) -> Float64Array:
+        powers = [u**i * v**j for i in range(5) for j in range(5 - i)]
+        return np.stack(powers, -1)
+
+    def socket(self, u: Float64Array, y: Float64Array) -> Float64Array:
+        """Depth of the socket without an eyeball, mm."""
+        u = np.clip(u, -20, 21)
+        v = np.clip(y - self.centre[1], -15, 16)
+        depth: Float64Array = self._basis(u, v) @ self._coefficients
+        return depth
+
+    def depth(self, u: Float64Array, y: Float64Array, thickness: npt.ArrayLike) -> Float64Array:
+        """Depth z of a lid point that lies `thickness` mm above the eyeball, mm."""
+        v = y - self.centre[1]
+        radius = EYE_RADIUS + np.asarray(thickness, np.float64)
+        square = radius**2 - u**2 - v**2
+        # A sphere that turns into a falling cone outside, so that it has a depth everywhere.
+        reach = np.sqrt(u**2 + v**2)
+        edge = 0.8 * radius
+        ball = np.where(
+            reach < edge, np.sqrt(np.maximum(square, 0.0)), 0.6 * radius - 1.333 * (reach - edge)
+        )
+        ball = self.centre[2] + ball
+        socket = self.socket(u, y) - 1.0
+        k = 3.0
+        h = np.maximum(k - np.abs(ball - socket), 0.0) / k
+        return np.maximum(ball, socket) + 0.25 * h * h * k
+
+
+def snap(target: float, columns: npt.NDArray[np.int32]) -> float:
+    """The |x| of the front column nearest to `target` mm."""
+    x = (columns - MIDLINE_COLUMN) * COLUMN_MM
+    return float(x[np.argmin(np.abs(x - target))])
+
+
+def lid_lines(
+    face: FaceShape, corners: tuple[float, float], u: Float64Array
+) -> tuple[Float64Array, Float64Array]:
+    """Heights of the upper and lower lid margin at rest; outside the corners both run on together.
+
+    Args:
+        face: Proportions.
+        corners: |x| of inner and outer canthus, mm.
+        u: Outwards from the pupil, mm.
+
+    Returns:
+        Upper and lower margin, mm above the ear axis.
+    """
+    inner, outer = corners[0] - 0.5 * face.eye_distance, corners[1] - 0.5 * face.eye_distance
+    t = (u - inner) / (outer - inner)
+    inside = np.clip(t, 0.0, 1.0)
+    axis = EYE_Y - 1.0 + face.eye_tilt * (np.clip(t, -0.3, 1.3) - 0.35)
+    # The upper lid peaks nasally of its middle, the lower one dips temporally.
+    upper = (inside ** 0.62 * (1 - inside) ** 0.72) * 2.52
+    lower = (inside ** 0.85 * (1 - inside) ** 0.62) * 2.75
+    opening = face.eye_opening
+    return axis + 0.62 * opening * upper, axis - 0.38 * opening * lower
+
+
+def mouth_lines(
+    face: FaceShape, field: HeadField, half: float, x: Float64Array
+) -> dict[str, Float64Array]:
+    """Heights of vermilion borders and contact line at rest, mm.
+
+    Args:
+        face: Proportions.
+        field: The head, for the height of the mouth.
+        half: |x| of the corner, mm.
+        x: Lateral positions, mm.
+    """
+    t = np.clip(np.abs(x) / half, 0.0, 1.0)
+    y = field.mouth_y
+    contact = y + 0.9 * bump(t, 0.0, 0.13) - 0.9 * bump(t, 0.36, 0.22) - 0.4 * t**3
+    # Cupid's bow: two peaks beside the dip under the philtrum.
+    bow = 1.0 - 0.26 * bump(t, 0.0, 0.10) + 0.07 * bump(t, 0.22, 0.12)
+    upper = np.maximum((1.0 - t**1.7) * bow, 0.0) * face.upper_lip
+    lower = np.maximum(1.0 - t**2.6, 0.0) ** 0.8 * face.lower_lip
+    return {"contact": contact, "upper": contact + upper, "lower": contact - lower}
+
+
+def _heights(face: FaceShape, field: HeadField, chart: Chart, skin_half: float,
+             corners: tuple[float, float], x: Float64Array) -> Float64Array:
+    """Heights of all rows in all front columns. ``[R, C]``."""
+    ax = np.abs(x)
+    u = ax - 0.5 * face.eye_distance
+    upper_lid, lower_lid = lid_lines(face, corners, u)
+    reach = smoothstep(24.0, 8.0, np.abs(u + 1))  # folds follow the lid near the eye only
+    mouth = mouth_lines(face, field, skin_half, x)
+    # Beyond the corner the lips' rows open out again into cheek, a little more per column.
+    spread = 6.5 * smoothstep(skin_half, skin_half + 26.0, ax)
+    closed = 0.16 + 0.0 * ax
+    subnasale = field.subnasale_y
+    wing = smoothstep(20.0, 12.0, ax)
+    anchors: list[tuple[float, Float64Array]] = [
+        (40, np.full_like(x, 60.0)),
+        (50, EYE_Y + face.brow_height + 8.0 + 0 * x),
+        (56, EYE_Y + face.brow_height - 2.0 + 0 * x),
+        (CREASE_ROW, np.maximum(upper_lid + 3.6 + 1.8 * reach, EYE_Y + 6.5)),
+        (EYE_ROW, upper_lid + 0.35),
+        (EYE_ROW + 1, lower_lid - 0.35),
+        (LOWER_FOLD_ROW, lower_lid - 9.5 + 1.5 * reach),
+        (94, subnasale + 13.5 + 0 * x),
+        (101, subnasale + 3.0 + 0.8 * (1 - wing)),
+        (SUBNASALE_ROW, subnasale - 1.2 - 2.2 * (1 - wing)),
+        (UPPER_BORDER_ROW, mouth["upper"] + spread * 0.9),
+        (UPPER_CONTACT_ROW, mouth["contact"] + closed * 2.5 + 0.45 * spread),
+        (MOUTH_ROW, mouth["contact"] + closed * 0.5 + 0.05 * spread),
+        (MOUTH_ROW + 1, mouth["contact"] - closed * 0.5 - 0.05 * spread),
+        (LOWER_CONTACT_ROW, mouth["contact"] - closed * 2.5 - 0.45 * spread),
+        (LOWER_BORDER_ROW, mouth["lower"] - spread),
+        (145, field.below(-68.0) + 0 * x),
+        (CHIN_ROW, field.chin_y + 9.0 + 0 * x),
+        (156, field.chin_y + 8.0 + 0 * x),
+        (159, field.chin_y - 12.0 + 0 * x),
+        (163, -138.0 + 0 * x),
+    ]
+    rows = np.array([row for row, _ in anchors])
+    values = np.stack([value for _, value in anchors])
+    at = np.clip(np.searchsorted(rows, chart.rows, side="right") - 1, 0, len(rows) - 2)
+    t = ((chart.rows - rows[at]) / (rows[at + 1] - rows[at]))[:, None]
+    return values[at] + t * (values[at + 1] - values[at])
+
+
+def _rays(face: FaceShape, field: HeadField, chart: Chart, half: float,
+          corners: tuple[float, float]) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Origins, directions and search lengths of the rays of every skin vertex. Two ``[R, C, 3]``, ``[R, C]``."""
+    n = chart.columns - MIDLINE_COLUMN
+    side = np.sign(n)
+    n = np.abs(n)
+    q = np.clip((n - 50.0) / 77.5, 0.0, 1.0)
+    x0 = np.where(n <= 50.0, COLUMN_MM * n, 40.0 + 62.0 * q * (1 - q) ** 3)
+    x0 = x0 * (1 - q**4) * side
+    turn = np.pi * q * (1.0 - (1.0 - q) ** 3) * side
+    rows = chart.rows.astype(np.float64)[:, None]
+    y_front = _heights(face, field, chart, half, corners, np.where(q > 0, side * (40 + 40 * q), x0))
+    # Behind the ears rows level out: the row of the chin climbs to the jaw angle and the nape.
+    y_back = np.interp(
+        rows, [40, 56, 71, 82, 101, 124, 140, 151, 163], [58, 36, 18, 6, -14, -36, -54, -78, -138]
+    )
+    back = smoothstep(0.05, 0.55, q)[None]
+    y0 = y_front * (1 - back) + y_back * back
+    # The cranium fans out to the crown; rays under the nose and the chin point down.
+    fan = np.clip((40.0 - rows) / 40.0, 0.0, 1.0)
+    lift = np.radians(np.interp(rows, [0, 40, 56, 200], [88.5, 10, 0, 0]))
+    y0 = np.where(fan > 0, 60.0 - 10.0 * fan, y0)
+    near_nose = smoothstep(22.0, 11.0, np.abs(x0))[None]
+    under_nose = np.interp(rows, [96, 101, 104, 106, 109], [0, 0.5, 0.95, 0.75, 0])
+    under_chin = np.interp(rows, [143, 151, 155, 159, 163], [0, 0.5, 1.15, 0.35, 0.0])
+    chin_reach = (1 - smoothstep(0.02, 0.5, q))[None]
+    lift = lift - under_nose * near_nose - under_chin * chin_reach
+    shrink = np.cos(np.radians(np.interp(rows, [0, 40], [88.5, 0])))
+    z0 = np.interp(q, [0, 0.3, 0.55, 1], [35, 28, 2, -12])[None]
+    z0 = z0 * shrink + 4.0 * (1 - shrink)
+    origin = np.stack(np.broadcast_arrays(x0[None] * shrink, y0, z0), -1)
+    # Rays that point down start higher and further in, so that they meet their row's height near the surface.
+    dip = under_nose * near_nose
+    origin[..., 2] += dip * (face.nose_protrusion * 0.5 + 98.5 - 12.0 - origin[..., 2])
+    origin[..., 1] += dip * 13.0
+    chin_dip = under_chin * chin_reach
+    origin[..., 2] += np.minimum(chin_dip, 1.0) * (np.interp(rows, [143, 151, 155, 159], [60, 58, 40, 22]) - origin[..., 2])
+    origin[..., 1] += np.minimum(chin_dip, 1.0) * 26.0
+    direction = np.stack(
+        np.broadcast_arrays(
+            np.cos(lift) * np.sin(turn)[None], np.sin(lift), np.cos(lift) * np.cos(turn)[None]
+        ),
+        -1,
+    )
+    length = 150.0 - 90.0 * np.clip(dip + chin_dip, 0.0, 1.0)
+    return origin, direction, length
+
+
+def _lay_lips(face: FaceShape, field: HeadField, chart: Chart, half: float, points: Float64Array) -> None:
+    """Raise the lips over the muzzle and roll their inner edges into the mouth, in place."""
+    rows = chart.rows
+    x = points[..., 0]
+    t = np.clip(np.abs(x) / half, 0.0, 1.0)
+    front = np.abs(points[..., 0]) < half + 40
+    pout = 3.4 * face.lip_fullness * np.maximum(1 - t**2.2, 0.0)
+    s_upper = (rows[:, None] - UPPER_BORDER_ROW) / (UPPER_CONTACT_ROW - UPPER_BORDER_ROW)
+    s_lower = (LOWER_BORDER_ROW - rows[:, None]) / (LOWER_BORDER_ROW - LOWER_CONTACT_ROW)
+    # Profile from the border (0) to the contact line (1): a sharp rise, a full middle, a turn inwards.
+    for s, gain, is_lip in (
+        (s_upper, 0.9, rows <= MOUTH_ROW),
+        (s_lower, 1.05, rows > MOUTH_ROW),
+    ):
+        c = np.clip(s, 0.0, 1.0)
+        profile = 0.35 * smoothstep(-0.3, 0.15, s) + 0.85 * np.sin(np.pi * np.clip(c, 0, 1) * 0.9) ** 0.9
+        profile = profile * smoothstep(-0.9, 0.1, s) - 0.5 * smoothstep(0.75, 1.0, c)
+        profile = np.where(s > 1.0, -0.2, profile)
+        points[..., 2] += np.where(front & is_lip[:, None], gain * pout * profile, 0.0)
+    # Inner edges: back into the mouth and away from each other.
+    depth = 7.0 * (1 - t**3) ** 0.7
+    k_upper = np.clip((rows - UPPER_CONTACT_ROW) / (MOUTH_ROW - UPPER_CONTACT_ROW), 0, 1)
+    k_upper = np.where(rows <= MOUTH_ROW, k_upper, 0.0)[:, None]
+    k_lower = np.clip((LOWER_CONTACT_ROW - rows) / (LOWER_CONTACT_ROW - MOUTH_ROW - 1), 0, 1)
+    k_lower = np.where(rows > MOUTH_ROW, k_lower, 0.0)[:, None]
+    taper = np.where(front, depth, 0.0)
+    points[..., 2] -= taper * (k_upper + k_lower)
+    points[..., 1] += 0.32 * taper * (k_upper**1.5 - k_lower**1.5)
+
+
+def build_skin(face: FaceShape, field: HeadField, eye: EyeSurface, chart: Chart) -> Skin:
+    """Make the skin of one identity at rest."""
+    half = snap(0.5 * face.mouth_width, chart.columns)
+    middle = 0.5 * face.eye_distance
+    corners = (
+        snap(middle - 0.52 * face.eye_width, chart.columns),
+        snap(middle + 0.48 * face.eye_width, chart.columns),
+    )
+    origin, direction, length = _rays(face, field, chart, half, corners)
+    points = cast(field, origin.reshape(-1, 3), direction.reshape(-1, 3), length.ravel())
+    points = points.reshape(origin.shape)
+    _lay_lips(face, field, chart, half, points)
+    x = np.abs((chart.columns - MIDLINE_COLUMN) * COLUMN_MM)
+    mouth_columns = (x[:-1] <= half + 1e-6) & (x[1:] <= half + 1e-6)
+    eye_columns = (np.minimum(x[:-1], x[1:]) >= corners[0] - 1e-6) & (
+        np.maximum(x[:-1], x[1:]) <= corners[1] + 1e-6
+    )
+    row_of_eye = chart.rows[:-1] == EYE_ROW
+    row_of_mouth = chart.rows[:-1] == MOUTH_ROW
+    return Skin(
+        points=points,
+        mouth_half=half,
+        eye_corners=corners,
+        mouth_hole=row_of_mouth[:, None] & mouth_columns[None],
+        eye_hole=row_of_eye[:, None] & eye_columns[None],
+    )
