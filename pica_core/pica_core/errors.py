@@ -4,6 +4,7 @@
     ├── AvatarFileError     an avatar file that must not be used
     ├── CaptureError        a capture that cannot be read
     ├── CheckpointError     a checkpoint that does not fit
+    ├── LatentError         a latent payload that cannot be decoded, or a latent that cannot be sent
     ├── ShapeError          an array of the wrong shape handed to a public function
     └── GraphicsError       no GL context, or one that is too old
 
@@ -28,6 +29,10 @@ class CaptureError(PicaCoreError):
 
 class CheckpointError(PicaCoreError):
     """The checkpoint is of another model, another version, or damaged."""
+
+
+class LatentError(PicaCoreError, ValueError):
+    """Bytes that are no latent payload, or a latent that has no payload: names field and limit."""
 
 
 class ShapeError(PicaCoreError, ValueError):
