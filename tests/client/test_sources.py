@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from pica_client.errors import SourceError
+from pica_client.rotation import rotation_vector_from_yaw_pitch_roll
 from pica_client.sources import Recording, open_source
 from pica_client.sources.livelink_csv import load_livelink_csv
-from pica_client.sources.rotation import rotation_vector_from_yaw_pitch_roll
 from pica_core.arkit import ARKIT_INDEX, ARKIT_NAMES
 
 pytestmark = pytest.mark.unit

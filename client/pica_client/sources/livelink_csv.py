@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_client.errors import SourceError
-from pica_client.sources.rotation import rotation_vector_from_yaw_pitch_roll
+from pica_client.rotation import rotation_vector_from_yaw_pitch_roll
 from pica_client.sources.source import Recording
 from pica_core.arkit import ARKIT_NAMES
 

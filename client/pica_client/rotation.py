@@ -1,0 +1,78 @@
+"""Rotation vectors: made from trackers' head angles, and blended along the shortest way."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+
+def rotation_vector_from_yaw_pitch_roll(
+    yaw_pitch_roll: npt.NDArray[np.float64],
+) -> npt.NDArray[np.float32]:
+    """Compose yaw about +y, then pitch about +x, then roll about +z, each in the turned frame.
+
+    Args:
+        yaw_pitch_roll: Radians. float64 ``[T, 3]``.
+
+    Returns:
+        Rotation vectors (axis times angle, angle at most π). float32 ``[T, 3]``.
+    """
+    half = yaw_pitch_roll / 2
+    (cos_y, cos_p, cos_r), (sin_y, sin_p, sin_r) = np.cos(half).T, np.sin(half).T
+    # Quaternion product y(yaw) * x(pitch) * z(roll), written out.
+    real = cos_y * cos_p * cos_r + sin_y * sin_p * sin_r
+    imaginary = np.stack(
+        (
+            cos_y * sin_p * cos_r + sin_y * cos_p * sin_r,
+            sin_y * cos_p * cos_r - cos_y * sin_p * sin_r,
+            cos_y * cos_p * sin_r - sin_y * sin_p * cos_r,
+        ),
+        axis=1,
+    )
+    flip = np.where(real < 0, -1.0, 1.0)  # q and -q are one rotation; take the shorter way round
+    real, imaginary = real * flip, imaginary * flip[:, None]
+    sine = np.linalg.norm(imaginary, axis=1)
+    # angle / sin(angle / 2) tends to 2 where the head does not turn at all.
+    scale = np.where(sine > 1e-12, 2 * np.arctan2(sine, real) / np.maximum(sine, 1e-12), 2.0)
+    return (imaginary * scale[:, None]).astype(np.float32)
+
+
+def blend_rotations(
+    before: npt.NDArray[np.float32], after: npt.NDArray[np.float32], weight: float
+) -> npt.NDArray[np.float32]:
+    """Turn from one rotation vector towards another at constant speed, the shorter way (slerp).
+
+    Args:
+        before: Where the turn begins, radians. float32 ``[3]``.
+        after: Where it ends. float32 ``[3]``.
+        weight: 0 gives `before`, 1 gives `after`.
+
+    Returns:
+        A rotation vector. float32 ``[3]``.
+    """
+    first, second = _quaternion(before), _quaternion(after)
+    cosine = sum(a * b for a, b in zip(first, second, strict=True))
+    if cosine < 0:
+        cosine, second = -cosine, (-second[0], -second[1], -second[2], -second[3])
+    angle = math.acos(min(cosine, 1.0))
+    if angle < 1e-4:  # below this a straight line is exact in float32, and sin(angle) is not safe
+        share, rest = weight, 1 - weight
+    else:
+        share = math.sin(weight * angle) / math.sin(angle)
+        rest = math.sin((1 - weight) * angle) / math.sin(angle)
+    real, *imaginary = (rest * a + share * b for a, b in zip(first, second, strict=True))
+    if real < 0:  # an angle above π is the rest of the turn, the other way round
+        real, imaginary = -real, [-part for part in imaginary]
+    sine = math.hypot(*imaginary)
+    scale = 2 * math.atan2(sine, real) / sine if sine > 1e-12 else 2.0
+    return np.array([scale * part for part in imaginary], np.float32)
+
+
+def _quaternion(vector: npt.NDArray[np.float32]) -> tuple[float, float, float, float]:
+    """The unit quaternion (real part first) of a rotation vector."""
+    x, y, z = vector.tolist()
+    angle = math.hypot(x, y, z)
+    scale = math.sin(angle / 2) / angle if angle > 1e-12 else 0.5
+    return math.cos(angle / 2), scale * x, scale * y, scale * z
