@@ -1,0 +1,1 @@
+"""Sender and receiver: sources, playout, decoding, drawing, and the shells around them."""

@@ -1,0 +1,148 @@
+"""The avatars a client knows: those that ship with the package, and files the user names.
+
+An avatar travels as the SHA-256 of its file; who has the file, has the avatar. Files are hashed
+when a library is made and loaded when they are first asked for, in a thread: loading takes a tenth
+of a second, in which neither network nor display may stand still.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from importlib import resources
+from pathlib import Path
+from typing import Protocol
+
+from pica_client.errors import AvatarLookupError
+from pica_core.avatar_file import Avatar, avatar_id, load_avatar
+
+SUFFIX = ".pica"
+
+
+class AvatarStore(Protocol):
+    """Where a call finds avatars by hash; any thread may ask."""
+
+    def has(self, identity: str) -> bool:
+        """Whether `get` will give this avatar, now or later."""
+        ...
+
+    def get(self, identity: str) -> Avatar | None:
+        """The avatar, or None while it is being loaded, or for ever if it is unknown.
+
+        Raises:
+            AvatarFileError: The file is there and must not be used.
+        """
+        ...
+
+
+def shipped_avatar_files() -> list[Path]:
+    """The avatar files inside the package, by name."""
+    folder = resources.files("pica_core") / "avatars"
+    files = [Path(str(item)) for item in folder.iterdir() if item.name.endswith(SUFFIX)]
+    return sorted(files)
+
+
+class AvatarLibrary:
+    """Avatars in files: the shipped ones first, then those given."""
+
+    def __init__(
+        self,
+        files: Iterable[Path] = (),
+        folder: Path | None = None,
+        *,
+        shipped: Iterable[Path] | None = None,
+    ) -> None:
+        """Hash all files.
+
+        Args:
+            files: Avatar files.
+            folder: A folder whose ``*.pica`` files are known too.
+            shipped: Instead of the package's own; for tests.
+
+        Raises:
+            AvatarFileError: A file cannot be read.
+            AvatarLookupError: The folder is none.
+        """
+        paths = [*(shipped_avatar_files() if shipped is None else shipped), *files]
+        if folder is not None:
+            if not folder.is_dir():
+                raise AvatarLookupError(f"avatar folder {folder} is not there")
+            paths += sorted(folder.glob(f"*{SUFFIX}"))
+        self._paths: dict[str, Path] = {}
+        for path in paths:
+            self._paths.setdefault(avatar_id(path), path)
+        self._loading: dict[str, Future[Avatar]] = {}
+        self._lock = threading.Lock()
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="avatars")
+
+    @property
+    def names(self) -> list[str]:
+        """Names that `find` knows: file names without suffix."""
+        return [path.stem for path in self._paths.values()]
+
+    def find(self, name: str) -> str:
+        """The hash of an avatar by its name or its file.
+
+        Raises:
+            AvatarLookupError: Neither; names the known ones.
+            AvatarFileError: The file cannot be read.
+        """
+        for identity, path in self._paths.items():
+            if path.stem == name:
+                return identity
+        path = Path(name).expanduser()
+        if path.suffix != SUFFIX:
+            known = ", ".join(self.names) or "none"
+            raise AvatarLookupError(
+                f"avatar {name!r} is unknown; shipped are: {known}; or give a {SUFFIX} file"
+            )
+        identity = avatar_id(path)
+        self._paths.setdefault(identity, path)
+        return identity
+
+    def has(self, identity: str) -> bool:
+        """See `AvatarStore.has`."""
+        return identity in self._paths
+
+    def get(self, identity: str) -> Avatar | None:
+        """See `AvatarStore.get`."""
+        path = self._paths.get(identity)
+        if path is None:
+            return None
+        with self._lock:
+            future = self._loading.get(identity)
+            if future is None:
+                future = self._loading[identity] = self._pool.submit(load_avatar, path)
+        return future.result() if future.done() else None
+
+    def load(self, identity: str) -> Avatar:
+        """The avatar, waiting for it.
+
+        Raises:
+            AvatarFileError: It must not be used.
+            AvatarLookupError: Nobody has it.
+        """
+        if not self.has(identity):
+            raise AvatarLookupError(f"no avatar file with the hash {identity[:12]}…")
+        self.get(identity)
+        return self._loading[identity].result()
+
+    def close(self) -> None:
+        """End the loading thread."""
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+
+class LoadedAvatars:
+    """Avatars that are in memory already, by hash."""
+
+    def __init__(self, avatars: Mapping[str, Avatar]) -> None:
+        self._avatars = dict(avatars)
+
+    def has(self, identity: str) -> bool:
+        """See `AvatarStore.has`."""
+        return identity in self._avatars
+
+    def get(self, identity: str) -> Avatar | None:
+        """See `AvatarStore.get`."""
+        return self._avatars.get(identity)

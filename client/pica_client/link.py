@@ -1,0 +1,382 @@
+"""The way to the relay: one websocket after the other, each with a session on top.
+
+The shell around `pica_protocol.session.ClientSession`. It connects, joins, hands events to its
+owner, sends what waits, and comes back by itself when the relay goes away. It keeps nothing for
+later: a frame offered while nobody listens is refused, because a late face is worse than none.
+
+Time is that of the event loop, which for asyncio's own loops is `time.monotonic`. On one machine
+all processes share that clock (Linux CLOCK_MONOTONIC, macOS and Windows likewise), so benches there
+may subtract a sender's capture times from a receiver's clock. Across machines nobody may.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import ipaddress
+import logging
+import random
+import socket
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from typing import Final
+from urllib.parse import urlsplit
+
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import (
+    ConnectionClosed,
+    InvalidHandshake,
+    InvalidMessage,
+    InvalidStatus,
+    InvalidURI,
+)
+
+from pica_client.backoff import Backoff, BackoffConfig
+from pica_client.errors import OptionError, RelayRefusedError, RelayUnreachableError
+from pica_client.stats import wire_bytes
+from pica_protocol import SUBPROTOCOL
+from pica_protocol.errors import CloseCode, is_worth_retrying
+from pica_protocol.limits import MAX_CONTROL_BYTES, check_text, check_token
+from pica_protocol.messages import Joined, Report, Track
+from pica_protocol.session import ClientEvent, ClientSession, Closed, State
+
+_log = logging.getLogger(__name__)
+
+Connector = Callable[[], Awaitable[ClientConnection]]
+EventHandler = Callable[[ClientEvent, float], None]
+
+SOFTWARE: Final = "pica-telepresence"
+CLOSE_TIMEOUT_S: Final = 1.0
+"""For the goodbyes of a websocket; a relay that is gone does not answer them."""
+PING_INTERVAL_S: Final = 5.0
+PING_TIMEOUT_S: Final = 10.0
+"""A relay that says nothing for 15 s is gone, even when its socket is not (chosen)."""
+MAX_UNSENT_BYTES: Final = 4096
+"""In websocket and kernel before frames begin to replace each other: about ten frames (chosen:
+latest-only does not work behind a deep buffer)."""
+MAX_QUEUED_MESSAGES: Final = 16
+"""Websocket messages read ahead of us; then the network is told to wait."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LinkConfig:
+    """Where to connect, as whom, and how patiently."""
+
+    url: str = "ws://127.0.0.1:8765"
+    """Address of the relay, ws:// or wss://."""
+    room: str = "lobby"
+    """Room to join: 1 to 64 of A-Z a-z 0-9 _ . -"""
+    name: str = "guest"
+    """Name shown to the others."""
+    connect_timeout_s: float | None = 3.0
+    """How long to try the first time before giving up, seconds; None tries for ever."""
+    backoff: BackoffConfig = field(default_factory=BackoffConfig)
+
+    def __post_init__(self) -> None:
+        try:
+            parts = urlsplit(self.url)
+            usable = parts.scheme in ("ws", "wss") and bool(parts.hostname) and parts.port != 0
+        except ValueError:
+            usable = False
+        if not usable:
+            raise OptionError(f"url {self.url!r} is no relay address; write ws://HOST:PORT")
+        try:
+            check_token("room", self.room)
+            check_text("name", self.name, 64, required=True)
+        except ValueError as error:
+            raise OptionError(str(error)) from error
+
+
+@dataclass(kw_only=True, slots=True)
+class LinkCounters:
+    """What went over the link since it was made."""
+
+    connects: int = 0
+    errors: int = 0
+    """Connections that ended because somebody broke the protocol."""
+    sent_messages: int = 0
+    sent_wire_bytes: int = 0
+    """With all that lies around a message, see `stats.wire_bytes`."""
+    received_messages: int = 0
+    received_wire_bytes: int = 0
+    frames_replaced: int = 0
+    """Frames overtaken by a newer one before the socket took them."""
+
+
+class Link:
+    """A connection to the relay that comes back by itself.
+
+    Attributes:
+        counters: What went over it.
+        last_closed: How the latest connection ended, or None.
+    """
+
+    def __init__(
+        self,
+        config: LinkConfig,
+        tracks: tuple[Track, ...] = (),
+        *,
+        on_event: EventHandler | None = None,
+        connector: Connector | None = None,
+        rng: random.Random | None = None,
+    ) -> None:
+        """Prepare; `run` does the work.
+
+        Args:
+            config: Where to and as whom.
+            tracks: What we publish.
+            on_event: Called on the event loop for every event of every session, if given.
+            connector: Opens one websocket; a plain TCP or TLS connection to `config.url` by
+                default.
+            rng: Spreads reconnects; seeded by tests.
+        """
+        self.config = config
+        self.counters = LinkCounters()
+        self.last_closed: Closed | None = None
+        self._tracks = tracks
+        self._on_event = on_event
+        self._connector = connector or (lambda: open_websocket(config.url))
+        self._backoff = Backoff((rng or random.Random()).random, config.backoff)
+        self._session: ClientSession | None = None
+        self._wake = asyncio.Event()
+        self._is_leaving = False
+
+    @property
+    def is_joined(self) -> bool:
+        """Whether frames can be sent right now."""
+        return self._session is not None and self._session.state is State.JOINED
+
+    @property
+    def reconnects(self) -> int:
+        """How often the link came back."""
+        return max(self.counters.connects - 1, 0)
+
+    def send_frame(self, payload: bytes, captured_us: int) -> bool:
+        """Offer a frame of our first track.
+
+        Returns:
+            False while not joined; the frame is gone then.
+        """
+        if self._session is None or not self.is_joined:
+            return False
+        self._session.send_frame(payload, captured_us, is_keyframe=True)
+        self._wake.set()
+        return True
+
+    def report(self, report: Report) -> None:
+        """Tell the relay how streams arrived, if it is there."""
+        if self._session is not None and self.is_joined:
+            self._session.report(report)
+            self._wake.set()
+
+    def leave(self) -> None:
+        """Make `run` go in good order and return."""
+        self._is_leaving = True
+        self._wake.set()
+
+    async def run(self) -> None:
+        """Connect and stay connected until `leave`.
+
+        Raises:
+            RelayUnreachableError: Nobody answered within the first connect timeout.
+            RelayRefusedError: The relay, or what answers there, will not have us.
+        """
+        loop = asyncio.get_running_loop()
+        limit_s = self.config.connect_timeout_s
+        give_up_s = None if limit_s is None else loop.time() + limit_s
+        while not self._is_leaving:
+            before_first = self.counters.connects == 0
+            joined_s = None
+            try:
+                async with asyncio.timeout_at(give_up_s if before_first else None):
+                    websocket = await self._connect_or_leave()
+            except (OSError, TimeoutError, InvalidHandshake, EOFError) as error:
+                reason = _refusal(error)
+                if reason is not None:
+                    raise RelayRefusedError(f"{self.config.url}: {reason}") from error
+                _log.debug("relay not reached", extra={"error": type(error).__name__})
+            else:
+                if websocket is None:
+                    return
+                joined_s = await self._talk(websocket)
+            if self._is_leaving:
+                return
+            lasted_s = 0.0 if joined_s is None else loop.time() - joined_s
+            wait_s = self._backoff.next_wait_s(lasted_s)
+            was_never_there = self.counters.connects == 0
+            if was_never_there and give_up_s is not None and loop.time() + wait_s >= give_up_s:
+                raise RelayUnreachableError(
+                    f"no relay answers at {self.config.url} (tried for {limit_s:g} s); "
+                    "start one with `pica relay`, or wait for it with --wait"
+                )
+            await self._sleep(wait_s)
+
+    async def _connect_or_leave(self) -> ClientConnection | None:
+        """Open a websocket, unless `leave` is called first."""
+        connecting = asyncio.ensure_future(self._connector())
+        leaving = asyncio.ensure_future(self._until_leaving())
+        try:
+            await asyncio.wait({connecting, leaving}, return_when=asyncio.FIRST_COMPLETED)
+            return await connecting if connecting.done() else None
+        finally:
+            for task in (connecting, leaving):
+                task.cancel()
+            await asyncio.gather(connecting, leaving, return_exceptions=True)
+
+    async def _until_leaving(self) -> None:
+        while not self._is_leaving:
+            self._wake.clear()
+            await self._wake.wait()
+
+    async def _sleep(self, wait_s: float) -> None:
+        try:
+            async with asyncio.timeout(wait_s):
+                await self._until_leaving()
+        except TimeoutError:
+            pass
+
+    async def _talk(self, websocket: ClientConnection) -> float | None:
+        """One connection from its first byte to its last.
+
+        Returns:
+            When it joined the room, or None if it never did.
+        """
+        loop = asyncio.get_running_loop()
+        session = ClientSession(
+            room=self.config.room,
+            name=self.config.name,
+            tracks=self._tracks,
+            software=SOFTWARE,
+            now=loop.time(),
+        )
+        self._session = session
+        joined_s: float | None = None
+
+        def handle(events: list[ClientEvent], now: float) -> None:
+            nonlocal joined_s
+            for event in events:
+                if isinstance(event, Joined):
+                    joined_s = now
+                    self.counters.connects += 1
+                if self._on_event is not None:
+                    self._on_event(event, now)
+
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._write(session, websocket))
+                await self._read(session, websocket, handle)
+                self._wake.set()  # let the writer see that it is over
+        finally:
+            self._session = None
+            self.counters.frames_replaced += session.frames_replaced
+            # In case we are cancelled: no socket outlives its link.
+            websocket.transport.abort()
+        closed = session.closed
+        self.last_closed = closed
+        if closed is not None and not self._is_leaving:
+            self._judge(closed)
+        return joined_s
+
+    async def _read(
+        self,
+        session: ClientSession,
+        websocket: ClientConnection,
+        handle: Callable[[list[ClientEvent], float], None],
+    ) -> None:
+        """Feed the session until it is over."""
+        loop = asyncio.get_running_loop()
+        while session.closed is None:
+            try:
+                async with asyncio.timeout_at(session.next_timer()):
+                    data = await websocket.recv()
+            except TimeoutError:
+                handle(session.handle_timer(loop.time()), loop.time())
+            except ConnectionClosed as error:
+                code, reason = CloseCode.CONNECTION_LOST, ""
+                if error.rcvd is not None:
+                    code, reason = error.rcvd.code, error.rcvd.reason  # type: ignore[assignment]
+                handle(session.receive_close(code, reason, loop.time()), loop.time())
+            else:
+                self.counters.received_messages += 1
+                self.counters.received_wire_bytes += wire_bytes(len(data), is_masked=False)
+                handle(session.receive_data(data, loop.time()), loop.time())
+            self._wake.set()
+
+    async def _write(self, session: ClientSession, websocket: ClientConnection) -> None:
+        """Drain the session into the socket until one of them is over, then close the socket."""
+        loop = asyncio.get_running_loop()
+        try:
+            while True:
+                self._wake.clear()
+                if self._is_leaving:
+                    session.leave(loop.time())
+                for message in session.messages_to_send(loop.time()):
+                    self.counters.sent_messages += 1
+                    self.counters.sent_wire_bytes += wire_bytes(len(message), is_masked=True)
+                    await websocket.send(message)
+                if session.closed is not None or session.state is State.LEAVING:
+                    break
+                await self._wake.wait()
+        except ConnectionClosed:
+            return  # the reader hears of it too, and tells the session
+        closed = session.closed
+        if closed is None or closed.code in (CloseCode.CONNECTION_LOST, 1005):
+            await websocket.close(CloseCode.NORMAL)
+        else:
+            await websocket.close(closed.code, closed.reason)
+
+    def _judge(self, closed: Closed) -> None:
+        """Raise if coming back cannot help."""
+        broken = closed.code in (CloseCode.MALFORMED, CloseCode.UNEXPECTED_MESSAGE)
+        self.counters.errors += broken
+        if is_worth_retrying(closed.code) or (broken and not closed.is_remote):
+            # What we could not read may have been a passing fault of the relay: try again, slower.
+            _log.info("connection to the relay ended", extra={"code": closed.code})
+            return
+        raise RelayRefusedError(
+            f"{self.config.url}: the relay said no: {closed.reason or 'no reason'} "
+            f"(code {closed.code})"
+        )
+
+
+async def open_websocket(url: str) -> ClientConnection:
+    """Open a websocket to a relay with our settings, small buffers among them."""
+    host = urlsplit(url).hostname or ""
+    websocket = await connect(
+        url,
+        subprotocols=[SUBPROTOCOL],  # type: ignore[list-item]
+        compression=None,
+        max_size=MAX_CONTROL_BYTES,
+        max_queue=MAX_QUEUED_MESSAGES,
+        write_limit=MAX_UNSENT_BYTES,
+        ping_interval=PING_INTERVAL_S,
+        ping_timeout=PING_TIMEOUT_S,
+        close_timeout=CLOSE_TIMEOUT_S,
+        open_timeout=5.0,
+        proxy=None if _is_loopback(host) else True,
+        user_agent_header=SOFTWARE,
+    )
+    raw = websocket.transport.get_extra_info("socket")
+    option = getattr(socket, "TCP_NOTSENT_LOWAT", None)
+    if raw is not None and option is not None and raw.family != getattr(socket, "AF_UNIX", None):
+        raw.setsockopt(socket.IPPROTO_TCP, option, MAX_UNSENT_BYTES)
+    return websocket
+
+
+def _is_loopback(host: str) -> bool:
+    """Whether a proxy from the environment must not get in the way."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _refusal(error: BaseException) -> str | None:
+    """Why trying again cannot help, or None if it may."""
+    if isinstance(error, InvalidURI):
+        return f"is no websocket address ({error})"
+    if isinstance(error, InvalidStatus):
+        status = error.response.status_code
+        return None if status in (429, 502, 503, 504) else f"answers HTTP {status}, not as a relay"
+    if isinstance(error, InvalidHandshake) and not isinstance(error, InvalidMessage):
+        return f"is no PiCA relay of this version ({error})"
+    return None

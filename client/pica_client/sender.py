@@ -1,0 +1,171 @@
+"""The sending half of a call: source -> expression encoder -> payload -> frame, at a steady rate.
+
+A shell: it owns the schedule and the link. Encoding takes a fraction of a millisecond and so runs
+on the event loop itself; a thread would cost more than it saves.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import time
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+from pica_client.errors import OptionError
+from pica_client.link import Connector, Link, LinkConfig
+from pica_client.pacer import Pacer
+from pica_client.sources import Source
+from pica_client.stats import Samples
+from pica_core.avatar_file import Avatar
+from pica_core.expression_encoder import ExpressionEncoder
+from pica_core.latent_stream import LatentProfile, encode_latent
+from pica_protocol.messages import Track
+
+FACE_TRACK = "face"
+"""Kind of the tracks whose payloads are latents."""
+MAX_LOGGED_FRAMES = 100_000
+"""Encoding times kept for a latency analysis: 55 minutes at 30 a second."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SenderConfig:
+    """How fast and how long to send."""
+
+    fps: float = 30.0
+    """Frames a second."""
+    seconds: float = 0.0
+    """How long to send, counted from the first frame; 0 is until stopped."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.fps <= 240:
+            raise OptionError(f"fps is {self.fps:g}; 1 to 240 is allowed")
+        if not self.seconds >= 0:
+            raise OptionError(f"seconds is {self.seconds:g}; 0 (for ever) or more is allowed")
+
+
+class Sender:
+    """One sender; `run` it, `stop` it.
+
+    Attributes:
+        frame_log: Capture time and encoding time of each frame sent, both in microseconds; drops
+            its oldest when full.
+    """
+
+    def __init__(
+        self,
+        config: SenderConfig,
+        link_config: LinkConfig,
+        source: Source,
+        avatar: Avatar,
+        avatar_identity: str,
+        *,
+        connector: Connector | None = None,
+        rng: random.Random | None = None,
+    ) -> None:
+        """Prepare; see `Link` for connector and rng."""
+        self.config = config
+        self.frame_log: deque[tuple[int, int]] = deque(maxlen=MAX_LOGGED_FRAMES)
+        self._source = source
+        self._encoder = ExpressionEncoder(avatar)
+        self._profile = LatentProfile.from_manifest(avatar.manifest)
+        track = Track(kind=FACE_TRACK, avatar=avatar_identity)
+        self._link = Link(link_config, (track,), connector=connector, rng=rng)
+        self._stopping = asyncio.Event()
+        self._encode = Samples()
+        self._first_sent_s: float | None = None
+        self._last_sent_s = 0.0
+        self._sent = self._unheard = self._faceless = self._payload_bytes = 0
+        self._skipped = 0
+
+    def stop(self) -> None:
+        """Make `run` leave the room and return."""
+        self._stopping.set()
+
+    async def run(self) -> dict[str, Any]:
+        """Send until `stop`, or for the configured time.
+
+        Returns:
+            The statistics, see `stats`.
+
+        Raises:
+            RelayError: The relay is not there, or will not have us.
+        """
+        pacing = asyncio.create_task(self._pace(), name="pacing")
+        linking = asyncio.create_task(self._link.run(), name="link")
+        try:
+            await asyncio.wait({pacing, linking}, return_when=asyncio.FIRST_COMPLETED)
+            if pacing.done():
+                pacing.result()
+                self._link.leave()
+            await linking
+        finally:
+            for task in (pacing, linking):
+                task.cancel()
+            await asyncio.gather(pacing, linking, return_exceptions=True)
+        return self.stats()
+
+    def stats(self) -> dict[str, Any]:
+        """What was sent so far; rates are over the time from the first frame to the last."""
+        seconds = self._last_sent_s - (self._first_sent_s or 0.0)
+        counters = self._link.counters
+        return {
+            "name": self._link.config.name,
+            "seconds": round(seconds, 3),
+            "sent": self._sent,
+            "skipped": self._skipped,
+            "replaced": counters.frames_replaced,
+            "not_connected": self._unheard,
+            "without_face": self._faceless,
+            "payload_bytes": self._payload_bytes,
+            "wire_bytes": counters.sent_wire_bytes,
+            "payload_bps": round(self._payload_bytes * 8 / seconds) if seconds else None,
+            "wire_bps": round(counters.sent_wire_bytes * 8 / seconds) if seconds else None,
+            "encode_ms": self._encode.summary_ms(),
+            "reconnects": self._link.reconnects,
+            "errors": counters.errors,
+        }
+
+    async def _pace(self) -> None:
+        loop = asyncio.get_running_loop()
+        begin_s = loop.time()
+        pacer = Pacer(self.config.fps, begin_s)
+        while not self._stopping.is_set():
+            now = loop.time()
+            if now < pacer.due_s:
+                try:
+                    async with asyncio.timeout_at(pacer.due_s):
+                        await self._stopping.wait()
+                except TimeoutError:
+                    continue
+                return
+            if self._first_sent_s is not None and 0 < self.config.seconds <= (
+                now - self._first_sent_s
+            ):
+                return
+            self._send_face(now - begin_s, now)
+            pacer.advance(loop.time())
+            self._skipped = pacer.num_skipped
+
+    def _send_face(self, time_s: float, now: float) -> None:
+        """Sample, encode and offer one face."""
+        if not self._link.is_joined:
+            self._unheard += 1
+            return
+        began_s = time.perf_counter()
+        frame = self._source.frame_at(time_s)
+        if not frame.has_face:
+            self._faceless += 1  # nothing to say: the receivers see the stream fall silent
+            return
+        latent = self._encoder.encode(frame.arkit)
+        payload = encode_latent(latent, frame.rotation, frame.translation_m, self._profile)
+        encode_s = time.perf_counter() - began_s
+        captured_us = round(now * 1e6)
+        if self._link.send_frame(payload, captured_us):
+            self._first_sent_s = now if self._first_sent_s is None else self._first_sent_s
+            self._last_sent_s = now
+            self._sent += 1
+            self._payload_bytes += len(payload)
+            self._encode.add(encode_s)
+            self.frame_log.append((captured_us, round(encode_s * 1e6)))
