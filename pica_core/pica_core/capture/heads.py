@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.arkit import ARKIT_INDEX, NUM_ARKIT
-from pica_core.capture.hair import build_hair
+from pica_core.capture.hair import build_hair, hairline
 from pica_core.capture.identity import Identity, get_identity
 from pica_core.capture.layout import EYE_ROW, MOUTH_ROW, Chart, build_charts
 from pica_core.capture.lids import LidPose, Lids
@@ -30,7 +30,7 @@ from pica_core.capture.skin import (
     build_skin,
     smoothstep,
 )
-from pica_core.capture.surface import HeadField
+from pica_core.capture.surface import EYE_Y, HeadField
 from pica_core.errors import ShapeError
 
 FloatArray = npt.NDArray[np.float32]
@@ -83,6 +83,7 @@ class Head:
         regions: Named vertex sets, bool ``[V]`` each: face, lips, lids, mouth_interior, eyeballs, teeth, tongue, ears,
             neck, scalp, hair, collar; ``mouth`` and ``eyes`` join what moves together; ``left`` is the subject's
             left half.
+        landmarks: Lateral positions and heights of features, head frame, mm.
         coordinates: What the appearance is written in.
     """
 
@@ -110,6 +111,14 @@ class Head:
         self._jaw, self._jaw_closed = self._jaw_weights(field)
         self._fields = self._motion.fields.reshape(NUM_ARKIT, -1).astype(np.float32)
         self._incident, self._weld = self._normal_tables()
+        self.landmarks: dict[str, float] = {
+            "eye_x": 0.5 * face.eye_distance,
+            "brow_y": EYE_Y + face.brow_height,
+            "nose_y": field.subnasale_y,
+            "mouth_y": field.mouth_y,
+            "chin_y": field.chin_y,
+            "mouth_half": skin.mouth_half,
+        }
         neutral = self.vertices(np.zeros(NUM_ARKIT, np.float32))
         self.coordinates = self._coordinates(neutral, skin)
         self.regions = self._regions(neutral)
@@ -298,10 +307,12 @@ class Head:
                 inner, outer = skin.eye_corners
                 beyond = np.maximum(np.maximum(inner - x, x - outer), 0.0)
                 steps = np.where(row <= EYE_ROW, row - EYE_ROW, row - EYE_ROW - 1)
-                signed = steps - np.sign(steps + 0.5 * (row > EYE_ROW) - 0.25) * 0.0
-                lid = signed + np.where(row <= EYE_ROW, -1, 1) * beyond * 1.3
+                lid = steps + np.where(row <= EYE_ROW, -1, 1) * beyond * 1.3
                 near = skin.points[..., 2].ravel() > 40
                 local[chart.span, 1] = np.where(near, np.clip(lid, -30, 30), 30.0)
+                azimuth = np.arctan2(skin.points[..., 0].ravel(), skin.points[..., 2].ravel())
+                above = skin.points[..., 1].ravel() - hairline(self.identity, azimuth)
+                local[chart.span, 2] = np.clip(above / 20.0, -1.0, 1.0)
             elif name.startswith("eye"):
                 side = 1.0 if name == "eye_left" else -1.0
                 centre = self._eye_centre * [side, 1, 1]

@@ -1,0 +1,92 @@
+"""`pica capture synth` and `pica capture sheet`."""
+
+from __future__ import annotations
+
+import re
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from pica_core.capture.sheet import write_sheet
+from pica_core.capture.synth import StageOptions, render_capture
+from pica_core.errors import CaptureError
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SynthOptions:
+    """Render a built-in head on the synthetic stage into a capture directory."""
+
+    out: Path
+    """Directory to fill; an interrupted render of the same options is continued."""
+    head: str = "S1"
+    """Identity."""
+    frames: int = 64
+    """Frames in all."""
+    cameras: int = 8
+    """Cameras; the first five are the evaluation views front, left, right, up, down."""
+    size: str = "512x384"
+    """Image size, columns x rows, pixels."""
+    texture_size: int = 256
+    """Side of the average textures, texels."""
+    seed: int = 0
+    """Fixes the performance."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SheetOptions:
+    """Draw a contact sheet of a capture."""
+
+    capture: Annotated[Path, tyro.conf.Positional]
+    """Capture directory."""
+    out: Path
+    """PNG to write."""
+
+
+def _size(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    if found is None:
+        raise CaptureError(f"size is {text!r}; columns x rows such as 512x384 is needed")
+    return int(found.group(1)), int(found.group(2))
+
+
+def synth(options: SynthOptions) -> dict[str, Any]:
+    """Run `pica capture synth`."""
+    width, height = _size(options.size)
+    stage = StageOptions(
+        head=options.head,
+        frames=options.frames,
+        cameras=options.cameras,
+        width=width,
+        height=height,
+        texture_size=options.texture_size,
+        seed=options.seed,
+    )
+    started = time.monotonic()
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("rendering"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("frames"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task("render", total=options.frames)
+        counts = render_capture(
+            stage, options.out, lambda done, total: bar.update(task, completed=done, total=total)
+        )
+    seconds = time.monotonic() - started
+    console.print(f"{counts['images']} images of {options.head} in {options.out}, {seconds:.1f} s")
+    return {"out": str(options.out), "seconds": round(seconds, 3), **counts}
+
+
+def sheet(options: SheetOptions) -> dict[str, Any]:
+    """Run `pica capture sheet`."""
+    result = write_sheet(options.capture, options.out)
+    Console(stderr=True).print(f"contact sheet in {options.out}")
+    return result

@@ -1,0 +1,166 @@
+"""The files of a capture in the Multiface layout, and our additions: names and small text formats in one place.
+
+    KRT                                   cameras: name / 3 lines K / 1 line distortion / 3 lines [R|t] in mm / blank
+    frame_list.txt                        "SEGMENT FRAME" per line
+    images/SEG/CAM/FRAME.png              sRGB 8 bit
+    tracked_mesh/SEG/FRAME.bin            float32 [V, 3], head frame, mm
+    tracked_mesh/SEG/FRAME_transform.txt  3x4 head-to-world, mm
+    unwrapped_uv_SIZE/SEG/average/FRAME.png   upside down, as in the original
+    tex_mean.png (upside down), tex_var.txt, vert_mean.bin, vert_var.txt
+  additions
+    depth/SEG/CAM/FRAME.png               16 bit, 0.1 mm along the camera axis, 0 = empty
+    mask/SEG/CAM/FRAME.png                8 bit, 0 = background, else material id + 1
+    expressions.csv                       segment, frame, split, 52 ARKit values
+    capture.json                          units, source, licence, split, sizes, topology
+    topology.npz                          vertex_uv, faces, region masks
+
+Layout source: the published description of the Multiface dataset (Wuu et al. 2022, arXiv 2207.11243).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pica_core.camera import Camera
+from pica_core.errors import CaptureError
+
+KRT = "KRT"
+FRAME_LIST = "frame_list.txt"
+EXPRESSIONS = "expressions.csv"
+CAPTURE = "capture.json"
+TOPOLOGY = "topology.npz"
+SCHEMA = 1
+DEPTH_UNIT_M = 0.0001
+MILLIMETRES = 1000.0
+
+
+def image_path(kind: str, segment: str, camera: str, frame: str) -> Path:
+    """Relative path of an ``images``, ``depth`` or ``mask`` file."""
+    return Path(kind) / segment / camera / f"{frame}.png"
+
+
+def mesh_path(segment: str, frame: str) -> Path:
+    """Relative path of a tracked mesh."""
+    return Path("tracked_mesh") / segment / f"{frame}.bin"
+
+
+def transform_path(segment: str, frame: str) -> Path:
+    """Relative path of a frame's head-to-world transform."""
+    return Path("tracked_mesh") / segment / f"{frame}_transform.txt"
+
+
+def texture_path(size: int, segment: str, frame: str) -> Path:
+    """Relative path of an average texture."""
+    return Path(f"unwrapped_uv_{size}") / segment / "average" / f"{frame}.png"
+
+
+def write_aside(path: Path, data: bytes) -> None:
+    """Write a file under another name and rename it, so that a half-written file never has the real name.
+
+    Raises:
+        CaptureError: The file system refuses (full, read only); names the file.
+    """
+    aside = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        aside.write_bytes(data)
+        os.replace(aside, path)
+    except OSError as error:
+        aside.unlink(missing_ok=True)
+        raise CaptureError(f"{path}: cannot write ({error.strerror or error})") from error
+
+
+def krt_text(cameras: Iterable[Camera]) -> str:
+    """Cameras as a KRT file; translations in mm."""
+    lines: list[str] = []
+    for camera in cameras:
+        lines.append(camera.name)
+        lines += [" ".join(repr(float(v)) for v in row) for row in camera.intrinsics]
+        lines.append("0 0 0 0 0")
+        rt = np.concatenate([camera.rotation, MILLIMETRES * camera.translation_m[:, None]], 1)
+        lines += [" ".join(repr(float(v)) for v in row) for row in rt]
+        lines.append("")
+    return "\n".join(lines) + "\n"
+
+
+def read_krt(path: Path, width: int, height: int) -> tuple[Camera, ...]:
+    """Read a KRT file.
+
+    Args:
+        path: The file.
+        width: Image columns; KRT does not hold the size.
+        height: Image rows.
+
+    Raises:
+        CaptureError: Missing, not text, a block cut short, or numbers that are none; names file and line.
+    """
+    lines = [line.strip() for line in read_text(path).split("\n")]
+    cameras: list[Camera] = []
+    at = 0
+    while at < len(lines):
+        if not lines[at]:
+            at += 1
+            continue
+        name = lines[at]
+        rows: list[list[float]] = []
+        for offset, wanted in enumerate((3, 3, 3, 5, 4, 4, 4), start=1):
+            text = lines[at + offset] if at + offset < len(lines) else ""
+            try:
+                values = [float(word) for word in text.split()]
+            except ValueError:
+                values = []
+            if len(values) != wanted or not np.isfinite(values).all():
+                raise CaptureError(
+                    f"{path}:{at + offset + 1}: camera {name}: {wanted} numbers are needed, found {text!r}"
+                )
+            rows.append(values)
+        matrix = np.array(rows[4:7])
+        cameras.append(
+            Camera(
+                name=name,
+                intrinsics=np.array(rows[:3]),
+                rotation=matrix[:, :3].copy(),
+                translation_m=matrix[:, 3] / MILLIMETRES,
+                width=width,
+                height=height,
+            )
+        )
+        at += 8
+    if not cameras:
+        raise CaptureError(f"{path}: no camera in the file")
+    return tuple(cameras)
+
+
+def read_text(path: Path) -> str:
+    """A text file of a capture.
+
+    Raises:
+        CaptureError: Missing, unreadable or not UTF-8.
+    """
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise CaptureError(f"{path}: the file is missing") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise CaptureError(f"{path}: cannot read ({error})") from error
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A JSON map.
+
+    Raises:
+        CaptureError: Missing, or not a JSON map.
+    """
+    try:
+        value = json.loads(read_text(path))
+    except json.JSONDecodeError as error:
+        raise CaptureError(f"{path}: not JSON ({error})") from error
+    if not isinstance(value, dict):
+        raise CaptureError(f"{path}: a JSON map is needed")
+    return value

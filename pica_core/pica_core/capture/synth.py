@@ -1,0 +1,228 @@
+"""Render a built-in head on the stage into a capture directory.
+
+Files are written aside and renamed; `capture.json` comes last, so a directory with one is finished. A render that was
+interrupted goes on where it stopped: a frame counts as done when its tracked mesh, the last of its files, is there.
+The same options give the same bytes on the same GL driver.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from pica_core.arkit import ARKIT_NAMES
+from pica_core.capture import multiface
+from pica_core.capture.expressions import Take, sample_takes
+from pica_core.capture.gpu import StageRenderer
+from pica_core.capture.heads import MATERIALS, Head, make_head
+from pica_core.capture.layout import MAP_SIZE
+from pica_core.capture.stage import EVALUATION_VIEWS, dome_cameras
+from pica_core.errors import CaptureError
+
+ByteArray = npt.NDArray[np.uint8]
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StageOptions:
+    """What to render."""
+
+    head: str = "S1"
+    """Identity."""
+    frames: int = 64
+    """Frames in all."""
+    cameras: int = 8
+    """Cameras; the first five are the evaluation views."""
+    width: int = 512
+    """Image columns, pixels."""
+    height: int = 384
+    """Image rows, pixels."""
+    texture_size: int = 256
+    """Side of the average textures, texels."""
+    seed: int = 0
+    """Fixes the performance."""
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("frames", 4, 100_000),
+            ("cameras", 1, 100),
+            ("width", 16, 8192),
+            ("height", 16, 8192),
+            ("texture_size", 16, 4096),
+            ("seed", 0, 2**31),
+        ):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise CaptureError(f"{name} is {value}; allowed are {low} to {high}")
+
+
+def _png(array: npt.NDArray[Any]) -> bytes:
+    out = io.BytesIO()
+    Image.fromarray(array).save(out, "PNG", compress_level=1)
+    return out.getvalue()
+
+
+def _fingerprint(options: StageOptions) -> str:
+    return json.dumps({name: getattr(options, name) for name in options.__slots__}, sort_keys=True)
+
+
+def render_capture(options: StageOptions, out: Path, progress: Progress | None = None) -> dict[str, Any]:
+    """Render a capture.
+
+    Args:
+        options: What to render.
+        out: Directory to fill: new, empty, or an interrupted render of the same options.
+        progress: Called with frames done and frames in all.
+
+    Returns:
+        Counts: frames, cameras, images, train, test, resumed.
+
+    Raises:
+        CaptureError: `out` holds something else, or cannot be written.
+        GraphicsError: No GL context.
+    """
+    marker = out / "render.json"
+    if out.exists() and any(out.iterdir()):
+        if not marker.is_file() or marker.read_text(encoding="utf-8") != _fingerprint(options):
+            raise CaptureError(f"{out}: not empty, and no interrupted render of the same options")
+    multiface.write_aside(marker, _fingerprint(options).encode())
+    head = make_head(options.head)
+    cameras = dome_cameras(options.cameras, options.width, options.height)
+    takes = sample_takes(options.frames, options.seed)
+    multiface.write_aside(out / multiface.KRT, multiface.krt_text(cameras).encode())
+    _write_topology(head, out)
+    renderer: StageRenderer | None = None
+    resumed = done = 0
+    identity_transform = "1 0 0 0\n0 1 0 0\n0 0 1 0\n"
+    sums = _Sums()
+    for take in takes:
+        for index, arkit in enumerate(take.arkit):
+            frame = f"{index:06d}"
+            mesh = out / multiface.mesh_path(take.segment, frame)
+            texture_file = out / multiface.texture_path(options.texture_size, take.segment, frame)
+            if mesh.is_file() and texture_file.is_file():
+                resumed += 1
+                with Image.open(texture_file) as image:
+                    texture = np.asarray(image)
+                vertices_mm = np.frombuffer(mesh.read_bytes(), "<f4").reshape(-1, 3)
+            else:
+                if renderer is None:
+                    renderer = StageRenderer(head)
+                vertices_mm = (renderer.pose(arkit) * multiface.MILLIMETRES).astype("<f4")
+                views = []
+                for camera in cameras:
+                    view = renderer.draw(camera)
+                    views.append((camera, view))
+                    units = np.rint(view.depth_m / multiface.DEPTH_UNIT_M).astype(np.uint16)
+                    for kind, pixels in (("images", view.image), ("depth", units), ("mask", view.mask)):
+                        path = multiface.image_path(kind, take.segment, camera.name, frame)
+                        multiface.write_aside(out / path, _png(pixels))
+                unwrapped, _ = renderer.unwrap(views, options.texture_size)
+                texture = np.ascontiguousarray(unwrapped[::-1])
+                multiface.write_aside(texture_file, _png(texture))
+                transform = out / multiface.transform_path(take.segment, frame)
+                multiface.write_aside(transform, identity_transform.encode())
+                multiface.write_aside(mesh, vertices_mm.tobytes())
+            if take.split == "train":
+                sums.add(vertices_mm, texture)
+            done += 1
+            if progress is not None:
+                progress(done, options.frames)
+    sums.write(out)
+    _write_tables(options, takes, out)
+    marker.unlink(missing_ok=True)
+    num_test = sum(len(take.arkit) for take in takes if take.split == "test")
+    return {
+        "frames": done,
+        "cameras": len(cameras),
+        "images": done * len(cameras),
+        "train": done - num_test,
+        "test": num_test,
+        "resumed": resumed,
+    }
+
+
+class _Sums:
+    """Running mean and variance of training meshes and textures."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.vertices: Any = 0.0
+        self.vertices_square: Any = 0.0
+        self.texture: Any = 0.0
+        self.texture_square: Any = 0.0
+
+    def add(self, vertices_mm: npt.NDArray[np.float32], texture: ByteArray) -> None:
+        v, t = vertices_mm.astype(np.float64), texture.astype(np.float64)
+        self.count += 1
+        self.vertices, self.vertices_square = self.vertices + v, self.vertices_square + v * v
+        self.texture, self.texture_square = self.texture + t, self.texture_square + t * t
+
+    def write(self, out: Path) -> None:
+        v, t = self.vertices / self.count, self.texture / self.count
+        multiface.write_aside(out / "vert_mean.bin", v.astype("<f4").tobytes())
+        multiface.write_aside(out / "tex_mean.png", _png(np.rint(t).astype(np.uint8)))
+        for name, square, mean in (
+            ("vert_var.txt", self.vertices_square, v),
+            ("tex_var.txt", self.texture_square, t),
+        ):
+            variance = float(np.mean(np.maximum(square / self.count - mean * mean, 0.0)))
+            multiface.write_aside(out / name, f"{variance:.9g}\n".encode())
+
+
+def _write_topology(head: Head, out: Path) -> None:
+    arrays: dict[str, Any] = {"vertex_uv": head.vertex_uv, "faces": head.faces}
+    arrays |= {f"region_{name}": mask for name, mask in head.regions.items()}
+    data = io.BytesIO()
+    np.savez(data, **arrays)  # fixed zip time stamps: the same bytes every time
+    multiface.write_aside(out / multiface.TOPOLOGY, data.getvalue())
+
+
+def _write_tables(options: StageOptions, takes: list[Take], out: Path) -> None:
+    lines = [",".join(("segment", "frame", "split", *ARKIT_NAMES))]
+    names = []
+    for take in takes:
+        for index, arkit in enumerate(take.arkit):
+            numbers = ",".join(f"{value:.6g}" for value in arkit)
+            lines.append(f"{take.segment},{index:06d},{take.split},{numbers}")
+            names.append(f"{take.segment} {index:06d}")
+    multiface.write_aside(out / multiface.EXPRESSIONS, ("\n".join(lines) + "\n").encode())
+    multiface.write_aside(out / multiface.FRAME_LIST, ("\n".join(names) + "\n").encode())
+    head = make_head(options.head)
+    info = {
+        "schema": multiface.SCHEMA,
+        "source": "synthetic: PiCA Telepresence built-in head; an invented person, not a capture of one",
+        "licence": "Apache-2.0",
+        "head": options.head,
+        "seed": options.seed,
+        "units": {"tracked_mesh": "mm", "KRT": "mm", "depth": "0.1 mm", "images": "sRGB 8 bit"},
+        "tracked_mesh": "exact synthetic mesh: the rendered surface itself, without a tracker's errors",
+        "width": options.width,
+        "height": options.height,
+        "texture_size": options.texture_size,
+        "position_map_size": MAP_SIZE,
+        "topology": multiface.TOPOLOGY,
+        "num_vertices": head.num_vertices,
+        "split": {
+            split: [take.segment for take in takes if take.split == split]
+            for split in ("train", "test")
+        },
+        "evaluation_views": [name for name in EVALUATION_VIEWS],
+        "mask": {"0": "background"} | {str(k + 1): name for k, name in enumerate(MATERIALS)},
+        "charts": {
+            name: {
+                "rows": [int(chart.rows[0]), int(chart.rows[-1])],
+                "columns": [int(chart.columns[0]), int(chart.columns[-1])],
+            }
+            for name, chart in head.charts.items()
+        },
+    }
+    multiface.write_aside(out / multiface.CAPTURE, json.dumps(info, indent=1).encode() + b"\n")
