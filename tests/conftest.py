@@ -1,0 +1,30 @@
+"""Rules that hold for every test."""
+
+import pytest
+from hypothesis import settings
+
+MARKS = {"unit", "call", "render", "train", "realtime", "gpu"}
+
+# The same examples in every run: a red build is red for the next person, too.
+settings.register_profile("repeatable", derandomize=True, deadline=None, print_blob=True)
+settings.load_profile("repeatable")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Refuse to run modules that do not say, with one mark, what they need."""
+    modules = {item.getparent(pytest.Module) for item in items}
+    unmarked = sorted(
+        module.nodeid
+        for module in modules
+        if module is not None and len(_declared_marks(module.obj)) != 1
+    )
+    if unmarked:
+        marks = ", ".join(sorted(MARKS))
+        raise pytest.UsageError(
+            f"each test module declares one pytestmark of {marks}: {', '.join(unmarked)}"
+        )
+
+
+def _declared_marks(module: object) -> set[str]:
+    marks = getattr(module, "pytestmark", [])
+    return {mark.name for mark in (marks if isinstance(marks, list) else [marks])} & MARKS

@@ -1,0 +1,318 @@
+"""The real relay and real websockets on a virtual clock."""
+
+import asyncio
+
+import pytest
+from websockets.asyncio.client import connect
+from websockets.exceptions import ConnectionClosed
+
+from pica_protocol.codec import encode_message
+from pica_protocol.errors import CloseCode
+from pica_protocol.frames import Frame
+from pica_protocol.messages import Hello, KeyframeRequest, PeerJoined, PeerLeft
+from pica_protocol.session import Closed
+from pica_server.config import RelayConfig
+from pica_server.relay import Relay
+from simnet.clock import current_network, in_virtual_time
+from simnet.link import Link
+from simnet.peers import FACE, now, open_websocket, peer_in_room
+
+pytestmark = pytest.mark.call
+
+URL = "ws://relay:8765"
+
+
+@in_virtual_time
+async def test_a_frame_reaches_everybody_in_the_room_but_its_sender() -> None:
+    async with (
+        Relay(RelayConfig()),
+        peer_in_room(URL, "Ada") as ada,
+        peer_in_room(URL, "Bob") as bob,
+        peer_in_room(URL, "Cyd") as cyd,
+        peer_in_room(URL, "Dot", room="elsewhere") as dot,
+    ):
+        await ada.send_frame(b"hello")
+        await asyncio.sleep(0.001)
+        assert [frame.payload for _, frame in bob.arrivals] == [b"hello"]
+        assert [frame.payload for _, frame in cyd.arrivals] == [b"hello"]
+        assert ada.arrivals == dot.arrivals == []
+
+
+@in_virtual_time
+async def test_a_peer_learns_who_is_there_who_comes_and_who_goes() -> None:
+    async with Relay(RelayConfig()), peer_in_room(URL, "Ada") as ada:
+        async with peer_in_room(URL, "Bob") as bob:
+            assert [peer.name for peer in bob.session.peers.values()] == ["Ada"]
+            assert (await ada.until(PeerJoined)).peer.name == "Bob"
+        assert (await ada.until(PeerLeft)).reason == "left"
+        assert ada.session.peers == {}
+
+
+@in_virtual_time
+async def test_a_killed_publisher_is_reported_lost() -> None:
+    async with Relay(RelayConfig()), peer_in_room(URL, "Ada") as ada:
+        async with peer_in_room(URL, "Bob") as bob:
+            bob.websocket.transport.abort()
+            departure = await ada.until(PeerLeft)
+        assert departure == PeerLeft(peer_id=bob.session.peer_id, reason="lost")
+
+
+@in_virtual_time
+async def test_a_silent_peer_is_found_out_within_two_pings_and_the_closing_time() -> None:
+    config = RelayConfig(ping_interval_s=10, close_timeout_s=2)
+    async with (
+        Relay(config),
+        peer_in_room(URL, "Ada") as ada,
+        peer_in_room("ws://train:8765", "Bob") as bob,
+    ):
+        current_network().cut("train")
+        start = now()
+        await ada.until(PeerLeft)
+        assert now() - start == pytest.approx(22, abs=0.01)
+        bob.websocket.transport.abort()
+
+
+@in_virtual_time
+async def test_a_latecomer_sees_the_last_keyframe_at_once() -> None:
+    async with Relay(RelayConfig()), peer_in_room(URL, "Ada") as ada:
+        await ada.send_frame(b"old", is_keyframe=True)
+        await ada.send_frame(b"key", is_keyframe=True)
+        await ada.send_frame(b"delta", is_keyframe=False)
+        async with peer_in_room(URL, "Bob") as bob:
+            assert (await bob.until(Frame)).payload == b"key"
+
+
+@in_virtual_time
+async def test_a_keyframe_request_reaches_the_publisher_at_a_limited_rate() -> None:
+    async with (
+        Relay(RelayConfig(keyframe_interval_s=0.5)),
+        peer_in_room(URL, "Ada") as ada,
+        peer_in_room(URL, "Bob") as bob,
+    ):
+        stream = ada.session.tracks[0].stream
+        for _ in range(20):  # for two seconds
+            bob.session.request_keyframe(stream)
+            await bob.flush()
+            await asyncio.sleep(0.1)
+        assert ada.told(KeyframeRequest) == [KeyframeRequest(stream=stream)] * 4
+
+
+@in_virtual_time
+async def test_an_unwanted_stream_stops_and_comes_back() -> None:
+    async with (
+        Relay(RelayConfig()),
+        peer_in_room(URL, "Ada") as ada,
+        peer_in_room(URL, "Bob") as bob,
+    ):
+        stream = ada.session.tracks[0].stream
+        for layer, payload in ((None, b"unseen"), (0, b"seen")):
+            bob.session.want(stream, layer)
+            await bob.flush()
+            await asyncio.sleep(0.001)
+            await ada.send_frame(payload)
+        await asyncio.sleep(0.001)
+        assert [frame.payload for _, frame in bob.arrivals] == [b"seen"]
+
+
+@in_virtual_time
+async def test_a_slow_reader_gets_fewer_but_fresh_frames_and_costs_nobody_else_anything() -> None:
+    network = current_network()
+    network.route("modem", down=Link(rate_bps=16_000, window_bytes=2048))
+    async with (
+        Relay(RelayConfig()) as relay,
+        peer_in_room(URL, "Ada") as ada,
+        peer_in_room("ws://modem:8765", "Slow", tracks=()) as slow,
+        peer_in_room(URL, "Fast", tracks=()) as fast,
+    ):
+        await ada.publish(num_frames=600, fps=30, num_bytes=250)  # 64 kbit/s and headers
+        await asyncio.sleep(10)
+        assert len(fast.arrivals) == 600
+        assert max(fast.delays_s) < 0.001
+        assert 100 < len(slow.arrivals) < 200
+        # What the buffers hold (2 kB in the network, 4 kB in the transport) takes 3 s on this line.
+        assert max(slow.delays_s) < 3.5
+        sequences = [frame.sequence for _, frame in slow.arrivals]
+        assert sequences == sorted(set(sequences))
+        assert sequences[-1] == 599
+        stats = relay.stats()
+        assert stats["dropped"]["replaced"] == 600 - len(slow.arrivals)
+
+
+@in_virtual_time
+async def test_a_reader_that_stops_is_closed_and_nobody_else_notices() -> None:
+    current_network().route("stuck", down=Link(window_bytes=2048))
+    config = RelayConfig(stall_timeout_s=5, close_timeout_s=1)
+    async with (
+        Relay(config) as relay,
+        peer_in_room(URL, "Ada") as ada,
+        peer_in_room(URL, "Bob", tracks=()) as bob,
+        peer_in_room("ws://stuck:8765", "Stuck", tracks=()) as stuck,
+    ):
+        stuck.websocket.transport.pause_reading()
+        await ada.publish(num_frames=600, fps=30, num_bytes=250)
+        departure = await bob.until(PeerLeft)
+        await asyncio.sleep(0.001)
+        assert departure == PeerLeft(peer_id=stuck.session.peer_id, reason="removed")
+        assert len(bob.arrivals) == 600
+        assert max(bob.delays_s) < 0.001
+        assert relay.stats()["closed"] == {"4005": 1}
+
+
+@pytest.mark.parametrize(
+    ("garbage", "code"),
+    [
+        (b"garbage", CloseCode.MALFORMED),
+        (b"", CloseCode.MALFORMED),
+        ("text", CloseCode.MALFORMED),
+        (b"\x01" + b"\x91" * 10_000, CloseCode.MALFORMED),
+        (b"\x02" + bytes(15), CloseCode.MALFORMED),
+        (bytes(20_000), CloseCode.MESSAGE_TOO_BIG),
+        (encode_message(Hello()), CloseCode.UNEXPECTED_MESSAGE),
+        (b"\x02\xff\xff" + bytes(14), CloseCode.FOREIGN_STREAM),
+    ],
+)
+def test_who_sends_garbage_is_closed_with_a_code_and_the_others_carry_on(
+    garbage: bytes | str, code: CloseCode
+) -> None:
+    @in_virtual_time
+    async def scenario() -> None:
+        async with (
+            Relay(RelayConfig()),
+            peer_in_room(URL, "Ada") as ada,
+            peer_in_room(URL, "Bob") as bob,
+            peer_in_room(URL, "Mallory") as mallory,
+        ):
+            await mallory.websocket.send(garbage)
+            closed = await mallory.until(Closed)
+            assert (closed.code, closed.is_remote) == (code, True)
+            await ada.send_frame(b"still here")
+            assert (await bob.until(Frame)).payload == b"still here"
+
+    scenario()
+
+
+@in_virtual_time
+async def test_a_full_room_refuses_one_more_with_code_and_reason() -> None:
+    async with (
+        Relay(RelayConfig(room_capacity=2)),
+        peer_in_room(URL, "Ada") as ada,
+        peer_in_room(URL, "Bob"),
+        peer_in_room(URL, "Cyd") as cyd,
+    ):
+        closed = await cyd.until(Closed)
+        assert closed == Closed(
+            code=CloseCode.ROOM_FULL, reason="room lobby is full: 2 peers", is_remote=True
+        )
+        assert len(ada.session.peers) == 1
+
+
+@in_virtual_time
+async def test_a_full_relay_refuses_one_more_connection() -> None:
+    async with (
+        Relay(RelayConfig(max_connections=1)),
+        peer_in_room(URL, "Ada"),
+        peer_in_room(URL, "Bob") as bob,
+    ):
+        assert (await bob.until(Closed)).code == CloseCode.RELAY_FULL
+
+
+@in_virtual_time
+async def test_another_protocol_version_is_refused_with_code_and_reason() -> None:
+    async with Relay(RelayConfig()), open_websocket(URL) as websocket:
+        await websocket.send(encode_message(Hello(version=2)))
+        await websocket.recv()
+        with pytest.raises(ConnectionClosed):
+            await websocket.recv()
+        assert websocket.close_code == CloseCode.WRONG_VERSION
+        assert websocket.close_reason == "we speak protocol version 1, you 2"
+
+
+@in_virtual_time
+async def test_a_client_of_another_sub_protocol_is_refused_with_code_and_reason() -> None:
+    async with Relay(RelayConfig()), connect(URL, proxy=None) as websocket:
+        await websocket.wait_closed()
+        assert websocket.close_code == CloseCode.WRONG_VERSION
+        assert websocket.close_reason == "speak the websocket sub-protocol pica.1"
+
+
+@in_virtual_time
+async def test_a_client_that_never_asks_to_join_is_closed_at_the_deadline() -> None:
+    async with Relay(RelayConfig(handshake_timeout_s=3)), open_websocket(URL) as websocket:
+        await websocket.wait_closed()
+        assert now() == pytest.approx(3, abs=0.001)
+        assert websocket.close_code == CloseCode.HANDSHAKE_TIMEOUT
+
+
+@in_virtual_time
+async def test_a_socket_that_never_speaks_http_is_dropped_at_the_deadline() -> None:
+    async with Relay(RelayConfig(handshake_timeout_s=3)):
+        lost = asyncio.get_running_loop().create_future()
+
+        class Mute(asyncio.Protocol):
+            def connection_lost(self, exc: Exception | None) -> None:
+                lost.set_result(None)
+
+        await asyncio.get_running_loop().create_connection(Mute, "relay", 8765)
+        await lost
+        assert now() == pytest.approx(3, abs=0.001)
+
+
+@in_virtual_time
+async def test_a_relay_that_stops_says_so_to_everybody_and_leaves_no_task() -> None:
+    relay = Relay(RelayConfig())
+    await relay.__aenter__()
+    async with peer_in_room(URL, "Ada") as ada, peer_in_room(URL, "Bob") as bob:
+        await relay.__aexit__(None, None, None)
+        for peer in (ada, bob):
+            closed = await peer.until(Closed)
+            assert closed.code == CloseCode.GOING_AWAY
+        assert relay.stats()["open_connections"] == relay.stats()["rooms"] == 0
+
+
+@in_virtual_time
+async def test_a_relay_stops_in_time_although_a_peer_does_not_read() -> None:
+    current_network().route("stuck", down=Link(window_bytes=2048))
+    relay = Relay(RelayConfig(close_timeout_s=2))
+    await relay.__aenter__()
+    async with (
+        peer_in_room(URL, "Ada") as ada,
+        peer_in_room("ws://stuck:8765", "Stuck", tracks=()) as stuck,
+    ):
+        stuck.websocket.transport.pause_reading()
+        await ada.publish(num_frames=60, fps=30, num_bytes=250)
+        start = now()
+        await relay.__aexit__(None, None, None)
+        assert now() - start == pytest.approx(2, abs=0.01)
+        stuck.websocket.transport.abort()
+
+
+@in_virtual_time
+async def test_a_fast_publisher_does_not_keep_the_others_waiting() -> None:
+    async with (
+        Relay(RelayConfig()),
+        peer_in_room(URL, "Flood") as flood,
+        peer_in_room(URL, "Ada") as ada,
+        peer_in_room(URL, "Bob", tracks=()) as bob,
+    ):
+        for _ in range(2000):
+            await flood.send_frame(b"x" * 1000)
+        await ada.send_frame(b"mine")
+        await asyncio.sleep(0.1)
+        own = ada.session.tracks[0].stream
+        assert [frame.payload for _, frame in bob.arrivals if frame.stream == own] == [b"mine"]
+
+
+@in_virtual_time
+async def test_frames_of_several_senders_share_a_message() -> None:
+    async with (
+        Relay(RelayConfig()) as relay,
+        peer_in_room(URL, "Bob", tracks=()) as bob,
+        peer_in_room(URL, "Ada", tracks=(FACE,) * 4) as ada,
+    ):
+        before = relay.stats()["messages_out"]
+        for track in range(4):
+            ada.session.send_frame(b"x", 0, track=track)
+        await ada.flush()
+        await asyncio.sleep(0.001)
+        assert len(bob.arrivals) == 4
+        assert relay.stats()["messages_out"] - before == 1
