@@ -51,8 +51,8 @@ class FaceState:
     translation_m: FloatArray = field(default_factory=_zeros)
     """Head offset from its seat, metres, seat axes. float32 ``[3]``."""
     captured_us: int = 0
-    """Sender's clock at the *newest* sample that went into `latent`. The same value means the same
-    latent."""
+    """Sender's clock at the *newest* sample that went into `latent`, for measuring latency. Between
+    two samples the latent may move on while this stands still."""
     status: FaceStatus = "live"
 
 
