@@ -35,10 +35,10 @@ def hairline(identity: Identity, azimuth: Float64Array) -> Float64Array:
         at = [0, 20, 38, 52, 62, 75, 100, 140, 180]
         heights = [hair.front, hair.front - 1, hair.front - 10, 44, hair.side, hair.side - 8, hair.side - 14, hair.nape, hair.nape]
     else:
-        at = [0, 18, 34, 46, 57, 66, 78, 88, 104, 118, 135, 155, 180]
+        at = [0, 14, 30, 42, 50, 58, 68, 76, 84, 92, 106, 118, 135, 155, 180]
         heights = [
-            hair.front, hair.front + 1, hair.front + 3, hair.front - 8, hair.front - 30,
-            hair.side + 6, hair.side - 12, hair.side + 8, hair.side + 14, hair.side - 8, hair.nape + 14, hair.nape, hair.nape + 2,
+            hair.front, hair.front + 1, hair.front + 6, hair.front + 1, hair.front - 14, hair.front - 34,
+            hair.side + 14, hair.side - 14, hair.side - 16, hair.side + 8, hair.side + 14, hair.side - 8, hair.nape + 14, hair.nape, hair.nape + 2,
         ]
     return np.interp(degrees, at, heights)
 
@@ -79,12 +79,18 @@ def build_hair(identity: Identity, field: HeadField, chart: Chart) -> Float64Arr
     if hair.parting:
         part = np.radians(hair.parting)
         valley = np.exp(-(((azimuth - part) * np.cos(latitude)) / 0.05) ** 2)
-        thickness = thickness * (1 - 0.55 * valley * (np.abs(azimuth) < 1.2))
+        thickness = thickness * (1 - 0.55 * valley * (np.abs(azimuth) < 1.2) * smoothstep(0.1, 0.3, t))
+    if hair.covers_ears:
+        over_ear = np.exp(-(((np.abs(azimuth) - 1.75) / 0.42) ** 2))
+        thickness = thickness + 13.0 * over_ear * smoothstep(0.75, 0.1, latitude)
     clump = _periodic_noise(azimuth + 0.35 * hair.curl * np.sin(6 * t + 2 * azimuth), identity.seed + 1, 9, 26)
     wave = np.sin(16.0 * t + 3.0 * _periodic_noise(azimuth, identity.seed + 2, 3, 9))
     ragged = smoothstep(0.05, 0.5, t)
     thickness = thickness + ragged * (0.9 * clump + 2.2 * hair.curl * wave * smoothstep(0.3, 0.8, t))
-    thickness = np.maximum(thickness, 2.0) * (1 - 0.55 * smoothstep(0.88, 1.0, t) * (hang < 1))
+    # Short hair thins towards its edge; a fringe keeps its body.
+    thin = smoothstep(0.62, 1.0, t) * (hang < 1) * smoothstep(0.0, 12.0, 12.0 - hang) * (1 - 0.75 * front * min(hair.fringe / 6.0, 1.0))
+    thickness = np.maximum(thickness, 2.0) * (1 - thin) + 1.3 * thin
+    thickness = thickness + 3.0 * smoothstep(1.6, 2.3, np.abs(azimuth))
     points = scalp + away * thickness[..., None]
     # Hanging hair leaves the head where it is widest and closes in towards its ends.
     points[..., 1] -= drop

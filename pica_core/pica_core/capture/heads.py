@@ -18,7 +18,7 @@ from pica_core.capture.hair import build_hair, hairline
 from pica_core.capture.identity import Identity, get_identity
 from pica_core.capture.layout import EYE_ROW, MOUTH_ROW, Chart, build_charts
 from pica_core.capture.lids import LidPose, Lids
-from pica_core.capture.parts import collar, ear, eyeball, mouth_bag, teeth, tongue
+from pica_core.capture.parts import collar, ear, eye_fixed, eyeball, mouth_bag, teeth, tongue
 from pica_core.capture.shapes import build_motion
 from pica_core.capture.skin import (
     LOWER_BORDER_ROW,
@@ -61,8 +61,8 @@ class SurfaceCoordinates:
         material: Index into `MATERIALS`. float32 ``[V]``.
         rest_m: Position at rest, head frame, metres. float32 ``[V, 3]``.
         local: Four numbers per vertex whose meaning depends on the material. float32 ``[V, 4]``. Skin: vermilion
-            depth (0 at the border, 1 at the contact line), rows to the nearest lid margin, hair coverage, ear (1 on
-            ears). Eye: frontal x, y in iris radii. Teeth: place along the arch, place from gum to edge. Tongue, bag
+            depth (0 at the border, 1 at the contact line), rows to the nearest lid margin, hair coverage, 1 on ears
+            and -1 above the eye slits. Eye: frontal x, y in iris radii. Teeth: place along the arch, place from gum to edge. Tongue, bag
             and collar: chart row and column. Hair: place along the strand, azimuth / pi.
     """
 
@@ -146,6 +146,7 @@ class Head:
             parts[f"eye_{name}"] = eyeball(self.charts[f"eye_{name}"], field.eye_centre, side)
             parts[f"ear_{name}"] = ear(self.charts[f"ear_{name}"], field, shape, side)
         self._eye_centre = np.asarray(field.eye_centre)
+        self._eye_fixed = eye_fixed(self.charts["eye_left"]).reshape(-1, 1).astype(np.float32)
         rest = np.concatenate([parts[name].reshape(-1, 3) for name in self.charts])
         return rest
 
@@ -215,9 +216,8 @@ class Head:
             sy, cy = np.sin(yaw)[:, None], np.cos(yaw)[:, None]
             y = cp * local[:, 1] + sp * local[:, 2]
             z = cp * local[:, 2] - sp * local[:, 1]
-            points[:, span, 0] = cy * local[:, 0] + sy * z + centre[0]
-            points[:, span, 1] = y + centre[1]
-            points[:, span, 2] = cy * z - sy * local[:, 0] + centre[2]
+            turned = np.stack([cy * local[:, 0] + sy * z, y, cy * z - sy * local[:, 0]], -1)
+            points[:, span] = turned + self._eye_fixed * (local - turned) + centre.astype(np.float32)
             pose = LidPose(
                 blink=self._shape(values, f"eyeBlink{name}").astype(np.float64),
                 wide=self._shape(values, f"eyeWide{name}").astype(np.float64),
@@ -302,14 +302,15 @@ class Head:
                 depth = np.where(row <= MOUTH_ROW, upper, lower)
                 front = (x < skin.mouth_half + 12) & (skin.points[..., 2].ravel() > 50)
                 # Past the corner the lips end: their depth falls below the border there.
-                depth = depth - 2.2 * smoothstep(skin.mouth_half - 2.0, skin.mouth_half + 6.0, x)
+                depth = depth - 2.2 * smoothstep(skin.mouth_half - 3.5, skin.mouth_half + 2.5, x)
                 local[chart.span, 0] = np.where(front, np.clip(depth, -3, 2.5), -3.0)
                 inner, outer = skin.eye_corners
                 beyond = np.maximum(np.maximum(inner - x, x - outer), 0.0)
                 steps = np.where(row <= EYE_ROW, row - EYE_ROW, row - EYE_ROW - 1)
-                lid = steps + np.where(row <= EYE_ROW, -1, 1) * beyond * 1.3
+                lid = np.abs(steps) + beyond * 1.3
                 near = skin.points[..., 2].ravel() > 40
-                local[chart.span, 1] = np.where(near, np.clip(lid, -30, 30), 30.0)
+                local[chart.span, 1] = np.where(near, np.minimum(lid, 30), 30.0)
+                local[chart.span, 3] = np.where(row <= EYE_ROW, -1.0, 0.0)
                 azimuth = np.arctan2(skin.points[..., 0].ravel(), skin.points[..., 2].ravel())
                 above = skin.points[..., 1].ravel() - hairline(self.identity, azimuth)
                 local[chart.span, 2] = np.clip(above / 20.0, -1.0, 1.0)

@@ -38,7 +38,7 @@ class FaceShape:
     """Between the pupils."""
     eye_width: float = 30.0
     """Palpebral fissure, canthus to canthus."""
-    eye_opening: float = 10.0
+    eye_opening: float = 9.6
     """Palpebral fissure height at rest."""
     eye_tilt: float = 1.5
     """How much higher the outer canthus lies than the inner one."""
@@ -74,8 +74,6 @@ class FaceShape:
     """Breadth of the neck below the jaw."""
     ear_length: float = 62.0
     """Top to lobe."""
-    asymmetry: float = 1.0
-    """Strength of the small left-right differences that every face has, relative."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -139,7 +137,7 @@ class Identity:
     name: str
     """Identity name, as in ``--head``."""
     seed: int
-    """Fixes the marks that chance places: pores, freckles, strands, asymmetry."""
+    """Fixes the marks that chance places: pores, freckles, strands."""
     face: FaceShape = field(default_factory=FaceShape)
     """Proportions."""
     hair: Hair = field(default_factory=Hair)
@@ -153,7 +151,7 @@ IDENTITIES: dict[str, Identity] = {
         name="S1",
         seed=11,
         face=FaceShape(),
-        hair=Hair(rgb=(0.045, 0.026, 0.016), curl=0.25),
+        hair=Hair(rgb=(0.045, 0.026, 0.016), curl=0.25, front=80.0, fringe=0.0, top_thickness=17.0, side_thickness=3.5),
         skin=Skin(
             rgb=(0.60, 0.345, 0.235),
             stubble=0.55,
@@ -174,7 +172,7 @@ IDENTITIES: dict[str, Identity] = {
             face_height=112.0,
             eye_distance=62.0,
             eye_width=30.5,
-            eye_opening=11.2,
+            eye_opening=10.6,
             eye_tilt=2.6,
             brow_height=18.5,
             brow_ridge=0.3,
@@ -189,19 +187,19 @@ IDENTITIES: dict[str, Identity] = {
             lip_fullness=1.45,
             chin_breadth=32.0,
             chin_projection=-1.0,
-            cheek_fullness=1.15,
+            cheek_fullness=0.97,
             neck_breadth=98.0,
             ear_length=57.0,
         ),
         hair=Hair(
             rgb=(0.020, 0.013, 0.010),
-            front=76.0,
+            front=81.0,
             side=-70.0,
             nape=-95.0,
             top_thickness=18.0,
             side_thickness=13.0,
-            fringe=7.0,
-            parting=18.0,
+            fringe=0.0,
+            parting=8.0,
             curl=0.6,
             covers_ears=True,
         ),

@@ -44,7 +44,20 @@ def eyeball(chart: Chart, centre: tuple[float, ...], side: float) -> Float64Arra
         [np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)], -1
     )
     points = points * radius[..., None]
+    # Beyond what gaze can show, the ball flares into a skirt that fills the corners of the eye.
+    flare = smoothstep(np.radians(62.0), np.radians(100.0), angle)[..., None]
+    nasal = np.clip(-side * np.cos(turn), 0.0, 1.0)
+    skirt = np.stack([(15.6 + 0.8 * nasal) * np.cos(turn), 12.6 * np.sin(turn), 1.0 + 4.5 * nasal**2], -1)
+    points = points + flare * (skirt - points)
     return points + np.array([side * centre[0], centre[1], centre[2]])
+
+
+def eye_fixed(chart: Chart) -> Float64Array:
+    """How firmly each vertex of an eyeball chart stays when the eye turns: 0 on the ball, 1 on its skirt. ``[R, C]``."""
+    x, y = _disc(chart)
+    reach = np.hypot(x, y)
+    angle = np.radians(108.0) * (0.72 * reach + 0.28 * reach**3)
+    return smoothstep(np.radians(60.0), np.radians(80.0), angle)
 
 
 def teeth(chart: Chart, front_z: float, edge_y: float, *, upper: bool) -> Float64Array:
@@ -104,9 +117,9 @@ def mouth_bag(chart: Chart, mouth_y: float, front_z: float) -> Float64Array:
     reach = np.minimum(np.hypot(x, y), 1.0)
     turn = np.arctan2(y, x)
     ring = np.sin(0.5 * np.pi * np.clip(1.25 * reach, 0, 1))
-    px = 31.0 * ring * np.cos(turn)
+    px = 36.0 * ring * np.cos(turn)
     py = mouth_y + 1.0 + np.where(y > 0, 22.0, 27.0) * ring * np.sin(turn)
-    pz = front_z - 52.0 + 46.0 * reach**2.6 - 14.0 * (px / 31.0) ** 2
+    pz = front_z - 52.0 + 46.0 * reach**2.6 - 15.0 * (px / 36.0) ** 2
     return np.stack([px, py, pz], -1)
 
 
@@ -160,12 +173,17 @@ def collar(chart: Chart, face: FaceShape) -> Float64Array:
     front, sideways = -np.cos(turn), -np.sin(turn)  # starts and ends at the back
     neck = 0.5 * face.neck_breadth
     s = rows
-    fall = smoothstep(0.0, 1.0, s)
-    rim_x, rim_z = neck + 7.0, 58.0
-    x = sideways * (rim_x + (112.0 - rim_x) * fall**0.85 * (0.35 + 0.65 * np.abs(sideways)))
-    z = -14.0 + front * (rim_z + 16.0 * fall)
-    rim_y = -103.0 - 21.0 * np.clip(front, -0.3, 1.0) + 4.0 * np.abs(sideways)
-    y = rim_y - 8.0 * s - (22.0 + 22.0 * np.abs(front) ** 2) * s**1.4
-    roll = bump(s, 0.0, 0.05)
-    y = y - 2.0 * roll
-    return np.stack([x * (1 - 0.02 * roll), y, z], -1)
+    slope = np.clip(s / 0.62, 0.0, 1.0)  # neckline to the point of the shoulder
+    drop = np.clip((s - 0.62) / 0.38, 0.0, 1.0)  # then straight down, out of the picture
+    rim_x, rim_z = neck + 0.5, 53.0
+    reach = slope**0.9
+    x = sideways * (rim_x + (168.0 - rim_x) * reach * (0.55 + 0.45 * np.abs(sideways)) + 6.0 * drop)
+    z = -16.0 + front * (rim_z + 34.0 * reach + 8.0 * drop) - 8.0 * slope * np.abs(sideways)
+    rim_y = -106.0 - 22.0 * np.clip(front, -0.25, 1.0) + 6.0 * np.abs(sideways)
+    y = rim_y - (20.0 + 26.0 * np.maximum(front, 0.0)) * slope**1.25 - 26.0 * slope**3 * np.abs(sideways)
+    y = y - 95.0 * drop
+    hem = bump(s, 0.14, 0.06)
+    inside = np.clip(1 - s / 0.14, 0.0, 1.0)  # the first row lies within the neck: no gap behind the neckline
+    x, z = x * (1 - 0.22 * inside), -16.0 + (z + 16.0) * (1 - 0.22 * inside)
+    y = y - 5.0 * inside
+    return np.stack([x * (1 + 0.03 * hem), y + 1.5 * hem, z + front * 1.5 * hem], -1)

@@ -95,8 +95,8 @@ def _sided(s: _Strokes, face: FaceShape, field: HeadField) -> dict[str, Float64A
     lips = (s.upper + s.lower) * left
     return {
         "mouthSmile": _vector(corner, 8.5, 8.5, -3.5)
-        + _vector(s.upper * left, 1.5, 1.2, -1.0)
-        + _vector(s.lower * left, 1.5, 0.8, -1.2)
+        + _vector(s.upper * left, 1.5, 2.6, -1.2)
+        + _vector(s.lower * left, 1.5, 0.2, -1.4)
         + _vector(cheek, 1.0, 4.5, 3.0)
         + _vector(below_eye, 0.0, 1.2, 0.6)
         + _vector(fold, 1.5, 1.5, -0.8),
@@ -160,7 +160,7 @@ def _central(s: _Strokes, face: FaceShape, field: HeadField) -> dict[str, Float6
         # The jaw's own motions are rotations; these are what the skin adds to them.
         "jawOpen": 3.5 * inward
         + _vector(puff * side, -1.6)
-        + _vector(s.upper, 0, 0.8, -0.4)
+        + _vector(s.upper, 0, 2.4, -0.2)
         + _vector(s.corner, 0, 1.0, -1.5),
         "tongueOut": _vector(s.upper, 0, 1.2, 0.8) + _vector(s.lower, 0, -3.5, 1.8),
     }

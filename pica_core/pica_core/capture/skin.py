@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from pica_core.capture.identity import FaceShape
 from pica_core.capture.layout import EYE_ROW, MIDLINE_COLUMN, MOUTH_ROW, Chart
-from pica_core.capture.surface import EYE_RADIUS, EYE_Y, HeadField, cast
+from pica_core.capture.surface import EYE_RADIUS, EYE_Y, HeadField, cast, gradient
 
 Float64Array = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -39,6 +39,8 @@ CHIN_ROW = 151
 """Row around the lowest point of the chin."""
 COLUMN_MM = 0.8
 """Width of a texel column on the front of the face."""
+FRONT_COLUMNS = 62.0
+"""Columns on each side of the midline whose rays run straight forward; the others turn towards the back."""
 LID_THICKNESS = 1.7
 """Eyeball surface to the outside of a lid."""
 
@@ -115,7 +117,7 @@ class EyeSurface:
             reach < edge, np.sqrt(np.maximum(square, 0.0)), 0.6 * radius - 1.333 * (reach - edge)
         )
         ball = self.centre[2] + ball
-        socket = self.socket(u, y) - 1.0
+        socket = self.socket(u, y) - 1.0 - 1.3 * np.maximum(LID_THICKNESS - np.asarray(thickness), 0.0)
         k = 3.0
         h = np.maximum(k - np.abs(ball - socket), 0.0) / k
         return np.maximum(ball, socket) + 0.25 * h * h * k
@@ -143,12 +145,12 @@ def lid_lines(
     inner, outer = corners[0] - 0.5 * face.eye_distance, corners[1] - 0.5 * face.eye_distance
     t = (u - inner) / (outer - inner)
     inside = np.clip(t, 0.0, 1.0)
-    axis = EYE_Y - 1.0 + face.eye_tilt * (np.clip(t, -0.3, 1.3) - 0.35)
+    axis = EYE_Y - 1.2 + face.eye_tilt * (np.clip(t, -0.3, 1.3) - 0.35)
     # The upper lid peaks nasally of its middle, the lower one dips temporally.
     upper = (inside ** 0.62 * (1 - inside) ** 0.72) * 2.52
     lower = (inside ** 0.85 * (1 - inside) ** 0.62) * 2.75
     opening = face.eye_opening
-    return axis + 0.62 * opening * upper, axis - 0.38 * opening * lower
+    return axis + 0.59 * opening * upper, axis - 0.41 * opening * lower
 
 
 def mouth_lines(
@@ -182,7 +184,7 @@ def _heights(face: FaceShape, field: HeadField, chart: Chart, skin_half: float,
     mouth = mouth_lines(face, field, skin_half, x)
     # Beyond the corner the lips' rows open out again into cheek, a little more per column.
     spread = 6.5 * smoothstep(skin_half, skin_half + 26.0, ax)
-    closed = 0.16 + 0.0 * ax
+    closed = 0.03 + 0.13 * smoothstep(0.75 * skin_half, skin_half, ax)
     subnasale = field.subnasale_y
     wing = smoothstep(20.0, 12.0, ax)
     anchors: list[tuple[float, Float64Array]] = [
@@ -202,11 +204,10 @@ def _heights(face: FaceShape, field: HeadField, chart: Chart, skin_half: float,
         (MOUTH_ROW + 1, mouth["contact"] - closed * 0.5 - 0.05 * spread),
         (LOWER_CONTACT_ROW, mouth["contact"] - closed * 2.5 - 0.45 * spread),
         (LOWER_BORDER_ROW, mouth["lower"] - spread),
-        (145, field.below(-68.0) + 0 * x),
-        (CHIN_ROW, field.chin_y + 9.0 + 0 * x),
-        (156, field.chin_y + 8.0 + 0 * x),
-        (159, field.chin_y - 12.0 + 0 * x),
-        (163, -138.0 + 0 * x),
+        (146, field.below(-71.0) + 0 * x),
+        (CHIN_ROW, field.chin_y + 5.0 + 0 * x),
+        (155, field.chin_y - 14.0 + 0 * x),
+        (163, -140.0 + 0 * x),
     ]
     rows = np.array([row for row, _ in anchors])
     values = np.stack([value for _, value in anchors])
@@ -216,51 +217,69 @@ def _heights(face: FaceShape, field: HeadField, chart: Chart, skin_half: float,
 
 
 def _rays(face: FaceShape, field: HeadField, chart: Chart, half: float,
-          corners: tuple[float, float]) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Origins, directions and search lengths of the rays of every skin vertex. Two ``[R, C, 3]``, ``[R, C]``."""
+          corners: tuple[float, float]) -> tuple[Float64Array, Float64Array]:
+    """Origins and directions of the rays of every skin vertex. Two ``[R, C, 3]``."""
     n = chart.columns - MIDLINE_COLUMN
     side = np.sign(n)
     n = np.abs(n)
-    q = np.clip((n - 50.0) / 77.5, 0.0, 1.0)
-    x0 = np.where(n <= 50.0, COLUMN_MM * n, 40.0 + 62.0 * q * (1 - q) ** 3)
+    q = np.clip((n - FRONT_COLUMNS) / (127.5 - FRONT_COLUMNS), 0.0, 1.0)
+    edge = COLUMN_MM * FRONT_COLUMNS
+    bulge = COLUMN_MM * (127.5 - FRONT_COLUMNS) * q * (1 - q) ** 3
+    x0 = np.where(q <= 0, COLUMN_MM * n, edge + bulge)
     x0 = x0 * (1 - q**4) * side
     turn = np.pi * q * (1.0 - (1.0 - q) ** 3) * side
     rows = chart.rows.astype(np.float64)[:, None]
-    y_front = _heights(face, field, chart, half, corners, np.where(q > 0, side * (40 + 40 * q), x0))
+    y_front = _heights(face, field, chart, half, corners, np.where(q > 0, side * (edge + 32 * q), x0))
     # Behind the ears rows level out: the row of the chin climbs to the jaw angle and the nape.
     y_back = np.interp(
-        rows, [40, 56, 71, 82, 101, 124, 140, 151, 163], [58, 36, 18, 6, -14, -36, -54, -78, -138]
+        rows, [40, 56, 71, 82, 101, 124, 140, 151, 155, 163], [58, 36, 18, 6, -14, -36, -54, -78, -94, -140]
     )
-    back = smoothstep(0.05, 0.55, q)[None]
+    back = smoothstep(0.0, 0.5, q)[None]
     y0 = y_front * (1 - back) + y_back * back
-    # The cranium fans out to the crown; rays under the nose and the chin point down.
+    # The cranium fans out to the crown; under nose and chin `_relax` finds the surface that rays cannot see.
     fan = np.clip((40.0 - rows) / 40.0, 0.0, 1.0)
     lift = np.radians(np.interp(rows, [0, 40, 56, 200], [88.5, 10, 0, 0]))
     y0 = np.where(fan > 0, 60.0 - 10.0 * fan, y0)
-    near_nose = smoothstep(22.0, 11.0, np.abs(x0))[None]
-    under_nose = np.interp(rows, [96, 101, 104, 106, 109], [0, 0.5, 0.95, 0.75, 0])
-    under_chin = np.interp(rows, [143, 151, 155, 159, 163], [0, 0.5, 1.15, 0.35, 0.0])
-    chin_reach = (1 - smoothstep(0.02, 0.5, q))[None]
-    lift = lift - under_nose * near_nose - under_chin * chin_reach
     shrink = np.cos(np.radians(np.interp(rows, [0, 40], [88.5, 0])))
-    z0 = np.interp(q, [0, 0.3, 0.55, 1], [35, 28, 2, -12])[None]
+    z0 = np.interp(q, [0, 0.2, 0.5, 1], [38, 28, 2, -12])[None]
     z0 = z0 * shrink + 4.0 * (1 - shrink)
     origin = np.stack(np.broadcast_arrays(x0[None] * shrink, y0, z0), -1)
-    # Rays that point down start higher and further in, so that they meet their row's height near the surface.
-    dip = under_nose * near_nose
-    origin[..., 2] += dip * (face.nose_protrusion * 0.5 + 98.5 - 12.0 - origin[..., 2])
-    origin[..., 1] += dip * 13.0
-    chin_dip = under_chin * chin_reach
-    origin[..., 2] += np.minimum(chin_dip, 1.0) * (np.interp(rows, [143, 151, 155, 159], [60, 58, 40, 22]) - origin[..., 2])
-    origin[..., 1] += np.minimum(chin_dip, 1.0) * 26.0
     direction = np.stack(
         np.broadcast_arrays(
             np.cos(lift) * np.sin(turn)[None], np.sin(lift), np.cos(lift) * np.cos(turn)[None]
         ),
         -1,
     )
-    length = 150.0 - 90.0 * np.clip(dip + chin_dip, 0.0, 1.0)
-    return origin, direction, length
+    return origin, direction
+
+
+def _relax(field: HeadField, chart: Chart, points: Float64Array) -> Float64Array:
+    """Even out the grid where the surface turns away from the rays: under the nose, under the chin, on the neck.
+
+    Laplacian smoothing alternates with stepping back onto the field. Rows that carry features stay where they are.
+    """
+    rows = chart.rows.astype(np.float64)[:, None]
+    ax = np.abs(points[..., 0])
+    front = points[..., 2] > 60
+    nose = smoothstep(91, 96, rows) * smoothstep(112, 108, rows) * smoothstep(27, 19, ax) * front
+    below = smoothstep(140, 146, rows) * np.ones_like(ax)
+    behind = smoothstep(45.0, 20.0, points[..., 2]) * smoothstep(60, 90, rows) * smoothstep(164, 160, rows)
+    free = np.clip(np.maximum(np.maximum(nose, below), behind), 0, 1)
+    free[0] = free[-1] = 0.0
+    step = 0.6
+    chosen = free > 1e-3
+    for sweep in range(70):
+        padded = np.concatenate([points[:, -2:-1], points, points[:, 1:2]], 1)  # round the seam
+        vertical = 0.5 * (points[:-2] + points[2:])
+        sideways = 0.5 * (padded[1:-1, :-2] + padded[1:-1, 2:])
+        target = points.copy()
+        target[1:-1] = 0.5 * (vertical + sideways)
+        points = points + step * free[..., None] * (target - points)
+        if sweep % 2 == 1 or sweep > 64:
+            p = points[chosen]
+            value = field(p)
+            points[chosen] = p - np.clip(value, -3, 3)[:, None] * gradient(field, p)
+    return points
 
 
 def _lay_lips(face: FaceShape, field: HeadField, chart: Chart, half: float, points: Float64Array) -> None:
@@ -283,7 +302,10 @@ def _lay_lips(face: FaceShape, field: HeadField, chart: Chart, half: float, poin
         profile = np.where(s > 1.0, -0.2, profile)
         points[..., 2] += np.where(front & is_lip[:, None], gain * pout * profile, 0.0)
     # Inner edges: back into the mouth and away from each other.
-    depth = 7.0 * (1 - t**3) ** 0.7
+    # At the corners a shallow pit remains, which keeps the slit's ends from gaping.
+    ax = np.abs(x)
+    pit = 1.7 * smoothstep(half + 4.0, half, ax)
+    depth = np.where(t < 1, 1.7 + 5.7 * (1 - t**3) ** 0.7, pit)
     k_upper = np.clip((rows - UPPER_CONTACT_ROW) / (MOUTH_ROW - UPPER_CONTACT_ROW), 0, 1)
     k_upper = np.where(rows <= MOUTH_ROW, k_upper, 0.0)[:, None]
     k_lower = np.clip((LOWER_CONTACT_ROW - rows) / (LOWER_CONTACT_ROW - MOUTH_ROW - 1), 0, 1)
@@ -301,9 +323,9 @@ def build_skin(face: FaceShape, field: HeadField, eye: EyeSurface, chart: Chart)
         snap(middle - 0.52 * face.eye_width, chart.columns),
         snap(middle + 0.48 * face.eye_width, chart.columns),
     )
-    origin, direction, length = _rays(face, field, chart, half, corners)
-    points = cast(field, origin.reshape(-1, 3), direction.reshape(-1, 3), length.ravel())
-    points = points.reshape(origin.shape)
+    origin, direction = _rays(face, field, chart, half, corners)
+    points = cast(field, origin.reshape(-1, 3), direction.reshape(-1, 3)).reshape(origin.shape)
+    points = _relax(field, chart, points)
     _lay_lips(face, field, chart, half, points)
     x = np.abs((chart.columns - MIDLINE_COLUMN) * COLUMN_MM)
     mouth_columns = (x[:-1] <= half + 1e-6) & (x[1:] <= half + 1e-6)

@@ -102,14 +102,16 @@ class HeadField:
         d = smooth_min(
             d, _ellipsoid(p, (34, below(-24), 60), (24 * f.cheek_fullness, 30, 27 * f.cheek_fullness)), 18
         )
-        d = smooth_min(d, _cone(p, (36, 1, 76), (cheek - 8, 6, 38), 12.5, 9), 14)
-        d = smooth_min(d, _cone(p, (cheek - 8, 6, 38), (cheek - 6, 4, 8), 8, 8), 12)
+        d = smooth_min(d, _cone(p, (36, 1, 76), (cheek - 9, 5, 38), 12.5, 9), 16)
+        d = smooth_min(d, _cone(p, (cheek - 9, 5, 38), (cheek - 9, 3, 4), 8.5, 8.5), 18)
+        # Masseter: fills the side of the face between arch and jaw angle.
+        d = smooth_min(d, _ellipsoid(p, (jaw - 9, below(-30), 24), (13.5, 34, 28)), 24)
         # Brow ridge and glabella.
         ridge = 1.2 * f.brow_ridge
         d = smooth_min(d, _cone(p, (9, 36, 89 + ridge), (44, 39, 74 + 0.6 * ridge), 9.5, 9.5), 10)
         # Orbits: the hollow the lids sit in; temples: shallow hollows behind the brow's end.
         x, y, _ = self.eye_centre
-        socket = _ellipsoid(p, (x - 0.5, y - 0.5, 101), (17.5, 12.5, 14.5))
+        socket = _ellipsoid(p, (x - 1.5, y - 0.5, 102), (19.0, 12.5, 17.0))
         d = smooth_max(d, -socket, 9)
         d = smooth_max(d, -_ellipsoid(p, (84, 34, 46), (17, 26, 22)), 22)
         # Neck with the sternomastoid mass behind the jaw, and the larynx.

@@ -40,15 +40,16 @@ float brow_hair(vec3 p, out float inside) {
     float arch = brow_y + 4.6 * sin(3.14159 * pow(s, 1.25)) * 0.8 - 5.0 * s * s * s;
     float thick = brow_thickness * mix(3.6, 1.1, s * s) * smoothstep(0.0, 0.08, s);
     float d = (p.y - arch) / max(thick, 0.1);
-    inside = (1.0 - smoothstep(0.45, 1.25, abs(d))) * smoothstep(-23.0, -17.0, u) * (1.0 - smoothstep(21.0, 27.0, u));
+    inside = (1.0 - smoothstep(0.45, 1.25, abs(d))) * smoothstep(-24.5, -13.0, u) * (1.0 - smoothstep(21.0, 27.0, u));
     inside *= step(40.0, p.z);
     float lean = mix(0.35, 2.6, s);
     vec2 along = normalize(vec2(lean, 1.0 - 1.6 * max(d, 0.0) * s));
     vec2 q = vec2(abs(p.x), p.y);
     float across = dot(q, vec2(-along.y, along.x));
     float forward = dot(q, along);
-    float strand = noise(vec3(across * 3.4, forward * 0.33, seed + sign(p.x) * 5.0));
-    strand = max(strand, noise(vec3(across * 5.1 + 9.0, forward * 0.45, seed + 3.0)) - 0.05);
+    across += 0.5 * noise(vec3(q * 0.5, seed));
+    float strand = noise(vec3(across * 2.3, forward * 0.26, seed + sign(p.x) * 5.0));
+    strand = max(strand, noise(vec3(across * 3.9 + 9.0, forward * 0.36, seed + 3.0)) - 0.04);
     return inside * smoothstep(0.42 - 0.22 * inside, 0.78 - 0.2 * inside, strand);
 }
 
@@ -62,11 +63,11 @@ void skin(out vec3 rgb, out float gloss, out float height, out float translucent
     float slow = fbm(p * 0.035 + seed) - 0.5;
     float fine = fbm(p * 0.35 + seed * 1.7) - 0.5;
     rgb = skin_rgb * (1.0 + 0.10 * slow + (0.10 + 0.12 * age) * fine);
-    float blood = 0.9 * spot(q, vec2(eye_x + 13.0, -9.0), vec2(16.0, 13.0)) * front
-        + 1.0 * spot(vec2(p.x, p.y), vec2(0.0, nose_y + 9.0), vec2(15.0, 9.0)) * front
+    float blood = 0.5 * spot(q, vec2(eye_x + 13.0, -9.0), vec2(16.0, 13.0)) * front
+        + 0.6 * spot(vec2(p.x, p.y), vec2(0.0, nose_y + 9.0), vec2(15.0, 9.0)) * front
         + 0.5 * spot(vec2(p.x, p.y), vec2(0.0, chin_y + 14.0), vec2(16.0, 10.0)) * front
         + 0.35 * spot(vec2(p.x, p.y), vec2(0.0, 46.0), vec2(20.0, 9.0)) * front
-        + (is_ear ? 1.1 : 0.0);
+        + (is_ear ? 0.6 : 0.0);
     blood *= redness * (0.75 + 0.6 * fbm(p * 0.09 + seed));
     rgb *= mix(vec3(1.0), vec3(1.06, 0.80, 0.78), clamp(blood, 0.0, 1.2));
     // Paler, yellower forehead; cooler, darker skin under the eyes.
@@ -111,11 +112,11 @@ void skin(out vec3 rgb, out float gloss, out float height, out float translucent
         * smoothstep(chin_y - 34.0, chin_y - 14.0, p.y) * smoothstep(-8.0, 16.0, p.z);
     beard *= 1.0 - 0.7 * spot(vec2(p.x, p.y), vec2(0.0, mouth_y - 13.0), vec2(20.0, 2.5));
     beard *= 1.0 - 0.55 * bell(ax, mouth_half + 9.0, 6.0) * smoothstep(mouth_y - 16.0, mouth_y, p.y);
-    float bristle = smoothstep(0.52, 0.72, noise(vec3(p.x * 2.6, p.y * 1.9, p.z * 2.2) + seed));
-    rgb = mix(rgb, mix(rgb * vec3(0.70, 0.71, 0.76), hair_rgb, 0.75 * bristle), stubble * beard * (0.5 + 0.35 * bristle));
+    float bristle = smoothstep(0.52, 0.72, noise(vec3(p.x * 4.6, p.y * 3.4, p.z * 4.0) + seed));
+    rgb = mix(rgb, mix(rgb * vec3(0.70, 0.71, 0.76), hair_rgb, 0.55 * bristle), stubble * beard * (0.5 + 0.35 * bristle));
     gloss *= 1.0 - 0.5 * stubble * beard;
     // Blush.
-    rgb = mix(rgb, rgb * vec3(1.08, 0.74, 0.78), 0.5 * makeup * spot(q, vec2(eye_x + 16.0, -6.0), vec2(14.0, 9.0)) * front);
+    rgb = mix(rgb, rgb * vec3(1.08, 0.74, 0.78), 0.3 * makeup * spot(q, vec2(eye_x + 16.0, -6.0), vec2(14.0, 9.0)) * front);
     // Lips: crisp border with a lighter rim, fine vertical lines, darker towards the line of contact.
     float depth = surface.x + 0.10 * (noise(vec3(p.x * 0.9, p.y * 0.5, seed)) - 0.5);
     float lips = smoothstep(-0.10, 0.12, depth);
@@ -133,7 +134,7 @@ void skin(out vec3 rgb, out float gloss, out float height, out float translucent
     float on_edge = 1.0 - smoothstep(0.5, 1.0, abs(rows));
     rgb = mix(rgb, vec3(0.52, 0.25, 0.21), on_edge * 0.8);
     gloss = mix(gloss, 0.9, on_edge);
-    float upper = step(rows, 0.0);
+    float upper = step(surface.w, -0.5);
     float comb = noise(vec3(p.x * 3.0, seed, 2.0));
     float reach = mix(1.7, 3.0 + 1.6 * makeup, upper) * (0.65 + 0.6 * comb);
     float lash = smoothstep(0.55, 1.0, abs(rows)) * (1.0 - smoothstep(0.6 * reach, reach, abs(rows)));
@@ -146,7 +147,7 @@ void skin(out vec3 rgb, out float gloss, out float height, out float translucent
     // Brows, then scalp hair that fades into the forehead.
     float inside;
     float brow = brow_hair(p, inside);
-    rgb = mix(rgb, mix(rgb, brow_rgb, 0.35), inside * 0.8);
+    rgb = mix(rgb, mix(rgb, brow_rgb, 0.45), inside * 0.8);
     rgb = mix(rgb, brow_rgb * (0.7 + 0.6 * noise(p * 2.0)), brow * 0.92);
     gloss *= 1.0 - 0.6 * brow;
     float root = surface.z + 0.22 * (noise(vec3(p.x * 1.6, p.y * 0.25, p.z * 1.2) + seed) - 0.5) + 0.15 * (noise(p * 0.5) - 0.5);
@@ -163,12 +164,12 @@ void eye(out vec3 rgb, out float gloss, out float height) {
     vec2 ring = vec2(cos(turn), sin(turn));
     float fibres = fbm(vec3(ring * 9.0, r * 1.4 + seed));
     float crypts = noise(vec3(ring * 4.0, r * 3.0 + seed));
-    vec3 iris = iris_rgb * (0.55 + 1.15 * fibres + 0.35 * crypts);
+    vec3 iris = iris_rgb * (0.42 + 1.15 * fibres + 0.35 * crypts);
     iris = mix(iris, iris * vec3(1.5, 1.15, 0.75), bell(r, 0.48, 0.10));   // collarette
     iris *= mix(1.0, 0.30, smoothstep(0.78, 1.0, r));                        // limbal ring
-    iris *= smoothstep(0.33, 0.38, r);                                      // pupil
+    iris *= smoothstep(0.38, 0.43, r);                                      // pupil
     float vessels = smoothstep(0.60, 0.80, fbm(vec3(d.xy * vec2(9.0, 22.0), seed))) * smoothstep(1.1, 2.0, r);
-    vec3 sclera = vec3(0.70, 0.655, 0.615) * (1.0 - 0.06 * noise(d * 4.0));
+    vec3 sclera = vec3(0.53, 0.49, 0.46) * (1.0 - 0.06 * noise(d * 4.0));
     sclera = mix(sclera, vec3(0.60, 0.36, 0.31), 0.35 * vessels + 0.30 * smoothstep(1.5, 2.2, r));
     rgb = mix(iris, sclera, smoothstep(0.95, 1.08, r));
     // Nasal end: the caruncle.
@@ -192,7 +193,7 @@ void teeth(out vec3 rgb, out float gloss, out float height) {
     }
     float gum_line = 0.30 + 0.05 * (1.0 - pow(abs(2.0 * inside - 1.0), 2.0)) - 0.03;
     float tooth = smoothstep(gum_line - 0.012, gum_line + 0.012, row);
-    vec3 enamel = mix(vec3(0.66, 0.58, 0.44), vec3(0.74, 0.70, 0.62), smoothstep(0.3, 0.55, row));
+    vec3 enamel = mix(vec3(0.72, 0.61, 0.44), vec3(0.82, 0.75, 0.63), smoothstep(0.3, 0.55, row));
     enamel *= mix(0.82, 1.0, smoothstep(0.05, 0.9, gap)) * (0.96 + 0.08 * noise(rest_mm * 0.8));
     enamel *= mix(1.0, 0.62, smoothstep(0.35, 1.0, along));
     vec3 gum = vec3(0.50, 0.17, 0.16) * (0.85 + 0.3 * noise(rest_mm * 0.9));

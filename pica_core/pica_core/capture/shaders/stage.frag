@@ -45,11 +45,15 @@ void main() {
     vec3 n = normalize(shading_normal);
     vec3 v = normalize(camera_m - point_m);
     float sky = open_sky.x, key = open_sky.y;
+    // Shadow is known per vertex for a few expressions only; inside the mouth keep what bounces around.
+    if (material_id == 2) { sky = max(sky, 0.50); key = max(key, 0.10); }
+    else if (material_id == 3) { sky = max(sky, 0.34); key = max(key, 0.06); }
+    else if (material_id == 4) { sky = max(sky, 0.22); }
     vec3 lit;
     vec3 shine = vec3(0.0);
     if (material_id == 6) {
         // Kajiya-Kay strands with a shifted second lobe (Scheuermann 2004).
-        vec3 t = normalize(strand_tangent + n * (relief.b - 0.5) * 0.5);
+        vec3 t = normalize(strand_tangent + n * (relief.b - 0.5) * 0.22);
         vec3 h = normalize(key_direction + v);
         vec3 hf = normalize(rim_direction + v);
         float s1 = pow(max(1.0 - pow(dot(t, h), 2.0), 0.0), 45.0);
