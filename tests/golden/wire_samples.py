@@ -1,0 +1,110 @@
+"""One sample of everything that travels; the golden bytes in ``wire.json`` are made of these.
+
+``python tests/golden/wire_samples.py`` writes the file anew. Do that only for a message that was
+added: bytes that are in the file already are what older peers send, and must decode for ever.
+"""
+
+import json
+from pathlib import Path
+
+from pica_protocol.codec import encode_message
+from pica_protocol.frames import Frame, encode_frame, media_message
+from pica_protocol.messages import (
+    Bye,
+    Hello,
+    Join,
+    Joined,
+    KeyframeRequest,
+    Leave,
+    Message,
+    Peer,
+    PeerJoined,
+    PeerLeft,
+    Report,
+    StreamReport,
+    Track,
+    Want,
+    Welcome,
+)
+
+GOLDEN = Path(__file__).with_name("wire.json")
+
+_AVATAR = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
+_ADA = Peer(peer_id="p1", name="Ada", tracks=(Track(kind="face", avatar=_AVATAR, stream=1),))
+
+MESSAGES: dict[str, Message] = {
+    "hello": Hello(software="pica-client"),
+    "welcome": Welcome(software="pica-relay"),
+    "join": Join(room="lobby", name="Bob", tracks=(Track(kind="face"),)),
+    "joined": Joined(
+        room="lobby", peer_id="p2", tracks=(Track(kind="face", stream=2),), peers=(_ADA,)
+    ),
+    "peer_joined": PeerJoined(peer=_ADA),
+    "peer_left": PeerLeft(peer_id="p1", reason="lost"),
+    "leave": Leave(),
+    "want": Want(stream=1, layer=0),
+    "want none": Want(stream=1, layer=None),
+    "keyframe_request": KeyframeRequest(stream=1),
+    "report": Report(streams=(StreamReport(stream=1, received=30, lost=2, concealed=1),)),
+    "bye": Bye(code=4004, reason="room lobby is full: 16 peers"),
+}
+
+FRAMES: dict[str, list[Frame]] = {
+    "one frame": [
+        Frame(
+            stream=1,
+            sequence=65_535,
+            captured_us=1_700_000_000_000_000,
+            payload=b"opaque",
+            is_keyframe=True,
+        )
+    ],
+    "two frames": [
+        Frame(stream=1, sequence=0, captured_us=33_333, payload=b"delta", layer=2),
+        Frame(stream=2, sequence=7, captured_us=0, payload=b""),
+    ],
+}
+
+
+def wire_bytes() -> dict[str, bytes]:
+    """Return the websocket message of every sample."""
+    messages = {name: encode_message(message) for name, message in MESSAGES.items()}
+    media = {name: media_message(map(encode_frame, frames)) for name, frames in FRAMES.items()}
+    return messages | media
+
+
+def invalid_bytes() -> dict[str, bytes]:
+    """Return one broken sibling of each kind that a decoder must refuse."""
+    hello, frame = wire_bytes()["hello"], wire_bytes()["one frame"]
+    return {
+        "nothing at all": b"",
+        "unknown kind of message": b"\x03" + hello[1:],
+        "control without a map": b"\x01\x90",
+        "control cut off": hello[:-1],
+        "control with bytes to spare": hello + b"\x00",
+        "unknown type": hello.replace(b"hello", b"hullo"),
+        "required field missing": b"\x01\x81\xa4type\xa4want",
+        "number where text belongs": encode_message(Bye(code=1000, reason="x"))[:-2] + b"\x07",
+        "stream 0": encode_message(Want(stream=1)).replace(b"stream\x01", b"stream\x00"),
+        "map with a number as key": b"\x01\x81\x01\x01",
+        "extension type": b"\x01\xd4\x05\x00",
+        "media without a frame": b"\x02",
+        "header cut off": frame[:16],
+        "payload cut off": frame[:-1],
+        "byte behind the last frame": frame + b"\x00",
+        "frame of stream 0": frame[:1] + b"\x00\x00" + frame[3:],
+        "frame of layer 8": frame[:5] + b"\x08" + frame[6:],
+        "payload above the limit": frame[:7] + b"\xff\xff" + frame[9:],
+    }
+
+
+def _write() -> None:
+    golden = {
+        "valid": {name: data.hex() for name, data in wire_bytes().items()},
+        "invalid": {name: data.hex() for name, data in invalid_bytes().items()},
+    }
+    GOLDEN.write_text(json.dumps(golden, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    _write()

@@ -1,0 +1,85 @@
+"""Hypothesis strategies for messages and frames within their limits."""
+
+import string
+
+from hypothesis import strategies as st
+
+from pica_protocol.frames import MAX_PAYLOAD_BYTES, Frame
+from pica_protocol.messages import (
+    BYE_CODES,
+    Bye,
+    Hello,
+    Join,
+    Joined,
+    KeyframeRequest,
+    Leave,
+    Message,
+    Peer,
+    PeerJoined,
+    PeerLeft,
+    Report,
+    StreamReport,
+    Track,
+    Want,
+    Welcome,
+)
+
+_TOKEN_CHARS = string.ascii_letters + string.digits + "_.-"
+
+tokens = st.text(_TOKEN_CHARS, min_size=1, max_size=64)
+streams = st.integers(1, 65_535)
+counters = st.integers(0, 2**63 - 1)
+texts = st.text(max_size=15).filter(str.isprintable)
+names = texts.filter(lambda text: bool(text.strip()))
+
+
+def tracks(stream: st.SearchStrategy[int]) -> st.SearchStrategy[tuple[Track, ...]]:
+    """Up to four tracks, with streams of the given kind."""
+    track = st.builds(
+        Track,
+        kind=st.text(_TOKEN_CHARS, min_size=1, max_size=16),
+        avatar=st.sampled_from(["", "0f" * 32]),
+        stream=stream,
+    )
+    return st.lists(track, max_size=4).map(tuple)
+
+
+peers = st.builds(Peer, peer_id=tokens, name=names, tracks=tracks(streams))
+
+messages: st.SearchStrategy[Message] = st.one_of(
+    st.builds(Hello, version=counters, software=texts),
+    st.builds(Welcome, version=counters, software=texts),
+    st.builds(Join, room=tokens, name=names, tracks=tracks(st.just(0))),
+    st.builds(
+        Joined,
+        room=tokens,
+        peer_id=tokens,
+        tracks=tracks(streams),
+        peers=st.lists(peers, max_size=3).map(tuple),
+    ),
+    st.builds(PeerJoined, peer=peers),
+    st.builds(PeerLeft, peer_id=tokens, reason=texts),
+    st.builds(Leave),
+    st.builds(Want, stream=streams, layer=st.none() | st.integers(0, 7)),
+    st.builds(KeyframeRequest, stream=streams),
+    st.builds(
+        Report,
+        streams=st.lists(
+            st.builds(
+                StreamReport, stream=streams, received=counters, lost=counters, concealed=counters
+            ),
+            max_size=4,
+        ).map(tuple),
+    ),
+    st.builds(Bye, code=st.sampled_from(BYE_CODES) | st.integers(3000, 4999), reason=texts),
+)
+
+frames = st.builds(
+    Frame,
+    stream=streams,
+    sequence=st.integers(0, 65_535),
+    captured_us=st.integers(0, 2**64 - 1),
+    payload=st.binary(max_size=40) | st.just(bytes(MAX_PAYLOAD_BYTES)),
+    layer=st.integers(0, 7),
+    is_keyframe=st.booleans(),
+)

@@ -1,0 +1,168 @@
+import contextlib
+import tracemalloc
+
+import msgpack
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pica_protocol.codec import decode_message, encode_message
+from pica_protocol.errors import ProtocolError, RemoteProtocolError
+from pica_protocol.limits import MAX_CONTROL_BYTES, MAX_PEERS
+from pica_protocol.messages import (
+    Hello,
+    Join,
+    Joined,
+    Message,
+    Peer,
+    Report,
+    StreamReport,
+    Track,
+    Want,
+)
+from protocol.strategies import messages
+
+pytestmark = pytest.mark.unit
+
+
+def pack(value: object) -> bytes:
+    return b"\x01" + bytes(msgpack.packb(value))
+
+
+@given(messages)
+def test_every_message_survives_the_wire(message: Message) -> None:
+    assert decode_message(encode_message(message)) == message
+
+
+@given(st.binary(max_size=200))
+@settings(max_examples=500)
+def test_any_bytes_are_a_message_or_a_protocol_error(data: bytes) -> None:
+    for candidate in (data, b"\x01" + data):
+        with contextlib.suppress(ProtocolError):
+            decode_message(candidate)
+
+
+json_like = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**63), 2**64 - 1)
+    | st.floats()
+    | st.text(max_size=9),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=9), inner),
+    max_leaves=20,
+)
+
+
+@given(message=messages, data=st.data())
+@settings(max_examples=500)
+def test_a_message_with_any_field_replaced_is_a_message_or_a_protocol_error(
+    message: Message, data: st.DataObject
+) -> None:
+    record = msgpack.unpackb(encode_message(message)[1:])
+    record[data.draw(st.sampled_from(sorted(record)))] = data.draw(json_like)
+    with contextlib.suppress(ProtocolError):
+        decode_message(pack(record))
+
+
+@given(message=messages, position=st.integers(0, 10_000), bits=st.integers(1, 255))
+@settings(max_examples=500)
+def test_a_message_with_a_flipped_byte_is_a_message_or_a_protocol_error(
+    message: Message, position: int, bits: int
+) -> None:
+    data = bytearray(encode_message(message))
+    data[position % len(data)] ^= bits
+    with contextlib.suppress(ProtocolError):
+        decode_message(bytes(data))
+
+
+@given(messages)
+def test_a_truncated_message_is_refused(message: Message) -> None:
+    data = encode_message(message)
+    for size in range(len(data)):
+        with pytest.raises(RemoteProtocolError):
+            decode_message(data[:size])
+
+
+@pytest.mark.parametrize(
+    "bomb",
+    [
+        b"\x01" + b"\x91" * 60_000,
+        b"\x01" + b"\xdd\xff\xff\xff\xff" + b"\xc0" * 10_000,
+        b"\x01" + b"\xdf\xff\xff\xff\xff" + b"\xc0" * 10_000,
+        b"\x01" + b"\xdb\xff\xff\xff\xff" + b"x" * 10_000,
+        b"\x01" + b"\xdc\xff\xff" * 3000,
+        b"\x01" + b"\xc7\x00\x05",
+        b"\x01" + b"\xd6\xff\x00\x00\x00\x00",
+        b"\x01" + (b"\x81" + b"\x81" * 500) * 100,
+    ],
+    ids=["nesting", "array", "map", "text", "arrays", "extension", "timestamp", "map keys"],
+)
+def test_a_msgpack_bomb_is_refused_within_a_megabyte(bomb: bytes) -> None:
+    tracemalloc.start()
+    with pytest.raises(RemoteProtocolError):
+        decode_message(bomb)
+    _, peak_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak_bytes < 1_000_000
+
+
+def test_a_message_above_the_size_limit_is_refused_before_it_is_decoded() -> None:
+    with pytest.raises(RemoteProtocolError, match="the limit is 100"):
+        decode_message(pack({"type": "hello", "version": 1}).ljust(101, b"\0"), max_bytes=100)
+
+
+def test_unknown_fields_are_ignored_so_that_later_versions_may_add_some() -> None:
+    assert decode_message(pack({"type": "hello", "version": 1, "colour": [1, {}]})) == Hello()
+
+
+def test_missing_fields_take_their_default() -> None:
+    assert decode_message(pack({"type": "want", "stream": 3})) == Want(stream=3)
+
+
+@pytest.mark.parametrize(
+    ("record", "complaint"),
+    [
+        ({"type": "want"}, "want.stream is missing"),
+        ({"type": "want", "stream": "3"}, "want.stream must be an integer, got '3'"),
+        ({"type": "want", "stream": True}, "want.stream must be an integer, got True"),
+        ({"type": "want", "stream": 0}, "want.stream must be in 1..65535, got 0"),
+        ({"type": "want", "stream": 1, "layer": 8}, "want.layer must be in 0..7, got 8"),
+        ({"type": "peer_joined", "peer": 5}, "peer_joined.peer must be a map, got 5"),
+        (
+            {"type": "join", "room": "r", "name": "n", "tracks": [{"kind": 1}]},
+            r"join.tracks\[0\].kind must be text, got 1",
+        ),
+        ({"type": "join", "room": "../etc", "name": "n"}, "join.room must be 1..64 of"),
+        ({"type": "join", "room": "r", "name": "\x1b[2J"}, "join.name must be printable"),
+        ({"type": "bye", "code": 1006}, "bye.code must be one a close frame may carry, got 1006"),
+        ({"type": "poke"}, "unknown message type 'poke'"),
+        ({}, "unknown message type None"),
+        ([], "expected a map, got list"),
+    ],
+)
+def test_a_bad_field_is_refused_with_its_path_value_and_limit(
+    record: object, complaint: str
+) -> None:
+    with pytest.raises(RemoteProtocolError, match=complaint):
+        decode_message(pack(record))
+
+
+def test_a_refused_value_cannot_fill_the_log() -> None:
+    with pytest.raises(RemoteProtocolError) as caught:
+        decode_message(pack({"type": "want", "stream": "x" * 100}))
+    assert len(str(caught.value)) < 100
+
+
+def test_the_fullest_room_fits_a_control_message() -> None:
+    track = Track(kind="k" * 16, avatar="f" * 64, stream=65_535)
+    peer = Peer(peer_id="p" * 64, name="n" * 64, tracks=(track,) * 4)
+    joined = Joined(room="r" * 64, peer_id="p" * 64, tracks=(track,) * 4, peers=(peer,) * MAX_PEERS)
+    assert len(encode_message(joined)) <= MAX_CONTROL_BYTES
+
+
+def test_the_longest_client_messages_fit_what_the_relay_reads() -> None:
+    most = 2**63 - 1
+    stream = StreamReport(stream=65_535, received=most, lost=most, concealed=most)
+    join = Join(room="r" * 64, name="n" * 64, tracks=(Track(kind="k" * 16, avatar="f" * 64),) * 4)
+    assert len(encode_message(Report(streams=(stream,) * 64))) <= 16_384
+    assert len(encode_message(join)) <= 16_384

@@ -1,0 +1,110 @@
+import contextlib
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pica_protocol.errors import RemoteProtocolError
+from pica_protocol.frames import (
+    HEADER_BYTES,
+    MAX_PAYLOAD_BYTES,
+    Frame,
+    decode_media,
+    encode_frame,
+    media_message,
+    scan_frames,
+    sequence_distance,
+)
+from pica_protocol.limits import MAX_FRAME_BYTES, MAX_MEDIA_MESSAGE_BYTES
+from protocol.strategies import frames
+
+pytestmark = pytest.mark.unit
+
+
+@given(st.lists(frames, min_size=1, max_size=8))
+def test_frames_survive_the_wire_together(batch: list[Frame]) -> None:
+    assert decode_media(media_message(map(encode_frame, batch))) == batch
+
+
+@given(st.lists(frames, min_size=1, max_size=8))
+def test_a_frame_forwarded_by_its_span_is_the_frame_that_came(batch: list[Frame]) -> None:
+    message = media_message(map(encode_frame, batch))
+    forwarded = [message[span.start : span.end] for span in scan_frames(message)]
+    assert forwarded == [encode_frame(frame) for frame in batch]
+
+
+@given(st.binary(max_size=100))
+@settings(max_examples=500)
+def test_any_bytes_are_frames_or_a_protocol_error(data: bytes) -> None:
+    for candidate in (data, b"\x02" + data):
+        with contextlib.suppress(RemoteProtocolError):
+            decode_media(candidate)
+
+
+@given(frames)
+def test_a_truncated_frame_is_refused(frame: Frame) -> None:
+    message = media_message([encode_frame(frame)])
+    for size in range(len(message)):
+        with pytest.raises(RemoteProtocolError):
+            decode_media(message[:size])
+
+
+def test_the_longest_frame_fits_a_datagram() -> None:
+    frame = Frame(stream=1, sequence=0, captured_us=0, payload=bytes(MAX_PAYLOAD_BYTES))
+    assert len(encode_frame(frame)) == MAX_FRAME_BYTES
+
+
+def test_a_header_is_sixteen_bytes_with_the_stream_first() -> None:
+    frame = Frame(
+        stream=0x0102,
+        sequence=0x0304,
+        layer=5,
+        is_keyframe=True,
+        captured_us=0x0809_0A0B_0C0D_0E0F,
+        payload=b"xyz",
+    )
+    assert encode_frame(frame).hex() == "01020304050100030809 0a0b0c0d0e0f78797a".replace(" ", "")
+    assert HEADER_BYTES == 16
+
+
+def test_unknown_flags_are_ignored() -> None:
+    header = bytes.fromhex("0001000000ff00000000000000000000")
+    assert decode_media(b"\x02" + header)[0].is_keyframe
+
+
+@pytest.mark.parametrize(
+    ("header", "complaint"),
+    [
+        ("0000 0000 00 00 0000 0000000000000000", "stream 0"),
+        ("0001 0000 08 00 0000 0000000000000000", "layer 8, the limit is 7"),
+        ("0001 0000 00 00 04a1 0000000000000000", "1185 bytes, the limit is 1184"),
+        ("0001 0000 00 00 0005 0000000000000000", "5 bytes are missing"),
+        ("0001 0000 00 00 0000 0000000000000000 00", "cut off after 1 bytes"),
+    ],
+)
+def test_a_bad_frame_is_refused_with_its_value_and_limit(header: str, complaint: str) -> None:
+    with pytest.raises(RemoteProtocolError, match=complaint):
+        scan_frames(b"\x02" + bytes.fromhex(header))
+
+
+def test_a_message_longer_than_the_limit_is_refused() -> None:
+    frame = encode_frame(Frame(stream=1, sequence=0, captured_us=0, payload=bytes(1000)))
+    with pytest.raises(RemoteProtocolError, match=str(MAX_MEDIA_MESSAGE_BYTES)):
+        scan_frames(media_message([frame] * 17))
+
+
+@pytest.mark.parametrize("field", ["stream", "sequence", "layer", "captured_us"])
+def test_a_field_out_of_range_cannot_be_sent(field: str) -> None:
+    fields = {"stream": 1, "sequence": 0, "captured_us": 0, "layer": 0, field: -1}
+    with pytest.raises(ValueError, match=field):
+        Frame(payload=b"", **fields)
+
+
+@pytest.mark.parametrize(
+    ("sequence", "reference", "distance"),
+    [(5, 3, 2), (3, 5, -2), (0, 65_535, 1), (65_535, 0, -1), (7, 7, 0), (40_000, 0, -25_536)],
+)
+def test_sequences_are_compared_across_the_wrap(
+    sequence: int, reference: int, distance: int
+) -> None:
+    assert sequence_distance(sequence, reference) == distance

@@ -1,0 +1,363 @@
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pica_protocol.codec import decode_message, encode_message
+from pica_protocol.errors import CloseCode, LocalProtocolError, is_worth_retrying
+from pica_protocol.frames import Frame, encode_frame, media_message
+from pica_protocol.messages import (
+    Bye,
+    Hello,
+    Join,
+    Joined,
+    KeyframeRequest,
+    Leave,
+    Message,
+    Peer,
+    PeerJoined,
+    PeerLeft,
+    Report,
+    StreamReport,
+    Track,
+    Want,
+    Welcome,
+)
+from pica_protocol.session import (
+    CLIENT_TABLE,
+    MAX_QUEUED_MESSAGES,
+    SERVER_TABLE,
+    ClientSession,
+    Closed,
+    Media,
+    ServerSession,
+    State,
+)
+from protocol.strategies import messages
+
+pytestmark = pytest.mark.unit
+
+FACE = Track(kind="face")
+OWN = Track(kind="face", stream=7)
+BOB = Peer(peer_id="p2", name="Bob", tracks=(Track(kind="face", stream=8),))
+JOINED = Joined(room="lobby", peer_id="p1", tracks=(OWN,), peers=(BOB,))
+
+
+def sent(session: ClientSession | ServerSession) -> list[Message]:
+    return [decode_message(data) for data in session.messages_to_send(now=0.0)]
+
+
+def joined_client() -> ClientSession:
+    client = ClientSession(room="lobby", name="Ada", tracks=(FACE,), now=0.0)
+    client.messages_to_send(now=0.0)
+    client.receive_data(encode_message(Welcome()), now=0.1)
+    client.receive_data(encode_message(JOINED), now=0.2)
+    return client
+
+
+def joined_server() -> ServerSession:
+    server = ServerSession(now=0.0)
+    server.receive_data(encode_message(Hello()), now=0.1)
+    server.receive_data(encode_message(Join(room="lobby", name="Ada", tracks=(FACE,))), now=0.2)
+    server.accept(JOINED)
+    server.messages_to_send(now=0.2)
+    return server
+
+
+def test_a_client_greets_and_joins_in_one_go() -> None:
+    client = ClientSession(room="lobby", name="Ada", tracks=(FACE,), software="test", now=0.0)
+    assert sent(client) == [
+        Hello(software="test"),
+        Join(room="lobby", name="Ada", tracks=(FACE,)),
+    ]
+    assert client.messages_to_send(now=0.0) == []
+
+
+def test_a_client_knows_its_place_once_joined() -> None:
+    client = joined_client()
+    assert client.state is State.JOINED
+    assert client.peer_id == "p1"
+    assert client.tracks == (OWN,)
+    assert client.peers == {"p2": BOB}
+    assert client.next_timer() is None
+
+
+def test_a_client_keeps_the_list_of_peers_up_to_date() -> None:
+    client = joined_client()
+    cyd = Peer(peer_id="p3", name="Cyd")
+    assert client.receive_data(encode_message(PeerJoined(peer=cyd)), 1.0) == [PeerJoined(peer=cyd)]
+    client.receive_data(encode_message(PeerLeft(peer_id="p2", reason="left")), 2.0)
+    assert client.peers == {"p3": cyd}
+
+
+def test_a_server_welcomes_and_asks_for_a_decision() -> None:
+    server = ServerSession(software="relay", now=0.0)
+    assert server.receive_data(encode_message(Hello()), now=0.1) == []
+    assert sent(server) == [Welcome(software="relay")]
+    join = Join(room="lobby", name="Ada")
+    assert server.receive_data(encode_message(join), now=0.2) == [join]
+    assert server.state is State.DECIDING
+    server.accept(JOINED)
+    assert sent(server) == [JOINED]
+    assert server.state is State.JOINED
+
+
+def test_a_server_may_refuse_a_join_with_code_and_reason() -> None:
+    server = ServerSession(now=0.0)
+    server.receive_data(encode_message(Hello()), now=0.1)
+    server.receive_data(encode_message(Join(room="lobby", name="Ada")), now=0.2)
+    server.close(CloseCode.ROOM_FULL, "room lobby is full")
+    assert sent(server)[-1] == Bye(code=4004, reason="room lobby is full")
+    assert server.closed == Closed(code=4004, reason="room lobby is full", is_remote=False)
+
+
+def test_frames_pass_from_client_to_server_unchanged() -> None:
+    client, server = joined_client(), joined_server()
+    client.send_frame(b"payload", captured_us=123, layer=2, is_keyframe=True)
+    (message,) = client.messages_to_send(now=1.0)
+    (media,) = server.receive_data(message, now=1.1)
+    assert isinstance(media, Media)
+    assert media.message == message
+    expected = Frame(
+        stream=7, sequence=0, captured_us=123, payload=b"payload", layer=2, is_keyframe=True
+    )
+    assert joined_client().receive_data(media.message, now=1.2) == [expected]
+
+
+def test_sequences_count_per_track_and_wrap() -> None:
+    client = joined_client()
+    last = 0
+    for _ in range(65_537):
+        client.send_frame(b"", captured_us=0)
+        (message,) = client.messages_to_send(now=1.0)
+        last = int.from_bytes(message[3:5], "big")
+    assert last == 0
+
+
+def test_a_frame_that_waits_is_replaced_by_a_newer_one_and_counted() -> None:
+    client = joined_client()
+    client.send_frame(b"old", captured_us=1)
+    client.send_frame(b"new", captured_us=2)
+    (message,) = client.messages_to_send(now=1.0)
+    assert message.endswith(b"new")
+    assert b"old" not in message
+    assert client.frames_replaced == 1
+
+
+def test_wishes_requests_and_reports_reach_the_server_as_events() -> None:
+    client, server = joined_client(), joined_server()
+    report = Report(streams=(StreamReport(stream=8, received=30),))
+    client.want(8, None)
+    client.request_keyframe(8)
+    client.report(report)
+    events = [
+        event
+        for data in client.messages_to_send(now=1.0)
+        for event in server.receive_data(data, now=1.1)
+    ]
+    assert events == [Want(stream=8, layer=None), KeyframeRequest(stream=8), report]
+
+
+def test_leaving_is_answered_and_ends_both_sides() -> None:
+    client, server = joined_client(), joined_server()
+    client.leave(now=5.0)
+    (leave,) = client.messages_to_send(now=5.0)
+    assert server.receive_data(leave, now=5.1) == [Closed(code=1000, reason="left", is_remote=True)]
+    (bye,) = server.messages_to_send(now=5.1)
+    assert client.receive_data(bye, now=5.2) == [Closed(code=1000, reason="left", is_remote=True)]
+
+
+def test_what_was_under_way_when_a_client_left_is_ignored() -> None:
+    client = joined_client()
+    client.leave(now=5.0)
+    frame = media_message([encode_frame(Frame(stream=8, sequence=0, captured_us=0, payload=b""))])
+    assert client.receive_data(frame, now=5.1) == []
+    assert client.receive_data(encode_message(PeerLeft(peer_id="p2")), now=5.1) == []
+    assert client.state is State.LEAVING
+
+
+def test_a_client_waits_for_the_goodbye_no_longer_than_told() -> None:
+    client = joined_client()
+    client.leave(now=5.0, timeout_s=1.0)
+    assert client.next_timer() == 6.0
+    assert client.handle_timer(now=5.9) == []
+    assert client.handle_timer(now=6.0) == [Closed(code=1000, reason="left", is_remote=False)]
+
+
+def test_a_client_gives_up_on_a_silent_relay_at_the_deadline() -> None:
+    client = ClientSession(room="lobby", name="Ada", now=10.0, timeout_s=5.0)
+    assert client.next_timer() == 15.0
+    assert client.handle_timer(now=14.999) == []
+    (closed,) = client.handle_timer(now=15.0)
+    assert closed == client.closed
+    assert closed.code == CloseCode.HANDSHAKE_TIMEOUT  # type: ignore[union-attr]
+    assert client.next_timer() is None
+
+
+@pytest.mark.parametrize("has_greeted", [False, True])
+def test_a_server_closes_a_client_that_does_not_join_in_time(has_greeted: bool) -> None:
+    server = ServerSession(now=0.0, timeout_s=5.0)
+    if has_greeted:
+        server.receive_data(encode_message(Hello()), now=4.0)
+    assert server.handle_timer(now=4.9) == []
+    (closed,) = server.handle_timer(now=5.0)
+    awaited = "join" if has_greeted else "hello"
+    assert closed == Closed(code=4003, reason=f"no {awaited} in time", is_remote=False)
+    assert sent(server)[-1] == Bye(code=4003, reason=f"no {awaited} in time")
+
+
+def test_another_version_is_refused_by_the_server() -> None:
+    server = ServerSession(now=0.0)
+    (closed,) = server.receive_data(encode_message(Hello(version=2)), now=0.1)
+    assert closed == Closed(code=4001, reason="we speak protocol version 1, you 2", is_remote=False)
+
+
+def test_another_version_is_refused_by_the_client() -> None:
+    client = ClientSession(room="lobby", name="Ada", now=0.0)
+    (closed,) = client.receive_data(encode_message(Welcome(version=9)), now=0.1)
+    assert isinstance(closed, Closed)
+    assert closed.code == CloseCode.WRONG_VERSION
+
+
+def test_a_relay_that_answers_for_other_tracks_is_refused() -> None:
+    client = ClientSession(room="lobby", name="Ada", now=0.0)
+    client.receive_data(encode_message(Welcome()), now=0.1)
+    (closed,) = client.receive_data(encode_message(JOINED), now=0.2)
+    assert isinstance(closed, Closed)
+    assert closed.reason == "joined with other tracks than ours"
+
+
+def test_a_goodbye_is_remembered_when_the_socket_ends_after_it() -> None:
+    client = joined_client()
+    (closed,) = client.receive_data(encode_message(Bye(code=4005, reason="too slow")), now=1.0)
+    assert closed == Closed(code=4005, reason="too slow", is_remote=True)
+    assert client.receive_close(1006, "", now=1.1) == []
+    assert client.closed == closed
+
+
+def test_a_socket_that_dies_without_a_word_ends_the_session() -> None:
+    client = joined_client()
+    assert client.receive_close(1006, "", now=1.0) == [Closed(code=1006, reason="", is_remote=True)]
+
+
+def test_a_closed_session_hears_and_says_nothing_more() -> None:
+    client = joined_client()
+    client.close(CloseCode.GOING_AWAY, "bye")
+    assert sent(client) == [Bye(code=1001, reason="bye")]
+    assert client.receive_data(b"garbage", now=1.0) == []
+    client.close(CloseCode.NORMAL, "again")
+    assert client.messages_to_send(now=1.0) == []
+
+
+def test_what_a_client_must_not_do_is_its_own_error() -> None:
+    client = ClientSession(room="lobby", name="Ada", tracks=(FACE,), now=0.0)
+    with pytest.raises(LocalProtocolError, match="while greeting"):
+        client.send_frame(b"", captured_us=0)
+    with pytest.raises(LocalProtocolError, match="Want while greeting"):
+        client.want(1, 0)
+    with pytest.raises(LocalProtocolError, match="track 1"):
+        joined_client().send_frame(b"", captured_us=0, track=1)
+    with pytest.raises(LocalProtocolError, match="nobody asked"):
+        ServerSession(now=0.0).accept(JOINED)
+
+
+def test_a_shell_that_never_drains_is_told() -> None:
+    client = joined_client()
+    for _ in range(MAX_QUEUED_MESSAGES):
+        client.request_keyframe(8)
+    for _ in range(MAX_QUEUED_MESSAGES):
+        client.request_keyframe(8)
+    with pytest.raises(LocalProtocolError, match="drain messages_to_send"):
+        client.request_keyframe(8)
+
+
+def test_a_long_reason_is_clipped_to_what_a_close_frame_holds() -> None:
+    server = ServerSession(now=0.0)
+    server.close(CloseCode.MALFORMED, "é" * 100 + "\n")
+    (bye,) = sent(server)
+    assert isinstance(bye, Bye)
+    assert bye.reason == "é" * 60
+
+
+SAMPLES: list[Message] = [
+    Hello(),
+    Welcome(),
+    Join(room="lobby", name="Ada", tracks=(FACE,)),
+    JOINED,
+    PeerJoined(peer=BOB),
+    PeerLeft(peer_id="p2"),
+    Leave(),
+    Want(stream=8),
+    KeyframeRequest(stream=8),
+    Report(),
+]
+FRAME = media_message([encode_frame(Frame(stream=8, sequence=0, captured_us=0, payload=b""))])
+
+
+def session_in(state: State, *, is_client: bool) -> ClientSession | ServerSession:
+    session: ClientSession | ServerSession
+    if is_client:
+        session = ClientSession(room="lobby", name="Ada", tracks=(FACE,), now=0.0)
+        steps: list[tuple[State, Message]] = [
+            (State.JOINING, Welcome()),
+            (State.JOINED, JOINED),
+        ]
+    else:
+        session = ServerSession(now=0.0)
+        steps = [(State.JOINING, Hello()), (State.DECIDING, SAMPLES[2])]
+    for reached, message in steps:
+        if session.state is not state:
+            session.receive_data(encode_message(message), now=0.0)
+            assert session.state is reached
+    if isinstance(session, ServerSession) and state is State.JOINED:
+        session.accept(JOINED)
+    if isinstance(session, ClientSession) and state is State.LEAVING:
+        session.leave(now=0.0)
+    if state is State.CLOSED:
+        session.close(1000, "")
+    assert session.state is state
+    session.messages_to_send(now=0.0)
+    return session
+
+
+@pytest.mark.parametrize("is_client", [True, False], ids=["client", "server"])
+def test_what_the_table_does_not_allow_is_an_unexpected_message(is_client: bool) -> None:
+    table = CLIENT_TABLE if is_client else SERVER_TABLE
+    received = {type(message): encode_message(message) for message in SAMPLES}
+    for state in set(table) - {State.CLOSED}:
+        for kind, data in {**received, Media: FRAME}.items():
+            session = session_in(state, is_client=is_client)
+            session.receive_data(data, now=0.0)
+            reached = table[state].get(kind)
+            if reached is None:
+                assert session.closed is not None
+                assert session.closed.code == CloseCode.UNEXPECTED_MESSAGE, (state, kind)
+            else:
+                assert session.state is reached, (state, kind)
+
+
+@given(
+    is_client=st.booleans(),
+    data=st.lists(st.binary(max_size=50) | messages.map(encode_message) | st.just(FRAME)),
+    state=st.sampled_from([State.GREETING, State.JOINING, State.JOINED]),
+)
+@settings(max_examples=300)
+def test_no_received_bytes_make_a_session_raise_or_speak_after_its_goodbye(
+    is_client: bool, data: list[bytes], state: State
+) -> None:
+    session = session_in(state, is_client=is_client)
+    for item in data:
+        session.receive_data(item, now=0.0)
+        if isinstance(session, ServerSession) and session.state is State.DECIDING:
+            session.accept(JOINED)
+    said = sent(session)
+    if session.closed is not None and not session.closed.is_remote:
+        assert isinstance(said[-1], Bye)
+    assert sum(isinstance(message, Bye) for message in said) <= 1
+
+
+def test_a_retry_is_worth_it_when_nobody_is_at_fault() -> None:
+    assert is_worth_retrying(CloseCode.GOING_AWAY)
+    assert is_worth_retrying(CloseCode.CONNECTION_LOST)
+    assert not is_worth_retrying(CloseCode.WRONG_VERSION)
+    assert not is_worth_retrying(CloseCode.ROOM_FULL)
+    assert not is_worth_retrying(4999)
