@@ -264,8 +264,6 @@ def test_a_shell_that_never_drains_is_told() -> None:
     client = joined_client()
     for _ in range(MAX_QUEUED_MESSAGES):
         client.request_keyframe(8)
-    for _ in range(MAX_QUEUED_MESSAGES):
-        client.request_keyframe(8)
     with pytest.raises(LocalProtocolError, match="drain messages_to_send"):
         client.request_keyframe(8)
 

@@ -1,0 +1,195 @@
+"""The whole relay with literal times and no socket."""
+
+import pytest
+
+from pica_protocol.codec import decode_message, encode_message
+from pica_protocol.errors import CloseCode
+from pica_protocol.frames import Frame, decode_media
+from pica_protocol.messages import Bye, Message, PeerJoined, PeerLeft, Report, StreamReport, Track
+from pica_protocol.session import ClientSession, State
+from pica_server.config import RelayConfig
+from pica_server.hub import Connection, Hub
+
+pytestmark = pytest.mark.unit
+
+FACE = Track(kind="face")
+
+
+class Member:
+    """A client session and its connection, with the bytes carried by hand."""
+
+    def __init__(self, hub: Hub, name: str, *, room: str = "lobby", now: float = 0.0) -> None:
+        self.hub = hub
+        self.connection: Connection = hub.connect(now)
+        self.session = ClientSession(room=room, name=name, tracks=(FACE,), now=now)
+        self.speak(now)
+        self.listen(now)
+
+    @property
+    def stream(self) -> int:
+        return self.session.tracks[0].stream
+
+    def speak(self, now: float) -> None:
+        for data in self.session.messages_to_send(now):
+            self.hub.receive(self.connection, data, now)
+
+    def send_frame(self, payload: bytes, now: float, *, is_keyframe: bool = False) -> None:
+        self.session.send_frame(payload, captured_us=0, is_keyframe=is_keyframe)
+        self.speak(now)
+
+    def listen(self, now: float) -> list[Message | Frame]:
+        heard: list[Message | Frame] = []
+        while (parcel := self.hub.take(self.connection, now)) is not None:
+            self.hub.sent(self.connection, parcel, now)
+            self.session.receive_data(parcel.data, now)
+            if parcel.received_s:
+                heard += decode_media(parcel.data)
+            else:
+                heard.append(decode_message(parcel.data))
+        return heard
+
+
+def hub_with(*names: str, config: RelayConfig | None = None) -> tuple[Hub, list[Member]]:
+    hub = Hub(config or RelayConfig())
+    members = [Member(hub, name) for name in names]
+    for member in members:
+        member.listen(now=0.0)
+    hub.take_ready()
+    return hub, members
+
+
+def test_a_frame_makes_its_receivers_ready_and_nobody_else() -> None:
+    hub, (ada, bob, cyd) = hub_with("Ada", "Bob", "Cyd")
+    ada.send_frame(b"x", now=1.0)
+    assert hub.take_ready() == [bob.connection, cyd.connection]
+    assert hub.take_ready() == []
+
+
+def test_forwarding_latency_runs_from_receipt_to_the_socket() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob")
+    ada.send_frame(b"x", now=1.0)
+    bob.listen(now=1.010)
+    assert hub.stats.as_dict()["forward_ms"]["p50"] == pytest.approx(10, rel=0.05)
+
+
+def test_every_frame_is_delivered_or_counted_as_dropped() -> None:
+    hub, (ada, bob, cyd) = hub_with("Ada", "Bob", "Cyd")
+    for i in range(10):
+        ada.send_frame(bytes([i]), now=1.0 + i)
+        bob.listen(now=1.0 + i)
+    hub.disconnect(cyd.connection, 1006, "", now=20.0)
+    stats = hub.stats
+    assert stats.frames_in == 10
+    assert stats.frames_out == 10
+    assert stats.dropped == {"replaced": 9, "departed": 1}
+
+
+def test_frames_still_waiting_when_their_publisher_goes_are_not_delivered() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob")
+    ada.send_frame(b"x", now=1.0)
+    hub.disconnect(ada.connection, 1006, "", now=1.1)
+    assert bob.listen(now=1.2) == [PeerLeft(peer_id=ada.session.peer_id, reason="lost")]
+    assert hub.stats.dropped == {"departed": 1}
+
+
+def test_a_foreign_stream_closes_its_sender_and_forwards_none_of_the_message() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob")
+    own = b"\x00\x01" + bytes(14)
+    bobs = b"\x00\x02" + bytes(14)
+    hub.receive(ada.connection, b"\x02" + own + bobs, now=1.0)
+    assert ada.connection.closed is not None
+    assert ada.connection.closed.code == CloseCode.FOREIGN_STREAM
+    assert bob.listen(now=1.0) == [PeerLeft(peer_id=ada.session.peer_id, reason="removed")]
+
+
+def test_a_peer_that_lets_control_pile_up_is_closed_and_the_rest_is_told() -> None:
+    config = RelayConfig(max_control_bytes=65_536, room_capacity=64)
+    hub, (ada, bob) = hub_with("Ada", "Bob", config=config)
+    for i in range(1000):  # people come and go; Bob does not read
+        guest = Member(hub, f"Guest {i}", now=1.0)
+        hub.disconnect(guest.connection, 1006, "", now=1.0)
+        ada.listen(now=1.0)
+        assert bob.connection.outbox.waiting_control_bytes <= 65_536 + 200
+    assert bob.connection.closed is not None
+    assert bob.connection.closed.code == CloseCode.TOO_SLOW
+    assert bob.session.peer_id not in ada.session.peers
+    heard = bob.listen(now=2.0)
+    assert isinstance(heard[-1], Bye)  # and what had piled up before it, in order
+    assert sum(isinstance(message, PeerJoined) for message in heard) > 100
+
+
+def test_a_handshake_is_late_at_its_deadline() -> None:
+    hub = Hub(RelayConfig(handshake_timeout_s=5))
+    connection = hub.connect(now=10.0)
+    assert hub.next_timer() == 15.0
+    hub.handle_timer(now=14.9)
+    assert connection.closed is None
+    hub.handle_timer(now=15.0)
+    assert connection.closed is not None
+    assert connection.closed.code == CloseCode.HANDSHAKE_TIMEOUT
+    assert hub.num_connections == 0
+
+
+def test_a_socket_that_takes_nothing_is_closed_after_the_stall_timeout() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob", config=RelayConfig(stall_timeout_s=10))
+    ada.send_frame(b"x", now=100.0)
+    assert hub.take(bob.connection, now=100.0) is not None  # and never sent
+    while bob.connection.closed is None:
+        now = hub.next_timer()
+        assert now is not None
+        hub.handle_timer(now)
+    assert now == 110.0
+    assert bob.connection.closed.code == CloseCode.TOO_SLOW
+    assert ada.connection.closed is None
+
+
+def test_a_peer_that_merely_has_nothing_to_read_is_not_late() -> None:
+    hub, (ada, _) = hub_with("Ada", "Bob")
+    for _ in range(100):
+        now = hub.next_timer()
+        assert now is not None
+        hub.handle_timer(now)
+    assert ada.connection.closed is None
+
+
+def test_one_timer_is_kept_for_each_connection() -> None:
+    hub, members = hub_with("Ada", "Bob")
+    for i in range(1000):
+        members[0].send_frame(b"x", now=i / 30)
+        members[1].listen(now=i / 30)
+    deadlines = 0
+    while hub.next_timer() is not None:
+        for member in members:
+            hub.disconnect(member.connection, 1000, "", now=100.0)
+        hub.handle_timer(hub.next_timer() or 0.0)
+        deadlines += 1
+    assert deadlines <= 2
+
+
+def test_an_empty_room_is_forgotten() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob")
+    assert hub.num_rooms == 1
+    for member in (ada, bob):
+        hub.disconnect(member.connection, 1000, "", now=1.0)
+    assert hub.num_rooms == 0
+
+
+def test_reports_are_added_up() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob")
+    report = Report(streams=(StreamReport(stream=1, received=9, lost=2, concealed=1),) * 2)
+    bob.session.report(report)
+    bob.speak(now=1.0)
+    assert (hub.stats.reported_lost, hub.stats.reported_concealed) == (4, 2)
+    assert ada.listen(now=1.0) == []
+
+
+def test_a_message_after_the_end_is_ignored() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob")
+    hub.close(ada.connection, CloseCode.INTERNAL_ERROR, "test", now=1.0)
+    bob.listen(now=1.0)
+    hub.receive(ada.connection, encode_message(Bye(code=1000)), now=1.1)
+    hub.receive(ada.connection, b"\x02\x00\x01" + bytes(14), now=1.1)
+    hub.disconnect(ada.connection, 1006, "", now=1.2)
+    assert bob.listen(now=1.3) == []
+    assert bob.session.state is State.JOINED
+    assert hub.stats.closed == {1011: 1}

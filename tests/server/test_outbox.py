@@ -1,0 +1,138 @@
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
+
+from pica_protocol.frames import Frame, decode_media, encode_frame
+from pica_protocol.limits import MAX_MEDIA_MESSAGE_BYTES
+from pica_server.errors import OutboxFullError
+from pica_server.outbox import Outbox
+
+pytestmark = pytest.mark.unit
+
+LIMIT = 100
+
+
+def frame(stream: int, sequence: int = 0, num_bytes: int = 10) -> bytes:
+    return encode_frame(
+        Frame(stream=stream, sequence=sequence, captured_us=0, payload=bytes(num_bytes))
+    )
+
+
+def test_a_newer_frame_replaces_the_waiting_one_of_its_stream() -> None:
+    outbox = Outbox(LIMIT)
+    assert not outbox.put_frame(1, frame(1, sequence=0), now=0.0)
+    assert outbox.put_frame(1, frame(1, sequence=1), now=0.1)
+    parcel = outbox.take()
+    assert parcel is not None
+    assert parcel.data == b"\x02" + frame(1, sequence=1)
+    assert parcel.received_s == (0.1,)
+    assert outbox.take() is None
+
+
+def test_frames_of_all_streams_leave_in_one_message_oldest_stream_first() -> None:
+    outbox = Outbox(LIMIT)
+    for stream, sequence in ((2, 0), (1, 0), (2, 1)):
+        outbox.put_frame(stream, frame(stream, sequence), now=0.0)
+    parcel = outbox.take()
+    assert parcel is not None
+    assert parcel.data == b"\x02" + frame(2, sequence=1) + frame(1)
+
+
+def test_control_goes_before_frames_and_in_order() -> None:
+    outbox = Outbox(LIMIT)
+    outbox.put_frame(1, frame(1), now=0.0)
+    outbox.put_control(b"first")
+    outbox.put_control(b"second")
+    taken = [outbox.take() for _ in range(3)]
+    assert [parcel.data for parcel in taken if parcel] == [b"first", b"second", b"\x02" + frame(1)]
+
+
+def test_no_message_is_longer_than_the_limit() -> None:
+    outbox = Outbox(LIMIT)
+    for stream in range(1, 41):
+        outbox.put_frame(stream, frame(stream, num_bytes=1184), now=0.0)
+    streams = []
+    while (parcel := outbox.take()) is not None:
+        assert len(parcel.data) <= MAX_MEDIA_MESSAGE_BYTES
+        streams += [frame.stream for frame in decode_media(parcel.data)]
+    assert streams == list(range(1, 41))
+
+
+def test_control_above_the_limit_is_refused_and_what_waited_is_kept() -> None:
+    outbox = Outbox(LIMIT)
+    outbox.put_control(bytes(60))
+    with pytest.raises(OutboxFullError, match="60 bytes"):
+        outbox.put_control(bytes(41))
+    assert outbox.waiting_control_bytes == 60
+
+
+def test_last_words_are_queued_whatever_the_limit_and_frames_are_dropped() -> None:
+    outbox = Outbox(LIMIT)
+    outbox.put_control(bytes(100))
+    outbox.put_frame(1, frame(1), now=0.0)
+    assert outbox.finish([b"goodbye"]) == 1
+    taken = [outbox.take(), outbox.take(), outbox.take()]
+    assert [parcel and parcel.data for parcel in taken] == [bytes(100), b"goodbye", None]
+
+
+class OutboxMachine(RuleBasedStateMachine):
+    """An outbox against two plain lists."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.outbox = Outbox(LIMIT)
+        self.control: list[bytes] = []
+        self.frames: list[tuple[int, bytes]] = []
+        self.counter = 0
+
+    @rule(num_bytes=st.integers(1, 40))
+    def put_control(self, num_bytes: int) -> None:
+        data = bytes(num_bytes)
+        if sum(map(len, self.control)) + num_bytes > LIMIT:
+            with pytest.raises(OutboxFullError):
+                self.outbox.put_control(data)
+        else:
+            self.outbox.put_control(data)
+            self.control.append(data)
+
+    @rule(stream=st.integers(1, 20), num_bytes=st.sampled_from([0, 100, 1184]))
+    def put_frame(self, stream: int, num_bytes: int) -> None:
+        self.counter += 1
+        data = frame(stream, self.counter % 65_536, num_bytes)
+        waiting = [index for index, (other, _) in enumerate(self.frames) if other == stream]
+        assert self.outbox.put_frame(stream, data, now=0.0) == bool(waiting)
+        if waiting:
+            self.frames[waiting[0]] = (stream, data)
+        else:
+            self.frames.append((stream, data))
+
+    @rule(stream=st.integers(1, 20))
+    def forget_stream(self, stream: int) -> None:
+        waited = any(other == stream for other, _ in self.frames)
+        assert self.outbox.forget_stream(stream) == waited
+        self.frames = [item for item in self.frames if item[0] != stream]
+
+    @rule()
+    def take(self) -> None:
+        parcel = self.outbox.take()
+        if self.control:
+            assert parcel is not None
+            assert parcel.data == self.control.pop(0)
+        elif not self.frames:
+            assert parcel is None
+        else:
+            assert parcel is not None
+            expected = b"\x02"
+            while self.frames and len(expected + self.frames[0][1]) <= MAX_MEDIA_MESSAGE_BYTES:
+                expected += self.frames.pop(0)[1]
+            assert parcel.data == expected
+
+    @invariant()
+    def it_is_bounded(self) -> None:
+        assert self.outbox.waiting_frames == len(self.frames) <= 20
+        assert self.outbox.waiting_control_bytes == sum(map(len, self.control)) <= LIMIT
+
+
+OutboxMachine.TestCase.settings = settings(max_examples=60, stateful_step_count=40)
+TestOutboxMachine = OutboxMachine.TestCase

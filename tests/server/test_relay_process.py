@@ -1,0 +1,148 @@
+"""``pica relay`` as a process, on a machine without numpy, torch, ONNX Runtime and moderngl."""
+
+import asyncio
+import json
+import os
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from pica_protocol.frames import Frame
+from pica_protocol.messages import PeerLeft
+from simnet.peers import peer_in_room
+
+pytestmark = pytest.mark.realtime
+
+if os.name == "nt":
+    pytest.skip("stops the relay with Unix signals", allow_module_level=True)
+
+# Makes the heavy packages look absent, then runs the installed command.
+PROGRAM = """
+import sys
+
+ABSENT = {"numpy", "torch", "onnxruntime", "onnx", "moderngl", "pica_core", "pica_client"}
+
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ABSENT:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Absent())
+from pica_command.main import main
+
+code = main()
+assert not ABSENT & set(sys.modules), ABSENT & set(sys.modules)
+sys.exit(code)
+"""
+
+
+def start(*arguments: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, "relay", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+@contextmanager
+def running_relay(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    process = start("--port", "0", *arguments)
+    try:
+        assert process.stderr is not None
+        line = process.stderr.readline()
+        assert line.startswith("listening on ws://127.0.0.1:"), line + process.stderr.read()
+        yield process, line.split()[-1]
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize("name", [signal.SIGTERM, signal.SIGINT])
+def test_a_relay_without_numpy_forwards_stops_on_a_signal_and_prints_its_numbers(
+    name: signal.Signals, tmp_path: Path
+) -> None:
+    async def call(url: str) -> None:
+        async with peer_in_room(url, "Ada") as ada, peer_in_room(url, "Bob") as bob:
+            await ada.send_frame(b"hello")
+            assert (await bob.until(Frame)).payload == b"hello"
+
+    ready_file = tmp_path / "ready"
+    with running_relay("--json", "--ready-file", str(ready_file)) as (process, url):
+        assert ready_file.read_text() == f"{url}\n"
+        asyncio.run(call(url))
+        process.send_signal(name)
+        stdout, stderr = process.communicate(timeout=30)
+    assert process.returncode == 0, stderr
+    stats = json.loads(stdout.splitlines()[-1])
+    assert (stats["frames_in"], stats["frames_out"]) == (1, 1)
+    assert stats["forward_ms"]["p99"] > 0
+    assert not ready_file.exists()
+
+
+def test_a_relay_answers_health_checks() -> None:
+    with running_relay() as (_, url), urllib.request.urlopen(f"http{url[2:]}/healthz") as reply:
+        assert (reply.status, reply.read()) == (200, b"ok\n")
+
+
+def test_a_killed_peer_is_reported_and_noise_on_the_port_hurts_nobody() -> None:
+    async def call(url: str) -> None:
+        host, port = url.removeprefix("ws://").split(":")
+        async with peer_in_room(url, "Ada") as ada, peer_in_room(url, "Bob") as bob:
+            with socket.create_connection((host, int(port))) as noise:
+                noise.sendall(b"\x16\x03\x01 this is not HTTP\r\n\r\n")
+            # As the kernel does for a killed process with unread data: a reset.
+            linger = struct.pack("ii", 1, 0)
+            sock = bob.websocket.transport.get_extra_info("socket")
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
+            bob.websocket.transport.abort()
+            assert (await ada.until(PeerLeft)).reason == "lost"
+
+    with running_relay() as (process, url):
+        asyncio.run(call(url))
+        process.send_signal(signal.SIGTERM)
+        _, stderr = process.communicate(timeout=30)
+    assert process.returncode == 0
+    assert "Traceback" not in stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["--host", "0.0.0.0"], "pica relay: --host 0.0.0.0 can be reached from other machines"),
+        (["--port", "70000"], "pica relay: --port must be in 0..65535, got 70000"),
+        (["--host", "127.0.0.1", "--port", "BUSY"], "choose another --port"),
+        (["--port", "0", "--ready-file", "/nowhere/at/all"], "cannot write --ready-file"),
+    ],
+)
+def test_what_cannot_work_ends_in_one_line_and_exit_code_two(
+    arguments: list[str], complaint: str
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as busy:
+        port = str(busy.getsockname()[1])
+        process = start(*(port if argument == "BUSY" else argument for argument in arguments))
+        _, stderr = process.communicate(timeout=30)
+    assert process.returncode == 2, stderr
+    (line,) = stderr.splitlines()
+    assert complaint in line
+
+
+def test_an_open_relay_says_loudly_that_it_is_open() -> None:
+    process = start("--port", "0", "--host", "0.0.0.0", "--insecure")
+    try:
+        assert process.stderr is not None
+        process.stderr.readline()
+        assert process.stderr.readline().startswith("INSECURE: ")
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.communicate(timeout=30)
+    assert process.returncode == 0
