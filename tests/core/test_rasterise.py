@@ -9,7 +9,7 @@ import torch
 from pica_core.camera import Camera, look_at
 from pica_core.train.rasterise import Rasteriser, interpolate, interpolation_weights
 
-pytestmark = [pytest.mark.train, pytest.mark.render]
+pytestmark = pytest.mark.train
 
 
 def front_camera(size: int = 64) -> Camera:

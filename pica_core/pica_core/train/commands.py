@@ -99,7 +99,7 @@ def export(options: ExportOptions) -> dict[str, Any]:
     with open_trainer(data, config, options.run) as trainer:
         trainer.restore()
         card = {
-            "capture": f"{data.capture.identity}, {data.capture.source}",
+            "capture": str(data.capture.info["source"]),
             "training": f"{trainer.step} of {trainer.total_steps} steps, seed {config.seed}",
             "block": config.model.block,
             "encoder": config.model.encoder,
@@ -112,7 +112,7 @@ def export(options: ExportOptions) -> dict[str, Any]:
             trainer.model,
             data,
             name=options.name,
-            identity=data.capture.identity,
+            identity=str(data.capture.info["head"]),
             licence=options.licence,
             model_card=card,
         )

@@ -30,7 +30,7 @@ class ModelConfig:
     """Rows and columns of m_uv; 1024 in the paper, for images of 2048 x 1334."""
     axis_encoding_size: int = 10_000
     """Entries of m_u and of m_v."""
-    encoding_amplitude: float = 0.25
+    encoding_amplitude: float = 0.1
     """Half-width of the encodings' uniform start; 1 in the paper. Smaller leaves less noise in
     texels that few images saw."""
     first_frequency: float = FIRST_FREQUENCY
@@ -80,9 +80,11 @@ class ScheduleConfig:
     """Covered pixels drawn from each image; 0 takes all, as the paper does."""
     geometry_rate: float = 4e-3
     """Peak learning rate of the geometry phase."""
-    joint_rate: float = 1e-3
-    """Peak learning rate of the joint phase (paper 1e-3)."""
-    encoding_rate: float = 1e-2
+    joint_rate: float = 3e-3
+    """Peak learning rate of encoder and decoders in the joint phase (paper 1e-3)."""
+    pixel_rate: float = 4e-3
+    """Peak learning rate of the two small sine networks."""
+    encoding_rate: float = 5e-2
     """Peak learning rate of the encoding maps, whose texels each see few pixels."""
     driver_rate: float = 2e-3
     """Peak learning rate of the driver phase."""

@@ -7,7 +7,7 @@ what an uninterrupted one would have drawn.
 from __future__ import annotations
 
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,8 @@ from pica_core.train.rasterise import Rasteriser
 FloatArray = npt.NDArray[np.float32]
 IMPORTANT_REGIONS = ("mouth", "lips", "eyes", "lids", "teeth", "tongue")
 """Vertex regions of a capture's topology that are small on the map and large to the eye."""
+TEXEL_TOLERANCE = 1e-2
+"""How far from a texel centre a vertex may lie to own the texel, texels."""
 IMAGE_CACHE_BYTES = 4 << 30
 """Decoded images kept in memory; the least recently used go first."""
 
@@ -49,8 +51,9 @@ class UvRaster:
 def rasterise_uv(vertex_uv: FloatArray, faces: npt.NDArray[np.int32], size: int) -> UvRaster:
     """Find the triangle and the weights of every texel centre of a ``[size, size]`` map.
 
-    A texel at a chart's rim whose centre no triangle covers takes the nearest covered texel, in
-    steps of one texel.
+    A vertex that lies on a texel centre owns that texel, also at the rim of a chart or of a slit,
+    where a rasteriser may give the centre to neither side. Other texels that no triangle covers
+    take the nearest covered texel, in steps of one texel.
     """
     flat = np.concatenate([vertex_uv, np.ones((len(vertex_uv), 1), np.float32)], 1)
     camera = Camera(
@@ -65,14 +68,30 @@ def rasterise_uv(vertex_uv: FloatArray, faces: npt.NDArray[np.int32], size: int)
     with Rasteriser(both_sides, len(flat)) as rasteriser:
         ids = rasteriser.triangle_ids(flat, camera)
     covered = ids >= 0
-    rows, columns = np.nonzero(covered)
-    corners = both_sides[ids[covered]].astype(np.int64)
-    a, b, c = (vertex_uv[corners[:, i]] * size for i in range(3))
-    point = np.stack([columns + 0.5, rows + 0.5], 1)
+    corners = np.zeros((size, size, 3), np.int64)
+    corners[covered] = both_sides[ids[covered]]
+    weights = np.zeros((size, size, 3), np.float32)
+    weights[covered] = _texel_weights(vertex_uv * size, corners[covered], np.argwhere(covered))
+    texel = vertex_uv * size - 0.5
+    nearest = np.rint(texel).astype(np.int64)
+    owners = np.flatnonzero(np.abs(texel - nearest).max(1) < TEXEL_TOLERANCE)
+    columns, rows = nearest[owners].T
+    covered[rows, columns] = True
+    corners[rows, columns] = owners[:, None]
+    weights[rows, columns] = (1, 0, 0)
+    return UvRaster(covered, corners[covered], weights[covered], _grow(covered))
+
+
+def _texel_weights(
+    texel_uv: FloatArray, corners: npt.NDArray[np.int64], texels: npt.NDArray[np.int64]
+) -> FloatArray:
+    """Barycentric weights ``[M, 3]`` of texel centres (rows, columns) in their triangles."""
+    a, b, c = (texel_uv[corners[:, i]] for i in range(3))
+    point = texels[:, ::-1] + 0.5
     opposite = ((b - point, c - point), (c - point, a - point), (a - point, b - point))
     areas = np.stack([p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0] for p, q in opposite], 1)
-    weights = (areas / areas.sum(1, keepdims=True)).astype(np.float32)
-    return UvRaster(covered, corners, weights, _grow(covered))
+    weights: FloatArray = (areas / areas.sum(1, keepdims=True)).astype(np.float32)
+    return weights
 
 
 def _grow(covered: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
@@ -125,6 +144,8 @@ class TrainingData:
         self._images: OrderedDict[tuple[int, str], npt.NDArray[np.uint8]] = OrderedDict()
         self._image_bytes = 0
         self._textures: dict[int, npt.NDArray[np.uint8]] = {}
+        self._head_poses: dict[int, npt.NDArray[np.float64]] = {}
+        self.camera_names = [camera.name for camera in capture.cameras]
 
     def textures(self, frames: list[int]) -> Tensor:
         """Average textures of frames, about [-1, 1], ``[N, 3, S, S]``."""
@@ -157,15 +178,20 @@ class TrainingData:
             self._image_bytes -= self._images.popitem(last=False)[1].nbytes
         return image
 
-    def view_direction(self, camera: Camera) -> FloatArray:
-        """From the head's origin to the camera, unit length, head frame, ``[3]``."""
-        centre = camera.centre_m
-        return (centre / np.linalg.norm(centre)).astype(np.float32)
-
     def camera(self, frame: int, name: str) -> Camera:
-        """The camera of an image, head to camera."""
-        return self.capture.cams[name]
+        """The camera of an image in the frame's head axes: head to camera."""
+        camera = self.capture.camera(name)
+        if frame not in self._head_poses:
+            self._head_poses[frame] = self.capture.head_to_world(self.capture.frames[frame])
+        pose = self._head_poses[frame]
+        return replace(
+            camera,
+            rotation=camera.rotation @ pose[:, :3],
+            translation_m=camera.rotation @ pose[:, 3] + camera.translation_m,
+        )
 
-    def cameras_of(self, frame: int) -> list[str]:
-        """Names of the cameras that saw a frame."""
-        return list(self.capture.cams)
+
+def view_direction(camera: Camera) -> FloatArray:
+    """From the head's origin to a camera in head axes, unit length, ``[3]``."""
+    centre = camera.centre_m
+    return (centre / np.linalg.norm(centre)).astype(np.float32)

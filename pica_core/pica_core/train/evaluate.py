@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from pica_core.model.decoders import sample_map
+from pica_core.train.data import view_direction
 from pica_core.train.loop import Trainer
 
 
@@ -38,7 +39,7 @@ def evaluate(trainer: Trainer, *, max_frames: int = 25) -> list[dict[str, Any]]:
                 vertices_m = sample_map(trainer.model.decode_geometry(latent), data.vertex_uv)
                 offset = vertices_m - data.meshes([frame])
                 distances[source].append(float(offset.norm(dim=2).mean()) * 1000)
-                for view in data.cameras_of(frame):
+                for view in data.camera_names:
                     mse = _image_mse(trainer, latent, vertices_m, frame, view)
                     errors.setdefault((source, view), []).append(mse)
     rows = []
@@ -78,6 +79,6 @@ def _shade_all(
     surface, observed = trainer.surface(
         vertices_m, [frame], [view], np.random.default_rng(0), every_pixel=True
     )
-    direction = torch.from_numpy(data.view_direction(data.camera(frame, view)))[None]
+    direction = torch.from_numpy(view_direction(data.camera(frame, view)))[None]
     codes = trainer.model.decode_expression(latent, direction)
     return trainer.model.shade(codes, surface), observed

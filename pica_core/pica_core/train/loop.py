@@ -25,12 +25,13 @@ from pica_core.model.avatar import PixelCodecAvatar, Surface
 from pica_core.model.decoders import sample_map
 from pica_core.model.encoder import reparameterise, resize_texture
 from pica_core.train.config import PHASES, TrainConfig
-from pica_core.train.data import TrainingData
+from pica_core.train.data import TrainingData, view_direction
 from pica_core.train.losses import image_loss, kl_loss, mesh_loss
 from pica_core.train.rasterise import Rasteriser, interpolate
 
 CHECKPOINT_VERSION = 1
-WARMUP_STEPS = 50
+WARMUP_RATIO = 0.02
+"""Part of a phase in which the learning rate rises linearly."""
 FINAL_RATE_RATIO = 0.02
 """Learning rate at the end of a phase, against its peak; between them half a cosine."""
 
@@ -229,10 +230,14 @@ class Trainer:
             case "geometry":
                 groups = [(shape, schedule.geometry_rate)]
             case "joint":
-                nets = [*model.pixel_decoder.xyz.parameters()]
-                nets += [*model.pixel_decoder.colour.parameters(), *model.expression.parameters()]
-                maps = list(model.pixel_decoder.encoding.parameters())
-                groups = [(shape + nets, schedule.joint_rate), (maps, schedule.encoding_rate)]
+                shape += model.expression.parameters()
+                pixel = model.pixel_decoder
+                nets = [*pixel.xyz.parameters(), *pixel.colour.parameters()]
+                groups = [
+                    (shape, schedule.joint_rate),
+                    (nets, schedule.pixel_rate),
+                    (list(pixel.encoding.parameters()), schedule.encoding_rate),
+                ]
             case _:
                 groups = [(list(model.expression_encoder.parameters()), schedule.driver_rate)]
         return torch.optim.Adam(
@@ -249,13 +254,13 @@ class Trainer:
 
     def _joint_losses(self, rng: np.random.Generator, noise: torch.Generator) -> dict[str, Tensor]:
         frames = rng.choice(self.data.train_frames, self.config.schedule.joint_batch).tolist()
-        cameras = [str(rng.choice(self.data.cameras_of(frame))) for frame in frames]
+        cameras = rng.choice(self.data.camera_names, len(frames)).tolist()
         latent, kl = self._latent(frames, noise)
         vertices_m = sample_map(self.model.decode_geometry(latent), self.data.vertex_uv)
         surface, observed = self.surface(vertices_m, frames, cameras, rng)
         view = torch.stack(
             [
-                torch.from_numpy(self.data.view_direction(self.data.camera(frame, name)))
+                torch.from_numpy(view_direction(self.data.camera(frame, name)))
                 for frame, name in zip(frames, cameras, strict=True)
             ]
         )
@@ -316,7 +321,7 @@ class Trainer:
 
 def rate_ratio(index: int, length: int) -> float:
     """Learning rate of a phase's step against its peak: linear warm-up, then half a cosine."""
-    warm = min(1.0, (index + 1) / WARMUP_STEPS)
+    warm = min(1.0, (index + 1) / max(1.0, WARMUP_RATIO * length))
     cosine = 0.5 + 0.5 * math.cos(math.pi * index / max(1, length))
     return warm * (FINAL_RATE_RATIO + (1 - FINAL_RATE_RATIO) * cosine)
 

@@ -1,0 +1,175 @@
+"""Training really learns, resumes to the same numbers, and ends in a file that can be used."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from pica_core.avatar_file import load_avatar
+from pica_core.capture.dataset import Capture
+from pica_core.capture.synth import StageOptions, render_capture
+from pica_core.errors import CheckpointError
+from pica_core.expression_encoder import ExpressionEncoder
+from pica_core.model.decoders import sample_map
+from pica_core.train.config import PRESETS, TrainConfig
+from pica_core.train.data import TrainingData, rasterise_uv
+from pica_core.train.evaluate import evaluate, mean_mse
+from pica_core.train.export import make_avatar
+from pica_core.train.loop import TrainingDivergedError, open_trainer, rate_ratio, read_checkpoint
+
+pytestmark = pytest.mark.train
+
+LEARNED_FACTOR = 8.0
+"""How far the held-out error must fall in the smallest preset (seen: more than 20)."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_thread() -> Iterator[None]:
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> TrainingData:
+    folder = tmp_path_factory.mktemp("capture")
+    options = StageOptions(frames=12, cameras=2, width=128, height=128, texture_size=64)
+    render_capture(options, folder)
+    return TrainingData(Capture.open(folder), 256)
+
+
+def short(geometry: int, joint: int, driver: int) -> TrainConfig:
+    tiny = PRESETS["tiny"]
+    schedule = replace(
+        tiny.schedule, geometry_steps=geometry, joint_steps=joint, driver_steps=driver
+    )
+    return replace(tiny, schedule=schedule)
+
+
+def test_the_smallest_preset_learns_the_held_out_frames(data: TrainingData, tmp_path: Path) -> None:
+    with open_trainer(data, PRESETS["tiny"], tmp_path / "run") as trainer:
+        before = evaluate(trainer, max_frames=1)
+
+        trainer.run()
+
+        after = evaluate(trainer, max_frames=1)
+
+    assert mean_mse(after, "encoder") < mean_mse(before, "encoder") / LEARNED_FACTOR
+    assert mean_mse(after, "driver") < mean_mse(before, "driver") / LEARNED_FACTOR
+
+
+def test_a_resumed_run_gives_the_numbers_of_an_uninterrupted_one(
+    data: TrainingData, tmp_path: Path
+) -> None:
+    config = short(4, 4, 4)
+    with open_trainer(data, config, tmp_path / "whole") as trainer:
+        trainer.run()
+        whole = trainer.model.state_dict()
+
+    for stop in (3, 6, 10):  # within each phase
+        with open_trainer(data, config, tmp_path / str(stop)) as trainer:
+            while trainer.step < stop:
+                trainer.train_step()
+            trainer.save()
+        with open_trainer(data, config, tmp_path / str(stop)) as trainer:
+            trainer.restore()
+            trainer.run()
+            resumed = trainer.model.state_dict()
+
+        assert all(torch.equal(resumed[name], values) for name, values in whole.items())
+
+
+def test_a_run_with_other_options_is_not_resumed(data: TrainingData, tmp_path: Path) -> None:
+    with open_trainer(data, short(1, 1, 1), tmp_path) as trainer:
+        trainer.save()
+
+    with (
+        open_trainer(data, short(2, 1, 1), tmp_path) as trainer,
+        pytest.raises(CheckpointError, match="other options"),
+    ):
+        trainer.restore()
+
+
+def test_a_damaged_checkpoint_is_refused_by_name(tmp_path: Path) -> None:
+    path = tmp_path / "checkpoint.pt"
+    path.write_bytes(b"not a checkpoint")
+
+    with pytest.raises(CheckpointError, match=r"checkpoint\.pt"):
+        read_checkpoint(path)
+
+
+def test_a_loss_that_is_not_finite_stops_the_run_and_keeps_the_checkpoint(
+    data: TrainingData, tmp_path: Path
+) -> None:
+    with open_trainer(data, short(2, 0, 0), tmp_path) as trainer:
+        saved = trainer.save().read_bytes()
+        with torch.no_grad():
+            next(trainer.model.geometry.parameters()).fill_(torch.nan)
+
+        with pytest.raises(TrainingDivergedError, match="step 1"):
+            trainer.run()
+
+    assert (tmp_path / "checkpoint.pt").read_bytes() == saved
+
+
+def test_an_exported_avatar_encodes_as_the_model_does(data: TrainingData, tmp_path: Path) -> None:
+    from pica_core.avatar_file import save_avatar
+
+    with open_trainer(data, short(1, 1, 1), tmp_path / "run") as trainer:
+        trainer.run()
+        avatar = make_avatar(
+            trainer.model, data, name="T", identity="S1", licence="Apache-2.0", model_card={}
+        )
+        with torch.no_grad():
+            wanted = trainer.model.expression_encoder(data.arkit[:1])[0].permute(1, 2, 0).numpy()
+    save_avatar(tmp_path / "t.pica", avatar)
+
+    latent = ExpressionEncoder(load_avatar(tmp_path / "t.pica")).encode(data.arkit[0].numpy())
+
+    assert np.abs(latent - wanted).max() < 0.01  # weights are stored as fp16
+
+
+def test_the_position_map_of_a_mesh_gives_its_vertices_back(data: TrainingData) -> None:
+    # The built-in head's vertices lie on texel centres: the map holds them exactly.
+    maps = data.position_maps([0])
+
+    offsets = sample_map(maps, data.vertex_uv)[0].numpy() * data.position_scale_m
+    wanted = data.vertices_m[0] - data.mean_vertices_m
+
+    assert np.abs(offsets - wanted).max() < 1e-5
+
+
+def test_texels_outside_the_charts_take_the_nearest_chart() -> None:
+    uv = np.array([[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]], np.float32)
+    faces = np.array([[0, 2, 1], [1, 2, 3]], np.int32)
+
+    raster = rasterise_uv(uv, faces, 16)
+    filled = raster.position_map(np.concatenate([uv, uv[:, :1]], 1))
+
+    assert raster.covered.sum() == 64
+    assert np.allclose(filled[0, 0, :2], filled[4, 4, :2])
+
+
+def test_learning_rates_rise_then_fall() -> None:
+    ratios = [rate_ratio(index, 1000) for index in range(1000)]
+
+    assert max(ratios) == pytest.approx(1, abs=0.01)
+    assert ratios.index(max(ratios)) == pytest.approx(20, abs=1)
+    assert ratios[-1] < 0.03
+
+
+def test_metrics_are_written_as_json_lines(data: TrainingData, tmp_path: Path) -> None:
+    with open_trainer(data, short(50, 0, 0), tmp_path) as trainer:
+        trainer.run()
+
+    (row,) = [json.loads(line) for line in (tmp_path / "metrics.jsonl").read_text().splitlines()]
+
+    assert row["step"] == 50
+    assert row["phase"] == "geometry"
