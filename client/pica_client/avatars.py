@@ -128,6 +128,11 @@ class AvatarLibrary:
         self.get(identity)
         return self._loading[identity].result()
 
+    def loaded(self) -> list[str]:
+        """Hashes of the avatars that were asked for so far."""
+        with self._lock:
+            return list(self._loading)
+
     def close(self) -> None:
         """End the loading thread."""
         self._pool.shutdown(wait=True, cancel_futures=True)

@@ -285,11 +285,14 @@ class Link:
         """Feed the session until it is over."""
         loop = asyncio.get_running_loop()
         while session.closed is None:
+            timer = session.next_timer()
             try:
-                async with asyncio.timeout_at(session.next_timer()):
+                async with asyncio.timeout_at(timer):
                     data = await websocket.recv()
             except TimeoutError:
-                handle(session.handle_timer(loop.time()), loop.time())
+                # A loop may fire a timer up to its clock's resolution too early.
+                now = max(loop.time(), timer or 0.0)
+                handle(session.handle_timer(now), now)
             except ConnectionClosed as error:
                 code, reason = CloseCode.CONNECTION_LOST, ""
                 if error.rcvd is not None:

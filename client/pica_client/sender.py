@@ -7,6 +7,7 @@ on the event loop itself; a thread would cost more than it saves.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import random
 import time
 from collections import deque
@@ -132,20 +133,18 @@ class Sender:
         begin_s = loop.time()
         pacer = Pacer(self.config.fps, begin_s)
         while not self._stopping.is_set():
-            now = loop.time()
-            if now < pacer.due_s:
-                try:
-                    async with asyncio.timeout_at(pacer.due_s):
-                        await self._stopping.wait()
-                except TimeoutError:
-                    continue
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout_at(pacer.due_s):
+                    await self._stopping.wait()
                 return
+            # A loop may fire a timer up to its clock's resolution too early.
+            now = max(loop.time(), pacer.due_s)
             if self._first_sent_s is not None and 0 < self.config.seconds <= (
                 now - self._first_sent_s
             ):
                 return
             self._send_face(now - begin_s, now)
-            pacer.advance(loop.time())
+            pacer.advance(max(loop.time(), now))
             self._skipped = pacer.num_skipped
 
     def _send_face(self, time_s: float, now: float) -> None:

@@ -1,6 +1,6 @@
 """Where expressions come from: one tracker, file format or generator per module."""
 
-from pica_client.sources.registry import open_source
+from pica_client.sources.registry import open_source, start_later
 from pica_client.sources.source import Recording, Source
 
-__all__ = ["Recording", "Source", "open_source"]
+__all__ = ["Recording", "Source", "open_source", "start_later"]

@@ -35,6 +35,12 @@ def open_source(text: str) -> Source:
     return opener(name, start_s)
 
 
+def start_later(text: str, seconds: float) -> str:
+    """The same source, begun some seconds further on."""
+    rest, start_s = _split_start(text, text)
+    return f"{rest}@{start_s + seconds:g}"
+
+
 def _split_start(rest: str, text: str) -> tuple[str, float]:
     """Cut ``@SECONDS`` off the end, if it is there; a path may hold an @ of its own."""
     name, at, tail = rest.rpartition("@")

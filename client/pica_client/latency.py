@@ -1,0 +1,54 @@
+"""Where the time of a frame goes, from the tracker's sample to the decoded avatar. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from pica_client.stats import summarise_ms
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FrameTimes:
+    """One frame's way through the receiver, seconds on its clock.
+
+    Attributes:
+        name: Who sent it.
+        captured_us: When the tracker sampled it, on the clock that all processes here share.
+        arrived_s: It came off the socket.
+        released_s: The playout buffer let it go.
+        decoded_s: Its maps are there; waiting for a decoder is counted as decoding.
+    """
+
+    name: str
+    captured_us: int
+    arrived_s: float
+    released_s: float
+    decoded_s: float
+
+
+def latency_summary(
+    frames: Iterable[FrameTimes], encode_times_s: Mapping[tuple[str, int], float]
+) -> dict[str, Any]:
+    """Percentiles of the whole way and of its parts, in milliseconds.
+
+    The parts of one frame add up to its whole; percentiles of parts do not add up to that of the
+    whole. A frame whose encoding time is not known (its sender crashed) counts for the parts it
+    has; its way to us is counted as the relay's.
+    """
+    total: list[float] = []
+    parts: dict[str, list[float]] = {"encode": [], "relay": [], "playout": [], "decode": []}
+    for frame in frames:
+        captured_s = frame.captured_us / 1e6
+        encode_s = encode_times_s.get((frame.name, frame.captured_us))
+        if encode_s is not None:
+            parts["encode"].append(encode_s)
+        parts["relay"].append(frame.arrived_s - captured_s - (encode_s or 0.0))
+        parts["playout"].append(frame.released_s - frame.arrived_s)
+        parts["decode"].append(frame.decoded_s - frame.released_s)
+        total.append(frame.decoded_s - captured_s)
+    return {
+        **summarise_ms(total),
+        "parts": {name: summarise_ms(samples) for name, samples in parts.items()},
+    }
