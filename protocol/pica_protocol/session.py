@@ -188,20 +188,6 @@ class _Session:
         self._deadline = None
         return self.closed
 
-    def _checked_version(self, version: int) -> None:
-        if version != PROTOCOL_VERSION:
-            raise RemoteProtocolError(
-                f"we speak protocol version {PROTOCOL_VERSION}, you {quoted(version)}",
-                CloseCode.WRONG_VERSION,
-            )
-
-    def _checked_kind(self, data: bytes | str) -> bytes:
-        if isinstance(data, str):
-            raise RemoteProtocolError("text message, all messages are binary")
-        if len(data) == 0 or data[0] not in (CONTROL_KIND, MEDIA_KIND):
-            raise RemoteProtocolError(f"unknown kind of message, first byte {quoted(data[:1])}")
-        return data
-
 
 class ClientSession(_Session):
     """The client's end: greets, joins one room, publishes frames, and keeps the list of peers.
@@ -245,7 +231,7 @@ class ClientSession(_Session):
         if self.state is State.CLOSED:
             return []
         try:
-            data = self._checked_kind(data)
+            data = _binary(data)
             if data[0] == MEDIA_KIND:
                 frames = decode_media(data)
                 self._advance(Media)
@@ -263,9 +249,9 @@ class ClientSession(_Session):
     def messages_to_send(self, now: float) -> list[bytes]:
         """Take the websocket messages that must go out now, in order."""
         messages, self._outgoing = self._outgoing, []
-        if self._waiting_frames:
+        if self._waiting_frames and self.state is State.JOINED:
             messages.append(media_message(self._waiting_frames.values()))
-            self._waiting_frames.clear()
+        self._waiting_frames.clear()
         return messages
 
     def handle_timer(self, now: float) -> list[ClientEvent]:
@@ -337,7 +323,7 @@ class ClientSession(_Session):
             return []
         match message:
             case Welcome():
-                self._checked_version(message.version)
+                _check_version(message.version)
                 return []
             case Joined():
                 if [replace(track, stream=0) for track in message.tracks] != list(self.tracks):
@@ -390,7 +376,7 @@ class ServerSession(_Session):
         if self.state is State.CLOSED:
             return []
         try:
-            data = self._checked_kind(data)
+            data = _binary(data)
             if data[0] == MEDIA_KIND:
                 media = Media(data, scan_frames(data))
                 self._advance(Media)
@@ -432,7 +418,7 @@ class ServerSession(_Session):
         self._advance(type(message))
         match message:
             case Hello():
-                self._checked_version(message.version)
+                _check_version(message.version)
                 self._queue(Welcome(software=self._software))
                 return []
             case Leave():
@@ -441,3 +427,20 @@ class ServerSession(_Session):
             case Join() | Want() | KeyframeRequest() | Report():
                 return [message]
         raise AssertionError(f"the table admits {message} and nobody handles it")
+
+
+def _check_version(version: int) -> None:
+    if version != PROTOCOL_VERSION:
+        raise RemoteProtocolError(
+            f"we speak protocol version {PROTOCOL_VERSION}, you {quoted(version)}",
+            CloseCode.WRONG_VERSION,
+        )
+
+
+def _binary(data: bytes | str) -> bytes:
+    """Refuse a text message, and one of a kind nobody knows."""
+    if isinstance(data, str):
+        raise RemoteProtocolError("text message, all messages are binary")
+    if len(data) == 0 or data[0] not in (CONTROL_KIND, MEDIA_KIND):
+        raise RemoteProtocolError(f"unknown kind of message, first byte {quoted(data[:1])}")
+    return data

@@ -235,7 +235,8 @@ class Hub:
             return
         self.stats.closed[int(closed.code)] += 1
         last_words = connection.session.messages_to_send(now)
-        self.stats.dropped["departed"] += connection.outbox.finish(last_words)
+        if num_dropped := connection.outbox.finish(last_words):
+            self.stats.dropped["departed"] += num_dropped
         self._ready[connection] = None
         room, connection.room = connection.room, None
         if room is None:

@@ -15,6 +15,7 @@ import http
 import logging
 import socket
 from collections.abc import Sequence
+from contextlib import suppress
 from types import TracebackType
 from typing import Any, Self
 
@@ -34,8 +35,6 @@ _MAX_QUEUED_MESSAGES = 16
 """Messages read ahead from one websocket before its socket is left alone."""
 _WRITE_LIMIT_BYTES = 4096
 _UNSENT_LIMIT_BYTES = 4096
-_MESSAGES_PER_TURN = 32
-"""Messages of one websocket that are handled before the others get their turn."""
 
 _logger = logging.getLogger(__name__)
 # What strangers do to a public port (bad HTTP, cut handshakes) is no error of ours and no news.
@@ -44,11 +43,10 @@ _websockets_logger.setLevel(logging.CRITICAL)
 
 
 class Relay:
-    """A relay that listens while its ``async with`` block runs::
+    """A relay that listens inside ``async with Relay(config) as relay``, and stops at its end.
 
-    async with Relay(RelayConfig(port=0)) as relay:
-        print(relay.url)
-        await stop.wait()
+    Raises:
+        ListenError: On entry, when the address cannot be bound.
     """
 
     def __init__(self, config: RelayConfig) -> None:
@@ -140,15 +138,15 @@ class Relay:
             self._after_events()
 
     async def _read(self, websocket: ServerConnection, connection: Connection) -> None:
-        num_handled = 0
         try:
             while True:
                 data = await websocket.recv()
                 self.hub.receive(connection, data, self._now())
                 self._after_events()
-                num_handled += 1
-                if num_handled % _MESSAGES_PER_TURN == 0:
-                    await asyncio.sleep(0)  # recv() does not yield while messages are queued
+                # recv() does not yield while messages are queued. The writers get their turn first:
+                # else a flood starves them, and two frames that came together replace each other
+                # although their receivers are not slow.
+                await asyncio.sleep(0)
         except ConnectionClosed:
             code = websocket.close_code or CloseCode.CONNECTION_LOST
             self.hub.disconnect(connection, code, websocket.close_reason or "", self._now())
@@ -238,6 +236,7 @@ def _bound_kernel_buffer(websocket: ServerConnection, send_buffer_bytes: int) ->
     sock = websocket.transport.get_extra_info("socket")
     if sock is None or sock.family not in (socket.AF_INET, socket.AF_INET6):
         return
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, send_buffer_bytes)
-    if hasattr(socket, "TCP_NOTSENT_LOWAT"):
-        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, _UNSENT_LIMIT_BYTES)
+    with suppress(OSError):  # the peer may be gone already; the reader will find out
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, send_buffer_bytes)
+        if hasattr(socket, "TCP_NOTSENT_LOWAT"):
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, _UNSENT_LIMIT_BYTES)

@@ -248,6 +248,13 @@ def test_a_closed_session_hears_and_says_nothing_more() -> None:
     assert client.messages_to_send(now=1.0) == []
 
 
+def test_a_frame_that_waits_when_the_session_ends_is_not_sent() -> None:
+    client = joined_client()
+    client.send_frame(b"late", captured_us=0)
+    client.close(CloseCode.GOING_AWAY, "bye")
+    assert sent(client) == [Bye(code=1001, reason="bye")]
+
+
 def test_what_a_client_must_not_do_is_its_own_error() -> None:
     client = ClientSession(room="lobby", name="Ada", tracks=(FACE,), now=0.0)
     with pytest.raises(LocalProtocolError, match="while greeting"):

@@ -244,6 +244,17 @@ async def test_a_client_that_never_asks_to_join_is_closed_at_the_deadline() -> N
 
 
 @in_virtual_time
+async def test_a_client_that_vanishes_in_the_middle_of_its_handshake_leaves_nothing() -> None:
+    async with Relay(RelayConfig()) as relay, open_websocket(URL) as websocket:
+        await websocket.send(encode_message(Hello()))
+        await websocket.recv()
+        assert relay.stats()["open_connections"] == 1
+        websocket.transport.abort()
+        await asyncio.sleep(0.001)
+        assert relay.stats()["open_connections"] == 0
+
+
+@in_virtual_time
 async def test_a_socket_that_never_speaks_http_is_dropped_at_the_deadline() -> None:
     async with Relay(RelayConfig(handshake_timeout_s=3)):
         lost = asyncio.get_running_loop().create_future()
@@ -300,6 +311,19 @@ async def test_a_fast_publisher_does_not_keep_the_others_waiting() -> None:
         await asyncio.sleep(0.1)
         own = ada.session.tracks[0].stream
         assert [frame.payload for _, frame in bob.arrivals if frame.stream == own] == [b"mine"]
+
+
+@in_virtual_time
+async def test_two_frames_that_come_together_both_reach_a_reader_that_keeps_up() -> None:
+    async with (
+        Relay(RelayConfig()),
+        peer_in_room(URL, "Ada") as ada,
+        peer_in_room(URL, "Bob", tracks=()) as bob,
+    ):
+        await ada.send_frame(b"one")
+        await ada.send_frame(b"two")
+        await asyncio.sleep(0.001)
+        assert [frame.payload for _, frame in bob.arrivals] == [b"one", b"two"]
 
 
 @in_virtual_time
