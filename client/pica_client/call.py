@@ -132,10 +132,11 @@ class Call:
                 case Frame():
                     self._receive_frame(event, now)
                 case Joined(peers=peers):
-                    # A new session knows nobody of the one before: peer ids and streams are new.
-                    here = {peer.peer_id for peer in peers}
-                    for peer_id in [gone for gone in self._seats if gone not in here]:
-                        self._remove(peer_id)
+                    # Another relay may give an old id to somebody else: only who is the same in
+                    # every respect keeps the seat.
+                    for peer_id, seat in list(self._seats.items()):
+                        if seat.peer not in peers:
+                            self._remove(peer_id)
                     for peer in peers:
                         self._add(peer)
                 case PeerJoined(peer=peer):

@@ -184,8 +184,11 @@ class Relay:
             self._timer = asyncio.get_running_loop().call_at(when, self._on_timer)
 
     def _on_timer(self) -> None:
+        # A loop may fire a timer up to its clock's resolution too early; a deadline that is not met
+        # then would be set again and again without the clock moving on.
+        due = self._timer.when() if self._timer is not None else 0.0
         self._timer = None
-        self.hub.handle_timer(self._now())
+        self.hub.handle_timer(max(self._now(), due))
         self._after_events()
 
     def _now(self) -> float:

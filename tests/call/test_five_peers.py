@@ -1,0 +1,267 @@
+"""A call of five on the virtual clock: the real websockets library, relay, senders and receiver.
+
+Every peer has its own network. Encoding is real numpy with a toy avatar; decoding to position maps
+is left out, because ONNX Runtime needs threads and virtual time has none. What is measured here is
+capture to *release*: the moment at which a decoder would get the latent. Code takes no time on a
+virtual clock, so these are the delays of the network and of our own waiting, nothing else.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import random
+from collections import defaultdict
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+
+from pica_client.avatars import LoadedAvatars
+from pica_client.call import Call, Receiver
+from pica_client.link import Link, LinkConfig
+from pica_client.load import make_senders, run_senders
+from pica_client.sender import SenderConfig
+from pica_client.stats import percentile
+from pica_core.avatar_file import Avatar
+from pica_protocol.messages import Track
+from pica_server.config import RelayConfig
+from pica_server.relay import Relay
+from simnet.clock import current_network, in_virtual_time
+from simnet.link import Link as Wire
+from toy import make_toy_avatar
+
+pytestmark = pytest.mark.call
+
+PEERS = ("ada", "ben", "cho", "dee", "eve")
+ROOM = "kitchen"
+AVATARS = {seed * 64: make_toy_avatar(seed=int(seed)) for seed in "12"}
+PAYLOAD_BYTES = 269
+FRAME_BYTES = PAYLOAD_BYTES + 16
+
+
+@dataclass
+class Watched:
+    """What the receiver of a call saw."""
+
+    delays_s: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+    stats: dict[str, Any] = field(default_factory=dict)
+    most_waiting: int = 0
+
+    def delay_percentile(self, name: str, percent: float) -> float:
+        return percentile(sorted(self.delays_s[name]), percent)
+
+    def peer(self, name: str) -> dict[str, Any]:
+        (found,) = [peer for peer in self.stats["peers"] if peer["name"] == name]
+        return dict(found)
+
+
+def link(relay: Relay, host: str, name: str) -> LinkConfig:
+    """Connect by a host name of the simulated network: it chooses the route."""
+    port = relay.url.rpartition(":")[2]
+    return LinkConfig(url=f"ws://{host}:{port}", room=ROOM, name=name)
+
+
+async def watch(receiver: Receiver, watched: Watched, *, warm_up_s: float, seconds: float) -> None:
+    """Take every latent when it is due, and note its age."""
+    loop, call = asyncio.get_running_loop(), receiver.call
+    running = asyncio.create_task(receiver.run())
+    is_warm = False
+    begin_s = loop.time() + warm_up_s
+    while loop.time() < begin_s + seconds:
+        if not is_warm and loop.time() >= begin_s:
+            is_warm = True
+            call.begin_window(loop.time())
+        receiver.arrived.clear()
+        timer = min(call.next_timer() or math.inf, loop.time() + 0.1)
+        now = loop.time()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout_at(timer):
+                await receiver.arrived.wait()
+            timer = now
+        now = max(loop.time(), timer)  # a loop may fire its timers a nanosecond early
+        watched.most_waiting = max(watched.most_waiting, call.num_waiting)
+        for due in call.due_frames(now):
+            if is_warm:
+                watched.delays_s[due.name].append(now - due.frame.captured_s)
+    watched.stats = receiver.stats(loop.time())
+    receiver.stop()
+    await running
+
+
+async def hold_call(
+    networks: dict[str, Wire],
+    *,
+    down: Wire | None = None,
+    seconds: float = 30.0,
+    avatars: dict[str, Avatar] = AVATARS,
+) -> tuple[Watched, list[dict[str, Any]], dict[str, Any]]:
+    """Five senders, a relay and a receiver.
+
+    Args:
+        networks: What each sender's way to the relay is like.
+        down: What the receiver's way from the relay is like.
+        seconds: Measured time, after four seconds of warming up.
+        avatars: What the receiver has.
+
+    Returns:
+        What the receiver saw, what the senders say, what the relay says.
+    """
+    network = current_network()
+    watched = Watched()
+    async with Relay(RelayConfig(port=0)) as relay:
+        for name in PEERS:
+            network.route(name, up=networks.get(name, Wire()))
+        network.route("viewer", down=down)
+        senders = make_senders(
+            [link(relay, name, name) for name in PEERS],
+            list(AVATARS.items()),
+            config=SenderConfig(seconds=seconds + 6),
+        )
+        call = Call(LoadedAvatars(avatars))
+        receiver = Receiver(link(relay, "viewer", "viewer"), call, rng=random.Random(1))
+        async with asyncio.TaskGroup() as tasks:
+            sending = tasks.create_task(run_senders(senders))
+            tasks.create_task(watch(receiver, watched, warm_up_s=4, seconds=seconds))
+        relay_stats = relay.stats()
+    return watched, sending.result(), relay_stats
+
+
+@in_virtual_time
+async def test_on_a_perfect_network_every_latent_comes_after_the_playout_floor() -> None:
+    watched, sent, relay_stats = await hold_call({})
+    for name in PEERS:
+        assert watched.peer(name)["latents_per_s"] == pytest.approx(30, rel=0.01)
+        assert watched.delay_percentile(name, 50) == pytest.approx(0.004, abs=0.0001)
+        assert watched.delay_percentile(name, 99) <= 0.0045
+    assert watched.stats["dropped"] == watched.stats["errors"] == watched.stats["concealed"] == 0
+    assert [each["reconnects"] for each in sent] == [0] * 5
+    assert relay_stats["open_connections"] == 0
+
+
+@in_virtual_time
+async def test_each_peer_costs_its_payload_and_a_stated_overhead() -> None:
+    watched, sent, _ = await hold_call({})
+    for each in sent:
+        assert each["payload_bps"] == pytest.approx(30 * PAYLOAD_BYTES * 8, rel=0.01)
+        # Kind byte, frame header, websocket header and mask, TCP and IP headers.
+        assert each["wire_bps"] == pytest.approx(30 * (1 + FRAME_BYTES + 8 + 40) * 8, rel=0.02)
+    for name in PEERS:
+        assert watched.peer(name)["payload_bps"] == pytest.approx(30 * PAYLOAD_BYTES * 8, rel=0.01)
+
+
+@in_virtual_time
+async def test_jitter_is_waited_for_where_it_is_and_nowhere_else() -> None:
+    watched, _, _ = await hold_call({"ben": Wire(delay_s=0.02, jitter_s=0.04, seed=3)})
+    calm, jittery = watched.delay_percentile("ada", 99), watched.delay_percentile("ben", 99)
+    assert calm <= 0.0045
+    # Fastest transit 20 ms, jitter up to 40 ms, floor 4 ms; in-order delivery adds none.
+    assert 0.055 <= watched.delay_percentile("ben", 50) <= 0.064
+    assert jittery <= 0.068
+    assert watched.peer("ben")["latents_per_s"] == pytest.approx(30, rel=0.01)
+    assert watched.peer("ben")["concealed"] == 0
+
+
+@in_virtual_time
+async def test_a_thin_uplink_carries_the_newest_faces_and_delays_nobody_else() -> None:
+    # Half of what 30 frames a second need: every other frame is overtaken before it is sent.
+    thin = Wire(rate_bps=0.5 * 30 * (FRAME_BYTES + 9) * 8, window_bytes=600)
+    watched, sent, _ = await hold_call({"cho": thin})
+    slow = sent[PEERS.index("cho")]
+    assert slow["replaced"] > 300
+    assert 12 <= watched.peer("cho")["latents_per_s"] <= 18
+    # The newest that fits: the write buffer holds fourteen frames at fifteen a second.
+    assert watched.delay_percentile("cho", 99) <= 1.3
+    for name in set(PEERS) - {"cho"}:
+        assert watched.delay_percentile(name, 99) <= 0.0045
+
+
+@in_virtual_time
+async def test_a_slow_receiver_gets_every_peer_at_a_lower_rate_within_bounded_delay() -> None:
+    slow = Wire(delay_s=0.03, rate_bps=0.6 * 5 * 30 * FRAME_BYTES * 8, window_bytes=4096)
+    watched, _, relay_stats = await hold_call({}, down=slow)
+    rates = [watched.peer(name)["latents_per_s"] for name in PEERS]
+    assert min(rates) >= 14  # the outbox is fair: nobody is starved
+    assert max(rates) <= 20
+    assert max(watched.delay_percentile(name, 99) for name in PEERS) <= 0.5
+    assert watched.stats["dropped"] > 0
+    assert relay_stats["open_connections"] == 0
+
+
+@in_virtual_time
+async def test_retransmissions_stall_one_peer_and_the_buffers_stay_bounded() -> None:
+    watched, _, _ = await hold_call(
+        {"dee": Wire(delay_s=0.01, loss_ratio=0.02, seed=5)}, seconds=60
+    )
+    assert watched.peer("dee")["latents_per_s"] == pytest.approx(30, rel=0.02)
+    assert watched.delay_percentile("dee", 50) <= 0.25  # the ceiling and the way
+    assert watched.most_waiting <= 5 * 64
+    for name in set(PEERS) - {"dee"}:
+        assert watched.delay_percentile(name, 99) <= 0.0045
+
+
+@in_virtual_time
+async def test_a_peer_whose_avatar_nobody_has_is_seen_without_a_face() -> None:
+    known = {"1" * 64: AVATARS["1" * 64]}
+    watched, _, _ = await hold_call({}, seconds=5, avatars=known)
+    assert watched.peer("ada")["latents_per_s"] == pytest.approx(30, rel=0.05)
+    assert watched.peer("ben")["received"] == 0
+    assert watched.stats["errors"] == 0
+    assert watched.stats["without_avatar"] > 0
+
+
+@in_virtual_time
+async def test_senders_and_receiver_come_back_when_the_relay_does() -> None:
+    watched = Watched()
+    async with Relay(RelayConfig(port=8765)) as relay:
+        links = [link(relay, name, name) for name in PEERS]
+        viewer = link(relay, "viewer", "viewer")
+        senders = make_senders(links, list(AVATARS.items()), config=SenderConfig(seconds=40))
+        sending = asyncio.create_task(run_senders(senders))
+        receiver = Receiver(viewer, Call(LoadedAvatars(AVATARS)), rng=random.Random(1))
+        watching = asyncio.create_task(watch(receiver, watched, warm_up_s=25, seconds=5))
+        await asyncio.sleep(5)
+    await asyncio.sleep(6)
+    async with Relay(RelayConfig(port=8765)):
+        await watching
+        sent = await sending
+    assert [each["reconnects"] for each in sent] == [1] * 5
+    assert all(each["not_connected"] >= 5 * 30 for each in sent)
+    assert watched.stats["reconnects"] == 1
+    for name in PEERS:
+        rates = [p["latents_per_s"] for p in watched.stats["peers"] if p["name"] == name]
+        assert rates == [pytest.approx(30, rel=0.01)]
+
+
+@in_virtual_time
+async def test_garbage_payloads_are_counted_and_the_others_play_on() -> None:
+    async with Relay(RelayConfig(port=0)) as relay:
+        good = make_senders(
+            [link(relay, "ada", "ada")], list(AVATARS.items()), config=SenderConfig(seconds=8)
+        )
+        mallory = asyncio.create_task(send_garbage(relay, seconds=8))
+        receiver = Receiver(link(relay, "viewer", "viewer"), Call(LoadedAvatars(AVATARS)))
+        watched = Watched()
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(run_senders(good))
+            tasks.create_task(watch(receiver, watched, warm_up_s=2, seconds=4))
+        await mallory
+    assert watched.stats["errors"] > 50
+    assert watched.peer("mallory")["received"] == 0
+    assert watched.peer("ada")["latents_per_s"] == pytest.approx(30, rel=0.02)
+
+
+async def send_garbage(relay: Relay, seconds: float) -> None:
+    """A peer that keeps to the protocol and sends payloads of noise."""
+    rng = random.Random(4)
+    track = Track(kind="face", avatar="1" * 64)
+    noisy = Link(link(relay, "mallory", "mallory"), (track,), rng=rng)
+    running = asyncio.create_task(noisy.run())
+    loop = asyncio.get_running_loop()
+    end_s = loop.time() + seconds
+    while loop.time() < end_s:
+        noisy.send_frame(rng.randbytes(rng.randrange(600)), rng.randrange(2**63))
+        await asyncio.sleep(1 / 30)
+    noisy.leave()
+    await running
