@@ -27,6 +27,20 @@ def _periodic_noise(angle: Float64Array, seed: int, low: int, high: int) -> Floa
     return total / np.sqrt(0.5 * (high - low + 1))
 
 
+COILED = 0.8
+"""Hair with more curl than this is coils without strands: lumps instead of clumps."""
+
+
+def _lumps(points: Float64Array, seed: int) -> Float64Array:
+    """Smooth bumps in space a few millimetres to centimetres wide, about unit size. ``[...]``."""
+    random = np.random.default_rng(seed + 3)
+    total = np.zeros(points.shape[:-1])
+    for _ in range(28):
+        wave = random.normal(0.0, 0.16, 3)
+        total += np.cos(points @ wave + random.uniform(0, 2 * np.pi))
+    return total / np.sqrt(14.0)
+
+
 def hairline(identity: Identity, azimuth: Float64Array) -> Float64Array:
     """Height of the hair's lower edge, mm, by azimuth in radians (0 front, pi back, sign ignored)."""
     hair = identity.hair
@@ -86,9 +100,12 @@ def build_hair(identity: Identity, field: HeadField, chart: Chart) -> Float64Arr
     clump = _periodic_noise(azimuth + 0.35 * hair.curl * np.sin(6 * t + 2 * azimuth), identity.seed + 1, 9, 26)
     wave = np.sin(16.0 * t + 3.0 * _periodic_noise(azimuth, identity.seed + 2, 3, 9))
     ragged = smoothstep(0.05, 0.5, t)
+    if hair.curl > COILED:
+        clump = 2.4 * _lumps(scalp, identity.seed)
+        wave = np.zeros_like(wave)
     thickness = thickness + ragged * (0.9 * clump + 2.2 * hair.curl * wave * smoothstep(0.3, 0.8, t))
     # Short hair thins towards its edge; a fringe keeps its body.
-    thin = smoothstep(0.62, 1.0, t) * (hang < 1) * smoothstep(0.0, 12.0, 12.0 - hang) * (1 - 0.75 * front * min(hair.fringe / 6.0, 1.0))
+    thin = smoothstep(0.88 if hair.curl > COILED else 0.62, 1.0, t) * (hang < 1) * smoothstep(0.0, 12.0, 12.0 - hang) * (1 - 0.75 * front * min(hair.fringe / 6.0, 1.0))
     thickness = np.maximum(thickness, 2.0) * (1 - thin) + 1.3 * thin
     thickness = thickness + 3.0 * smoothstep(1.6, 2.3, np.abs(azimuth))
     points = scalp + away * thickness[..., None]

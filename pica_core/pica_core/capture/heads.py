@@ -43,8 +43,8 @@ MATERIALS = ("skin", "eye", "teeth", "tongue", "mouth_bag", "collar", "hair")
 
 JAW_PIVOT = (0.0, 2.0, 8.0)
 """The condyle axis, mm: a little below and ahead of the ear axis."""
-JAW_OPEN = np.radians(17.5)
-"""Rotation at jawOpen = 1; about 35 mm between the incisors."""
+JAW_OPEN = np.radians(20.5)
+"""Rotation at jawOpen = 1; about 30 mm between the incisors."""
 JAW_TONGUE = np.radians(6.0)
 """Rotation that tongueOut brings along, so that the tongue finds a gap."""
 JAW_SLIDE = (6.5, 5.0)
@@ -191,7 +191,10 @@ class Head:
         count = len(values)
         points = np.broadcast_to(self._rest.astype(np.float32), (count, *self._rest.shape)).copy()
         skin = self.charts["skin"]
-        points[:, skin.span] += (values @ self._fields).reshape(count, -1, 3)
+        # What the skin adds to an opening jaw (a raised upper lip) is taken back as the lips close over it.
+        strokes = values.copy()
+        strokes[:, ARKIT_INDEX["jawOpen"]] *= 1.0 - self._closing(values)
+        points[:, skin.span] += (strokes @ self._fields).reshape(count, -1, 3)
         self._turn_eyes(points, values)
         self._move_tongue(points, values)
         self._turn_jaw(points, values)
@@ -201,6 +204,12 @@ class Head:
     def _shape(self, values: FloatArray, name: str) -> FloatArray:
         column: FloatArray = values[:, ARKIT_INDEX[name]]
         return column
+
+    def _closing(self, values: FloatArray) -> FloatArray:
+        """How far the lips are closed over the open jaw, 0 to 1: mouthClose as a share of jawOpen. ``[N]``."""
+        opening = np.maximum(self._shape(values, "jawOpen"), 1e-3)
+        closed: FloatArray = np.clip(self._shape(values, "mouthClose") / opening, 0.0, 1.0)
+        return closed
 
     def _turn_eyes(self, points: FloatArray, values: FloatArray) -> None:
         for lids, side, name in zip(self._lids, (1.0, -1.0), ("Left", "Right"), strict=True):
@@ -240,8 +249,7 @@ class Head:
 
     def _turn_jaw(self, points: FloatArray, values: FloatArray) -> None:
         opening = self._shape(values, "jawOpen")
-        close = np.clip(self._shape(values, "mouthClose") / np.maximum(opening, 1e-3), 0.0, 1.0)
-        weight = self._jaw + close[:, None] * (self._jaw_closed - self._jaw)
+        weight = self._jaw + self._closing(values)[:, None] * (self._jaw_closed - self._jaw)
         angle = JAW_OPEN * opening + JAW_TONGUE * self._shape(values, "tongueOut")
         turn = angle[:, None] * weight
         sine, cosine = np.sin(turn), np.cos(turn)

@@ -38,7 +38,7 @@ class FaceShape:
     """Between the pupils."""
     eye_width: float = 30.0
     """Palpebral fissure, canthus to canthus."""
-    eye_opening: float = 9.6
+    eye_opening: float = 9.2
     """Palpebral fissure height at rest."""
     eye_tilt: float = 1.5
     """How much higher the outer canthus lies than the inner one."""
@@ -56,7 +56,7 @@ class FaceShape:
     """Height of the bridge, relative."""
     nose_tip_lift: float = 0.0
     """Tip above its usual place; positive turns the nose up."""
-    mouth_width: float = 52.0
+    mouth_width: float = 54.0
     """Between the corners of the mouth."""
     upper_lip: float = 7.0
     """Height of the upper vermilion."""
@@ -97,7 +97,7 @@ class Hair:
     parting: float = 0.0
     """Azimuth of the parting, degrees towards the subject's left; 0 means combed back."""
     curl: float = 0.2
-    """Waviness of the strands, 0 straight to 1 curly."""
+    """Waviness of the strands, 0 straight to 0.8 wavy; above that hair is coils."""
     covers_ears: bool = False
     """True when the sides hang over the ears."""
 
@@ -172,7 +172,7 @@ IDENTITIES: dict[str, Identity] = {
             face_height=112.0,
             eye_distance=62.0,
             eye_width=30.5,
-            eye_opening=10.6,
+            eye_opening=10.0,
             eye_tilt=2.6,
             brow_height=18.5,
             brow_ridge=0.3,
@@ -193,15 +193,13 @@ IDENTITIES: dict[str, Identity] = {
         ),
         hair=Hair(
             rgb=(0.020, 0.013, 0.010),
-            front=81.0,
-            side=-70.0,
-            nape=-95.0,
-            top_thickness=18.0,
-            side_thickness=13.0,
+            front=79.0,
+            side=26.0,
+            nape=-44.0,
+            top_thickness=36.0,
+            side_thickness=22.0,
             fringe=0.0,
-            parting=8.0,
-            curl=0.6,
-            covers_ears=True,
+            curl=1.0,
         ),
         skin=Skin(
             rgb=(0.300, 0.150, 0.090),

@@ -20,8 +20,8 @@ DrawDepth = Callable[[FloatArray, FloatArray, int], FloatArray]
 
 KEY_DIRECTION = np.array([0.50, 0.55, 0.80]) / np.linalg.norm([0.50, 0.55, 0.80])
 """Must agree with shaders/stage.frag."""
-DOME_DIRECTIONS = 40
-KEY_DIRECTIONS = 10
+DOME_DIRECTIONS = 32
+KEY_DIRECTIONS = 7
 KEY_SPREAD = 0.22
 """Half angle of the key light, radians: a softbox, so shadows have soft edges."""
 MAP_SIZE = 192

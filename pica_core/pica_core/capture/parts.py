@@ -22,7 +22,7 @@ IRIS_RADIUS = 5.9
 def _disc(chart: Chart) -> tuple[Float64Array, Float64Array]:
     """The chart's square mapped onto the unit disc: x to the right, y up."""
     rows, columns = chart.unit
-    a, b = 2 * columns - 1, 1 - 2 * rows
+    a, b = 0.96 * (2 * columns - 1), 0.96 * (1 - 2 * rows)  # full corners would fold flat
     return a * np.sqrt(1 - 0.5 * b * b), b * np.sqrt(1 - 0.5 * a * a)
 
 
@@ -45,9 +45,9 @@ def eyeball(chart: Chart, centre: tuple[float, ...], side: float) -> Float64Arra
     )
     points = points * radius[..., None]
     # Beyond what gaze can show, the ball flares into a skirt that fills the corners of the eye.
-    flare = smoothstep(np.radians(62.0), np.radians(100.0), angle)[..., None]
+    flare = smoothstep(np.radians(62.0), np.radians(114.0), angle)[..., None]
     nasal = np.clip(-side * np.cos(turn), 0.0, 1.0)
-    skirt = np.stack([(15.6 + 0.8 * nasal) * np.cos(turn), 12.6 * np.sin(turn), 1.0 + 4.5 * nasal**2], -1)
+    skirt = np.stack([(16.2 + 0.8 * nasal) * np.cos(turn), 12.6 * np.sin(turn), 1.0 + 4.5 * nasal**2], -1)
     points = points + flare * (skirt - points)
     return points + np.array([side * centre[0], centre[1], centre[2]])
 

@@ -111,7 +111,7 @@ def _sided(s: _Strokes, face: FaceShape, field: HeadField) -> dict[str, Float64A
         "mouthLowerDown": _vector(lower, 0.6, -7.0, 0.3) + _vector(s.spot(14, field.mouth_y - 16, 10, 8), 0, -2.0, 0.5),
         "mouthUpperUp": _vector(upper, 0.4, 6.0, 0.6) + _vector(wing, 0.4, 1.6, 0.3) + _vector(fold, 0.2, 2.0, 0.6),
         "browDown": _vector(brow, -1.2, -5.0, 0.8) + _vector(inner_brow, -2.0, -2.5, 1.0),
-        "browOuterUp": _vector(outer_brow, 0.3, 7.0, -0.6) + _vector(s.spot(eye_x + 8, brow_y + 22, 18, 14), 0, 2.5, 0),
+        "browOuterUp": _vector(outer_brow, 0.3, 7.0, -0.6) + _vector(s.spot(eye_x + 8, brow_y + 18, 17, 8), 0, 2.5, 0),
         "cheekSquint": _vector(cheek, 0.3, 3.8, 2.4) + _vector(below_eye, 0.0, 2.2, 0.9),
         "noseSneer": _vector(wing, 0.8, 4.2, -0.3)
         + _vector(s.spot(9, 8, 6, 9), -0.6, 1.5, 1.2)
@@ -131,7 +131,7 @@ def _central(s: _Strokes, face: FaceShape, field: HeadField) -> dict[str, Float6
     left = s.left()
     brow_y = 22.0 + face.brow_height
     inner_brows = bump(np.abs(s.x), 0.5 * face.eye_distance - 18, 11.0) * bump(s.y, brow_y + 1, 9.0) * s.front
-    mid_forehead = bump(s.x, 0.0, 26.0) * bump(s.y, brow_y + 22, 14.0) * s.front
+    mid_forehead = bump(s.x, 0.0, 26.0) * bump(s.y, brow_y + 19, 9.5) * s.front
     puff = bump(np.abs(s.x), s.half + 20, 15.0) * bump(s.y, field.mouth_y + 4, 17.0) * s.front
     lips = s.upper + s.lower
     chin = s.spot(0, field.mouth_y - 25, 17.0, 11.0)

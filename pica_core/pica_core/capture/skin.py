@@ -181,10 +181,14 @@ def _heights(face: FaceShape, field: HeadField, chart: Chart, skin_half: float,
     u = ax - 0.5 * face.eye_distance
     upper_lid, lower_lid = lid_lines(face, corners, u)
     reach = smoothstep(24.0, 8.0, np.abs(u + 1))  # folds follow the lid near the eye only
+    # The slit's edges lie on the margins; beyond the corners the two rows part a little.
+    outside = np.maximum(np.maximum(corners[0] - ax, ax - corners[1]), 0.0)
+    beside_eye = 0.05 + 0.35 * smoothstep(0.0, 5.0, outside)
     mouth = mouth_lines(face, field, skin_half, x)
     # Beyond the corner the lips' rows open out again into cheek, a little more per column.
     spread = 6.5 * smoothstep(skin_half, skin_half + 26.0, ax)
-    closed = 0.03 + 0.13 * smoothstep(0.75 * skin_half, skin_half, ax)
+    # Lips press into each other by a hair's breadth, so that nothing shines through a closed mouth.
+    closed = -0.06 + 0.2 * smoothstep(0.7 * skin_half, skin_half, ax)
     subnasale = field.subnasale_y
     wing = smoothstep(20.0, 12.0, ax)
     anchors: list[tuple[float, Float64Array]] = [
@@ -192,18 +196,18 @@ def _heights(face: FaceShape, field: HeadField, chart: Chart, skin_half: float,
         (50, EYE_Y + face.brow_height + 8.0 + 0 * x),
         (56, EYE_Y + face.brow_height - 2.0 + 0 * x),
         (CREASE_ROW, np.maximum(upper_lid + 3.6 + 1.8 * reach, EYE_Y + 6.5)),
-        (EYE_ROW, upper_lid + 0.35),
-        (EYE_ROW + 1, lower_lid - 0.35),
+        (EYE_ROW, upper_lid + beside_eye),
+        (EYE_ROW + 1, lower_lid - beside_eye),
         (LOWER_FOLD_ROW, lower_lid - 9.5 + 1.5 * reach),
         (94, subnasale + 13.5 + 0 * x),
         (101, subnasale + 3.0 + 0.8 * (1 - wing)),
         (SUBNASALE_ROW, subnasale - 1.2 - 2.2 * (1 - wing)),
-        (UPPER_BORDER_ROW, mouth["upper"] + spread * 0.9),
+        (UPPER_BORDER_ROW, mouth["upper"] + closed * 4.0 + spread),
         (UPPER_CONTACT_ROW, mouth["contact"] + closed * 2.5 + 0.45 * spread),
         (MOUTH_ROW, mouth["contact"] + closed * 0.5 + 0.05 * spread),
         (MOUTH_ROW + 1, mouth["contact"] - closed * 0.5 - 0.05 * spread),
         (LOWER_CONTACT_ROW, mouth["contact"] - closed * 2.5 - 0.45 * spread),
-        (LOWER_BORDER_ROW, mouth["lower"] - spread),
+        (LOWER_BORDER_ROW, mouth["lower"] - closed * 4.0 - spread),
         (146, field.below(-71.0) + 0 * x),
         (CHIN_ROW, field.chin_y + 5.0 + 0 * x),
         (155, field.chin_y - 14.0 + 0 * x),
@@ -287,7 +291,7 @@ def _lay_lips(face: FaceShape, field: HeadField, chart: Chart, half: float, poin
     rows = chart.rows
     x = points[..., 0]
     t = np.clip(np.abs(x) / half, 0.0, 1.0)
-    front = np.abs(points[..., 0]) < half + 40
+    front = (np.abs(points[..., 0]) < half + 40) & (points[..., 2] > 30)
     pout = 3.4 * face.lip_fullness * np.maximum(1 - t**2.2, 0.0)
     s_upper = (rows[:, None] - UPPER_BORDER_ROW) / (UPPER_CONTACT_ROW - UPPER_BORDER_ROW)
     s_lower = (LOWER_BORDER_ROW - rows[:, None]) / (LOWER_BORDER_ROW - LOWER_CONTACT_ROW)
@@ -304,8 +308,8 @@ def _lay_lips(face: FaceShape, field: HeadField, chart: Chart, half: float, poin
     # Inner edges: back into the mouth and away from each other.
     # At the corners a shallow pit remains, which keeps the slit's ends from gaping.
     ax = np.abs(x)
-    pit = 1.7 * smoothstep(half + 4.0, half, ax)
-    depth = np.where(t < 1, 1.7 + 5.7 * (1 - t**3) ** 0.7, pit)
+    pit = 1.1 * smoothstep(half + 3.0, half, ax)
+    depth = np.where(t < 1, 1.1 + 6.3 * (1 - t**3) ** 0.7, pit)
     k_upper = np.clip((rows - UPPER_CONTACT_ROW) / (MOUTH_ROW - UPPER_CONTACT_ROW), 0, 1)
     k_upper = np.where(rows <= MOUTH_ROW, k_upper, 0.0)[:, None]
     k_lower = np.clip((LOWER_CONTACT_ROW - rows) / (LOWER_CONTACT_ROW - MOUTH_ROW - 1), 0, 1)

@@ -18,11 +18,11 @@ EVALUATION_VIEWS: dict[str, tuple[float, float]] = {
     "right": (-52.0, 4.0),
 }
 """Azimuth towards the subject's left and elevation of the paper's five views, degrees."""
-HEAD_TARGET_M = (0.0, -0.015, 0.02)
+HEAD_TARGET_M = (0.0, -0.008, 0.02)
 """What the cameras look at: a little below and ahead of the ear axis."""
 MOUTH_TARGET_M = (0.0, -0.045, 0.085)
 DISTANCE_M = 1.0
-HEAD_SPAN_M = 0.33
+HEAD_SPAN_M = 0.35
 """What the shorter side of the image covers at the target."""
 MOUTH_SPAN_M = 0.12
 

@@ -125,15 +125,15 @@ class HeadField:
         base_z = 98.5  # of the face around the subnasale
         tip_y = self.subnasale_y + 10.5 + f.nose_tip_lift
         tip_z = base_z + f.nose_protrusion - 9.0  # centre of a tip of 9 mm radius
-        wing_x = 0.5 * f.nose_breadth - 6.8
+        wing_x = 0.5 * f.nose_breadth - 6.6
         wing_y = self.subnasale_y + 6.5
         bridge_z = 86.5 + 3.5 * f.nose_bridge
         half = (0, 0.5 * (tip_y + SELLION_Y) + 1, 0.5 * (bridge_z + tip_z) - 1.5)
         bridge = _cone(p, (0, SELLION_Y + 2, bridge_z), half, 6.8, 7.4)
         bridge = smooth_min(bridge, _cone(p, half, (0, tip_y + 1, tip_z + 0.5), 7.2, 8.0), 6)
         d = smooth_min(d, bridge, 11)
-        d = smooth_min(d, _ellipsoid(p, (0, tip_y, tip_z + 0.5), (9.6, 8.4, 9.4)), 6)
-        d = smooth_min(d, _ellipsoid(p, (wing_x, wing_y, base_z + 3.5), (7.6, 7.2, 10.0)), 5.5)
+        d = smooth_min(d, _ellipsoid(p, (0, tip_y, tip_z + 0.5), (9.0, 7.8, 9.2)), 6)
+        d = smooth_min(d, _ellipsoid(p, (wing_x, wing_y, base_z + 3.5), (6.9, 6.8, 10.0)), 5.5)
         # Columella, then the nostrils cut out beside it.
         columella = _cone(
             p, (0, tip_y - 5, tip_z), (0, self.subnasale_y + 1.5, base_z + 2.5), 4.0, 4.4

@@ -142,6 +142,8 @@ void skin(out vec3 rgb, out float gloss, out float height, out float translucent
     gloss *= 1.0 - 0.8 * lash;
     float shadow = upper * (1.0 - smoothstep(3.0, 11.0, abs(rows))) * smoothstep(2.0, 4.0, abs(rows));
     rgb = mix(rgb, rgb * vec3(0.60, 0.45, 0.45), 0.55 * makeup * shadow);
+    float crease = upper * bell(abs(rows), 8.2, 1.0) * front;
+    rgb *= 1.0 - vec3(0.22, 0.30, 0.32) * crease;
     float corner = spot(q, vec2(eye_x - 15.0, 20.5), vec2(1.8, 1.5)) * front;
     rgb = mix(rgb, vec3(0.50, 0.20, 0.17), 0.8 * smoothstep(0.4, 0.9, corner) * (1.0 - smoothstep(2.0, 4.0, abs(rows))));
     // Brows, then scalp hair that fades into the forehead.
@@ -215,11 +217,12 @@ void main() {
     } else if (material_id == 3) {
         float papillae = noise(p * 1.6) * 0.6 + noise(p * 3.1) * 0.4;
         rgb = vec3(0.46, 0.16, 0.15) * (0.75 + 0.5 * papillae);
-        rgb *= mix(1.0, 0.75, bell(p.x, 0.0, 1.2));
+        rgb *= mix(1.0, 0.75, bell(p.x, 0.0, 1.2)) * mix(0.25, 1.1, smoothstep(0.1, 0.75, surface.x));
         gloss = 0.7;
         height = papillae;
     } else if (material_id == 4) {
-        rgb = vec3(0.20, 0.045, 0.04);
+        float reach = length(surface.xy * 2.0 - 1.0);
+        rgb = vec3(0.24, 0.055, 0.05) * mix(0.2, 1.3, reach * reach);
         gloss = 0.5;
     } else if (material_id == 5) {
         float turn = surface.y * 420.0, rows = surface.x * 34.0;
@@ -237,7 +240,12 @@ void main() {
         float coarse = noise(vec3(a * 14.0, t * 2.2, seed));
         float medium = noise(vec3(a * 46.0, t * 3.4, seed + 2.0));
         float thin = noise(vec3(a * 150.0, t * 6.0, seed + 4.0));
-        float hairs = 0.34 * coarse + 0.36 * medium + 0.30 * thin;
+        float coils = 0.55 * noise(p * 0.42 + seed) + 0.45 * noise(p * 0.95 + seed);
+        coils = mix(coils, noise(p * 2.2 + seed), 0.3);
+        float coiled = smoothstep(0.7, 0.9, curl);
+        float hairs = mix(0.34 * coarse + 0.36 * medium + 0.30 * thin, coils, coiled);
+        coarse = mix(coarse, 0.5, coiled);
+        medium = mix(medium, noise(p * 1.1 + 5.0), coiled);
         rgb = hair_rgb * (0.35 + 1.5 * hairs * hairs * 1.6);
         rgb *= mix(0.75, 1.1, smoothstep(0.0, 0.5, coarse));
         gloss = 0.35 + 0.5 * thin;

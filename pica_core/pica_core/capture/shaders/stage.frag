@@ -46,8 +46,9 @@ void main() {
     vec3 v = normalize(camera_m - point_m);
     float sky = open_sky.x, key = open_sky.y;
     // Shadow is known per vertex for a few expressions only; inside the mouth keep what bounces around.
-    if (material_id == 2) { sky = max(sky, 0.50); key = max(key, 0.10); }
-    else if (material_id == 3) { sky = max(sky, 0.34); key = max(key, 0.06); }
+    if (material_id == 2) { sky = max(sky, 0.42); key = max(key, 0.24); }
+    else if (material_id == 1) { sky = max(sky, 0.40); key = max(key, 0.15); }
+    else if (material_id == 3) { sky = max(sky, 0.30); key = max(key, 0.12); }
     else if (material_id == 4) { sky = max(sky, 0.22); }
     vec3 lit;
     vec3 shine = vec3(0.0);
