@@ -3,6 +3,7 @@
     ClientError
     ├── OptionError         an option, or a combination of them, that makes no sense
     ├── SourceError         a tracker, recording or performance that cannot be read
+    ├── ShaderError         shader text that is wrong, or that a driver does not take
     ├── AvatarLookupError   an avatar that is neither shipped nor in the given files
     ├── RelayError          the way to the relay
     │   ├── RelayUnreachableError   nobody answers at that address
@@ -26,6 +27,10 @@ class OptionError(ClientError, ValueError):
 
 class SourceError(ClientError):
     """The source cannot be read: names the file, the line or column, and the fix."""
+
+
+class ShaderError(ClientError):
+    """Shader text cannot be composed or compiled: names the file, and quotes the driver."""
 
 
 class AvatarLookupError(ClientError):

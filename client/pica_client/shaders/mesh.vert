@@ -1,0 +1,17 @@
+// One vertex of an avatar: its UV is fixed, its position comes out of the decoded position map.
+
+in vec2 vertex_uv;
+
+uniform sampler2D position_map; // head-frame metres
+uniform mat4 clip_from_head;
+
+out vec2 surface_uv;
+out vec3 surface_xyz_m;
+
+#include "bilinear.glsl"
+
+void main() {
+    surface_uv = vertex_uv;
+    surface_xyz_m = fetch_bilinear(position_map, vertex_uv).xyz;
+    gl_Position = clip_from_head * vec4(surface_xyz_m, 1.0);
+}

@@ -1,0 +1,10 @@
+// A rectangle of the screen, without a vertex buffer: draw a triangle strip of 4.
+
+uniform vec4 rect; // left, bottom, right, top in clip space
+
+out vec2 place; // 0..1 within the rectangle, from its lower left
+
+void main() {
+    place = vec2(gl_VertexID & 1, gl_VertexID >> 1);
+    gl_Position = vec4(mix(rect.xy, rect.zw, place), 0.0, 1.0);
+}
