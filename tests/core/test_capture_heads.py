@@ -217,7 +217,9 @@ def test_takes_hold_the_asked_number_of_frames_and_start_neutral() -> None:
 
 
 def test_takes_are_low_rank_and_blink() -> None:
-    arkit = np.concatenate([take.arkit for take in sample_takes(400, 0) if take.segment[:3] == "SEN"])
+    arkit = np.concatenate(
+        [take.arkit for take in sample_takes(400, 0) if take.segment[:3] == "SEN"]
+    )
     spread = np.linalg.svd(arkit - arkit.mean(0), compute_uv=False) ** 2
     assert np.cumsum(spread)[15] / spread.sum() > 0.9
     assert (arkit[:, ARKIT_INDEX["eyeBlinkLeft"]] > 0.8).any()

@@ -18,7 +18,17 @@ from pica_core.errors import CaptureError
 
 pytestmark = pytest.mark.render
 
-OPTIONS = StageOptions(head="S1", frames=4, cameras=2, width=64, height=64, texture_size=64, seed=5)
+OPTIONS = StageOptions(
+    head="S1",
+    frames=4,
+    cameras=2,
+    width=64,
+    height=64,
+    texture_size=64,
+    seed=5,
+    bake_size=256,
+    self_shadow=False,
+)
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +45,7 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def damaged(rendered: Path, tmp_path: Path) -> Path:
-    """A copy of the capture to damage; big files are linked, the small ones that tests change are copied."""
+    """A copy of the capture to damage."""
     copy = tmp_path / "copy"
     for source in rendered.rglob("*"):
         target = copy / source.relative_to(rendered)
@@ -48,7 +58,9 @@ def damaged(rendered: Path, tmp_path: Path) -> Path:
 
 
 def files_of(root: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(root)): p.read_bytes() for p in sorted(root.rglob("*")) if p.is_file()}
+    return {
+        str(p.relative_to(root)): p.read_bytes() for p in sorted(root.rglob("*")) if p.is_file()
+    }
 
 
 def test_projected_vertices_meet_the_rendered_depth(renderer: StageRenderer) -> None:
@@ -95,7 +107,9 @@ def test_teeth_show_when_the_mouth_opens_and_not_at_rest(renderer: StageRenderer
     assert (opened == teeth).sum() > 20
 
 
-def test_an_unwrapped_texture_covers_the_face_and_matches_the_image(renderer: StageRenderer) -> None:
+def test_an_unwrapped_texture_covers_the_face_and_matches_the_image(
+    renderer: StageRenderer,
+) -> None:
     cameras = dome_cameras(5, 192, 192)
     renderer.pose(blend())
     texture, seen = renderer.unwrap([(camera, renderer.draw(camera)) for camera in cameras], 128)

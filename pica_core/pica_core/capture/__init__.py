@@ -1,1 +1,1 @@
-"""Captures: the synthetic stage and its heads, the dataset layout, and its reader. numpy, moderngl and pillow only."""
+"""Captures: built-in heads, the stage, the dataset layout and its reader. Needs no torch."""

@@ -70,7 +70,8 @@ def _load_image(path: Path, mode: str, size: tuple[int, int]) -> npt.NDArray[Any
                 raise CaptureError(f"{path}: {image.width}x{image.height} pixels are too many")
             if image.size != size:
                 raise CaptureError(
-                    f"{path}: the image is {image.width}x{image.height}, {size[0]}x{size[1]} is needed"
+                    f"{path}: the image is {image.width}x{image.height}, "
+                    f"{size[0]}x{size[1]} is needed"
                 )
             if mode == "I;16":
                 if not image.mode.startswith("I"):
@@ -123,7 +124,8 @@ class Capture:
 
     @classmethod
     def open(cls, path: str | Path) -> Capture:
-        """Open a capture directory and check what describes it; images and meshes are checked when read.
+        """Open a capture directory and check what describes it; images and meshes are checked when
+        read.
 
         Raises:
             CaptureError: The directory or a describing file is missing, damaged or inconsistent.
@@ -132,15 +134,21 @@ class Capture:
         if not root.is_dir():
             raise CaptureError(f"{root}: no such directory")
         if not (root / multiface.CAPTURE).is_file():
-            raise CaptureError(f"{root}: no {multiface.CAPTURE}; not a capture, or one that is not finished")
+            raise CaptureError(
+                f"{root}: no {multiface.CAPTURE}; not a capture, or one that is not finished"
+            )
         where = root / multiface.CAPTURE
         info = multiface.read_json(where)
         if info.get("schema") != multiface.SCHEMA:
-            raise CaptureError(f"{where}: schema is {info.get('schema')!r}; {multiface.SCHEMA} is known")
+            raise CaptureError(
+                f"{where}: schema is {info.get('schema')!r}; {multiface.SCHEMA} is known"
+            )
         width, height = (_field(info, where, name, int) for name in ("width", "height"))
         texture_size = _field(info, where, "texture_size", int)
         if not (0 < width <= 8192 and 0 < height <= 8192 and 0 < texture_size <= 8192):
-            raise CaptureError(f"{where}: sizes {width}x{height}, texture {texture_size}: 1 to 8192 are allowed")
+            raise CaptureError(
+                f"{where}: sizes {width}x{height}, texture {texture_size}: 1 to 8192 are allowed"
+            )
         cameras = multiface.read_krt(root / multiface.KRT, width, height)
         topology = _read_topology(root / multiface.TOPOLOGY)
         frames, arkit = _read_frames(root)
@@ -170,11 +178,14 @@ class Capture:
         try:
             return self._cameras[name]
         except KeyError:
-            raise CaptureError(f"{self.path}: no camera {name!r}; there are {', '.join(self._cameras)}") from None
+            raise CaptureError(
+                f"{self.path}: no camera {name!r}; there are {', '.join(self._cameras)}"
+            ) from None
 
     def arkit(self, frame: CaptureFrame) -> FloatArray:
         """The frame's shapes in `ARKIT_NAMES` order. float32 ``[52]``."""
-        return self._arkit[frame.index]
+        values: FloatArray = self._arkit[frame.index]
+        return values
 
     def arkit_all(self) -> FloatArray:
         """The shapes of all frames. float32 ``[T, 52]``."""
@@ -193,7 +204,7 @@ class Capture:
         return _load_image(path, "L", (view.width, view.height))
 
     def depth_m(self, frame: CaptureFrame, camera: str) -> FloatArray:
-        """Distance along the camera axis at pixel centres, metres, 0 where empty. float32 ``[H, W]``."""
+        """Depth along the camera axis at pixel centres, 0 where empty. float32 ``[H, W]``."""
         view = self.camera(camera)
         path = self.path / multiface.image_path("depth", frame.segment, camera, frame.name)
         units = _load_image(path, "I;16", (view.width, view.height))
@@ -216,7 +227,7 @@ class Capture:
             raise CaptureError(f"{path}: the file is missing") from None
         if len(data) != wanted:
             raise CaptureError(
-                f"{path}: {len(data)} bytes; {self.num_vertices} vertices need {wanted} (float32 xyz)"
+                f"{path}: {len(data)} bytes; {self.num_vertices} vertices need {wanted} (float32)"
             )
         vertices = np.frombuffer(data, "<f4").reshape(-1, 3) / np.float32(multiface.MILLIMETRES)
         if not np.isfinite(vertices).all():
@@ -227,7 +238,12 @@ class Capture:
         """Rotation and translation (metres) from head frame to world. float64 ``[3, 4]``."""
         path = self.path / multiface.transform_path(frame.segment, frame.name)
         try:
-            matrix = np.array([[float(w) for w in line.split()] for line in multiface.read_text(path).splitlines()])
+            matrix = np.array(
+                [
+                    [float(w) for w in line.split()]
+                    for line in multiface.read_text(path).splitlines()
+                ]
+            )
         except ValueError:
             matrix = np.zeros(0)
         if matrix.shape != (3, 4) or not np.isfinite(matrix).all():
@@ -236,7 +252,7 @@ class Capture:
         return matrix
 
     def average_texture(self, frame: CaptureFrame) -> ByteArray:
-        """Average texture of the frame, row 0 is v = 0, black where no camera looked. uint8 ``[S, S, 3]``."""
+        """Average texture, row 0 is v = 0, black where no camera looked. uint8 ``[S, S, 3]``."""
         path = self.path / multiface.texture_path(self.texture_size, frame.segment, frame.name)
         size = (self.texture_size, self.texture_size)
         return np.ascontiguousarray(_load_image(path, "RGB", size)[::-1])
@@ -264,7 +280,9 @@ def _read_topology(path: Path) -> Topology:
     if uv.ndim != 2 or uv.shape[1] != 2 or not np.isfinite(uv).all():
         raise CaptureError(f"{path}: field 'vertex_uv' is {uv.shape}; finite [V, 2] is needed")
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.min() < 0 or faces.max() >= len(uv):
-        raise CaptureError(f"{path}: field 'faces' is {faces.shape} or points outside {len(uv)} vertices")
+        raise CaptureError(
+            f"{path}: field 'faces' is {faces.shape} or points outside {len(uv)} vertices"
+        )
     regions = {
         name.removeprefix("region_"): value.astype(np.bool_)
         for name, value in arrays.items()
@@ -293,7 +311,9 @@ def _read_frames(root: Path) -> tuple[tuple[CaptureFrame, ...], FloatArray]:
         except (IndexError, ValueError) as error:
             raise CaptureError(f"{table_path}:{number}: row cannot be read ({error})") from error
         if split not in SPLITS or not np.isfinite(values).all():
-            raise CaptureError(f"{table_path}:{number}: split is {split!r}, or a value is not finite")
+            raise CaptureError(
+                f"{table_path}:{number}: split is {split!r}, or a value is not finite"
+            )
         table[key] = (split, values)
     frames: list[CaptureFrame] = []
     arkit: list[list[float]] = []
@@ -302,7 +322,9 @@ def _read_frames(root: Path) -> tuple[tuple[CaptureFrame, ...], FloatArray]:
         if not words:
             continue
         if len(words) != 2 or (words[0], words[1]) not in table:
-            raise CaptureError(f"{list_path}:{number}: {line!r} has no row in {multiface.EXPRESSIONS}")
+            raise CaptureError(
+                f"{list_path}:{number}: {line!r} has no row in {multiface.EXPRESSIONS}"
+            )
         split, values = table[words[0], words[1]]
         frames.append(CaptureFrame(index=len(frames), segment=words[0], name=words[1], split=split))
         arkit.append(values)

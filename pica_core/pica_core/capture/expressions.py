@@ -1,8 +1,8 @@
 """What the subject does on the stage: takes of 52 ARKit values at 30 Hz, made from a seed.
 
-A take is low rank, as real faces are: a few visemes, emotions and gestures blend into each other, the two sides move
-together, eyes blink and jump. No recording is read. Whole takes are held out for testing, so no test frame has a
-neighbour in the training set.
+A take is low rank, as real faces are: a few visemes, emotions and gestures blend into each other,
+the two sides move together, eyes blink and jump. No recording is read. Whole takes are held out
+for testing, so no test frame has a neighbour in the training set.
 """
 
 from __future__ import annotations
@@ -59,7 +59,14 @@ MOODS: tuple[Float64Array, ...] = (
     blend(jawOpen=0.85, mouthStretch=0.3, browOuterUp=0.3),
     blend(jawOpen=0.45, mouthClose=0.43),
     blend(tongueOut=0.9, jawOpen=0.35, browOuterUp=0.3),
-    blend(jawOpen=0.45, mouthSmile=0.85, mouthUpperUp=0.45, cheekSquint=0.7, eyeSquint=0.4, mouthLowerDown=0.3),
+    blend(
+        jawOpen=0.45,
+        mouthSmile=0.85,
+        mouthUpperUp=0.45,
+        cheekSquint=0.7,
+        eyeSquint=0.4,
+        mouthLowerDown=0.3,
+    ),
     blend(eyeSquint=0.8, cheekSquint=0.5, mouthStretch=0.5, mouthLowerDown=0.6),
 )
 """Slow, whole-face states."""
@@ -91,8 +98,10 @@ def _smooth(values: Float64Array, seconds: float) -> Float64Array:
     return np.stack(stacked, 1)
 
 
-def _hold(random: Generator, frames: int, choices: tuple[Float64Array, ...], mean_s: float) -> Float64Array:
-    """A staircase: one choice after the other with random strength and length, slightly uneven between sides."""
+def _hold(
+    random: Generator, frames: int, choices: tuple[Float64Array, ...], mean_s: float
+) -> Float64Array:
+    """A staircase: one choice after the other, of random strength and length, a little uneven."""
     result = np.zeros((frames, NUM_ARKIT))
     at = 0
     while at < frames:
@@ -138,18 +147,20 @@ def _eyes(random: Generator, frames: int) -> Float64Array:
 
 
 def sentence(random: Generator, frames: int) -> FloatArray:
-    """Speech: visemes at about six a second over a slow mood, brow accents, blinks and gaze. ``[T, 52]``."""
+    """Speech: six visemes a second over a slow mood, brow accents, blinks, gaze. ``[T, 52]``."""
     mouth = _smooth(_hold(random, frames, VISEMES, 0.17), 0.045)
     mood = _smooth(_hold(random, frames, MOODS[:7], 2.5), 0.35) * random.uniform(0.2, 0.7)
     accent_shapes = (blend(), blend(), blend(browInnerUp=0.5, browOuterUp=0.4), blend(browDown=0.4))
     accents = _smooth(_hold(random, frames, accent_shapes, 0.7), 0.12)
     drift = _smooth(random.normal(0, 0.25, (frames, NUM_ARKIT)), 0.5) * 0.35
     drift[:, :14] = 0.0
-    return np.clip(mouth + mood + accents + np.maximum(drift, 0) + _eyes(random, frames), 0, 1.05).astype(np.float32)
+    return np.clip(
+        mouth + mood + accents + np.maximum(drift, 0) + _eyes(random, frames), 0, 1.05
+    ).astype(np.float32)
 
 
 def range_of_motion(random: Generator, frames: int) -> FloatArray:
-    """One shape after the other to its full extent, pairs together or alone, some in company. ``[T, 52]``."""
+    """One shape after the other to its full extent, pairs together or alone. ``[T, 52]``."""
     pairs = [name.removesuffix("Left") for name in ARKIT_NAMES if name.endswith("Left")]
     single = [name for name in ARKIT_NAMES if not name.endswith(("Left", "Right"))]
     single += ["jawLeft", "jawRight", "mouthLeft", "mouthRight"]
@@ -203,8 +214,8 @@ def sample_takes(num_frames: int, seed: int, test_share: float = 0.15) -> list[T
         test_share: Share of the frames in held-out takes.
 
     Returns:
-        Takes that hold only the captured frames; about a third of the frames per kind. The first frame of the first
-        take is the neutral face.
+        Takes that hold only the captured frames; about a third of the frames per kind. The first
+        frame of the first take is the neutral face.
     """
     num_test = max(round(num_frames * test_share), 1)
     quota = {"train": num_frames - num_test, "test": num_test}

@@ -23,7 +23,7 @@ FloatArray = npt.NDArray[np.float32]
 ByteArray = npt.NDArray[np.uint8]
 
 BAKE_SIZE = 2048
-"""Texels along the side of the appearance textures: 8 per position-map texel, about 0.1 mm on the face."""
+"""Side of the appearance textures: 8 texels per position-map texel, about 0.1 mm on the face."""
 SUPERSAMPLE = 2
 """Samples per pixel along each axis."""
 BACKGROUND = (92, 97, 104)
@@ -80,9 +80,10 @@ class StageRenderer:
         self._context = create_context() if context is None else context
         self._framebuffers: dict[tuple[str, int, int], Any] = {}
         c = self._context
-        self._programs = {
+        self._programs: dict[str, Any] = {
             name: c.program(
-                vertex_shader=shader_text(f"{name}.vert"), fragment_shader=shader_text(f"{name}.frag")
+                vertex_shader=shader_text(f"{name}.vert"),
+                fragment_shader=shader_text(f"{name}.frag"),
             )
             for name in ("stage", "depth", "unwrap")
         }
@@ -94,7 +95,9 @@ class StageRenderer:
         self._moving = c.buffer(reserve=head.num_vertices * 11 * 4, dynamic=True)
         moving = ["position_m", "normal", "tangent", "occlusion"]
         self._arrays = {
-            "stage": self._array("stage", "3f 3f 3f 2f", moving, "2f 1f", ["vertex_uv", "material"]),
+            "stage": self._array(
+                "stage", "3f 3f 3f 2f", moving, "2f 1f", ["vertex_uv", "material"]
+            ),
             "depth": self._array("depth", "3f 3x4 3x4 2x4", moving[:1], "2x4 1f", ["material"]),
             "unwrap": self._array("unwrap", "3f 3f 3x4 2x4", moving[:2], "2f 1x4", ["vertex_uv"]),
         }
@@ -103,14 +106,19 @@ class StageRenderer:
         self._occlusion = Occlusion(head, self._draw_depth_map) if occlusion else None
 
     def _array(
-        self, program: str, moving: str, moving_names: list[str], static: str, static_names: list[str]
+        self,
+        program: str,
+        moving: str,
+        moving_names: list[str],
+        static: str,
+        static_names: list[str],
     ) -> Any:
         content = [(self._moving, moving, *moving_names), (self._static, static, *static_names)]
         return self._context.vertex_array(self._programs[program], content, self._faces)
 
     def _bake(self, size: int) -> tuple[Any, Any]:
         c, head, who = self._context, self.head, self.head.identity
-        program = c.program(
+        program: Any = c.program(
             vertex_shader=shader_text("bake.vert"), fragment_shader=shader_text("appearance.frag")
         )
         numbers: dict[str, Any] = {
@@ -119,7 +127,7 @@ class StageRenderer:
             "makeup": who.skin.makeup, "age": who.skin.age, "brow_rgb": who.skin.brow_rgb,
             "brow_thickness": who.skin.brow_thickness, "iris_rgb": who.skin.iris_rgb,
             "cloth_rgb": who.skin.cloth_rgb, "hair_rgb": who.hair.rgb, "curl": who.hair.curl,
-            **head.landmarks,
+            "sweep": who.hair.sweep, **head.landmarks,
         }  # fmt: skip
         for name, value in numbers.items():
             if name in program:
@@ -128,7 +136,9 @@ class StageRenderer:
         data = np.concatenate([head.vertex_uv, k.rest_m, k.local, k.material[:, None]], 1)
         buffer = c.buffer(data.astype(np.float32).tobytes())
         array = c.vertex_array(
-            program, [(buffer, "2f 3f 4f 1f", "vertex_uv", "rest_m", "local", "material")], self._faces
+            program,
+            [(buffer, "2f 3f 4f 1f", "vertex_uv", "rest_m", "local", "material")],
+            self._faces,
         )
         targets = [c.texture((size, size), 4) for _ in range(2)]
         framebuffer = c.framebuffer(targets)
@@ -150,7 +160,7 @@ class StageRenderer:
         return targets[0], targets[1]
 
     def pose(self, arkit: npt.ArrayLike) -> FloatArray:
-        """Pose the head for the draws that follow; returns its vertices, metres. float32 ``[V, 3]``."""
+        """Pose the head for the draws that follow; returns its vertices, metres ``[V, 3]``."""
         head = self.head
         vertices = head.vertices(arkit)
         shade = np.ones((len(vertices), 2), np.float32)
@@ -166,7 +176,8 @@ class StageRenderer:
         data[:, 3:6] = head.normals(vertices)
         hair = head.charts["hair"]
         grid = vertices[hair.span].reshape(*hair.shape, 3)
-        data[hair.span, 6:9] = np.gradient(grid, axis=0).reshape(-1, 3)
+        along: FloatArray = np.asarray(np.gradient(grid, axis=0), np.float32)
+        data[hair.span, 6:9] = along.reshape(-1, 3)
         data[:, 9:] = shade
         self._moving.write(data.tobytes())
         self._vertices = vertices
@@ -186,7 +197,7 @@ class StageRenderer:
         return self._framebuffers[key]
 
     def _draw_depth_map(self, vertices: FloatArray, clip: FloatArray, size: int) -> FloatArray:
-        """Depth in [0, 1] seen along an orthographic `clip` matrix; 1 where empty. ``[size, size]``, row 0 at the bottom."""
+        """Depth in [0, 1] along an orthographic `clip`, 1 where empty, row 0 at the bottom."""
         if vertices is not self._vertices:
             self._upload(vertices, np.ones((len(vertices), 2), np.float32))
         framebuffer = self._framebuffer("geometry", size, size)
@@ -253,7 +264,8 @@ class StageRenderer:
     def unwrap(
         self, images: list[tuple[Camera, View]], size: int
     ) -> tuple[ByteArray, npt.NDArray[np.bool_]]:
-        """Average texture: every camera's image projected back onto the mesh, where that camera sees it.
+        """Average texture: every camera's image projected back onto the mesh, where that camera
+        sees it.
 
         Args:
             images: Cameras with what they saw of the pose that is set now.
@@ -270,7 +282,9 @@ class StageRenderer:
         program["image"].value, program["geometry"].value = 0, 1
         program["tolerance_m"].value = DEPTH_TOLERANCE_M
         for camera, view in images:
-            image = c.texture((camera.width, camera.height), 3, view.image[::-1].tobytes(), alignment=1)
+            image = c.texture(
+                (camera.width, camera.height), 3, view.image[::-1].tobytes(), alignment=1
+            )
             both = np.stack([view.depth_m[::-1], view.mask[::-1].astype(np.float32)], -1)
             geometry = c.texture((camera.width, camera.height), 2, both.tobytes(), dtype="f4")
             geometry.filter = (moderngl.NEAREST, moderngl.NEAREST)

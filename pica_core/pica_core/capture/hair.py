@@ -1,7 +1,8 @@
 """The hair shell: an opaque surface a little above the scalp, with clumps in its silhouette.
 
-Rows run from the crown along the strands to the hair's edge, columns round the head starting and ending at the back.
-Strands themselves are appearance (shaders), not geometry. Millimetres, head frame.
+Rows run from the crown along the strands to the hair's edge, columns round the head starting and
+ending at the back. Strands themselves are appearance (shaders), not geometry. Millimetres, head
+frame.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ def _periodic_noise(angle: Float64Array, seed: int, low: int, high: int) -> Floa
     for frequency in range(low, high + 1):
         phase, gain = random.uniform(0, 2 * np.pi), random.normal()
         total += gain * np.cos(frequency * angle + phase)
-    return total / np.sqrt(0.5 * (high - low + 1))
+    noise: Float64Array = total / np.sqrt(0.5 * (high - low + 1))
+    return noise
 
 
 COILED = 0.8
@@ -38,21 +40,45 @@ def _lumps(points: Float64Array, seed: int) -> Float64Array:
     for _ in range(28):
         wave = random.normal(0.0, 0.16, 3)
         total += np.cos(points @ wave + random.uniform(0, 2 * np.pi))
-    return total / np.sqrt(14.0)
+    lumps: Float64Array = total / np.sqrt(14.0)
+    return lumps
 
 
 def hairline(identity: Identity, azimuth: Float64Array) -> Float64Array:
-    """Height of the hair's lower edge, mm, by azimuth in radians (0 front, pi back, sign ignored)."""
+    """Height of the hair's lower edge, mm, by azimuth, radians (0 front, pi back, sign ignored)."""
     hair = identity.hair
     degrees = np.degrees(np.abs(azimuth))
     if hair.covers_ears:
         at = [0, 20, 38, 52, 62, 75, 100, 140, 180]
-        heights = [hair.front, hair.front - 1, hair.front - 10, 44, hair.side, hair.side - 8, hair.side - 14, hair.nape, hair.nape]
+        heights = [
+            hair.front,
+            hair.front - 1,
+            hair.front - 10,
+            44,
+            hair.side,
+            hair.side - 8,
+            hair.side - 14,
+            hair.nape,
+            hair.nape,
+        ]
     else:
         at = [0, 14, 30, 42, 50, 58, 68, 76, 84, 92, 106, 118, 135, 155, 180]
         heights = [
-            hair.front, hair.front + 1, hair.front + 6, hair.front + 1, hair.front - 14, hair.front - 34,
-            hair.side + 14, hair.side - 14, hair.side - 16, hair.side + 8, hair.side + 14, hair.side - 8, hair.nape + 14, hair.nape, hair.nape + 2,
+            hair.front,
+            hair.front + 1,
+            hair.front + 6,
+            hair.front + 1,
+            hair.front - 14,
+            hair.front - 34,
+            hair.side + 14,
+            hair.side - 14,
+            hair.side - 16,
+            hair.side + 8,
+            hair.side + 14,
+            hair.side - 8,
+            hair.nape + 14,
+            hair.nape,
+            hair.nape + 2,
         ]
     return np.interp(degrees, at, heights)
 
@@ -65,7 +91,9 @@ def build_hair(identity: Identity, field: HeadField, chart: Chart) -> Float64Arr
     c = 2 * columns - 1
     azimuth = np.pi * np.sign(c) * (0.82 * np.abs(c) + 0.18 * np.abs(c) ** 3)
     edge = hairline(identity, azimuth)
-    edge = edge + 1.6 * _periodic_noise(azimuth, identity.seed, 17, 29) * smoothstep(0.2, 0.6, np.abs(azimuth))
+    edge = edge + 1.6 * _periodic_noise(azimuth, identity.seed, 17, 29) * smoothstep(
+        0.2, 0.6, np.abs(azimuth)
+    )
     # Along a strand: first over the cranium by latitude, then (long hair) straight down.
     t = np.clip(rows / 0.93, 0.0, 1.0)  # the last rows tuck the edge in
     tuck = np.clip((rows - 0.93) / 0.07, 0.0, 1.0)
@@ -73,14 +101,21 @@ def build_hair(identity: Identity, field: HeadField, chart: Chart) -> Float64Arr
     centre_y = 46.0
     reach_z = np.where(np.abs(azimuth) < np.pi / 2, 92.0, 88.0)
     reach = np.hypot(70.0 * np.sin(azimuth), reach_z * np.cos(azimuth))
-    end_latitude = np.arctan2(hang_from - centre_y, np.sqrt(np.maximum(1 - ((hang_from - centre_y) / 92.0) ** 2, 0.1)) * reach)
+    end_latitude = np.arctan2(
+        hang_from - centre_y,
+        np.sqrt(np.maximum(1 - ((hang_from - centre_y) / 92.0) ** 2, 0.1)) * reach,
+    )
     hang = np.maximum(hang_from - edge, 0.0)
     share = hang / (hang + 90.0 * (0.5 * np.pi - end_latitude))
     on_head = np.clip(t / np.maximum(1 - share, 1e-6), 0, 1)
-    drop = np.where(share > 1e-3, np.clip((t - (1 - share)) / np.maximum(share, 1e-6), 0, 1), 0.0) * hang
+    drop = (
+        np.where(share > 1e-3, np.clip((t - (1 - share)) / np.maximum(share, 1e-6), 0, 1), 0.0)
+        * hang
+    )
     latitude = 0.5 * np.pi - 0.02 - on_head * (0.5 * np.pi - 0.02 - end_latitude)
     direction = np.stack(
-        [np.cos(latitude) * np.sin(azimuth), np.sin(latitude), np.cos(latitude) * np.cos(azimuth)], -1
+        [np.cos(latitude) * np.sin(azimuth), np.sin(latitude), np.cos(latitude) * np.cos(azimuth)],
+        -1,
     )
     origin = np.broadcast_to([0.0, centre_y, 0.0], direction.shape)
     scalp = cast(field, origin.reshape(-1, 3), direction.reshape(-1, 3)).reshape(direction.shape)
@@ -92,27 +127,45 @@ def build_hair(identity: Identity, field: HeadField, chart: Chart) -> Float64Arr
     thickness = thickness + front * hair.fringe * smoothstep(0.45, 0.95, on_head)
     if hair.parting:
         part = np.radians(hair.parting)
-        valley = np.exp(-(((azimuth - part) * np.cos(latitude)) / 0.05) ** 2)
-        thickness = thickness * (1 - 0.55 * valley * (np.abs(azimuth) < 1.2) * smoothstep(0.1, 0.3, t))
+        valley = np.exp(-((((azimuth - part) * np.cos(latitude)) / 0.05) ** 2))
+        thickness = thickness * (
+            1 - 0.55 * valley * (np.abs(azimuth) < 1.2) * smoothstep(0.1, 0.3, t)
+        )
     if hair.covers_ears:
         over_ear = np.exp(-(((np.abs(azimuth) - 1.75) / 0.42) ** 2))
         thickness = thickness + 13.0 * over_ear * smoothstep(0.75, 0.1, latitude)
-    clump = _periodic_noise(azimuth + 0.35 * hair.curl * np.sin(6 * t + 2 * azimuth), identity.seed + 1, 9, 26)
+    clump = _periodic_noise(
+        azimuth - hair.sweep * t + 0.35 * hair.curl * np.sin(6 * t + 2 * azimuth),
+        identity.seed + 1,
+        9,
+        26,
+    )
     wave = np.sin(16.0 * t + 3.0 * _periodic_noise(azimuth, identity.seed + 2, 3, 9))
     ragged = smoothstep(0.05, 0.5, t)
     if hair.curl > COILED:
         clump = 2.4 * _lumps(scalp, identity.seed)
         wave = np.zeros_like(wave)
-    thickness = thickness + ragged * (0.9 * clump + 2.2 * hair.curl * wave * smoothstep(0.3, 0.8, t))
+    thickness = thickness + ragged * (
+        0.9 * clump + 2.2 * hair.curl * wave * smoothstep(0.3, 0.8, t)
+    )
     # Short hair thins towards its edge; a fringe keeps its body.
-    thin = smoothstep(0.88 if hair.curl > COILED else 0.62, 1.0, t) * (hang < 1) * smoothstep(0.0, 12.0, 12.0 - hang) * (1 - 0.75 * front * min(hair.fringe / 6.0, 1.0))
+    thin = (
+        smoothstep(0.88 if hair.curl > COILED else 0.62, 1.0, t)
+        * (hang < 1)
+        * smoothstep(0.0, 12.0, 12.0 - hang)
+        * (1 - 0.75 * front * min(hair.fringe / 6.0, 1.0))
+    )
     thickness = np.maximum(thickness, 2.0) * (1 - thin) + 1.3 * thin
     thickness = thickness + 3.0 * smoothstep(1.6, 2.3, np.abs(azimuth))
-    points = scalp + away * thickness[..., None]
+    points: Float64Array = scalp + away * thickness[..., None]
     # Hanging hair leaves the head where it is widest and closes in towards its ends.
     points[..., 1] -= drop
     out = np.stack([np.sin(azimuth), 0 * azimuth, np.cos(azimuth)], -1)
-    points += out * (hang > 1)[..., None] * (10.0 * np.sin(np.pi * np.clip(drop / np.maximum(hang, 1), 0, 1) * 0.9))[..., None]
+    points += (
+        out
+        * (hang > 1)[..., None]
+        * (10.0 * np.sin(np.pi * np.clip(drop / np.maximum(hang, 1), 0, 1) * 0.9))[..., None]
+    )
     # Tuck the edge back under, so that the shell shows a rim and no gap.
     points -= away * (tuck * np.where(hang > 1, 7.0, np.maximum(thickness, 2) + 2.5))[..., None]
     points[..., 1] += tuck * 1.5

@@ -1,9 +1,10 @@
 """The built-in heads: 52 ARKit values in, a posed mesh out.
 
-    skin = rest + fields(arkit)  ->  lids slide over the eyeballs  ->  everything below turns with the jaw
+    skin = rest + fields(arkit)  ->  lids slide over the eyeballs  ->  everything below turns with
+    the jaw
 
-The mesh is one topology for every identity (`layout`), so an avatar trained on one head has the UVs of all others.
-Lengths are metres at this module's boundary and millimetres inside the package.
+The mesh is one topology for every identity (`layout`), so an avatar trained on one head has the
+UVs of all others. Lengths are metres at this module's boundary and millimetres inside the package.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy.typing as npt
 from pica_core.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.capture.hair import build_hair, hairline
 from pica_core.capture.identity import Identity, get_identity
-from pica_core.capture.layout import EYE_ROW, MOUTH_ROW, Chart, build_charts
+from pica_core.capture.layout import EYE_ROW, MOUTH_ROW, build_charts
 from pica_core.capture.lids import LidPose, Lids
 from pica_core.capture.parts import collar, ear, eye_fixed, eyeball, mouth_bag, teeth, tongue
 from pica_core.capture.shapes import build_motion
@@ -60,10 +61,11 @@ class SurfaceCoordinates:
     Attributes:
         material: Index into `MATERIALS`. float32 ``[V]``.
         rest_m: Position at rest, head frame, metres. float32 ``[V, 3]``.
-        local: Four numbers per vertex whose meaning depends on the material. float32 ``[V, 4]``. Skin: vermilion
-            depth (0 at the border, 1 at the contact line), rows to the nearest lid margin, hair coverage, 1 on ears
-            and -1 above the eye slits. Eye: frontal x, y in iris radii. Teeth: place along the arch, place from gum to edge. Tongue, bag
-            and collar: chart row and column. Hair: place along the strand, azimuth / pi.
+        local: Four numbers per vertex whose meaning depends on the material. float32 ``[V, 4]``.
+            Skin: vermilion depth (0 at the border, 1 at the contact line), rows to the nearest lid
+            margin, hair coverage, and 1 on ears, -1 above the eye slits. Eye: direction from the
+            eyeball's centre, side. Teeth: place along the arch, place from gum to edge, 1 for the
+            upper ones. Everything else: chart row and column from 0 to 1.
     """
 
     material: FloatArray
@@ -80,9 +82,9 @@ class Head:
         charts: Charts of the UV square, by name.
         vertex_uv: Texture coordinates on texel centres of the position map. float32 ``[V, 2]``.
         faces: Triangles, counter-clockwise from outside. int32 ``[F, 3]``.
-        regions: Named vertex sets, bool ``[V]`` each: face, lips, lids, mouth_interior, eyeballs, teeth, tongue, ears,
-            neck, scalp, hair, collar; ``mouth`` and ``eyes`` join what moves together; ``left`` is the subject's
-            left half.
+        regions: Named vertex sets, bool ``[V]`` each: face, lips, lids, mouth_interior, eyeballs,
+            teeth, tongue, ears, neck, scalp, hair, collar; ``mouth`` and ``eyes`` join what moves
+            together; ``left`` is the subject's left half.
         landmarks: Lateral positions and heights of features, head frame, mm.
         coordinates: What the appearance is written in.
     """
@@ -97,9 +99,7 @@ class Head:
         chart = self.charts["skin"]
         skin = build_skin(face, field, self._eye_surface, chart)
         self._motion = build_motion(face, field, skin, chart)
-        self._lids = [
-            Lids(face, self._eye_surface, skin, chart, side) for side in (1.0, -1.0)
-        ]
+        self._lids = [Lids(face, self._eye_surface, skin, chart, side) for side in (1.0, -1.0)]
         self.vertex_uv: FloatArray = np.concatenate([c.vertex_uv for c in self.charts.values()])
         self.faces: IntArray = np.concatenate(
             [
@@ -107,7 +107,7 @@ class Head:
                 for name, c in self.charts.items()
             ]
         )
-        self._rest = self._build_rest(face, field, skin)
+        self._rest = self._build_rest(field, skin)
         self._jaw, self._jaw_closed = self._jaw_weights(field)
         self._fields = self._motion.fields.reshape(NUM_ARKIT, -1).astype(np.float32)
         self._incident, self._weld = self._normal_tables()
@@ -128,7 +128,7 @@ class Head:
         """V."""
         return len(self.vertex_uv)
 
-    def _build_rest(self, face: object, field: HeadField, skin: Skin) -> Float64Array:
+    def _build_rest(self, field: HeadField, skin: Skin) -> Float64Array:
         shape = self.identity.face
         inner_z = float(skin.points[..., 2][self.charts["skin"].rows == MOUTH_ROW].max())
         front = inner_z - 1.0
@@ -136,7 +136,9 @@ class Head:
         parts = {
             "skin": skin.points,
             "teeth_upper": teeth(self.charts["teeth_upper"], front, mouth_y - 1.5, upper=True),
-            "teeth_lower": teeth(self.charts["teeth_lower"], front - 2.6, mouth_y - 2.6, upper=False),
+            "teeth_lower": teeth(
+                self.charts["teeth_lower"], front - 2.6, mouth_y - 2.6, upper=False
+            ),
             "tongue": tongue(self.charts["tongue"], mouth_y, front),
             "mouth_bag": mouth_bag(self.charts["mouth_bag"], mouth_y, front),
             "collar": collar(self.charts["collar"], shape),
@@ -177,7 +179,8 @@ class Head:
         values = np.asarray(arkit, np.float32)
         if values.shape != (NUM_ARKIT,):
             raise ShapeError(f"arkit is {values.shape}; [{NUM_ARKIT}] is needed")
-        return self.vertices_batch(values[None])[0]
+        posed: FloatArray = self.vertices_batch(values[None])[0]
+        return posed
 
     def vertices_batch(self, arkit: npt.ArrayLike) -> FloatArray:
         """Pose the head several times: arkit ``[N, 52]`` to float32 ``[N, V, 3]``, metres.
@@ -191,7 +194,8 @@ class Head:
         count = len(values)
         points = np.broadcast_to(self._rest.astype(np.float32), (count, *self._rest.shape)).copy()
         skin = self.charts["skin"]
-        # What the skin adds to an opening jaw (a raised upper lip) is taken back as the lips close over it.
+        # What the skin adds to an opening jaw (a raised upper lip) is taken back as the lips close
+        # over it.
         strokes = values.copy()
         strokes[:, ARKIT_INDEX["jawOpen"]] *= 1.0 - self._closing(values)
         points[:, skin.span] += (strokes @ self._fields).reshape(count, -1, 3)
@@ -206,15 +210,20 @@ class Head:
         return column
 
     def _closing(self, values: FloatArray) -> FloatArray:
-        """How far the lips are closed over the open jaw, 0 to 1: mouthClose as a share of jawOpen. ``[N]``."""
+        """How far the lips are closed over an open jaw, 0 to 1: mouthClose / jawOpen. ``[N]``."""
         opening = np.maximum(self._shape(values, "jawOpen"), 1e-3)
         closed: FloatArray = np.clip(self._shape(values, "mouthClose") / opening, 0.0, 1.0)
         return closed
 
     def _turn_eyes(self, points: FloatArray, values: FloatArray) -> None:
         for lids, side, name in zip(self._lids, (1.0, -1.0), ("Left", "Right"), strict=True):
-            yaw = side * EYE_YAW * (
-                self._shape(values, f"eyeLookOut{name}") - self._shape(values, f"eyeLookIn{name}")
+            yaw = (
+                side
+                * EYE_YAW
+                * (
+                    self._shape(values, f"eyeLookOut{name}")
+                    - self._shape(values, f"eyeLookIn{name}")
+                )
             )
             pitch = EYE_PITCH_UP * self._shape(values, f"eyeLookUp{name}")
             pitch = pitch - EYE_PITCH_DOWN * self._shape(values, f"eyeLookDown{name}")
@@ -226,7 +235,9 @@ class Head:
             y = cp * local[:, 1] + sp * local[:, 2]
             z = cp * local[:, 2] - sp * local[:, 1]
             turned = np.stack([cy * local[:, 0] + sy * z, y, cy * z - sy * local[:, 0]], -1)
-            points[:, span] = turned + self._eye_fixed * (local - turned) + centre.astype(np.float32)
+            points[:, span] = (
+                turned + self._eye_fixed * (local - turned) + centre.astype(np.float32)
+            )
             pose = LidPose(
                 blink=self._shape(values, f"eyeBlink{name}").astype(np.float64),
                 wide=self._shape(values, f"eyeWide{name}").astype(np.float64),
@@ -262,7 +273,7 @@ class Head:
         points[..., 2] += JAW_SLIDE[1] * self._shape(values, "jawForward")[:, None] * weight
 
     def _normal_tables(self) -> tuple[IntArray, list[tuple[IntArray, IntArray]]]:
-        """Faces around each vertex (padded with F), and vertex pairs that share a normal across chart seams."""
+        """Faces around each vertex (padded with F), and vertices that share a normal."""
         count = np.zeros(self.num_vertices, np.int32)
         flat = self.faces.ravel()
         order = np.argsort(flat, kind="stable")
@@ -272,10 +283,17 @@ class Head:
         table = np.full((self.num_vertices, int(count.max())), len(self.faces), np.int32)
         table[corner_vertex, np.arange(len(flat)) - start[corner_vertex]] = corner_face
         weld: list[tuple[IntArray, IntArray]] = []
-        for name, axis in (("skin", 1), ("collar", 1), ("hair", 1), ("ear_left", 0), ("ear_right", 0)):
+        for name, axis in (
+            ("skin", 1),
+            ("collar", 1),
+            ("hair", 1),
+            ("ear_left", 0),
+            ("ear_right", 0),
+        ):
             chart = self.charts[name]
             index = (chart.first + np.arange(chart.count, dtype=np.int32)).reshape(chart.shape)
-            weld.append((index.take(0, axis), index.take(-1, axis)))
+            first, last = (index[0], index[-1]) if axis == 0 else (index[:, 0], index[:, -1])
+            weld.append((first, last))
         return table, weld
 
     def normals(self, vertices: FloatArray) -> FloatArray:
@@ -296,8 +314,14 @@ class Head:
         material = np.zeros(self.num_vertices, np.float32)
         local = np.zeros((self.num_vertices, 4), np.float32)
         names = {
-            "eye_left": "eye", "eye_right": "eye", "teeth_upper": "teeth", "teeth_lower": "teeth",
-            "tongue": "tongue", "mouth_bag": "mouth_bag", "collar": "collar", "hair": "hair",
+            "eye_left": "eye",
+            "eye_right": "eye",
+            "teeth_upper": "teeth",
+            "teeth_lower": "teeth",
+            "tongue": "tongue",
+            "mouth_bag": "mouth_bag",
+            "collar": "collar",
+            "hair": "hair",
         }
         for name, chart in self.charts.items():
             rows, columns = (value.ravel() for value in chart.unit)
@@ -332,7 +356,9 @@ class Head:
                 local[chart.span, 1] = rows
                 local[chart.span, 2] = 1.0 if name == "teeth_upper" else -1.0
             elif name.startswith("ear"):
-                local[chart.span] = np.stack([np.full_like(rows, -3), np.full_like(rows, 30), columns, rows * 0 + 1], -1)
+                local[chart.span] = np.stack(
+                    [np.full_like(rows, -3), np.full_like(rows, 30), columns, rows * 0 + 1], -1
+                )
             else:
                 local[chart.span, 0], local[chart.span, 1] = rows, columns
         return SurfaceCoordinates(material=material, rest_m=neutral, local=local)

@@ -1,12 +1,14 @@
 """Who the built-in heads are: every identity is one row of numbers.
 
-The measures are millimetres and start from the means of published surveys of living people, moved within about one
-standard deviation per identity:
+The measures are millimetres and start from the means of published surveys of living people, moved
+within about one standard deviation per identity:
 
-- Farkas, "Anthropometry of the Head and Face" (2nd ed., 1994): face height sellion-menton, nose, lips, eye fissure;
-- Zhuang & Bradtmiller, "Head-and-face anthropometric survey of U.S. respirator users", J. Occup. Environ. Hyg. 2(11),
+- Farkas, "Anthropometry of the Head and Face" (2nd ed., 1994): face height sellion-menton, nose,
+lips, eye fissure; - Zhuang & Bradtmiller, "Head-and-face anthropometric survey of U.S. respirator
+users", J. Occup. Environ. Hyg. 2(11),
   2005: head breadth and length, bizygomatic and bigonial breadth, interpupillary distance, by sex;
-- Bekerman, Gottlieb & Vaiman, "Variations in eyeball diameters of the healthy adults", J. Ophthalmol. 2014: 24 mm.
+- Bekerman, Gottlieb & Vaiman, "Variations in eyeball diameters of the healthy adults", J.
+Ophthalmol. 2014: 24 mm.
 
 The heads are invented. None of them is a likeness of a person, and none was measured from one.
 """
@@ -98,6 +100,8 @@ class Hair:
     """Azimuth of the parting, degrees towards the subject's left; 0 means combed back."""
     curl: float = 0.2
     """Waviness of the strands, 0 straight to 0.8 wavy; above that hair is coils."""
+    sweep: float = 0.0
+    """How far strands turn towards the subject's left on their way from crown to edge, radians."""
     covers_ears: bool = False
     """True when the sides hang over the ears."""
 
@@ -151,7 +155,15 @@ IDENTITIES: dict[str, Identity] = {
         name="S1",
         seed=11,
         face=FaceShape(),
-        hair=Hair(rgb=(0.045, 0.026, 0.016), curl=0.25, front=80.0, fringe=0.0, top_thickness=17.0, side_thickness=3.5),
+        hair=Hair(
+            rgb=(0.045, 0.026, 0.016),
+            curl=0.25,
+            front=80.0,
+            fringe=0.0,
+            top_thickness=17.0,
+            side_thickness=3.5,
+            sweep=0.75,
+        ),
         skin=Skin(
             rgb=(0.60, 0.345, 0.235),
             stubble=0.55,

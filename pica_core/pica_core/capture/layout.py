@@ -1,9 +1,10 @@
 """Where every part of the built-in head lives in the UV square.
 
-The position map has 256 x 256 texels; mesh vertices sit exactly on texel centres, so reading a position map at the
-vertices involves no interpolation at all. A chart is a rectangle of texels; its vertices are the crossings of chosen
-rows with chosen columns (a tensor grid). Densities change by skipping rows or columns as a whole, so
-there are no T-junctions and no cracks. Slits (mouth, eyes) are missing quads between two neighbouring rows.
+The position map has 256 x 256 texels; mesh vertices sit exactly on texel centres, so reading a
+position map at the vertices involves no interpolation at all. A chart is a rectangle of texels;
+its vertices are the crossings of chosen rows with chosen columns (a tensor grid). Densities change
+by skipping rows or columns as a whole, so there are no T-junctions and no cracks. Slits (mouth,
+eyes) are missing quads between two neighbouring rows.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ class Chart:
 
     @property
     def unit(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Row and column of every vertex scaled to [0, 1] over the chart. Two float64 ``[R, C]``."""
+        """Row and column of every vertex, 0 to 1 over the chart. Two float64 ``[R, C]``."""
         r = (self.rows - self.rows[0]) / (self.rows[-1] - self.rows[0])
         c = (self.columns - self.columns[0]) / (self.columns[-1] - self.columns[0])
         rows, columns = np.meshgrid(r, c, indexing="ij")

@@ -1,8 +1,8 @@
 """Eyelids: they slide over the eyeball, they are never pushed through it.
 
-A lid vertex keeps its distance from the nose (`u`) and its place between margin and fold; what moves is the height of
-the margin. Depth then follows from the `EyeSurface`. So a blink is a sweep over a sphere, and any sum of blink, squint,
-wide and gaze is safe.
+A lid vertex keeps its distance from the nose (`u`) and its place between margin and fold; what
+moves is the height of the margin. Depth then follows from the `EyeSurface`. So a blink is a sweep
+over a sphere, and any sum of blink, squint, wide and gaze is safe.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Float64Array = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 CLOSED_AT = 0.16
-"""Where the lids meet: this share of the opening above the lower lid (the upper lid makes most of the way)."""
+"""Where the lids meet: at this share of the opening above the lower lid."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -57,7 +57,9 @@ class Lids:
         inner, outer = (corner - surface.centre[0] for corner in skin.eye_corners)
         weight = smoothstep(CREASE_ROW - 6, CREASE_ROW + 3, rows)
         weight = weight * smoothstep(LOWER_FOLD_ROW + 7, LOWER_FOLD_ROW - 4, rows)
-        weight = weight * smoothstep(inner - 5.5, inner - 0.5, u) * smoothstep(outer + 8, outer + 0.5, u)
+        weight = (
+            weight * smoothstep(inner - 5.5, inner - 0.5, u) * smoothstep(outer + 8, outer + 0.5, u)
+        )
         chosen = (weight > 1e-4) & (points[..., 2] > 40)
         self.index: IntArray = np.flatnonzero(chosen)
         self.weight = weight[chosen]
@@ -76,7 +78,9 @@ class Lids:
         self._offset = points[..., 1][chosen] - margin
         # The wet edge: the first row lies on the eyeball, the next one is the lid's outer edge.
         steps = np.abs(row - edge_row)
-        thickness = np.interp(steps, [0, 1, 3, 10], [0.25, 1.25, LID_THICKNESS, LID_THICKNESS + 0.5])
+        thickness = np.interp(
+            steps, [0, 1, 3, 10], [0.25, 1.25, LID_THICKNESS, LID_THICKNESS + 0.5]
+        )
         self._thickness = thickness
         self._opening = np.maximum(upper - lower, 0.0)
         self._slide = np.clip(1.0 - self._place, 0.0, 1.0) ** 0.8
@@ -90,7 +94,9 @@ class Lids:
         opening = self._opening
         meet = self._lower + CLOSED_AT * opening
         shape = opening / 10.0  # corners do not move
-        upper = self._upper + shape * (2.4 * wide - 0.5 * squint + 5.5 * np.minimum(pitch, 0.0) + 2.6 * np.maximum(pitch, 0))
+        upper = self._upper + shape * (
+            2.4 * wide - 0.5 * squint + 5.5 * np.minimum(pitch, 0.0) + 2.6 * np.maximum(pitch, 0)
+        )
         lower = self._lower + shape * (1.6 * squint + 2.2 * np.minimum(pitch, 0.0) - 0.4 * wide)
         upper = upper + blink * (meet - upper)
         lower = lower + blink * (meet - lower)

@@ -1,6 +1,8 @@
-"""The files of a capture in the Multiface layout, and our additions: names and small text formats in one place.
+"""The files of a capture in the Multiface layout, and our additions: names and small text formats
+in one place.
 
-    KRT                                   cameras: name / 3 lines K / 1 line distortion / 3 lines [R|t] in mm / blank
+    KRT                                   cameras: name / 3 lines K / 1 line distortion / 3 lines
+    [R|t] in mm / blank
     frame_list.txt                        "SEGMENT FRAME" per line
     images/SEG/CAM/FRAME.png              sRGB 8 bit
     tracked_mesh/SEG/FRAME.bin            float32 [V, 3], head frame, mm
@@ -14,7 +16,8 @@
     capture.json                          units, source, licence, split, sizes, topology
     topology.npz                          vertex_uv, faces, region masks
 
-Layout source: the published description of the Multiface dataset (Wuu et al. 2022, arXiv 2207.11243).
+Layout source: the published description of the Multiface dataset (Wuu et al. 2022, arXiv
+2207.11243).
 """
 
 from __future__ import annotations
@@ -61,7 +64,8 @@ def texture_path(size: int, segment: str, frame: str) -> Path:
 
 
 def write_aside(path: Path, data: bytes) -> None:
-    """Write a file under another name and rename it, so that a half-written file never has the real name.
+    """Write a file under another name and rename it, so that a half-written file never has the
+    real name.
 
     Raises:
         CaptureError: The file system refuses (full, read only); names the file.
@@ -98,7 +102,8 @@ def read_krt(path: Path, width: int, height: int) -> tuple[Camera, ...]:
         height: Image rows.
 
     Raises:
-        CaptureError: Missing, not text, a block cut short, or numbers that are none; names file and line.
+        CaptureError: Missing, not text, a block cut short, or numbers that are none; names file
+        and line.
     """
     lines = [line.strip() for line in read_text(path).split("\n")]
     cameras: list[Camera] = []
@@ -117,7 +122,8 @@ def read_krt(path: Path, width: int, height: int) -> tuple[Camera, ...]:
                 values = []
             if len(values) != wanted or not np.isfinite(values).all():
                 raise CaptureError(
-                    f"{path}:{at + offset + 1}: camera {name}: {wanted} numbers are needed, found {text!r}"
+                    f"{path}:{at + offset + 1}: camera {name}: {wanted} numbers are needed, "
+                    f"found {text!r}"
                 )
             rows.append(values)
         matrix = np.array(rows[4:7])

@@ -1,7 +1,8 @@
 """Self-shadowing: how much of the dome, and of the key light, reaches each vertex.
 
-Measured once per identity by depth maps from many directions, at rest and at a few strong expressions; a pose takes a
-mix of them. Soft shadow of nose, brows, hair and lips thus moves with the face at no cost per frame. What it does not
+Measured once per identity by depth maps from many directions, at rest and at a few strong
+expressions; a pose takes a mix of them. Soft shadow of nose, brows, hair and lips thus moves with
+the face at no cost per frame. What it does not
 know: shadow of combinations that no single expression has.
 """
 
@@ -114,13 +115,13 @@ class Occlusion:
         seen = lifted @ clip[:3, :3].T + clip[:3, 3]
         at = np.clip(((seen[:, :2] * 0.5 + 0.5) * MAP_SIZE).astype(int), 0, MAP_SIZE - 1)
         nearest = depth[at[:, 1], at[:, 0]]
-        lit: npt.NDArray[np.float64] = (
-            0.5 + 0.5 * seen[:, 2] <= nearest + BIAS_M / SPAN_M
-        ).astype(np.float64)
+        lit: npt.NDArray[np.float64] = (0.5 + 0.5 * seen[:, 2] <= nearest + BIAS_M / SPAN_M).astype(
+            np.float64
+        )
         return lit
 
     def at(self, arkit: FloatArray) -> FloatArray:
-        """Share of dome and key light that reaches each vertex in this expression. float32 ``[V, 2]``."""
+        """Share of dome and key light that reaches each vertex. float32 ``[V, 2]``."""
         weights = np.array(
             [np.mean([arkit[ARKIT_INDEX[name]] for name in names]) for names in POSES], np.float32
         )

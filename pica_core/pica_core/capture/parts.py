@@ -38,7 +38,9 @@ def eyeball(chart: Chart, centre: tuple[float, ...], side: float) -> Float64Arra
     reach = np.hypot(x, y)
     # Density: half of the grid on the visible front.
     angle = np.radians(108.0) * (0.72 * reach + 0.28 * reach**3)
-    radius = EYE_RADIUS + 0.32 * np.exp(-((angle / 0.42) ** 4))  # a hint of a cornea, kept below the lids
+    radius = EYE_RADIUS + 0.32 * np.exp(
+        -((angle / 0.42) ** 4)
+    )  # a hint of a cornea, kept below the lids
     turn = np.arctan2(y, x)
     points = np.stack(
         [np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)], -1
@@ -47,13 +49,16 @@ def eyeball(chart: Chart, centre: tuple[float, ...], side: float) -> Float64Arra
     # Beyond what gaze can show, the ball flares into a skirt that fills the corners of the eye.
     flare = smoothstep(np.radians(62.0), np.radians(114.0), angle)[..., None]
     nasal = np.clip(-side * np.cos(turn), 0.0, 1.0)
-    skirt = np.stack([(16.2 + 0.8 * nasal) * np.cos(turn), 12.6 * np.sin(turn), 1.0 + 4.5 * nasal**2], -1)
+    skirt = np.stack(
+        [(16.2 + 0.8 * nasal) * np.cos(turn), 12.6 * np.sin(turn), 1.0 + 4.5 * nasal**2], -1
+    )
     points = points + flare * (skirt - points)
-    return points + np.array([side * centre[0], centre[1], centre[2]])
+    placed: Float64Array = points + np.array([side * centre[0], centre[1], centre[2]])
+    return placed
 
 
 def eye_fixed(chart: Chart) -> Float64Array:
-    """How firmly each vertex of an eyeball chart stays when the eye turns: 0 on the ball, 1 on its skirt. ``[R, C]``."""
+    """How firmly eye vertices stay as the eye turns: 0 on the ball, 1 on its skirt. ``[R, C]``."""
     x, y = _disc(chart)
     reach = np.hypot(x, y)
     angle = np.radians(108.0) * (0.72 * reach + 0.28 * reach**3)
@@ -78,7 +83,9 @@ def teeth(chart: Chart, front_z: float, edge_y: float, *, upper: bool) -> Float6
     sign = 1.0 if upper else -1.0
     crown = np.interp(along, [0, 0.16, 0.28, 0.42, 1], [9.6, 8.6, 9.4, 7.6, 6.4])
     height = np.interp(rows, [0, 0.3, 0.68, 0.74, 1.0], [1.9, 1.0, 0.0, 0.0, 1.2]) * crown
-    depth = np.interp(rows, [0, 0.3, 0.4, 0.6, 0.68, 0.76, 1.0], [-1.6, 0.2, 1.0, 0.6, -0.2, -2.4, -7.0])
+    depth = np.interp(
+        rows, [0, 0.3, 0.4, 0.6, 0.68, 0.76, 1.0], [-1.6, 0.2, 1.0, 0.6, -0.2, -2.4, -7.0]
+    )
     # Widths of the teeth along the arch: central, lateral, canine, premolars, molars.
     edges = np.array([0, 0.125, 0.225, 0.335, 0.445, 0.555, 0.74, 0.92, 1.05])
     tooth = np.clip(np.searchsorted(edges, along, side="right") - 1, 0, len(edges) - 2)
@@ -92,7 +99,7 @@ def teeth(chart: Chart, front_z: float, edge_y: float, *, upper: bool) -> Float6
     lift = 0.8 * along**2 * (1.0 if upper else 0.6)  # curve of Spee
     x = (width + depth) * np.sin(phi) / np.sin(1.32)
     z = front_z - 34.0 * (1 - np.cos(phi)) / (1 - np.cos(1.32)) + depth * np.cos(phi)
-    y = edge_y + sign * height + (lift if upper else lift)
+    y = edge_y + sign * height + lift
     return np.stack([x, y, z], -1)
 
 
@@ -138,7 +145,9 @@ def ear(chart: Chart, field: HeadField, face: FaceShape, side: float) -> Float64
     forward, up = np.cos(turn), np.sin(turn)
     # Outline: broad above, narrow at the lobe; the front is the straight line where it is attached.
     height = np.where(up > 0, 30.0, 33.0)
-    breadth = np.where(forward > 0, 10.0, 20.5 - 7.5 * smoothstep(0.1, -1.0, up) + 1.5 * bump(up, 0.55, 0.4))
+    breadth = np.where(
+        forward > 0, 10.0, 20.5 - 7.5 * smoothstep(0.1, -1.0, up) + 1.5 * bump(up, 0.55, 0.4)
+    )
     free = smoothstep(0.55, -0.15, forward - 0.30 * np.clip(up, 0, 1))  # 0 where attached
     lobe = smoothstep(-0.62, -0.95, up)
     s = columns
@@ -149,7 +158,7 @@ def ear(chart: Chart, field: HeadField, face: FaceShape, side: float) -> Float64
     flat_height = np.interp(s, stations, [0.5, 0.8, 2.6, 3.4, 2.6, 1.2, -0.6, -2.5, -4.5, -7.0])
     lobe_height = np.interp(s, stations, [0.5, 1.0, 6.5, 8.0, 8.4, 8.4, 7.6, 5.2, 2.0, -6.0])
     raised = free * ((1 - lobe) * free_height + lobe * lobe_height) + (1 - free) * flat_height
-    tragus = 6.5 * np.exp(-((up - 0.02) / 0.34) ** 2) * (forward > 0) * bump(s, 0.42, 0.12)
+    tragus = 6.5 * np.exp(-(((up - 0.02) / 0.34) ** 2)) * (forward > 0) * bump(s, 0.42, 0.12)
     raised = raised + tragus * smoothstep(0.2, 0.9, forward)
     # The concha lies ahead of the middle and below it.
     local_back = -forward * breadth * radius * size
@@ -180,10 +189,16 @@ def collar(chart: Chart, face: FaceShape) -> Float64Array:
     x = sideways * (rim_x + (168.0 - rim_x) * reach * (0.55 + 0.45 * np.abs(sideways)) + 6.0 * drop)
     z = -16.0 + front * (rim_z + 34.0 * reach + 8.0 * drop) - 8.0 * slope * np.abs(sideways)
     rim_y = -106.0 - 22.0 * np.clip(front, -0.25, 1.0) + 6.0 * np.abs(sideways)
-    y = rim_y - (20.0 + 26.0 * np.maximum(front, 0.0)) * slope**1.25 - 26.0 * slope**3 * np.abs(sideways)
+    y = (
+        rim_y
+        - (20.0 + 26.0 * np.maximum(front, 0.0)) * slope**1.25
+        - 26.0 * slope**3 * np.abs(sideways)
+    )
     y = y - 95.0 * drop
     hem = bump(s, 0.14, 0.06)
-    inside = np.clip(1 - s / 0.14, 0.0, 1.0)  # the first row lies within the neck: no gap behind the neckline
+    inside = np.clip(
+        1 - s / 0.14, 0.0, 1.0
+    )  # the first row lies within the neck: no gap behind the neckline
     x, z = x * (1 - 0.22 * inside), -16.0 + (z + 16.0) * (1 - 0.22 * inside)
     y = y - 5.0 * inside
     return np.stack([x * (1 + 0.03 * hem), y + 1.5 * hem, z + front * 1.5 * hem], -1)

@@ -1,11 +1,13 @@
-"""The 52 ARKit shapes as motion of the skin: displacement fields, and the weight with which skin follows the jaw.
+"""The 52 ARKit shapes as motion of the skin: displacement fields, and the weight with which skin
+follows the jaw.
 
-A shape is a few soft strokes ("move what lies around here by this much"). Strokes are written for the subject's left
-(+x) and mirrored for the right. Rotations (jaw, eyes) and lids are not fields: see `heads` and `lids`. Distances in
-millimetres at a shape value of 1.
+A shape is a few soft strokes ("move what lies around here by this much"). Strokes are written for
+the subject's left (+x) and mirrored for the right. Rotations (jaw, eyes) and lids are not fields:
+see `heads` and `lids`. Distances in millimetres at a shape value of 1.
 
-What each shape should do follows Apple's published `ARFaceAnchor.BlendShapeLocation` descriptions; `mouthClose` is a
-corrective that brings the lips together while the jaw stays open, so it is part of the jaw (`heads`) and no field.
+What each shape should do follows Apple's published `ARFaceAnchor.BlendShapeLocation` descriptions;
+`mouthClose` is a corrective that brings the lips together while the jaw stays open, so it is part
+of the jaw (`heads`) and no field.
 """
 
 from __future__ import annotations
@@ -59,7 +61,9 @@ class _Strokes:
         on_front = self.z > 60
         self.upper = np.where(self.is_upper & on_front, reach_u * inner, 0.0)
         self.lower = np.where(~self.is_upper & on_front, reach_l * inner, 0.0)
-        around = np.where(above > 0, reach_u, reach_l) * smoothstep(self.half + 16, self.half - 4, np.abs(self.x))
+        around = np.where(above > 0, reach_u, reach_l) * smoothstep(
+            self.half + 16, self.half - 4, np.abs(self.x)
+        )
         self.mouth = around * on_front
         self.corner = bump(np.abs(self.x), self.half + 1, 9.0) * bump(above, 0.0, 10.0) * on_front
         # 0 on the contact line, 1 from the vermilion border outwards: for motions that thin a lip.
@@ -75,7 +79,8 @@ class _Strokes:
 
 
 def _vector(weight: Float64Array, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Float64Array:
-    return weight[..., None] * np.array([x, y, z])
+    field: Float64Array = weight[..., None] * np.array([x, y, z])
+    return field
 
 
 def _sided(s: _Strokes, face: FaceShape, field: HeadField) -> dict[str, Float64Array]:
@@ -108,10 +113,14 @@ def _sided(s: _Strokes, face: FaceShape, field: HeadField) -> dict[str, Float64A
         "mouthPress": _vector(lips * s.off_contact, 0.0, -2.0, 0.0)
         + _vector(lips, 0.0, 0.0, -1.8)
         + _vector(corner, 1.0, 0.3, -1.2),
-        "mouthLowerDown": _vector(lower, 0.6, -7.0, 0.3) + _vector(s.spot(14, field.mouth_y - 16, 10, 8), 0, -2.0, 0.5),
-        "mouthUpperUp": _vector(upper, 0.4, 6.0, 0.6) + _vector(wing, 0.4, 1.6, 0.3) + _vector(fold, 0.2, 2.0, 0.6),
+        "mouthLowerDown": _vector(lower, 0.6, -7.0, 0.3)
+        + _vector(s.spot(14, field.mouth_y - 16, 10, 8), 0, -2.0, 0.5),
+        "mouthUpperUp": _vector(upper, 0.4, 6.0, 0.6)
+        + _vector(wing, 0.4, 1.6, 0.3)
+        + _vector(fold, 0.2, 2.0, 0.6),
         "browDown": _vector(brow, -1.2, -5.0, 0.8) + _vector(inner_brow, -2.0, -2.5, 1.0),
-        "browOuterUp": _vector(outer_brow, 0.3, 7.0, -0.6) + _vector(s.spot(eye_x + 8, brow_y + 18, 17, 8), 0, 2.5, 0),
+        "browOuterUp": _vector(outer_brow, 0.3, 7.0, -0.6)
+        + _vector(s.spot(eye_x + 8, brow_y + 18, 17, 8), 0, 2.5, 0),
         "cheekSquint": _vector(cheek, 0.3, 3.8, 2.4) + _vector(below_eye, 0.0, 2.2, 0.9),
         "noseSneer": _vector(wing, 0.8, 4.2, -0.3)
         + _vector(s.spot(9, 8, 6, 9), -0.6, 1.5, 1.2)
@@ -130,7 +139,9 @@ def _central(s: _Strokes, face: FaceShape, field: HeadField) -> dict[str, Float6
     inner = np.clip(1 - s.t, 0, 1) ** 0.5
     left = s.left()
     brow_y = 22.0 + face.brow_height
-    inner_brows = bump(np.abs(s.x), 0.5 * face.eye_distance - 18, 11.0) * bump(s.y, brow_y + 1, 9.0) * s.front
+    inner_brows = (
+        bump(np.abs(s.x), 0.5 * face.eye_distance - 18, 11.0) * bump(s.y, brow_y + 1, 9.0) * s.front
+    )
     mid_forehead = bump(s.x, 0.0, 26.0) * bump(s.y, brow_y + 19, 9.5) * s.front
     puff = bump(np.abs(s.x), s.half + 20, 15.0) * bump(s.y, field.mouth_y + 4, 17.0) * s.front
     lips = s.upper + s.lower
@@ -151,9 +162,13 @@ def _central(s: _Strokes, face: FaceShape, field: HeadField) -> dict[str, Float6
         "mouthRight": _vector(s.mouth, -8.5, 0, 0)
         + _vector(s.mouth * (1 - left), 0, 1.5, -2.5)
         + _vector(chin, -2.0, 0, 0),
-        "mouthRollLower": _vector(s.lower, 0, 1.2, -5.5) + _vector(s.lower * s.off_contact, 0, -3.6, 1.2),
-        "mouthRollUpper": _vector(s.upper, 0, -0.8, -5.0) + _vector(s.upper * s.off_contact, 0, -3.2, 1.5),
-        "mouthShrugLower": _vector(s.lower, 0, 3.6, 2.2) + _vector(s.upper, 0, 2.6, 1.2) + _vector(chin, 0, 4.5, 1.2),
+        "mouthRollLower": _vector(s.lower, 0, 1.2, -5.5)
+        + _vector(s.lower * s.off_contact, 0, -3.6, 1.2),
+        "mouthRollUpper": _vector(s.upper, 0, -0.8, -5.0)
+        + _vector(s.upper * s.off_contact, 0, -3.2, 1.5),
+        "mouthShrugLower": _vector(s.lower, 0, 3.6, 2.2)
+        + _vector(s.upper, 0, 2.6, 1.2)
+        + _vector(chin, 0, 4.5, 1.2),
         "mouthShrugUpper": _vector(s.upper, 0, 3.4, 2.4) + _vector(s.lower, 0, 1.0, 0.3),
         "browInnerUp": _vector(inner_brows, 0, 7.5, -0.3) + _vector(mid_forehead, 0, 2.5, 0),
         "cheekPuff": puff[..., None] * outwards * 7.5 + _vector(lips, 0, 0, 1.5),
@@ -194,7 +209,9 @@ def build_motion(face: FaceShape, field: HeadField, skin: Skin, chart: Chart) ->
     mirror: Callable[[Float64Array], Float64Array] = lambda value: value[:, ::-1] * [-1.0, 1.0, 1.0]  # noqa: E731
     for name, value in _sided(s, face, field).items():
         fields[ARKIT_INDEX[f"{name}Left"]] = value
-        fields[ARKIT_INDEX[f"{name}Right"]] = mirror(value)  # columns are symmetric about the midline
+        fields[ARKIT_INDEX[f"{name}Right"]] = mirror(
+            value
+        )  # columns are symmetric about the midline
     for name, value in _central(s, face, field).items():
         fields[ARKIT_INDEX[name]] = value
     jaw, jaw_closed = _jaw_weights(s)

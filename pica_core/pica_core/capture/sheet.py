@@ -1,4 +1,4 @@
-"""A look at a capture on one page: views, depth, expressions, texture and where the cameras stand."""
+"""A look at a capture on one page: views, depth, expressions, texture and camera plan."""
 
 from __future__ import annotations
 
@@ -31,7 +31,9 @@ def _fit(picture: Image.Image) -> Image.Image:
 
 def _depth_picture(depth_m: npt.NDArray[np.float32]) -> Image.Image:
     seen = depth_m > 0
-    low, high = (float(depth_m[seen].min()), float(depth_m[seen].max())) if seen.any() else (0.0, 1.0)
+    low, high = (
+        (float(depth_m[seen].min()), float(depth_m[seen].max())) if seen.any() else (0.0, 1.0)
+    )
     grey = np.where(seen, 255 - 215 * (depth_m - low) / max(high - low, 1e-6), 0)
     return Image.fromarray(grey.astype(np.uint8))
 

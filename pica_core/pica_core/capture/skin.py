@@ -1,8 +1,9 @@
 """The skin chart at rest: rows and columns of the UV square become a face with lips and lids.
 
-Rows follow the features: one runs along each lid margin, each vermilion border and each lip's contact line, so
-borders are crisp at any density. Between those anchor rows heights are interpolated per column; in depth the base
-comes from the distance field (`surface`), and lids and lips are laid over it.
+Rows follow the features: one runs along each lid margin, each vermilion border and each lip's
+contact line, so borders are crisp at any density. Between those anchor rows heights are
+interpolated per column; in depth the base comes from the distance field (`surface`), and lids and
+lips are laid over it.
 
 All lengths in this module are millimetres.
 """
@@ -40,7 +41,7 @@ CHIN_ROW = 151
 COLUMN_MM = 0.8
 """Width of a texel column on the front of the face."""
 FRONT_COLUMNS = 62.0
-"""Columns on each side of the midline whose rays run straight forward; the others turn towards the back."""
+"""Columns beside the midline whose rays run straight forward; the others turn to the back."""
 LID_THICKNESS = 1.7
 """Eyeball surface to the outside of a lid."""
 
@@ -79,7 +80,8 @@ class Skin:
 class EyeSurface:
     """Where lids glide: the eyeball, widened by the lid, melting into the socket around it.
 
-    Frontal coordinates: `u` mm outwards from the pupil (towards the temple), `y` mm above the ear axis. Lids move in
+    Frontal coordinates: `u` mm outwards from the pupil (towards the temple), `y` mm above the ear
+    axis. Lids move in
     `y` only, and depth follows from here, so a lid can never leave the eyeball or enter it.
     """
 
@@ -117,7 +119,9 @@ class EyeSurface:
             reach < edge, np.sqrt(np.maximum(square, 0.0)), 0.6 * radius - 1.333 * (reach - edge)
         )
         ball = self.centre[2] + ball
-        socket = self.socket(u, y) - 1.0 - 1.3 * np.maximum(LID_THICKNESS - np.asarray(thickness), 0.0)
+        socket = (
+            self.socket(u, y) - 1.0 - 1.3 * np.maximum(LID_THICKNESS - np.asarray(thickness), 0.0)
+        )
         k = 3.0
         h = np.maximum(k - np.abs(ball - socket), 0.0) / k
         return np.maximum(ball, socket) + 0.25 * h * h * k
@@ -147,8 +151,8 @@ def lid_lines(
     inside = np.clip(t, 0.0, 1.0)
     axis = EYE_Y - 1.2 + face.eye_tilt * (np.clip(t, -0.3, 1.3) - 0.35)
     # The upper lid peaks nasally of its middle, the lower one dips temporally.
-    upper = (inside ** 0.62 * (1 - inside) ** 0.72) * 2.52
-    lower = (inside ** 0.85 * (1 - inside) ** 0.62) * 2.75
+    upper = (inside**0.62 * (1 - inside) ** 0.72) * 2.52
+    lower = (inside**0.85 * (1 - inside) ** 0.62) * 2.75
     opening = face.eye_opening
     return axis + 0.59 * opening * upper, axis - 0.41 * opening * lower
 
@@ -174,8 +178,14 @@ def mouth_lines(
     return {"contact": contact, "upper": contact + upper, "lower": contact - lower}
 
 
-def _heights(face: FaceShape, field: HeadField, chart: Chart, skin_half: float,
-             corners: tuple[float, float], x: Float64Array) -> Float64Array:
+def _heights(
+    face: FaceShape,
+    field: HeadField,
+    chart: Chart,
+    skin_half: float,
+    corners: tuple[float, float],
+    x: Float64Array,
+) -> Float64Array:
     """Heights of all rows in all front columns. ``[R, C]``."""
     ax = np.abs(x)
     u = ax - 0.5 * face.eye_distance
@@ -217,11 +227,13 @@ def _heights(face: FaceShape, field: HeadField, chart: Chart, skin_half: float,
     values = np.stack([value for _, value in anchors])
     at = np.clip(np.searchsorted(rows, chart.rows, side="right") - 1, 0, len(rows) - 2)
     t = ((chart.rows - rows[at]) / (rows[at + 1] - rows[at]))[:, None]
-    return values[at] + t * (values[at + 1] - values[at])
+    heights: Float64Array = values[at] + t * (values[at + 1] - values[at])
+    return heights
 
 
-def _rays(face: FaceShape, field: HeadField, chart: Chart, half: float,
-          corners: tuple[float, float]) -> tuple[Float64Array, Float64Array]:
+def _rays(
+    face: FaceShape, field: HeadField, chart: Chart, half: float, corners: tuple[float, float]
+) -> tuple[Float64Array, Float64Array]:
     """Origins and directions of the rays of every skin vertex. Two ``[R, C, 3]``."""
     n = chart.columns - MIDLINE_COLUMN
     side = np.sign(n)
@@ -233,14 +245,19 @@ def _rays(face: FaceShape, field: HeadField, chart: Chart, half: float,
     x0 = x0 * (1 - q**4) * side
     turn = np.pi * q * (1.0 - (1.0 - q) ** 3) * side
     rows = chart.rows.astype(np.float64)[:, None]
-    y_front = _heights(face, field, chart, half, corners, np.where(q > 0, side * (edge + 32 * q), x0))
+    y_front = _heights(
+        face, field, chart, half, corners, np.where(q > 0, side * (edge + 32 * q), x0)
+    )
     # Behind the ears rows level out: the row of the chin climbs to the jaw angle and the nape.
     y_back = np.interp(
-        rows, [40, 56, 71, 82, 101, 124, 140, 151, 155, 163], [58, 36, 18, 6, -14, -36, -54, -78, -94, -140]
+        rows,
+        [40, 56, 71, 82, 101, 124, 140, 151, 155, 163],
+        [58, 36, 18, 6, -14, -36, -54, -78, -94, -140],
     )
     back = smoothstep(0.0, 0.5, q)[None]
     y0 = y_front * (1 - back) + y_back * back
-    # The cranium fans out to the crown; under nose and chin `_relax` finds the surface that rays cannot see.
+    # The cranium fans out to the crown; under nose and chin `_relax` finds the surface that rays
+    # cannot see.
     fan = np.clip((40.0 - rows) / 40.0, 0.0, 1.0)
     lift = np.radians(np.interp(rows, [0, 40, 56, 200], [88.5, 10, 0, 0]))
     y0 = np.where(fan > 0, 60.0 - 10.0 * fan, y0)
@@ -258,16 +275,22 @@ def _rays(face: FaceShape, field: HeadField, chart: Chart, half: float,
 
 
 def _relax(field: HeadField, chart: Chart, points: Float64Array) -> Float64Array:
-    """Even out the grid where the surface turns away from the rays: under the nose, under the chin, on the neck.
+    """Even out the grid where the surface turns away from the rays: under the nose, under the
+    chin, on the neck.
 
-    Laplacian smoothing alternates with stepping back onto the field. Rows that carry features stay where they are.
+    Laplacian smoothing alternates with stepping back onto the field. Rows that carry features stay
+    where they are.
     """
     rows = chart.rows.astype(np.float64)[:, None]
     ax = np.abs(points[..., 0])
     front = points[..., 2] > 60
     nose = smoothstep(91, 96, rows) * smoothstep(112, 108, rows) * smoothstep(27, 19, ax) * front
     below = smoothstep(140, 146, rows) * np.ones_like(ax)
-    behind = smoothstep(45.0, 20.0, points[..., 2]) * smoothstep(60, 90, rows) * smoothstep(164, 160, rows)
+    behind = (
+        smoothstep(45.0, 20.0, points[..., 2])
+        * smoothstep(60, 90, rows)
+        * smoothstep(164, 160, rows)
+    )
     free = np.clip(np.maximum(np.maximum(nose, below), behind), 0, 1)
     free[0] = free[-1] = 0.0
     step = 0.6
@@ -286,7 +309,9 @@ def _relax(field: HeadField, chart: Chart, points: Float64Array) -> Float64Array
     return points
 
 
-def _lay_lips(face: FaceShape, field: HeadField, chart: Chart, half: float, points: Float64Array) -> None:
+def _lay_lips(
+    face: FaceShape, field: HeadField, chart: Chart, half: float, points: Float64Array
+) -> None:
     """Raise the lips over the muzzle and roll their inner edges into the mouth, in place."""
     rows = chart.rows
     x = points[..., 0]
@@ -295,13 +320,16 @@ def _lay_lips(face: FaceShape, field: HeadField, chart: Chart, half: float, poin
     pout = 3.4 * face.lip_fullness * np.maximum(1 - t**2.2, 0.0)
     s_upper = (rows[:, None] - UPPER_BORDER_ROW) / (UPPER_CONTACT_ROW - UPPER_BORDER_ROW)
     s_lower = (LOWER_BORDER_ROW - rows[:, None]) / (LOWER_BORDER_ROW - LOWER_CONTACT_ROW)
-    # Profile from the border (0) to the contact line (1): a sharp rise, a full middle, a turn inwards.
+    # Profile from the border (0) to the contact line (1): a sharp rise, a full middle, a turn
+    # inwards.
     for s, gain, is_lip in (
         (s_upper, 0.9, rows <= MOUTH_ROW),
         (s_lower, 1.05, rows > MOUTH_ROW),
     ):
         c = np.clip(s, 0.0, 1.0)
-        profile = 0.35 * smoothstep(-0.3, 0.15, s) + 0.85 * np.sin(np.pi * np.clip(c, 0, 1) * 0.9) ** 0.9
+        profile = (
+            0.35 * smoothstep(-0.3, 0.15, s) + 0.85 * np.sin(np.pi * np.clip(c, 0, 1) * 0.9) ** 0.9
+        )
         profile = profile * smoothstep(-0.9, 0.1, s) - 0.5 * smoothstep(0.75, 1.0, c)
         profile = np.where(s > 1.0, -0.2, profile)
         points[..., 2] += np.where(front & is_lip[:, None], gain * pout * profile, 0.0)

@@ -1,7 +1,8 @@
 """The dome: cameras on a section of a sphere around the front of a head.
 
-Five evaluation views bear names (front, up, down, left, right; left is the camera on the subject's left). The other
-cameras fill the section evenly, and every sixth one looks at the mouth from nearby.
+Five evaluation views bear names (front, up, down, left, right; left is the camera on the subject's
+left). The other cameras fill the section evenly, and every sixth one looks at the mouth from
+nearby.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ def _camera(
 
 
 def dome_cameras(count: int, width: int, height: int) -> tuple[Camera, ...]:
-    """The first `count` cameras of the dome: front, left, right, up, down, mouth, then an even filling.
+    """The first `count` cameras of the dome: front, left, right, up, down, mouth, then an even
+    filling.
 
     Args:
         count: At least 1.
@@ -58,7 +60,8 @@ def dome_cameras(count: int, width: int, height: int) -> tuple[Camera, ...]:
     plan.append(("mouth", 0.0, -4.0, True))
     golden = 0.618033988749895
     for index in range(max(count - len(plan), 0)):
-        # Low-discrepancy filling of azimuth and elevation; more cameras leave the first ones where they are.
+        # Low-discrepancy filling of azimuth and elevation; more cameras leave the first ones where
+        # they are.
         azimuth = -75.0 + 150.0 * ((0.5 + index * golden) % 1.0)
         elevation = -30.0 + 66.0 * ((0.25 + index * 0.7548776662466927) % 1.0)
         mouth = index % 6 == 5

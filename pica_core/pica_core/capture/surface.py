@@ -1,10 +1,12 @@
 """The head without its small parts, as a signed distance field, and rays that find its surface.
 
-A head is a smooth union of a few anatomical masses (cranium, face, jaw, cheekbones, brow ridge, nose, neck) minus eye
-sockets and temples. Grid lines of the skin chart become rays that start inside the head; where a ray leaves the field,
-a vertex lies. Lips, lids and ears are added afterwards (`features`).
+A head is a smooth union of a few anatomical masses (cranium, face, jaw, cheekbones, brow ridge,
+nose, neck) minus eye sockets and temples. Grid lines of the skin chart become rays that start
+inside the head; where a ray leaves the field, a vertex lies. Lips, lids and ears are added
+afterwards (`skin`, `lids`, `parts`).
 
-Everything here is in millimetres in the head frame (+x the subject's left, +y up, +z out of the face).
+Everything here is in millimetres in the head frame (+x the subject's left, +y up, +z out of the
+face).
 """
 
 from __future__ import annotations
@@ -35,7 +37,9 @@ def smooth_max(a: Float64Array, b: Float64Array, k: float) -> Float64Array:
     return -smooth_min(-a, -b, k)
 
 
-def _ellipsoid(p: Float64Array, centre: tuple[float, ...], radii: tuple[float, ...]) -> Float64Array:
+def _ellipsoid(
+    p: Float64Array, centre: tuple[float, ...], radii: tuple[float, ...]
+) -> Float64Array:
     q = p - np.asarray(centre)
     r = np.asarray(radii)
     k0 = np.linalg.norm(q / r, axis=-1)
@@ -47,12 +51,13 @@ def _ellipsoid(p: Float64Array, centre: tuple[float, ...], radii: tuple[float, .
 def _cone(
     p: Float64Array, a: tuple[float, ...], b: tuple[float, ...], radius_a: float, radius_b: float
 ) -> Float64Array:
-    """Distance to a capsule whose radius changes linearly from `a` to `b` (slightly inexact, smooth)."""
+    """Distance to a capsule whose radius changes linearly from `a` to `b` (a little inexact)."""
     start, end = np.asarray(a), np.asarray(b)
     axis = end - start
     t = np.clip((p - start) @ axis / (axis @ axis), 0.0, 1.0)
     gap: Float64Array = np.linalg.norm(p - start - t[..., None] * axis, axis=-1)
-    return gap - (radius_a + (radius_b - radius_a) * t)
+    distance: Float64Array = gap - (radius_a + (radius_b - radius_a) * t)
+    return distance
 
 
 class HeadField:
@@ -96,11 +101,15 @@ class HeadField:
         chin = (0.30 * f.chin_breadth, self.chin_y + 13.5, chin_z)
         body = _cone(p, gonion, chin, 12.0, 13.5)
         body = smooth_min(body, _cone(p, (jaw - 3, -4.0, 2.0), gonion, 12, 12), 10)
-        body = smooth_min(body, _ellipsoid(p, (0, self.chin_y + 14, chin_z + 3), (17, 13, 14.5)), 10)
+        body = smooth_min(
+            body, _ellipsoid(p, (0, self.chin_y + 14, chin_z + 3), (17, 13, 14.5)), 10
+        )
         d = smooth_min(d, body, 20)
         # Cheeks: the soft part, then the zygomatic bone over it.
         d = smooth_min(
-            d, _ellipsoid(p, (34, below(-24), 60), (24 * f.cheek_fullness, 30, 27 * f.cheek_fullness)), 18
+            d,
+            _ellipsoid(p, (34, below(-24), 60), (24 * f.cheek_fullness, 30, 27 * f.cheek_fullness)),
+            18,
         )
         d = smooth_min(d, _cone(p, (36, 1, 76), (cheek - 9, 5, 38), 12.5, 9), 16)
         d = smooth_min(d, _cone(p, (cheek - 9, 5, 38), (cheek - 9, 3, 4), 8.5, 8.5), 18)
@@ -154,7 +163,8 @@ def cast(
         field: The head.
         origin: Points inside, mm. ``[N, 3]``.
         direction: Unit directions outwards. ``[N, 3]``.
-        reach: Where the search starts, mm from the origin; short where the ray would meet another part. ``[N]``.
+        reach: Where the search starts, mm from the origin; short where the ray would meet another
+            part. ``[N]``.
 
     Returns:
         Surface points, mm. float64 ``[N, 3]``.
@@ -170,7 +180,7 @@ def cast(
 
 
 def gradient(field: HeadField, points: Float64Array, step: float = 0.5) -> Float64Array:
-    """Outward unit normals of the field by central differences over `step` mm. float64 ``[N, 3]``."""
+    """Outward unit normals by central differences over `step` mm. float64 ``[N, 3]``."""
     axes = np.eye(3) * step
     slope = np.stack([field(points + axis) - field(points - axis) for axis in axes], -1)
     normals: Float64Array = slope / np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-9)

@@ -1,8 +1,9 @@
 """Render a built-in head on the stage into a capture directory.
 
-Files are written aside and renamed; `capture.json` comes last, so a directory with one is finished. A render that was
-interrupted goes on where it stopped: a frame counts as done when its tracked mesh, the last of its files, is there.
-The same options give the same bytes on the same GL driver.
+Files are written aside and renamed; `capture.json` comes last, so a directory with one is
+finished. A render that was interrupted goes on where it stopped: a frame counts as done when its
+tracked mesh, the last of its files, is there. The same options give the same bytes on the same GL
+driver.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from PIL import Image
 from pica_core.arkit import ARKIT_NAMES
 from pica_core.capture import multiface
 from pica_core.capture.expressions import Take, sample_takes
-from pica_core.capture.gpu import StageRenderer
+from pica_core.capture.gpu import BAKE_SIZE, StageRenderer
 from pica_core.capture.heads import MATERIALS, Head, make_head
 from pica_core.capture.layout import MAP_SIZE
 from pica_core.capture.stage import EVALUATION_VIEWS, dome_cameras
@@ -49,6 +50,10 @@ class StageOptions:
     """Side of the average textures, texels."""
     seed: int = 0
     """Fixes the performance."""
+    bake_size: int = BAKE_SIZE
+    """Side of the baked appearance, texels."""
+    self_shadow: bool = True
+    """False leaves out shadow of the face on itself, which takes seconds to measure."""
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -58,6 +63,7 @@ class StageOptions:
             ("height", 16, 8192),
             ("texture_size", 16, 4096),
             ("seed", 0, 2**31),
+            ("bake_size", 64, 8192),
         ):
             value = getattr(self, name)
             if not low <= value <= high:
@@ -74,7 +80,9 @@ def _fingerprint(options: StageOptions) -> str:
     return json.dumps({name: getattr(options, name) for name in options.__slots__}, sort_keys=True)
 
 
-def render_capture(options: StageOptions, out: Path, progress: Progress | None = None) -> dict[str, Any]:
+def render_capture(
+    options: StageOptions, out: Path, progress: Progress | None = None
+) -> dict[str, Any]:
     """Render a capture.
 
     Args:
@@ -90,9 +98,9 @@ def render_capture(options: StageOptions, out: Path, progress: Progress | None =
         GraphicsError: No GL context.
     """
     marker = out / "render.json"
-    if out.exists() and any(out.iterdir()):
-        if not marker.is_file() or marker.read_text(encoding="utf-8") != _fingerprint(options):
-            raise CaptureError(f"{out}: not empty, and no interrupted render of the same options")
+    interrupted = marker.is_file() and marker.read_text(encoding="utf-8") == _fingerprint(options)
+    if out.exists() and any(out.iterdir()) and not interrupted:
+        raise CaptureError(f"{out}: not empty, and no interrupted render of the same options")
     multiface.write_aside(marker, _fingerprint(options).encode())
     head = make_head(options.head)
     cameras = dome_cameras(options.cameras, options.width, options.height)
@@ -115,14 +123,20 @@ def render_capture(options: StageOptions, out: Path, progress: Progress | None =
                 vertices_mm = np.frombuffer(mesh.read_bytes(), "<f4").reshape(-1, 3)
             else:
                 if renderer is None:
-                    renderer = StageRenderer(head)
+                    renderer = StageRenderer(
+                        head, bake_size=options.bake_size, occlusion=options.self_shadow
+                    )
                 vertices_mm = (renderer.pose(arkit) * multiface.MILLIMETRES).astype("<f4")
                 views = []
                 for camera in cameras:
                     view = renderer.draw(camera)
                     views.append((camera, view))
                     units = np.rint(view.depth_m / multiface.DEPTH_UNIT_M).astype(np.uint16)
-                    for kind, pixels in (("images", view.image), ("depth", units), ("mask", view.mask)):
+                    for kind, pixels in (
+                        ("images", view.image),
+                        ("depth", units),
+                        ("mask", view.mask),
+                    ):
                         path = multiface.image_path(kind, take.segment, camera.name, frame)
                         multiface.write_aside(out / path, _png(pixels))
                 unwrapped, _ = renderer.unwrap(views, options.texture_size)
@@ -137,7 +151,7 @@ def render_capture(options: StageOptions, out: Path, progress: Progress | None =
             if progress is not None:
                 progress(done, options.frames)
     sums.write(out)
-    _write_tables(options, takes, out)
+    _write_tables(options, head, takes, out)
     marker.unlink(missing_ok=True)
     num_test = sum(len(take.arkit) for take in takes if take.split == "test")
     return {
@@ -186,7 +200,7 @@ def _write_topology(head: Head, out: Path) -> None:
     multiface.write_aside(out / multiface.TOPOLOGY, data.getvalue())
 
 
-def _write_tables(options: StageOptions, takes: list[Take], out: Path) -> None:
+def _write_tables(options: StageOptions, head: Head, takes: list[Take], out: Path) -> None:
     lines = [",".join(("segment", "frame", "split", *ARKIT_NAMES))]
     names = []
     for take in takes:
@@ -196,15 +210,14 @@ def _write_tables(options: StageOptions, takes: list[Take], out: Path) -> None:
             names.append(f"{take.segment} {index:06d}")
     multiface.write_aside(out / multiface.EXPRESSIONS, ("\n".join(lines) + "\n").encode())
     multiface.write_aside(out / multiface.FRAME_LIST, ("\n".join(names) + "\n").encode())
-    head = make_head(options.head)
     info = {
         "schema": multiface.SCHEMA,
-        "source": "synthetic: PiCA Telepresence built-in head; an invented person, not a capture of one",
+        "source": "synthetic: a built-in head of PiCA Telepresence; an invented person",
         "licence": "Apache-2.0",
         "head": options.head,
         "seed": options.seed,
         "units": {"tracked_mesh": "mm", "KRT": "mm", "depth": "0.1 mm", "images": "sRGB 8 bit"},
-        "tracked_mesh": "exact synthetic mesh: the rendered surface itself, without a tracker's errors",
+        "tracked_mesh": "exact synthetic mesh: the rendered surface, without a tracker's errors",
         "width": options.width,
         "height": options.height,
         "texture_size": options.texture_size,

@@ -23,6 +23,7 @@ uniform vec3 iris_rgb;
 uniform vec3 cloth_rgb;
 uniform vec3 hair_rgb;
 uniform float curl;
+uniform float sweep;
 uniform float eye_x;
 uniform float brow_y;
 uniform float nose_y;   // subnasale
@@ -236,7 +237,7 @@ void main() {
         float azimuth = surface.y * 6.2832;
         float t = surface.x;
         float wander = curl * (0.10 * sin(t * 13.0 + 5.0 * noise(vec3(azimuth * 2.0, 0.0, seed))) + 0.16 * noise(vec3(azimuth * 3.0, t * 4.0, seed)));
-        float a = azimuth + wander;
+        float a = azimuth + wander - sweep * t;
         float coarse = noise(vec3(a * 14.0, t * 2.2, seed));
         float medium = noise(vec3(a * 46.0, t * 3.4, seed + 2.0));
         float thin = noise(vec3(a * 150.0, t * 6.0, seed + 4.0));
