@@ -36,8 +36,8 @@ REPORT_INTERVAL_S = 5.0
 """Between two reports to the relay."""
 MAX_DEPARTED = 64
 """Peers remembered for the statistics after they left; drops the oldest."""
-MAX_ARRIVALS = 100_000
-"""Arrivals remembered for a latency analysis: eleven minutes of five peers at 30 a second."""
+MAX_SHOWN = 100_000
+"""Shown faces remembered for a latency analysis: eleven minutes of five peers at 30 a second."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -53,12 +53,16 @@ class CallConfig:
             raise OptionError(f"stale_after_s is {self.stale_after_s:g}; it must be above 0")
 
 
-class Arrival(NamedTuple):
-    """When a frame came; times on this machine's clock and the sender's."""
+class Shown(NamedTuple):
+    """One face as it was handed to the display."""
 
     name: str
+    shown_us: int
+    """The moment shown, sender's clock; `FaceState.captured_us`."""
     captured_us: int
+    """The newest frame that went into it, sender's clock."""
     arrived_us: int
+    """When that frame came, our clock."""
 
 
 class DueFrame(NamedTuple):
@@ -110,12 +114,12 @@ class Call:
         avatars: AvatarStore,
         config: CallConfig | None = None,
         *,
-        log_arrivals: bool = False,
+        log_shown: bool = False,
     ) -> None:
         self.config = config or CallConfig()
         self.errors = self.without_avatar = self.strays = 0
         # Drops its oldest when full.
-        self._arrivals: deque[Arrival] = deque(maxlen=MAX_ARRIVALS if log_arrivals else 0)
+        self._shown: deque[Shown] = deque(maxlen=MAX_SHOWN if log_shown else 0)
         self._avatars = avatars
         self._lock = threading.Lock()
         self._seats: dict[str, _Seat] = {}  # bounded by the protocol's limit on peers
@@ -171,7 +175,12 @@ class Call:
             return [self._face(seat, now) for seat in self._seats.values()]
 
     def avatar(self, avatar_id: str) -> Avatar | None:
-        """See `FaceSource.avatar`."""
+        """See `FaceSource.avatar`; an avatar that nobody here has is an error with the fix."""
+        if not self._avatars.has(avatar_id):
+            raise AvatarFileError(
+                f"avatar {avatar_id[:8] or '(none)'} is not on this machine; "
+                "get its file and name it with --avatar"
+            )
         return self._avatars.get(avatar_id)
 
     # Instead of the display: every frame once
@@ -205,30 +214,26 @@ class Call:
         with self._lock:
             return sum(seat.playout.num_waiting for seat in self._seats.values())
 
-    def missing_avatars(self) -> list[str]:
-        """Names of the peers whose avatar nobody here has."""
+    def names(self) -> dict[str, str]:
+        """Name by peer id of everybody with a face."""
         with self._lock:
-            return [
-                seat.peer.name
-                for seat in self._seats.values()
-                if not self._avatars.has(seat.track.avatar)
-            ]
+            return {peer_id: seat.peer.name for peer_id, seat in self._seats.items()}
 
     def begin_window(self, now: float) -> None:
         """Let the statistics begin here: what came before was warming up."""
         with self._lock:
             self._window_begin_s = now
             self._departed.clear()
-            self._arrivals.clear()
+            self._shown.clear()
             for seat in self._seats.values():
                 seat.begin_window()
 
-    def take_arrivals(self) -> list[Arrival]:
-        """The arrivals in the window, if they were to be logged."""
+    def take_shown(self) -> list[Shown]:
+        """The faces shown in the window, if they were to be logged."""
         with self._lock:
-            arrivals = list(self._arrivals)
-            self._arrivals.clear()
-        return arrivals
+            shown = list(self._shown)
+            self._shown.clear()
+        return shown
 
     def stats(self, now: float) -> dict[str, Any]:
         """How the streams came in since `begin_window`, or since the call began."""
@@ -306,7 +311,6 @@ class Call:
         seat.last_arrival_s = now
         seat.window.received += 1
         seat.window.payload_bytes += len(frame.payload)
-        self._arrivals.append(Arrival(seat.peer.name, frame.captured_us, round(now * 1e6)))
 
     def _face(self, seat: _Seat, now: float) -> FaceState:
         played = seat.playout.sample_at(now)
@@ -323,6 +327,15 @@ class Call:
             self.config.stale_after_s
         ):
             status = "stale"
+        newest = played.newest
+        self._shown.append(
+            Shown(
+                seat.peer.name,
+                played.captured_us,
+                newest.captured_us,
+                round(newest.arrived_s * 1e6),
+            )
+        )
         return FaceState(
             peer_id=seat.peer.peer_id,
             name=seat.peer.name,

@@ -8,11 +8,12 @@ from __future__ import annotations
 import asyncio
 import json
 import sys
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from pica_client.avatars import AvatarLibrary
+from pica_client.errors import OptionError
 from pica_client.link import LinkConfig
 from pica_client.playout import PlayoutConfig
 from pica_client.sender import Sender, SenderConfig
@@ -124,6 +125,168 @@ def bench_call(options: BenchCallOptions) -> dict[str, Any]:
         f"p50 {latency['p50']} ms, p95 {latency['p95']} ms, p99 {latency['p99']} ms"
     )
     return result
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ViewOptions:
+    """Options of ``pica view``."""
+
+    url: str = "ws://127.0.0.1:8765"
+    """Address of the relay, ws:// or wss://."""
+    room: str = "lobby"
+    """Room to look into."""
+    name: str = "viewer"
+    """Our own name."""
+    size: str = "960x540"
+    """Columns x rows of the window or picture."""
+    headless: bool = False
+    """Draw without a window."""
+    record: Path | None = None
+    """Record into this MP4 file."""
+    png: Path | None = None
+    """Write the last image into this PNG file."""
+    png_folder: Path | None = None
+    """Write an image a second into this folder."""
+    avatar: str | None = None
+    """Further avatar files, separated by commas, for peers whose avatar does not ship."""
+    avatar_folder: Path | None = None
+    """A folder with further avatar files."""
+    seconds: float = 0.0
+    """How long to look; 0 is until the window is closed, or Ctrl-C."""
+    wait: bool = False
+    """Wait for a relay that is not there yet instead of giving up after 3 seconds."""
+    expect: int = 0
+    """Begin to draw once so many peers are seen."""
+    statistics: bool = False
+    """Show the statistics panel from the start; a key toggles it, F1 shows all keys."""
+    max_fps: float = 30.0
+    """Draw at most so many images a second."""
+    playout_floor_ms: float = field(default=PlayoutConfig().floor_s * 1e3)
+    """Least playout delay, milliseconds; 33 makes 30 frames a second smooth on a fast display."""
+    frame_log: Path | None = None
+    """Write the times of every frame into this file at the end."""
+
+
+def view(options: ViewOptions) -> dict[str, Any]:
+    """Show everybody in a room, in a window or, with --headless, into a recording.
+
+    Comes back by itself when the relay goes away and returns.
+    """
+    from pica_client.call import CallConfig
+    from pica_client.view import View, ViewConfig
+    from pica_client.viewer import ViewerOptions
+
+    config = ViewConfig(
+        link=LinkConfig(
+            url=options.url,
+            room=options.room,
+            name=options.name,
+            connect_timeout_s=None if options.wait else CONNECT_TIMEOUT_S,
+        ),
+        call=CallConfig(playout=PlayoutConfig(floor_s=options.playout_floor_ms / 1e3)),
+        viewer=ViewerOptions(
+            size=_size(options.size),
+            headless=options.headless,
+            record=options.record,
+            max_fps=options.max_fps,
+            show_statistics=options.statistics,
+        ),
+        seconds=options.seconds,
+        expect=options.expect,
+        png=options.png,
+        png_folder=options.png_folder,
+        frame_log=options.frame_log,
+    )
+    library = AvatarLibrary(folder=options.avatar_folder)
+    try:
+        for name in (options.avatar or "").split(","):
+            if name:
+                library.find(name)
+        looking = View(config, library)
+        with on_stop_signal(looking.stop):
+            result = looking.run()
+    finally:
+        library.close()
+    _say(f"drew {result['frames_rendered']} images at {result['render_fps']} a second")
+    return result
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DemoOptions:
+    """Options of ``pica demo``."""
+
+    peers: int = 5
+    """Number of senders, each a process."""
+    seconds: float = 20.0
+    """How long the call is drawn."""
+    headless: bool = False
+    """No window, even where there is a display."""
+    size: str = "960x540"
+    """Columns x rows of the window or picture."""
+    source: str | None = None
+    """What all senders play, each starting elsewhere in it; by default shipped performances."""
+    avatar: str | None = None
+    """Names or .pica files of avatars, separated by commas, dealt in turn."""
+    fps: float = 30.0
+    """Frames a second of each sender."""
+    out: Path = Path("demo-out")
+    """Folder for call.mp4, frame.png and stats.json."""
+
+
+def demo(options: DemoOptions) -> dict[str, Any]:
+    """Hold a call on this machine: a relay, simulated senders and a viewer.
+
+    Opens a window if there is a display, else draws into a recording. Writes call.mp4, frame.png
+    and stats.json.
+    """
+    from pica_client.demo import DemoConfig, has_display, run_demo
+
+    _size(options.size)
+    config = DemoConfig(
+        stage=StageConfig(
+            peers=options.peers, source=options.source, avatar=options.avatar, fps=options.fps
+        ),
+        seconds=options.seconds,
+        size=options.size,
+        is_headless=options.headless or not has_display(),
+        out=options.out,
+    )
+    stats = run_demo(config)
+    latency = stats["latency_ms"]
+    _say(
+        f"{stats['rendered_peers']} of {stats['peers']} peers drawn at {stats['render_fps']} "
+        f"images/s with {stats['gl_renderer']}; source sample to decoded avatar "
+        f"p50 {latency['p50']} ms, p99 {latency['p99']} ms; errors: {stats['errors']}"
+    )
+    _say(f"see call.mp4, frame.png and stats.json in {options.out}")
+    return stats
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DoctorOptions:
+    """``pica doctor`` has no options."""
+
+
+def doctor(options: DoctorOptions) -> dict[str, Any]:
+    """Say what this machine can do: GL, inference, display, extras, with the fix for each lack."""
+    from pica_client.demo import has_display
+    from pica_client.doctor import examine
+
+    findings = examine(has_display=has_display)
+    for finding in findings:
+        _say(finding.line)
+    return {"findings": [asdict(finding) for finding in findings]}
+
+
+def _size(text: str) -> tuple[int, int]:
+    """``960x540`` as columns and rows."""
+    columns, _, rows = text.partition("x")
+    if not (columns.isdecimal() and rows.isdecimal()):
+        raise OptionError(f"size is {text!r}; write COLUMNSxROWS, such as 960x540")
+    size = int(columns), int(rows)
+    if not all(16 <= length <= 8192 for length in size):
+        raise OptionError(f"size is {text}; 16 to 8192 columns and rows are allowed")
+    return size
 
 
 def _say(text: str) -> None:

@@ -100,6 +100,8 @@ class PlayedFace:
     sample: LatentSample
     captured_us: int
     """The moment shown, sender's clock: that of the frame, or between two when interpolated."""
+    newest: TimedSample
+    """The newest frame that went into it."""
     is_concealed: bool
     """Whether the frame that should be shown by now is not there."""
     age_s: float
@@ -194,23 +196,25 @@ class Playout:
             return PlayedFace(
                 sample=held.sample,
                 captured_us=held.captured_us,
+                newest=held,
                 is_concealed=True,
                 age_s=now - held.arrived_s,
             )
-        sample, captured_us, is_concealed = held.sample, held.captured_us, False
+        sample, captured_us, newest, is_concealed = held.sample, held.captured_us, held, False
         past_s = position_s - held.captured_s
         if self._waiting:
             following = self._waiting[0][1]
             gap_s = following.captured_s - held.captured_s
             if 0 < past_s < gap_s <= self.config.max_gap_s:
                 sample = _blend(held.sample, following.sample, past_s / gap_s)
-                captured_us = round(position_s * 1e6)
+                captured_us, newest = round(position_s * 1e6), following
         else:
             is_concealed = past_s > 1.5 * self._interval_s > 0
             self._concealed += is_concealed
         return PlayedFace(
             sample=sample,
             captured_us=captured_us,
+            newest=newest,
             is_concealed=is_concealed,
             age_s=now - self._smallest_s - captured_us / 1e6,
         )

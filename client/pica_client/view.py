@@ -1,0 +1,185 @@
+"""One receiver from end to end: network in a thread, decoding in others, drawing in this one."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pica_client.avatars import AvatarLibrary
+from pica_client.call import Call, CallConfig, Receiver
+from pica_client.decoder import DecodeResult
+from pica_client.errors import OptionError, RelayUnreachableError
+from pica_client.link import LinkConfig
+from pica_client.viewer import Viewer, ViewerOptions
+
+MAX_LOGGED_DECODES = 100_000
+"""Decodes kept for a latency analysis: eleven minutes of five avatars at 30 a second."""
+POLL_S = 0.02
+PNG_PERIOD_S = 1.0
+"""Between two still images of a series."""
+DRAIN_S = 0.2
+"""What is decoded this soon after the picture began is not measured: decoders are being built."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ViewConfig:
+    """What to show, how, and what to keep of it."""
+
+    link: LinkConfig
+    call: CallConfig = field(default_factory=CallConfig)
+    viewer: ViewerOptions = field(default_factory=ViewerOptions)
+    seconds: float = 0.0
+    """How long to draw; 0 is until stopped."""
+    expect: int = 0
+    """Begin to draw once this many peers are seen."""
+    expect_timeout_s: float = 30.0
+    """Give up waiting for them after this time."""
+    png: Path | None = None
+    """Write the last image here."""
+    png_folder: Path | None = None
+    """Write an image a second into this folder."""
+    frame_log: Path | None = None
+    """Write the times of every frame and decode here, for whoever shares this clock."""
+
+    def __post_init__(self) -> None:
+        if not self.seconds >= 0:
+            raise OptionError(f"seconds is {self.seconds:g}; 0 (for ever) or more is allowed")
+
+
+class View:
+    """Runs a receiver and its viewer; `stop` may come from a signal handler."""
+
+    def __init__(self, config: ViewConfig, library: AvatarLibrary) -> None:
+        self._config = config
+        self._call = Call(library, config.call, log_shown=config.frame_log is not None)
+        self._receiver = Receiver(config.link, self._call)
+        self._is_stopping = False
+        # Drops its oldest when full.
+        self._decodes: deque[tuple[str, DecodeResult]] = deque(maxlen=MAX_LOGGED_DECODES)
+
+    def stop(self) -> None:
+        """Make `run` end."""
+        self._is_stopping = True
+
+    def run(self) -> dict[str, Any]:
+        """Show the call.
+
+        Returns:
+            What was drawn (`Viewer.report`) and what was received (`Receiver.stats`).
+
+        Raises:
+            RelayError: The relay is not there, or will not have us.
+            GraphicsError: There is no way to draw.
+            OptionError: A file cannot be written.
+        """
+        config = self._config
+        with self._receiver:
+            self._wait_for_peers()
+            with Viewer(
+                self._call,
+                config.viewer,
+                statistics=self._panel_lines,
+                on_decoded=self._note_decode if config.frame_log is not None else None,
+            ) as viewer:
+                begin_s = time.monotonic()
+                self._call.begin_window(begin_s)
+                self._draw(viewer)
+                end_s = time.monotonic()
+                drawn, received = viewer.report(), self._receiver.stats(end_s)
+                problems = list(viewer.problems.values())
+                if config.png is not None and drawn["frames_rendered"]:
+                    viewer.save_image(config.png)
+        for problem in problems:
+            print(problem, file=sys.stderr)
+        if config.frame_log is not None:
+            self._write_log(config.frame_log, begin_s)
+        return {
+            **drawn,
+            "seconds": round(end_s - begin_s, 2),
+            "errors": drawn["errors"] + received["errors"],
+            "problems": problems,
+            "received": received,
+        }
+
+    def _wait_for_peers(self) -> None:
+        """Wait for the room, and for the peers that are expected."""
+        config = self._config
+        deadline = time.monotonic() + config.expect_timeout_s
+        while not self._is_stopping:
+            self._receiver.check()
+            if self._receiver.is_connected and self._call.num_live >= config.expect:
+                return
+            if config.expect and time.monotonic() > deadline:
+                raise RelayUnreachableError(
+                    f"{self._call.num_live} of {config.expect} expected peers were seen within "
+                    f"{config.expect_timeout_s:g} s"
+                )
+            time.sleep(POLL_S)
+
+    def _draw(self, viewer: Viewer) -> None:
+        """Draw until the time is over, the user leaves, or the network gives up."""
+        config = self._config
+        begin_s = time.monotonic()
+        index = 0
+        if config.png_folder is not None:
+            config.png_folder.mkdir(parents=True, exist_ok=True)
+        has_ended = False
+
+        def should_stop() -> bool:
+            self._receiver.check()
+            return self._is_stopping
+
+        while not has_ended and not self._is_stopping:
+            left_s = begin_s + config.seconds - time.monotonic() if config.seconds else None
+            if left_s is not None and left_s <= 0:
+                return
+            if config.png_folder is None:
+                viewer.run(left_s, should_stop)
+                return
+            slice_s = PNG_PERIOD_S if left_s is None else min(PNG_PERIOD_S, left_s)
+            slice_begin_s = time.monotonic()
+            viewer.run(slice_s, should_stop)
+            # The viewer returns early only when its user closed the window, or we stopped it.
+            has_ended = time.monotonic() - slice_begin_s < slice_s
+            index += 1
+            viewer.save_image(config.png_folder / f"frame-{index:05d}.png")
+
+    def _panel_lines(self) -> list[tuple[str, str]]:
+        """The network's lines of the statistics panel."""
+        stats = self._receiver.stats(time.monotonic())
+        seconds = stats["seconds"] or 0.0
+        lines = [("relay", "connected" if self._receiver.is_connected else "away, trying")]
+        if seconds:
+            latents = sum(peer["latents_per_s"] for peer in stats["peers"])
+            kilobits = sum(peer["payload_bps"] for peer in stats["peers"]) / 1e3
+            lines += [("latents", f"{latents:.0f} /s"), ("payload", f"{kilobits:.0f} kbit/s")]
+        delay_ms = max((peer["playout_delay_ms"] for peer in stats["peers"]), default=0.0)
+        return [
+            *lines,
+            ("playout delay", f"{delay_ms:.0f} ms"),
+            ("lost", str(stats["dropped"])),
+            ("concealed", str(stats["concealed"])),
+            ("errors", str(stats["errors"])),
+        ]
+
+    def _note_decode(self, result: DecodeResult) -> None:
+        name = self._call.names().get(result.slot)
+        if name is not None:
+            self._decodes.append((name, result))
+
+    def _write_log(self, path: Path, begin_s: float) -> None:
+        decodes = [
+            (name, result.captured_us, result.submitted_s, result.finished_s)
+            for name, result in self._decodes
+            if result.captured_us >= (begin_s + DRAIN_S) * 1e6
+        ]
+        log = {"shown": self._call.take_shown(), "decodes": decodes}
+        try:
+            path.write_text(json.dumps(log))
+        except OSError as error:
+            raise OptionError(f"{path}: cannot be written: {error.strerror or error}") from error
