@@ -10,6 +10,15 @@ settings.register_profile("repeatable", derandomize=True, deadline=None, print_b
 settings.load_profile("repeatable")
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Golden files are renewed on purpose only; look at the difference before committing it."""
+    parser.addoption(
+        "--regenerate-golden",
+        action="store_true",
+        help="write golden images anew instead of comparing with them",
+    )
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Refuse to run modules that do not say, with one mark, what they need."""
     modules = {item.getparent(pytest.Module) for item in items}

@@ -80,22 +80,44 @@ def make_toy_avatar(
 def _paint(
     spec: AvatarSpec, rng: np.random.Generator, tensors: dict[str, npt.NDArray[np.generic]]
 ) -> dict[str, FloatArray]:
-    """Encodings and a pixel decoder that show eyes and lips, so that a picture is worth looking
-    at."""
+    """Encodings and a pixel decoder that show eyes, lips and hair, so that a picture is worth a
+    look.
+
+    m_uv holds four masks in [-1, 1]; the hidden layers hand them on through their sines, the last
+    one turns them into colours. All other weights are random and small, so every input matters a
+    little.
+    """
     texel = (np.arange(spec.uv_encoding_size, dtype=np.float32) + 0.5) / spec.uv_encoding_size
     u, v = np.meshgrid(texel, texel)
     turn, tilt = (u - 0.5) * 1.7 * np.pi, (v - 0.5) * 0.92 * np.pi
-    eye = np.exp(-(((np.abs(turn) - 0.42) / 0.13) ** 4) - ((tilt + 0.12) / 0.08) ** 4)
-    iris = np.exp(-(((np.abs(turn) - 0.42) / 0.05) ** 4) - ((tilt + 0.12) / 0.07) ** 4)
+    eye = np.exp(-(((np.abs(turn) - 0.42) / 0.15) ** 4) - ((tilt + 0.12) / 0.07) ** 4)
+    iris = np.exp(-(((np.abs(turn) - 0.42) / 0.06) ** 4) - ((tilt + 0.12) / 0.06) ** 4)
     lips = np.exp(-((turn / 0.3) ** 4) - ((tilt - 0.62) / 0.06) ** 4)
-    hair = 1 / (1 + np.exp((tilt + 0.75) * 20))
-    maps = np.stack([eye, iris, lips, hair], axis=-1)[..., : spec.uv_encoding_channels]
-    painted = {"uv_encoding": (2 * maps - 1).astype(np.float32)}
+    hair = 1 / (1 + np.exp((tilt + 0.75 - 0.5 * (np.abs(turn) > 1.2)) * 20))
+    maps = np.stack([eye, iris, lips, hair], axis=-1)
+    painted = {
+        "uv_encoding": (2 * maps - 1)[..., : spec.uv_encoding_channels].astype(np.float32),
+        "xyz.0.weight": (tensors["xyz.0.weight"] * 12).astype(np.float32),
+        "u_encoding": (tensors["u_encoding"] * 0.2).astype(np.float32),
+        "v_encoding": (tensors["v_encoding"] * 0.2).astype(np.float32),
+    }
     first = spec.expression_channels + spec.xyz_channels[-1]
-    weight = rng.standard_normal(tensors["pixel.0.weight"].shape).astype(np.float32) * 0.12
-    for channel in range(min(4, spec.uv_encoding_channels, weight.shape[0])):
-        weight[channel, first + channel] = 1.2
-    painted["pixel.0.weight"] = weight
-    last = f"pixel.{len(spec.pixel_channels) - 1}.bias"
-    painted[last] = np.array([0.62, 0.47, 0.4], np.float32)
+    num_masks = min(4, spec.uv_encoding_channels, min(spec.pixel_channels[:-1]))
+    last = len(spec.pixel_channels) - 1
+    for layer in range(last + 1):
+        shape = tensors[f"pixel.{layer}.weight"].shape
+        weight = rng.standard_normal(shape) * (0.15 if layer < last else 0.05)
+        for mask in range(num_masks if layer < last else 0):
+            weight[mask] *= 0.2
+            weight[mask, first + mask if layer == 0 else mask] = 1.3
+        painted[f"pixel.{layer}.weight"] = weight.astype(np.float32)
+    skin = np.array([0.80, 0.60, 0.50]) * rng.uniform(0.6, 1.05)
+    white, brown, red = [0.9, 0.9, 0.88], [0.2, 0.13, 0.1], [0.68, 0.3, 0.29]
+    steps = np.array([white - skin, np.subtract(brown, white), red - skin, brown - skin])
+    steps = steps[:num_masks]
+    on = np.float64(1)
+    for _ in range(last):
+        on = np.sin(1.3 * on)
+    painted[f"pixel.{last}.weight"][:, :num_masks] = (steps / (2 * on)).T
+    painted[f"pixel.{last}.bias"] = (skin + steps.sum(axis=0) / 2).astype(np.float32)
     return painted
