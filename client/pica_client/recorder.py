@@ -49,6 +49,7 @@ class Recorder:
         self._last_tick = -1
         self._av: Any = av
         try:
+            path.open("wb").close()  # FFmpeg would find out with the first frame only
             self._container: Any = av.open(str(path), "w", format="mp4")
         except OSError as error:
             raise OptionError(f"{path}: cannot be written: {error.strerror or error}") from error

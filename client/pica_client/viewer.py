@@ -231,6 +231,10 @@ class Viewer:
         self._frame_times.append(now)
         return True
 
+    def wait_decoded(self, timeout_s: float) -> bool:
+        """Wait until nothing is being decoded; False when the time runs out first."""
+        return self._pool.wait_idle(timeout_s)
+
     def save_image(self, path: Path) -> None:
         """Write the last frame as PNG."""
         save_png(path, self._renderer.read_image())

@@ -1,0 +1,108 @@
+"""Texts over the picture: what is written, where, and that no name can break it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pica_client.faces import FaceState, FaceStatus
+from pica_client.hud import MAX_NAME_LENGTH, help_item, name_items, statistics_item
+from pica_client.overlay import MAX_LINES, set_text
+from pica_client.scene import Placement, ViewState, head_matrix, view_camera
+
+pytestmark = pytest.mark.unit
+
+CAMERA = view_camera(ViewState(), 1, 960, 540)
+SEATED = Placement(slot="p", world_from_head=np.eye(4, dtype=np.float32))
+
+
+def face(name: str = "Ada", status: FaceStatus = "live") -> FaceState:
+    return FaceState(peer_id="p", name=name, avatar_id="0" * 64, latent=None, status=status)
+
+
+def words(item_lines: tuple[tuple[str, str], ...]) -> str:
+    return " ".join(part for line in item_lines for part in line if part)
+
+
+def test_a_text_is_premultiplied_rgba_with_ink_and_plate() -> None:
+    image = set_text((("Ada", ""),), "label", 16)
+    assert image.dtype == np.uint8
+    alpha = image[..., 3]
+    assert (image[..., :3] <= alpha[..., None]).all()
+    assert alpha.max() == 255
+    assert alpha[0, 0] < 40  # the corner is round
+    assert 100 < np.median(alpha) < 200
+
+
+def test_a_panel_keeps_its_size_while_its_numbers_change() -> None:
+    sizes = {
+        set_text((("drawing", f"{fps:.1f} fps"), ("peers", "5")), "panel", 14).shape
+        for fps in (9.9, 10.1, 29.7)
+    }
+    assert len(sizes) == 1
+
+
+@given(name=st.text(max_size=300))
+def test_any_name_can_be_set(name: str) -> None:
+    image = set_text(((name, name),), "label", 12)
+    assert image.shape[0] < 60
+    assert image.shape[1] < 6000
+
+
+def test_more_lines_than_fit_are_cut() -> None:
+    image = set_text([("line", "")] * 1000, "panel", 10)
+    assert image.shape[0] <= MAX_LINES * 15 + 30
+
+
+def test_a_name_stands_below_its_head() -> None:
+    (item,) = name_items([face()], [SEATED], CAMERA, {})
+    assert item.lines == (("Ada", ""),)
+    assert item.x_px == pytest.approx(480)
+    assert item.y_px > 270
+
+
+@pytest.mark.parametrize(
+    ("status", "note"), [("waiting", "waiting"), ("stale", "no signal"), ("away", "away")]
+)
+def test_a_face_that_is_not_live_says_so(status: FaceStatus, note: str) -> None:
+    (item,) = name_items([face(status=status)], [SEATED], CAMERA, {})
+    assert item.lines[1:] == (("", note),)
+
+
+@pytest.mark.parametrize("status", ["live", "concealed"])
+def test_a_short_hole_is_not_announced(status: FaceStatus) -> None:
+    (item,) = name_items([face(status=status)], [SEATED], CAMERA, {})
+    assert len(item.lines) == 1
+
+
+def test_the_reason_for_a_placeholder_is_wrapped_under_the_name() -> None:
+    reason = "ada.pica: tensor pixel.1.weight has values that are not finite or beyond 1e+06 " * 3
+    (item,) = name_items([face()], [SEATED], CAMERA, {"p": reason})
+    assert 2 < len(item.lines) <= 5
+    assert "tensor pixel.1.weight" in words(item.lines)
+    assert max(len(line) for _, line in item.lines) <= 24
+
+
+def test_an_endless_name_is_cut() -> None:
+    (item,) = name_items([face(name="A" * 500)], [SEATED], CAMERA, {})
+    assert len(item.lines[0][0]) == MAX_NAME_LENGTH
+
+
+def test_a_head_behind_the_camera_has_no_name_on_the_screen() -> None:
+    behind = Placement(slot="p", world_from_head=head_matrix(np.eye(4), [0, 0, 0], [0, 0, 9]))
+    assert name_items([face()], [behind], CAMERA, {}) == []
+
+
+def test_statistics_stand_on_the_left_and_keys_on_the_right() -> None:
+    left, right = statistics_item((("peers", "5"),), (960, 540)), help_item((960, 540))
+    assert left.x_px < 100
+    assert right.x_px > 900
+    assert right.is_right_aligned
+    assert "statistics" in words(right.lines)
+
+
+def test_type_grows_with_the_picture() -> None:
+    small, large = help_item((1280, 720)), help_item((2560, 1440))
+    assert large.size_px == pytest.approx(2 * small.size_px, abs=1)

@@ -1,0 +1,229 @@
+"""The viewer's loop, off the screen: faces in, pictures and a report out."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from pica_client.decoder import DecodeResult
+from pica_client.errors import OptionError
+from pica_client.faces import FaceState
+from pica_client.thumbnail import draw_thumbnail
+from pica_client.viewer import Viewer, ViewerOptions
+from pica_client.window import Window
+from pica_core.avatar_file import Avatar
+from pica_core.errors import AvatarFileError, GraphicsError
+from pica_core.spec import AvatarSpec
+from toy import make_toy_avatar
+
+pytestmark = pytest.mark.render
+
+TOY = make_toy_avatar(spec=AvatarSpec(uv_encoding_size=64, axis_encoding_size=64), grid=24)
+SMALL = ViewerOptions(headless=True, size=(160, 90))
+PATIENCE_S = 20.0
+
+
+class Faces:
+    """A call without a network: the test says who is there."""
+
+    def __init__(self, *peers: str) -> None:
+        self.latent = np.zeros((8, 8, 4), np.float32)
+        self.present = list(peers)
+        self.captured_us = 1
+        self.avatars: dict[str, Avatar | None] = {"toy": TOY, "late": None}
+        self.avatar_of = dict.fromkeys(peers, "toy")
+        self.without_latent: set[str] = set()
+
+    def faces(self, now: float) -> list[FaceState]:
+        return [
+            FaceState(
+                peer_id=peer,
+                name=peer.title(),
+                avatar_id=self.avatar_of[peer],
+                latent=None if peer in self.without_latent else self.latent,
+                captured_us=self.captured_us,
+                status="waiting" if peer in self.without_latent else "live",
+            )
+            for peer in self.present
+        ]
+
+    def avatar(self, avatar_id: str) -> Avatar | None:
+        if avatar_id == "evil":
+            raise AvatarFileError("evil.pica: tensor u_encoding is missing")
+        return self.avatars[avatar_id]
+
+
+def step_until_decoded(viewer: Viewer, now: float = 1.0) -> None:
+    """Draw a frame that submits, wait for the worker, draw a frame that shows."""
+    viewer.step(now)
+    assert viewer.wait_decoded(PATIENCE_S)
+    viewer.step(now + 0.033)
+
+
+@pytest.fixture
+def two() -> Iterator[tuple[Faces, Viewer]]:
+    source = Faces("ada", "grace")
+    with Viewer(source, SMALL, clock=lambda: 5.0) as viewer:
+        yield source, viewer
+
+
+def test_every_peer_is_decoded_drawn_and_counted(two: tuple[Faces, Viewer]) -> None:
+    _, viewer = two
+    step_until_decoded(viewer)
+    assert viewer.last_draw is not None
+    assert (viewer.last_draw.num_avatars, viewer.last_draw.num_placeholders) == (2, 0)
+    report = viewer.report()
+    assert report["rendered_peers"] == 2
+    assert report["frames_rendered"] == 2
+    assert report["errors"] == 0
+    assert report["decodes"] == {"ada": 1, "grace": 1}
+    assert report["gl_renderer"]
+
+
+def test_latency_is_counted_once_per_sample_on_the_shared_clock(two: tuple[Faces, Viewer]) -> None:
+    source, viewer = two
+    source.captured_us = 4_990_000
+    step_until_decoded(viewer)
+    source.latent = source.latent + np.float32(0.5)  # interpolated on, from the same sample
+    step_until_decoded(viewer)
+    assert viewer.report()["latency_ms"]["p50"] == pytest.approx(10.0)
+    assert viewer.report()["decodes"] == {"ada": 2, "grace": 2}
+
+
+def test_a_latent_that_stands_still_is_not_decoded_again(two: tuple[Faces, Viewer]) -> None:
+    _, viewer = two
+    for step in range(3):
+        step_until_decoded(viewer, 1.0 + step)
+    assert viewer.report()["decodes"] == {"ada": 1, "grace": 1}
+
+
+def test_a_peer_who_leaves_is_forgotten(two: tuple[Faces, Viewer]) -> None:
+    source, viewer = two
+    step_until_decoded(viewer)
+    source.present.remove("ada")
+    step_until_decoded(viewer)
+    assert viewer.last_draw is not None
+    assert viewer.last_draw.num_avatars == 1
+    assert viewer.report()["decodes"].keys() == {"grace"}
+
+
+def test_nobody_there_is_an_empty_room(two: tuple[Faces, Viewer]) -> None:
+    source, viewer = two
+    source.present.clear()
+    assert viewer.step(1.0)
+
+
+def test_a_broken_avatar_is_a_placeholder_with_its_reason_and_the_others_go_on(
+    two: tuple[Faces, Viewer],
+) -> None:
+    source, viewer = two
+    source.avatar_of["ada"] = "evil"
+    step_until_decoded(viewer)
+    assert viewer.last_draw is not None
+    assert (viewer.last_draw.num_avatars, viewer.last_draw.num_placeholders) == (1, 1)
+    assert viewer.problems == {"ada": "evil.pica: tensor u_encoding is missing"}
+    step_until_decoded(viewer)
+    assert viewer.report()["errors"] == 1
+
+
+def test_an_avatar_that_comes_late_replaces_its_placeholder(two: tuple[Faces, Viewer]) -> None:
+    source, viewer = two
+    source.avatar_of["ada"] = "late"
+    step_until_decoded(viewer)
+    assert viewer.last_draw is not None
+    assert viewer.last_draw.num_placeholders == 1
+    source.avatars["late"] = TOY
+    step_until_decoded(viewer)
+    assert viewer.last_draw.num_placeholders == 0
+
+
+def test_a_peer_without_a_sample_waits_as_a_placeholder(two: tuple[Faces, Viewer]) -> None:
+    source, viewer = two
+    source.without_latent.add("ada")
+    step_until_decoded(viewer)
+    assert viewer.last_draw is not None
+    assert viewer.last_draw.num_placeholders == 1
+
+
+def test_a_peer_who_changes_avatar_gets_the_new_one(two: tuple[Faces, Viewer]) -> None:
+    source, viewer = two
+    step_until_decoded(viewer)
+    source.avatar_of["ada"] = "evil"
+    step_until_decoded(viewer)
+    assert "ada" in viewer.problems
+
+
+def test_a_decoder_that_fails_breaks_its_own_peer(two: tuple[Faces, Viewer]) -> None:
+    source, viewer = two
+    step_until_decoded(viewer)
+    source.latent = np.zeros((7, 8, 4), np.float32)  # no receiver does this: the session refuses it
+    step_until_decoded(viewer)
+    assert set(viewer.problems) == {"ada", "grace"}
+    assert viewer.step(9.0)
+
+
+def test_whoever_asks_is_told_of_each_decode() -> None:
+    told: list[DecodeResult] = []
+    with Viewer(Faces("ada"), SMALL, on_decoded=told.append) as viewer:
+        step_until_decoded(viewer)
+    assert [result.slot for result in told] == ["ada"]
+    assert told[0].captured_us == 1
+
+
+def test_statistics_of_the_call_are_asked_for_when_shown() -> None:
+    asked: list[int] = []
+
+    def lines() -> list[tuple[str, str]]:
+        asked.append(1)
+        return [("bitrate", "65 kbit/s")]
+
+    with Viewer(Faces("ada"), replace(SMALL, show_statistics=True), statistics=lines) as viewer:
+        for step in range(10):
+            viewer.step(1.0 + 0.1 * step)
+    assert len(asked) == 2  # twice a second, not per frame
+
+
+def test_a_call_is_recorded_and_a_frame_saved(tmp_path: Path) -> None:
+    av = pytest.importorskip("av")
+    options = replace(SMALL, record=tmp_path / "call.mp4")
+    ticks = iter(np.arange(0.0, 1e3, 0.01))
+    with Viewer(Faces("ada"), options, clock=lambda: float(next(ticks))) as viewer:
+        for step in range(5):
+            viewer.step(1.0 + step / 30)
+        viewer.save_image(tmp_path / "frame.png")
+    with av.open(str(tmp_path / "call.mp4")) as container:
+        assert sum(1 for _ in container.decode(video=0)) == 5
+    with Image.open(tmp_path / "frame.png") as image:
+        assert image.size == (160, 90)
+
+
+def test_run_stops_when_told_to(two: tuple[Faces, Viewer]) -> None:
+    _, viewer = two
+    viewer.run(should_stop=lambda: viewer.report()["frames_rendered"] >= 1)
+    assert viewer.report()["frames_rendered"] == 1
+
+
+def test_frame_rates_that_make_no_sense_are_refused() -> None:
+    with pytest.raises(OptionError, match="max_fps is 0"):
+        ViewerOptions(max_fps=0)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is always a display")
+def test_without_a_display_a_window_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with pytest.raises(GraphicsError, match=r"DISPLAY is not set.*--headless"):
+        Window("test", (64, 64))
+
+
+def test_a_thumbnail_shows_the_avatar() -> None:
+    image = draw_thumbnail(TOY, (96, 128))
+    assert image.shape == (128, 96, 3)
+    middle, corner = image[50:70, 40:56].mean(axis=(0, 1)), image[:6, :6].mean(axis=(0, 1))
+    assert np.abs(middle - corner).max() > 30
