@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from pica_core.capture.coordinates import MATERIALS
 from pica_core.capture.dataset import Capture
 from pica_core.capture.expressions import blend
 from pica_core.capture.gpu import DEPTH_TOLERANCE_M, StageRenderer
-from pica_core.capture.heads import MATERIALS, make_head
+from pica_core.capture.heads import make_head
 from pica_core.capture.multiface import krt_text, read_krt
 from pica_core.capture.sheet import write_sheet
 from pica_core.capture.stage import EVALUATION_VIEWS, dome_cameras

@@ -52,7 +52,7 @@ class View:
     Attributes:
         image: sRGB, row 0 on top. uint8 ``[H, W, 3]``.
         depth_m: Distance along the camera axis at pixel centres, 0 where empty. float32 ``[H, W]``.
-        mask: 0 background, else material id + 1 (`heads.MATERIALS`). uint8 ``[H, W]``.
+        mask: 0 background, else material id + 1 (`coordinates.MATERIALS`). uint8 ``[H, W]``.
     """
 
     image: ByteArray

@@ -9,23 +9,20 @@ UVs of all others. Lengths are metres at this module's boundary and millimetres 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import functools
 
 import numpy as np
 import numpy.typing as npt
 
 from pica_core.arkit import ARKIT_INDEX, NUM_ARKIT
-from pica_core.capture.hair import build_hair, hairline
+from pica_core.capture.coordinates import name_regions, surface_coordinates
+from pica_core.capture.hair import build_hair
 from pica_core.capture.identity import Identity, get_identity
-from pica_core.capture.layout import EYE_ROW, MOUTH_ROW, build_charts
+from pica_core.capture.layout import MOUTH_ROW, build_charts
 from pica_core.capture.lids import LidPose, Lids
 from pica_core.capture.parts import collar, ear, eye_fixed, eyeball, mouth_bag, teeth, tongue
 from pica_core.capture.shapes import build_motion
 from pica_core.capture.skin import (
-    LOWER_BORDER_ROW,
-    LOWER_CONTACT_ROW,
-    UPPER_BORDER_ROW,
-    UPPER_CONTACT_ROW,
     EyeSurface,
     Skin,
     build_skin,
@@ -37,10 +34,6 @@ from pica_core.errors import ShapeError
 FloatArray = npt.NDArray[np.float32]
 Float64Array = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int32]
-BoolArray = npt.NDArray[np.bool_]
-
-MATERIALS = ("skin", "eye", "teeth", "tongue", "mouth_bag", "collar", "hair")
-"""Material ids, in the order that the appearance shader knows."""
 
 JAW_PIVOT = (0.0, 2.0, 8.0)
 """The condyle axis, mm: a little below and ahead of the ear axis."""
@@ -52,25 +45,6 @@ JAW_SLIDE = (6.5, 5.0)
 """jawLeft/jawRight and jawForward at 1, mm."""
 EYE_YAW, EYE_PITCH_UP, EYE_PITCH_DOWN = np.radians([35.0, 25.0, 28.0])
 """Gaze at a look shape of 1."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class SurfaceCoordinates:
-    """What the appearance needs to know about each vertex.
-
-    Attributes:
-        material: Index into `MATERIALS`. float32 ``[V]``.
-        rest_m: Position at rest, head frame, metres. float32 ``[V, 3]``.
-        local: Four numbers per vertex whose meaning depends on the material. float32 ``[V, 4]``.
-            Skin: vermilion depth (0 at the border, 1 at the contact line), rows to the nearest lid
-            margin, hair coverage, and 1 on ears, -1 above the eye slits. Eye: direction from the
-            eyeball's centre, side. Teeth: place along the arch, place from gum to edge, 1 for the
-            upper ones. Everything else: chart row and column from 0 to 1.
-    """
-
-    material: FloatArray
-    rest_m: FloatArray
-    local: FloatArray
 
 
 class Head:
@@ -120,8 +94,13 @@ class Head:
             "mouth_half": skin.mouth_half,
         }
         neutral = self.vertices(np.zeros(NUM_ARKIT, np.float32))
-        self.coordinates = self._coordinates(neutral, skin)
-        self.regions = self._regions(neutral)
+        self.coordinates = surface_coordinates(
+            identity, self.charts, skin, neutral, self._eye_centre
+        )
+        lids = np.zeros(self.num_vertices, np.bool_)
+        for eye in self._lids:
+            lids[chart.first + eye.index[eye.weight > 0.5]] = True
+        self.regions = name_regions(self.charts, self.coordinates, lids)
 
     @property
     def num_vertices(self) -> int:
@@ -310,100 +289,11 @@ class Head:
         unit: FloatArray = normals / np.maximum(length, 1e-20)
         return unit
 
-    def _coordinates(self, neutral: FloatArray, skin: Skin) -> SurfaceCoordinates:
-        material = np.zeros(self.num_vertices, np.float32)
-        local = np.zeros((self.num_vertices, 4), np.float32)
-        names = {
-            "eye_left": "eye",
-            "eye_right": "eye",
-            "teeth_upper": "teeth",
-            "teeth_lower": "teeth",
-            "tongue": "tongue",
-            "mouth_bag": "mouth_bag",
-            "collar": "collar",
-            "hair": "hair",
-        }
-        for name, chart in self.charts.items():
-            rows, columns = (value.ravel() for value in chart.unit)
-            material[chart.span] = MATERIALS.index(names.get(name, "skin"))
-            if name == "skin":
-                row = np.repeat(chart.rows.astype(np.float64), len(chart.columns))
-                x = np.abs(skin.points[..., 0].ravel())
-                upper = (row - UPPER_BORDER_ROW) / (UPPER_CONTACT_ROW - UPPER_BORDER_ROW)
-                lower = (LOWER_BORDER_ROW - row) / (LOWER_BORDER_ROW - LOWER_CONTACT_ROW)
-                depth = np.where(row <= MOUTH_ROW, upper, lower)
-                front = (x < skin.mouth_half + 12) & (skin.points[..., 2].ravel() > 50)
-                # Past the corner the lips end: their depth falls below the border there.
-                depth = depth - 2.2 * smoothstep(skin.mouth_half - 3.5, skin.mouth_half + 2.5, x)
-                local[chart.span, 0] = np.where(front, np.clip(depth, -3, 2.5), -3.0)
-                inner, outer = skin.eye_corners
-                beyond = np.maximum(np.maximum(inner - x, x - outer), 0.0)
-                steps = np.where(row <= EYE_ROW, row - EYE_ROW, row - EYE_ROW - 1)
-                lid = np.abs(steps) + beyond * 1.3
-                near = skin.points[..., 2].ravel() > 40
-                local[chart.span, 1] = np.where(near, np.minimum(lid, 30), 30.0)
-                local[chart.span, 3] = np.where(row <= EYE_ROW, -1.0, 0.0)
-                azimuth = np.arctan2(skin.points[..., 0].ravel(), skin.points[..., 2].ravel())
-                above = skin.points[..., 1].ravel() - hairline(self.identity, azimuth)
-                local[chart.span, 2] = np.clip(above / 20.0, -1.0, 1.0)
-            elif name.startswith("eye"):
-                side = 1.0 if name == "eye_left" else -1.0
-                centre = self._eye_centre * [side, 1, 1]
-                local[chart.span, :3] = (self._rest[chart.span] - centre) / 12.1
-                local[chart.span, 3] = side
-            elif name.startswith("teeth"):
-                local[chart.span, 0] = 2 * columns - 1
-                local[chart.span, 1] = rows
-                local[chart.span, 2] = 1.0 if name == "teeth_upper" else -1.0
-            elif name.startswith("ear"):
-                local[chart.span] = np.stack(
-                    [np.full_like(rows, -3), np.full_like(rows, 30), columns, rows * 0 + 1], -1
-                )
-            else:
-                local[chart.span, 0], local[chart.span, 1] = rows, columns
-        return SurfaceCoordinates(material=material, rest_m=neutral, local=local)
 
-    def _regions(self, neutral: FloatArray) -> dict[str, BoolArray]:
-        def of(*names: str) -> BoolArray:
-            mask = np.zeros(self.num_vertices, np.bool_)
-            for name in names:
-                mask[self.charts[name].span] = True
-            return mask
-
-        local, skin = self.coordinates.local, of("skin")
-        x, y, z = neutral.T
-        row = np.zeros(self.num_vertices)
-        chart = self.charts["skin"]
-        row[chart.span] = np.repeat(chart.rows, len(chart.columns))
-        lids = np.zeros(self.num_vertices, np.bool_)
-        for side in self._lids:
-            lids[chart.first + side.index[side.weight > 0.5]] = True
-        lips = skin & (local[:, 0] > -0.15)
-        interior = of("teeth_upper", "teeth_lower", "tongue", "mouth_bag")
-        around = skin & (np.abs(x) < 0.042) & (np.abs(y - y[lips].mean()) < 0.024) & (z > 0.05)
-        neck = skin & (row > 154)
-        scalp = skin & ((row < 36) | (z < 0.0)) & ~neck
-        return {
-            "face": skin & ~neck & ~scalp,
-            "lips": lips,
-            "lids": lids,
-            "mouth_interior": interior,
-            "mouth": interior | around | lips,
-            "eyeballs": of("eye_left", "eye_right"),
-            "eyes": of("eye_left", "eye_right") | lids,
-            "teeth": of("teeth_upper", "teeth_lower"),
-            "tongue": of("tongue"),
-            "ears": of("ear_left", "ear_right"),
-            "neck": neck,
-            "scalp": scalp,
-            "hair": of("hair"),
-            "collar": of("collar"),
-            "left": x > 0,
-        }
-
-
+@functools.lru_cache(maxsize=8)
 def make_head(name: str) -> Head:
-    """Build a built-in head by identity name (``S1``, ``S2``).
+    """Build a built-in head by identity name (``S1``, ``S2``). Heads do not change, so calls share
+    them.
 
     Raises:
         CaptureError: No identity has this name.

@@ -154,7 +154,7 @@ IDENTITIES: dict[str, Identity] = {
     "S1": Identity(
         name="S1",
         seed=11,
-        face=FaceShape(),
+        face=FaceShape(nose_breadth=34.5, nose_bridge=1.2, brow_ridge=1.7, eye_opening=8.8),
         hair=Hair(
             rgb=(0.045, 0.026, 0.016),
             curl=0.25,

@@ -21,9 +21,10 @@ from PIL import Image
 
 from pica_core.arkit import ARKIT_NAMES
 from pica_core.capture import multiface
+from pica_core.capture.coordinates import MATERIALS
 from pica_core.capture.expressions import Take, sample_takes
 from pica_core.capture.gpu import BAKE_SIZE, StageRenderer
-from pica_core.capture.heads import MATERIALS, Head, make_head
+from pica_core.capture.heads import Head, make_head
 from pica_core.capture.layout import MAP_SIZE
 from pica_core.capture.stage import EVALUATION_VIEWS, dome_cameras
 from pica_core.errors import CaptureError

@@ -22,8 +22,8 @@ vec3 dome(vec3 n) { return mix(vec3(0.33, 0.29, 0.27), vec3(0.70, 0.73, 0.78), 0
 // What a mirror would see: a bright softbox overhead and a window to the side.
 float softboxes(vec3 r) {
     float box = smoothstep(0.80, 0.90, dot(r, key_direction));
-    float window = smoothstep(0.92, 0.97, dot(r, fill_direction)) * 0.45;
-    return box + window + 0.16 * smoothstep(-0.2, 0.9, r.y);
+    float window = smoothstep(0.92, 0.97, dot(r, fill_direction)) * 0.22;
+    return box + window + 0.10 * smoothstep(-0.2, 0.9, r.y);
 }
 vec3 wrapped(vec3 n, vec3 l, vec3 wrap) { return max(vec3(dot(n, l)) + wrap, 0.0) / (1.0 + wrap); }
 float lobe(vec3 n, vec3 h, float power) { return (power + 8.0) / 25.0 * pow(max(dot(n, h), 0.0), power); }
@@ -54,7 +54,7 @@ void main() {
     vec3 shine = vec3(0.0);
     if (material_id == 6) {
         // Kajiya-Kay strands with a shifted second lobe (Scheuermann 2004).
-        vec3 t = normalize(strand_tangent + n * (relief.b - 0.5) * 0.22);
+        vec3 t = normalize(strand_tangent + n * (relief.b - 0.5) * 0.12);
         vec3 h = normalize(key_direction + v);
         vec3 hf = normalize(rim_direction + v);
         float s1 = pow(max(1.0 - pow(dot(t, h), 2.0), 0.0), 45.0);
