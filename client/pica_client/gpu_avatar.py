@@ -14,6 +14,7 @@ from pica_client.errors import ShaderError
 from pica_client.shader_source import AXIS_ROW, ShaderSource, compose
 from pica_client.shader_weights import pack_weights, siren_source
 from pica_core.avatar_file import Avatar
+from pica_core.mesh import order_faces
 from pica_core.spec import AvatarSpec
 
 FloatArray = npt.NDArray[np.float32]
@@ -111,8 +112,11 @@ def upload_avatar(
     weights = None
     if weights_place == "block":
         weights = context.buffer(pack_weights(avatar.spec, tensors))
+    # Neighbours together: in the order of a shuffled file five heads take half as long again to
+    # draw.
+    faces = order_faces(tensors["mesh.faces"], tensors["mesh.vertex_uv"])
     return Shared(
-        mesh=_mesh(context, mesh_program, tensors["mesh.vertex_uv"], tensors["mesh.faces"]),
+        mesh=_mesh(context, mesh_program, tensors["mesh.vertex_uv"], faces),
         num_triangles=len(tensors["mesh.faces"]),
         shade=program,
         shade_rect=context.vertex_array(program, []),

@@ -38,22 +38,23 @@ def sample_vertices(position_map: npt.ArrayLike, vertex_uv: npt.ArrayLike) -> Ar
     return sample_bilinear(positions, vertex_uv)
 
 
-def vertex_normals(vertices_m: npt.ArrayLike, faces: npt.NDArray[np.int32]) -> Array:
-    """Unit normals, each the mean of its triangles' normals weighted by their areas.
+def order_faces(faces: npt.NDArray[np.int32], vertex_uv: npt.ArrayLike) -> npt.NDArray[np.int32]:
+    """Sort triangles along a space-filling curve in UV, so that neighbours are drawn together.
+
+    A renderer that keeps its last few vertices computes each of them once or twice instead of six
+    times. Which triangles there are, and their winding, stays.
 
     Args:
-        vertices_m: ``[V, 3]``.
-        faces: Counter-clockwise seen from outside. int32 ``[F, 3]``.
+        faces: int32 ``[F, 3]``.
+        vertex_uv: In [0, 1], ``[V, 2]``.
 
     Returns:
-        float64 ``[V, 3]``, pointing outside; zero where a vertex has no triangle of any area.
+        The same triangles in another order, int32 ``[F, 3]``.
     """
-    vertices = np.asarray(vertices_m, np.float64)
-    corners = vertices[faces]
-    face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.zeros_like(vertices)
-    for corner in range(3):
-        np.add.at(normals, faces[:, corner], face_normals)
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    unit: Array = normals / np.where(length > 0, length, 1)
-    return unit
+    uv = np.asarray(vertex_uv, np.float32)[faces].mean(axis=1)
+    cell = np.clip(uv * 1024, 0, 1023).astype(np.uint32)
+    code = np.zeros(len(faces), np.uint32)
+    for bit in range(10):  # Morton order: the bits of u and v, interleaved
+        code |= ((cell[:, 0] >> bit) & 1) << (2 * bit)
+        code |= ((cell[:, 1] >> bit) & 1) << (2 * bit + 1)
+    return np.ascontiguousarray(faces[np.argsort(code, kind="stable")])

@@ -16,7 +16,7 @@ from pica_core.commands import (
 )
 from pica_core.errors import AvatarFileError, ShapeError
 from pica_core.expression_encoder import ExpressionEncoder
-from pica_core.mesh import sample_vertices, vertex_normals
+from pica_core.mesh import order_faces, sample_vertices
 from toy import make_toy_avatar
 
 pytestmark = pytest.mark.unit
@@ -58,17 +58,14 @@ def test_a_map_of_another_kind_is_refused() -> None:
         sample_vertices(np.zeros((4, 4, 2)), np.zeros((1, 2)))
 
 
-def test_the_toy_heads_normals_point_away_from_its_middle() -> None:
-    vertices = sample_vertices(TOY.tensors["geometry.mean"], TOY.tensors["mesh.vertex_uv"])
-    normals = vertex_normals(vertices, TOY.tensors["mesh.faces"])
-    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-9)
-    outwards = (normals * vertices).sum(axis=1)
-    assert (outwards > 0).mean() > 0.97  # the sides of the nose look inwards
-
-
-def test_a_vertex_without_triangles_has_no_normal() -> None:
-    faces = np.array([[0, 1, 1]], np.int32)
-    np.testing.assert_array_equal(vertex_normals(np.eye(3), faces), np.zeros((3, 3)))
+def test_ordered_faces_are_the_same_triangles_with_neighbours_close_together() -> None:
+    uv, faces = TOY.tensors["mesh.vertex_uv"], TOY.tensors["mesh.faces"]
+    shuffled = np.random.default_rng(0).permutation(faces)
+    ordered = order_faces(shuffled, uv)
+    assert ordered.dtype == np.int32
+    assert set(map(tuple, ordered.tolist())) == set(map(tuple, faces.tolist()))
+    steps = [np.abs(np.diff(uv[f].mean(axis=1), axis=0)).sum(axis=1) for f in (shuffled, ordered)]
+    assert steps[1].mean() < 0.2 * steps[0].mean()
 
 
 def test_info_names_sizes_and_identity(tmp_path: Path) -> None:
