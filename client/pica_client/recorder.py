@@ -82,7 +82,8 @@ class Recorder:
         """Append a frame.
 
         Args:
-            image: uint8 ``[H, W, 3]``, top row first.
+            image: uint8 ``[H, W, 3]``, top row first. One of another size is cropped, or stands on
+                black.
             time_s: Since the start of the recording. Frames that do not come at least a millisecond
                 after the last one are dropped.
         """
@@ -91,8 +92,11 @@ class Recorder:
             return
         self._last_tick = tick
         width, height = self._size
-        cropped = np.ascontiguousarray(image[:height, :width])
-        frame = self._av.VideoFrame.from_ndarray(cropped, format="rgb24")
+        canvas = image[:height, :width]
+        if canvas.shape != (height, width, 3):  # the window has become smaller than the recording
+            canvas = np.zeros((height, width, 3), np.uint8)
+            canvas[: image.shape[0], : image.shape[1]] = image[:height, :width]
+        frame = self._av.VideoFrame.from_ndarray(np.ascontiguousarray(canvas), format="rgb24")
         frame.pts = tick
         frame.time_base = Fraction(1, TICKS_PER_S)
         self._container.mux(self._stream.encode(frame))

@@ -46,6 +46,13 @@ def test_odd_sizes_lose_a_row_and_a_column(tmp_path: Path) -> None:
         assert (stream.width, stream.height) == (64, 48)
 
 
+def test_a_window_that_changes_its_size_is_recorded_on(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "a.mp4", (64, 48)) as recorder:
+        for index, size in enumerate(((64, 48), (32, 24), (200, 20), (300, 300))):
+            recorder.write(grey(200, size), index / 10)
+    assert len(frames_of(tmp_path / "a.mp4")) == 4
+
+
 def test_a_frame_of_the_same_millisecond_is_dropped(tmp_path: Path) -> None:
     with Recorder(tmp_path / "a.mp4", (64, 48)) as recorder:
         for time_s in (0.0, 0.0002, 0.1, 0.05):

@@ -27,6 +27,7 @@ from pica_client.scene import (
     view_direction,
 )
 from pica_client.shader_source import compose
+from pica_client.shader_weights import siren_source
 from pica_core.avatar_file import Avatar
 from pica_core.camera import Camera, look_at
 from pica_core.errors import ShapeError
@@ -309,6 +310,35 @@ def test_a_shader_that_the_driver_refuses_is_named(context: moderngl.Context) ->
     )
     with pytest.raises(ShaderError, match=r"generated SIREN:1: .*nonsense"):
         build_program(context, compose("rect.vert"), broken)
+
+
+@pytest.mark.parametrize(
+    ("vertex", "fragment"),
+    [
+        ("mesh.vert", "surface.frag"),
+        ("rect.vert", "pixel_decoder.frag"),
+        ("rect.vert", "placeholder.frag"),
+        ("rect.vert", "smooth_edges.frag"),
+        ("rect.vert", "background.frag"),
+        ("rect.vert", "overlay.frag"),
+    ],
+)
+def test_the_browsers_dialect_compiles(
+    context: moderngl.Context, vertex: str, fragment: str
+) -> None:
+    if "GL_ARB_ES3_compatibility" not in context.extensions:
+        pytest.skip("this driver does not compile GLSL ES")
+    sources = [
+        compose(
+            name,
+            TOY.spec,
+            dialect="300 es",
+            choices={"ENCODING": "encoding_full.glsl"},
+            generated={"SIREN": siren_source(TOY.spec)},
+        )
+        for name in (vertex, fragment)
+    ]
+    build_program(context, *sources)
 
 
 def test_five_seats_look_as_they_did(
