@@ -12,6 +12,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import tyro
+
 from pica_client.avatars import AvatarLibrary
 from pica_client.errors import OptionError
 from pica_client.link import LinkConfig
@@ -276,6 +278,34 @@ def doctor(options: DoctorOptions) -> dict[str, Any]:
     for finding in findings:
         _say(finding.line)
     return {"findings": [asdict(finding) for finding in findings]}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ThumbnailOptions:
+    """Options of ``pica avatar thumbnail``."""
+
+    avatar: tyro.conf.Positional[str]
+    """Name of a shipped avatar, or a .pica file."""
+    out: Path = Path("avatar.png")
+    """PNG file to write."""
+    size: str = "256x256"
+    """Columns x rows of the picture."""
+
+
+def avatar_thumbnail(options: ThumbnailOptions) -> dict[str, Any]:
+    """Draw an avatar's resting face into a PNG file."""
+    from pica_client.recorder import save_png
+    from pica_client.thumbnail import draw_thumbnail
+
+    size = _size(options.size)
+    library = AvatarLibrary()
+    try:
+        avatar = library.load(library.find(options.avatar))
+    finally:
+        library.close()
+    save_png(options.out, draw_thumbnail(avatar, size))
+    _say(f"wrote {options.out}")
+    return {"name": avatar.manifest.name, "out": str(options.out)}
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -197,6 +197,11 @@ class Link:
             else:
                 if websocket is None:
                     return
+                if websocket.subprotocol != SUBPROTOCOL:
+                    websocket.transport.abort()
+                    raise RelayRefusedError(
+                        f"{self.config.url}: a websocket server that does not speak {SUBPROTOCOL}"
+                    )
                 joined_s = await self._talk(websocket)
             if self._is_leaving:
                 return

@@ -57,6 +57,7 @@ class Stage:
 
     Attributes:
         url: Where the relay listens.
+        senders: Their processes, by name.
         names: The senders, in order.
     """
 
@@ -78,9 +79,9 @@ class Stage:
         ]
         self._children = children
         _, self.url = children.start_relay()
-        self._senders: dict[str, Child] = {}
+        self.senders: dict[str, Child] = {}
         for index, (name, source) in enumerate(zip(self.names, sources, strict=True)):
-            self._senders[name] = children.start(
+            self.senders[name] = children.start(
                 f"sender-{index + 1}",
                 *("send", "--url", self.url, "--room", ROOM, "--name", name),
                 *("--avatar", avatars[index % len(avatars)], "--source", source),
@@ -95,22 +96,22 @@ class Stage:
             CallProcessError: The relay did: there is no call without it.
         """
         self._children.check_first()
-        for name, child in self._senders.items():
+        for name, child in self.senders.items():
             if child.exit_code is not None and name not in self.crashed:
                 self.crashed.append(name)
 
     def failures(self) -> list[str]:
         """A line for each sender that ended before it was asked to, with its last words."""
         return [
-            f"sender {name} ended early (status {self._senders[name].exit_code}): "
-            f"{self._senders[name].last_words()}"
+            f"sender {name} ended early (status {self.senders[name].exit_code}): "
+            f"{self.senders[name].last_words()}"
             for name in self.crashed
         ]
 
     def finish(self) -> dict[str, dict[str, Any]]:
         """End the senders and collect what they say, by name; crashed ones are left out."""
         self.check()
-        alive = {name: child for name, child in self._senders.items() if name not in self.crashed}
+        alive = {name: child for name, child in self.senders.items() if name not in self.crashed}
         for child in alive.values():
             child.let_go()
         deadline = time.monotonic() + 5.0

@@ -1,0 +1,78 @@
+"""The demo from end to end on a real clock: every process, GL and the recording included."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from pica_client.demo import DemoConfig, run_demo
+from pica_client.processes import Children
+from pica_client.staging import StageConfig
+from pica_core.avatar_file import save_avatar
+from toy import make_toy_avatar
+
+pytestmark = pytest.mark.realtime
+
+STATED_FIELDS = {
+    *("peers", "rendered_peers", "seconds", "frames_rendered", "render_fps", "latents_per_s"),
+    *("bitrate_bps", "latency_ms", "dropped", "concealed", "errors", "gl_renderer", "machine"),
+}
+
+
+@pytest.fixture
+def avatar_file(tmp_path: Path) -> Path:
+    path = tmp_path / "toy.pica"
+    save_avatar(path, make_toy_avatar())
+    return path
+
+
+def test_a_short_demo_draws_everybody_and_writes_its_files(
+    avatar_file: Path, tmp_path: Path
+) -> None:
+    pytest.importorskip("av")
+    out = tmp_path / "out"
+    stats = run_demo(
+        DemoConfig(
+            stage=StageConfig(peers=2, avatar=str(avatar_file)), seconds=2, size="192x108", out=out
+        )
+    )
+    assert set(stats) >= STATED_FIELDS
+    assert json.loads((out / "stats.json").read_text()) == stats
+    assert (stats["peers"], stats["rendered_peers"], stats["errors"]) == (2, 2, 0)
+    assert set(stats["latency_ms"]["parts"]) == {
+        *("encode", "relay", "playout", "decode", "upload", "draw")
+    }
+    assert stats["latency_ms"]["p99"] > 0
+    assert all(rate > 0 for rate in stats["latents_per_s"].values())
+    assert (out / "call.mp4").stat().st_size > 1000
+    assert (out / "frame.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_viewer_that_is_told_to_stop_finishes_its_files(
+    avatar_file: Path, tmp_path: Path
+) -> None:
+    pytest.importorskip("moderngl")
+    picture = tmp_path / "last.png"
+    with Children() as children:
+        _, url = children.start_relay()
+        children.start("sender", "send", "--url", url, "--avatar", str(avatar_file))
+        command = [sys.executable, "-m", "pica_command", "view", "--url", url, "--json"]
+        command += ["--headless", "--size", "96x54", "--expect", "1", "--png", str(picture)]
+        command += ["--avatar", str(avatar_file), "--png-folder", str(tmp_path / "series")]
+        viewer = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        first = tmp_path / "series" / "frame-00001.png"
+        while not first.exists() and viewer.poll() is None:
+            time.sleep(0.02)
+        viewer.send_signal(signal.SIGTERM)
+        out, err = viewer.communicate(timeout=30)
+    assert viewer.returncode == 0, err
+    result = json.loads(out.splitlines()[-1])
+    assert result["frames_rendered"] > 0
+    assert result["errors"] == 0
+    assert picture.exists()

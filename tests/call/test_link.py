@@ -1,0 +1,147 @@
+"""The way to the relay on the virtual clock: not there, not willing, not sane, gone without a
+word."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+
+import pytest
+from websockets.asyncio.server import ServerConnection, serve
+
+from pica_client.errors import RelayRefusedError, RelayUnreachableError
+from pica_client.link import Link, LinkConfig
+from pica_protocol import SUBPROTOCOL
+from pica_protocol.messages import Joined
+from pica_protocol.session import ClientEvent, Closed
+from pica_server.config import RelayConfig
+from pica_server.relay import Relay
+from simnet.clock import current_network, in_virtual_time
+
+pytestmark = pytest.mark.call
+
+URL = "ws://relay:8765"
+
+
+class Seen:
+    """What a link told its owner."""
+
+    def __init__(self) -> None:
+        self.joined = asyncio.Event()
+        self.closed = asyncio.Event()
+
+    def take(self, event: ClientEvent, now: float) -> None:
+        if isinstance(event, Joined):
+            self.joined.set()
+        if isinstance(event, Closed):
+            self.closed.set()
+
+
+def make_link(connect_timeout_s: float | None = 3.0) -> tuple[Link, Seen]:
+    seen = Seen()
+    config = LinkConfig(url=URL, room="r", connect_timeout_s=connect_timeout_s)
+    return Link(config, on_event=seen.take, rng=random.Random(0)), seen
+
+
+@in_virtual_time
+async def test_a_relay_that_is_not_there_is_given_up_after_the_connect_timeout() -> None:
+    loop = asyncio.get_running_loop()
+    link, _ = make_link(connect_timeout_s=3.0)
+    with pytest.raises(RelayUnreachableError, match=r"no relay answers at ws://relay:8765 \(tried"):
+        await link.run()
+    assert 1.0 < loop.time() <= 3.0
+
+
+@in_virtual_time
+async def test_who_waits_finds_the_relay_within_the_longest_wait_of_its_coming() -> None:
+    loop = asyncio.get_running_loop()
+    link, seen = make_link(connect_timeout_s=None)
+    running = asyncio.create_task(link.run())
+    await asyncio.sleep(60)
+    async with Relay(RelayConfig()):
+        await seen.joined.wait()
+        assert loop.time() <= 68
+        assert link.is_joined
+        link.leave()
+        await running
+
+
+@in_virtual_time
+async def test_a_full_room_is_no_place_to_come_back_to() -> None:
+    async with Relay(RelayConfig(room_capacity=1)):
+        first, _ = make_link()
+        running = asyncio.create_task(first.run())
+        await asyncio.sleep(1)
+        second, _ = make_link()
+        with pytest.raises(RelayRefusedError, match=r"the relay said no: .*full.* \(code 4004\)"):
+            await second.run()
+        assert first.is_joined
+        first.leave()
+        await running
+
+
+@in_virtual_time
+async def test_leaving_ends_a_connection_attempt_that_nobody_answers() -> None:
+    loop = asyncio.get_running_loop()
+    link, _ = make_link(connect_timeout_s=None)
+    current_network().cut("relay")
+    running = asyncio.create_task(link.run())
+    await asyncio.sleep(1)
+    link.leave()
+    await running
+    assert loop.time() == pytest.approx(1)
+
+
+@in_virtual_time
+async def test_a_relay_that_falls_silent_is_left_after_a_missed_ping() -> None:
+    loop = asyncio.get_running_loop()
+    async with Relay(RelayConfig()):
+        link, seen = make_link()
+        running = asyncio.create_task(link.run())
+        await seen.joined.wait()
+        current_network().cut("relay")
+        await seen.closed.wait()
+        assert loop.time() <= 17  # a ping every 5 s, 10 s for its answer, 1 s for goodbyes
+        link.leave()
+        await running
+
+
+@in_virtual_time
+async def test_garbage_from_the_other_end_is_counted_and_tried_again_with_patience() -> None:
+    rng = random.Random(5)
+    connections = 0
+
+    async def babble(websocket: ServerConnection) -> None:
+        nonlocal connections
+        connections += 1
+        await websocket.send(rng.randbytes(200))
+        await websocket.wait_closed()
+
+    async with serve(babble, "relay", 8765, subprotocols=[SUBPROTOCOL], compression=None):  # type: ignore[list-item]
+        link, seen = make_link(connect_timeout_s=None)
+        running = asyncio.create_task(link.run())
+        await asyncio.sleep(60)
+        link.leave()
+        await running
+    assert link.counters.errors >= 8
+    assert connections <= 20  # one every 4 to 8 seconds once the waits have grown
+    assert not seen.joined.is_set()
+
+
+@in_virtual_time
+async def test_a_websocket_server_of_another_language_is_refused_by_name() -> None:
+    async def chat(websocket: ServerConnection) -> None:
+        await websocket.wait_closed()
+
+    for language in (["chat"], None):  # one that wants another, one that does not care
+        async with serve(chat, "relay", 8765, subprotocols=language):  # type: ignore[arg-type]
+            link, _ = make_link()
+            with pytest.raises(RelayRefusedError, match=r"ws://relay:8765: .* not "):
+                await link.run()
+
+
+@in_virtual_time
+async def test_frames_are_refused_while_nobody_listens() -> None:
+    link, _ = make_link()
+    assert not link.send_frame(b"x", 1)
+    assert not link.is_joined

@@ -1,0 +1,172 @@
+"""Whole processes on a real clock: nothing hangs, everybody comes back, bad input ends with 2."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from pica_client.avatars import AvatarLibrary, LoadedAvatars
+from pica_client.bench_call import BenchConfig, run_bench
+from pica_client.call import Call, Receiver
+from pica_client.errors import CallProcessError, RelayUnreachableError
+from pica_client.link import LinkConfig
+from pica_client.processes import Child, Children
+from pica_client.staging import Stage, StageConfig
+from pica_core.avatar_file import avatar_id, save_avatar
+from toy import make_toy_avatar
+
+pytestmark = pytest.mark.realtime
+
+PATIENCE_S = 30.0
+"""Nothing here should take this long; a loaded machine may."""
+POLL_S = 0.02
+TOY = make_toy_avatar()
+
+
+@pytest.fixture
+def avatar_file(tmp_path: Path) -> Path:
+    path = tmp_path / "toy.pica"
+    save_avatar(path, TOY)
+    return path
+
+
+@pytest.fixture
+def children() -> Iterator[Children]:
+    with Children() as group:
+        yield group
+
+
+def wait_until(condition: Callable[[], bool], what: str) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline, f"{what}: not within {PATIENCE_S} s"
+        time.sleep(POLL_S)
+
+
+def is_running(pid: int) -> bool:
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text()
+    except OSError:
+        return False
+    return stat.rpartition(")")[2].split()[0] != "Z"
+
+
+def start_sender(children: Children, url: str, avatar: Path, name: str = "Ada") -> Child:
+    return children.start(
+        f"sender-{name}",
+        *("send", "--url", url, "--room", "r", "--name", name, "--wait", "--avatar", str(avatar)),
+    )
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+def test_processes_end_with_a_parent_that_was_killed(avatar_file: Path) -> None:
+    script = (
+        "import sys, time\n"
+        "from pica_client.processes import Children\n"
+        "with Children() as children:\n"
+        "    relay, url = children.start_relay()\n"
+        "    sender = children.start('sender', 'send', '--url', url, '--avatar', sys.argv[1])\n"
+        "    print(relay.pid, sender.pid, flush=True)\n"
+        "    time.sleep(600)\n"
+    )
+    parent = subprocess.Popen(
+        [sys.executable, "-c", script, str(avatar_file)], stdout=subprocess.PIPE, text=True
+    )
+    assert parent.stdout is not None
+    pids = [int(pid) for pid in parent.stdout.readline().split()]
+    assert [is_running(pid) for pid in pids] == [True, True]
+    parent.kill()
+    parent.wait()
+    parent.stdout.close()
+    wait_until(lambda: not any(is_running(pid) for pid in pids), "children end")
+
+
+def test_a_call_survives_the_death_of_sender_and_relay(
+    children: Children, avatar_file: Path, tmp_path: Path
+) -> None:
+    relay, url = children.start_relay()
+    ada = start_sender(children, url, avatar_file, "Ada")
+    ben = start_sender(children, url, avatar_file, "Ben")
+    call = Call(LoadedAvatars({avatar_id(avatar_file): TOY}))
+
+    def received(name: str) -> int:
+        peers = call.stats(time.monotonic())["peers"]
+        return sum(peer["received"] for peer in peers if peer["name"] == name)
+
+    with Receiver(LinkConfig(url=url, room="r", name="viewer"), call) as receiver:
+        wait_until(lambda: call.num_live == 2, "both are seen")
+        os.kill(ben.pid, signal.SIGKILL)
+        wait_until(lambda: list(call.names().values()) == ["Ada"], "Ben is gone")
+        os.kill(relay.pid, signal.SIGKILL)
+        wait_until(lambda: not receiver.is_connected, "the relay is missed")
+        port = url.rpartition(":")[2]
+        children.start("relay-2", "relay", "--port", port)
+        call.begin_window(time.monotonic())
+        wait_until(lambda: received("Ada") >= 10, "Ada is heard again")
+        receiver.check()
+    os.kill(ada.pid, signal.SIGTERM)
+    wait_until(lambda: ada.exit_code is not None, "Ada ends")
+    result = ada.result()
+    assert ada.exit_code == 0
+    assert result["reconnects"] == 1
+    assert result["errors"] == 0
+
+
+def test_a_killed_sender_is_reported_by_name(children: Children, avatar_file: Path) -> None:
+    library = AvatarLibrary(shipped=[avatar_file])
+    stage = Stage(StageConfig(peers=2, avatar=str(avatar_file)), library, children)
+    os.kill(stage.senders["Ben"].pid, signal.SIGKILL)
+    wait_until(lambda: stage.senders["Ben"].exit_code is not None, "Ben ends")
+    stage.check()
+    assert stage.crashed == ["Ben"]
+    assert "sender Ben ended early (status -9)" in stage.failures()[0]
+    library.close()
+
+
+def test_a_killed_relay_ends_the_stage(children: Children, avatar_file: Path) -> None:
+    relay, _ = children.start_relay()
+    os.kill(relay.pid, signal.SIGKILL)
+    wait_until(lambda: relay.exit_code is not None, "relay ends")
+    with pytest.raises(CallProcessError, match="relay was killed by signal 9"):
+        children.check_first()
+
+
+def test_a_sender_without_a_relay_says_so_and_ends_with_two(avatar_file: Path) -> None:
+    command = [sys.executable, "-m", "pica_command", "send", "--url", "ws://127.0.0.1:9"]
+    done = subprocess.run(
+        [*command, "--avatar", str(avatar_file)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    last = done.stderr.strip().splitlines()[-1]
+    assert last.startswith("pica send: no relay answers at ws://127.0.0.1:9 (tried for 3 s)")
+    assert "Traceback" not in done.stderr
+
+
+def test_a_short_bench_decodes_every_peer_without_errors(avatar_file: Path) -> None:
+    stage = StageConfig(peers=2, avatar=str(avatar_file))
+    result = run_bench(BenchConfig(stage=stage, seconds=1.5, warm_up_s=0.5))
+    json.dumps(result)
+    assert (result["peers"], result["decoded_peers"], result["errors"]) == (2, 2, 0)
+    assert set(result["latency_ms"]["parts"]) == {"encode", "relay", "playout", "decode"}
+    assert set(result["bitrate_bps"]["Ada"]) == {"payload", "wire"}
+    assert all(rate > 0 for rate in result["latents_per_s"].values())
+
+
+def test_a_receiver_in_a_thread_hands_its_error_to_whoever_draws() -> None:
+    link = LinkConfig(url="ws://127.0.0.1:9", connect_timeout_s=0.3)
+    with Receiver(link, Call(LoadedAvatars({}))) as receiver:
+        wait_until(
+            lambda: all(thread.name != "receiver" for thread in threading.enumerate()),
+            "the thread ends",
+        )
+        with pytest.raises(RelayUnreachableError, match="no relay answers"):
+            receiver.check()

@@ -1,0 +1,107 @@
+"""What the client's commands say about bad input, and what the doctor says about a bare machine."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pica_client.doctor import examine
+from pica_client.latency import FrameTimes, latency_summary
+from pica_command.main import main
+from pica_core.avatar_file import save_avatar
+from pica_core.errors import GraphicsError
+from toy import make_toy_avatar
+
+pytestmark = pytest.mark.unit
+
+
+@pytest.fixture
+def avatar(tmp_path: Path) -> str:
+    path = tmp_path / "toy.pica"
+    save_avatar(path, make_toy_avatar())
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["send", "--url", "http://x"], "url 'http://x' is no relay address"),
+        (["send", "--fps", "1000"], "fps is 1000; 1 to 240 is allowed"),
+        (["send", "--room", "a b"], "room must be"),
+        (["send", "--source", "camera"], "source 'camera' is unknown; write csv:FILE"),
+        (["send", "--source", "csv:none.csv"], "none.csv: cannot be read"),
+        (["send", "--avatar", "nobody"], "avatar 'nobody' is unknown"),
+        (["send", "--avatar", "none.pica"], "none.pica: cannot be read"),
+        (["view", "--size", "big"], "size is 'big'; write COLUMNSxROWS"),
+        (["view", "--size", "9x9"], "size is 9x9; 16 to 8192"),
+        (["view", "--avatar-folder", "nowhere"], "avatar folder nowhere is not there"),
+        (["demo", "--peers", "0"], "peers is 0; 1 to 15 fit the room"),
+        (["demo", "--seconds", "0"], "seconds is 0; 1 to 3600 is allowed"),
+        (["bench", "call", "--seconds", "-1"], "seconds is -1; above 0"),
+        (["bench", "call", "--source", "performance:sing"], "performance 'sing' is unknown"),
+    ],
+)
+def test_bad_input_is_one_line_with_the_fix_and_exit_status_two(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    words = 2 if arguments[0] == "bench" else 1
+    assert lines[0].startswith(f"pica {' '.join(arguments[:words])}: ")
+    assert message in lines[0]
+
+
+def test_a_truncated_avatar_is_named(
+    avatar: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cut = tmp_path / "cut.pica"
+    cut.write_bytes(Path(avatar).read_bytes()[:5000])
+    assert main(["send", "--avatar", str(cut)]) == 2
+    assert "cut.pica: " in capsys.readouterr().err
+
+
+def test_the_doctor_names_the_fix_for_each_lack() -> None:
+    def bare(name: str) -> Any:
+        if name == "pica_core.gl":
+            return BrokenGraphics
+        if name in ("numpy", "safetensors"):
+            return importlib.import_module(name)
+        raise ModuleNotFoundError(name=name)
+
+    findings = {finding.subject: finding for finding in examine(bare, has_display=lambda: False)}
+    assert findings["extra send"].level == "good"
+    assert findings["extra view"].fix == "pip install 'pica-telepresence[view]'"
+    assert "moderngl" in findings["extra view"].detail
+    assert findings["OpenGL"].detail == "no context; install libegl1"
+    assert findings["display"].level == "lacking"
+    assert findings["extra train"].line.startswith("LACK  extra train: no torch -> pip install")
+
+
+class BrokenGraphics:
+    @staticmethod
+    def create_context() -> None:
+        raise GraphicsError("no context; install libegl1")
+
+
+def test_the_parts_of_a_frames_latency_add_up_to_its_whole() -> None:
+    frame = FrameTimes(
+        name="Ada", captured_us=1_000_000, arrived_s=1.004, released_s=1.010, decoded_s=1.013
+    )
+    summary = latency_summary([frame], {("Ada", 1_000_000): 0.001})
+    assert summary["p99"] == pytest.approx(13)
+    parts = {name: values["p99"] for name, values in summary["parts"].items()}
+    assert parts == pytest.approx({"encode": 1, "relay": 3, "playout": 6, "decode": 3})
+
+
+def test_a_frame_whose_sender_crashed_still_counts() -> None:
+    frame = FrameTimes(
+        name="Ada", captured_us=1_000_000, arrived_s=1.004, released_s=1.010, decoded_s=1.013
+    )
+    summary = latency_summary([frame], {})
+    assert summary["p50"] == pytest.approx(13)
+    assert summary["parts"]["encode"]["p50"] is None
+    assert summary["parts"]["relay"]["p50"] == pytest.approx(4)
