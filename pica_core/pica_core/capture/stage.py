@@ -1,8 +1,8 @@
 """The dome: cameras on a section of a sphere around the front of a head.
 
 Five evaluation views bear names (front, up, down, left, right; left is the camera on the subject's
-left). The other cameras fill the section evenly, and every sixth one looks at the mouth from
-nearby.
+left). Three more look at mouth, eyes and bust; the others fill the section evenly and take turns at
+what they look at.
 """
 
 from __future__ import annotations
@@ -19,22 +19,33 @@ EVALUATION_VIEWS: dict[str, tuple[float, float]] = {
     "right": (-52.0, 4.0),
 }
 """Azimuth towards the subject's left and elevation of the paper's five views, degrees."""
-HEAD_TARGET_M = (0.0, -0.008, 0.02)
-"""What the cameras look at: a little below and ahead of the ear axis."""
-MOUTH_TARGET_M = (0.0, -0.045, 0.085)
+AIMS: dict[str, tuple[tuple[float, float, float], float]] = {
+    "head": ((0.0, -0.008, 0.02), 0.35),
+    "mouth": ((0.0, -0.045, 0.085), 0.12),
+    "eyes": ((0.0, 0.03, 0.075), 0.13),
+    "bust": ((0.0, -0.15, 0.0), 0.40),
+}
+"""What a camera can look at, head frame, and what the shorter side of its image covers there,
+metres."""
 DISTANCE_M = 1.0
-HEAD_SPAN_M = 0.35
-"""What the shorter side of the image covers at the target."""
-MOUTH_SPAN_M = 0.12
+NAMED_VIEWS: tuple[tuple[str, float, float, str], ...] = (
+    *((name, *EVALUATION_VIEWS[name], "head") for name in ("front", "left", "right", "up", "down")),
+    ("mouth", 0.0, -4.0, "mouth"),
+    ("eyes", 0.0, 2.0, "eyes"),
+    ("bust", 0.0, 12.0, "bust"),
+)
+"""Name, azimuth, elevation (degrees) and aim of the first cameras."""
+FILLING_AIMS = ("head", "bust", "head", "eyes", "head", "mouth")
+"""Aims of the cameras after the named ones, in turn."""
 
 
 def _camera(
-    name: str, azimuth: float, elevation: float, *, mouth: bool, width: int, height: int
+    name: str, azimuth: float, elevation: float, aim: str, *, width: int, height: int
 ) -> Camera:
     a, e = np.radians(azimuth), np.radians(elevation)
-    target = np.array(MOUTH_TARGET_M if mouth else HEAD_TARGET_M)
+    target, reach = np.array(AIMS[aim][0]), AIMS[aim][1]
     away = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
-    span = (MOUTH_SPAN_M if mouth else HEAD_SPAN_M) * height / min(width, height)
+    span = reach * height / min(width, height)
     return look_at(
         name=name,
         centre_m=target + DISTANCE_M * away,
@@ -46,29 +57,25 @@ def _camera(
 
 
 def dome_cameras(count: int, width: int, height: int) -> tuple[Camera, ...]:
-    """The first `count` cameras of the dome: front, left, right, up, down, mouth, then an even
-    filling.
+    """The first `count` cameras of the dome: the named views, then an even filling.
 
     Args:
         count: At least 1.
         width: Image columns, pixels.
         height: Image rows, pixels.
     """
-    plan: list[tuple[str, float, float, bool]] = [
-        (name, *EVALUATION_VIEWS[name], False) for name in ("front", "left", "right", "up", "down")
-    ]
-    plan.append(("mouth", 0.0, -4.0, True))
+    plan = list(NAMED_VIEWS)
     golden = 0.618033988749895
     for index in range(max(count - len(plan), 0)):
         # Low-discrepancy filling of azimuth and elevation; more cameras leave the first ones where
         # they are.
         azimuth = -75.0 + 150.0 * ((0.5 + index * golden) % 1.0)
         elevation = -30.0 + 66.0 * ((0.25 + index * 0.7548776662466927) % 1.0)
-        mouth = index % 6 == 5
-        if mouth:
+        aim = FILLING_AIMS[index % len(FILLING_AIMS)]
+        if aim in ("mouth", "eyes"):
             azimuth, elevation = 0.5 * azimuth, 0.5 * elevation
-        plan.append((f"dome{index:02d}", azimuth, elevation, mouth))
+        plan.append((f"dome{index:02d}", azimuth, elevation, aim))
     return tuple(
-        _camera(name, azimuth, elevation, mouth=mouth, width=width, height=height)
-        for name, azimuth, elevation, mouth in plan[:count]
+        _camera(name, azimuth, elevation, aim, width=width, height=height)
+        for name, azimuth, elevation, aim in plan[:count]
     )
