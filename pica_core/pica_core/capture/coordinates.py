@@ -69,7 +69,7 @@ def _skin_coordinates(chart: Chart, skin: Skin, identity: Identity) -> Float64Ar
     lower = (LOWER_BORDER_ROW - row) / (LOWER_BORDER_ROW - LOWER_CONTACT_ROW)
     depth = np.where(row <= MOUTH_ROW, upper, lower)
     # Past the corner the lips end: their depth falls below the border there.
-    depth = depth - 2.2 * smoothstep(skin.mouth_half - 3.5, skin.mouth_half + 2.5, x)
+    depth = depth - 2.2 * smoothstep(skin.mouth_half - 2.0, skin.mouth_half + 3.0, x)
     near_mouth = (x < skin.mouth_half + 12) & (z > 50)
     inner, outer = skin.eye_corners
     beyond = np.maximum(np.maximum(inner - x, x - outer), 0.0)

@@ -119,6 +119,13 @@ def build_hair(identity: Identity, field: HeadField, chart: Chart) -> Float64Arr
     )
     origin = np.broadcast_to([0.0, centre_y, 0.0], direction.shape)
     scalp = cast(field, origin.reshape(-1, 3), direction.reshape(-1, 3)).reshape(direction.shape)
+    if not hair.covers_ears:
+        # Short hair does not hang: below the skull it lies on the neck.
+        lying = drop > 0
+        level = np.where(lying, scalp[..., 1] - drop, 0.0)[lying]
+        flat = np.stack([np.sin(azimuth), np.zeros_like(azimuth), np.cos(azimuth)], -1)[lying]
+        scalp[lying] = cast(field, np.stack([0 * level, level, 0 * level], -1), flat)
+        drop, hang = np.zeros_like(drop), np.zeros_like(hang)
     away = direction.copy()
     away[..., 1] *= 0.6
     front = smoothstep(1.15, 0.35, np.abs(azimuth))
@@ -149,8 +156,11 @@ def build_hair(identity: Identity, field: HeadField, chart: Chart) -> Float64Arr
         0.9 * clump + 2.2 * hair.curl * wave * smoothstep(0.3, 0.8, t)
     )
     # Short hair thins towards its edge; a fringe keeps its body.
+    # Coils keep it at the forehead and round off towards neck and ears.
+    behind = smoothstep(1.6, 2.4, np.abs(azimuth))
+    thinning = 0.84 - 0.34 * behind if hair.curl > COILED else np.full_like(t, 0.62)
     thin = (
-        smoothstep(0.88 if hair.curl > COILED else 0.62, 1.0, t)
+        smoothstep(0.0, 1.0, (t - thinning) / (1.0 - thinning))
         * (hang < 1)
         * smoothstep(0.0, 12.0, 12.0 - hang)
         * (1 - 0.75 * front * min(hair.fringe / 6.0, 1.0))

@@ -116,7 +116,7 @@ class Head:
             "skin": skin.points,
             "teeth_upper": teeth(self.charts["teeth_upper"], front, mouth_y - 1.5, upper=True),
             "teeth_lower": teeth(
-                self.charts["teeth_lower"], front - 2.6, mouth_y - 2.6, upper=False
+                self.charts["teeth_lower"], front - 3.4, mouth_y - 2.6, upper=False
             ),
             "tongue": tongue(self.charts["tongue"], mouth_y, front),
             "mouth_bag": mouth_bag(self.charts["mouth_bag"], mouth_y, front),

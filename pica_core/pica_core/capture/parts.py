@@ -78,7 +78,7 @@ def teeth(chart: Chart, front_z: float, edge_y: float, *, upper: bool) -> Float6
     t = 2 * columns - 1
     phi = 1.32 * t
     along = np.abs(t)
-    width = 27.5 if upper else 25.0
+    width = 27.0 if upper else 22.5
     # Rows: gum root, gum line at 0.3, edge at 0.68, back of the teeth.
     sign = 1.0 if upper else -1.0
     crown = np.interp(along, [0, 0.16, 0.28, 0.42, 1], [9.6, 8.6, 9.4, 7.6, 6.4])

@@ -198,7 +198,7 @@ void teeth(out vec3 rgb, out float gloss, out float height) {
     float tooth = smoothstep(gum_line - 0.012, gum_line + 0.012, row);
     vec3 enamel = mix(vec3(0.72, 0.61, 0.44), vec3(0.82, 0.75, 0.63), smoothstep(0.3, 0.55, row));
     enamel *= mix(0.82, 1.0, smoothstep(0.05, 0.9, gap)) * (0.96 + 0.08 * noise(rest_mm * 0.8));
-    enamel *= mix(1.0, 0.62, smoothstep(0.35, 1.0, along));
+    enamel *= mix(1.0, 0.38, smoothstep(0.22, 0.8, along));   // far from the light
     vec3 gum = vec3(0.50, 0.17, 0.16) * (0.85 + 0.3 * noise(rest_mm * 0.9));
     rgb = mix(gum, enamel, tooth);
     gloss = 0.85;
