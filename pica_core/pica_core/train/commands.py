@@ -31,7 +31,7 @@ class TrainOptions:
     out: Path
     """Folder of the run: checkpoint, metrics, held-out error."""
     preset: Literal["tiny", "small", "long"] = "small"
-    """How much to train: tiny (seconds), small (about ten minutes on two cores), long."""
+    """How much to train: tiny (seconds), small (minutes on two cores), long."""
     block: Literal["B", "H2", "C"] | None = None
     """Block of the decoders, if not the preset's."""
     encoder: Literal["light", "paper"] | None = None

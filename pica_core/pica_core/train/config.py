@@ -64,11 +64,11 @@ class LossConfig:
 class ScheduleConfig:
     """How long and how fast."""
 
-    geometry_steps: int = 2500
+    geometry_steps: int = 1000
     """Steps of the geometry phase."""
-    joint_steps: int = 3000
+    joint_steps: int = 1500
     """Steps of the joint phase."""
-    driver_steps: int = 3000
+    driver_steps: int = 1500
     """Steps of the driver phase."""
     geometry_batch: int = 8
     """Frames per step of the geometry phase."""
@@ -161,7 +161,7 @@ PRESETS: dict[str, TrainConfig] = {
     "small": _SMALL,
     "long": replace(
         _SMALL,
-        schedule=replace(_SMALL.schedule, geometry_steps=6000, joint_steps=9000, driver_steps=6000),
+        schedule=replace(_SMALL.schedule, geometry_steps=2000, joint_steps=5500, driver_steps=3000),
     ),
 }
-"""tiny: seconds, for tests. small: about ten minutes on two cores. long: what ships."""
+"""tiny: seconds, for tests. small: minutes on two cores. long: what ships."""
