@@ -19,7 +19,7 @@ from pica_client.errors import OptionError
 from pica_client.link import LinkConfig
 from pica_client.playout import PlayoutConfig
 from pica_client.sender import Sender, SenderConfig
-from pica_client.signals import on_stop_signal
+from pica_client.signals import on_stop_signal, terminate_as_interrupt
 from pica_client.sources import open_source
 from pica_client.staging import StageConfig, choose_avatars
 
@@ -120,7 +120,8 @@ def bench_call(options: BenchCallOptions) -> dict[str, Any]:
         seconds=options.seconds,
         playout=PlayoutConfig(floor_s=options.playout_floor_ms / 1e3),
     )
-    result = run_bench(config)
+    with terminate_as_interrupt():
+        result = run_bench(config)
     latency = result["latency_ms"]
     _say(
         f"{result['decoded_peers']} of {result['peers']} peers, source sample to decoded avatar: "
@@ -205,6 +206,7 @@ def view(options: ViewOptions) -> dict[str, Any]:
             if name:
                 library.find(name)
         looking = View(config, library)
+        _say(f"looking into room {options.room} at {options.url}")
         with on_stop_signal(looking.stop):
             result = looking.run()
     finally:
@@ -253,7 +255,8 @@ def demo(options: DemoOptions) -> dict[str, Any]:
         is_headless=options.headless or not has_display(),
         out=options.out,
     )
-    stats = run_demo(config)
+    with terminate_as_interrupt():
+        stats = run_demo(config)
     latency = stats["latency_ms"]
     _say(
         f"{stats['rendered_peers']} of {stats['peers']} peers drawn at {stats['render_fps']} "

@@ -183,6 +183,7 @@ class Link:
         loop = asyncio.get_running_loop()
         limit_s = self.config.connect_timeout_s
         give_up_s = None if limit_s is None else loop.time() + limit_s
+        trouble = "it does not let us in"
         while not self._is_leaving:
             before_first = self.counters.connects == 0
             joined_s = None
@@ -193,6 +194,7 @@ class Link:
                 reason = _refusal(error)
                 if reason is not None:
                     raise RelayRefusedError(f"{self.config.url}: {reason}") from error
+                trouble = str(error) or "nobody answered"
                 _log.debug("relay not reached", extra={"error": type(error).__name__})
             else:
                 if websocket is None:
@@ -210,7 +212,7 @@ class Link:
             was_never_there = self.counters.connects == 0
             if was_never_there and give_up_s is not None and loop.time() + wait_s >= give_up_s:
                 raise RelayUnreachableError(
-                    f"no relay answers at {self.config.url} (tried for {limit_s:g} s); "
+                    f"no relay answers at {self.config.url} (tried for {limit_s:g} s: {trouble}); "
                     "start one with `pica relay`, or wait for it with --wait"
                 )
             await self._sleep(wait_s)

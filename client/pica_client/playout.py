@@ -17,9 +17,9 @@ is shown when it comes; it delays nobody else.
     due_frames(now)             or instead: every frame once, when it is due (benches decode each)
     next_timer()                when the next frame becomes due
 
-What makes the window worthless starts it anew: a sender that begins again (its sequence falls far
-behind) and a sender's clock that jumps (capture times fall, or transit drops by more than a network
-can explain).
+What makes the window worthless starts it anew: a sender that begins again (its sequence falls back
+while its clock goes on, or falls far back) and a sender's clock that jumps (capture times fall, or
+transit drops by more than a network can explain).
 """
 
 from __future__ import annotations
@@ -257,8 +257,9 @@ class Playout:
         """Whether this frame belongs to another beginning of the sender, or of its clock."""
         newest_number, newest_captured_us = self._newest or (0, 0)
         ahead = sequence_distance(frame.sequence, newest_number % SEQUENCE_MODULUS)
-        if ahead < 0:
-            return ahead < -self.config.restart_frames
+        if ahead < 0:  # a late frame was captured before the newest one
+            is_newer = frame.captured_us > newest_captured_us
+            return is_newer or ahead < -self.config.restart_frames
         if ahead == 0:
             return False
         fell = frame.captured_us < newest_captured_us

@@ -147,7 +147,7 @@ def test_a_sender_without_a_relay_says_so_and_ends_with_two(avatar_file: Path) -
     )
     assert done.returncode == 2
     last = done.stderr.strip().splitlines()[-1]
-    assert last.startswith("pica send: no relay answers at ws://127.0.0.1:9 (tried for 3 s)")
+    assert last.startswith("pica send: no relay answers at ws://127.0.0.1:9 (tried for 3 s: ")
     assert "Traceback" not in done.stderr
 
 

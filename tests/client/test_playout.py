@@ -216,6 +216,16 @@ def test_a_sender_that_starts_anew_keeps_its_last_face_until_the_new_one_is_due(
     assert playout.report().restarts == 1
 
 
+def test_a_sequence_that_falls_back_while_the_clock_goes_on_is_a_new_beginning() -> None:
+    playout = Playout()
+    steady(playout, 60)
+    for index in range(60, 70):
+        now = index * FRAME_S + 0.01
+        playout.receive_frame(index - 60, captured(index), sample(float(index)), now)
+        assert value_of(shown(playout, now + 0.0041)) == index
+    assert (playout.report().restarts, playout.report().late) == (1, 0)
+
+
 def test_a_stall_is_no_clock_jump_and_the_delay_recovers_after_it() -> None:
     playout = Playout()
     steady(playout, 60)
