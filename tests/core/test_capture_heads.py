@@ -189,6 +189,7 @@ def test_normals_are_unit_and_agree_across_the_seam(head: Head) -> None:
 def test_identities_share_one_topology() -> None:
     first, second = (head_of(name) for name in NAMES[:2])
     np.testing.assert_array_equal(first.vertex_uv, second.vertex_uv)
+    np.testing.assert_array_equal(first.faces, second.faces)
     assert np.abs(first.vertices(np.zeros(52)) - second.vertices(np.zeros(52))).max() > 0.003
 
 

@@ -38,8 +38,12 @@ SUBNASALE_ROW = 107
 """Row under the nose where the upper lip begins."""
 CHIN_ROW = 151
 """Row around the lowest point of the chin."""
-COLUMN_MM = 0.8
-"""Width of a texel column on the front of the face."""
+INNER_CANTHUS_COLUMN = 20.5
+"""Columns from the midline where the eye slit begins."""
+MOUTH_CORNER_COLUMN = 34.5
+"""Columns from the midline where the mouth slit ends."""
+OUTER_CANTHUS_COLUMN = 58.5
+"""Columns from the midline where the eye slit ends."""
 FRONT_COLUMNS = 62.0
 """Columns beside the midline whose rays run straight forward; the others turn to the back."""
 LID_THICKNESS = 1.7
@@ -64,8 +68,8 @@ class Skin:
 
     Attributes:
         points: Rest positions, head frame, mm. ``[R, C, 3]``.
-        mouth_half: Half the mouth's width, snapped to a column, mm.
-        eye_corners: Inner and outer canthus |x|, snapped to columns, mm.
+        mouth_half: Half the mouth's width, mm.
+        eye_corners: Inner and outer canthus |x|, mm.
         mouth_hole: Missing quads of the mouth slit. bool ``[R - 1, C - 1]``.
         eye_hole: Missing quads of both eye slits. bool ``[R - 1, C - 1]``.
     """
@@ -127,10 +131,21 @@ class EyeSurface:
         return np.maximum(ball, socket) + 0.25 * h * h * k
 
 
-def snap(target: float, columns: npt.NDArray[np.int32]) -> float:
-    """The |x| of the front column nearest to `target` mm."""
-    x = (columns - MIDLINE_COLUMN) * COLUMN_MM
-    return float(x[np.argmin(np.abs(x - target))])
+def front_x(face: FaceShape, reach: npt.ArrayLike) -> Float64Array:
+    """Lateral place of front columns: slits end on the same columns in every identity.
+
+    Args:
+        face: Proportions.
+        reach: Columns from the midline, 0 to `FRONT_COLUMNS`.
+
+    Returns:
+        |x| in mm, growing with `reach`.
+    """
+    middle = 0.5 * face.eye_distance
+    inner, outer = middle - 0.52 * face.eye_width, middle + 0.48 * face.eye_width
+    at = [0.0, INNER_CANTHUS_COLUMN, MOUTH_CORNER_COLUMN, OUTER_CANTHUS_COLUMN, FRONT_COLUMNS]
+    x = [0.0, inner, 0.5 * face.mouth_width, outer, outer + 2.8]
+    return np.interp(np.asarray(reach, np.float64), at, x)
 
 
 def lid_lines(
@@ -239,9 +254,9 @@ def _rays(
     side = np.sign(n)
     n = np.abs(n)
     q = np.clip((n - FRONT_COLUMNS) / (127.5 - FRONT_COLUMNS), 0.0, 1.0)
-    edge = COLUMN_MM * FRONT_COLUMNS
-    bulge = COLUMN_MM * (127.5 - FRONT_COLUMNS) * q * (1 - q) ** 3
-    x0 = np.where(q <= 0, COLUMN_MM * n, edge + bulge)
+    edge = float(front_x(face, FRONT_COLUMNS))
+    bulge = 0.8 * (127.5 - FRONT_COLUMNS) * q * (1 - q) ** 3  # goes on at about the front's pace
+    x0 = np.where(q <= 0, front_x(face, n), edge + bulge)
     x0 = x0 * (1 - q**4) * side
     turn = np.pi * q * (1.0 - (1.0 - q) ** 3) * side
     rows = chart.rows.astype(np.float64)[:, None]
@@ -349,21 +364,19 @@ def _lay_lips(
 
 def build_skin(face: FaceShape, field: HeadField, eye: EyeSurface, chart: Chart) -> Skin:
     """Make the skin of one identity at rest."""
-    half = snap(0.5 * face.mouth_width, chart.columns)
-    middle = 0.5 * face.eye_distance
+    half = float(front_x(face, MOUTH_CORNER_COLUMN))
     corners = (
-        snap(middle - 0.52 * face.eye_width, chart.columns),
-        snap(middle + 0.48 * face.eye_width, chart.columns),
+        float(front_x(face, INNER_CANTHUS_COLUMN)),
+        float(front_x(face, OUTER_CANTHUS_COLUMN)),
     )
     origin, direction = _rays(face, field, chart, half, corners)
     points = cast(field, origin.reshape(-1, 3), direction.reshape(-1, 3)).reshape(origin.shape)
     points = _relax(field, chart, points)
     _lay_lips(face, field, chart, half, points)
-    x = np.abs((chart.columns - MIDLINE_COLUMN) * COLUMN_MM)
-    mouth_columns = (x[:-1] <= half + 1e-6) & (x[1:] <= half + 1e-6)
-    eye_columns = (np.minimum(x[:-1], x[1:]) >= corners[0] - 1e-6) & (
-        np.maximum(x[:-1], x[1:]) <= corners[1] + 1e-6
-    )
+    reach = np.abs(chart.columns - MIDLINE_COLUMN)
+    low, high = np.minimum(reach[:-1], reach[1:]), np.maximum(reach[:-1], reach[1:])
+    mouth_columns = high <= MOUTH_CORNER_COLUMN
+    eye_columns = (low >= INNER_CANTHUS_COLUMN) & (high <= OUTER_CANTHUS_COLUMN)
     row_of_eye = chart.rows[:-1] == EYE_ROW
     row_of_mouth = chart.rows[:-1] == MOUTH_ROW
     return Skin(
