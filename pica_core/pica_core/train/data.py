@@ -146,6 +146,10 @@ class TrainingData:
         self._textures: dict[int, npt.NDArray[np.uint8]] = {}
         self._head_poses: dict[int, npt.NDArray[np.float64]] = {}
         self.camera_names = [camera.name for camera in capture.cameras]
+        named = capture.info.get("evaluation_views", [])
+        self.evaluation_views = [name for name in self.camera_names if name in named]
+        if not self.evaluation_views:
+            self.evaluation_views = self.camera_names
 
     def textures(self, frames: list[int]) -> Tensor:
         """Average textures of frames, about [-1, 1], ``[N, 3, S, S]``."""

@@ -18,7 +18,7 @@ from pica_core.train.loop import Trainer
 
 
 def evaluate(trainer: Trainer, *, max_frames: int = 25) -> list[dict[str, Any]]:
-    """Evaluate on evenly spaced test frames, every camera.
+    """Evaluate on evenly spaced test frames, from the capture's evaluation views.
 
     Returns:
         Rows of {source, view, mse, mse_low, mse_high, vertex_error_mm, frames}: mean squared error
@@ -39,7 +39,7 @@ def evaluate(trainer: Trainer, *, max_frames: int = 25) -> list[dict[str, Any]]:
                 vertices_m = sample_map(trainer.model.decode_geometry(latent), data.vertex_uv)
                 offset = vertices_m - data.meshes([frame])
                 distances[source].append(float(offset.norm(dim=2).mean()) * 1000)
-                for view in data.camera_names:
+                for view in data.evaluation_views:
                     mse = _image_mse(trainer, latent, vertices_m, frame, view)
                     errors.setdefault((source, view), []).append(mse)
     rows = []

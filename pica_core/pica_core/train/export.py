@@ -76,7 +76,7 @@ def make_avatar(
         codes = model.expression_encoder(data.arkit[data.train_frames])
     scale = codes.abs().amax(dim=(0, 2, 3)).clamp_min(1e-3) * LATENT_HEADROOM
     train = data.vertices_m[data.train_frames]
-    margin_m = 0.01
+    margin_m = 0.02
     manifest = Manifest(
         name=name,
         identity=identity,
