@@ -25,13 +25,14 @@ from typing import Any
 import numpy as np
 
 from pica_client.avatars import AvatarLibrary
-from pica_client.call import Call, CallConfig, DueFrame, Receiver
+from pica_client.call import Call, CallConfig, DueFrame
 from pica_client.decoder import ObjectDecoder, OnnxDecoder
 from pica_client.errors import CallProcessError, OptionError
 from pica_client.latency import FrameTimes, latency_summary
 from pica_client.link import LinkConfig
 from pica_client.playout import PlayoutConfig
 from pica_client.processes import Children
+from pica_client.receiver import Receiver
 from pica_client.staging import (
     CHECK_INTERVAL_S,
     JOIN_TIMEOUT_S,

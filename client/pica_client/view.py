@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from pica_client.avatars import AvatarLibrary
-from pica_client.call import Call, CallConfig, Receiver
+from pica_client.call import Call, CallConfig
 from pica_client.decoder import DecodeResult
 from pica_client.errors import OptionError, RelayUnreachableError
 from pica_client.link import LinkConfig
+from pica_client.receiver import Receiver
 from pica_client.viewer import Viewer, ViewerOptions
 
 MAX_LOGGED_DECODES = 100_000

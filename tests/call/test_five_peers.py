@@ -19,9 +19,10 @@ from typing import Any
 import pytest
 
 from pica_client.avatars import LoadedAvatars
-from pica_client.call import Call, Receiver
+from pica_client.call import Call
 from pica_client.link import Link, LinkConfig
 from pica_client.load import make_senders, run_senders
+from pica_client.receiver import Receiver
 from pica_client.sender import SenderConfig
 from pica_client.stats import percentile
 from pica_core.avatar_file import Avatar

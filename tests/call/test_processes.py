@@ -16,10 +16,11 @@ import pytest
 
 from pica_client.avatars import AvatarLibrary, LoadedAvatars
 from pica_client.bench_call import BenchConfig, run_bench
-from pica_client.call import Call, Receiver
+from pica_client.call import Call
 from pica_client.errors import CallProcessError, RelayUnreachableError
 from pica_client.link import LinkConfig
 from pica_client.processes import Child, Children
+from pica_client.receiver import Receiver
 from pica_client.staging import Stage, StageConfig
 from pica_core.avatar_file import avatar_id, save_avatar
 from toy import make_toy_avatar
@@ -68,7 +69,7 @@ def start_sender(children: Children, url: str, avatar: Path, name: str = "Ada") 
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-def test_processes_end_with_a_parent_that_was_killed(avatar_file: Path) -> None:
+def test_processes_end_with_a_parent_that_was_killed(avatar_file: Path, tmp_path: Path) -> None:
     script = (
         "import sys, time\n"
         "from pica_client.processes import Children\n"
@@ -79,7 +80,10 @@ def test_processes_end_with_a_parent_that_was_killed(avatar_file: Path) -> None:
         "    time.sleep(600)\n"
     )
     parent = subprocess.Popen(
-        [sys.executable, "-c", script, str(avatar_file)], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", script, str(avatar_file)],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "TMPDIR": str(tmp_path)},  # a killed parent leaves its folder behind
     )
     assert parent.stdout is not None
     pids = [int(pid) for pid in parent.stdout.readline().split()]

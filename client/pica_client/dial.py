@@ -1,0 +1,70 @@
+"""Opening one websocket to a relay: small buffers, no compression, and what an error means."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+from typing import Final
+from urllib.parse import urlsplit
+
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import InvalidHandshake, InvalidMessage, InvalidStatus, InvalidURI
+
+from pica_protocol import SUBPROTOCOL
+from pica_protocol.limits import MAX_CONTROL_BYTES
+
+SOFTWARE: Final = "pica-telepresence"
+CLOSE_TIMEOUT_S: Final = 1.0
+"""For the goodbyes of a websocket; a relay that is gone does not answer them."""
+PING_INTERVAL_S: Final = 5.0
+PING_TIMEOUT_S: Final = 10.0
+"""A relay that says nothing for 15 s is gone, even when its socket is not (chosen)."""
+MAX_UNSENT_BYTES: Final = 4096
+"""In websocket and kernel before frames begin to replace each other: about ten frames (chosen:
+latest-only does not work behind a deep buffer)."""
+MAX_QUEUED_MESSAGES: Final = 16
+"""Websocket messages read ahead of us; then the network is told to wait."""
+
+
+async def open_websocket(url: str) -> ClientConnection:
+    """Open a websocket to a relay with our settings, small buffers among them."""
+    host = urlsplit(url).hostname or ""
+    websocket = await connect(
+        url,
+        subprotocols=[SUBPROTOCOL],  # type: ignore[list-item]
+        compression=None,
+        max_size=MAX_CONTROL_BYTES,
+        max_queue=MAX_QUEUED_MESSAGES,
+        write_limit=MAX_UNSENT_BYTES,
+        ping_interval=PING_INTERVAL_S,
+        ping_timeout=PING_TIMEOUT_S,
+        close_timeout=CLOSE_TIMEOUT_S,
+        open_timeout=5.0,
+        proxy=None if _is_loopback(host) else True,
+        user_agent_header=SOFTWARE,
+    )
+    raw = websocket.transport.get_extra_info("socket")
+    option = getattr(socket, "TCP_NOTSENT_LOWAT", None)
+    if raw is not None and option is not None and raw.family != getattr(socket, "AF_UNIX", None):
+        raw.setsockopt(socket.IPPROTO_TCP, option, MAX_UNSENT_BYTES)
+    return websocket
+
+
+def _is_loopback(host: str) -> bool:
+    """Whether a proxy from the environment must not get in the way."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def refusal(error: BaseException) -> str | None:
+    """Why trying again cannot help, or None if it may."""
+    if isinstance(error, InvalidURI):
+        return f"is no websocket address ({error})"
+    if isinstance(error, InvalidStatus):
+        status = error.response.status_code
+        return None if status in (429, 502, 503, 504) else f"answers HTTP {status}, not as a relay"
+    if isinstance(error, InvalidHandshake) and not isinstance(error, InvalidMessage):
+        return f"is no PiCA relay of this version ({error})"
+    return None
