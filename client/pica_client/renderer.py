@@ -50,6 +50,7 @@ from pica_client.shader_source import compose
 from pica_core.avatar_file import Avatar
 from pica_core.camera import Camera
 from pica_core.errors import ShapeError
+from pica_core.gl import wait_for_gpu
 
 FloatArray = npt.NDArray[np.float32]
 Image = npt.NDArray[np.uint8]
@@ -263,6 +264,7 @@ class Renderer:
     def read_image(self) -> Image:
         """The last frame, uint8 ``[H, W, 3]``, top row first. Waits for the GPU."""
         width, height = self.size
+        wait_for_gpu(self._context)
         # Four components are read as they lie in memory; three would be repacked pixel by pixel.
         data = self._final.read(components=4)
         image = np.frombuffer(data, np.uint8).reshape(height, width, 4)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import sys
+from collections.abc import Callable
+from typing import Any, cast
 
 import moderngl
 
@@ -22,16 +25,47 @@ def create_context() -> moderngl.Context:
         GraphicsError: No context, or one older than GL 3.3; the message names the packages or the
             driver to install.
     """
+    options: dict[str, Any] = {"require": GL_VERSION, "standalone": True}
+    if sys.platform == "linux":
+        options["backend"] = "egl"
     try:
-        if sys.platform == "linux":
-            context = moderngl.create_context(require=GL_VERSION, standalone=True, backend="egl")  # type: ignore[arg-type]
-        else:
-            context = moderngl.create_context(require=GL_VERSION, standalone=True)
+        context = moderngl.create_context(**options)
     except Exception as error:  # moderngl raises bare Exception for whatever the driver refuses
+        reason = str(error).strip() or "no reason given"
         raise GraphicsError(
-            f"no OpenGL {GL_VERSION / 100:.1f} context ({str(error).strip() or 'no reason given'}); "
+            f"no OpenGL {GL_VERSION / 100:.1f} context ({reason}); "
             "on Debian or Ubuntu: apt-get install libegl1 libgl1 libegl-mesa0 libgl1-mesa-dri; "
             "elsewhere install or update the graphics driver"
         ) from error
     context.gc_mode = "context_gc"
     return context
+
+
+def _load_finish() -> Callable[[], None] | None:
+    """The driver's ``glFinish``, or None where it cannot be found by name."""
+    names = {"linux": ("libGL.so.1", "libOpenGL.so.0"), "win32": ("opengl32",)}
+    names["darwin"] = ("/System/Library/Frameworks/OpenGL.framework/OpenGL",)
+    for name in names.get(sys.platform, ()):
+        try:
+            finish = ctypes.CDLL(name).glFinish
+        except (OSError, AttributeError):
+            continue
+        finish.argtypes, finish.restype = [], None
+        return cast("Callable[[], None]", finish)
+    return None
+
+
+_finish = _load_finish()
+
+
+def wait_for_gpu(context: moderngl.Context) -> None:
+    """Wait until all drawing of this thread's current context is done, with the GIL released.
+
+    moderngl keeps the GIL while it waits, and with software GL that is the whole time of drawing:
+    decoders and network threads of the process would stand still. Foreign calls of ctypes let it
+    go. Where the driver's function cannot be found, this falls back to moderngl's own.
+    """
+    if _finish is None:
+        context.finish()
+    else:
+        _finish()
