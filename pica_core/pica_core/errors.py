@@ -6,10 +6,11 @@
     ├── CheckpointError     a checkpoint that does not fit
     ├── LatentError         a latent payload that cannot be decoded, or a latent that cannot be sent
     ├── ShapeError          an array of the wrong shape handed to a public function
-    └── GraphicsError       no GL context, or one that is too old
+    ├── GraphicsError       no GL context, or one that is too old
+    └── TrainingDivergedError   a loss that is not finite
 
 ``exit_code`` is what the ``pica`` command ends with when the error reaches it: 2 says that the
-input or the machine is at fault and the message says how to mend it.
+input or the machine is at fault and the message says how to mend it, 1 that the work failed.
 """
 
 
@@ -41,3 +42,9 @@ class ShapeError(PicaCoreError, ValueError):
 
 class GraphicsError(PicaCoreError):
     """A GL context could not be made, or lacks what we need: names the fix."""
+
+
+class TrainingDivergedError(PicaCoreError):
+    """A loss is not finite: names the step and the losses. The last checkpoint is good."""
+
+    exit_code = 1

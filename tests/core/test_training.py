@@ -14,14 +14,14 @@ import torch
 from pica_core.avatar_file import load_avatar
 from pica_core.capture.dataset import Capture
 from pica_core.capture.synth import StageOptions, render_capture
-from pica_core.errors import CheckpointError
+from pica_core.errors import CheckpointError, TrainingDivergedError
 from pica_core.expression_encoder import ExpressionEncoder
 from pica_core.model.decoders import sample_map
 from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data import TrainingData, rasterise_uv
 from pica_core.train.evaluate import evaluate, mean_mse
 from pica_core.train.export import make_avatar
-from pica_core.train.loop import TrainingDivergedError, open_trainer, rate_ratio, read_checkpoint
+from pica_core.train.loop import open_trainer, rate_ratio, read_checkpoint
 
 pytestmark = pytest.mark.train
 
@@ -84,6 +84,13 @@ def test_a_resumed_run_gives_the_numbers_of_an_uninterrupted_one(
             resumed = trainer.model.state_dict()
 
         assert all(torch.equal(resumed[name], values) for name, values in whole.items())
+
+
+def test_a_run_that_is_told_to_stop_leaves_a_checkpoint(data: TrainingData, tmp_path: Path) -> None:
+    with open_trainer(data, short(5, 0, 0), tmp_path) as trainer:
+        trainer.run(lambda step, phase, losses: step < 3)
+
+    assert read_checkpoint(tmp_path / "checkpoint.pt")["step"] == 3
 
 
 def test_a_run_with_other_options_is_not_resumed(data: TrainingData, tmp_path: Path) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
+import threading
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -133,7 +135,12 @@ def _config(options: TrainOptions) -> TrainConfig:
 
 
 def _run_with_progress(trainer: Trainer) -> None:
-    """Run with a bar on stderr: phase, losses, time left."""
+    """Run with a bar on stderr: phase, losses, time left.
+
+    An interrupt is taken between two steps, so that the checkpoint it leaves is whole.
+    """
+    interrupted = threading.Event()
+    before = signal.signal(signal.SIGINT, lambda *_: interrupted.set())
     columns = (
         TextColumn("{task.description:9}"),
         BarColumn(),
@@ -144,8 +151,14 @@ def _run_with_progress(trainer: Trainer) -> None:
     with Progress(*columns, console=Console(stderr=True), refresh_per_second=2) as progress:
         task = progress.add_task("", total=trainer.total_steps, completed=trainer.step, losses="")
 
-        def show(step: int, phase: str, losses: Losses) -> None:
+        def show(step: int, phase: str, losses: Losses) -> bool:
             shown = "  ".join(f"{name} {value:.4f}" for name, value in losses.items())
             progress.update(task, completed=step, description=phase, losses=shown)
+            return not interrupted.is_set()
 
-        trainer.run(show)
+        try:
+            trainer.run(show)
+        finally:
+            signal.signal(signal.SIGINT, before)
+    if interrupted.is_set():
+        raise KeyboardInterrupt

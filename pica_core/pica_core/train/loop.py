@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pica_core.errors import CheckpointError
+from pica_core.errors import CheckpointError, TrainingDivergedError
 from pica_core.model.avatar import PixelCodecAvatar, Surface
 from pica_core.model.decoders import sample_map
 from pica_core.model.encoder import reparameterise, resize_texture
@@ -36,12 +36,6 @@ FINAL_RATE_RATIO = 0.02
 """Learning rate at the end of a phase, against its peak; between them half a cosine."""
 
 Losses = dict[str, float]
-
-
-class TrainingDivergedError(CheckpointError):
-    """A loss is not finite; the last checkpoint is good."""
-
-    exit_code = 1
 
 
 class Trainer:
@@ -93,11 +87,12 @@ class Trainer:
             step -= length
         raise ValueError(f"step {self.step} lies behind the last phase")
 
-    def run(self, on_step: Callable[[int, str, Losses], None] | None = None) -> None:
-        """Train from the current step to the end, with checkpoints on the way.
+    def run(self, on_step: Callable[[int, str, Losses], bool] | None = None) -> None:
+        """Train from the current step to the end, with checkpoints on the way and at the end.
 
         Args:
-            on_step: Called after every step with the step's number, phase and losses.
+            on_step: Called after every step with the step's number, phase and losses; returns
+                whether to go on.
 
         Raises:
             TrainingDivergedError: A loss is not finite. The last checkpoint stays.
@@ -119,8 +114,8 @@ class Trainer:
                     metrics.flush()
                 if self.step % self.config.checkpoint_every == 0:
                     self.save()
-                if on_step is not None:
-                    on_step(self.step, phase, losses)
+                if on_step is not None and not on_step(self.step, phase, losses):
+                    break
         self.save()
 
     def train_step(self) -> Losses:
