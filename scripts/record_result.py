@@ -1,0 +1,67 @@
+"""Run a `pica` command and append its result, with commit and machine, to docs/results/NAME.jsonl.
+
+python scripts/record_result.py call bench call --seconds 20
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def git(*words: str) -> str:
+    """What git answers, without the newline."""
+    command = ["git", "-C", str(ROOT), *words]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+
+
+def processor() -> str:
+    """The processor's name, or what Python knows of it."""
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        for line in info.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
+
+def main() -> None:
+    """Run, read the last line of stdout, append one line."""
+    if len(sys.argv) < 3:
+        sys.exit(__doc__)
+    name, words = sys.argv[1], sys.argv[2:]
+    command = [sys.executable, "-m", "pica_command", *words, "--json"]
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+    run = subprocess.run(command, stdout=subprocess.PIPE, text=True)
+    if run.returncode:
+        sys.exit(run.returncode)
+    changed = git("status", "--porcelain", "--untracked-files=no", "--", ":!docs")
+    row = {
+        "date": datetime.date.today().isoformat(),
+        "commit": git("rev-parse", "--short", "HEAD") + ("+changes" if changed else ""),
+        "command": "pica " + " ".join(words),
+        "machine": {
+            "processor": processor(),
+            "cores": os.cpu_count(),
+            "system": f"{platform.system()} {platform.machine()}",
+            "python": platform.python_version(),
+            "load_before": load,
+        },
+        "result": json.loads(run.stdout.splitlines()[-1]),
+    }
+    path = ROOT / "docs" / "results" / f"{name}.jsonl"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a") as file:
+        file.write(json.dumps(row) + "\n")
+    print(f"appended to {path.relative_to(ROOT)}")
+
+
+if __name__ == "__main__":
+    main()
