@@ -39,6 +39,8 @@ class AvatarStore(Protocol):
 def shipped_avatar_files() -> list[Path]:
     """The avatar files inside the package, by name."""
     folder = resources.files("pica_core") / "avatars"
+    if not folder.is_dir():
+        return []
     files = [Path(str(item)) for item in folder.iterdir() if item.name.endswith(SUFFIX)]
     return sorted(files)
 

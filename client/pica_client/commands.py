@@ -15,8 +15,10 @@ from typing import Any
 import tyro
 
 from pica_client.avatars import AvatarLibrary
+from pica_client.display import has_display
 from pica_client.errors import OptionError
 from pica_client.link import LinkConfig
+from pica_client.output import check_writable, writing
 from pica_client.playout import PlayoutConfig
 from pica_client.sender import Sender, SenderConfig
 from pica_client.signals import on_stop_signal, terminate_as_interrupt
@@ -59,6 +61,8 @@ def send(options: SendOptions) -> dict[str, Any]:
     returns.
     """
     config = SenderConfig(fps=options.fps, seconds=options.seconds)
+    if options.frame_log is not None:
+        check_writable(options.frame_log)
     link = LinkConfig(
         url=options.url,
         room=options.room,
@@ -83,7 +87,8 @@ def send(options: SendOptions) -> dict[str, Any]:
     _say(f"sending {options.source} as {options.name} to room {options.room} at {options.url}")
     result, frame_log = asyncio.run(run())
     if options.frame_log is not None:
-        options.frame_log.write_text(json.dumps(frame_log))
+        with writing(options.frame_log):
+            options.frame_log.write_text(json.dumps(frame_log))
     _say(f"sent {result['sent']} frames, {result['payload_bps'] or 0} bit/s of payload")
     return result
 
@@ -118,7 +123,7 @@ def bench_call(options: BenchCallOptions) -> dict[str, Any]:
             peers=options.peers, source=options.source, avatar=options.avatar, fps=options.fps
         ),
         seconds=options.seconds,
-        playout=PlayoutConfig(floor_s=options.playout_floor_ms / 1e3),
+        playout=_playout(options.playout_floor_ms),
     )
     with terminate_as_interrupt():
         result = run_bench(config)
@@ -161,7 +166,7 @@ class ViewOptions:
     expect: int = 0
     """Begin to draw once so many peers are seen."""
     statistics: bool = False
-    """Show the statistics panel from the start; a key toggles it, F1 shows all keys."""
+    """Show the statistics panel from the start; S toggles it, H shows all keys."""
     max_fps: float = 30.0
     """Draw at most so many images a second."""
     playout_floor_ms: float = field(default=PlayoutConfig().floor_s * 1e3)
@@ -186,7 +191,7 @@ def view(options: ViewOptions) -> dict[str, Any]:
             name=options.name,
             connect_timeout_s=None if options.wait else CONNECT_TIMEOUT_S,
         ),
-        call=CallConfig(playout=PlayoutConfig(floor_s=options.playout_floor_ms / 1e3)),
+        call=CallConfig(playout=_playout(options.playout_floor_ms)),
         viewer=ViewerOptions(
             size=_size(options.size),
             headless=options.headless,
@@ -204,7 +209,7 @@ def view(options: ViewOptions) -> dict[str, Any]:
     try:
         for name in (options.avatar or "").split(","):
             if name:
-                library.find(name)
+                library.load(library.find(name))
         looking = View(config, library)
         _say(f"looking into room {options.room} at {options.url}")
         with on_stop_signal(looking.stop):
@@ -243,7 +248,7 @@ def demo(options: DemoOptions) -> dict[str, Any]:
     Opens a window if there is a display, else draws into a recording. Writes call.mp4, frame.png
     and stats.json.
     """
-    from pica_client.demo import DemoConfig, has_display, run_demo
+    from pica_client.demo import DemoConfig, run_demo
 
     _size(options.size)
     config = DemoConfig(
@@ -274,7 +279,6 @@ class DoctorOptions:
 
 def doctor(options: DoctorOptions) -> dict[str, Any]:
     """Say what this machine can do: GL, inference, display, extras, with the fix for each lack."""
-    from pica_client.demo import has_display
     from pica_client.doctor import examine
 
     findings = examine(has_display=has_display)
@@ -309,6 +313,13 @@ def avatar_thumbnail(options: ThumbnailOptions) -> dict[str, Any]:
     save_png(options.out, draw_thumbnail(avatar, size))
     _say(f"wrote {options.out}")
     return {"name": avatar.manifest.name, "out": str(options.out)}
+
+
+def _playout(floor_ms: float) -> PlayoutConfig:
+    longest_ms = PlayoutConfig().ceiling_s * 1e3
+    if not 0 <= floor_ms <= longest_ms:
+        raise OptionError(f"playout-floor-ms is {floor_ms:g}; 0 to {longest_ms:g} is allowed")
+    return PlayoutConfig(floor_s=floor_ms / 1e3)
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -7,8 +7,6 @@ latency is waiting for the picture before.
 from __future__ import annotations
 
 import json
-import os
-import sys
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +18,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from pica_client.avatars import AvatarLibrary
 from pica_client.errors import CallProcessError, OptionError
 from pica_client.latency import FrameTimes, latency_summary
+from pica_client.output import make_folder, writing
 from pica_client.processes import Child, Children
 from pica_client.staging import CHECK_INTERVAL_S, ROOM, Stage, StageConfig, bitrates
 from pica_client.stats import describe_machine
@@ -47,13 +46,6 @@ class DemoConfig:
             raise OptionError(f"seconds is {self.seconds:g}; 1 to 3600 is allowed")
 
 
-def has_display() -> bool:
-    """Whether a window can be expected to open here."""
-    if sys.platform == "linux":
-        return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-    return True
-
-
 def run_demo(config: DemoConfig) -> dict[str, Any]:
     """Hold the call, and write ``call.mp4``, ``frame.png`` and ``stats.json``.
 
@@ -64,10 +56,7 @@ def run_demo(config: DemoConfig) -> dict[str, Any]:
         ClientError: A source, an avatar, the folder or a process is not as it must be. When a
             sender crashed the call goes on without it, the files are written, and then it raises.
     """
-    try:
-        config.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OptionError(f"{config.out}: cannot be made: {error.strerror or error}") from error
+    make_folder(config.out)
     library = AvatarLibrary()
     try:
         with Children() as children:
@@ -81,7 +70,9 @@ def run_demo(config: DemoConfig) -> dict[str, Any]:
             failures = stage.failures()
     finally:
         library.close()
-    (config.out / "stats.json").write_text(json.dumps(stats, indent=2) + "\n")
+    stats_file = config.out / "stats.json"
+    with writing(stats_file):
+        stats_file.write_text(json.dumps(stats, indent=2) + "\n")
     if failures:
         raise CallProcessError("; ".join(failures))
     return stats

@@ -108,7 +108,7 @@ def _inference(load: Callable[[str], Any]) -> Finding:
 
 def _display(is_there: bool) -> Finding:
     if is_there:
-        return Finding(subject="display", level="good", detail="there, windows can open")
+        return Finding(subject="display", level="good", detail="one is named, not tried")
     fix = "set DISPLAY or WAYLAND_DISPLAY, or use --headless" if sys.platform == "linux" else ""
     return Finding(subject="display", level="lacking", detail="none", fix=fix)
 

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_client.errors import OptionError
+from pica_client.output import writing
 
 Image = npt.NDArray[np.uint8]
 
@@ -48,11 +49,9 @@ class Recorder:
         self._size = (width, height)
         self._last_tick = -1
         self._av: Any = av
-        try:
+        with writing(path):
             path.open("wb").close()  # FFmpeg would find out with the first frame only
             self._container: Any = av.open(str(path), "w", format="mp4")
-        except OSError as error:
-            raise OptionError(f"{path}: cannot be written: {error.strerror or error}") from error
         has_h264 = "libx264" in av.codecs_available
         self.codec = "libx264" if has_h264 else "mpeg4"
         stream: Any = self._container.add_stream(self.codec, rate=NOMINAL_FPS)
@@ -120,7 +119,5 @@ def save_png(path: Path, image: Image) -> None:
     """
     from PIL import Image as PillowImage
 
-    try:
+    with writing(path):
         PillowImage.fromarray(image).save(path, format="png")
-    except OSError as error:
-        raise OptionError(f"{path}: cannot be written: {error.strerror or error}") from error

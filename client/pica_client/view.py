@@ -15,8 +15,10 @@ from pica_client.call import Call, CallConfig
 from pica_client.decoder import DecodeResult
 from pica_client.errors import OptionError, RelayUnreachableError
 from pica_client.link import LinkConfig
+from pica_client.output import check_writable, make_folder, writing
 from pica_client.receiver import Receiver
 from pica_client.viewer import Viewer, ViewerOptions
+from pica_protocol.limits import MAX_PEERS
 
 MAX_LOGGED_DECODES = 100_000
 """Decodes kept for a latency analysis: eleven minutes of five avatars at 30 a second."""
@@ -50,12 +52,24 @@ class ViewConfig:
     def __post_init__(self) -> None:
         if not self.seconds >= 0:
             raise OptionError(f"seconds is {self.seconds:g}; 0 (for ever) or more is allowed")
+        if not 0 <= self.expect < MAX_PEERS:
+            raise OptionError(f"expect is {self.expect}; 0 to {MAX_PEERS - 1} is allowed")
 
 
 class View:
     """Runs a receiver and its viewer; `stop` may come from a signal handler."""
 
     def __init__(self, config: ViewConfig, library: AvatarLibrary) -> None:
+        """Check what can be checked before anybody is there.
+
+        Raises:
+            OptionError: A file or folder that is to be written cannot be.
+        """
+        for path in (config.png, config.frame_log, config.viewer.record):
+            if path is not None:
+                check_writable(path)
+        if config.png_folder is not None:
+            make_folder(config.png_folder)
         self._config = config
         self._call = Call(library, config.call, log_shown=config.frame_log is not None)
         self._receiver = Receiver(config.link, self._call)
@@ -127,8 +141,6 @@ class View:
         config = self._config
         begin_s = time.monotonic()
         index = 0
-        if config.png_folder is not None:
-            config.png_folder.mkdir(parents=True, exist_ok=True)
         has_ended = False
 
         def should_stop() -> bool:
@@ -180,7 +192,5 @@ class View:
             if result.captured_us >= (begin_s + DRAIN_S) * 1e6
         ]
         log = {"shown": self._call.take_shown(), "decodes": decodes}
-        try:
+        with writing(path):
             path.write_text(json.dumps(log))
-        except OSError as error:
-            raise OptionError(f"{path}: cannot be written: {error.strerror or error}") from error

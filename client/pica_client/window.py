@@ -13,14 +13,13 @@ One window per process; everything on the thread that made it.
 
 from __future__ import annotations
 
-import os
-import sys
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import glfw
 import moderngl
 
+from pica_client.display import has_display
 from pica_client.renderer import Renderer
 from pica_client.scene import ViewState
 from pica_core.errors import GraphicsError
@@ -175,13 +174,6 @@ class Window:
         right, down = x - self._drag_from[0], y - self._drag_from[1]
         self._drag_from = (x, y)
         self._state = replace(self._state, view=self._state.view.orbited(right, down))
-
-
-def has_display() -> bool:
-    """Whether a window is worth trying: always off Linux, there if a display server is named."""
-    if not sys.platform.startswith("linux"):
-        return True
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def _display_advice() -> str:

@@ -197,7 +197,9 @@ def load_avatar(source: Path | str | bytes, name: str | None = None) -> Avatar:
     try:
         stored = safetensors.numpy.load(data)
     except (safetensors.SafetensorError, ValueError, KeyError) as error:
-        raise AvatarFileError(f"{where}: not a valid safetensors file: {error}") from error
+        raise AvatarFileError(
+            f"{where}: cut or damaged, not valid safetensors ({error}); get the file again"
+        ) from error
     tensors = {
         key: _to_memory(where, key, stored[key], shapes[key], affine) for key in sorted(shapes)
     }
@@ -231,7 +233,8 @@ def _read_header(where: str, data: bytes) -> dict[str, Any]:
         )
     if 8 + length > len(data):
         raise AvatarFileError(
-            f"{where}: truncated: the header alone needs {8 + length} bytes, {len(data)} are there"
+            f"{where}: cut: the header alone needs {8 + length} bytes, {len(data)} are there; "
+            "get the file again"
         )
     header = _parse_json(where, "header", data[8 : 8 + length])
     if not isinstance(header, dict):

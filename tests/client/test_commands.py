@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from pica_client import avatars
 from pica_client.doctor import examine
 from pica_client.latency import FrameTimes, latency_summary
 from pica_command.main import main
@@ -38,10 +39,21 @@ def avatar(tmp_path: Path) -> str:
         (["view", "--size", "big"], "size is 'big'; write COLUMNSxROWS"),
         (["view", "--size", "9x9"], "size is 9x9; 16 to 8192"),
         (["view", "--avatar-folder", "nowhere"], "avatar folder nowhere is not there"),
+        (["view", "--avatar", "none.pica"], "none.pica: cannot be read"),
+        (["view", "--expect", "-1"], "expect is -1; 0 to 63 is allowed"),
+        (["view", "--playout-floor-ms", "-5"], "playout-floor-ms is -5; 0 to 200 is allowed"),
+        (["view", "--playout-floor-ms", "nan"], "playout-floor-ms is nan; 0 to 200"),
+        (["view", "--png", "nowhere/a.png"], "nowhere/a.png: cannot be written: No such folder"),
+        (["view", "--record", "nowhere/a.mp4"], "nowhere/a.mp4: cannot be written"),
+        (["view", "--frame-log", "."], ".: cannot be written: Is a directory"),
+        (["view", "--png-folder", __file__], "test_commands.py: cannot be made: File exists"),
+        (["send", "--frame-log", "nowhere/a.json"], "nowhere/a.json: cannot be written"),
+        (["demo", "--out", __file__], "test_commands.py: cannot be made: File exists"),
         (["demo", "--peers", "0"], "peers is 0; 1 to 15 fit the room"),
         (["demo", "--seconds", "0"], "seconds is 0; 1 to 3600 is allowed"),
         (["bench", "call", "--seconds", "-1"], "seconds is -1; above 0"),
         (["bench", "call", "--source", "performance:sing"], "performance 'sing' is unknown"),
+        (["bench", "call", "--playout-floor-ms", "900"], "playout-floor-ms is 900; 0 to 200"),
     ],
 )
 def test_bad_input_is_one_line_with_the_fix_and_exit_status_two(
@@ -55,13 +67,29 @@ def test_bad_input_is_one_line_with_the_fix_and_exit_status_two(
     assert message in lines[0]
 
 
-def test_a_truncated_avatar_is_named(
-    avatar: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("num_bytes", [5000, 20_000])
+def test_a_truncated_avatar_is_named_with_the_fix(
+    num_bytes: int, avatar: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cut = tmp_path / "cut.pica"
-    cut.write_bytes(Path(avatar).read_bytes()[:5000])
-    assert main(["send", "--avatar", str(cut)]) == 2
-    assert "cut.pica: " in capsys.readouterr().err
+    cut.write_bytes(Path(avatar).read_bytes()[:num_bytes])
+    for command in ("send", "view"):
+        assert main([command, "--avatar", str(cut)]) == 2
+        (line,) = capsys.readouterr().err.strip().splitlines()
+        assert line.startswith(f"pica {command}: {cut}: cut")
+        assert line.endswith("get the file again")
+
+
+def test_a_build_without_avatars_says_so_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(avatars.resources, "files", lambda package: tmp_path)
+    assert main(["send"]) == 2
+    assert capsys.readouterr().err == (
+        "pica send: no avatar ships with this package; name one with --avatar FILE\n"
+    )
+    assert main(["doctor"]) == 0
+    assert "LACK  avatars: none ship with this build -> --avatar FILE" in capsys.readouterr().err
 
 
 def test_the_doctor_names_the_fix_for_each_lack() -> None:
