@@ -14,6 +14,7 @@ from pica_client.errors import ShaderError
 from pica_client.shader_source import AXIS_ROW, ShaderSource, compose
 from pica_client.shader_weights import pack_weights, siren_source
 from pica_core.avatar_file import Avatar
+from pica_core.gl import link_program
 from pica_core.mesh import order_faces
 from pica_core.spec import AvatarSpec
 
@@ -48,7 +49,7 @@ def build_program(
         ShaderError: The driver refuses; its message names our files and lines.
     """
     try:
-        program = context.program(vertex_shader=vertex.text, fragment_shader=fragment.text)
+        program = link_program(context, vertex=vertex.text, fragment=fragment.text)
     except moderngl.Error as error:
         at_fault = vertex if "vertex_shader" in str(error) else fragment
         raise ShaderError(f"the driver refuses a shader: {at_fault.explain(str(error))}") from error

@@ -22,6 +22,7 @@ from PIL import Image as PillowImage
 from PIL import ImageDraw, ImageFont
 
 from pica_client.shader_source import compose
+from pica_core.gl import link_program
 
 Style = Literal["label", "panel"]
 
@@ -60,8 +61,8 @@ class Overlay:
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
-        self._program = context.program(
-            vertex_shader=compose("rect.vert").text, fragment_shader=compose("overlay.frag").text
+        self._program = link_program(
+            context, vertex=compose("rect.vert").text, fragment=compose("overlay.frag").text
         )
         self._rect = context.vertex_array(self._program, [])
         self._textures: dict[str, tuple[Any, moderngl.Texture]] = {}

@@ -10,7 +10,7 @@ GLSL ES 3.00, the dialect of a browser.
         choices={"ENCODING": "encoding_full.glsl"},
         generated={"SIREN": siren_source(spec)},
     )
-    context.program(vertex_shader=..., fragment_shader=source.text)
+    link_program(context, vertex=..., fragment=source.text)
 
 ``#include "file"`` takes a file, ``#include NAME`` the file chosen or the text generated for that
 name. A file is included once; naming one that does not exist is an error, as is a chain deeper than

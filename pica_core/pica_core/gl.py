@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import ctypes
+import signal
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
 from typing import Any, cast
 
 import moderngl
@@ -39,6 +43,41 @@ def create_context() -> moderngl.Context:
         ) from error
     context.gc_mode = "context_gc"
     return context
+
+
+def link_program(context: moderngl.Context, *, vertex: str, fragment: str) -> moderngl.Program:
+    """Compile and link shaders; Ctrl-C waits until that is done.
+
+    `Context.program` calls back into Python and does not expect an exception from there: one that a
+    signal handler raises at that moment ends the process with a segmentation fault.
+
+    Raises:
+        moderngl.Error: The driver refuses the text; with its words.
+    """
+    with _interrupts_held():
+        return context.program(vertex_shader=vertex, fragment_shader=fragment)
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Let SIGINT and SIGTERM wait for the end of the block; they reach the main thread only."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[tuple[int, FrameType | None]] = []
+    handlers = {}
+    for number in (signal.SIGINT, signal.SIGTERM):
+        handler = signal.getsignal(number)
+        if callable(handler):  # what is ignored, or ends the process at once, may do so
+            handlers[int(number)] = handler
+            signal.signal(number, lambda number, frame: came.append((number, frame)))
+    try:
+        yield
+    finally:
+        for held, handler in handlers.items():
+            signal.signal(held, handler)
+        for caught, frame in came[:1]:
+            handlers[caught](caught, frame)
 
 
 def _load_finish() -> Callable[[], None] | None:

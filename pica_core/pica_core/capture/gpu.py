@@ -17,7 +17,7 @@ import numpy.typing as npt
 from pica_core.camera import Camera
 from pica_core.capture.heads import Head
 from pica_core.capture.occlusion import Occlusion
-from pica_core.gl import create_context
+from pica_core.gl import create_context, link_program
 
 FloatArray = npt.NDArray[np.float32]
 ByteArray = npt.NDArray[np.uint8]
@@ -81,9 +81,8 @@ class StageRenderer:
         self._framebuffers: dict[tuple[str, int, int], Any] = {}
         c = self._context
         self._programs: dict[str, Any] = {
-            name: c.program(
-                vertex_shader=shader_text(f"{name}.vert"),
-                fragment_shader=shader_text(f"{name}.frag"),
+            name: link_program(
+                c, vertex=shader_text(f"{name}.vert"), fragment=shader_text(f"{name}.frag")
             )
             for name in ("stage", "depth", "unwrap")
         }
@@ -118,8 +117,8 @@ class StageRenderer:
 
     def _bake(self, size: int) -> tuple[Any, Any]:
         c, head, who = self._context, self.head, self.head.identity
-        program: Any = c.program(
-            vertex_shader=shader_text("bake.vert"), fragment_shader=shader_text("appearance.frag")
+        program: Any = link_program(
+            c, vertex=shader_text("bake.vert"), fragment=shader_text("appearance.frag")
         )
         numbers: dict[str, Any] = {
             "seed": float(who.seed), "skin_rgb": who.skin.rgb, "redness": who.skin.redness,

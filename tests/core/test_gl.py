@@ -1,0 +1,53 @@
+"""What the shared GL functions promise beyond drawing."""
+
+from __future__ import annotations
+
+import signal
+from typing import Any
+
+import pytest
+
+from pica_core.gl import create_context, link_program
+
+pytestmark = pytest.mark.render
+
+VERTEX = "#version 330\nvoid main() { gl_Position = vec4(0); }"
+FRAGMENT = "#version 330\nout vec4 colour;\nvoid main() { colour = vec4(1); }"
+
+
+class InterruptedWhileLinking:
+    """A context whose driver is interrupted by the user in the middle of its work."""
+
+    def __init__(self, context: Any) -> None:
+        self.context = context
+        self.linked: Any = None
+
+    def program(self, **shaders: str) -> Any:
+        signal.raise_signal(signal.SIGINT)
+        self.linked = self.context.program(**shaders)
+        return self.linked
+
+
+def test_an_interrupt_waits_until_a_program_is_linked() -> None:
+    context = create_context()
+    try:
+        interrupted: Any = InterruptedWhileLinking(context)
+        handler = signal.getsignal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            link_program(interrupted, vertex=VERTEX, fragment=FRAGMENT)
+        assert interrupted.linked is not None
+        assert signal.getsignal(signal.SIGINT) is handler
+    finally:
+        context.release()
+
+
+def test_an_ignored_interrupt_stays_ignored() -> None:
+    context = create_context()
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        interrupted: Any = InterruptedWhileLinking(context)
+        assert link_program(interrupted, vertex=VERTEX, fragment=FRAGMENT) is interrupted.linked
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)
+        context.release()
