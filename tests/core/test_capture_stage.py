@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from pica_command.main import main
 from pica_core.capture.coordinates import MATERIALS
 from pica_core.capture.dataset import Capture
 from pica_core.capture.expressions import blend
@@ -181,8 +182,23 @@ def test_an_interrupted_render_goes_on_and_ends_the_same(rendered: Path, tmp_pat
 
 
 def test_a_render_into_a_used_directory_is_refused(rendered: Path) -> None:
-    with pytest.raises(CaptureError, match="not empty"):
+    with pytest.raises(CaptureError, match=r"not empty.*name another directory"):
         render_capture(OPTIONS, rendered)
+
+
+def test_a_render_that_cannot_begin_leaves_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("mine")
+    for out, head, message in (
+        ("new", "S9", "head 'S9' is unknown; built in are S1, S2"),
+        ("file", "S1", f"{tmp_path / 'file'}: is no directory; name one to make"),
+        ("file/new", "S1", f"{tmp_path / 'file/new/render.json'}: cannot write (Not a directory)"),
+    ):
+        words = ["capture", "synth", "--head", head, "--out", str(tmp_path / out)]
+        assert main(words) == 2
+        assert capsys.readouterr().err == f"pica capture synth: {message}\n"
+    assert files_of(tmp_path) == {"file": b"mine"}
 
 
 def test_the_sheet_is_a_picture(rendered: Path, tmp_path: Path) -> None:

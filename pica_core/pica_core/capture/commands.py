@@ -75,7 +75,7 @@ def synth(options: SynthOptions) -> dict[str, Any]:
         TextColumn("frames"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console) as bar:
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task("render", total=options.frames)
         counts = render_capture(
             stage, options.out, lambda done, total: bar.update(task, completed=done, total=total)

@@ -98,14 +98,19 @@ def render_capture(
         CaptureError: `out` holds something else, or cannot be written.
         GraphicsError: No GL context.
     """
+    if out.exists() and not out.is_dir():
+        raise CaptureError(f"{out}: is no directory; name one to make")
     marker = out / "render.json"
     interrupted = marker.is_file() and marker.read_text(encoding="utf-8") == _fingerprint(options)
     if out.exists() and any(out.iterdir()) and not interrupted:
-        raise CaptureError(f"{out}: not empty, and no interrupted render of the same options")
-    multiface.write_aside(marker, _fingerprint(options).encode())
+        raise CaptureError(
+            f"{out}: not empty, and no interrupted render of the same options; "
+            "name another directory"
+        )
     head = make_head(options.head)
     cameras = dome_cameras(options.cameras, options.width, options.height)
     takes = sample_takes(options.frames, options.seed)
+    multiface.write_aside(marker, _fingerprint(options).encode())
     multiface.write_aside(out / multiface.KRT, multiface.krt_text(cameras).encode())
     _write_topology(head, out)
     renderer: StageRenderer | None = None
