@@ -187,10 +187,6 @@ class Capture:
         values: FloatArray = self._arkit[frame.index]
         return values
 
-    def arkit_all(self) -> FloatArray:
-        """The shapes of all frames. float32 ``[T, 52]``."""
-        return self._arkit
-
     def image(self, frame: CaptureFrame, camera: str) -> ByteArray:
         """sRGB image, row 0 on top. uint8 ``[H, W, 3]``."""
         view = self.camera(camera)

@@ -15,9 +15,6 @@ from pica_core.capture.surface import EYE_RADIUS, HeadField, cast
 
 Float64Array = npt.NDArray[np.float64]
 
-IRIS_RADIUS = 5.9
-"""Half the horizontal corneal diameter, mm (11.7 mm: Rüfer et al., Cornea 2005)."""
-
 
 def _disc(chart: Chart) -> tuple[Float64Array, Float64Array]:
     """The chart's square mapped onto the unit disc: x to the right, y up."""
