@@ -39,7 +39,7 @@ class CloseCode(IntEnum):
     FOREIGN_STREAM = 4006
     """A frame on a stream that is not the sender's own."""
     RELAY_FULL = 4007
-    """The relay has as many connections or rooms as it allows."""
+    """The relay has as many connections as it allows."""
 
 
 _WORTH_RETRYING = frozenset(
