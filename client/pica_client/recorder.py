@@ -9,6 +9,7 @@ Needs PyAV (the `video` extra); importing this module does not.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
@@ -47,6 +48,7 @@ class Recorder:
         if width < 2 or height < 2:
             raise OptionError(f"size is {size[0]}x{size[1]}; a video needs at least 2x2")
         self._size = (width, height)
+        self._path = path
         self._last_tick = -1
         self._av: Any = av
         with writing(path):
@@ -84,10 +86,13 @@ class Recorder:
             image: uint8 ``[H, W, 3]``, top row first. One of another size is cropped, or stands on
                 black.
             time_s: Since the start of the recording. Frames that do not come at least a millisecond
-                after the last one are dropped.
+                after the last one are dropped, and those that come after `close`.
+
+        Raises:
+            OptionError: The disk is full; the recording is over.
         """
         tick = round(time_s * TICKS_PER_S)
-        if tick <= self._last_tick:
+        if tick <= self._last_tick or self._container is None:
             return
         self._last_tick = tick
         width, height = self._size
@@ -98,17 +103,33 @@ class Recorder:
         frame = self._av.VideoFrame.from_ndarray(np.ascontiguousarray(canvas), format="rgb24")
         frame.pts = tick
         frame.time_base = Fraction(1, TICKS_PER_S)
-        self._container.mux(self._stream.encode(frame))
+        self._mux(frame)
 
     def close(self) -> None:
-        """Finish the file. Once is enough, twice is harmless."""
+        """Finish the file. Once is enough, twice is harmless.
+
+        Raises:
+            OptionError: The disk is full; the file cannot be played.
+        """
         if self._container is None:
             return
-        container, self._container = self._container, None
-        try:
-            container.mux(self._stream.encode(None))
-        finally:
-            container.close()
+        self._mux(None)
+        if self._container is not None:
+            container, self._container = self._container, None
+            with writing(self._path):
+                container.close()
+
+    def _mux(self, frame: Any) -> None:
+        """Encode a frame, or what is left with None, into the file."""
+        with writing(self._path):
+            try:
+                self._container.mux(self._stream.encode(frame))
+            except OSError:
+                # FFmpeg crashes when it is to go on with a file whose header it could not write.
+                container, self._container = self._container, None
+                with suppress(OSError):
+                    container.close()
+                raise
 
 
 def save_png(path: Path, image: Image) -> None:

@@ -83,3 +83,20 @@ def test_an_image_comes_back_as_it_was(tmp_path: Path) -> None:
     save_png(tmp_path / "a.png", image)
     with Image.open(tmp_path / "a.png") as file:
         np.testing.assert_array_equal(np.asarray(file), image)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a disk that is always full")
+@pytest.mark.parametrize("num_frames", [2, 300])
+def test_a_full_disk_ends_the_recording_with_its_name(num_frames: int) -> None:
+    recorder = Recorder(Path("/dev/full"), (64, 48))
+    noise = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
+
+    def record() -> None:
+        for index in range(num_frames):
+            recorder.write(noise, index / 30)
+        recorder.close()
+
+    with pytest.raises(OptionError, match="/dev/full: cannot be written: No space left"):
+        record()
+    recorder.write(noise, num_frames / 30)
+    recorder.close()
