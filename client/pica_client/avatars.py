@@ -16,6 +16,7 @@ from typing import Protocol
 
 from pica_client.errors import AvatarLookupError
 from pica_core.avatar_file import Avatar, avatar_id, load_avatar
+from pica_core.errors import AvatarFileError
 
 SUFFIX = ".pica"
 
@@ -109,14 +110,16 @@ class AvatarLibrary:
 
     def get(self, identity: str) -> Avatar | None:
         """See `AvatarStore.get`."""
-        path = self._paths.get(identity)
-        if path is None:
+        if not self.has(identity):
             return None
-        with self._lock:
-            future = self._loading.get(identity)
-            if future is None:
-                future = self._loading[identity] = self._pool.submit(load_avatar, path)
-        return future.result() if future.done() else None
+        future = self._begin_loading(identity)
+        if not future.done():
+            return None
+        error = future.exception()
+        if isinstance(error, AvatarFileError):
+            # A fresh one each time: an error raised again and again keeps every traceback.
+            raise AvatarFileError(str(error)) from error
+        return future.result()
 
     def load(self, identity: str) -> Avatar:
         """The avatar, waiting for it.
@@ -127,8 +130,7 @@ class AvatarLibrary:
         """
         if not self.has(identity):
             raise AvatarLookupError(f"no avatar file with the hash {identity[:12]}…")
-        self.get(identity)
-        return self._loading[identity].result()
+        return self._begin_loading(identity).result()
 
     def loaded(self) -> list[str]:
         """Hashes of the avatars that were asked for so far."""
@@ -138,6 +140,14 @@ class AvatarLibrary:
     def close(self) -> None:
         """End the loading thread."""
         self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def _begin_loading(self, identity: str) -> Future[Avatar]:
+        with self._lock:
+            future = self._loading.get(identity)
+            if future is None:
+                future = self._pool.submit(load_avatar, self._paths[identity])
+                self._loading[identity] = future
+        return future
 
 
 class LoadedAvatars:

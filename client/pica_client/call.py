@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -266,7 +267,10 @@ class Call:
             return
         for track in peer.tracks:
             if track.kind == FACE_TRACK:
-                self._avatars.get(track.avatar)  # it is loaded by the time the first frame comes
+                # It is loaded by the time the first frame comes. What is wrong with it is the
+                # viewer's news, and no reason to lose the connection.
+                with suppress(AvatarFileError):
+                    self._avatars.get(track.avatar)
                 seat = _Seat(peer, track, self.config.playout)
                 self._seats[peer.peer_id] = self._by_stream[track.stream] = seat
                 return  # one face a person

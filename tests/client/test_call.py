@@ -10,7 +10,8 @@ import pytest
 from pica_client.avatars import AvatarLibrary, LoadedAvatars
 from pica_client.call import Call
 from pica_client.errors import AvatarLookupError
-from pica_core.avatar_file import AvatarFileError, save_avatar
+from pica_core.avatar_file import Avatar, save_avatar
+from pica_core.errors import AvatarFileError
 from pica_core.latent_stream import LatentProfile, encode_latent
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, Peer, PeerJoined, PeerLeft, Track
@@ -119,6 +120,27 @@ def test_an_avatar_that_is_not_here_is_an_error_with_the_fix_and_no_face(call: C
         call.avatar("b" * 64)
 
 
+class DamagedAvatars:
+    """A store in which every file is there and damaged."""
+
+    def has(self, identity: str) -> bool:
+        return True
+
+    def get(self, identity: str) -> Avatar | None:
+        raise AvatarFileError(f"{identity[:8]}: cut or damaged")
+
+
+def test_a_damaged_avatar_costs_its_peer_the_face_and_nobody_the_call() -> None:
+    call = Call(DamagedAvatars())
+    call.receive_event(joined(peer("p1", "Ada", 1)), now=0.0)
+    call.receive_event(PeerJoined(peer=peer("p2", "Ben", 2)), now=0.0)
+    call.receive_event(frame(1, 0, 0), now=0.0)
+    assert [face.status for face in call.faces(0.1)] == ["waiting", "waiting"]
+    assert (call.without_avatar, call.errors) == (1, 0)
+    with pytest.raises(AvatarFileError, match="cut or damaged"):
+        call.avatar(TOY_ID)
+
+
 def test_rates_are_counted_from_the_beginning_of_the_window(call: Call) -> None:
     call.receive_event(joined(peer("p1", "Ada", 1)), now=0.0)
     for index in range(90):
@@ -169,6 +191,22 @@ def test_a_library_finds_avatars_by_name_file_and_hash(tmp_path: Path) -> None:
     with pytest.raises(AvatarFileError, match=r"none\.pica"):
         library.find(str(tmp_path / "none.pica"))
     assert library.get("f" * 64) is None
+    library.close()
+
+
+def test_a_damaged_file_is_an_error_each_time_without_keeping_the_last(tmp_path: Path) -> None:
+    damaged = tmp_path / "damaged.pica"
+    damaged.write_bytes(b"no avatar at all")
+    library = AvatarLibrary(shipped=[damaged])
+    identity = library.find("damaged")
+    with pytest.raises(AvatarFileError, match=r"damaged\.pica"):
+        library.load(identity)
+    errors = []
+    for _ in range(2):
+        with pytest.raises(AvatarFileError, match=r"damaged\.pica") as raised:
+            library.get(identity)
+        errors.append(raised.value)
+    assert errors[0] is not errors[1]
     library.close()
 
 
