@@ -43,9 +43,7 @@ class ExpressionEncoder(nn.Module):
     def __init__(self, hidden: tuple[int, ...] = (160, 160)) -> None:
         super().__init__()
         widths = (NUM_ARKIT, *hidden, NUM_LATENT)
-        self.layers = nn.ModuleList(
-            nn.Linear(n, m) for n, m in pairwise(widths)
-        )
+        self.layers = nn.ModuleList(nn.Linear(n, m) for n, m in pairwise(widths))
 
     def forward(self, arkit: Tensor) -> Tensor:
         """Expressions ``[N, 52]`` to latents ``[N, 4, 8, 8]``; flat: row, column, channel."""
@@ -119,10 +117,7 @@ class PixelCodecAvatar(nn.Module):
         counts = torch.bincount(surface.image, minlength=len(expression_map))
         parts = torch.split(surface.uv, counts.tolist())
         codes = torch.cat(
-            [
-                sample_map(expression_map[index : index + 1], uv)[0]
-                for index, uv in enumerate(parts)
-            ]
+            [sample_map(expression_map[index : index + 1], uv)[0] for index, uv in enumerate(parts)]
         )
         xyz_m = surface.xyz_m.detach() if detach_xyz else surface.xyz_m
         colours: Tensor = self.pixel_decoder(codes, xyz_m, surface.uv)
