@@ -17,7 +17,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from pica_client.avatars import AvatarLibrary
 from pica_client.errors import CallProcessError, OptionError
-from pica_client.latency import FrameTimes, latency_summary
+from pica_client.latency import frame_times, latency_summary
 from pica_client.output import make_folder, writing
 from pica_client.processes import Child, Children
 from pica_client.staging import CHECK_INTERVAL_S, ROOM, Stage, StageConfig, bitrates
@@ -111,32 +111,6 @@ def _watch(config: DemoConfig, stage: Stage, viewer: Child) -> None:
             time.sleep(CHECK_INTERVAL_S)
 
 
-def _frame_times(log: dict[str, Any]) -> list[FrameTimes]:
-    """The way of each decoded face.
-
-    A face between two frames is a moment that nobody sent; its way is that of the newer frame,
-    moved to the moment shown.
-    """
-    shown = {
-        (name, shown_us): (captured_us, arrived_us)
-        for name, shown_us, captured_us, arrived_us in log["shown"]
-    }
-    frames = []
-    for name, shown_us, submitted_s, finished_s in log["decodes"]:
-        captured_us, arrived_us = shown[name, shown_us]
-        earlier_s = (captured_us - shown_us) / 1e6
-        frames.append(
-            FrameTimes(
-                name=name,
-                captured_us=captured_us,
-                arrived_s=arrived_us / 1e6,
-                released_s=submitted_s + earlier_s,
-                decoded_s=finished_s + earlier_s,
-            )
-        )
-    return frames
-
-
 def _stats(
     config: DemoConfig,
     stage: Stage,
@@ -145,7 +119,8 @@ def _stats(
     log: dict[str, Any],
 ) -> dict[str, Any]:
     received = shown["received"]
-    latency = latency_summary(_frame_times(log), stage.encode_times_s())
+    frames = frame_times(log["shown"], log["decodes"])
+    latency = latency_summary(frames, stage.encode_times_s())
     latency["parts"] |= {"upload": shown["upload_ms"], "draw": shown["draw_ms"]}
     rates = {peer["name"]: peer["latents_per_s"] for peer in received["peers"]}
     errors = shown["errors"] + sum(result["errors"] for result in sent.values())
@@ -156,7 +131,7 @@ def _stats(
         "frames_rendered": shown["frames_rendered"],
         "render_fps": shown["render_fps"],
         "latents_per_s": {name: rates.get(name, 0.0) for name in stage.names},
-        "decodes_per_s": round(len(log["decodes"]) / shown["seconds"], 2),
+        "decodes_per_s": round(len(log["decodes"]) / max(shown["seconds"], 0.01), 2),
         "bitrate_bps": bitrates(sent),
         "latency_ms": latency,
         "dropped": received["dropped"],

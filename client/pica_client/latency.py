@@ -28,6 +28,43 @@ class FrameTimes:
     decoded_s: float
 
 
+def frame_times(
+    shown: Iterable[tuple[str, int, int, int]], decodes: Iterable[tuple[str, int, float, float]]
+) -> list[FrameTimes]:
+    """The way of each decoded face, from what a viewer logs.
+
+    A face between two frames is a moment that nobody sent; its way is that of the newer frame,
+    moved to the moment shown. Both logs are bounded and drop their oldest: a decode whose face is
+    no longer known is left out.
+
+    Args:
+        shown: Of each face handed to the display: name, moment shown and capture time of its newest
+            frame on the sender's clock, arrival of that frame; microseconds.
+        decodes: Of each decode: name, moment shown in microseconds, submission and end in seconds.
+    """
+    ways = {
+        (name, shown_us): (captured_us, arrived_us)
+        for name, shown_us, captured_us, arrived_us in shown
+    }
+    frames = []
+    for name, shown_us, submitted_s, finished_s in decodes:
+        way = ways.get((name, shown_us))
+        if way is None:
+            continue
+        captured_us, arrived_us = way
+        earlier_s = (captured_us - shown_us) / 1e6
+        frames.append(
+            FrameTimes(
+                name=name,
+                captured_us=captured_us,
+                arrived_s=arrived_us / 1e6,
+                released_s=submitted_s + earlier_s,
+                decoded_s=finished_s + earlier_s,
+            )
+        )
+    return frames
+
+
 def latency_summary(
     frames: Iterable[FrameTimes], encode_times_s: Mapping[tuple[str, int], float]
 ) -> dict[str, Any]:

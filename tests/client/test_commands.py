@@ -10,7 +10,7 @@ import pytest
 
 from pica_client import avatars
 from pica_client.doctor import examine
-from pica_client.latency import FrameTimes, latency_summary
+from pica_client.latency import FrameTimes, frame_times, latency_summary
 from pica_command.main import main
 from pica_core.avatar_file import save_avatar
 from pica_core.errors import GraphicsError
@@ -123,6 +123,19 @@ def test_the_parts_of_a_frames_latency_add_up_to_its_whole() -> None:
     assert summary["p99"] == pytest.approx(13)
     parts = {name: values["p99"] for name, values in summary["parts"].items()}
     assert parts == pytest.approx({"encode": 1, "relay": 3, "playout": 6, "decode": 3})
+
+
+def test_a_face_between_two_frames_has_the_way_of_the_newer_one() -> None:
+    shown = [("Ada", 990_000, 1_000_000, 1_004_000)]
+    (frame,) = frame_times(shown, [("Ada", 990_000, 1.020, 1.023)])
+    assert (frame.captured_us, frame.arrived_s) == (1_000_000, 1.004)
+    assert (frame.released_s, frame.decoded_s) == pytest.approx((1.030, 1.033))
+
+
+def test_a_decode_whose_face_has_dropped_out_of_the_log_is_left_out() -> None:
+    shown = [("Ada", 2_000_000, 2_000_000, 2_004_000)]
+    decodes = [("Ada", 1_000_000, 1.01, 1.02), ("Ada", 2_000_000, 2.01, 2.02)]
+    assert [frame.captured_us for frame in frame_times(shown, decodes)] == [2_000_000]
 
 
 def test_a_frame_whose_sender_crashed_still_counts() -> None:
