@@ -50,6 +50,12 @@ class RelayRefusedError(RelayError):
 
 
 class CallProcessError(ClientError):
-    """A process of a demo or bench ended early: names it and quotes its last words."""
+    """A process of a demo or bench ended early: names it and quotes its last words.
 
-    exit_code = 1
+    Attributes:
+        exit_code: 2 when that is what the process ended with: then input or machine are at fault.
+    """
+
+    def __init__(self, message: str, *, exit_code: int = 1) -> None:
+        super().__init__(message)
+        self.exit_code = exit_code

@@ -84,7 +84,9 @@ class Child:
         code = self.exit_code
         if code not in (None, 0):
             how = f"was killed by signal {-code}" if code < 0 else f"ended with status {code}"
-            raise CallProcessError(f"{self.name} {how}: {self.last_words()}")
+            raise CallProcessError(
+                f"{self.name} {how}: {self.last_words()}", exit_code=2 if code == 2 else 1
+            )
 
     def last_words(self) -> str:
         """The last line of its stderr."""

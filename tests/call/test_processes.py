@@ -136,12 +136,21 @@ def test_a_killed_sender_is_reported_by_name(children: Children, avatar_file: Pa
     library.close()
 
 
+def test_bad_input_of_a_part_is_bad_input_of_the_whole(children: Children) -> None:
+    viewer = children.start("viewer", "view", "--size", "big")
+    wait_until(lambda: viewer.exit_code is not None, "the viewer ends")
+    with pytest.raises(CallProcessError, match="size is 'big'") as raised:
+        viewer.result()
+    assert raised.value.exit_code == 2
+
+
 def test_a_killed_relay_ends_the_stage(children: Children, avatar_file: Path) -> None:
     relay, _ = children.start_relay()
     os.kill(relay.pid, signal.SIGKILL)
     wait_until(lambda: relay.exit_code is not None, "relay ends")
-    with pytest.raises(CallProcessError, match="relay was killed by signal 9"):
+    with pytest.raises(CallProcessError, match="relay was killed by signal 9") as raised:
         children.check_first()
+    assert raised.value.exit_code == 1
 
 
 def test_a_sender_without_a_relay_says_so_and_ends_with_two(avatar_file: Path) -> None:
