@@ -144,7 +144,8 @@ def save_avatar(
         encoder, else float32.
 
     Raises:
-        AvatarFileError: The avatar is not one that `load_avatar` would accept.
+        AvatarFileError: The avatar is not one that `load_avatar` would accept, or the file cannot
+            be written.
     """
     where = str(path)
     tensors = {name: np.asarray(array) for name, array in avatar.tensors.items()}
@@ -169,7 +170,10 @@ def save_avatar(
     }
     data = safetensors.numpy.save(stored, metadata)
     load_avatar(data, where)  # what we write, we must be able to read; also checks the manifest
-    Path(path).write_bytes(data)
+    try:
+        Path(path).write_bytes(data)
+    except OSError as error:
+        raise AvatarFileError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 def load_avatar(source: Path | str | bytes, name: str | None = None) -> Avatar:

@@ -296,3 +296,9 @@ def test_any_damage_to_the_header_loads_or_raises_an_avatar_file_error(
     changed = toy_bytes[:place] + damage + toy_bytes[place + len(damage) :]
     with contextlib.suppress(AvatarFileError):
         load_avatar(changed)
+
+
+def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "nowhere" / "a.pica"
+    with pytest.raises(AvatarFileError, match=r"nowhere/a\.pica: cannot be written: No such file"):
+        save_avatar(path, make_toy_avatar())
