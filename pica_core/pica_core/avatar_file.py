@@ -168,7 +168,7 @@ def save_avatar(
         "pica": json.dumps(avatar.manifest.to_json(), allow_nan=False),
         "storage": json.dumps(affine, allow_nan=False),
     }
-    data = safetensors.numpy.save(stored, metadata)
+    data = _with_ordered_metadata(safetensors.numpy.save(stored, metadata))
     load_avatar(data, where)  # what we write, we must be able to read; also checks the manifest
     try:
         Path(path).write_bytes(data)
@@ -351,6 +351,19 @@ def _check_tensors(where: str, spec: AvatarSpec, tensors: Mapping[str, Array]) -
             f"{where}: tensor mesh.faces names vertices {faces.min()} to {faces.max()}; "
             f"allowed are 0 to {len(uv) - 1}"
         )
+
+
+def _with_ordered_metadata(data: bytes) -> bytes:
+    """The same file with its metadata in alphabetical order.
+
+    safetensors leaves that order to chance, and then one avatar would have two identities.
+    """
+    length = int.from_bytes(data[:8], "little")
+    header = json.loads(data[8 : 8 + length])
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
+    text += b" " * (-len(text) % 8)  # as the format wants it: tensors begin at a multiple of 8
+    return len(text).to_bytes(8, "little") + text + data[8 + length :]
 
 
 def _to_affine(array: Array, dtype: type[np.unsignedinteger[Any]]) -> tuple[Array, dict[str, Any]]:
