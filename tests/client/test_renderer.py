@@ -73,7 +73,8 @@ def some_maps(avatar: Avatar, seed: int = 5) -> tuple[np.ndarray, np.ndarray]:
 def gpu_objects() -> set[int]:
     """Every GL object that Python holds, by identity."""
     kinds = (moderngl.Texture, moderngl.Buffer, moderngl.Framebuffer, moderngl.VertexArray)
-    return {id(item) for item in gc.get_objects() if isinstance(item, kinds)}
+    # By type and not isinstance: that asks objects for their class, and torch has some that warn.
+    return {id(item) for item in gc.get_objects() if type(item) in kinds}
 
 
 def renderer_with(
