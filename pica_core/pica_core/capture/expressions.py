@@ -7,6 +7,7 @@ for testing, so no test frame has a neighbour in the training set.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -202,7 +203,49 @@ def combinations(random: Generator, frames: int) -> FloatArray:
     return np.clip(strong + talk + lone + _eyes(random, frames), 0, 1).astype(np.float32)
 
 
+def lids_and_gaze(random: Generator, frames: int) -> FloatArray:
+    """Eyes alone: lids at every height, together or one at a time, gaze everywhere. ``[T, 52]``.
+
+    Blinks are short, so that performances hold few frames of a closed eye; an avatar that never
+    learned them stares.
+    """
+    lids: tuple[Float64Array, ...] = (
+        blend(),
+        blend(eyeBlink=0.5),
+        blend(eyeBlink=0.75),
+        blend(eyeBlink=1.0),
+        blend(eyeBlink=1.0),
+        blend(eyeBlinkLeft=1.0),
+        blend(eyeBlinkRight=1.0),
+        blend(eyeSquint=0.8),
+        blend(eyeWide=0.8),
+        blend(eyeSquint=0.6, eyeBlink=0.5),
+    )
+    look = [
+        blend(eyeLookOutLeft=x, eyeLookInRight=x) + blend(eyeLookUp=y)
+        for x in (0, 0.8)
+        for y in (0, 0.7)
+    ]
+    look += [
+        blend(eyeLookInLeft=x, eyeLookOutRight=x) + blend(eyeLookDown=y)
+        for x in (0, 0.8)
+        for y in (0.4, 0.8)
+    ]
+    mouth = _smooth(_hold(random, frames, VISEMES, 0.3), 0.08) * 0.5
+    brows = _smooth(_hold(random, frames, MOODS[:6], 1.0), 0.2) * 0.3
+    eyes = _smooth(_hold(random, frames, lids, 0.35), 0.04)
+    gaze = _smooth(_hold(random, frames, tuple(look), 0.4), 0.04)
+    return np.clip(mouth + brows + eyes + gaze, 0, 1).astype(np.float32)
+
+
 KINDS = (("ROM", range_of_motion), ("SEN", sentence), ("EXP", combinations))
+EYE_SHARE = 1 / 6
+"""Share of the frames that go to takes of the eyes alone."""
+TAKE_FRAMES = 40
+"""Captured frames of a take, at most."""
+STRIDE = 5
+"""Every so many frames of a performance one is captured."""
+FIRST_TEST_TAKE = 500
 
 
 def sample_takes(num_frames: int, seed: int, test_share: float = 0.15) -> list[Take]:
@@ -214,26 +257,36 @@ def sample_takes(num_frames: int, seed: int, test_share: float = 0.15) -> list[T
         test_share: Share of the frames in held-out takes.
 
     Returns:
-        Takes that hold only the captured frames; about a third of the frames per kind. The first
-        frame of the first take is the neutral face.
+        Takes that hold only the captured frames: a sixth of them for the eyes alone, the rest in
+        about equal shares per kind. The first frame of the first take is the neutral face.
     """
-    num_test = max(round(num_frames * test_share), 1)
-    quota = {"train": num_frames - num_test, "test": num_test}
+    num_eyes = int(num_frames * EYE_SHARE)
+    num_test = max(round((num_frames - num_eyes) * test_share), 1)
+    quota = {"train": num_frames - num_eyes - num_test, "test": num_test}
     takes: list[Take] = []
     for split, total in quota.items():
         # Tests are sentences and combinations; range of motion is there to be learned.
         kinds = KINDS if split == "train" else KINDS[1:]
         per_kind = [total // len(kinds) + (k < total % len(kinds)) for k in range(len(kinds))]
         for (label, make), count in zip(kinds, per_kind, strict=True):
-            take_frames = 40
-            for part in range(0, count, take_frames):
-                size = min(take_frames, count - part)
-                index = part // take_frames + (0 if split == "train" else 500)
-                code = sum(ord(letter) << (8 * place) for place, letter in enumerate(label))
-                random = np.random.default_rng([seed, code, index])
-                stride = 5
-                arkit = make(random, size * stride + 20)[10 : 10 + size * stride : stride]
-                if not takes:
-                    arkit[0] = 0.0
-                takes.append(Take(segment=f"{label}{index:03d}", arkit=arkit, split=split))
+            takes += _takes(label, make, count, split, seed)
+    takes[0].arkit[0] = 0.0
+    num_test_eyes = round(num_eyes * test_share)
+    for split, count in (("train", num_eyes - num_test_eyes), ("test", num_test_eyes)):
+        takes += _takes("EYE", lids_and_gaze, count, split, seed)
+    return takes
+
+
+def _takes(
+    label: str, make: Callable[[Generator, int], FloatArray], count: int, split: str, seed: int
+) -> list[Take]:
+    """Takes of one kind with `count` captured frames in all."""
+    takes = []
+    code = sum(ord(letter) << (8 * place) for place, letter in enumerate(label))
+    for part in range(0, count, TAKE_FRAMES):
+        size = min(TAKE_FRAMES, count - part)
+        index = part // TAKE_FRAMES + (0 if split == "train" else FIRST_TEST_TAKE)
+        random = np.random.default_rng([seed, code, index])
+        arkit = make(random, size * STRIDE + 20)[10 : 10 + size * STRIDE : STRIDE]
+        takes.append(Take(segment=f"{label}{index:03d}", arkit=arkit, split=split))
     return takes
