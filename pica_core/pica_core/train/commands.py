@@ -32,8 +32,11 @@ class TrainOptions:
     """Folder of the capture (`pica capture synth` makes one)."""
     out: Path
     """Folder of the run: checkpoint, metrics, held-out error."""
-    preset: Literal["tiny", "small", "long"] = "small"
-    """How much to train: tiny (seconds), small (minutes on two cores), long."""
+    preset: Literal["tiny", "small", "long", "refine"] = "small"
+    """How much to train: tiny (seconds), small (minutes on two cores), long, or refine (from the
+    weights of another run)."""
+    start_from: Path | None = None
+    """Folder of another run whose weights to start from."""
     block: Literal["B", "H2", "C"] | None = None
     """Block of the decoders, if not the preset's."""
     encoder: Literal["light", "paper"] | None = None
@@ -74,6 +77,8 @@ def train(options: TrainOptions) -> dict[str, Any]:
     with open_trainer(data, config, options.out) as trainer:
         if options.resume:
             trainer.restore()
+        elif options.start_from is not None:
+            trainer.start_from(options.start_from)
         _run_with_progress(trainer)
         rows = evaluate(trainer, max_frames=options.eval_frames)
         steps = trainer.step

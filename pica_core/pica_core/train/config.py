@@ -64,6 +64,10 @@ class LossConfig:
 class ScheduleConfig:
     """How long and how fast."""
 
+    frame_balance: float = 1.0
+    """How much more often frames are drawn whose eyes or mouth lie far from their mean: 1 in
+    proportion to that distance, 0 all frames alike (as the paper). A blink is a few frames of
+    hundreds; drawn like the others it is not learned."""
     geometry_steps: int = 1000
     """Steps of the geometry phase."""
     joint_steps: int = 1500
@@ -114,6 +118,8 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         schedule = self.schedule
+        if not 0 <= schedule.frame_balance <= 2:
+            raise ValueError(f"frame_balance is {schedule.frame_balance}; 0 to 2 is allowed")
         for name in ("geometry_steps", "joint_steps", "driver_steps", "pixels_per_image"):
             if getattr(schedule, name) < 0:
                 raise ValueError(f"{name} is {getattr(schedule, name)}; it must not be negative")
@@ -164,4 +170,18 @@ PRESETS: dict[str, TrainConfig] = {
         schedule=replace(_SMALL.schedule, geometry_steps=2000, joint_steps=5500, driver_steps=3000),
     ),
 }
-"""tiny: seconds, for tests. small: minutes on two cores. long: what ships."""
+PRESETS["refine"] = replace(
+    _SMALL,
+    schedule=replace(
+        _SMALL.schedule,
+        geometry_steps=800,
+        joint_steps=2500,
+        driver_steps=2500,
+        geometry_rate=2e-3,
+        joint_rate=1.5e-3,
+        pixel_rate=2e-3,
+        encoding_rate=2e-2,
+    ),
+)
+"""tiny: seconds, for tests. small: minutes on two cores. long: half an hour. refine: from the
+weights of another run, at half the rates."""

@@ -20,8 +20,11 @@ from pica_core.errors import CaptureError
 from pica_core.train.rasterise import Rasteriser
 
 FloatArray = npt.NDArray[np.float32]
-IMPORTANT_REGIONS = ("mouth", "lips", "eyes", "lids", "teeth", "tongue")
+Float64Array = npt.NDArray[np.float64]
+IMPORTANT_REGIONS = ("mouth", "lips", "eyes", "eyeballs", "lids", "teeth", "tongue")
 """Vertex regions of a capture's topology that are small on the map and large to the eye."""
+MAX_RARITY = 8.0
+"""Limit of a frame's weight against the usual one (chosen: a full blink reaches 7)."""
 TEXEL_TOLERANCE = 1e-2
 """How far from a texel centre a vertex may lie to own the texel, texels."""
 IMAGE_CACHE_BYTES = 4 << 30
@@ -140,6 +143,7 @@ class TrainingData:
         for name in IMPORTANT_REGIONS:
             if name in topology.regions:
                 self.important |= topology.regions[name]
+        self.frame_weights = self._rarity(topology.regions)
         self.arkit = torch.from_numpy(np.stack([capture.arkit(f) for f in capture.frames]))
         self._images: OrderedDict[tuple[int, str], npt.NDArray[np.uint8]] = OrderedDict()
         self._image_bytes = 0
@@ -150,6 +154,26 @@ class TrainingData:
         self.evaluation_views = [name for name in self.camera_names if name in named]
         if not self.evaluation_views:
             self.evaluation_views = self.camera_names
+
+    def _rarity(self, regions: dict[str, npt.NDArray[np.bool_]]) -> Float64Array:
+        """How far a training frame's eyes or mouth lie from their mean, against the usual: the
+        largest such ratio over `IMPORTANT_REGIONS`, from 1 to `MAX_RARITY`, float64 ``[T]``.
+        """
+        rarity = np.ones(len(self.train_frames))
+        for name in IMPORTANT_REGIONS:
+            if name not in regions or not regions[name].any():
+                continue
+            part = self.vertices_m[self.train_frames][:, regions[name]]
+            offset = part - self.mean_vertices_m[regions[name]]
+            distance = np.sqrt(np.square(offset, dtype=np.float64).sum(2).mean(1))
+            rarity = np.maximum(rarity, distance / max(float(distance.mean()), 1e-9))
+        return np.minimum(rarity, MAX_RARITY)
+
+    def draw_frames(self, count: int, balance: float, rng: np.random.Generator) -> list[int]:
+        """Draw training frames, with repetition, rare ones more often by the power `balance`."""
+        weights = self.frame_weights**balance
+        drawn: list[int] = rng.choice(self.train_frames, count, p=weights / weights.sum()).tolist()
+        return drawn
 
     def textures(self, frames: list[int]) -> Tensor:
         """Average textures of frames, about [-1, 1], ``[N, 3, S, S]``."""

@@ -68,7 +68,7 @@ class Trainer:
         important_faces = data.important[data.faces.numpy()].all(1)
         self._face_weights = np.where(important_faces, config.losses.region_weight, 1.0)
         self._optimisers = {phase: self._optimiser(phase) for phase in PHASES}
-        self._codes: tuple[Tensor, Tensor] | None = None
+        self._codes: tuple[dict[int, Tensor], Tensor] | None = None
 
     def close(self) -> None:
         """Release the GL context."""
@@ -218,6 +218,23 @@ class Trainer:
             optimiser.load_state_dict(state["optimisers"][name])
         self.step = state["step"]
 
+    def start_from(self, run_dir: Path) -> None:
+        """Take the weights of another run, as a start instead of random ones.
+
+        Mean map and position scale stay those of this capture.
+
+        Raises:
+            CheckpointError: None there, damaged, of another version, or of another model.
+        """
+        state = read_checkpoint(run_dir / "checkpoint.pt")
+        weights = {k: v for k, v in state["model"].items() if k != "position_mean"}
+        try:
+            missing, unexpected = self.model.load_state_dict(weights, strict=False)
+        except RuntimeError as error:
+            raise CheckpointError(f"{run_dir}: of another model: {error}") from error
+        if missing != ["position_mean"] or unexpected:
+            raise CheckpointError(f"{run_dir}: of another model: {missing + unexpected}")
+
     def _optimiser(self, phase: str) -> torch.optim.Adam:
         model, schedule = self.model, self.config.schedule
         shape = [*model.encoder.parameters(), *model.geometry.parameters()]
@@ -242,13 +259,13 @@ class Trainer:
     def _geometry_losses(
         self, rng: np.random.Generator, noise: torch.Generator
     ) -> dict[str, Tensor]:
-        frames = rng.choice(self.data.train_frames, self.config.schedule.geometry_batch).tolist()
+        frames = self._draw_frames(self.config.schedule.geometry_batch, rng)
         latent, kl = self._latent(frames, noise)
         vertices_m = sample_map(self.model.decode_geometry(latent), self.data.vertex_uv)
         return {"mesh": self._mesh(vertices_m, frames), "kl": self.config.losses.kl * kl}
 
     def _joint_losses(self, rng: np.random.Generator, noise: torch.Generator) -> dict[str, Tensor]:
-        frames = rng.choice(self.data.train_frames, self.config.schedule.joint_batch).tolist()
+        frames = self._draw_frames(self.config.schedule.joint_batch, rng)
         cameras = rng.choice(self.data.camera_names, len(frames)).tolist()
         latent, kl = self._latent(frames, noise)
         vertices_m = sample_map(self.model.decode_geometry(latent), self.data.vertex_uv)
@@ -270,10 +287,9 @@ class Trainer:
 
     def _driver_losses(self, rng: np.random.Generator) -> dict[str, Tensor]:
         codes, spread = self._model_codes()
-        chosen = rng.choice(len(codes), self.config.schedule.driver_batch)
-        frames = [self.data.train_frames[index] for index in chosen]
+        frames = self._draw_frames(self.config.schedule.driver_batch, rng)
         latent = self.model.expression_encoder(self.data.arkit[frames])
-        wanted = codes[torch.from_numpy(chosen)]
+        wanted = torch.stack([codes[frame] for frame in frames])
         few = slice(0, 4)
         vertices_m = sample_map(self.model.decode_geometry(latent[few]), self.data.vertex_uv)
         return {
@@ -281,15 +297,19 @@ class Trainer:
             "mesh": self._mesh(vertices_m, frames[few]),
         }
 
-    def _model_codes(self) -> tuple[Tensor, Tensor]:
-        """The encoder's means of all training frames and their overall deviation."""
+    def _model_codes(self) -> tuple[dict[int, Tensor], Tensor]:
+        """The encoder's mean of each training frame, and the overall deviation of all."""
         if self._codes is None:
             frames = self.data.train_frames
             with torch.no_grad():
                 means = [self.encode(frames[i : i + 16])[0] for i in range(0, len(frames), 16)]
             codes = torch.cat(means)
-            self._codes = codes, codes.std().clamp_min(1e-6)
+            by_frame = dict(zip(frames, codes, strict=True))
+            self._codes = by_frame, codes.std().clamp_min(1e-6)
         return self._codes
+
+    def _draw_frames(self, count: int, rng: np.random.Generator) -> list[int]:
+        return self.data.draw_frames(count, self.config.schedule.frame_balance, rng)
 
     def _latent(self, frames: list[int], noise: torch.Generator) -> tuple[Tensor, Tensor]:
         mean, log_variance = self.encode(frames)
