@@ -58,6 +58,10 @@ class Samples:
         """Take one more."""
         self._samples.append(duration_s)
 
+    def clear(self) -> None:
+        """Forget all."""
+        self._samples.clear()
+
     def __len__(self) -> int:
         return len(self._samples)
 

@@ -101,6 +101,7 @@ class View:
                 statistics=self._panel_lines,
                 on_decoded=self._note_decode if config.frame_log is not None else None,
             ) as viewer:
+                viewer.prepare()
                 begin_s = time.monotonic()
                 self._call.begin_window(begin_s)
                 self._draw(viewer)

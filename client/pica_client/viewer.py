@@ -63,6 +63,9 @@ PANEL_PERIOD_S = 0.5
 """How often the statistics panel changes: readable, and a text costs 2 ms to set."""
 RECENT_SAMPLES = 60
 """What the panel's figures are made of."""
+PREPARE_TIMEOUT_S = 5.0
+"""How long the first picture waits for five avatars to be loaded; here they take half a second."""
+PREPARE_POLL_S = 0.01
 MEASURED = ("decode", "decode_wait", "upload", "draw", "latency")
 
 
@@ -198,6 +201,25 @@ class Viewer:
             if not self.step(now):
                 return
 
+    def prepare(self, timeout_s: float = PREPARE_TIMEOUT_S) -> None:
+        """Get everybody ready who has a face by now: decoders, shaders, first maps.
+
+        What this costs belongs to no frame: nothing of it is shown, recorded or measured. Whoever
+        is not ready in time sits there as a placeholder until then.
+        """
+        deadline_s = self._clock() + timeout_s
+        while (now := self._clock()) < deadline_s:
+            faces, placements, camera = self._arrange(now)
+            self._collect_decoded()
+            waiting = [self._seats[face.peer_id] for face in faces if face.latent is not None]
+            if all(seat.num_decoded or seat.problem for seat in waiting):
+                self._renderer.draw(placements, camera, [])
+                break
+            time.sleep(PREPARE_POLL_S)
+        for samples in (*self._samples.values(), *self._recent.values()):
+            samples.clear()
+        self._started_s = self._clock()
+
     def step(self, now: float) -> bool:
         """Draw one frame; False once the user wants to leave."""
         if self._window is not None:
@@ -205,13 +227,7 @@ class Viewer:
             if self._state.wants_close:
                 return False
             self._renderer.resize(self._window.size_px)
-        faces = self._source.faces(now)
-        camera = view_camera(self._state.view, len(faces), *self._renderer.size)
-        self._forget_absent(faces)
-        placements = [
-            self._place(face, seat, camera)
-            for face, seat in zip(faces, arrange_seats(len(faces)), strict=True)
-        ]
+        faces, placements, camera = self._arrange(now)
         self._collect_decoded()
         begin_s = self._clock()
         self.last_draw = self._renderer.draw(
@@ -270,6 +286,17 @@ class Viewer:
 
     def _make_decoder(self, avatar: Avatar) -> OnnxDecoder:
         return OnnxDecoder(avatar, self.options.onnx)
+
+    def _arrange(self, now: float) -> tuple[list[FaceState], list[Placement], Camera]:
+        """Who is here, where each sits, and from where they are seen; their latents go off."""
+        faces = self._source.faces(now)
+        camera = view_camera(self._state.view, len(faces), *self._renderer.size)
+        self._forget_absent(faces)
+        seats = arrange_seats(len(faces))
+        placements = [
+            self._place(face, seat, camera) for face, seat in zip(faces, seats, strict=True)
+        ]
+        return faces, placements, camera
 
     def _forget_absent(self, faces: list[FaceState]) -> None:
         present = {face.peer_id for face in faces}

@@ -227,3 +227,27 @@ def test_a_thumbnail_shows_the_avatar() -> None:
     assert image.shape == (128, 96, 3)
     middle, corner = image[50:70, 40:56].mean(axis=(0, 1)), image[:6, :6].mean(axis=(0, 1))
     assert np.abs(middle - corner).max() > 30
+
+
+def test_a_prepared_viewer_shows_faces_in_its_first_frame() -> None:
+    with Viewer(Faces("ada", "grace"), SMALL) as viewer:
+        viewer.prepare(PATIENCE_S)
+        assert viewer.report()["frames_rendered"] == 0
+        assert viewer.report()["decode_ms"]["p50"] is None  # nothing of it is measured
+
+        viewer.step(1.0)
+
+        assert viewer.last_draw is not None
+        assert viewer.last_draw.num_placeholders == 0
+
+
+def test_preparing_does_not_wait_for_a_broken_or_silent_peer() -> None:
+    source = Faces("ada", "grace")
+    source.avatar_of["ada"] = "evil"
+    source.without_latent.add("grace")
+    ticks = iter(range(1_000_000))
+
+    with Viewer(source, SMALL, clock=lambda: float(next(ticks))) as viewer:
+        viewer.prepare(timeout_s=1000.0)
+
+    assert next(ticks) < 100
