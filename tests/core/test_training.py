@@ -104,6 +104,41 @@ def test_a_run_with_other_options_is_not_resumed(data: TrainingData, tmp_path: P
         trainer.restore()
 
 
+def test_a_run_starts_from_the_weights_of_another(data: TrainingData, tmp_path: Path) -> None:
+    with open_trainer(data, short(2, 0, 0), tmp_path / "first") as first:
+        first.run()
+    with open_trainer(data, replace(short(2, 0, 0), seed=7), tmp_path / "second") as second:
+        second.start_from(tmp_path / "first")
+
+        wanted = first.model.geometry.state_dict()
+        assert all(torch.equal(v, wanted[k]) for k, v in second.model.geometry.state_dict().items())
+        assert second.step == 0
+
+
+def test_a_run_does_not_start_from_another_model(data: TrainingData, tmp_path: Path) -> None:
+    other = replace(short(1, 0, 0), model=replace(PRESETS["tiny"].model, block="B"))
+    with open_trainer(data, other, tmp_path / "first") as first:
+        first.save()
+
+    with (
+        open_trainer(data, short(1, 0, 0), tmp_path / "second") as second,
+        pytest.raises(CheckpointError, match="another model"),
+    ):
+        second.start_from(tmp_path / "first")
+
+
+def test_frames_far_from_the_mean_are_drawn_more_often(data: TrainingData) -> None:
+    rng = np.random.default_rng(0)
+    rarest = data.train_frames[int(np.argmax(data.frame_weights))]
+
+    balanced = data.draw_frames(4000, 1.0, rng).count(rarest)
+    alike = data.draw_frames(4000, 0.0, rng).count(rarest)
+
+    ratio = data.frame_weights.max() / data.frame_weights.mean()
+    assert ratio > 1.2
+    assert balanced / alike == pytest.approx(ratio, rel=0.2)
+
+
 def test_a_damaged_checkpoint_is_refused_by_name(tmp_path: Path) -> None:
     path = tmp_path / "checkpoint.pt"
     path.write_bytes(b"not a checkpoint")
