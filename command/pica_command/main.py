@@ -21,8 +21,6 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from importlib.metadata import EntryPoint, entry_points, metadata, requires, version
 
-import tyro
-
 DISTRIBUTION = "pica-telepresence"
 COMMAND_GROUP = "pica.commands"
 DEBUG_FLAG = "--debug"
@@ -89,6 +87,8 @@ def _run(entry: EntryPoint, spoken: str, rest: list[str]) -> Mapping[str, typing
         "\n\nWith --json the last line of stdout is the result as one JSON object; "
         f"{DEBUG_FLAG} shows the traceback of an error."
     )
+    import tyro  # half of a command's start; --version and the list do without
+
     options = tyro.cli(options_type, prog=spoken, args=rest, description=description)
     result: Mapping[str, typing.Any] | None = function(options)
     return result

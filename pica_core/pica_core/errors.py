@@ -7,6 +7,7 @@
     ├── LatentError         a latent payload that cannot be decoded, or a latent that cannot be sent
     ├── ShapeError          an array of the wrong shape handed to a public function
     ├── GraphicsError       no GL context, or one that is too old
+    ├── TrainingOptionError     an option of a training run that cannot be
     └── TrainingDivergedError   a loss that is not finite
 
 ``exit_code`` is what the ``pica`` command ends with when the error reaches it: 2 says that the
@@ -48,3 +49,7 @@ class TrainingDivergedError(PicaCoreError):
     """A loss is not finite: names the step and the losses. The last checkpoint is good."""
 
     exit_code = 1
+
+
+class TrainingOptionError(PicaCoreError, ValueError):
+    """An option of a training run is out of range: names it, its value and the limit."""

@@ -14,7 +14,7 @@ import torch
 from pica_core.avatar_file import load_avatar
 from pica_core.capture.dataset import Capture
 from pica_core.capture.synth import StageOptions, render_capture
-from pica_core.errors import CheckpointError, TrainingDivergedError
+from pica_core.errors import CheckpointError, TrainingDivergedError, TrainingOptionError
 from pica_core.expression_encoder import ExpressionEncoder
 from pica_core.model.decoders import sample_map
 from pica_core.train.config import PRESETS, TrainConfig
@@ -137,6 +137,15 @@ def test_frames_far_from_the_mean_are_drawn_more_often(data: TrainingData) -> No
     ratio = data.frame_weights.max() / data.frame_weights.mean()
     assert ratio > 1.2
     assert balanced / alike == pytest.approx(ratio, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [({"seed": -1}, "seed is -1"), ({"checkpoint_every": 0}, "checkpoint_every is 0")],
+)
+def test_an_option_out_of_range_is_named(change: dict[str, int], named: str) -> None:
+    with pytest.raises(TrainingOptionError, match=named):
+        replace(PRESETS["tiny"], **change)
 
 
 def test_a_damaged_checkpoint_is_refused_by_name(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from pica_core.avatar_file import avatar_id, save_avatar
 from pica_core.capture.dataset import Capture
-from pica_core.errors import CheckpointError
+from pica_core.errors import CheckpointError, TrainingOptionError
 from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data import TrainingData
 from pica_core.train.evaluate import evaluate, mean_mse
@@ -50,6 +50,13 @@ class TrainOptions:
     eval_frames: int = 25
     """Held-out frames to evaluate at the end."""
 
+    def __post_init__(self) -> None:
+        for name, low, high in (("threads", 1, 1024), ("eval_frames", 1, 1_000_000)):
+            if not low <= getattr(self, name) <= high:
+                raise TrainingOptionError(
+                    f"{name} is {getattr(self, name)}; {low} to {high} is allowed"
+                )
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ExportOptions:
@@ -70,6 +77,12 @@ class ExportOptions:
 def train(options: TrainOptions) -> dict[str, Any]:
     """Train an avatar on a capture: geometry, then everything jointly, then its live encoder."""
     config = _config(options)
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise TrainingOptionError(
+            f"{options.out}: cannot be made: {error.strerror or error}"
+        ) from error
     torch.set_num_threads(options.threads)
     data = TrainingData(Capture.open(options.capture), config.model.spec().map_size)
     if not options.resume and (options.out / "checkpoint.pt").exists():

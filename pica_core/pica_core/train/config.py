@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
+from pica_core.errors import TrainingOptionError
 from pica_core.model.pixel_decoder import FIRST_FREQUENCY
 from pica_core.spec import AvatarSpec
 
@@ -119,15 +120,25 @@ class TrainConfig:
     def __post_init__(self) -> None:
         schedule = self.schedule
         if not 0 <= schedule.frame_balance <= 2:
-            raise ValueError(f"frame_balance is {schedule.frame_balance}; 0 to 2 is allowed")
+            raise TrainingOptionError(
+                f"frame_balance is {schedule.frame_balance}; 0 to 2 is allowed"
+            )
         for name in ("geometry_steps", "joint_steps", "driver_steps", "pixels_per_image"):
             if getattr(schedule, name) < 0:
-                raise ValueError(f"{name} is {getattr(schedule, name)}; it must not be negative")
+                raise TrainingOptionError(
+                    f"{name} is {getattr(schedule, name)}; it must not be negative"
+                )
         for name in ("geometry_batch", "joint_batch", "driver_batch"):
             if getattr(schedule, name) < 1:
-                raise ValueError(f"{name} is {getattr(schedule, name)}; at least 1 is needed")
+                raise TrainingOptionError(
+                    f"{name} is {getattr(schedule, name)}; at least 1 is needed"
+                )
         if self.checkpoint_every < 1:
-            raise ValueError(f"checkpoint_every is {self.checkpoint_every}; at least 1 is needed")
+            raise TrainingOptionError(
+                f"checkpoint_every is {self.checkpoint_every}; at least 1 is needed"
+            )
+        if not 0 <= self.seed < 1 << 31:
+            raise TrainingOptionError(f"seed is {self.seed}; 0 to {(1 << 31) - 1} is allowed")
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON values; `from_json` reads them back."""

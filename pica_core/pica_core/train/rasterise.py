@@ -27,7 +27,7 @@ from torch import Tensor
 
 from pica_core.camera import Camera
 from pica_core.errors import GraphicsError, ShapeError
-from pica_core.gl import create_context
+from pica_core.gl import create_context, link_program
 
 _VERTEX = """#version 330 core
 uniform mat4 clip_from_head;
@@ -64,7 +64,7 @@ class Rasteriser:
             raise GraphicsError(f"{len(faces)} triangles; the id image holds {_MAX_TRIANGLES}")
         self.num_vertices = num_vertices
         self._context = create_context()
-        self._program = self._context.program(vertex_shader=_VERTEX, fragment_shader=_FRAGMENT)
+        self._program = link_program(self._context, vertex=_VERTEX, fragment=_FRAGMENT)
         self._positions = self._context.buffer(reserve=num_vertices * 12, dynamic=True)
         self._vertex_array = self._context.vertex_array(
             self._program,
