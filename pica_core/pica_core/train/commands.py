@@ -32,9 +32,9 @@ class TrainOptions:
     """Folder of the capture (`pica capture synth` makes one)."""
     out: Path
     """Folder of the run: checkpoint, metrics, held-out error."""
-    preset: Literal["tiny", "small", "long", "refine"] = "small"
-    """How much to train: tiny (seconds), small (minutes on two cores), long, or refine (from the
-    weights of another run)."""
+    preset: Literal["tiny", "small", "long", "refine", "lids"] = "small"
+    """How much to train: tiny (seconds), small (minutes on two cores), long; refine and lids
+    go on from the weights of another run (--start-from)."""
     start_from: Path | None = None
     """Folder of another run whose weights to start from."""
     block: Literal["B", "H2", "C"] | None = None

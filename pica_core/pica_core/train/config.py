@@ -59,6 +59,8 @@ class LossConfig:
     region_weight: float = 4.0
     """Importance of a vertex at mouth or eyes in the mesh loss, against 1 elsewhere; also how much
     more often a pixel there is drawn."""
+    lid_weight: float = 16.0
+    """The same for lid vertices in the mesh loss: few, thin, and what makes a blink."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -181,6 +183,19 @@ PRESETS: dict[str, TrainConfig] = {
         schedule=replace(_SMALL.schedule, geometry_steps=2000, joint_steps=5500, driver_steps=3000),
     ),
 }
+PRESETS["lids"] = replace(
+    _SMALL,
+    schedule=replace(
+        _SMALL.schedule,
+        frame_balance=1.5,
+        geometry_steps=2200,
+        joint_steps=600,
+        driver_steps=1200,
+        joint_rate=1e-3,
+        pixel_rate=1e-3,
+        encoding_rate=1e-2,
+    ),
+)
 PRESETS["refine"] = replace(
     _SMALL,
     schedule=replace(
@@ -195,4 +210,4 @@ PRESETS["refine"] = replace(
     ),
 )
 """tiny: seconds, for tests. small: minutes on two cores. long: half an hour. refine: from the
-weights of another run, at half the rates."""
+weights of another run, at half the rates. lids: from another run too, geometry above all."""

@@ -143,6 +143,7 @@ class TrainingData:
         for name in IMPORTANT_REGIONS:
             if name in topology.regions:
                 self.important |= topology.regions[name]
+        self.lids = topology.regions.get("lids", np.zeros(len(self.important), bool))
         self.frame_weights = self._rarity(topology.regions)
         self.arkit = torch.from_numpy(np.stack([capture.arkit(f) for f in capture.frames]))
         self._images: OrderedDict[tuple[int, str], npt.NDArray[np.uint8]] = OrderedDict()

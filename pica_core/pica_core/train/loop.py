@@ -64,6 +64,7 @@ class Trainer:
         self.step = 0
         self.rasteriser = Rasteriser(data.faces.numpy().astype(np.int32), len(data.mean_vertices_m))
         weights = np.where(data.important, config.losses.region_weight, 1.0)
+        weights[data.lids] = config.losses.lid_weight
         self._vertex_weights = torch.from_numpy(weights.astype(np.float32))
         important_faces = data.important[data.faces.numpy()].all(1)
         self._face_weights = np.where(important_faces, config.losses.region_weight, 1.0)
