@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import functools
 import signal
 import sys
 import threading
@@ -80,6 +81,7 @@ def _interrupts_held() -> Iterator[None]:
             handlers[caught](caught, frame)
 
 
+@functools.cache
 def _load_finish() -> Callable[[], None] | None:
     """The driver's ``glFinish``, or None where it cannot be found by name."""
     names = {"linux": ("libGL.so.1", "libOpenGL.so.0"), "win32": ("opengl32",)}
@@ -94,9 +96,6 @@ def _load_finish() -> Callable[[], None] | None:
     return None
 
 
-_finish = _load_finish()
-
-
 def wait_for_gpu(context: moderngl.Context) -> None:
     """Wait until all drawing of this thread's current context is done, with the GIL released.
 
@@ -104,7 +103,5 @@ def wait_for_gpu(context: moderngl.Context) -> None:
     decoders and network threads of the process would stand still. Foreign calls of ctypes let it
     go. Where the driver's function cannot be found, this falls back to moderngl's own.
     """
-    if _finish is None:
-        context.finish()
-    else:
-        _finish()
+    finish = _load_finish() or context.finish
+    finish()
