@@ -104,6 +104,28 @@ def test_a_run_with_other_options_is_not_resumed(data: TrainingData, tmp_path: P
         trainer.restore()
 
 
+def test_a_run_of_another_capture_is_not_resumed(
+    data: TrainingData, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with open_trainer(data, short(1, 1, 1), tmp_path) as trainer:
+        trainer.save()
+    monkeypatch.setattr(data, "position_scale_m", 1.01 * data.position_scale_m)
+
+    with (
+        open_trainer(data, short(1, 1, 1), tmp_path) as trainer,
+        pytest.raises(CheckpointError, match="another capture"),
+    ):
+        trainer.restore()
+
+
+def test_options_of_another_version_are_refused() -> None:
+    values = PRESETS["tiny"].to_json()
+    values["losses"]["colour_of_the_moon"] = 1.0
+
+    with pytest.raises(CheckpointError, match="colour_of_the_moon"):
+        TrainConfig.from_json(values)
+
+
 def test_a_run_starts_from_the_weights_of_another(data: TrainingData, tmp_path: Path) -> None:
     with open_trainer(data, short(2, 0, 0), tmp_path / "first") as first:
         first.run()

@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from pica_core.errors import TrainingOptionError
+from pica_core.errors import CheckpointError, TrainingOptionError
 from pica_core.model.pixel_decoder import FIRST_FREQUENCY
 from pica_core.spec import AvatarSpec
 
@@ -151,14 +151,17 @@ class TrainConfig:
         """Read what `to_json` wrote.
 
         Raises:
-            TypeError: A field that this version does not know.
+            CheckpointError: A part or a field that this version does not know.
         """
-        parts = {
-            "model": ModelConfig(**values["model"]),
-            "losses": LossConfig(**values["losses"]),
-            "schedule": ScheduleConfig(**values["schedule"]),
-        }
-        return cls(**{**values, **parts})
+        try:
+            parts = {
+                "model": ModelConfig(**values["model"]),
+                "losses": LossConfig(**values["losses"]),
+                "schedule": ScheduleConfig(**values["schedule"]),
+            }
+            return cls(**{**values, **parts})
+        except (KeyError, TypeError) as error:
+            raise CheckpointError(f"options of another version: {error}") from error
 
 
 _SMALL = TrainConfig()

@@ -35,6 +35,9 @@ WARMUP_RATIO = 0.02
 FINAL_RATE_RATIO = 0.02
 """Learning rate at the end of a phase, against its peak; between them half a cosine."""
 
+SCALE_TOLERANCE = 1e-5
+"""Relative difference of position scales that two machines' sums may show for one capture."""
+
 Losses = dict[str, float]
 
 
@@ -206,13 +209,20 @@ class Trainer:
         """Go on from the run's checkpoint.
 
         Raises:
-            CheckpointError: None there, damaged, of another version, or of other options.
+            CheckpointError: None there, damaged, of another version, of other options, or of
+                another capture.
         """
         state = read_checkpoint(self.run_dir / "checkpoint.pt")
         if state["config"] != json.dumps(self.config.to_json()):
             raise CheckpointError(
                 f"{self.run_dir}: the checkpoint was made with other options; "
                 "use the same ones, or another --out"
+            )
+        scale_m, here_m = state["position_scale_m"], self.data.position_scale_m
+        if not math.isclose(scale_m, here_m, rel_tol=SCALE_TOLERANCE):
+            raise CheckpointError(
+                f"{self.run_dir}: the checkpoint was made on another capture than "
+                f"{self.data.capture.path} (position scale {scale_m:.6g} m, here {here_m:.6g} m)"
             )
         self.model.load_state_dict(state["model"])
         for name, optimiser in self._optimisers.items():
