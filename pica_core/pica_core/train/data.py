@@ -110,6 +110,26 @@ def _grow(covered: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
     return index.reshape(-1)
 
 
+def rarity(offsets_m: FloatArray, regions: dict[str, npt.NDArray[np.bool_]]) -> Float64Array:
+    """How far each frame's eyes or mouth lie from their mean, against the usual.
+
+    Args:
+        offsets_m: Vertices minus mean vertices, metres, ``[T, V, 3]``.
+        regions: Named vertex sets, bool ``[V]`` each.
+
+    Returns:
+        The largest such ratio over `IMPORTANT_REGIONS`, from 1 to `MAX_RARITY`, float64 ``[T]``.
+    """
+    ratios = np.ones(len(offsets_m))
+    for name in IMPORTANT_REGIONS:
+        if name not in regions or not regions[name].any():
+            continue
+        part = offsets_m[:, regions[name]]
+        distance = np.sqrt(np.square(part, dtype=np.float64).sum(2).mean(1))
+        ratios = np.maximum(ratios, distance / max(float(distance.mean()), 1e-9))
+    return np.minimum(ratios, MAX_RARITY)
+
+
 class TrainingData:
     """The frames of a capture, ready for batches.
 
@@ -144,7 +164,7 @@ class TrainingData:
             if name in topology.regions:
                 self.important |= topology.regions[name]
         self.lids = topology.regions.get("lids", np.zeros(len(self.important), bool))
-        self.frame_weights = self._rarity(topology.regions)
+        self.frame_weights = rarity(train - self.mean_vertices_m, topology.regions)
         self.arkit = torch.from_numpy(np.stack([capture.arkit(f) for f in capture.frames]))
         self._images: OrderedDict[tuple[int, str], npt.NDArray[np.uint8]] = OrderedDict()
         self._image_bytes = 0
@@ -155,20 +175,6 @@ class TrainingData:
         self.evaluation_views = [name for name in self.camera_names if name in named]
         if not self.evaluation_views:
             self.evaluation_views = self.camera_names
-
-    def _rarity(self, regions: dict[str, npt.NDArray[np.bool_]]) -> Float64Array:
-        """How far a training frame's eyes or mouth lie from their mean, against the usual: the
-        largest such ratio over `IMPORTANT_REGIONS`, from 1 to `MAX_RARITY`, float64 ``[T]``.
-        """
-        rarity = np.ones(len(self.train_frames))
-        for name in IMPORTANT_REGIONS:
-            if name not in regions or not regions[name].any():
-                continue
-            part = self.vertices_m[self.train_frames][:, regions[name]]
-            offset = part - self.mean_vertices_m[regions[name]]
-            distance = np.sqrt(np.square(offset, dtype=np.float64).sum(2).mean(1))
-            rarity = np.maximum(rarity, distance / max(float(distance.mean()), 1e-9))
-        return np.minimum(rarity, MAX_RARITY)
 
     def draw_frames(self, count: int, balance: float, rng: np.random.Generator) -> list[int]:
         """Draw training frames, with repetition, rare ones more often by the power `balance`."""
