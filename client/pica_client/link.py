@@ -130,7 +130,9 @@ class Link:
         """How often the link came back."""
         return max(self.counters.connects - 1, 0)
 
-    def send_frame(self, payload: bytes, captured_us: int) -> bool:
+    def send_frame(
+        self, payload: bytes, captured_us: int, *, layer: int = 0, is_keyframe: bool = True
+    ) -> bool:
         """Offer a frame of our first track.
 
         Returns:
@@ -138,15 +140,64 @@ class Link:
         """
         if self._session is None or not self.is_joined:
             return False
-        self._session.send_frame(payload, captured_us, is_keyframe=True)
+        self._session.send_frame(payload, captured_us, layer=layer, is_keyframe=is_keyframe)
         self._wake.set()
         return True
 
+    def want(self, stream: int, layer: int | None) -> bool:
+        """Ask the relay for the frames of a stream up to ``layer``, or for none.
+
+        A wish ends with the connection: it must be told anew after each ``Joined``.
+
+        Returns:
+            False if it could not be told: not joined, or the network takes nothing.
+        """
+        session = self._session_for_control()
+        if session is not None:
+            session.want(stream, layer)
+        return session is not None
+
+    def request_keyframe(self, stream: int) -> bool:
+        """Ask the publisher of a stream for a keyframe.
+
+        Returns:
+            As ``want``.
+        """
+        session = self._session_for_control()
+        if session is not None:
+            session.request_keyframe(stream)
+        return session is not None
+
+    def whisper(self, peer_id: str, data: bytes) -> bool:
+        """Send opaque bytes to one peer in the room; it gets a ``Whisper`` with our peer id.
+
+        It may be lost on its way: when the peer has just gone, or when we whisper more than the
+        relay allows.
+
+        Returns:
+            As ``want``.
+
+        Raises:
+            ValueError: More than ``MAX_WHISPER_BYTES``, or no peer id.
+        """
+        session = self._session_for_control()
+        if session is not None:
+            session.whisper(peer_id, data)
+        return session is not None
+
     def report(self, report: Report) -> None:
         """Tell the relay how streams arrived, if it is there."""
-        if self._session is not None and self.is_joined:
-            self._session.report(report)
-            self._wake.set()
+        session = self._session_for_control()
+        if session is not None:
+            session.report(report)
+
+    def _session_for_control(self) -> ClientSession | None:
+        """Return the session if it takes one more message, and let the writer look."""
+        session = self._session
+        if session is None or not session.can_queue:
+            return None
+        self._wake.set()
+        return session
 
     def leave(self) -> None:
         """Make `run` go in good order and return."""

@@ -20,6 +20,7 @@ from pica_protocol.limits import (
     MAX_PEERS,
     MAX_REPORT_STREAMS,
     MAX_TEXT_BYTES,
+    MAX_WHISPER_BYTES,
     quoted,
 )
 from pica_protocol.messages import MESSAGE_TYPES, Message
@@ -79,7 +80,7 @@ def _unpack(data: bytes) -> object:
             strict_map_key=True,
             ext_hook=_refuse_extension,
             max_str_len=MAX_TEXT_BYTES,
-            max_bin_len=0,
+            max_bin_len=MAX_WHISPER_BYTES,
             max_array_len=max(MAX_PEERS, MAX_REPORT_STREAMS),
             max_map_len=MAX_MAP_FIELDS,
             max_ext_len=0,
@@ -140,12 +141,20 @@ def _read_text(value: object, path: str) -> str:
     return value
 
 
+def _read_bytes(value: object, path: str) -> bytes:
+    if not isinstance(value, bytes):
+        raise _wrong(path, "bytes", value)
+    return value
+
+
 def _reader(hint: Any) -> _Reader:
     """Return what reads a field of this annotation; records met on the way get their schema too."""
     if hint is int:
         return _read_int
     if hint is str:
         return _read_text
+    if hint is bytes:
+        return _read_bytes
     if get_origin(hint) in (Union, types.UnionType) and set(get_args(hint)) == {int, type(None)}:
         return _read_int_or_none
     if get_origin(hint) is tuple:

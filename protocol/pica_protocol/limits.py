@@ -42,6 +42,9 @@ MAX_NAME_BYTES = 64
 MAX_REASON_BYTES = 120
 """A close reason, in UTF-8; a websocket close frame carries 123 (RFC 6455 5.5)."""
 
+MAX_WHISPER_BYTES = 512
+"""Opaque bytes one peer may send to another through the relay: a wrapped key fits (chosen)."""
+
 MAX_MAP_FIELDS = 16
 """Fields in one map; room for later versions to add some."""
 
@@ -81,6 +84,12 @@ def check_count(field: str, items: tuple[object, ...], limit: int) -> None:
     """Refuse a sequence with more than ``limit`` items."""
     if len(items) > limit:
         raise ValueError(f"{field} must have at most {limit} items, got {len(items)}")
+
+
+def check_bytes(field: str, value: bytes, max_bytes: int) -> None:
+    """Refuse a byte string that is too long."""
+    if len(value) > max_bytes:
+        raise ValueError(f"{field} must have at most {max_bytes} bytes, got {len(value)}")
 
 
 def quoted(value: object) -> str:

@@ -1,8 +1,8 @@
 """The control messages: frozen records that check their own limits.
 
 Direction and bytes of each are shown in ``docs/protocol.md``. The annotations are the schema that
-``codec.py`` reads: ``int``, ``str``, ``int | None``, another record, or a tuple of one of these. A
-later version may add a field with a default; it never reorders, retypes or removes one.
+``codec.py`` reads: ``int``, ``str``, ``bytes``, ``int | None``, another record, or a tuple of one
+of these. A later version may add a field with a default; it never reorders, retypes or removes one.
 """
 
 from dataclasses import dataclass
@@ -17,6 +17,8 @@ from pica_protocol.limits import (
     MAX_REPORT_STREAMS,
     MAX_STREAM,
     MAX_TRACKS,
+    MAX_WHISPER_BYTES,
+    check_bytes,
     check_count,
     check_range,
     check_sha256,
@@ -46,6 +48,8 @@ class Track:
     """SHA-256 of the avatar file a receiver needs to draw this track, in hexadecimal, or empty."""
     stream: int = 0
     """The stream its frames travel on; 0 in ``Join``, allotted by the relay in ``Joined``."""
+    profile: str = ""
+    """SHA-256 of the stream profile the payloads are encoded with, in hexadecimal; empty: plain."""
 
     def __post_init__(self) -> None:
         check_token("track.kind", self.kind)
@@ -56,6 +60,7 @@ class Track:
             )
         check_sha256("track.avatar", self.avatar)
         check_range("track.stream", self.stream, 0, MAX_STREAM)
+        check_sha256("track.profile", self.profile)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -185,6 +190,21 @@ class KeyframeRequest:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Whisper:
+    """Opaque bytes for one peer in the room; the relay does not look into them.
+
+    On its way to the relay it names the receiver, on its way from the relay the sender.
+    """
+
+    peer_id: str
+    data: bytes
+
+    def __post_init__(self) -> None:
+        check_token("whisper.peer_id", self.peer_id)
+        check_bytes("whisper.data", self.data, MAX_WHISPER_BYTES)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class StreamReport:
     """How one stream arrived since the last report."""
 
@@ -239,6 +259,7 @@ Message = (
     | Want
     | KeyframeRequest
     | Report
+    | Whisper
     | Bye
 )
 
@@ -253,6 +274,7 @@ MESSAGE_TYPES: Final[dict[str, type[Message]]] = {
     "want": Want,
     "keyframe_request": KeyframeRequest,
     "report": Report,
+    "whisper": Whisper,
     "bye": Bye,
 }
 """The name each message has on the wire, in its ``type`` field."""

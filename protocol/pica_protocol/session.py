@@ -66,13 +66,15 @@ from pica_protocol.messages import (
     Track,
     Want,
     Welcome,
+    Whisper,
 )
 
 HANDSHAKE_TIMEOUT_S: Final = 5.0
 """From the open socket to the place in the room (chosen: ten slow round trips)."""
 
-MAX_QUEUED_MESSAGES: Final = 64
-"""Control messages a client may queue before its shell sends them; more is a bug here."""
+MAX_QUEUED_MESSAGES: Final = 256
+"""Control messages a client may queue before its shell sends them (chosen: one whisper to each peer
+of the largest room fits four times)."""
 
 
 class State(Enum):
@@ -105,8 +107,8 @@ class Closed:
     """Whether the other side, or the network, ended it."""
 
 
-ClientEvent = Joined | PeerJoined | PeerLeft | KeyframeRequest | Frame | Closed
-ServerEvent = Join | Want | KeyframeRequest | Report | Media | Closed
+ClientEvent = Joined | PeerJoined | PeerLeft | KeyframeRequest | Whisper | Frame | Closed
+ServerEvent = Join | Want | KeyframeRequest | Report | Whisper | Media | Closed
 
 _Table = Mapping[State, Mapping[type, State]]
 
@@ -117,6 +119,7 @@ CLIENT_TABLE: Final[_Table] = {
         PeerJoined: State.JOINED,
         PeerLeft: State.JOINED,
         KeyframeRequest: State.JOINED,
+        Whisper: State.JOINED,
         Media: State.JOINED,
     },
     # What was under way when Leave went out still arrives.
@@ -126,6 +129,7 @@ CLIENT_TABLE: Final[_Table] = {
         PeerJoined: State.LEAVING,
         PeerLeft: State.LEAVING,
         KeyframeRequest: State.LEAVING,
+        Whisper: State.LEAVING,
         Media: State.LEAVING,
     },
     State.CLOSED: {},
@@ -139,6 +143,7 @@ SERVER_TABLE: Final[_Table] = {
         Want: State.JOINED,
         KeyframeRequest: State.JOINED,
         Report: State.JOINED,
+        Whisper: State.JOINED,
         Media: State.JOINED,
         Leave: State.CLOSED,
     },
@@ -306,6 +311,20 @@ class ClientSession(_Session):
         """Tell the relay how streams arrived."""
         self._queue_when_joined(report)
 
+    def whisper(self, peer_id: str, data: bytes) -> None:
+        """Send opaque bytes to one peer in the room; they may be dropped, and nobody is told.
+
+        Raises:
+            LocalProtocolError: Not joined, or too much waits.
+            ValueError: More than ``MAX_WHISPER_BYTES``, or no peer id.
+        """
+        self._queue_when_joined(Whisper(peer_id=peer_id, data=data))
+
+    @property
+    def can_queue(self) -> bool:
+        """Whether a control message can be queued now: joined, and not too many of them wait."""
+        return self.state is State.JOINED and len(self._outgoing) < MAX_QUEUED_MESSAGES
+
     def leave(self, now: float, timeout_s: float = 1.0) -> None:
         """Go in good order: the relay answers with ``Bye``, or we stop waiting for it."""
         if self.state in (State.CLOSED, State.LEAVING):
@@ -339,7 +358,7 @@ class ClientSession(_Session):
             case PeerLeft(peer_id=peer_id):
                 self.peers.pop(peer_id, None)
                 return [message]
-            case KeyframeRequest():
+            case KeyframeRequest() | Whisper():
                 return [message]
         raise AssertionError(f"the table admits {message} and nobody handles it")
 
@@ -424,7 +443,7 @@ class ServerSession(_Session):
             case Leave():
                 self._queue(Bye(code=CloseCode.NORMAL, reason="left"))
                 return [self._end(CloseCode.NORMAL, "left", is_remote=True)]
-            case Join() | Want() | KeyframeRequest() | Report():
+            case Join() | Want() | KeyframeRequest() | Report() | Whisper():
                 return [message]
         raise AssertionError(f"the table admits {message} and nobody handles it")
 

@@ -10,6 +10,7 @@ first with its handshake, then with reading what it was sent.
 """
 
 import heapq
+from dataclasses import replace
 from itertools import count
 
 from pica_protocol.codec import encode_message
@@ -23,29 +24,37 @@ from pica_protocol.messages import (
     PeerLeft,
     Report,
     Want,
+    Whisper,
 )
 from pica_protocol.session import Closed, Media, ServerEvent, ServerSession
 from pica_server.config import RelayConfig
 from pica_server.errors import OutboxFullError, RoomFullError
+from pica_server.limits import TokenBucket
 from pica_server.outbox import Outbox, Parcel
 from pica_server.room import Room
 from pica_server.stats import RelayStats
 
 SOFTWARE = "pica-relay"
 
+WHISPERS_PER_S = 16.0
+WHISPER_BURST = 128.0
+"""What one peer may whisper: two rounds to everybody in the largest room at once, and then a round
+in four seconds (chosen: keys change when somebody comes or goes)."""
+
 
 class Connection:
     """One websocket as the hub sees it; the shell reads ``closed`` and nothing else."""
 
-    __slots__ = ("outbox", "peer_id", "room", "sending_since", "serial", "session")
+    __slots__ = ("outbox", "peer_id", "room", "sending_since", "serial", "session", "whispers")
 
-    def __init__(self, serial: int, session: ServerSession, outbox: Outbox) -> None:
+    def __init__(self, serial: int, session: ServerSession, outbox: Outbox, now: float) -> None:
         self.serial = serial
         self.session = session
         self.outbox = outbox
         self.room: Room | None = None
         self.peer_id = f"p{serial}"
         self.sending_since: float | None = None
+        self.whispers = TokenBucket(WHISPERS_PER_S, WHISPER_BURST, now)
 
     @property
     def closed(self) -> Closed | None:
@@ -83,7 +92,8 @@ class Hub:
         """Take a new websocket; it is closed at once when the relay is full."""
         config = self._config
         session = ServerSession(software=SOFTWARE, now=now, timeout_s=config.handshake_timeout_s)
-        connection = Connection(next(self._serials), session, Outbox(config.max_control_bytes))
+        outbox = Outbox(config.max_control_bytes)
+        connection = Connection(next(self._serials), session, outbox, now)
         self.stats.connections += 1
         is_full = len(self._connections) >= config.max_connections
         self._connections[connection.peer_id] = connection
@@ -184,6 +194,26 @@ class Hub:
                 publisher = connection.room.request_keyframe(stream, now)
                 if publisher is not None:
                     self._send(self._connections[publisher], event, now)
+            case Whisper():
+                self._whisper(connection, event, now)
+
+    def _whisper(self, connection: Connection, whisper: Whisper, now: float) -> None:
+        """Pass a whisper on, under its sender's name, or drop it."""
+        room, stats = connection.room, self.stats
+        assert room is not None
+        if not connection.whispers.take(now):
+            stats.whispers_dropped["rate"] += 1
+            return
+        receiver = self._connections.get(whisper.peer_id)
+        if receiver is None or receiver.room is not room or receiver is connection:
+            stats.whispers_dropped["nobody"] += 1
+            return
+        # Whispers of many must not fill the queue that closes a peer for reading too slowly.
+        if receiver.outbox.waiting_control_bytes > self._config.max_control_bytes // 4:
+            stats.whispers_dropped["backlog"] += 1
+            return
+        self._send(receiver, replace(whisper, peer_id=connection.peer_id), now)
+        stats.whispers += 1
 
     def _forward(self, connection: Connection, media: Media, now: float) -> None:
         room = connection.room

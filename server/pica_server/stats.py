@@ -54,6 +54,11 @@ class RelayStats:
     end."""
     unwanted: int = 0
     """Frames that a receiver had asked not to get."""
+    whispers: int = 0
+    """Whispers passed on."""
+    whispers_dropped: Counter[str] = field(default_factory=Counter)
+    """Whispers that were not: the sender's ``rate`` was too high, the receiver is not in the room
+    (``nobody``), or reads too slowly (``backlog``)."""
     closed: Counter[int] = field(default_factory=Counter)
     """Connections ended, by close code."""
     reported_lost: int = 0
@@ -76,6 +81,8 @@ class RelayStats:
             "messages_out": self.messages_out,
             "dropped": dict(self.dropped),
             "unwanted": self.unwanted,
+            "whispers": self.whispers,
+            "whispers_dropped": dict(self.whispers_dropped),
             "closed": {str(code): count for code, count in sorted(self.closed.items())},
             "reported_lost": self.reported_lost,
             "reported_concealed": self.reported_concealed,

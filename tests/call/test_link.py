@@ -12,11 +12,12 @@ from websockets.asyncio.server import ServerConnection, serve
 from pica_client.errors import RelayRefusedError, RelayUnreachableError
 from pica_client.link import Link, LinkConfig
 from pica_protocol import SUBPROTOCOL
-from pica_protocol.messages import Joined
+from pica_protocol.messages import Joined, KeyframeRequest, PeerJoined, Whisper
 from pica_protocol.session import ClientEvent, Closed
 from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
+from simnet.peers import FACE, peer_in_room
 
 pytestmark = pytest.mark.call
 
@@ -145,3 +146,38 @@ async def test_frames_are_refused_while_nobody_listens() -> None:
     link, _ = make_link()
     assert not link.send_frame(b"x", 1)
     assert not link.is_joined
+    assert not link.want(1, 0)
+    assert not link.request_keyframe(1)
+    assert not link.whisper("p1", b"x")
+
+
+@in_virtual_time
+async def test_wishes_requests_and_whispers_go_through_the_relay() -> None:
+    events: list[ClientEvent] = []
+    async with Relay(RelayConfig()), peer_in_room(URL, "Bob", room="r") as bob:
+        config = LinkConfig(url=URL, room="r")
+        link = Link(config, (FACE,), on_event=lambda event, now: events.append(event))
+        running = asyncio.create_task(link.run())
+        ada = (await bob.until(PeerJoined)).peer
+        own, bobs = ada.tracks[0].stream, bob.session.tracks[0].stream
+        assert link.whisper(bob.session.peer_id, b"key")
+        assert await bob.until(Whisper) == Whisper(peer_id=ada.peer_id, data=b"key")
+        assert link.request_keyframe(bobs)
+        assert await bob.until(KeyframeRequest) == KeyframeRequest(stream=bobs)
+        assert link.want(bobs, None)
+        await asyncio.sleep(0.001)
+        await bob.send_frame(b"unseen")
+        bob.session.request_keyframe(own)
+        bob.session.whisper(ada.peer_id, b"answer")
+        await bob.flush()
+        await asyncio.sleep(0.001)
+        assert link.send_frame(b"base", 1)
+        assert link.send_frame(b"top", 2, layer=2, is_keyframe=False)
+        await asyncio.sleep(0.001)
+        assert [(f.payload, f.layer, f.is_keyframe) for _, f in bob.arrivals][-1][1:] == (2, False)
+        assert events[1:] == [
+            KeyframeRequest(stream=own),
+            Whisper(peer_id=bob.session.peer_id, data=b"answer"),
+        ]
+        link.leave()
+        await running

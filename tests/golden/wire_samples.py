@@ -1,7 +1,8 @@
 """One sample of everything that travels; the golden bytes in ``wire.json`` are made of these.
 
-``python tests/golden/wire_samples.py`` writes the file anew. Do that only for a message that was
-added: bytes that are in the file already are what older peers send, and must decode for ever.
+``python tests/golden/wire_samples.py`` writes the file anew. Bytes that are in the file already are
+what older peers send, and must decode for ever: where a message has got a new field, its bytes
+before that stay in ``older``, which the script carries over.
 """
 
 import json
@@ -25,12 +26,19 @@ from pica_protocol.messages import (
     Track,
     Want,
     Welcome,
+    Whisper,
 )
 
 GOLDEN = Path(__file__).with_name("wire.json")
 
 _AVATAR = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
-_ADA = Peer(peer_id="p1", name="Ada", tracks=(Track(kind="face", avatar=_AVATAR, stream=1),))
+_PROFILE = "60303ae22b998861bce3b28f33eec1be758a213c86c93c076dbe9f558c11c752"
+_ADA = Peer(
+    peer_id="p1",
+    name="Ada",
+    tracks=(Track(kind="face", avatar=_AVATAR, stream=1, profile=_PROFILE),),
+)
+_OLD_ADA = Peer(peer_id="p1", name="Ada", tracks=(Track(kind="face", avatar=_AVATAR, stream=1),))
 
 MESSAGES: dict[str, Message] = {
     "hello": Hello(software="pica-client"),
@@ -46,8 +54,18 @@ MESSAGES: dict[str, Message] = {
     "want none": Want(stream=1, layer=None),
     "keyframe_request": KeyframeRequest(stream=1),
     "report": Report(streams=(StreamReport(stream=1, received=30, lost=2, concealed=1),)),
+    "whisper": Whisper(peer_id="p1", data=b"for your eyes only"),
     "bye": Bye(code=4004, reason="room lobby is full: 16 peers"),
 }
+
+OLDER: dict[str, Message] = {
+    "join before profiles": Join(room="lobby", name="Bob", tracks=(Track(kind="face"),)),
+    "joined before profiles": Joined(
+        room="lobby", peer_id="p2", tracks=(Track(kind="face", stream=2),), peers=(_OLD_ADA,)
+    ),
+    "peer_joined before profiles": PeerJoined(peer=_OLD_ADA),
+}
+"""What the bytes of earlier versions mean today."""
 
 FRAMES: dict[str, list[Frame]] = {
     "one frame": [
@@ -85,6 +103,13 @@ def invalid_bytes() -> dict[str, bytes]:
         "unknown type": hello.replace(b"hello", b"hullo"),
         "required field missing": b"\x01\x81\xa4type\xa4want",
         "number where text belongs": encode_message(Bye(code=1000, reason="x"))[:-2] + b"\x07",
+        "whisper above the limit": b"\x01\x83\xa4type\xa7whisper\xa7peer_id\xa2p1\xa4data"
+        + b"\xc5\x02\x01"
+        + bytes(513),
+        "bytes where text belongs": b"\x01\x82\xa4type\xa9peer_left\xa7peer_id\xc4\x02p1",
+        "text where bytes belong": encode_message(Whisper(peer_id="p1", data=b"x")).replace(
+            b"\xc4\x01x", b"\xa1x"
+        ),
         "stream 0": encode_message(Want(stream=1)).replace(b"stream\x01", b"stream\x00"),
         "map with a number as key": b"\x01\x81\x01\x01",
         "extension type": b"\x01\xd4\x05\x00",
@@ -100,6 +125,7 @@ def invalid_bytes() -> dict[str, bytes]:
 
 def _write() -> None:
     golden = {
+        "older": json.loads(GOLDEN.read_text())["older"],
         "valid": {name: data.hex() for name, data in wire_bytes().items()},
         "invalid": {name: data.hex() for name, data in invalid_bytes().items()},
     }

@@ -5,6 +5,7 @@ import string
 from hypothesis import strategies as st
 
 from pica_protocol.frames import MAX_PAYLOAD_BYTES, Frame
+from pica_protocol.limits import MAX_WHISPER_BYTES
 from pica_protocol.messages import (
     BYE_CODES,
     Bye,
@@ -22,6 +23,7 @@ from pica_protocol.messages import (
     Track,
     Want,
     Welcome,
+    Whisper,
 )
 
 _TOKEN_CHARS = string.ascii_letters + string.digits + "_.-"
@@ -40,6 +42,7 @@ def tracks(stream: st.SearchStrategy[int]) -> st.SearchStrategy[tuple[Track, ...
         kind=st.text(_TOKEN_CHARS, min_size=1, max_size=16),
         avatar=st.sampled_from(["", "0f" * 32]),
         stream=stream,
+        profile=st.sampled_from(["", "1e" * 32]),
     )
     return st.lists(track, max_size=4).map(tuple)
 
@@ -70,6 +73,9 @@ messages: st.SearchStrategy[Message] = st.one_of(
             ),
             max_size=4,
         ).map(tuple),
+    ),
+    st.builds(
+        Whisper, peer_id=tokens, data=st.binary(max_size=20) | st.just(bytes(MAX_WHISPER_BYTES))
     ),
     st.builds(Bye, code=st.sampled_from(BYE_CODES) | st.integers(3000, 4999), reason=texts),
 )

@@ -154,7 +154,7 @@ def test_a_refused_value_cannot_fill_the_log() -> None:
 
 
 def test_the_fullest_room_fits_a_control_message() -> None:
-    track = Track(kind="k" * 16, avatar="f" * 64, stream=65_535)
+    track = Track(kind="k" * 16, avatar="f" * 64, stream=65_535, profile="f" * 64)
     peer = Peer(peer_id="p" * 64, name="n" * 64, tracks=(track,) * 4)
     joined = Joined(room="r" * 64, peer_id="p" * 64, tracks=(track,) * 4, peers=(peer,) * MAX_PEERS)
     assert len(encode_message(joined)) <= MAX_CONTROL_BYTES

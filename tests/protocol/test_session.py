@@ -21,6 +21,7 @@ from pica_protocol.messages import (
     Track,
     Want,
     Welcome,
+    Whisper,
 )
 from pica_protocol.session import (
     CLIENT_TABLE,
@@ -149,12 +150,23 @@ def test_wishes_requests_and_reports_reach_the_server_as_events() -> None:
     client.want(8, None)
     client.request_keyframe(8)
     client.report(report)
+    client.whisper("p2", b"key")
     events = [
         event
         for data in client.messages_to_send(now=1.0)
         for event in server.receive_data(data, now=1.1)
     ]
-    assert events == [Want(stream=8, layer=None), KeyframeRequest(stream=8), report]
+    assert events == [
+        Want(stream=8, layer=None),
+        KeyframeRequest(stream=8),
+        report,
+        Whisper(peer_id="p2", data=b"key"),
+    ]
+
+
+def test_a_whisper_reaches_the_client_as_an_event() -> None:
+    whisper = Whisper(peer_id="p2", data=bytes(512))
+    assert joined_client().receive_data(encode_message(whisper), now=1.0) == [whisper]
 
 
 def test_leaving_is_answered_and_ends_both_sides() -> None:
@@ -269,8 +281,10 @@ def test_what_a_client_must_not_do_is_its_own_error() -> None:
 
 def test_a_shell_that_never_drains_is_told() -> None:
     client = joined_client()
+    assert client.can_queue
     for _ in range(MAX_QUEUED_MESSAGES):
         client.request_keyframe(8)
+    assert not client.can_queue
     with pytest.raises(LocalProtocolError, match="drain messages_to_send"):
         client.request_keyframe(8)
 
@@ -294,6 +308,7 @@ SAMPLES: list[Message] = [
     Want(stream=8),
     KeyframeRequest(stream=8),
     Report(),
+    Whisper(peer_id="p2", data=b"x"),
 ]
 FRAME = media_message([encode_frame(Frame(stream=8, sequence=0, captured_us=0, payload=b""))])
 

@@ -5,7 +5,16 @@ import pytest
 from pica_protocol.codec import decode_message, encode_message
 from pica_protocol.errors import CloseCode
 from pica_protocol.frames import Frame, decode_media
-from pica_protocol.messages import Bye, Message, PeerJoined, PeerLeft, Report, StreamReport, Track
+from pica_protocol.messages import (
+    Bye,
+    Message,
+    PeerJoined,
+    PeerLeft,
+    Report,
+    StreamReport,
+    Track,
+    Whisper,
+)
 from pica_protocol.session import ClientSession, State
 from pica_server.config import RelayConfig
 from pica_server.hub import Connection, Hub
@@ -181,6 +190,49 @@ def test_reports_are_added_up() -> None:
     bob.speak(now=1.0)
     assert (hub.stats.reported_lost, hub.stats.reported_concealed) == (4, 2)
     assert ada.listen(now=1.0) == []
+
+
+def test_a_whisper_reaches_one_peer_under_its_senders_name() -> None:
+    hub, (ada, bob, cyd) = hub_with("Ada", "Bob", "Cyd")
+    ada.session.whisper(bob.session.peer_id, b"key")
+    ada.speak(now=1.0)
+    assert bob.listen(now=1.0) == [Whisper(peer_id=ada.session.peer_id, data=b"key")]
+    assert ada.listen(now=1.0) == cyd.listen(now=1.0) == []
+    assert hub.stats.whispers == 1
+
+
+def test_a_whisper_stays_in_its_room() -> None:
+    hub, (ada,) = hub_with("Ada")
+    eve = Member(hub, "Eve", room="elsewhere")
+    for receiver in (eve.session.peer_id, ada.session.peer_id, "p99"):
+        ada.session.whisper(receiver, b"key")
+    ada.speak(now=1.0)
+    assert eve.listen(now=1.0) == ada.listen(now=1.0) == []
+    assert hub.stats.whispers_dropped == {"nobody": 3}
+
+
+def test_who_whispers_too_much_is_not_heard_for_a_while() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob")
+    heard = []
+    for now in (1.0, 1.5, 100.0):
+        for _ in range(200):
+            ada.session.whisper(bob.session.peer_id, b"x")
+        ada.speak(now)
+        heard.append(len(bob.listen(now)))
+    assert heard == [128, 8, 128]
+    assert hub.stats.whispers_dropped == {"rate": 600 - 264}
+    assert ada.connection.closed is None
+
+
+def test_whispers_do_not_get_a_slow_reader_closed() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob", config=RelayConfig(max_control_bytes=65_536))
+    for second in range(60):
+        for _ in range(100):
+            ada.session.whisper(bob.session.peer_id, bytes(512))
+        ada.speak(now=float(second))
+    assert bob.connection.closed is None
+    assert bob.connection.outbox.waiting_control_bytes < 20_000
+    assert hub.stats.whispers_dropped["backlog"] > 0
 
 
 def test_a_message_after_the_end_is_ignored() -> None:
