@@ -22,7 +22,7 @@ from pica_client.playout import Playout, PlayoutConfig, PlayoutReport, TimedSamp
 from pica_client.sender import FACE_TRACK
 from pica_core.avatar_file import Avatar
 from pica_core.errors import AvatarFileError, LatentError
-from pica_core.latent_stream import LatentProfile, decode_latent
+from pica_core.plain_stream import LatentProfile, decode_latent
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, Peer, PeerJoined, PeerLeft, Report, StreamReport, Track
 from pica_protocol.session import ClientEvent

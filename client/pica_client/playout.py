@@ -31,7 +31,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pica_client.rotation import blend_rotations
-from pica_core.latent_stream import LatentSample
+from pica_core.latent_sample import LatentSample
 from pica_protocol.frames import SEQUENCE_MODULUS, sequence_distance
 
 

@@ -21,7 +21,7 @@ from pica_client.sources import Source
 from pica_client.stats import Samples
 from pica_core.avatar_file import Avatar
 from pica_core.expression_encoder import ExpressionEncoder
-from pica_core.latent_stream import LatentProfile, encode_latent
+from pica_core.plain_stream import LatentProfile, encode_latent
 from pica_protocol.messages import Track
 
 FACE_TRACK = "face"

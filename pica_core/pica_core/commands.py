@@ -15,8 +15,8 @@ from pica_core.avatar_file import Avatar, avatar_id, load_avatar
 from pica_core.decoder_layers import decoder_layers
 from pica_core.errors import AvatarFileError
 from pica_core.expression_encoder import ExpressionEncoder
-from pica_core.latent_stream import LatentProfile, decode_latent, encode_latent
 from pica_core.pixel_reference import count_parameters
+from pica_core.plain_stream import LatentProfile, decode_latent, encode_latent
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

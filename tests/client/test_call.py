@@ -12,7 +12,7 @@ from pica_client.call import Call
 from pica_client.errors import AvatarLookupError
 from pica_core.avatar_file import Avatar, save_avatar
 from pica_core.errors import AvatarFileError
-from pica_core.latent_stream import LatentProfile, encode_latent
+from pica_core.plain_stream import LatentProfile, encode_latent
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, Peer, PeerJoined, PeerLeft, Track
 from toy import make_toy_avatar

@@ -12,7 +12,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 
 from pica_client.playout import PlayedFace, Playout, PlayoutConfig
 from pica_client.rotation import blend_rotations
-from pica_core.latent_stream import LatentSample
+from pica_core.latent_sample import LatentSample
 
 pytestmark = pytest.mark.unit
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pica_core.errors import LatentError, ShapeError
-from pica_core.latent_stream import (
+from pica_core.plain_stream import (
     PLAIN_BYTES,
     LatentProfile,
     decode_latent,

@@ -25,6 +25,7 @@ import numpy.typing as npt
 
 from pica_core.avatar_manifest import Manifest
 from pica_core.errors import LatentError, ShapeError
+from pica_core.latent_sample import LatentSample
 from pica_core.spec import LATENT_CHANNELS, LATENT_SHAPE, NUM_LATENT
 
 FloatArray = npt.NDArray[np.float32]
@@ -58,18 +59,6 @@ class LatentProfile:
     def from_manifest(cls, manifest: Manifest) -> Self:
         """The profile of an avatar."""
         return cls(latent_scale=manifest.latent_scale)
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class LatentSample:
-    """One decoded payload."""
-
-    latent: FloatArray
-    """float32 ``[8, 8, 4]``."""
-    rotation: FloatArray
-    """Head to seat, rotation vector, radians. float32 ``[3]``."""
-    translation_m: FloatArray
-    """Head offset from its seat, metres. float32 ``[3]``."""
 
 
 def encode_latent(

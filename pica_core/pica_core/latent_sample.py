@@ -1,0 +1,25 @@
+"""One moment of a face as it travels: the latent and the pose of the head."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class LatentSample:
+    """A decoded frame of a latent stream."""
+
+    latent: FloatArray
+    """float32 ``[8, 8, 4]``."""
+    rotation: FloatArray
+    """Head to seat, rotation vector, radians. float32 ``[3]``."""
+    translation_m: FloatArray
+    """Head offset from its seat, metres. float32 ``[3]``."""
+    is_still: bool = False
+    """Whether the sender says that nothing changes until its next frame: a silence that follows is
+    no gap, and ends one frame interval before the next frame."""
