@@ -1,0 +1,36 @@
+"""Which counters of one key have been seen: a sliding window of bits."""
+
+from __future__ import annotations
+
+from typing import Final
+
+WINDOW: Final = 1024
+"""Counters that are remembered: 34 s of one stream at 30 frames a second (chosen: longer than any
+delay that a playout would wait for)."""
+
+
+class ReplayWindow:
+    """Lets every counter through once, in any order within the window.
+
+    Ask `is_new` before a frame is opened, `mark` it once it has been: a forged frame must not use
+    up a counter.
+    """
+
+    def __init__(self) -> None:
+        self._highest = -1
+        self._seen = 0  # bit i: counter highest - i
+
+    def is_new(self, counter: int) -> bool:
+        """Whether this counter has not been seen, as far as that can be told."""
+        age = self._highest - counter
+        return age < 0 or (age < WINDOW and not self._seen >> age & 1)
+
+    def mark(self, counter: int) -> None:
+        """Remember a counter that `is_new`."""
+        ahead = counter - self._highest
+        if ahead > 0:
+            shifted = self._seen << ahead if ahead < WINDOW else 0
+            self._seen = (shifted | 1) & ((1 << WINDOW) - 1)
+            self._highest = counter
+        else:
+            self._seen |= 1 << -ahead
