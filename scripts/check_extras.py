@@ -1,7 +1,9 @@
 """Install each part alone in a fresh environment and start it there.
 
     base    `pica relay` starts, and neither numpy nor torch is installed
-    view    every module of `pica_client` imports, and torch is not installed
+    view    every module of `pica_client` imports, and torch and cryptography are not installed;
+            those of `pica_client.seal` alone need the extra seal
+    seal    with it, a sender's install imports them too
 
 The environments are temporary; wheels come from pip's cache when it has them.
 """
@@ -65,25 +67,40 @@ def check_relay(folder: Path) -> None:
     print("base: the relay runs without numpy")
 
 
+IMPORT_MODULES = """
+import importlib, pkgutil, sys, pica_client
+inside, left_out = sys.argv[1], sys.argv[2:]
+names = [m.name for m in pkgutil.walk_packages(pica_client.__path__, "pica_client.")]
+names = [n for n in names if n.startswith(inside) and not n.startswith(tuple(left_out))]
+[importlib.import_module(n) for n in names]
+print(len(names), "modules of", inside, "import")
+"""
+
+
+def import_modules(python: Path, inside: str, *left_out: str) -> str:
+    """Import every module of a package there, save those whose names begin otherwise."""
+    command = [python, "-I", "-c", IMPORT_MODULES, inside, *left_out]
+    output = subprocess.run(command, cwd="/", check=True, capture_output=True, text=True)
+    return output.stdout.strip()
+
+
 def check_client(folder: Path) -> None:
-    """The viewer's install imports the whole client without torch."""
+    """The viewer's install imports the whole client without torch and without cryptography."""
     python = make_environment(folder, "view")
-    assert_absent(python, "torch")
-    code = (
-        "import importlib, pkgutil, pica_client\n"
-        "names = [m.name for m in pkgutil.walk_packages(pica_client.__path__, 'pica_client.')]\n"
-        "[importlib.import_module(n) for n in names]\n"
-        "print(len(names), 'modules of the client import without torch')"
-    )
-    output = subprocess.run(
-        [python, "-I", "-c", code], cwd=folder, check=True, capture_output=True, text=True
-    )
-    print(f"view: {output.stdout.strip()}")
+    assert_absent(python, "torch", "cryptography")
+    print(f"view: {import_modules(python, 'pica_client', 'pica_client.seal.')}")
+
+
+def check_seal(folder: Path) -> None:
+    """A sender's install can encrypt with the extra seal, without what only a viewer needs."""
+    python = make_environment(folder, "send,seal")
+    assert_absent(python, "torch", "onnxruntime", "moderngl")
+    print(f"seal: {import_modules(python, 'pica_client.seal')}")
 
 
 def main() -> None:
-    """Check both, each in its own temporary folder."""
-    for check in (check_relay, check_client):
+    """Check each in its own temporary folder."""
+    for check in (check_relay, check_client, check_seal):
         with tempfile.TemporaryDirectory(prefix="pica-extras-") as folder:
             check(Path(folder))
 

@@ -37,7 +37,7 @@ def test_every_module_of_the_client_imports_without_torch() -> None:
 
 
 def test_a_sender_imports_without_graphics_and_inference() -> None:
-    blocked = ["torch", "moderngl", "glfw", "onnx", "onnxruntime", "PIL", "av"]
+    blocked = ["torch", "moderngl", "glfw", "onnx", "onnxruntime", "PIL", "av", "cryptography"]
     wanted = ["pica_client.commands", "pica_client.sender", "pica_client.call", "pica_client.demo"]
     done = import_with_blocked(blocked, wanted)
     assert done.returncode == 0, done.stderr
