@@ -1,0 +1,301 @@
+"""What the receiver's playout makes of a troubled network, in the unit that counts: the error of
+the rendered face. On a virtual clock, so every figure comes out the same on every machine with the
+same renderer.
+
+Each row is one scenario (`impairment_scenarios`) under one policy (`playout_policies`). Unless it
+says otherwise a figure is of the troubled third of the run:
+
+    mse_shown        against the true face at the moment that the policy means to show: the refresh
+                     less the fastest transit less the policy's own delay. What interpolation,
+                     concealment and missing frames cost; a constant delay costs nothing.
+    mse_now          against the true face now, so with the delay of network and playout in it.
+    added_delay_ms   age of the face on the display beyond the fastest transit, over all refreshes.
+    concealed_ratio  share of refreshes for which the frame to show was not there.
+    late             frames that came after a newer one had been shown.
+    recovery_ms      from the end of the trouble to the last refresh that was still concealed, or
+                     whose face was more than a frame interval older than before the trouble; None
+                     if that lasts to the end of the run.
+    delay_recovery_ms   the same of the playout delay alone.
+    largest_step     largest change of the picture from one refresh to the next, from the beginning
+                     of the trouble to the end of the run, over the largest that the true face makes
+                     there (root mean square); above 1 the face jumps as it never does.
+    payload_bps, wire_bps   over the whole run, wire with the headers of websocket and TCP/IP.
+
+MSE is on 0-255 values over covered pixels of a front view of 192 x 192 pixels, at some refreshes a
+second. Which steps are largest is decided between latents and head poses, the steps themselves are
+rendered.
+
+What it does not show: real networks (see `impairment` for what is modelled), displays that miss
+refreshes, and people: performances and avatars are synthetic.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from pica_client.errors import OptionError
+from pica_client.impairment_scenarios import BY_NAME, SCENARIOS
+from pica_client.playout import Playout
+from pica_client.playout_policies import POLICIES
+from pica_client.render_error import Drawing, FaceRenderer, rendered_mse
+from pica_client.sources import open_source
+from pica_client.stats import percentile
+from pica_client.stream_ends import Decoder, Encoder, PlainDecoder, PlainEncoder
+from pica_client.stream_trial import (
+    Delivery,
+    Face,
+    Schedule,
+    Tick,
+    deliver,
+    play,
+)
+from pica_core.avatar_file import Avatar
+from pica_core.expression_encoder import ExpressionEncoder
+from pica_core.latent_sample import LatentSample
+from pica_core.plain_stream import LatentProfile
+
+SIZE_PX = 192
+MAX_DRAWINGS = 1500
+"""Drawings of the true face kept: 0.15 MB each."""
+POSE_WEIGHT = 3.0
+"""Of a radian or a tenth of a metre against a latent's unit, where steps are compared before they
+are drawn (chosen: only the order of candidates depends on it)."""
+
+EndsMaker = Callable[[Avatar], tuple[Encoder, Decoder]]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BenchPlayoutConfig:
+    """What to compare."""
+
+    source: str = "performance:talk"
+    codec: str = "plain"
+    """Format of the payloads, a name in `CODECS`."""
+    scenarios: tuple[str, ...] = ()
+    """Names of rows; all by default."""
+    schedule: Schedule = field(default_factory=Schedule)
+    renders_per_s: float = 10.0
+    """Refreshes that are rendered for the error, a second."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0.5 <= self.renders_per_s <= self.schedule.display_hz:
+            raise OptionError(
+                f"renders_per_s is {self.renders_per_s:g}; "
+                f"0.5 to {self.schedule.display_hz:g} is allowed"
+            )
+        if self.codec not in CODECS:
+            raise OptionError(f"codec {self.codec!r} is unknown; known are {', '.join(CODECS)}")
+        for name in self.scenarios:
+            if name not in BY_NAME:
+                raise OptionError(f"scenario {name!r} is unknown; known are {', '.join(BY_NAME)}")
+
+
+def _plain_ends(avatar: Avatar) -> tuple[Encoder, Decoder]:
+    profile = LatentProfile.from_manifest(avatar.manifest)
+    return PlainEncoder(profile), PlainDecoder(profile)
+
+
+CODECS: dict[str, EndsMaker] = {"plain": _plain_ends}
+"""Both ends of every format, fresh, by its name."""
+
+
+def run_bench_playout(config: BenchPlayoutConfig, avatar: Avatar) -> dict[str, Any]:
+    """Run all scenarios under all policies.
+
+    Returns:
+        ``rows`` as the module describes them, and what they hold for.
+
+    Raises:
+        ClientError: A source that cannot be read.
+        GraphicsError: No GL context; names the fix.
+    """
+    face = true_face(config.source, avatar)
+    chosen = [BY_NAME[name] for name in config.scenarios] or list(SCENARIOS)
+    rows = []
+    with FaceRenderer(avatar, size_px=SIZE_PX, views=("front",)) as renderer:
+        judge = Judge(renderer, face, config.schedule, config.renders_per_s)
+        for scenario in chosen:
+            ends = CODECS[config.codec](avatar)
+            delivery = deliver(face, ends, scenario, config.schedule, seed=config.seed)
+            for policy, playout in POLICIES.items():
+                ticks = play(delivery, Playout(playout), config.schedule)
+                rows.append(
+                    {
+                        "scenario": scenario.name,
+                        "policy": policy,
+                        "source": config.source,
+                        "codec": config.codec,
+                        **judge.measure(ticks, delivery),
+                        **_network(delivery, config.schedule),
+                    }
+                )
+            _say(f"{scenario.name}: {scenario.note}")
+    return {
+        "rows": rows,
+        "avatar": avatar.manifest.name,
+        "seconds": config.schedule.seconds,
+        "fps": config.schedule.fps,
+        "display_hz": config.schedule.display_hz,
+        "renders_per_s": config.renders_per_s,
+        "size_px": SIZE_PX,
+        "seed": config.seed,
+    }
+
+
+def true_face(source: str, avatar: Avatar) -> Face:
+    """The face that a source shows, as a function of time.
+
+    Raises:
+        SourceError: It cannot be read.
+    """
+    opened, encoder = open_source(source), ExpressionEncoder(avatar)
+
+    def face(time_s: float) -> LatentSample:
+        frame = opened.frame_at(time_s)
+        return LatentSample(
+            latent=encoder.encode(frame.arkit),
+            rotation=frame.rotation,
+            translation_m=frame.translation_m,
+        )
+
+    return face
+
+
+class Judge:
+    """Compares what was shown with the true face. Draws the true face of a moment once."""
+
+    def __init__(
+        self, renderer: FaceRenderer, face: Face, schedule: Schedule, renders_per_s: float
+    ) -> None:
+        self._renderer = renderer
+        self._face = face
+        self._schedule = schedule
+        self._every = max(round(schedule.display_hz / renders_per_s), 1)
+        self._true_drawing = lru_cache(maxsize=MAX_DRAWINGS)(self._draw_true)
+
+    def measure(self, ticks: Sequence[Tick], delivery: Delivery) -> dict[str, Any]:
+        """The figures of one run; see the module."""
+        schedule = self._schedule
+        troubled = [tick for tick in ticks if schedule.begin_s <= tick.now_s < schedule.end_s]
+        added_s = sorted(_added_delay_s(tick, delivery) for tick in troubled)
+        errors = [self._errors(tick, delivery) for tick in troubled[:: self._every]]
+        late = [tick.report.late for tick in (troubled[0], troubled[-1])]
+        return {
+            "mse_shown": round(float(np.mean([shown for shown, _ in errors])), 3),
+            "mse_now": round(float(np.mean([now for _, now in errors])), 3),
+            "added_delay_ms_p50": round(percentile(added_s, 50) * 1e3, 1),
+            "added_delay_ms_p95": round(percentile(added_s, 95) * 1e3, 1),
+            "concealed_ratio": round(float(np.mean([_is_concealed(tick) for tick in troubled])), 4),
+            "late": late[1] - late[0],
+            **self._recovery(ticks, delivery),
+            "largest_step": self._largest_step(ticks),
+        }
+
+    def _errors(self, tick: Tick, delivery: Delivery) -> tuple[float, float]:
+        """MSE against the face that was meant to be shown, and against the face now."""
+        if tick.played is None:
+            raise OptionError("nothing is shown in the troubled third; let the run be longer")
+        drawn = self._draw(tick.played.sample)
+        meant_s = tick.now_s - delivery.base_delay_s - tick.report.delay_s
+        return (
+            rendered_mse(drawn, self._true_drawing(round(meant_s * 1e6))),
+            rendered_mse(drawn, self._true_drawing(round(tick.now_s * 1e6))),
+        )
+
+    def _recovery(self, ticks: Sequence[Tick], delivery: Delivery) -> dict[str, float | None]:
+        schedule = self._schedule
+        before = [tick for tick in ticks if schedule.begin_s / 2 <= tick.now_s < schedule.begin_s]
+        frame_s = 1 / schedule.fps
+        usual_s = percentile(sorted(_added_delay_s(tick, delivery) for tick in before), 95)
+        usual_delay_s = percentile(sorted(tick.report.delay_s for tick in before), 95)
+        after = [tick for tick in ticks if tick.now_s >= schedule.end_s]
+        unwell = [
+            _is_concealed(tick) or _added_delay_s(tick, delivery) > usual_s + frame_s
+            for tick in after
+        ]
+        slow = [tick.report.delay_s > usual_delay_s + frame_s for tick in after]
+        return {
+            "recovery_ms": self._last_ms(after, unwell),
+            "delay_recovery_ms": self._last_ms(after, slow),
+        }
+
+    def _last_ms(self, ticks: Sequence[Tick], flags: Sequence[bool]) -> float | None:
+        """When the last flag was up, after the trouble; 0 for never, None for still."""
+        raised = [tick.now_s for tick, flag in zip(ticks, flags, strict=True) if flag]
+        if not raised:
+            return 0.0
+        if raised[-1] > self._schedule.seconds - 0.5:
+            return None
+        return round((raised[-1] - self._schedule.end_s) * 1e3, 1)
+
+    def _largest_step(self, ticks: Sequence[Tick]) -> float:
+        """The largest step that is shown over the largest true one."""
+        times = [tick.now_s for tick in ticks if tick.now_s >= self._schedule.begin_s]
+        shown = [
+            tick.played.sample
+            for tick in ticks
+            if tick.now_s >= self._schedule.begin_s and tick.played is not None
+        ]
+        true_step = self._drawn_step([self._face(now) for now in times])
+        return round(math.sqrt(self._drawn_step(shown) / true_step), 2)
+
+    def _drawn_step(self, samples: Sequence[LatentSample]) -> float:
+        """MSE between the two neighbours that differ most."""
+        points = np.stack(
+            [
+                np.concatenate(
+                    [
+                        sample.latent.ravel(),
+                        POSE_WEIGHT * sample.rotation,
+                        10 * POSE_WEIGHT * sample.translation_m,
+                    ]
+                )
+                for sample in samples
+            ]
+        )
+        where = int(np.square(np.diff(points, axis=0)).sum(axis=1).argmax())
+        return rendered_mse(self._draw(samples[where]), self._draw(samples[where + 1]))
+
+    def _draw(self, sample: LatentSample) -> Drawing:
+        return self._renderer.draw(sample.latent, sample.rotation, sample.translation_m)
+
+    def _draw_true(self, time_us: int) -> Drawing:
+        return self._draw(self._face(time_us / 1e6))
+
+
+def _network(delivery: Delivery, schedule: Schedule) -> dict[str, Any]:
+    counters = delivery.counters
+    return {
+        "sent": delivery.sent,
+        "decoded": len(delivery.arrivals),
+        "thinned": counters.thinned,
+        "replaced": counters.replaced,
+        "lost": counters.lost,
+        "keyframes": delivery.keyframes,
+        "keyframe_requests": delivery.keyframe_requests,
+        "payload_bps": round(delivery.payload_bytes * 8 / schedule.seconds),
+        "wire_bps": round(delivery.wire_bytes * 8 / schedule.seconds),
+    }
+
+
+def _added_delay_s(tick: Tick, delivery: Delivery) -> float:
+    """Age of the face beyond the fastest transit; that of the whole run before the first face."""
+    if tick.played is None:
+        return tick.now_s
+    return tick.now_s - tick.shown_s - delivery.base_delay_s
+
+
+def _is_concealed(tick: Tick) -> bool:
+    return tick.played is None or tick.played.is_concealed
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
