@@ -79,7 +79,7 @@ class LinkCounters:
     received_messages: int = 0
     received_wire_bytes: int = 0
     frames_replaced: int = 0
-    """Frames overtaken by a newer one before the socket took them."""
+    """Frames that newer ones overtook, or that were thinned, before the socket took them."""
 
 
 class Link:
@@ -135,12 +135,20 @@ class Link:
     ) -> bool:
         """Offer a frame of our first track.
 
+        When the network is too slow for the stream, and with the first frame of a connection unless
+        it is a keyframe, the frame is dropped and ``on_event`` gets a ``KeyframeRequest``.
+
         Returns:
             False while not joined; the frame is gone then.
         """
         if self._session is None or not self.is_joined:
             return False
-        self._session.send_frame(payload, captured_us, layer=layer, is_keyframe=is_keyframe)
+        events = self._session.send_frame(
+            payload, captured_us, layer=layer, is_keyframe=is_keyframe
+        )
+        if self._on_event is not None:
+            for event in events:
+                self._on_event(event, asyncio.get_running_loop().time())
         self._wake.set()
         return True
 
@@ -305,7 +313,7 @@ class Link:
                 self._wake.set()  # let the writer see that it is over
         finally:
             self._session = None
-            self.counters.frames_replaced += session.frames_replaced
+            self.counters.frames_replaced += session.drops.total()
             # In case we are cancelled: no socket outlives its link.
             websocket.transport.abort()
         closed = session.closed

@@ -27,6 +27,7 @@ What may be received in which state, and where it leads, stands in the two table
 ``UNEXPECTED_MESSAGE``. ``Bye`` ends every state.
 """
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -48,6 +49,7 @@ from pica_protocol.frames import (
 from pica_protocol.limits import (
     MAX_CLIENT_MESSAGE_BYTES,
     MAX_CONTROL_BYTES,
+    MAX_MEDIA_MESSAGE_BYTES,
     clipped_reason,
     quoted,
 )
@@ -68,6 +70,7 @@ from pica_protocol.messages import (
     Welcome,
     Whisper,
 )
+from pica_protocol.stream_queue import Put, StreamQueue
 
 HANDSHAKE_TIMEOUT_S: Final = 5.0
 """From the open socket to the place in the room (chosen: ten slow round trips)."""
@@ -75,6 +78,9 @@ HANDSHAKE_TIMEOUT_S: Final = 5.0
 MAX_QUEUED_MESSAGES: Final = 256
 """Control messages a client may queue before its shell sends them (chosen: one whisper to each peer
 of the largest room fits four times)."""
+
+
+_NO_LIMIT: Final = 1 << 30
 
 
 class State(Enum):
@@ -203,7 +209,7 @@ class ClientSession(_Session):
         tracks: Our own tracks; with their streams, once joined.
         peers: Everybody else in the room by id, kept up to date.
         closed: How it ended, or None.
-        frames_replaced: Frames that a newer one of the same stream overtook before they were sent.
+        drops: Frames that did not go out because the network was too slow, by reason.
     """
 
     def __init__(
@@ -225,9 +231,9 @@ class ClientSession(_Session):
         self.peer_id = ""
         self.tracks = tracks
         self.peers: dict[str, Peer] = {}
-        self.frames_replaced = 0
+        self.drops: Counter[str] = Counter()
         self._next_sequence = [0] * len(tracks)
-        self._waiting_frames: dict[int, bytes] = {}
+        self._queues = [StreamQueue(self.drops) for _ in tracks]
         self._queue(Hello(software=software))
         self._queue(Join(room=room, name=name, tracks=tracks))
 
@@ -254,9 +260,9 @@ class ClientSession(_Session):
     def messages_to_send(self, now: float) -> list[bytes]:
         """Take the websocket messages that must go out now, in order."""
         messages, self._outgoing = self._outgoing, []
-        if self._waiting_frames and self.state is State.JOINED:
-            messages.append(media_message(self._waiting_frames.values()))
-        self._waiting_frames.clear()
+        frames = [item.frame for queue in self._queues for item in queue.take(_NO_LIMIT)]
+        if self.state is State.JOINED:
+            messages += _media_messages(frames)
         return messages
 
     def handle_timer(self, now: float) -> list[ClientEvent]:
@@ -276,8 +282,12 @@ class ClientSession(_Session):
         track: int = 0,
         layer: int = 0,
         is_keyframe: bool = False,
-    ) -> None:
-        """Queue a frame of one of our tracks; it replaces one of that track that still waits.
+    ) -> list[ClientEvent]:
+        """Queue a frame of one of our tracks; what waits too long is thinned, see `StreamQueue`.
+
+        Returns:
+            A ``KeyframeRequest`` for our own stream, when the frame was dropped and so will be all
+            before the next keyframe. So the first frame of a track is to be a keyframe.
 
         Raises:
             LocalProtocolError: Not joined, or there is no such track.
@@ -296,8 +306,10 @@ class ClientSession(_Session):
             is_keyframe=is_keyframe,
         )
         self._next_sequence[track] = (sequence + 1) % SEQUENCE_MODULUS
-        self.frames_replaced += stream in self._waiting_frames
-        self._waiting_frames[stream] = encode_frame(frame)
+        # The capture time is all the clock we have here; only differences count.
+        queue = self._queues[track]
+        fate = queue.put(encode_frame(frame), layer, is_keyframe, captured_us / 1e6)
+        return [] if fate in (Put.WAITS, Put.DROPPED) else [KeyframeRequest(stream=stream)]
 
     def want(self, stream: int, layer: int | None) -> None:
         """Ask for the frames of a stream up to ``layer``, or for none."""
@@ -330,7 +342,6 @@ class ClientSession(_Session):
         if self.state in (State.CLOSED, State.LEAVING):
             return
         self.state = State.LEAVING
-        self._waiting_frames.clear()
         self._queue(Leave())
         self._deadline = now + timeout_s
 
@@ -446,6 +457,22 @@ class ServerSession(_Session):
             case Join() | Want() | KeyframeRequest() | Report() | Whisper():
                 return [message]
         raise AssertionError(f"the table admits {message} and nobody handles it")
+
+
+def _media_messages(frames: list[bytes]) -> list[bytes]:
+    """Put frames into as few messages as hold them, in order."""
+    messages: list[bytes] = []
+    batch: list[bytes] = []
+    room_left = 0
+    for frame in frames:
+        room_left -= len(frame)
+        if room_left < 0 and batch:
+            messages.append(media_message(batch))
+            batch = []
+        if not batch:
+            room_left = MAX_MEDIA_MESSAGE_BYTES - 1 - len(frame)
+        batch.append(frame)
+    return [*messages, media_message(batch)] if batch else messages
 
 
 def _check_version(version: int) -> None:

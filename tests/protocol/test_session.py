@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 
 from pica_protocol.codec import decode_message, encode_message
 from pica_protocol.errors import CloseCode, LocalProtocolError, is_worth_retrying
-from pica_protocol.frames import Frame, encode_frame, media_message
+from pica_protocol.frames import Frame, decode_media, encode_frame, media_message
 from pica_protocol.messages import (
     Bye,
     Hello,
@@ -113,14 +113,12 @@ def test_a_server_may_refuse_a_join_with_code_and_reason() -> None:
 
 def test_frames_pass_from_client_to_server_unchanged() -> None:
     client, server = joined_client(), joined_server()
-    client.send_frame(b"payload", captured_us=123, layer=2, is_keyframe=True)
+    client.send_frame(b"payload", captured_us=123, is_keyframe=True)
     (message,) = client.messages_to_send(now=1.0)
     (media,) = server.receive_data(message, now=1.1)
     assert isinstance(media, Media)
     assert media.message == message
-    expected = Frame(
-        stream=7, sequence=0, captured_us=123, payload=b"payload", layer=2, is_keyframe=True
-    )
+    expected = Frame(stream=7, sequence=0, captured_us=123, payload=b"payload", is_keyframe=True)
     assert joined_client().receive_data(media.message, now=1.2) == [expected]
 
 
@@ -128,7 +126,7 @@ def test_sequences_count_per_track_and_wrap() -> None:
     client = joined_client()
     last = 0
     for _ in range(65_537):
-        client.send_frame(b"", captured_us=0)
+        client.send_frame(b"", captured_us=0, is_keyframe=True)
         (message,) = client.messages_to_send(now=1.0)
         last = int.from_bytes(message[3:5], "big")
     assert last == 0
@@ -136,12 +134,50 @@ def test_sequences_count_per_track_and_wrap() -> None:
 
 def test_a_frame_that_waits_is_replaced_by_a_newer_one_and_counted() -> None:
     client = joined_client()
-    client.send_frame(b"old", captured_us=1)
-    client.send_frame(b"new", captured_us=2)
+    client.send_frame(b"old", captured_us=1, is_keyframe=True)
+    client.send_frame(b"new", captured_us=2, is_keyframe=True)
     (message,) = client.messages_to_send(now=1.0)
     assert message.endswith(b"new")
     assert b"old" not in message
-    assert client.frames_replaced == 1
+    assert client.drops == {"replaced": 1}
+
+
+def test_delta_frames_wait_in_order_behind_their_keyframe() -> None:
+    client = joined_client()
+    for payload, layer in ((b"key", 0), (b"top", 2), (b"base", 0)):
+        assert client.send_frame(payload, 0, layer=layer, is_keyframe=payload == b"key") == []
+    (message,) = client.messages_to_send(now=1.0)
+    assert [frame.payload for frame in decode_media(message)] == [b"key", b"top", b"base"]
+
+
+def test_a_publisher_whose_network_falls_behind_is_asked_for_a_keyframe() -> None:
+    client = joined_client()
+    client.send_frame(b"key", 0, is_keyframe=True)
+    client.messages_to_send(now=0.0)
+    events = [client.send_frame(b"base", captured_us) for captured_us in (0, 400_000, 700_000)]
+    assert events == [[], [], [KeyframeRequest(stream=7)]]
+    assert client.messages_to_send(now=1.0) == []
+    assert client.send_frame(b"key", 800_000, is_keyframe=True) == []
+    assert len(client.messages_to_send(now=1.0)) == 1
+
+
+def test_a_stream_begins_with_a_keyframe() -> None:
+    client = joined_client()
+    assert client.send_frame(b"base", 0) == [KeyframeRequest(stream=7)]
+    assert client.messages_to_send(now=0.0) == []
+
+
+def test_what_waits_is_split_into_messages_that_the_relay_takes() -> None:
+    client = ClientSession(room="lobby", name="Ada", tracks=(FACE,) * 4, now=0.0)
+    own = tuple(Track(kind="face", stream=stream) for stream in (7, 9, 10, 11))
+    client.receive_data(encode_message(Welcome()), now=0.1)
+    client.receive_data(encode_message(Joined(room="lobby", peer_id="p1", tracks=own)), now=0.2)
+    client.messages_to_send(now=0.2)
+    for track in range(4):
+        for i in range(5):
+            client.send_frame(bytes(1184), 0, track=track, is_keyframe=i == 0)
+    messages = client.messages_to_send(now=0.3)
+    assert [len(decode_media(message)) for message in messages] == [13, 7]
 
 
 def test_wishes_requests_and_reports_reach_the_server_as_events() -> None:
@@ -262,7 +298,7 @@ def test_a_closed_session_hears_and_says_nothing_more() -> None:
 
 def test_a_frame_that_waits_when_the_session_ends_is_not_sent() -> None:
     client = joined_client()
-    client.send_frame(b"late", captured_us=0)
+    client.send_frame(b"late", captured_us=0, is_keyframe=True)
     client.close(CloseCode.GOING_AWAY, "bye")
     assert sent(client) == [Bye(code=1001, reason="bye")]
 

@@ -42,7 +42,7 @@ class Member:
         for data in self.session.messages_to_send(now):
             self.hub.receive(self.connection, data, now)
 
-    def send_frame(self, payload: bytes, now: float, *, is_keyframe: bool = False) -> None:
+    def send_frame(self, payload: bytes, now: float, *, is_keyframe: bool = True) -> None:
         self.session.send_frame(payload, captured_us=0, is_keyframe=is_keyframe)
         self.speak(now)
 

@@ -335,7 +335,7 @@ async def test_frames_of_several_senders_share_a_message() -> None:
     ):
         before = relay.stats()["messages_out"]
         for track in range(4):
-            ada.session.send_frame(b"x", 0, track=track)
+            ada.session.send_frame(b"x", 0, track=track, is_keyframe=True)
         await ada.flush()
         await asyncio.sleep(0.001)
         assert len(bob.arrivals) == 4
