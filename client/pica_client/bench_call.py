@@ -1,8 +1,11 @@
 """The same call as the demo's without drawing: every latent that the playout buffer lets go is
 decoded, and the time from the tracker's sample to the decoded maps is what counts.
 
-What it does not show: networks (all is loopback), displays, and more machines than one. Wall-clock
-numbers hold for this machine under its present load.
+With an impairment the receiver sits behind a proxy that makes its network worse, and a witness says
+what that does to the rendered faces (`impaired_proxy`, `call_witness`).
+
+What it does not show: real networks (all is loopback), displays, and more machines than one.
+Wall-clock numbers hold for this machine under its present load.
 
 Chosen, with the reason:
 - two decoding threads for all avatars: five peers need 150 decodes a second. One thread is enough
@@ -18,7 +21,7 @@ import math
 import sys
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +29,11 @@ import numpy as np
 
 from pica_client.avatars import AvatarLibrary
 from pica_client.call import Call, CallConfig, DueFrame
+from pica_client.call_witness import Witness
 from pica_client.decoder import ObjectDecoder, OnnxDecoder
 from pica_client.errors import CallProcessError, OptionError
+from pica_client.impaired_proxy import ImpairedProxy
+from pica_client.impairment import Impairment
 from pica_client.latency import FrameTimes, latency_summary
 from pica_client.link import LinkConfig
 from pica_client.playout import PlayoutConfig
@@ -65,6 +71,8 @@ class BenchConfig:
     playout: PlayoutConfig = field(default_factory=PlayoutConfig)
     decode_threads: int = 2
     """Decodes that may run at once."""
+    impairment: Impairment | None = None
+    """The way from the relay to the receiver; loopback as it is by default."""
 
     def __post_init__(self) -> None:
         if not 0 < self.seconds <= 600:
@@ -140,8 +148,30 @@ def run_bench(config: BenchConfig, *, avatar_files: list[Path] | None = None) ->
 
 
 async def _measure(config: BenchConfig, stage: Stage, library: AvatarLibrary) -> dict[str, Any]:
+    async with contextlib.AsyncExitStack() as stack:
+        url, witness = stage.url, None
+        if config.impairment is not None:
+            proxy = await stack.enter_async_context(ImpairedProxy(stage.url, config.impairment))
+            url = proxy.url
+            witness = Witness(stage.url, url, library, CallConfig(playout=config.playout))
+        result = await _measure_through(url, witness, config, stage, library)
+    if witness is not None and config.impairment is not None:
+        result["impairment"] = asdict(config.impairment)
+        result["rendered"] = witness.compare(library)
+    return result
+
+
+async def _measure_through(
+    url: str,
+    witness: Witness | None,
+    config: BenchConfig,
+    stage: Stage,
+    library: AvatarLibrary,
+) -> dict[str, Any]:
     call = Call(library, CallConfig(playout=config.playout))
-    receiver = Receiver(LinkConfig(url=stage.url, room=ROOM, name="bench"), call)
+    receiver = Receiver(
+        LinkConfig(url=url, room=ROOM, name="bench", connect_timeout_s=JOIN_TIMEOUT_S), call
+    )
     lane = DecodeLane(OnnxDecoder)
     for identity in library.loaded():
         lane.prepare(identity, library.load(identity))
@@ -151,6 +181,8 @@ async def _measure(config: BenchConfig, stage: Stage, library: AvatarLibrary) ->
         asyncio.create_task(_release(receiver, lane), name="release"),
         *(asyncio.create_task(lane.run(), name="decode") for _ in range(config.decode_threads)),
     ]
+    if witness is not None:
+        tasks.append(asyncio.create_task(witness.run(), name="witness"))
     try:
         deadline = loop.time() + JOIN_TIMEOUT_S
         while call.num_live < len(stage.names):
@@ -162,6 +194,8 @@ async def _measure(config: BenchConfig, stage: Stage, library: AvatarLibrary) ->
         begin_s = loop.time()
         call.begin_window(begin_s)
         lane.begin_window()
+        if witness is not None:
+            witness.begin_window(begin_s)
         print(f"measuring {config.seconds:g} s of {len(stage.names)} peers", file=sys.stderr)
         while (left_s := begin_s + config.seconds - loop.time()) > 0:
             await _pause(tasks, min(left_s, CHECK_INTERVAL_S))

@@ -17,6 +17,7 @@ import tyro
 from pica_client.avatars import AvatarLibrary
 from pica_client.display import has_display
 from pica_client.errors import OptionError
+from pica_client.impairment import Impairment
 from pica_client.link import LinkConfig
 from pica_client.output import check_writable, writing
 from pica_client.playout import PlayoutConfig
@@ -109,6 +110,16 @@ class BenchCallOptions:
     """Frames a second of each sender."""
     playout_floor_ms: float = field(default=PlayoutConfig().floor_s * 1e3)
     """Least playout delay, milliseconds."""
+    delay: float = 0.0
+    """Worsen the receiver's network: milliseconds added each way."""
+    jitter: float = 0.0
+    """95th percentile of a further, varying delay, milliseconds."""
+    stall: float = 0.0
+    """Every few seconds nothing comes for so many milliseconds, then all at once."""
+    loss: float = 0.0
+    """Share of TCP segments that have to be sent again, which takes 200 ms each time, 0 to 0.9."""
+    rate: float = 0.0
+    """Bits a second that the receiver's network carries, all headers included; 0 is no limit."""
 
 
 def bench_call(options: BenchCallOptions) -> dict[str, Any]:
@@ -124,6 +135,7 @@ def bench_call(options: BenchCallOptions) -> dict[str, Any]:
         ),
         seconds=options.seconds,
         playout=_playout(options.playout_floor_ms),
+        impairment=_impairment(options),
     )
     with terminate_as_interrupt():
         result = run_bench(config)
@@ -132,7 +144,26 @@ def bench_call(options: BenchCallOptions) -> dict[str, Any]:
         f"{result['decoded_peers']} of {result['peers']} peers, source sample to decoded avatar: "
         f"p50 {latency['p50']} ms, p95 {latency['p95']} ms, p99 {latency['p99']} ms"
     )
+    if rendered := result.get("rendered"):
+        _say(
+            f"on a display behind that network: rendered MSE {rendered['mse_delayed']} against the "
+            f"undisturbed stream, concealed {rendered['concealed_ratio']:.1%}, "
+            f"age p50 {rendered['age_ms']['p50']} ms, p95 {rendered['age_ms']['p95']} ms"
+        )
     return result
+
+
+def _impairment(options: BenchCallOptions) -> Impairment | None:
+    given = (options.delay, options.jitter, options.stall, options.loss, options.rate)
+    if not any(given):
+        return None
+    return Impairment(
+        delay_s=options.delay / 1e3,
+        jitter_s=options.jitter / 1e3,
+        stall_s=options.stall / 1e3,
+        loss_ratio=options.loss,
+        rate_bps=options.rate or None,
+    )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

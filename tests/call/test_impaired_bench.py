@@ -1,0 +1,67 @@
+"""A real call through a bad network: what the bench says of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pica_client.bench_call import BenchConfig, run_bench
+from pica_client.call_witness import TrueFace
+from pica_client.impairment import Impairment
+from pica_client.staging import StageConfig
+from pica_core.avatar_file import save_avatar
+from pica_core.latent_sample import LatentSample
+from toy import make_toy_avatar
+
+pytestmark = pytest.mark.realtime
+
+
+def sample(value: float, *, is_still: bool = False) -> LatentSample:
+    return LatentSample(
+        latent=np.full((8, 8, 4), value, np.float32),
+        rotation=np.zeros(3, np.float32),
+        translation_m=np.zeros(3, np.float32),
+        is_still=is_still,
+    )
+
+
+def test_a_slow_network_shows_in_latency_and_in_the_rendered_face(tmp_path: Path) -> None:
+    avatar = tmp_path / "toy.pica"
+    save_avatar(avatar, make_toy_avatar())
+    result = run_bench(
+        BenchConfig(
+            stage=StageConfig(peers=1, avatar=str(avatar)),
+            seconds=2.0,
+            warm_up_s=0.5,
+            impairment=Impairment(delay_s=0.15),
+        ),
+        avatar_files=[avatar],
+    )
+    assert result["latency_ms"]["p50"] >= 150
+    rendered = result["rendered"]
+    assert rendered["age_ms"]["p50"] >= 150
+    assert rendered["renders"] > 10
+    assert rendered["mse_now"] > rendered["mse_delayed"]
+    assert result["impairment"]["delay_s"] == 0.15
+
+
+def test_the_undisturbed_face_lies_between_its_frames() -> None:
+    true = TrueFace()
+    for index in range(3):
+        true.add(index * 1000, sample(index))
+    between = true.at(1500)
+    assert between is not None
+    assert between.latent[0, 0, 0] == pytest.approx(1.5)
+    assert true.at(-1) is None
+    assert true.at(2001) is None
+
+
+def test_the_undisturbed_face_is_still_where_its_sender_says_so() -> None:
+    true = TrueFace()
+    true.add(0, sample(0, is_still=True))
+    true.add(1_000_000, sample(1))
+    still = true.at(900_000)
+    assert still is not None
+    assert still.latent.max() == 0
