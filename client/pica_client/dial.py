@@ -19,9 +19,9 @@ CLOSE_TIMEOUT_S: Final = 1.0
 PING_INTERVAL_S: Final = 5.0
 PING_TIMEOUT_S: Final = 10.0
 """A relay that says nothing for 15 s is gone, even when its socket is not (chosen)."""
-MAX_UNSENT_BYTES: Final = 4096
-"""In websocket and kernel before frames begin to replace each other: about ten frames (chosen:
-latest-only does not work behind a deep buffer)."""
+MAX_UNSENT_BYTES: Final = 2048
+"""In the kernel, before frames begin to wait where they can be thinned: about thirty of a layered
+stream (chosen: thinning does not work behind a deep buffer)."""
 MAX_QUEUED_MESSAGES: Final = 16
 """Websocket messages read ahead of us; then the network is told to wait."""
 
@@ -35,7 +35,7 @@ async def open_websocket(url: str) -> ClientConnection:
         compression=None,
         max_size=MAX_CONTROL_BYTES,
         max_queue=MAX_QUEUED_MESSAGES,
-        write_limit=MAX_UNSENT_BYTES,
+        write_limit=0,  # one message in the library; more only once the kernel has taken it
         ping_interval=PING_INTERVAL_S,
         ping_timeout=PING_TIMEOUT_S,
         close_timeout=CLOSE_TIMEOUT_S,

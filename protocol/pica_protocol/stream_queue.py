@@ -15,8 +15,11 @@ So, in this order:
 3. The base layer waits in order. When too much of it waits, in frames, bytes or time, the stream is
    cut for this reader: what waits is dropped, but for a keyframe, and so is all that comes before
    the next keyframe. ``put`` says that one is needed, again with each base frame that it drops.
-4. After a cut, and after a wish for more layers, upper layers start with the next base frame: what
-   came between is not known to have reached the reader.
+4. After a wish for more layers, these start with the next base frame: what came between is not
+   known to have reached the reader.
+5. After a cut, upper layers stay closed until some base frames have found nothing waiting before
+   them; twice as many after each further cut, so that a link with room for the base layer alone
+   settles on that.
 
 Used on both ways: by a publisher for its own uplink, and by the relay for every receiver.
 """
@@ -42,6 +45,11 @@ keyframe comes sooner than the rest of the queue over the link that was too slow
 MAX_CHAIN_FRAMES: Final = 32
 MAX_CHAIN_BYTES: Final = 4096
 """What a relay keeps of a stream for latecomers: a keyframe and the base frames since."""
+
+MIN_PROBATION: Final = 8
+MAX_PROBATION: Final = 256
+"""Base frames that a reader must take at once after a cut before it gets upper layers again: one
+second at 7.5 a second at first, then up to half a minute (chosen)."""
 
 _ALL: Final = MAX_LAYER + 1
 
@@ -81,6 +89,8 @@ class StreamQueue:
         "_last_keyframe",
         "_num_base",
         "_open_layer",
+        "_penalty",
+        "_probation",
         "_waiting",
         "_wanted_layer",
         "is_cut",
@@ -102,6 +112,9 @@ class StreamQueue:
         self._wanted_layer = MAX_LAYER
         # The highest layer that has started; follows the wish down at once, up at a base frame.
         self._open_layer = MAX_LAYER
+        # Base frames that must pass at once before upper layers start, and as many after a new cut.
+        self._probation = 0
+        self._penalty = MIN_PROBATION
         # Frames above this layer refer to a frame that was dropped.
         self._blocked_above = _ALL
         # The latest that went out: where the reader stands.
@@ -116,6 +129,9 @@ class StreamQueue:
         but for those above the wanted layer."""
         if layer > 0:
             return self._put_upper(frame, layer, now)
+        if self.is_cut and not is_keyframe:
+            return self._drop_for_want_of_keyframe()
+        self._start_layers()
         if is_keyframe:
             if self._waiting:
                 self._drops["replaced"] += len(self._waiting)
@@ -123,12 +139,8 @@ class StreamQueue:
             self._num_base = 1
             self.num_bytes = len(frame)
             self.is_cut = self._is_behind = False
-            self._start_layers()
             return Put.WAITS
-        if self.is_cut:
-            return self._drop_for_want_of_keyframe()
         self._append(Waiting(frame, 0, now))
-        self._start_layers()
         self._shed_upper(MAX_WAITING_UPPER)
         if self._is_overfull(now):
             self._cut()
@@ -204,8 +216,13 @@ class StreamQueue:
         return Put.KEYLESS
 
     def _start_layers(self) -> None:
-        """A base frame that goes through is a reference for every layer."""
-        self._open_layer = self._wanted_layer
+        """Note that a base frame goes through: it can be a reference for every layer."""
+        if not self._waiting:
+            if self._probation:
+                self._probation -= 1
+            else:
+                self._penalty = max(self._penalty - 1, MIN_PROBATION)
+        self._open_layer = 0 if self._probation else self._wanted_layer
         self._blocked_above = _ALL
 
     def _shed_upper(self, max_frames: int) -> None:
@@ -236,6 +253,8 @@ class StreamQueue:
         self._drops["base_cut"] += len(self._waiting) - len(kept)
         self._replace(kept)
         self.is_cut = self._is_behind = True
+        self._probation = self._penalty
+        self._penalty = min(2 * self._penalty, MAX_PROBATION)
 
     def _append(self, item: Waiting) -> None:
         self._waiting.append(item)

@@ -31,6 +31,9 @@ class RelayConfig:
     """Seconds a closing handshake may take before the socket is cut."""
     keyframe_interval_s: float = 0.5
     """Shortest time between two keyframe requests that are passed on for one stream."""
+    slow_keyframe_interval_s: float = 2.0
+    """The same for requests that are made because a receiver reads too slowly: one that always
+    does must not make the stream more expensive for everybody else."""
     send_buffer_bytes: int = 16_384
     """Bytes of one connection that the kernel may hold; what waits there is stale and cannot be
     replaced by newer frames. The kernel may round it up."""
@@ -46,6 +49,7 @@ class RelayConfig:
         _check("ping-interval-s", self.ping_interval_s, 0.05, 600)
         _check("close-timeout-s", self.close_timeout_s, 0.05, 600)
         _check("keyframe-interval-s", self.keyframe_interval_s, 0, 600)
+        _check("slow-keyframe-interval-s", self.slow_keyframe_interval_s, 0, 600)
         _check("send-buffer-bytes", self.send_buffer_bytes, 2048, 16_777_216)
         _check("max-control-bytes", self.max_control_bytes, 65_536, 16_777_216)
         if not self.insecure and not _is_loopback(self.host):

@@ -27,6 +27,7 @@ from pica_protocol.messages import (
     Whisper,
 )
 from pica_protocol.session import Closed, Media, ServerEvent, ServerSession
+from pica_protocol.stream_queue import Put
 from pica_server.config import RelayConfig
 from pica_server.errors import OutboxFullError, RoomFullError
 from pica_server.limits import TokenBucket
@@ -92,7 +93,7 @@ class Hub:
         """Take a new websocket; it is closed at once when the relay is full."""
         config = self._config
         session = ServerSession(software=SOFTWARE, now=now, timeout_s=config.handshake_timeout_s)
-        outbox = Outbox(config.max_control_bytes)
+        outbox = Outbox(config.max_control_bytes, self.stats.dropped)
         connection = Connection(next(self._serials), session, outbox, now)
         self.stats.connections += 1
         is_full = len(self._connections) >= config.max_connections
@@ -187,13 +188,10 @@ class Hub:
                 self.stats.reported_lost += sum(stream.lost for stream in event.streams)
                 self.stats.reported_concealed += sum(s.concealed for s in event.streams)
             case Want(stream=stream, layer=layer):
-                assert connection.room is not None  # the session's table: only while joined
-                connection.room.want(connection.peer_id, stream, layer)
+                self._want(connection, stream, layer, now)
             case KeyframeRequest(stream=stream):
-                assert connection.room is not None
-                publisher = connection.room.request_keyframe(stream, now)
-                if publisher is not None:
-                    self._send(self._connections[publisher], event, now)
+                assert connection.room is not None  # the session's table: only while joined
+                self._ask_for_keyframe(connection.room, stream, "asked", now)
             case Whisper():
                 self._whisper(connection, event, now)
 
@@ -223,25 +221,66 @@ class Hub:
                 reason = f"frame on stream {span.stream}, which is not yours"
                 self.close(connection, CloseCode.FOREIGN_STREAM, reason, now)
                 return
-        for span in media.spans:
-            stream = span.stream
-            frame = media.message[span.start : span.end]
-            if span.flags & FLAG_KEYFRAME and span.layer == 0:
-                room.remember_keyframe(stream, frame)
-            receivers = room.receivers(stream, span.layer)
+        needed: dict[tuple[int, Put], None] = {}
+        for number, layer, flags, start, end in media.spans:
+            frame = media.message[start:end]
+            is_keyframe = layer == 0 and bool(flags & FLAG_KEYFRAME)
+            stream = room.stream(number)
+            assert stream is not None  # its publisher is here
+            if layer == 0:
+                stream.remember(frame, is_keyframe)
+            receivers = room.receivers(number, layer)
             for peer_id in receivers:
                 receiver = self._connections[peer_id]
-                if receiver.outbox.put_frame(stream, frame, now):
-                    self.stats.dropped["replaced"] += 1
-                self._ready[receiver] = None
+                fate = receiver.outbox.put_frame(number, frame, layer, is_keyframe, now)
+                if fate is not Put.DROPPED:
+                    self._ready[receiver] = None
+                    if fate is not Put.WAITS:
+                        needed[number, fate] = None
             self.stats.frames_in += 1
             self.stats.unwanted += len(room) - 1 - len(receivers)
+        for number, fate in needed:
+            self._ask_for_keyframe(room, number, fate.value, now)
+
+    def _ask_for_keyframe(self, room: Room, stream: int, why: str, now: float) -> None:
+        """Ask a publisher for a keyframe, unless it was asked a moment ago."""
+        config = self._config
+        is_slow = why == Put.BEHIND.value
+        interval_s = config.slow_keyframe_interval_s if is_slow else config.keyframe_interval_s
+        publisher = room.request_keyframe(stream, interval_s, now)
+        if publisher is None:
+            self.stats.keyframe_requests["withheld"] += 1
+            return
+        self.stats.keyframe_requests[why] += 1
+        self._send(self._connections[publisher], KeyframeRequest(stream=stream), now)
+
+    def _want(self, connection: Connection, stream: int, layer: int | None, now: float) -> None:
+        room = connection.room
+        assert room is not None
+        if room.stream(stream) is None:
+            return  # it has just ended
+        starts_again = room.want(connection.peer_id, stream, layer)
+        self.stats.unwanted += connection.outbox.want(stream, layer)
+        if starts_again:
+            self._resume(connection, room, stream, now)
+
+    def _resume(self, connection: Connection, room: Room, number: int, now: float) -> None:
+        """Give a receiver what was kept of a stream; ask for what it lacks to decode the rest."""
+        stream = room.stream(number)
+        if stream is None or not stream.chain:
+            return  # nothing to miss: it begins with a keyframe
+        self.stats.frames_resumed += connection.outbox.resume(
+            number, stream.chain, is_whole=stream.is_whole, now=now
+        )
+        self._ready[connection] = None
+        if not stream.is_whole:
+            self._ask_for_keyframe(room, number, Put.KEYLESS.value, now)
 
     def _join(self, connection: Connection, join: Join, now: float) -> None:
         config = self._config
         room = self._rooms.get(join.room)
         if room is None:
-            room = Room(join.room, config.room_capacity, config.keyframe_interval_s)
+            room = Room(join.room, config.room_capacity)
         try:
             joined = room.join(connection.peer_id, join.name, join.tracks)
         except RoomFullError as error:
@@ -252,10 +291,11 @@ class Hub:
         self.stats.joins += 1
         connection.session.accept(joined)
         self._flush(connection, now)
-        for stream, frame in room.keyframes.items():
-            connection.outbox.put_frame(stream, frame, now)
         arrival = PeerJoined(peer=room.peer(connection.peer_id))
         self._tell_others(room, connection.peer_id, arrival, now)
+        for number, _ in list(room.streams):  # asking closes a publisher that does not read
+            if connection.closed is None:
+                self._resume(connection, room, number, now)
 
     def _finish(self, connection: Connection, now: float) -> None:
         """Clear up after a connection that is over: its last words, its place, the others' view."""
@@ -265,8 +305,7 @@ class Hub:
             return
         self.stats.closed[int(closed.code)] += 1
         last_words = connection.session.messages_to_send(now)
-        if num_dropped := connection.outbox.finish(last_words):
-            self.stats.dropped["departed"] += num_dropped
+        self._drop_departed(connection.outbox.finish(last_words))
         self._ready[connection] = None
         room, connection.room = connection.room, None
         if room is None:
@@ -277,10 +316,14 @@ class Hub:
             return
         for track in peer.tracks:
             for other in room.peers:
-                if self._connections[other.peer_id].outbox.forget_stream(track.stream):
-                    self.stats.dropped["departed"] += 1
+                outbox = self._connections[other.peer_id].outbox
+                self._drop_departed(outbox.forget_stream(track.stream))
         departure = PeerLeft(peer_id=peer.peer_id, reason=_farewell(closed))
         self._tell_others(room, peer.peer_id, departure, now)
+
+    def _drop_departed(self, num_frames: int) -> None:
+        if num_frames:
+            self.stats.dropped["departed"] += num_frames
 
     def _tell_others(self, room: Room, peer_id: str, message: Message, now: float) -> None:
         for other in room.peers:

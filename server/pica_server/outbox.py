@@ -1,16 +1,19 @@
-"""What waits for one receiver: every control message, and of each stream the newest frame only.
+"""What waits for one receiver: every control message, and of each stream what is fresh.
 
-Bounded by design. Frames: one slot for each stream of the room, where a newer frame replaces a
-waiting one, so a receiver that reads slowly gets fewer frames and never an old one. Control: a
+Bounded by design. Frames: one queue for each stream of the room, see
+`pica_protocol.stream_queue` for what is dropped in it and in which order, so a receiver that reads
+slowly gets fewer frames, never a stale one for long, and never one it cannot decode. Control: a
 queue with a limit in bytes; it is never thinned, a receiver that lets it overflow is closed
 instead.
 """
 
-from collections import deque
+from collections import Counter, deque
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from pica_protocol.frames import media_message
 from pica_protocol.limits import MAX_MEDIA_MESSAGE_BYTES
+from pica_protocol.stream_queue import Put, StreamQueue, Waiting
 from pica_server.errors import OutboxFullError
 
 
@@ -25,16 +28,25 @@ class Parcel(NamedTuple):
 class Outbox:
     """The queue between the room and one receiver's socket."""
 
-    def __init__(self, max_control_bytes: int) -> None:
+    def __init__(self, max_control_bytes: int, drops: Counter[str]) -> None:
+        """Begin empty.
+
+        Args:
+            max_control_bytes: Control messages that may wait.
+            drops: Where frames that are dropped for slowness are counted, by reason.
+        """
         self._max_control_bytes = max_control_bytes
+        self._drops = drops
         self._control: deque[bytes] = deque()
         self._control_bytes = 0
-        self._slots: dict[int, tuple[bytes, float]] = {}
+        self._queues: dict[int, StreamQueue] = {}
+        # Streams with something that waits; dict order is the order of waiting.
+        self._line: dict[int, None] = {}
 
     @property
     def waiting_frames(self) -> int:
-        """How many frames wait, at most one of each stream."""
-        return len(self._slots)
+        """How many frames wait, at most a few of each stream."""
+        return sum(map(len, self._queues.values()))
 
     @property
     def waiting_control_bytes(self) -> int:
@@ -52,22 +64,42 @@ class Outbox:
         self._control.append(data)
         self._control_bytes += len(data)
 
-    def put_frame(self, stream: int, frame: bytes, now: float) -> bool:
-        """Put a frame in its stream's slot; return whether it replaced one that still waited."""
-        # A replaced frame keeps its stream's place in the line: dict order is the order of waiting.
-        replaces = stream in self._slots
-        self._slots[stream] = (frame, now)
-        return replaces
+    def put_frame(
+        self, stream: int, frame: bytes, layer: int, is_keyframe: bool, now: float
+    ) -> Put:
+        """Queue a frame, or drop it, and what it replaces; see `StreamQueue.put`."""
+        fate = self._queue(stream).put(frame, layer, is_keyframe, now)
+        if fate is Put.WAITS:
+            self._line[stream] = None  # where it stands already if something of it waited
+        return fate
 
-    def forget_stream(self, stream: int) -> bool:
-        """Empty the slot of a stream that has ended; return whether a frame waited there."""
-        return self._slots.pop(stream, None) is not None
+    def want(self, stream: int, layer: int | None) -> int:
+        """Follow a wish; return how many waiting frames were dropped for it."""
+        return self._queue(stream).want(layer)
+
+    def resume(self, stream: int, chain: Sequence[bytes], *, is_whole: bool, now: float) -> int:
+        """Queue what was kept of a stream that the receiver begins to read, or reads again.
+
+        Returns:
+            How many frames that is; see `StreamQueue.resume`.
+        """
+        queue = self._queue(stream)
+        queue.resume(chain, is_whole=is_whole, now=now)
+        self._line[stream] = None
+        return len(queue)
+
+    def forget_stream(self, stream: int) -> int:
+        """Forget a stream that has ended; return how many of its frames waited."""
+        self._line.pop(stream, None)
+        queue = self._queues.pop(stream, None)
+        return 0 if queue is None else len(queue)
 
     def finish(self, last_words: list[bytes]) -> int:
         """Drop the waiting frames, return how many, and queue the last messages whatever the
         limit."""
-        dropped = len(self._slots)
-        self._slots.clear()
+        dropped = self.waiting_frames
+        self._queues.clear()
+        self._line.clear()
         self._control.extend(last_words)
         self._control_bytes += sum(map(len, last_words))
         return dropped
@@ -78,16 +110,25 @@ class Outbox:
             data = self._control.popleft()
             self._control_bytes -= len(data)
             return Parcel(data, ())
-        if not self._slots:
-            return None
         room_left = MAX_MEDIA_MESSAGE_BYTES - 1
-        taken = []
-        for stream, (frame, _) in self._slots.items():
-            room_left -= len(frame)
-            if room_left < 0:
-                break
-            taken.append(stream)
-        slots = [self._slots.pop(stream) for stream in taken]
+        items: list[Waiting] = []
+        while self._line:
+            stream = next(iter(self._line))
+            queue = self._queues[stream]
+            taken = queue.take(room_left)
+            items += taken
+            if len(queue):
+                break  # this message is full; the stream keeps its place
+            del self._line[stream]
+            room_left -= sum(len(item.frame) for item in taken)
+        if not items:
+            return None
         return Parcel(
-            media_message(frame for frame, _ in slots), tuple(received for _, received in slots)
+            media_message(item.frame for item in items), tuple(item.received_s for item in items)
         )
+
+    def _queue(self, stream: int) -> StreamQueue:
+        queue = self._queues.get(stream)
+        if queue is None:
+            queue = self._queues[stream] = StreamQueue(self._drops)
+        return queue

@@ -6,8 +6,8 @@ message, and a writer whose peer reads slowly blocks nobody: what it has not tak
 outbox, where newer frames replace older ones. One timer serves all deadlines.
 
 The buffers behind an outbox are kept small, because what they hold can be neither replaced nor
-withdrawn: 4 KiB in the transport and a bounded socket buffer in the kernel, of which unsent bytes
-are bounded once more where the system can (``TCP_NOTSENT_LOWAT``).
+withdrawn: one message in the transport and a bounded socket buffer in the kernel, of which unsent
+bytes are bounded once more where the system can (``TCP_NOTSENT_LOWAT``).
 """
 
 import asyncio
@@ -33,8 +33,12 @@ from pica_server.hub import Connection, Hub
 
 _MAX_QUEUED_MESSAGES = 16
 """Messages read ahead from one websocket before its socket is left alone."""
-_WRITE_LIMIT_BYTES = 4096
-_UNSENT_LIMIT_BYTES = 4096
+_WRITE_LIMIT_BYTES = 0
+"""A writer goes on when the kernel has taken all of its last message. With a limit above that, the
+library waits until three quarters of it have drained: seconds of a slow reader's time, in which its
+streams fall behind and are cut."""
+_UNSENT_LIMIT_BYTES = 2048
+"""Of the kernel's buffer (chosen: about thirty frames)."""
 
 _logger = logging.getLogger(__name__)
 # What strangers do to a public port (bad HTTP, cut handshakes) is no error of ours and no news.

@@ -1,13 +1,18 @@
-"""Who is here, who publishes which stream, and who wants how much of it.
+"""Who is here, who publishes which stream, who wants how much of it, and what latecomers get.
 
 Pure: a room knows peers by their id and frames by their bytes, nothing of connections.
+
+Of each stream a room keeps the latest keyframe and the base frames since, so that whoever comes can
+decode at once and no publisher is disturbed, however many come. A chain that grows too long is
+given up but for its keyframe: a latecomer has that to look at until the next one comes.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 from pica_protocol.limits import MAX_LAYER, MAX_STREAM
 from pica_protocol.messages import Joined, Peer, Track
+from pica_protocol.stream_queue import MAX_CHAIN_BYTES, MAX_CHAIN_FRAMES
 from pica_server.errors import RoomFullError
 
 _NOTHING = -1
@@ -21,6 +26,34 @@ class _Member:
     """By stream; a stream that is missing is wanted whole."""
 
 
+@dataclass(slots=True)
+class Stream:
+    """One stream of a room."""
+
+    publisher: str
+    """Who sends it: a peer id."""
+    chain: list[bytes] = field(default_factory=list)
+    """The latest keyframe and, if ``is_whole``, all base frames since."""
+    is_whole: bool = False
+    num_bytes: int = 0
+    """Of the chain."""
+    asked_s: float | None = None
+    """When the publisher was last asked for a keyframe."""
+
+    def remember(self, frame: bytes, is_keyframe: bool) -> None:
+        """Keep a base frame for those who come later."""
+        if is_keyframe:
+            self.chain = [frame]
+            self.num_bytes = len(frame)
+            self.is_whole = True
+        elif self.is_whole:
+            self.chain.append(frame)
+            self.num_bytes += len(frame)
+            if len(self.chain) > MAX_CHAIN_FRAMES or self.num_bytes > MAX_CHAIN_BYTES:
+                del self.chain[1:]
+                self.is_whole = False
+
+
 class Room:
     """One room and the wishes of its members.
 
@@ -28,14 +61,11 @@ class Room:
         name: As the peers know it.
     """
 
-    def __init__(self, name: str, capacity: int, keyframe_interval_s: float) -> None:
+    def __init__(self, name: str, capacity: int) -> None:
         self.name = name
         self._capacity = capacity
-        self._keyframe_interval_s = keyframe_interval_s
         self._members: dict[str, _Member] = {}
-        self._publishers: dict[int, str] = {}
-        self._keyframes: dict[int, bytes] = {}
-        self._keyframe_asked_s: dict[int, float] = {}
+        self._streams: dict[int, Stream] = {}
         self._last_stream = 0
 
     def __len__(self) -> int:
@@ -47,9 +77,13 @@ class Room:
         return tuple(member.peer for member in self._members.values())
 
     @property
-    def keyframes(self) -> Mapping[int, bytes]:
-        """The last keyframe of every stream that has sent one."""
-        return self._keyframes
+    def streams(self) -> Iterable[tuple[int, Stream]]:
+        """Every stream with its number."""
+        return self._streams.items()
+
+    def stream(self, number: int) -> Stream | None:
+        """Return a stream, or None if it has ended or never was."""
+        return self._streams.get(number)
 
     def join(self, peer_id: str, name: str, tracks: tuple[Track, ...]) -> Joined:
         """Let a peer in, allot streams to its tracks, and return what to tell it.
@@ -68,9 +102,7 @@ class Room:
         """Forget a peer, its streams and everybody's wishes for them."""
         peer = self._members.pop(peer_id).peer
         for track in peer.tracks:
-            del self._publishers[track.stream]
-            self._keyframes.pop(track.stream, None)
-            self._keyframe_asked_s.pop(track.stream, None)
+            del self._streams[track.stream]
             for member in self._members.values():
                 member.highest_layer.pop(track.stream, None)
         return peer
@@ -79,44 +111,45 @@ class Room:
         """Return one member as the others see it."""
         return self._members[peer_id].peer
 
-    def want(self, peer_id: str, stream: int, layer: int | None) -> None:
-        """Note a wish; one for a stream that has just ended is no mistake and changes nothing."""
-        if stream in self._publishers:
-            wishes = self._members[peer_id].highest_layer
-            wishes[stream] = _NOTHING if layer is None else layer
+    def want(self, peer_id: str, stream: int, layer: int | None) -> bool:
+        """Note a wish; one for a stream that has just ended is no mistake and changes nothing.
+
+        Returns:
+            Whether the peer wants frames of the stream after it wanted none.
+        """
+        if stream not in self._streams:
+            return False
+        wishes = self._members[peer_id].highest_layer
+        had_stopped = wishes.get(stream) == _NOTHING
+        wishes[stream] = _NOTHING if layer is None else layer
+        return had_stopped and layer is not None
 
     def owns(self, peer_id: str, stream: int) -> bool:
         """Say whether this peer publishes this stream."""
-        return self._publishers.get(stream) == peer_id
+        found = self._streams.get(stream)
+        return found is not None and found.publisher == peer_id
 
     def receivers(self, stream: int, layer: int) -> list[str]:
         """Return who gets a frame of this stream and layer."""
-        publisher = self._publishers[stream]
+        publisher = self._streams[stream].publisher
         return [
             peer_id
             for peer_id, member in self._members.items()
             if member.highest_layer.get(stream, MAX_LAYER) >= layer and peer_id != publisher
         ]
 
-    def remember_keyframe(self, stream: int, frame: bytes) -> None:
-        """Keep the last keyframe of a stream for those who come later."""
-        self._keyframes[stream] = frame
-
-    def request_keyframe(self, stream: int, now: float) -> str | None:
-        """Return the publisher to ask, or None if it was asked a moment ago or is gone."""
-        publisher = self._publishers.get(stream)
-        if publisher is None:
+    def request_keyframe(self, stream: int, interval_s: float, now: float) -> str | None:
+        """Return the publisher to ask, or None if it is gone or was asked within the interval."""
+        found = self._streams.get(stream)
+        if found is None or (found.asked_s is not None and now - found.asked_s < interval_s):
             return None
-        asked_s = self._keyframe_asked_s.get(stream)
-        if asked_s is not None and now - asked_s < self._keyframe_interval_s:
-            return None
-        self._keyframe_asked_s[stream] = now
-        return publisher
+        found.asked_s = now
+        return found.publisher
 
     def _new_stream(self, peer_id: str) -> int:
         # Counting up, not lowest first: a late frame of a departed peer must not find a new owner.
         while True:
             self._last_stream = self._last_stream % MAX_STREAM + 1
-            if self._last_stream not in self._publishers:
-                self._publishers[self._last_stream] = peer_id
+            if self._last_stream not in self._streams:
+                self._streams[self._last_stream] = Stream(peer_id)
                 return self._last_stream

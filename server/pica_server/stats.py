@@ -50,10 +50,18 @@ class RelayStats:
     """Of all messages sent, as websocket payload."""
     messages_out: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
-    """Frames that a receiver did not get: ``replaced`` by a newer one, ``departed`` with either
-    end."""
+    """Frames that a receiver did not get. As it reads slowly: ``replaced`` by a newer keyframe;
+    ``upper_replaced``, one too many of an upper layer; ``layer_thinned``, it refers to one that was
+    dropped, or the layer has not begun yet; ``base_cut``, nothing goes before the next keyframe.
+    Besides: ``before_keyframe``, the receiver has none yet; ``departed`` with either end."""
     unwanted: int = 0
     """Frames that a receiver had asked not to get."""
+    frames_resumed: int = 0
+    """Frames kept for latecomers that were sent to one."""
+    keyframe_requests: Counter[str] = field(default_factory=Counter)
+    """Passed on to a publisher: ``asked`` by a receiver; made by the relay for one that is
+    ``behind``, or ``keyless``, as who comes while the chain is too long. ``withheld``: any of them,
+    too soon after another."""
     whispers: int = 0
     """Whispers passed on."""
     whispers_dropped: Counter[str] = field(default_factory=Counter)
@@ -81,6 +89,8 @@ class RelayStats:
             "messages_out": self.messages_out,
             "dropped": dict(self.dropped),
             "unwanted": self.unwanted,
+            "frames_resumed": self.frames_resumed,
+            "keyframe_requests": dict(self.keyframe_requests),
             "whispers": self.whispers,
             "whispers_dropped": dict(self.whispers_dropped),
             "closed": {str(code): count for code, count in sorted(self.closed.items())},

@@ -100,8 +100,25 @@ def test_too_many_base_frames_cut_the_stream_until_the_next_keyframe() -> None:
     assert line.send(0, 2, 0) == [Put.BEHIND, Put.DROPPED, Put.BEHIND]
     assert line.read() == []
     assert line.drops == {"base_cut": MAX_WAITING_BASE + 3}
-    assert line.send(KEYFRAME, 2) == [Put.WAITS] * 2
-    assert line.read() == [KEYFRAME, 2]
+    assert line.send(KEYFRAME, 0) == [Put.WAITS] * 2
+    assert line.read() == [KEYFRAME, 0]
+
+
+def test_upper_layers_stay_closed_after_a_cut_until_the_base_has_passed_for_a_while() -> None:
+    line = Line()
+    closed = []
+    for _ in range(3):
+        line.send(KEYFRAME)
+        line.read()
+        line.send(*[0] * (MAX_WAITING_BASE + 1))
+        line.send(KEYFRAME)
+        num_base = 0
+        while line.read()[-1] != 2:
+            line.send(0, 2)
+            num_base += 1
+        closed.append(num_base)
+    # 8, 16 and 32 with the keyframe, less one for each base frame that passed in good times.
+    assert closed == [7, 13, 25]
 
 
 def test_base_frames_that_grew_old_cut_the_stream() -> None:

@@ -1,3 +1,5 @@
+from collections import Counter
+
 import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
@@ -5,6 +7,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from pica_protocol.frames import Frame, decode_media, encode_frame
 from pica_protocol.limits import MAX_MEDIA_MESSAGE_BYTES
+from pica_protocol.stream_queue import Put
 from pica_server.errors import OutboxFullError
 from pica_server.outbox import Outbox
 
@@ -13,16 +16,39 @@ pytestmark = pytest.mark.unit
 LIMIT = 100
 
 
+def put(outbox: Outbox, stream: int, data: bytes, now: float = 0.0) -> None:
+    """Put a frame of a stream of nothing but keyframes."""
+    assert outbox.put_frame(stream, data, 0, True, now) is Put.WAITS
+
+
 def frame(stream: int, sequence: int = 0, num_bytes: int = 10) -> bytes:
     return encode_frame(
-        Frame(stream=stream, sequence=sequence, captured_us=0, payload=bytes(num_bytes))
+        Frame(
+            stream=stream,
+            sequence=sequence,
+            captured_us=0,
+            payload=bytes(num_bytes),
+            is_keyframe=True,
+        )
+    )
+
+
+def delta(stream: int, sequence: int, layer: int, num_bytes: int = 10) -> bytes:
+    return encode_frame(
+        Frame(
+            stream=stream,
+            sequence=sequence,
+            captured_us=0,
+            payload=bytes(num_bytes),
+            layer=layer,
+        )
     )
 
 
 def test_a_newer_frame_replaces_the_waiting_one_of_its_stream() -> None:
-    outbox = Outbox(LIMIT)
-    assert not outbox.put_frame(1, frame(1, sequence=0), now=0.0)
-    assert outbox.put_frame(1, frame(1, sequence=1), now=0.1)
+    outbox = Outbox(LIMIT, Counter())
+    put(outbox, 1, frame(1, sequence=0), now=0.0)
+    put(outbox, 1, frame(1, sequence=1), now=0.1)
     parcel = outbox.take()
     assert parcel is not None
     assert parcel.data == b"\x02" + frame(1, sequence=1)
@@ -31,17 +57,17 @@ def test_a_newer_frame_replaces_the_waiting_one_of_its_stream() -> None:
 
 
 def test_frames_of_all_streams_leave_in_one_message_oldest_stream_first() -> None:
-    outbox = Outbox(LIMIT)
+    outbox = Outbox(LIMIT, Counter())
     for stream, sequence in ((2, 0), (1, 0), (2, 1)):
-        outbox.put_frame(stream, frame(stream, sequence), now=0.0)
+        put(outbox, stream, frame(stream, sequence))
     parcel = outbox.take()
     assert parcel is not None
     assert parcel.data == b"\x02" + frame(2, sequence=1) + frame(1)
 
 
 def test_control_goes_before_frames_and_in_order() -> None:
-    outbox = Outbox(LIMIT)
-    outbox.put_frame(1, frame(1), now=0.0)
+    outbox = Outbox(LIMIT, Counter())
+    put(outbox, 1, frame(1))
     outbox.put_control(b"first")
     outbox.put_control(b"second")
     taken = [outbox.take() for _ in range(3)]
@@ -49,9 +75,9 @@ def test_control_goes_before_frames_and_in_order() -> None:
 
 
 def test_no_message_is_longer_than_the_limit() -> None:
-    outbox = Outbox(LIMIT)
+    outbox = Outbox(LIMIT, Counter())
     for stream in range(1, 41):
-        outbox.put_frame(stream, frame(stream, num_bytes=1184), now=0.0)
+        put(outbox, stream, frame(stream, num_bytes=1184))
     streams = []
     while (parcel := outbox.take()) is not None:
         assert len(parcel.data) <= MAX_MEDIA_MESSAGE_BYTES
@@ -60,7 +86,7 @@ def test_no_message_is_longer_than_the_limit() -> None:
 
 
 def test_control_above_the_limit_is_refused_and_what_waited_is_kept() -> None:
-    outbox = Outbox(LIMIT)
+    outbox = Outbox(LIMIT, Counter())
     outbox.put_control(bytes(60))
     with pytest.raises(OutboxFullError, match="60 bytes"):
         outbox.put_control(bytes(41))
@@ -68,12 +94,56 @@ def test_control_above_the_limit_is_refused_and_what_waited_is_kept() -> None:
 
 
 def test_last_words_are_queued_whatever_the_limit_and_frames_are_dropped() -> None:
-    outbox = Outbox(LIMIT)
+    outbox = Outbox(LIMIT, Counter())
     outbox.put_control(bytes(100))
-    outbox.put_frame(1, frame(1), now=0.0)
+    put(outbox, 1, frame(1))
     assert outbox.finish([b"goodbye"]) == 1
     taken = [outbox.take(), outbox.take(), outbox.take()]
     assert [parcel and parcel.data for parcel in taken] == [bytes(100), b"goodbye", None]
+
+
+def test_several_frames_of_a_stream_wait_in_order_among_those_of_others() -> None:
+    outbox = Outbox(LIMIT, Counter())
+    put(outbox, 1, frame(1, sequence=0))
+    put(outbox, 2, frame(2, sequence=0))
+    for sequence, layer in ((1, 2), (2, 0)):
+        outbox.put_frame(1, delta(1, sequence, layer), layer, False, now=0.0)
+    parcel = outbox.take()
+    assert parcel is not None
+    order = [(frame.stream, frame.sequence) for frame in decode_media(parcel.data)]
+    assert order == [(1, 0), (1, 1), (1, 2), (2, 0)]
+
+
+def test_a_stream_that_does_not_fit_goes_on_in_the_next_message() -> None:
+    outbox = Outbox(LIMIT, Counter())
+    for stream in range(1, 5):
+        put(outbox, stream, frame(stream, sequence=0, num_bytes=1184))
+        for sequence in range(1, 5):
+            data = delta(stream, sequence, 0, num_bytes=1184)
+            outbox.put_frame(stream, data, 0, False, now=0.0)
+    order = []
+    while (parcel := outbox.take()) is not None:
+        order += [(frame.stream, frame.sequence) for frame in decode_media(parcel.data)]
+    assert order == [(stream, sequence) for stream in range(1, 5) for sequence in range(5)]
+
+
+def test_a_wish_for_less_takes_back_what_waits() -> None:
+    outbox = Outbox(LIMIT, Counter())
+    put(outbox, 1, frame(1))
+    outbox.put_frame(1, delta(1, 1, layer=2), 2, False, now=0.0)
+    assert outbox.want(1, 1) == 1
+    assert outbox.want(1, None) == 1
+    assert outbox.take() is None
+
+
+def test_what_was_kept_of_a_stream_is_sent_again() -> None:
+    outbox = Outbox(LIMIT, Counter())
+    chain = [frame(1, 0), delta(1, 1, layer=0)]
+    assert outbox.resume(1, chain, is_whole=True, now=3.0) == 2
+    parcel = outbox.take()
+    assert parcel is not None
+    assert parcel.data == b"\x02" + b"".join(chain)
+    assert outbox.take() is None
 
 
 class OutboxMachine(RuleBasedStateMachine):
@@ -81,7 +151,9 @@ class OutboxMachine(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.outbox = Outbox(LIMIT)
+        self.drops: Counter[str] = Counter()
+        self.outbox = Outbox(LIMIT, self.drops)
+        self.replaced = 0  # frames that gave way to a newer one
         self.control: list[bytes] = []
         self.frames: list[tuple[int, bytes]] = []
         self.counter = 0
@@ -101,7 +173,8 @@ class OutboxMachine(RuleBasedStateMachine):
         self.counter += 1
         data = frame(stream, self.counter % 65_536, num_bytes)
         waiting = [index for index, (other, _) in enumerate(self.frames) if other == stream]
-        assert self.outbox.put_frame(stream, data, now=0.0) == bool(waiting)
+        put(self.outbox, stream, data)
+        self.replaced += bool(waiting)
         if waiting:
             self.frames[waiting[0]] = (stream, data)
         else:
@@ -130,6 +203,7 @@ class OutboxMachine(RuleBasedStateMachine):
 
     @invariant()
     def it_is_bounded(self) -> None:
+        assert self.drops["replaced"] == self.replaced
         assert self.outbox.waiting_frames == len(self.frames) <= 20
         assert self.outbox.waiting_control_bytes == sum(map(len, self.control)) <= LIMIT
 

@@ -5,7 +5,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 
 from pica_protocol.messages import Peer, Track
 from pica_server.errors import RoomFullError
-from pica_server.room import Room
+from pica_server.room import Room, Stream
 
 pytestmark = pytest.mark.unit
 
@@ -14,7 +14,7 @@ CAPACITY = 4
 
 
 def room_of(*names: str) -> Room:
-    room = Room("lobby", capacity=8, keyframe_interval_s=0.5)
+    room = Room("lobby", capacity=8)
     for name in names:
         room.join(name, name, (FACE,))
     return room
@@ -30,7 +30,7 @@ def test_a_newcomer_is_told_who_is_here_and_which_streams_are_its_own() -> None:
 
 
 def test_a_room_takes_no_more_than_its_capacity() -> None:
-    room = Room("lobby", capacity=1, keyframe_interval_s=0.5)
+    room = Room("lobby", capacity=1)
     room.join("ada", "Ada", ())
     with pytest.raises(RoomFullError, match="room lobby is full: 1 peers"):
         room.join("bob", "Bob", ())
@@ -61,26 +61,53 @@ def test_a_wish_limits_the_layers_of_one_stream_for_one_peer() -> None:
 
 def test_a_keyframe_is_asked_for_at_most_once_in_an_interval() -> None:
     room = room_of("ada", "bob")
-    assert room.request_keyframe(stream=1, now=10.0) == "ada"
-    assert room.request_keyframe(stream=1, now=10.4) is None
-    assert room.request_keyframe(stream=2, now=10.4) == "bob"
-    assert room.request_keyframe(stream=1, now=10.5) == "ada"
+    assert room.request_keyframe(1, interval_s=0.5, now=10.0) == "ada"
+    assert room.request_keyframe(1, interval_s=0.5, now=10.4) is None
+    assert room.request_keyframe(2, interval_s=0.5, now=10.4) == "bob"
+    assert room.request_keyframe(1, interval_s=2.0, now=10.5) is None
+    assert room.request_keyframe(1, interval_s=0.5, now=10.5) == "ada"
 
 
 def test_wishes_and_requests_for_a_stream_that_has_ended_change_nothing() -> None:
     room = room_of("ada", "bob")
     room.leave("ada")
-    room.want("bob", stream=1, layer=0)
-    assert room.request_keyframe(stream=1, now=0.0) is None
+    assert not room.want("bob", stream=1, layer=0)
+    assert room.request_keyframe(1, interval_s=0.5, now=0.0) is None
 
 
-def test_a_keyframe_is_kept_as_long_as_its_stream() -> None:
+def test_a_peer_that_wants_a_stream_again_is_told_apart_from_one_that_never_stopped() -> None:
     room = room_of("ada", "bob")
-    room.remember_keyframe(1, b"old")
-    room.remember_keyframe(1, b"new")
-    assert room.keyframes == {1: b"new"}
+    wishes = (0, None, None, 2, 1)
+    assert [room.want("bob", 1, layer) for layer in wishes] == [False, False, False, True, False]
+
+
+def test_a_keyframe_and_what_followed_is_kept_as_long_as_its_stream() -> None:
+    room = room_of("ada", "bob")
+    stream = room.stream(1)
+    assert stream is not None
+    assert (stream.chain, stream.is_whole) == ([], False)
+    for frame, is_keyframe in ((b"lost", False), (b"old", True), (b"key", True), (b"base", False)):
+        stream.remember(frame, is_keyframe)
+    assert (stream.chain, stream.is_whole) == ([b"key", b"base"], True)
     room.leave("ada")
-    assert room.keyframes == {}
+    assert room.stream(1) is None
+
+
+@pytest.mark.parametrize(("num_bytes", "num_kept"), [(1, 31), (1000, 4)])
+def test_a_chain_that_grows_too_long_is_given_up_but_for_its_keyframe(
+    num_bytes: int, num_kept: int
+) -> None:
+    stream = Stream("ada")
+    stream.remember(b"k", True)
+    for i in range(num_kept):
+        stream.remember(bytes(num_bytes), False)
+        assert stream.is_whole
+        assert len(stream.chain) == i + 2
+    for _ in range(2):
+        stream.remember(bytes(num_bytes), False)
+        assert (stream.chain, stream.is_whole) == ([b"k"], False)
+    stream.remember(b"key", True)
+    assert (stream.chain, stream.is_whole) == ([b"key"], True)
 
 
 class RoomMachine(RuleBasedStateMachine):
@@ -88,7 +115,7 @@ class RoomMachine(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.room = Room("lobby", CAPACITY, keyframe_interval_s=0.5)
+        self.room = Room("lobby", CAPACITY)
         self.present: dict[str, list[int]] = {}
         self.wishes: dict[tuple[str, int], int | None] = {}
         self.num_joins = 0
