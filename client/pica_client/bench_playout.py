@@ -19,7 +19,8 @@ says otherwise a figure is of the troubled third of the run:
     largest_step     largest change of the picture from one refresh to the next, from the beginning
                      of the trouble to the end of the run, over the largest that the true face makes
                      there (root mean square); above 1 the face jumps as it never does.
-    payload_bps, wire_bps   over the whole run, wire with the headers of websocket and TCP/IP.
+    payload_bps, wire_bps   over the whole run: what was sent, and what the relay passed on with the
+                     headers of websocket and TCP/IP.
 
 MSE is on 0-255 values over covered pixels of a front view of 192 x 192 pixels, at some refreshes a
 second. Which steps are largest is decided between latents and head poses, the steps themselves are
@@ -274,10 +275,10 @@ class Judge:
 def _network(delivery: Delivery, schedule: Schedule) -> dict[str, Any]:
     counters = delivery.counters
     return {
-        "sent": delivery.sent,
+        "sent": counters.sent,
         "decoded": len(delivery.arrivals),
         "thinned": counters.thinned,
-        "replaced": counters.replaced,
+        "dropped": counters.dropped,
         "lost": counters.lost,
         "keyframes": delivery.keyframes,
         "keyframe_requests": delivery.keyframe_requests,

@@ -33,9 +33,12 @@ from pica_client.stats import TCP_IP_HEADER_BYTES
 
 SEGMENT_BYTES = 1448
 """Payload of a TCP segment on Ethernet."""
-BUFFER_BYTES = 4096
-"""Of the sockets towards who sends (chosen: shallow, so that backlog builds up where it would: at
-the bottleneck's own sender)."""
+BUFFER_BYTES = 1024
+"""Of the sockets towards who sends (chosen: as small as the kernel lets it be, so that what a low
+rate piles up is the sender's own doing. With 4096 and 1448 a call of two peers at 64 kbit/s was
+1.6 s behind, with this 0.6 s). A real bottleneck may well hold more."""
+READ_AHEAD_BYTES = 256
+"""Read from the kernel before what was read has left (the same reason)."""
 MAX_UNDER_WAY = 1024
 """Segments between both ends; then nothing more is read."""
 CONNECT_TIMEOUT_S = 5.0
@@ -72,7 +75,7 @@ class ImpairedProxy:
 
     async def __aenter__(self) -> Self:
         self._listener = await asyncio.start_server(
-            self._accept, "127.0.0.1", 0, limit=SEGMENT_BYTES
+            self._accept, "127.0.0.1", 0, limit=READ_AHEAD_BYTES
         )
         port = self._listener.sockets[0].getsockname()[1]
         self.url = urlsplit(self.url)._replace(netloc=f"127.0.0.1:{port}").geturl()
@@ -123,7 +126,7 @@ class ImpairedProxy:
             end.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
             end.setblocking(False)
             await loop.sock_connect(end, address)
-            return await asyncio.open_connection(sock=end, limit=SEGMENT_BYTES)
+            return await asyncio.open_connection(sock=end, limit=READ_AHEAD_BYTES)
         except BaseException:
             end.close()
             raise

@@ -1,9 +1,8 @@
 """A way through the network that is not what one would wish, as a model. Pure: `now` and the source
 of chance are arguments, so a seed and a list of sends give the same arrivals on every machine.
 
-    Way         when does a piece of so many bytes arrive?  (the proxy imposes it on real bytes)
-    FramePath   sender -> relay -> receiver for the frames of one stream: what the relay drops, what
-                it lets wait, and what then comes when
+`Way` says when a piece of so many bytes arrives: `frame_path` puts a relay in front of it and sends
+frames, `impaired_proxy` imposes it on the bytes of a real connection.
 
 Delay. Jitter is a positive extra delay with a heavy tail: a Lomax (Pareto II) distribution of shape
 3 whose 95th percentile is `jitter_s`; median 0.15, 99th percentile 2.1, cut off at 5 times that.
@@ -15,9 +14,8 @@ Streams and datagrams. On a stream (`is_ordered`, TCP) nothing is lost and nothi
 means that a piece arrives one retransmission timeout later, and that all behind it waits. Datagrams
 are lost, doubled and overtaken.
 
-Rate. Pieces leave one after the other. Behind the relay's back at most `queue_bytes` wait, in
-socket buffers and routers, first in, first out; the relay then keeps one frame per layer, the
-newest, and gives the lower layer first. Frames that a lower layer has overtaken are dropped.
+Rate. Pieces leave one after the other. What has not left yet waits with whoever sends, up to
+`queue_bytes` of it where nobody can take it back: in socket buffers and routers.
 
 Unrealistic: no congestion control, so loss does not shrink a window and a rate is a fixed figure;
 no fast retransmit and no tail-loss probe (streams as thin as ours mostly wait for the timeout, but
@@ -27,17 +25,12 @@ back, for requests, has the same delay and none of the trouble; no two connectio
 
 from __future__ import annotations
 
-import heapq
 import math
-from collections import deque
 from dataclasses import dataclass
-from typing import Generic, TypeVar
 
 import numpy as np
 
 from pica_client.errors import OptionError
-
-T = TypeVar("T")
 
 JITTER_MEMORY_S = 0.1
 """Time constant of the jitter (chosen: what a queue behind another's burst takes to drain)."""
@@ -49,11 +42,6 @@ RETRANSMISSION_TIMEOUT_S = 0.2
 """Linux's TCP_RTO_MIN, which a thin stream over a short way waits for; doubles with every loss."""
 MAX_RETRANSMISSIONS = 6
 """After so many the model lets a piece through: 12.6 s, by when a websocket has given up."""
-MAX_UNDER_WAY = 4096
-"""Frames on the way; beyond it the newest is dropped."""
-SHED_DEBT_FRAMES = 8
-"""Drops that the relay may owe before it takes them from the base layer (chosen: two turns of the
-pattern of layers)."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -74,9 +62,9 @@ class Impairment:
     """Share of frames that the relay drops, from the upper layers as long as there are any."""
     rate_bps: float | None = None
     """Bits per second, all headers included; None is no limit."""
-    queue_bytes: int = 8192
-    """Bytes that wait where the relay cannot replace them any more (its socket keeps 4096 unsent,
-    its websocket 4096 more)."""
+    queue_bytes: int = 4096
+    """Bytes that wait where the relay cannot drop them any more: its kernel keeps 2048 unsent, and
+    routers have queues (measured with the proxy: 4.5 KB; a real bottleneck may hold far more)."""
     reorder_ratio: float = 0.0
     """Share of datagrams that are held back by `reorder_s` and so overtaken."""
     reorder_s: float = 0.05
@@ -169,117 +157,6 @@ class Way:
     def _next_stall(self, after_s: float) -> tuple[float, float]:
         begin_s = after_s + self.impairment.stall_interval_s * self._rng.uniform(0.5, 1.5)
         return begin_s, begin_s + self.impairment.stall_s
-
-
-@dataclass(slots=True)
-class PathCounters:
-    """What became of the frames of one stream."""
-
-    sent: int = 0
-    thinned: int = 0
-    """Dropped by the relay to reach `thin_ratio`."""
-    replaced: int = 0
-    """Overtaken in the relay while they waited for the rate."""
-    lost: int = 0
-    """Datagrams that never came."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Parcel(Generic[T]):
-    frame: T
-    num_bytes: int
-    order: int
-    offered_s: float
-
-
-class FramePath(Generic[T]):
-    """Sender, relay and receiver of one stream of frames.
-
-    Attributes:
-        counters: What became of the frames.
-    """
-
-    def __init__(self, impairment: Impairment, rng: np.random.Generator) -> None:
-        self.counters = PathCounters()
-        self._way = Way(impairment, rng)
-        self._rng = rng
-        self._debt = 0
-        self._order = 0
-        self._slots: dict[int, _Parcel[T]] = {}  # the relay's: of each layer the newest frame
-        self._queue: deque[_Parcel[T]] = deque()  # behind it; bounded by `queue_bytes`
-        self._queue_bytes = 0
-        # On the way, bounded by MAX_UNDER_WAY: (arrival, order, frame).
-        self._under_way: list[tuple[float, int, T]] = []
-
-    def change(self, impairment: Impairment, now: float) -> None:
-        """Let the way be another from now on; what waits leaves at the new rate."""
-        self._advance(now)
-        self._way.change(impairment)
-
-    def send(self, frame: T, *, num_bytes: int, layer: int, now: float) -> None:
-        """Offer a frame of so many bytes on the wire."""
-        self._advance(now)
-        self.counters.sent += 1
-        self._debt += bool(self._rng.random() < self._way.impairment.thin_ratio)
-        # Layer 2 pays at once, layer 1 when there is not enough of it, the base last.
-        if self._debt >= (SHED_DEBT_FRAMES, 3, 1)[min(layer, 2)]:
-            self._debt -= 1
-            self.counters.thinned += 1
-            return
-        self.counters.replaced += layer in self._slots
-        self._order += 1
-        self._slots[layer] = _Parcel(frame, num_bytes, self._order, now)
-        self._advance(now)
-
-    def arrivals(self, now: float) -> list[tuple[float, T]]:
-        """Take all that has come, as (arrival time, frame), in the order of arrival."""
-        self._advance(now)
-        arrived = []
-        while self._under_way and self._under_way[0][0] <= now:
-            arrival_s, _, frame = heapq.heappop(self._under_way)
-            arrived.append((arrival_s, frame))
-        return arrived
-
-    def next_timer(self) -> float | None:
-        """When there may be something to take, or None."""
-        timers = [self._under_way[0][0]] if self._under_way else []
-        if self._queue:
-            timers.append(self._way.free_s)
-        return min(timers, default=None)
-
-    def _advance(self, now: float) -> None:
-        """Move what can move up to now: slots -> queue -> way."""
-        self._fill_queue()
-        while self._queue and self._way.free_s <= now:
-            parcel = self._queue.popleft()
-            self._queue_bytes -= parcel.num_bytes
-            self._transmit(parcel, max(self._way.free_s, parcel.offered_s))
-            self._fill_queue()
-
-    def _fill_queue(self) -> None:
-        """Let the relay write as long as its socket takes it, lower layers first."""
-        while self._slots:
-            layer = min(self._slots)
-            parcel = self._slots[layer]
-            room = self._way.impairment.queue_bytes - self._queue_bytes
-            if self._queue and parcel.num_bytes > room:
-                return
-            overtaken = [key for key, slot in self._slots.items() if slot.order < parcel.order]
-            self.counters.replaced += len(overtaken)
-            for key in (layer, *overtaken):
-                del self._slots[key]
-            self._queue.append(parcel)
-            self._queue_bytes += parcel.num_bytes
-
-    def _transmit(self, parcel: _Parcel[T], now: float) -> None:
-        doubles = bool(self._rng.random() < self._way.impairment.duplicate_ratio)
-        for _ in range(1 + doubles):
-            arrival_s = self._way.transmit(parcel.num_bytes, now)
-            if arrival_s is None or len(self._under_way) >= MAX_UNDER_WAY:
-                self.counters.lost += 1
-                continue
-            self._order += 1
-            heapq.heappush(self._under_way, (arrival_s, self._order, parcel.frame))
 
 
 def _check(name: str, value: float, low: float, high: float) -> None:

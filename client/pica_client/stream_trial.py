@@ -7,9 +7,10 @@ playout policy then shows. Pure: no socket, no sleep; the same seed gives the sa
 The trouble lasts from the end of the first third of the schedule to the end of the second. The
 frames that come do not depend on the policy, so all policies are given the very same ones.
 
-The receiver asks for a keyframe as soon as its decoder misses a reference, again at most every half
-second as the relay allows; the request takes the calm way's delay back to the sender, and the next
-frame captured after that is the keyframe.
+A keyframe is asked for as soon as the decoder misses a reference, or the relay has cut the stream
+because the way is too slow; again at most every half second, as the relay allows. The decoder's
+request takes the calm way's delay back to the sender, and the next frame captured after that is the
+keyframe.
 
 Unrealistic: code takes no time; the display never misses a refresh; the relay's cached keyframe is
 not used (nobody joins late); the receiver asks for no other layers when the rate falls short.
@@ -23,13 +24,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from pica_client.errors import OptionError
-from pica_client.impairment import FramePath, PathCounters
+from pica_client.frame_path import FramePath, PathCounters
 from pica_client.impairment_scenarios import Scenario
 from pica_client.playout import PlayedFace, Playout, PlayoutReport
-from pica_client.stats import wire_bytes
-from pica_client.stream_ends import CodedFrame, Decoder, Encoder
+from pica_client.stream_ends import Decoder, Encoder
 from pica_core.latent_sample import LatentSample
-from pica_protocol.frames import HEADER_BYTES, SEQUENCE_MODULUS
+from pica_protocol.frames import SEQUENCE_MODULUS, Frame
 
 Face = Callable[[float], LatentSample]
 """The true face at a moment of the sender's clock, seconds."""
@@ -91,9 +91,10 @@ class Delivery:
     arrivals: tuple[Arrival, ...]
     """In the order of arrival."""
     counters: PathCounters
-    sent: int
     payload_bytes: int
+    """What was sent."""
     wire_bytes: int
+    """What went on to the receiver, with all headers."""
     keyframes: int
     keyframe_requests: int
     base_delay_s: float
@@ -136,18 +137,24 @@ def deliver(
     """
     encoder, decoder = ends
     rng = np.random.default_rng(seed)
-    path: FramePath[tuple[int, int, CodedFrame]] = FramePath(scenario.calm, rng)
+    path = FramePath(scenario.calm, rng)
     arrivals: list[Arrival] = []
-    sent = payload_total = wire_total = keyframes = requests = 0
+    sent = payload_bytes = keyframes = requests = 0
     wishes_s: list[float] = []  # when requests reach the sender; at most one each half second
     last_request_s = -KEYFRAME_INTERVAL_S
     changes = [(schedule.begin_s, scenario.trouble), (schedule.end_s, scenario.calm)]
 
-    def receive(until_s: float) -> None:
+    def request_keyframe(now: float, way_s: float) -> None:
         nonlocal last_request_s, requests
-        for arrived_s, (sequence, captured_us, frame) in path.arrivals(until_s):
+        if now - last_request_s >= KEYFRAME_INTERVAL_S:
+            last_request_s = now
+            requests += 1
+            wishes_s.append(now + way_s)
+
+    def receive(until_s: float) -> None:
+        for arrived_s, frame in path.arrivals(until_s):
             for read in decoder.receive(
-                sequence, captured_us, frame.layer, frame.is_keyframe, frame.payload
+                frame.sequence, frame.captured_us, frame.layer, frame.is_keyframe, frame.payload
             ):
                 arrivals.append(
                     Arrival(
@@ -157,10 +164,8 @@ def deliver(
                         sample=read.sample,
                     )
                 )
-            if decoder.needs_keyframe and arrived_s - last_request_s >= KEYFRAME_INTERVAL_S:
-                last_request_s = arrived_s
-                requests += 1
-                wishes_s.append(arrived_s + scenario.calm.delay_s)
+            if decoder.needs_keyframe:
+                request_keyframe(arrived_s, scenario.calm.delay_s)
 
     for index in range(round(schedule.seconds * schedule.fps)):
         now = index / schedule.fps
@@ -175,22 +180,25 @@ def deliver(
         coded = encoder.encode(true.latent, true.rotation, true.translation_m, captured_us)
         if coded is None:
             continue
-        message_bytes = wire_bytes(1 + HEADER_BYTES + len(coded.payload), is_masked=False)
-        sequence = sent % SEQUENCE_MODULUS
-        path.send(
-            (sequence, captured_us, coded), num_bytes=message_bytes, layer=coded.layer, now=now
+        frame = Frame(
+            stream=1,
+            sequence=sent % SEQUENCE_MODULUS,
+            captured_us=captured_us,
+            payload=coded.payload,
+            layer=coded.layer,
+            is_keyframe=coded.is_keyframe,
         )
+        if path.send(frame, now):
+            request_keyframe(now, 0.0)  # the relay stands beside the sender
         sent += 1
-        payload_total += len(coded.payload)
-        wire_total += message_bytes
+        payload_bytes += len(coded.payload)
         keyframes += coded.is_keyframe
     receive(schedule.seconds)
     return Delivery(
         arrivals=tuple(arrivals),
         counters=path.counters,
-        sent=sent,
-        payload_bytes=payload_total,
-        wire_bytes=wire_total,
+        payload_bytes=payload_bytes,
+        wire_bytes=path.wire_bytes,
         keyframes=keyframes,
         keyframe_requests=requests,
         base_delay_s=scenario.calm.delay_s,

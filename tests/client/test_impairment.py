@@ -11,8 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pica_client.errors import OptionError
-from pica_client.impairment import FramePath, Impairment, Way
+from pica_client.frame_path import FramePath
+from pica_client.impairment import Impairment, Way
 from pica_client.impairment_scenarios import BY_NAME, CALM, SCENARIOS
+from pica_protocol.frames import Frame
 
 pytestmark = pytest.mark.unit
 
@@ -25,16 +27,36 @@ def rng(seed: int = 0) -> np.random.Generator:
 
 
 def run(
-    impairment: Impairment, count: int, *, num_bytes: int = 100, seed: int = 0, layered: bool = True
-) -> tuple[list[tuple[float, int]], FramePath[int]]:
-    """Send frames 0.. at 30 fps, and take all that comes within another 20 s."""
-    path: FramePath[int] = FramePath(impairment, rng(seed))
+    impairment: Impairment, count: int, *, seed: int = 0, layered: bool = True
+) -> tuple[list[tuple[float, int]], FramePath]:
+    """Send frames 0.. at 30 fps, and take all that comes within another 20 s.
+
+    The relay's wish for a keyframe is granted with the next base frame.
+    """
+    path = FramePath(impairment, rng(seed))
     arrived = []
+    is_wanted = True
     for index in range(count):
         now = index * FRAME_S
         arrived += path.arrivals(now)
-        path.send(index, num_bytes=num_bytes, layer=LAYERS[index % 4] * layered, now=now)
-    return arrived + path.arrivals(count * FRAME_S + 20), path
+        layer = LAYERS[index % 4] * layered
+        is_keyframe = not layered or (is_wanted and layer == 0)
+        is_wanted &= not is_keyframe
+        is_wanted |= path.send(frame(index, layer, is_keyframe), now)
+    arrived += path.arrivals(count * FRAME_S + 20)
+    return [(arrival_s, frame.sequence) for arrival_s, frame in arrived], path
+
+
+def frame(index: int, layer: int = 0, is_keyframe: bool = True) -> Frame:
+    """A message of 100 bytes on the wire."""
+    return Frame(
+        stream=1,
+        sequence=index,
+        captured_us=0,
+        payload=bytes(41),
+        layer=layer,
+        is_keyframe=is_keyframe,
+    )
 
 
 def delays(arrived: list[tuple[float, int]]) -> np.ndarray:
@@ -71,7 +93,7 @@ def test_a_stream_is_never_overtaken_and_nothing_comes_twice(scenario, seed) -> 
     assert list(indices) == sorted(set(indices))
     counters = path.counters
     assert counters.sent == 120
-    assert len(arrived) + counters.thinned + counters.replaced + counters.lost == 120
+    assert len(arrived) + counters.thinned + counters.dropped + counters.lost == 120
 
 
 def test_the_same_seed_gives_the_same_arrivals() -> None:
@@ -130,14 +152,23 @@ def test_datagrams_are_overtaken_and_doubled() -> None:
 
 
 def test_a_rate_below_the_demand_keeps_the_base_layer_and_the_delay_bounded() -> None:
-    # 30 frames of 100 bytes are 24 kbit/s: 12 kbit/s carry half of them.
+    # 30 messages of 100 bytes are 24 kbit/s: 12 kbit/s carry half of them.
     impairment = Impairment(rate_bps=12_000, queue_bytes=400)
     arrived, path = run(impairment, 600)
     kept = np.bincount([LAYERS[index % 4] for _, index in arrived], minlength=3)
-    assert kept[0] >= 149  # of 150
-    assert path.counters.replaced == pytest.approx(300, abs=10)
-    # Before a frame has left: one leaves, four wait, one begins, and its own 67 ms.
-    assert delays(arrived).max() <= CALM.delay_s + 7 * 800 / 12_000
+    assert kept[0] == 150
+    assert kept[2] < 250
+    assert path.counters.dropped == 600 - len(arrived) > 100
+    # The queue, one message more, what is leaving, and what waits in the relay: three upper frames
+    # and a base frame or two.
+    assert delays(arrived).max() < CALM.delay_s + 8 * (400 + 3 * 350) / 12_000
+
+
+def test_a_rate_below_the_base_layer_cuts_the_stream_and_goes_on_with_a_keyframe() -> None:
+    arrived, path = run(Impairment(rate_bps=2400, queue_bytes=400), 600)
+    assert path.counters.dropped > 400
+    assert arrived[-1][1] > 560
+    assert delays(arrived).max() < CALM.delay_s + 8 * 1000 / 2400 + 0.5
 
 
 def test_what_piles_up_behind_the_relay_is_delay() -> None:
@@ -146,18 +177,18 @@ def test_what_piles_up_behind_the_relay_is_delay() -> None:
 
 
 def test_when_the_rate_comes_back_what_waits_leaves_at_once() -> None:
-    path: FramePath[int] = FramePath(Impairment(rate_bps=8000, queue_bytes=5000), rng())
+    path = FramePath(Impairment(rate_bps=8000, queue_bytes=5000), rng())
     for index in range(50):
-        path.send(index, num_bytes=100, layer=0, now=0.0)
+        path.send(frame(index), 0.0)
     assert len(path.arrivals(0.121)) == 1
     path.change(CALM, 0.2)
     assert len(path.arrivals(0.5)) > 20
 
 
 def test_next_timer_never_misses_an_arrival() -> None:
-    path: FramePath[int] = FramePath(replace(CALM, rate_bps=16_000), rng())
+    path = FramePath(replace(CALM, rate_bps=16_000), rng())
     for index in range(10):
-        path.send(index, num_bytes=100, layer=0, now=0.0)
+        path.send(frame(index), 0.0)
     times = []
     while (timer := path.next_timer()) is not None:
         arrived = path.arrivals(timer)
