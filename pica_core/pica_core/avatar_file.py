@@ -20,6 +20,7 @@ Tensors, float32 in memory unless stated:
     mesh.vertex_uv        [V, 2] in [0, 1]
     mesh.faces            [F, 3] int32, counter-clockwise seen from outside
     encoder.{i}.weight .bias  52 ARKit shapes -> ... -> 256 latent values, LeakyReLU between
+    stream.*              tables of the latent bitstream, integers (`stream_profile`); may be absent
 
 In the file big maps may be smaller than in memory: fp16, or 8 or 16 bit integers q with value =
 offset + scale * q per last-axis channel, the two tables standing in the metadata key ``storage``.
@@ -43,8 +44,10 @@ import safetensors.numpy
 from pica_core.arkit import NUM_ARKIT
 from pica_core.avatar_manifest import SCHEMA_VERSION, Manifest, manifest_from_json
 from pica_core.decoder_layers import decoder_layers
-from pica_core.errors import AvatarFileError
+from pica_core.errors import AvatarFileError, ProfileError
 from pica_core.spec import NUM_LATENT, AvatarSpec
+from pica_core.stream_profile import PREFIX as STREAM_PREFIX
+from pica_core.stream_profile import StreamProfile, profile_shapes
 
 __all__ = [
     "SCHEMA_VERSION",
@@ -86,6 +89,7 @@ and over a UV 1/64 of a texel, where fp16 would be 60 micrometres and half a tex
 
 _FLOAT_TYPES = {"F32", "F16"}
 _AFFINE_TYPES = {"U8", "U16"}
+_STREAM_TYPES = {"I32", "I16", "U16", "U8"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,6 +103,10 @@ class Avatar:
     def spec(self) -> AvatarSpec:
         """Sizes of the model."""
         return self.manifest.spec
+
+    def stream_profile(self) -> StreamProfile | None:
+        """The tables of its latent stream; None if it has none and only the plain format can be."""
+        return StreamProfile.from_tensors(self.tensors)
 
 
 def spec_tensor_shapes(spec: AvatarSpec) -> dict[str, tuple[int, ...]]:
@@ -153,6 +161,9 @@ def save_avatar(
     stored: dict[str, Array] = {}
     affine: dict[str, Any] = {}
     for name, array in tensors.items():
+        if name.startswith(STREAM_PREFIX):
+            stored[name] = array
+            continue
         if name == "mesh.faces":
             fits = len(tensors["mesh.vertex_uv"]) <= 2**16
             stored[name] = array.astype(np.uint16 if fits else np.int32)
@@ -279,6 +290,8 @@ def _check_header(
     _check_shapes(where, spec, shapes)
     for name, stored in types.items():
         allowed = {"I32", "U16"} if name == "mesh.faces" else _FLOAT_TYPES | _AFFINE_TYPES
+        if name.startswith(STREAM_PREFIX):
+            allowed = _STREAM_TYPES
         if stored not in allowed:
             raise AvatarFileError(
                 f"{where}: tensor {name} is stored as {stored:.20}; "
@@ -314,6 +327,16 @@ def _check_shapes(where: str, spec: AvatarSpec, shapes: Mapping[str, tuple[int, 
         if name in shapes and rows > limit:
             raise AvatarFileError(f"{where}: tensor {name} has {rows} rows; the limit is {limit}")
         wanted[name] = (rows, columns)
+    stream = {
+        name.removeprefix(STREAM_PREFIX): shape
+        for name, shape in shapes.items()
+        if name.startswith(STREAM_PREFIX)
+    }
+    if stream:
+        try:
+            wanted |= {STREAM_PREFIX + name: s for name, s in profile_shapes(stream).items()}
+        except ProfileError as error:
+            raise AvatarFileError(f"{where}: {error}") from error
     if missing := sorted(set(wanted) - set(shapes)):
         raise AvatarFileError(f"{where}: tensor {missing[0]} is missing ({len(missing)} in total)")
     if unknown := sorted(set(shapes) - set(wanted)):
@@ -327,7 +350,13 @@ def _check_shapes(where: str, spec: AvatarSpec, shapes: Mapping[str, tuple[int, 
 
 def _check_tensors(where: str, spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
     _check_shapes(where, spec, {name: array.shape for name, array in tensors.items()})
+    try:
+        StreamProfile.from_tensors(tensors)
+    except ProfileError as error:
+        raise AvatarFileError(f"{where}: {error}") from error
     for name, array in tensors.items():
+        if name.startswith(STREAM_PREFIX):
+            continue
         wanted = np.int32 if name == "mesh.faces" else np.float32
         if array.dtype != wanted:
             raise AvatarFileError(
@@ -378,6 +407,8 @@ def _to_affine(array: Array, dtype: type[np.unsignedinteger[Any]]) -> tuple[Arra
 def _to_memory(where: str, name: str, stored: Array, shape: tuple[int, ...], affine: Any) -> Array:
     if name == "mesh.faces":
         return stored.astype(np.int32)
+    if name.startswith(STREAM_PREFIX):
+        return stored
     if stored.dtype.kind == "f":
         return stored.astype(np.float32)
     entry = affine.get(name) if isinstance(affine, dict) else None

@@ -309,7 +309,8 @@ def _frames(
 ) -> Iterator[tuple[int, npt.NDArray[np.int64], npt.NDArray[np.int64]]]:
     """Frame type, motion levels and quantised residuals of a stream, with a keyframe a second."""
     pattern = LAYER_PATTERNS[3]
-    base = lower = None
+    base: FrameState | None = None
+    lower: FrameState | None = None
     for number, values in enumerate(wanted):
         layer = pattern[number % len(pattern)]
         reference = lower if layer == 2 else base
@@ -352,7 +353,8 @@ def _wandering_pose(length: int, rng: np.random.Generator) -> npt.NDArray[np.int
         pose += strength * np.sin(2 * np.pi * times / period_s + phase)
     pose *= np.array([0.05] * 3 + [0.006] * 3) * rng.choice([0.0, 0.3, 1.0])
     noise = rng.normal(0, [0.0005] * 3 + [0.0001] * 3, (length, NUM_POSE)) * rng.choice([0.0, 1.0])
-    return np.rint((pose + noise) * (1 << POSE_BITS)).astype(np.int64)
+    units: npt.NDArray[np.int64] = np.rint((pose + noise) * (1 << POSE_BITS)).astype(np.int64)
+    return units
 
 
 def _gather(
@@ -395,4 +397,5 @@ def _frequencies(weights: Float64Array) -> npt.NDArray[np.uint16]:
     floors = np.floor(exact).astype(np.int64)
     order = np.argsort(-(exact - floors), kind="stable")
     floors[order[: spare - int(floors.sum())]] += 1
-    return (floors + 1).astype(np.uint16)
+    frequencies: npt.NDArray[np.uint16] = (floors + 1).astype(np.uint16)
+    return frequencies

@@ -165,7 +165,7 @@ class StreamProfile:
         for name in sorted(_TYPES):
             array = getattr(self, name)
             digest.update(f"{name} {array.dtype} {list(array.shape)}\n".encode())
-            digest.update(np.ascontiguousarray(array.astype(array.dtype.newbyteorder("<"))))
+            digest.update(array.astype(array.dtype.newbyteorder("<")).tobytes())
         return digest.hexdigest()
 
     def to_tensors(self) -> dict[str, IntArray]:
@@ -233,7 +233,8 @@ class StreamProfile:
         scaled = np.rint(latent.astype(np.float64) * (1 << LATENT_BITS))
         offset = np.clip(scaled, -MAX_LATENT, MAX_LATENT) - self.mean
         sums = np.matmul(offset, self._analysis_exact).astype(np.int64)
-        return (sums + (1 << (ANALYSIS_SHIFT - 1))) >> ANALYSIS_SHIFT
+        rounded: npt.NDArray[np.int64] = (sums + (1 << (ANALYSIS_SHIFT - 1))) >> ANALYSIS_SHIFT
+        return rounded
 
     def synthesise(self, coefficients: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
         """The latent of coefficients ``[K]``; float32 ``[256]``, exact, within ±256."""
@@ -242,7 +243,8 @@ class StreamProfile:
         units = ((sums + ((1 << shift) >> 1)) >> shift) + self.mean
         np.clip(units, -MAX_LATENT, MAX_LATENT, out=units)
         # 21 bits at most: exact in float32.
-        return (units * (1.0 / (1 << LATENT_BITS))).astype(np.float32)
+        latent: npt.NDArray[np.float32] = (units / (1 << LATENT_BITS)).astype(np.float32)
+        return latent
 
 
 def profile_shapes(found: Mapping[str, tuple[int, ...]]) -> dict[str, tuple[int, ...]]:

@@ -13,6 +13,7 @@ from pica_core.avatar_file import Avatar
 from pica_core.avatar_manifest import Manifest
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.pixel_decoder import XYZ_UNIT_M
+from pica_core.stream_profile import StreamProfile
 from pica_core.train.data import TrainingData
 
 LATENT_HEADROOM = 1.25
@@ -66,8 +67,9 @@ def make_avatar(
     identity: str,
     licence: str,
     model_card: Mapping[str, str],
+    stream: StreamProfile | None = None,
 ) -> Avatar:
-    """The avatar of a trained model.
+    """The avatar of a trained model, with the tables of its latent stream if there are any.
 
     The latent's 8-bit range comes from the expression encoder's codes of all training frames, since
     those are what a sender sends.
@@ -89,7 +91,10 @@ def make_avatar(
         model_card=dict(model_card),
     )
     faces = data.faces.numpy().astype(np.int32)
-    return Avatar(manifest, avatar_tensors(model, data.vertex_uv.numpy(), faces))
+    tensors = avatar_tensors(model, data.vertex_uv.numpy(), faces)
+    if stream is not None:
+        tensors |= stream.to_tensors()
+    return Avatar(manifest, tensors)
 
 
 def _three(values: list[float]) -> tuple[float, float, float]:
