@@ -40,6 +40,12 @@ class CloseCode(IntEnum):
     """A frame on a stream that is not the sender's own."""
     RELAY_FULL = 4007
     """The relay has as many connections as it allows."""
+    TOO_FAST = 4008
+    """More messages, frames or bytes than one client may send."""
+    BUSY = 4009
+    """More joins at once than the relay takes; later there will be room."""
+    TOO_MANY = 4010
+    """One address holds as many connections as it may."""
 
 
 _WORTH_RETRYING = frozenset(
@@ -50,6 +56,7 @@ _WORTH_RETRYING = frozenset(
         CloseCode.HANDSHAKE_TIMEOUT,
         CloseCode.TOO_SLOW,
         CloseCode.RELAY_FULL,
+        CloseCode.BUSY,
         1005,  # closed without a code
         1012,  # service restart, from a proxy
         1013,  # try again later, from a proxy

@@ -1,10 +1,39 @@
 """Everything an operator may set, with unit and range."""
 
 import ipaddress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from pica_protocol.limits import MAX_PEERS
 from pica_server.errors import ConfigurationError
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LimitsConfig:
+    """How much one client, one address and everybody together may ask of a relay."""
+
+    messages_per_s: float = 600.0
+    """Frames and control messages a second of one client, on average; 4008 above it."""
+    bytes_per_s: float = 131_072.0
+    """Bytes a second of one client, on average; 4008 above it."""
+    burst_s: float = 2.0
+    """So many seconds' worth may come at once, as after a stall of the network."""
+    joins_per_s: float = 50.0
+    """Joins a second of everybody together, on average; 4009 above it."""
+    joins_burst: float = 200.0
+    """Joins that may come at once, as when a relay starts again."""
+    connections_per_address: int = 64
+    """Websockets of one address (of one /64 in IPv6); 4010 above it. This machine has no limit."""
+    handshakes: int = 256
+    """Sockets that are not websockets yet; one more is cut without a word."""
+
+    def __post_init__(self) -> None:
+        _check("limits.messages-per-s", self.messages_per_s, 1, 1e9)
+        _check("limits.bytes-per-s", self.bytes_per_s, 1024, 1e12)
+        _check("limits.burst-s", self.burst_s, 0.1, 600)
+        _check("limits.joins-per-s", self.joins_per_s, 0.1, 1e9)
+        _check("limits.joins-burst", self.joins_burst, 1, 1e9)
+        _check("limits.connections-per-address", self.connections_per_address, 1, 1_000_000)
+        _check("limits.handshakes", self.handshakes, 1, 1_000_000)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -39,6 +68,8 @@ class RelayConfig:
     replaced by newer frames. The kernel may round it up."""
     max_control_bytes: int = 262_144
     """Bytes of control messages that may wait for one peer before it is closed."""
+    limits: LimitsConfig = field(default_factory=LimitsConfig)
+    """What clients may ask for."""
 
     def __post_init__(self) -> None:
         _check("port", self.port, 0, 65_535)

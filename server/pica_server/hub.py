@@ -10,6 +10,7 @@ first with its handshake, then with reading what it was sent.
 """
 
 import heapq
+from collections import Counter
 from dataclasses import replace
 from itertools import count
 
@@ -28,7 +29,7 @@ from pica_protocol.messages import (
 )
 from pica_protocol.session import Closed, Media, ServerEvent, ServerSession
 from pica_protocol.stream_queue import Put
-from pica_server.config import RelayConfig
+from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.errors import OutboxFullError, RoomFullError
 from pica_server.limits import TokenBucket
 from pica_server.outbox import Outbox, Parcel
@@ -46,9 +47,32 @@ in four seconds (chosen: keys change when somebody comes or goes)."""
 class Connection:
     """One websocket as the hub sees it; the shell reads ``closed`` and nothing else."""
 
-    __slots__ = ("outbox", "peer_id", "room", "sending_since", "serial", "session", "whispers")
+    __slots__ = (
+        "address",
+        "bytes_in",
+        "messages_in",
+        "outbox",
+        "peer_id",
+        "room",
+        "sending_since",
+        "serial",
+        "session",
+        "whispers",
+    )
 
-    def __init__(self, serial: int, session: ServerSession, outbox: Outbox, now: float) -> None:
+    def __init__(
+        self,
+        serial: int,
+        session: ServerSession,
+        outbox: Outbox,
+        limits: LimitsConfig,
+        address: str,
+        now: float,
+    ) -> None:
+        burst_s = limits.burst_s
+        self.messages_in = TokenBucket(limits.messages_per_s, limits.messages_per_s * burst_s, now)
+        self.bytes_in = TokenBucket(limits.bytes_per_s, limits.bytes_per_s * burst_s, now)
+        self.address = address
         self.serial = serial
         self.session = session
         self.outbox = outbox
@@ -77,6 +101,8 @@ class Hub:
         self._connections: dict[str, Connection] = {}
         self._rooms: dict[str, Room] = {}
         self._ready: dict[Connection, None] = {}
+        self._joins: TokenBucket | None = None  # full when the first one comes
+        self._by_address: Counter[str] = Counter()  # bounded by the number of connections
         self._timers: list[tuple[float, int, Connection]] = []
 
     @property
@@ -89,23 +115,40 @@ class Hub:
         """Rooms with somebody in them."""
         return len(self._rooms)
 
-    def connect(self, now: float) -> Connection:
-        """Take a new websocket; it is closed at once when the relay is full."""
-        config = self._config
+    def connect(self, now: float, address: str = "") -> Connection:
+        """Take a new websocket; it is closed at once when there are too many.
+
+        Args:
+            now: The time.
+            address: Whose it is, see ``limits.address_group``; empty is not limited.
+        """
+        config, limits = self._config, self._config.limits
         session = ServerSession(software=SOFTWARE, now=now, timeout_s=config.handshake_timeout_s)
         outbox = Outbox(config.max_control_bytes, self.stats.dropped)
-        connection = Connection(next(self._serials), session, outbox, now)
+        connection = Connection(next(self._serials), session, outbox, limits, address, now)
         self.stats.connections += 1
         is_full = len(self._connections) >= config.max_connections
         self._connections[connection.peer_id] = connection
         self._push_timer(connection, now)
-        if is_full:
+        is_crowded = bool(address) and self._by_address[address] >= limits.connections_per_address
+        if address:
+            self._by_address[address] += 1
+        if is_crowded:
+            self.stats.limits_hit["address"] += 1
+            reason = f"{limits.connections_per_address} connections from one address"
+            self.close(connection, CloseCode.TOO_MANY, reason, now)
+        elif is_full:
+            self.stats.limits_hit["connections"] += 1
             self.close(connection, CloseCode.RELAY_FULL, "the relay is full", now)
         return connection
 
     def receive(self, connection: Connection, data: bytes | str, now: float) -> None:
         """Take one websocket message of a connection."""
         self.stats.bytes_in += len(data)
+        if not connection.bytes_in.take(now, len(data)):
+            self._close_too_fast(connection, "bytes", now)
+        elif not connection.messages_in.take(now):
+            self._close_too_fast(connection, "messages", now)
         for event in connection.session.receive_data(data, now):
             self._handle(connection, event, now)
         self._flush(connection, now)
@@ -176,6 +219,14 @@ class Hub:
             deadline = (now if since is None else since) + self._config.stall_timeout_s
         heapq.heappush(self._timers, (deadline, connection.serial, connection))
 
+    def _close_too_fast(self, connection: Connection, what: str, now: float) -> None:
+        if connection.closed is None:
+            self.stats.limits_hit[what] += 1
+            limits = self._config.limits
+            rate = limits.bytes_per_s if what == "bytes" else limits.messages_per_s
+            reason = f"more than {rate:g} {what} a second"
+            self.close(connection, CloseCode.TOO_FAST, reason, now)
+
     def _handle(self, connection: Connection, event: ServerEvent, now: float) -> None:
         match event:
             case Media():
@@ -221,6 +272,9 @@ class Hub:
                 reason = f"frame on stream {span.stream}, which is not yours"
                 self.close(connection, CloseCode.FOREIGN_STREAM, reason, now)
                 return
+        if len(media.spans) > 1 and not connection.messages_in.take(now, len(media.spans) - 1):
+            self._close_too_fast(connection, "messages", now)
+            return
         needed: dict[tuple[int, Put], None] = {}
         for number, layer, flags, start, end in media.spans:
             frame = media.message[start:end]
@@ -278,12 +332,19 @@ class Hub:
 
     def _join(self, connection: Connection, join: Join, now: float) -> None:
         config = self._config
+        if self._joins is None:
+            self._joins = TokenBucket(config.limits.joins_per_s, config.limits.joins_burst, now)
+        if not self._joins.take(now):
+            self.stats.limits_hit["joins"] += 1
+            self.close(connection, CloseCode.BUSY, "too many join at once, try again", now)
+            return
         room = self._rooms.get(join.room)
         if room is None:
             room = Room(join.room, config.room_capacity)
         try:
             joined = room.join(connection.peer_id, join.name, join.tracks)
         except RoomFullError as error:
+            self.stats.limits_hit["room"] += 1
             self.close(connection, CloseCode.ROOM_FULL, str(error), now)
             return
         self._rooms[join.room] = room
@@ -304,6 +365,10 @@ class Hub:
         if self._connections.pop(connection.peer_id, None) is None:
             return
         self.stats.closed[int(closed.code)] += 1
+        if connection.address:
+            self._by_address[connection.address] -= 1
+            if self._by_address[connection.address] <= 0:
+                del self._by_address[connection.address]
         last_words = connection.session.messages_to_send(now)
         self._drop_departed(connection.outbox.finish(last_words))
         self._ready[connection] = None
@@ -346,6 +411,7 @@ class Hub:
         try:
             connection.outbox.put_control(data)
         except OutboxFullError as error:
+            self.stats.limits_hit["control"] += 1
             self.close(connection, CloseCode.TOO_SLOW, str(error), now)
         self._ready[connection] = None
 

@@ -1,4 +1,7 @@
-"""How much is too much: token buckets. Pure: times are arguments."""
+"""How much is too much: token buckets, and who holds how many sockets. Pure."""
+
+import ipaddress
+from collections import Counter
 
 
 class TokenBucket:
@@ -25,3 +28,59 @@ class TokenBucket:
             return False
         self._level -= amount
         return True
+
+
+def address_group(host: str) -> str:
+    """Return what counts as one address: an IPv4 address, or the /64 of an IPv6 one.
+
+    Empty for this machine, which is not limited: behind a proxy everybody comes from there, and
+    the proxy can limit better.
+    """
+    try:
+        address = ipaddress.ip_address(host.partition("%")[0])
+    except ValueError:
+        return ""
+    if isinstance(address, ipaddress.IPv6Address):
+        if address.ipv4_mapped is None:
+            packed = address.packed[:8]
+            return "" if address.is_loopback else packed.hex()
+        address = address.ipv4_mapped
+    return "" if address.is_loopback else str(address)
+
+
+class SocketGuard:
+    """Counts sockets from their first byte on, before there is a websocket that could be told why.
+
+    Attributes:
+        num_refused: Sockets that were cut at once.
+    """
+
+    def __init__(self, *, handshakes: int, per_address: int) -> None:
+        self.num_refused = 0
+        self._handshakes = handshakes
+        self._per_address = per_address
+        self._num_handshaking = 0
+        self._open: Counter[str] = Counter()  # bounded by the number of open sockets
+
+    def admit(self, group: str) -> bool:
+        """Say whether a new socket may stay; if so, ``opened`` or ``closed`` follows."""
+        is_many = bool(group) and self._open[group] >= self._per_address
+        if is_many or self._num_handshaking >= self._handshakes:
+            self.num_refused += 1
+            return False
+        self._num_handshaking += 1
+        if group:
+            self._open[group] += 1
+        return True
+
+    def opened(self) -> None:
+        """Note that a socket has become a websocket."""
+        self._num_handshaking -= 1
+
+    def closed(self, group: str, *, was_opened: bool) -> None:
+        """Note that an admitted socket is gone."""
+        self._num_handshaking -= not was_opened
+        if group:
+            self._open[group] -= 1
+            if self._open[group] <= 0:
+                del self._open[group]

@@ -30,6 +30,7 @@ from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
 from pica_server.config import RelayConfig
 from pica_server.errors import ListenError
 from pica_server.hub import Connection, Hub
+from pica_server.limits import SocketGuard, address_group
 
 _MAX_QUEUED_MESSAGES = 16
 """Messages read ahead from one websocket before its socket is left alone."""
@@ -56,6 +57,10 @@ class Relay:
     def __init__(self, config: RelayConfig) -> None:
         self.config = config
         self.hub = Hub(config)
+        limits = config.limits
+        # Twice: of sockets that are closing, and of those that are told why they must.
+        per_address = 2 * limits.connections_per_address
+        self.guard = SocketGuard(handshakes=limits.handshakes, per_address=per_address)
         self._server: Server | None = None
         self._wakers: dict[Connection, _Waker] = {}
         self._timer: asyncio.TimerHandle | None = None
@@ -73,6 +78,7 @@ class Relay:
         return {
             "open_connections": hub.num_connections,
             "rooms": hub.num_rooms,
+            "sockets_refused": self.guard.num_refused,
             **hub.stats.as_dict(),
         }
 
@@ -82,6 +88,7 @@ class Relay:
             self._serve,
             config.host,
             config.port,
+            create_connection=self._guarded_connection,  # type: ignore[arg-type]
             process_request=_answer_health,
             subprotocols=[Subprotocol(SUBPROTOCOL)],
             select_subprotocol=_select_subprotocol,
@@ -119,10 +126,17 @@ class Relay:
         if self._timer is not None:
             self._timer.cancel()
 
+    def _guarded_connection(self, *args: Any, **kwargs: Any) -> "_GuardedConnection":
+        connection = _GuardedConnection(*args, **kwargs)
+        connection.guard = self.guard
+        return connection
+
     async def _serve(self, websocket: ServerConnection) -> None:
         """Serve one websocket until it has ended; the server owns this task."""
+        assert isinstance(websocket, _GuardedConnection)
+        websocket.note_opened()
         _bound_kernel_buffer(websocket, self.config.send_buffer_bytes)
-        connection = self.hub.connect(self._now())
+        connection = self.hub.connect(self._now(), websocket.address)
         waker = self._wakers[connection] = _Waker(websocket, self.config.close_timeout_s)
         try:
             if websocket.subprotocol is None:
@@ -197,6 +211,32 @@ class Relay:
 
     def _now(self) -> float:
         return asyncio.get_running_loop().time()
+
+
+class _GuardedConnection(ServerConnection):
+    """A connection that is counted from its first moment, and cut at once if it is one too many."""
+
+    guard: SocketGuard
+    address = ""
+    _is_admitted = _is_opened = False
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        peername = transport.get_extra_info("peername")
+        self.address = address_group(str(peername[0])) if peername else ""
+        self._is_admitted = self.guard.admit(self.address)
+        if not self._is_admitted:
+            self.transport.abort()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        super().connection_lost(exc)
+        if self._is_admitted:
+            self.guard.closed(self.address, was_opened=self._is_opened)
+
+    def note_opened(self) -> None:
+        """Take note that this is a websocket now."""
+        self._is_opened = True
+        self.guard.opened()
 
 
 class _Waker:

@@ -67,6 +67,9 @@ class RelayStats:
     whispers_dropped: Counter[str] = field(default_factory=Counter)
     """Whispers that were not: the sender's ``rate`` was too high, the receiver is not in the room
     (``nobody``), or reads too slowly (``backlog``)."""
+    limits_hit: Counter[str] = field(default_factory=Counter)
+    """How often a limit was reached: ``messages`` or ``bytes`` of a client, ``joins``,
+    ``connections`` in all, ``address``, ``room``, ``control`` left unread."""
     closed: Counter[int] = field(default_factory=Counter)
     """Connections ended, by close code."""
     reported_lost: int = 0
@@ -93,6 +96,7 @@ class RelayStats:
             "keyframe_requests": dict(self.keyframe_requests),
             "whispers": self.whispers,
             "whispers_dropped": dict(self.whispers_dropped),
+            "limits_hit": dict(self.limits_hit),
             "closed": {str(code): count for code, count in sorted(self.closed.items())},
             "reported_lost": self.reported_lost,
             "reported_concealed": self.reported_concealed,

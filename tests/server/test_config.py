@@ -1,6 +1,6 @@
 import pytest
 
-from pica_server.config import RelayConfig
+from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.errors import ConfigurationError
 
 pytestmark = pytest.mark.unit
@@ -39,3 +39,21 @@ def test_a_setting_out_of_range_is_refused_by_name_with_its_range(field: str, va
     option = "--" + field.replace("_", "-")
     with pytest.raises(ConfigurationError, match=f"{option} must be in .*, got {value}"):
         RelayConfig(**{field: value})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("messages_per_s", 0.0),
+        ("bytes_per_s", float("nan")),
+        ("burst_s", 0.0),
+        ("joins_per_s", -1.0),
+        ("joins_burst", 0.0),
+        ("connections_per_address", 0),
+        ("handshakes", 0),
+    ],
+)
+def test_a_limit_out_of_range_is_refused_by_name_with_its_range(field: str, value: float) -> None:
+    option = "--limits." + field.replace("_", "-")
+    with pytest.raises(ConfigurationError, match=f"{option} must be in .*, got {value}"):
+        LimitsConfig(**{field: value})  # type: ignore[arg-type]

@@ -16,7 +16,7 @@ from pica_protocol.messages import (
     Whisper,
 )
 from pica_protocol.session import ClientSession, State
-from pica_server.config import RelayConfig
+from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.hub import Connection, Hub
 
 pytestmark = pytest.mark.unit
@@ -27,9 +27,11 @@ FACE = Track(kind="face")
 class Member:
     """A client session and its connection, with the bytes carried by hand."""
 
-    def __init__(self, hub: Hub, name: str, *, room: str = "lobby", now: float = 0.0) -> None:
+    def __init__(
+        self, hub: Hub, name: str, *, room: str = "lobby", now: float = 0.0, address: str = ""
+    ) -> None:
         self.hub = hub
-        self.connection: Connection = hub.connect(now)
+        self.connection: Connection = hub.connect(now, address)
         self.session = ClientSession(room=room, name=name, tracks=(FACE,), now=now)
         self.speak(now)
         self.listen(now)
@@ -112,7 +114,8 @@ def test_a_foreign_stream_closes_its_sender_and_forwards_none_of_the_message() -
 
 
 def test_a_peer_that_lets_control_pile_up_is_closed_and_the_rest_is_told() -> None:
-    config = RelayConfig(max_control_bytes=65_536, room_capacity=64)
+    limits = LimitsConfig(joins_burst=10_000)
+    config = RelayConfig(max_control_bytes=65_536, room_capacity=64, limits=limits)
     hub, (ada, bob) = hub_with("Ada", "Bob", config=config)
     for i in range(1000):  # people come and go; Bob does not read
         guest = Member(hub, f"Guest {i}", now=1.0)
@@ -173,6 +176,65 @@ def test_one_timer_is_kept_for_each_connection() -> None:
         hub.handle_timer(hub.next_timer() or 0.0)
         deadlines += 1
     assert deadlines <= 2
+
+
+def hub_of_limits(**limits: float) -> Hub:
+    return Hub(RelayConfig(limits=LimitsConfig(**limits)))  # type: ignore[arg-type]
+
+
+def closed_code(member: Member) -> int | None:
+    return None if member.connection.closed is None else member.connection.closed.code
+
+
+def test_a_publisher_above_its_rate_is_closed_and_one_below_it_is_not() -> None:
+    hub = hub_of_limits(messages_per_s=60, burst_s=1)
+    ada, flood = Member(hub, "Ada"), Member(hub, "Flood")
+    for i in range(300):
+        ada.send_frame(b"x", now=i / 30)
+        if closed_code(flood) is None:
+            flood.send_frame(b"x", now=i / 300)
+    assert closed_code(ada) is None
+    assert closed_code(flood) == CloseCode.TOO_FAST
+    assert hub.stats.limits_hit == {"messages": 1}
+
+
+def test_frames_are_counted_one_by_one_however_many_share_a_message() -> None:
+    hub = hub_of_limits(messages_per_s=10, burst_s=1)
+    ada = Member(hub, "Ada")
+    frame = b"\x00\x01" + bytes(14)
+    hub.receive(ada.connection, b"\x02" + frame * 9, now=1.0)
+    assert closed_code(ada) is None
+    hub.receive(ada.connection, b"\x02" + frame * 3, now=1.1)
+    assert closed_code(ada) == CloseCode.TOO_FAST
+    assert hub.stats.frames_in == 9
+
+
+def test_a_publisher_of_too_many_bytes_is_closed() -> None:
+    hub = hub_of_limits(bytes_per_s=1024, burst_s=2)
+    ada = Member(hub, "Ada")
+    ada.send_frame(bytes(1000), now=1.0)
+    assert closed_code(ada) is None
+    ada.send_frame(bytes(1100), now=1.0)
+    assert closed_code(ada) == CloseCode.TOO_FAST
+    assert hub.stats.limits_hit == {"bytes": 1}
+
+
+def test_more_joins_than_the_relay_takes_are_told_to_come_later() -> None:
+    hub = hub_of_limits(joins_per_s=1, joins_burst=3)
+    guests = [Member(hub, f"Guest {i}", now=1.0) for i in range(5)]
+    assert [closed_code(guest) for guest in guests] == [None] * 3 + [CloseCode.BUSY] * 2
+    assert closed_code(Member(hub, "Later", now=2.0)) is None
+    assert hub.stats.limits_hit == {"joins": 2}
+
+
+def test_one_address_has_a_limit_of_its_own_and_gets_its_places_back() -> None:
+    hub = hub_of_limits(connections_per_address=2)
+    members = [Member(hub, f"m{i}", address="192.0.2.1") for i in range(3)]
+    assert [closed_code(member) for member in members] == [None, None, CloseCode.TOO_MANY]
+    assert closed_code(Member(hub, "other", address="192.0.2.2")) is None
+    assert closed_code(Member(hub, "here")) is None
+    hub.disconnect(members[0].connection, 1006, "", now=1.0)
+    assert closed_code(Member(hub, "next", address="192.0.2.1")) is None
 
 
 def test_an_empty_room_is_forgotten() -> None:

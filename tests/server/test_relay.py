@@ -7,11 +7,11 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
 
 from pica_protocol.codec import encode_message
-from pica_protocol.errors import CloseCode
+from pica_protocol.errors import CloseCode, LocalProtocolError
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Hello, KeyframeRequest, PeerJoined, PeerLeft
 from pica_protocol.session import Closed
-from pica_server.config import RelayConfig
+from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
 from simnet.link import Link
@@ -306,8 +306,9 @@ async def test_a_relay_stops_in_time_although_a_peer_does_not_read() -> None:
 
 @in_virtual_time
 async def test_a_fast_publisher_does_not_keep_the_others_waiting() -> None:
+    limits = LimitsConfig(messages_per_s=1e6, bytes_per_s=1e9)
     async with (
-        Relay(RelayConfig()),
+        Relay(RelayConfig(limits=limits)),
         peer_in_room(URL, "Flood") as flood,
         peer_in_room(URL, "Ada") as ada,
         peer_in_room(URL, "Bob", tracks=()) as bob,
@@ -318,6 +319,49 @@ async def test_a_fast_publisher_does_not_keep_the_others_waiting() -> None:
         await asyncio.sleep(0.1)
         own = ada.session.tracks[0].stream
         assert [frame.payload for _, frame in bob.arrivals if frame.stream == own] == [b"mine"]
+
+
+@in_virtual_time
+async def test_a_publisher_at_a_hundred_times_its_rate_is_closed_and_nobody_else_notices() -> None:
+    async with (
+        Relay(RelayConfig()) as relay,
+        peer_in_room(URL, "Ada") as ada,
+        peer_in_room(URL, "Bob", tracks=()) as bob,
+        peer_in_room(URL, "Flood") as flood,
+    ):
+        flooding = asyncio.create_task(flood.publish(num_frames=30_000, fps=3000))
+        await ada.publish(num_frames=60, fps=30)
+        await asyncio.sleep(0.001)
+        assert (await flood.until(Closed)).code == CloseCode.TOO_FAST
+        (ended,) = await asyncio.gather(flooding, return_exceptions=True)
+        assert isinstance(ended, LocalProtocolError)
+        own = ada.session.tracks[0].stream
+        delays_s = [at - f.captured_us / 1e6 for at, f in bob.arrivals if f.stream == own]
+        assert len(delays_s) == 60
+        assert max(delays_s) < 0.001
+        assert relay.stats()["limits_hit"] == {"messages": 1}
+
+
+@in_virtual_time
+async def test_sockets_that_never_speak_do_not_pile_up_and_free_their_places() -> None:
+    loop = asyncio.get_running_loop()
+    config = RelayConfig(handshake_timeout_s=3, limits=LimitsConfig(handshakes=10))
+    async with Relay(config) as relay, peer_in_room(URL, "Ada") as ada:
+        lost = []
+
+        class Mute(asyncio.Protocol):
+            def connection_lost(self, exc: Exception | None) -> None:
+                lost.append(now())
+
+        for _ in range(50):
+            await loop.create_connection(Mute, "relay", 8765)
+        await asyncio.sleep(0.1)
+        assert len(lost) == 40
+        assert relay.stats()["sockets_refused"] == 40
+        await asyncio.sleep(3)
+        assert len(lost) == 50
+        async with peer_in_room(URL, "Bob"):
+            assert len(ada.session.peers) == 1
 
 
 @in_virtual_time
