@@ -24,6 +24,7 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake
 from pica_client.backoff import Backoff, BackoffConfig
 from pica_client.dial import SOFTWARE, open_websocket, refusal
 from pica_client.errors import OptionError, RelayRefusedError, RelayUnreachableError
+from pica_client.frame_guard import FrameGuard
 from pica_client.stats import wire_bytes
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode, is_worth_retrying
@@ -98,6 +99,7 @@ class Link:
         on_event: EventHandler | None = None,
         connector: Connector | None = None,
         rng: random.Random | None = None,
+        guard: FrameGuard | None = None,
     ) -> None:
         """Prepare; `run` does the work.
 
@@ -108,12 +110,14 @@ class Link:
             connector: Opens one websocket; a plain TCP or TLS connection to `config.url` by
                 default.
             rng: Spreads reconnects; seeded by tests.
+            guard: Seals what we send and opens what comes; everything is plain by default.
         """
         self.config = config
         self.counters = LinkCounters()
         self.last_closed: Closed | None = None
         self._tracks = tracks
         self._on_event = on_event
+        self._guard = guard
         self._connector = connector or (lambda: open_websocket(config.url))
         self._backoff = Backoff((rng or random.Random()).random, config.backoff)
         self._session: ClientSession | None = None
@@ -293,6 +297,7 @@ class Link:
             tracks=self._tracks,
             software=SOFTWARE,
             now=loop.time(),
+            seal=None if self._guard is None else self._guard.seal,
         )
         self._session = session
         joined_s: float | None = None
@@ -303,8 +308,12 @@ class Link:
                 if isinstance(event, Joined):
                     joined_s = now
                     self.counters.connects += 1
+                passed = [event]
+                if self._guard is not None:
+                    passed = self._guard.receive_event(event, now)
                 if self._on_event is not None:
-                    self._on_event(event, now)
+                    for each in passed:
+                        self._on_event(each, now)
 
         try:
             async with asyncio.TaskGroup() as tasks:
@@ -358,13 +367,14 @@ class Link:
                 self._wake.clear()
                 if self._is_leaving:
                     session.leave(loop.time())
+                self._whisper_keys(session, loop.time())
                 for message in session.messages_to_send(loop.time()):
                     self.counters.sent_messages += 1
                     self.counters.sent_wire_bytes += wire_bytes(len(message), is_masked=True)
                     await websocket.send(message)
                 if session.closed is not None or session.state is State.LEAVING:
                     break
-                await self._wake.wait()
+                await self._until_woken()
         except ConnectionClosed:
             return  # the reader hears of it too, and tells the session
         closed = session.closed
@@ -372,6 +382,24 @@ class Link:
             await websocket.close(CloseCode.NORMAL)
         else:
             await websocket.close(closed.code, closed.reason)
+
+    def _whisper_keys(self, session: ClientSession, now: float) -> None:
+        """Queue what the guard has to tell others: it goes before the frames that need it."""
+        if self._guard is not None and session.state is State.JOINED:
+            for peer_id, data in self._guard.messages_to_send(now):
+                if session.can_queue:  # else it is lost, as a whisper may be
+                    session.whisper(peer_id, data)
+
+    async def _until_woken(self) -> None:
+        """Wait until there may be something to write, by the guard's timer too."""
+        timer = None if self._guard is None else self._guard.next_timer()
+        try:
+            async with asyncio.timeout_at(timer):
+                await self._wake.wait()
+        except TimeoutError:
+            if self._guard is not None and timer is not None:
+                # A loop may fire a timer up to its clock's resolution too early.
+                self._guard.handle_timer(max(asyncio.get_running_loop().time(), timer))
 
     def _judge(self, closed: Closed) -> None:
         """Raise if coming back cannot help."""

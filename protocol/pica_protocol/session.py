@@ -28,7 +28,7 @@ What may be received in which state, and where it leads, stands in the two table
 """
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final, NamedTuple
@@ -221,8 +221,18 @@ class ClientSession(_Session):
         software: str = "",
         now: float,
         timeout_s: float = HANDSHAKE_TIMEOUT_S,
+        seal: Callable[[Frame], bytes] | None = None,
     ) -> None:
         """Start on a websocket that is open: ``Hello`` and ``Join`` wait in ``messages_to_send``.
+
+        Args:
+            room: Where to go.
+            name: What to be called.
+            tracks: What will be published.
+            software: Name and version of this client, for the relay's logs.
+            now: The time.
+            timeout_s: For the relay to let us in.
+            seal: Makes the payload that travels out of a frame whose header is final.
 
         Raises:
             ValueError: A name, room or track is out of its limits.
@@ -232,6 +242,7 @@ class ClientSession(_Session):
         self.tracks = tracks
         self.peers: dict[str, Peer] = {}
         self.drops: Counter[str] = Counter()
+        self._seal = seal
         self._next_sequence = [0] * len(tracks)
         self._queues = [StreamQueue(self.drops) for _ in tracks]
         self._queue(Hello(software=software))
@@ -305,6 +316,8 @@ class ClientSession(_Session):
             layer=layer,
             is_keyframe=is_keyframe,
         )
+        if self._seal is not None:
+            frame = replace(frame, payload=self._seal(frame))
         self._next_sequence[track] = (sequence + 1) % SEQUENCE_MODULUS
         # The capture time is all the clock we have here; only differences count.
         queue = self._queues[track]

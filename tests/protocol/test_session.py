@@ -122,6 +122,19 @@ def test_frames_pass_from_client_to_server_unchanged() -> None:
     assert joined_client().receive_data(media.message, now=1.2) == [expected]
 
 
+def test_a_payload_is_sealed_when_its_header_is_final() -> None:
+    def seal(frame: Frame) -> bytes:
+        return f"{frame.stream} {frame.sequence} ".encode() + frame.payload[::-1]
+
+    client = ClientSession(room="lobby", name="Ada", tracks=(FACE,), now=0.0, seal=seal)
+    client.receive_data(encode_message(Welcome()), now=0.1)
+    client.receive_data(encode_message(JOINED), now=0.2)
+    client.send_frame(b"one", captured_us=0, is_keyframe=True)
+    client.send_frame(b"two", captured_us=1, is_keyframe=False)
+    (media,) = client.messages_to_send(now=1.0)[-1:]
+    assert [frame.payload for frame in decode_media(media)] == [b"7 0 eno", b"7 1 owt"]
+
+
 def test_sequences_count_per_track_and_wrap() -> None:
     client = joined_client()
     last = 0
