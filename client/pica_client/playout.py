@@ -1,62 +1,95 @@
 """From frames as the network delivers them to a face at display time. Pure: `now` is an argument.
 
-Theory of operation. The transit time of a frame is its arrival on our clock minus its capture on
-the sender's; the two clocks differ by an unknown offset, so only *differences* of transit times
-mean anything. Over a window of recent frames the smallest transit is the fastest way through the
-network, and how far the others lie above it is the jitter. A frame is due at
+    receive_frame(..., now)  a frame arrived
+    sample_at(now)           the face now, for a display of any rate
+    due_frames(now)          or instead: every frame once, when it is due (benches decode each)
+    next_timer()             when the next frame becomes due
 
-    capture + smallest transit + playout delay
-    playout delay = floor + jitter (a high quantile), at most the ceiling
+Theory of operation. Every part has its module:
 
-so the delay follows the network up at once and down as the window forgets. A frame later than that
-is shown when it comes; it delays nobody else.
+    sender_time   a frame's sequence and capture time -> its place on one even time line, whatever
+                  the sender's clock does; frames that fit nowhere are refused
+    clock_map     that time line -> our clock: the transit of the fastest frames, and its drift
+    jitter        how much longer than the fastest the others take
+    cadence       the interval of the frames that arrive, and which were lost
+    timeline      the frames in order, and the face's path through them
+    media_clock   the moment of the time line that the display is at
+    motion        the face on its way, and what takes it back to its path without a snap
 
-    receive_frame(frame, now)   it arrived; duplicates and frames older than the face are dropped
-    sample_at(now)              the face now: interpolated between two frames where both are there,
-                                else held
-    due_frames(now)             or instead: every frame once, when it is due (benches decode each)
-    next_timer()                when the next frame becomes due
+A frame captured at t is due at
 
-What makes the window worthless starts it anew: a sender that begins again (its sequence falls back
-while its clock goes on, or falls far back) and a sender's clock that jumps (capture times fall, or
-transit drops by more than a network can explain).
+    t + fastest transit + base + delay        base: what every recent frame took longer
+    delay = floor + jitter, at most the ceiling
+
+`sample_at` moves evenly between two frames, so it needs the next one before it is due: its floor is
+one interval of the frames that arrive. `due_frames` lets every frame go as it is: its floor is only
+what the jitter estimate does not see. When the delay changes, the display's time runs a little
+faster or slower. When the path of the face changes (a frame comes after the face had to go on
+without it), what is shown goes over to the new path within `blend_s`. Late frames never come here
+for nothing: the decoder has used them to predict others, here they tell how long to wait.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
-import numpy as np
-
-from pica_client.rotation import blend_rotations
+from pica_client.cadence import Cadence
+from pica_client.jitter import JitterEstimate
+from pica_client.media_clock import MediaClock
+from pica_client.motion import Correction, Distance
+from pica_client.sender_time import SenderTime
+from pica_client.timed_sample import TimedSample
+from pica_client.timeline import Timeline
 from pica_core.latent_sample import LatentSample
-from pica_protocol.frames import SEQUENCE_MODULUS, sequence_distance
+
+__all__ = ["POLICIES", "PlayedFace", "Playout", "PlayoutConfig", "PlayoutReport", "TimedSample"]
+
+CORRECTION_LIMIT = Distance(latent=10.0, turn_rad=3.0, move_m=0.5)
+"""Fastest correction, per second: slower than faces move by themselves. The latents of the shipped
+avatars move by up to 12 a second (root mean square, 99th percentile of performances; measured), a
+head that is shaken turns by 5 (chosen)."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlayoutConfig:
-    """How patient a playout buffer is."""
+    """How patient a playout buffer is, and how it moves a face."""
 
     floor_s: float = 0.004
-    """Delay on top of the measured jitter (chosen: what a busy event loop adds between two
-    frames). One frame interval makes a slow stream smooth on a fast display, at that cost."""
+    """Least delay on top of the measured jitter (chosen: what a busy event loop adds between two
+    frames)."""
+    floor_intervals: float = 1.0
+    """Least delay of `sample_at`, in frame intervals: with one, the next frame is there when the
+    face begins to move towards it."""
     ceiling_s: float = 0.2
-    """Longest playout delay (chosen: with 50 ms of network still above the 150 ms of G.114, so
-    worse jitter is better concealed than waited for)."""
+    """Longest delay (chosen: with 50 ms of network still above the 150 ms of G.114, so worse jitter
+    is better concealed than waited for)."""
     jitter_quantile: float = 0.95
     """Share of frames that the delay waits for; the rest are shown late."""
-    window_frames: int = 256
-    """Frames that offset and jitter are measured over: 8.5 s at 30 a second."""
+    window_s: float = 6.0
+    """Time over which jitter is measured: so long the delay stays up after trouble (chosen: a
+    stall every few seconds is one trouble, not many)."""
+    faster: float = 0.1
+    """Share by which display time runs faster to catch up (chosen: speech 10 % faster looks
+    natural). From ceiling to floor it takes 2 s."""
+    slower: float = 0.25
+    """Share by which it runs slower to fall back: more, for frames are late meanwhile (chosen)."""
+    leap_s: float = 0.25
+    """A display this far behind leaps, and the face goes over as after a gap."""
     max_frames: int = 64
     """Frames held; beyond it the oldest is dropped."""
     max_gap_s: float = 0.25
-    """Longest hole that is interpolated across; a longer one is held and then jumped."""
-    clock_jump_s: float = 1.0
-    """Drop of the transit time between two frames that only a clock can explain."""
-    restart_frames: int = 1000
-    """A sequence this far behind is not late: the sender began anew."""
+    """Longest time on the way between two frames (chosen: 4 fps are still moved evenly)."""
+    extrapolate_s: float = 1 / 15
+    """Time after which a face without a next frame rests (measured on latents of the performances
+    and of the range-of-motion recording: the error after gaps of 33 to 330 ms is least between 33
+    and 130 ms)."""
+    blend_s: float = 0.15
+    """Time in which the face goes over to its path after it had to leave it (chosen: a blink)."""
+    correction_limit: Distance = field(default=CORRECTION_LIMIT)
+    """Fastest such correction, per second; larger ones take longer than `blend_s`."""
+    still_s: float = 2.5
+    """How long a still face is believed without another word (chosen: two lost heartbeats)."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.floor_s <= self.ceiling_s <= 10:
@@ -67,30 +100,36 @@ class PlayoutConfig:
         if not 0 < self.jitter_quantile <= 1:
             raise ValueError(f"jitter_quantile is {self.jitter_quantile}; (0, 1] is allowed")
         for name, low, high in (
-            ("window_frames", 1, 10_000),
+            ("floor_intervals", 0, 10),
+            ("window_s", 0.1, 60),
+            ("faster", 0, 10),
+            ("slower", 0, 0.9),
+            ("leap_s", 0, 60),
             ("max_frames", 2, 1000),
-            ("restart_frames", 1, 30_000),
+            ("max_gap_s", 0.001, 10),
+            ("extrapolate_s", 0, 10),
+            ("blend_s", 0, 10),
+            ("still_s", 0, 3600),
         ):
             if not low <= getattr(self, name) <= high:
                 raise ValueError(f"{name} is {getattr(self, name)}; {low} to {high} is allowed")
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class TimedSample:
-    """One frame of a stream, decoded, with its arrival."""
-
-    sequence: int
-    """As on the wire, 0 to 65535."""
-    captured_us: int
-    """Sender's clock, microseconds."""
-    arrived_s: float
-    """Our clock, seconds."""
-    sample: LatentSample
-
-    @property
-    def captured_s(self) -> float:
-        """Sender's clock, seconds."""
-        return self.captured_us / 1e6
+ADAPTIVE = PlayoutConfig()
+"""What receivers use."""
+FIXED = replace(ADAPTIVE, floor_s=0.1, floor_intervals=0.0, ceiling_s=0.1)
+"""For comparison: always 100 ms behind the fastest frame. Moves and conceals as ADAPTIVE does."""
+UNBUFFERED = replace(
+    ADAPTIVE,
+    floor_s=0.0,
+    floor_intervals=0.0,
+    ceiling_s=0.0,
+    leap_s=0.0,
+    extrapolate_s=0.0,
+    blend_s=0.0,
+)
+"""For comparison: each frame is shown when it comes, unless a newer one is shown already."""
+POLICIES = {"adaptive": ADAPTIVE, "fixed": FIXED, "unbuffered": UNBUFFERED}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -99,209 +138,243 @@ class PlayedFace:
 
     sample: LatentSample
     captured_us: int
-    """The moment shown, sender's clock: that of the frame, or between two when interpolated."""
+    """The moment shown, sender's clock: that of the frame, or between two when interpolated. While
+    a face goes on without a frame it is the last frame's: nothing newer is known."""
     newest: TimedSample
     """The newest frame that went into it."""
     is_concealed: bool
     """Whether the frame that should be shown by now is not there."""
     age_s: float
-    """Time since the moment shown, less the fastest transit (which clocks cannot tell apart)."""
+    """Age of information: time since the moment shown, less the fastest transit (which clocks
+    cannot tell from their offset)."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlayoutReport:
-    """Counters since the stream began, and where the delay stands."""
+    """Counters since the stream began, and how it stands."""
 
     received: int = 0
     lost: int = 0
-    """Frames never shown: dropped on the way, too late, or overflowed here."""
+    """Frames known to be lost on their way, or dropped here because too many waited. A hole that
+    thinning leaves is no loss; which it was is known eight frames later."""
     late: int = 0
     """Frames that came after a newer one was shown."""
     duplicates: int = 0
-    concealed: int = 0
-    """Display times, or holes in the released frames, without a fresh face."""
+    refused: int = 0
+    """Frames that fit nowhere on the time line."""
+    future: int = 0
+    """Of these, frames from the future."""
     restarts: int = 0
     """How often sender or its clock began anew."""
+    shown: int = 0
+    """Display times with a face, or frames released."""
+    concealed: int = 0
+    """Display times, or holes in the released frames, without a fresh face."""
+    leaps: int = 0
+    """How often the display leapt forwards because it was too far behind."""
     delay_s: float = 0.0
-    """Playout delay: what we add to the fastest transit."""
+    """What the face waits beyond the fastest transit; follows `target_s` smoothly."""
+    target_s: float = 0.0
+    """What it should wait."""
+    jitter_s: float = 0.0
+    """Lateness that is waited for."""
     interval_s: float = 0.0
-    """Between two frames at the sender; 0 until two have come."""
+    """Between two frames that arrive; 0 until two have come."""
+    drift_ppm: float = 0.0
+    """How much faster the sender's clock runs than ours, parts in a million."""
+    age_s: float = 0.0
+    """`PlayedFace.age_s` of the last face."""
+    largest_correction: float = 0.0
+    """Largest step of one display time that was not the face's own motion: root mean square over
+    the numbers of the latent."""
+
+    @property
+    def concealed_ratio(self) -> float:
+        """Share of display times without a fresh face."""
+        return self.concealed / self.shown if self.shown else 0.0
 
 
 class Playout:
-    """The playout buffer of one stream; see the module for how it works."""
+    """The playout buffer of one stream; see the module for how it works.
+
+    Use `sample_at` or `due_frames` on one buffer, not both.
+    """
 
     def __init__(self, config: PlayoutConfig | None = None) -> None:
-        self.config = config or PlayoutConfig()
-        self._received = self._lost = self._late = self._duplicates = 0
-        self._concealed = self._restarts = 0
-        self._held: TimedSample | None = None
-        self._begin()
-
-    def _begin(self) -> None:
-        """Forget everything that depends on the sender's clock and sequence."""
-        # Drops its oldest transit when full.
-        self._transits: deque[float] = deque(maxlen=self.config.window_frames)
-        self._newest: tuple[int, int] | None = None  # (unwrapped sequence, captured_us)
-        # Not yet shown, by unwrapped sequence; drops its oldest when full.
-        self._waiting: list[tuple[int, TimedSample]] = []
-        self._shown_number: int | None = None
-        self._position_s = -math.inf
-        self._interval_s = 0.0
-        self._smallest_s = 0.0
-        self._due_s = 0.0  # smallest transit plus playout delay
+        self.config = config = config or PlayoutConfig()
+        self._received = self._late = self._duplicates = self._misplaced = self._num_cut = 0
+        self._num_shown = self._concealed = 0
+        self._time = SenderTime()
+        self._jitter = JitterEstimate(quantile=config.jitter_quantile, window_s=config.window_s)
+        self._cadence = Cadence()
+        self._timeline = Timeline(
+            max_frames=config.max_frames,
+            max_gap_s=config.max_gap_s,
+            coast_s=config.extrapolate_s,
+        )
+        self._media = MediaClock(faster=config.faster, slower=config.slower, leap_s=config.leap_s)
+        self._correction = Correction(seconds=config.blend_s, limit=config.correction_limit)
+        self._shown: LatentSample | None = None  # the last face of `sample_at`
+        self._end_s = math.inf  # where it had stopped to move, on the time line
+        self._is_path_new = False
+        self._delay_s: float | None = None
+        self._age_s = 0.0
 
     def receive_frame(
         self, sequence: int, captured_us: int, sample: LatentSample, now: float
     ) -> None:
         """Take a frame that arrived just now."""
         self._received += 1
-        frame = TimedSample(
-            sequence=sequence, captured_us=captured_us, arrived_s=now, sample=sample
-        )
-        transit = now - frame.captured_s
-        if self._newest is not None and self._is_anew(frame, transit):
-            self._restarts += 1
-            self._lost += len(self._waiting)
-            self._begin()  # the last face stays up until the first one of the new time is due
-        number = self._unwrap(sequence)
-        if self._shown_number is not None and number <= self._shown_number:
-            if number == self._shown_number:
-                self._duplicates += 1
-            else:
-                self._late += 1
-            return
-        place = len(self._waiting)
-        while place and self._waiting[place - 1][0] >= number:
-            place -= 1
-        if place < len(self._waiting) and self._waiting[place][0] == number:
-            self._duplicates += 1
-            return
-        self._measure(number, frame, transit)
-        self._waiting.insert(place, (number, frame))
-        if len(self._waiting) > self.config.max_frames:
-            del self._waiting[0]  # shows up as a hole, and so as lost, when the next one is shown
+        num_jumps = self._time.num_jumps
+        frames = self._time.receive(sequence, captured_us, sample, now)
+        if self._time.num_jumps > num_jumps:
+            self._num_cut += self._timeline.cut(frames[0].media_s)
+        for frame in frames:
+            self._place(frame)
 
     def sample_at(self, now: float) -> PlayedFace | None:
         """The face to show at `now`, or None before the first frame is due."""
-        # Time never runs backwards on the display, even when the delay has just grown.
-        self._position_s = position_s = max(self._position_s, now - self._due_s)
-        while self._waiting and self._waiting[0][1].captured_s <= position_s:
-            self._show_first()
-        held = self._held
-        if held is None:
+        clock, timeline, interval_s = self._time.clock, self._timeline, self._cadence.interval_s
+        if clock is None:
             return None
-        if self._shown_number is None:  # the sender has begun anew; its clock says nothing of this
-            self._concealed += 1
-            return PlayedFace(
-                sample=held.sample,
-                captured_us=held.captured_us,
-                newest=held,
-                is_concealed=True,
-                age_s=now - held.arrived_s,
-            )
-        sample, captured_us, newest, is_concealed = held.sample, held.captured_us, held, False
-        past_s = position_s - held.captured_s
-        if self._waiting:
-            following = self._waiting[0][1]
-            gap_s = following.captured_s - held.captured_s
-            if 0 < past_s < gap_s <= self.config.max_gap_s:
-                sample = _blend(held.sample, following.sample, past_s / gap_s)
-                captured_us, newest = round(position_s * 1e6), following
-        else:
-            is_concealed = past_s > 1.5 * self._interval_s > 0
-            self._concealed += is_concealed
-        return PlayedFace(
-            sample=sample,
-            captured_us=captured_us,
-            newest=newest,
-            is_concealed=is_concealed,
-            age_s=now - self._smallest_s - captured_us / 1e6,
-        )
+        should_s = clock.media_s(now) - self._target_s(is_displayed=True)
+        if timeline.held is None and (
+            timeline.following is None or timeline.following.media_s > should_s
+        ):
+            return None
+        step = self._media.advance(now, should_s, self._end_s)
+        position_s = self._media.position_s
+        timeline.release(position_s)
+        face = timeline.face_at(position_s, interval_s)
+        if self._shown is not None:
+            if self._is_path_new or step.is_leap:
+                meant = timeline.face_at(position_s - step.moved_s, interval_s)
+                self._correction.aim(self._shown, meant)
+            face = self._correction.corrected(face, step.elapsed_s)
+        self._shown, self._is_path_new = face, False
+        self._delay_s = clock.media_s(now) - position_s
+        return self._played(face, position_s, now)
 
     def due_frames(self, now: float) -> list[TimedSample]:
-        """Take every frame that has become due, in capture order, each exactly once.
-
-        Use this or `sample_at` on one buffer, not both.
-        """
-        lost_before = self._lost
+        """Take every frame that has become due, in capture order, each exactly once."""
         frames = []
         while (timer := self.next_timer()) is not None and timer <= now:
-            frames.append(self._show_first())
-        self._concealed += self._lost - lost_before
+            before = self._timeline.held
+            frame = self._timeline.release_first()
+            num_missing = 0 if before is None else self._num_missing(before, frame)
+            self._concealed += num_missing
+            self._num_shown += 1 + num_missing
+            self._age_s = now - self._local_s(frame.media_s)
+            frames.append(frame)
         return frames
 
     def next_timer(self) -> float | None:
         """When `due_frames` will have something, or None."""
-        return self._waiting[0][1].captured_s + self._due_s if self._waiting else None
+        following = self._timeline.following
+        if following is None:
+            return None
+        return self._local_s(following.media_s) + self._target_s(is_displayed=False)
 
     @property
     def num_waiting(self) -> int:
         """Frames held that are not shown yet."""
-        return len(self._waiting)
+        return self._timeline.num_waiting
 
     def report(self) -> PlayoutReport:
-        """Counters since the stream began."""
+        """Counters since the stream began, and how it stands."""
+        time, clock = self._time, self._time.clock
+        target_s = 0.0 if clock is None else self._target_s(is_displayed=self._shown is not None)
         return PlayoutReport(
             received=self._received,
-            lost=self._lost,
+            lost=self._cadence.num_lost + self._timeline.num_overflowed + self._num_cut,
             late=self._late,
-            duplicates=self._duplicates,
+            duplicates=self._duplicates + time.num_duplicates,
+            refused=self._misplaced + time.num_refused,
+            future=time.num_future,
+            restarts=time.num_jumps,
+            shown=self._num_shown,
             concealed=self._concealed,
-            restarts=self._restarts,
-            delay_s=self._due_s - self._smallest_s,
-            interval_s=self._interval_s,
+            leaps=self._media.num_leaps,
+            delay_s=target_s if self._delay_s is None else self._delay_s,
+            target_s=target_s,
+            jitter_s=self._jitter.jitter_s,
+            interval_s=self._cadence.interval_s,
+            drift_ppm=0.0 if clock is None else clock.drift_ppm,
+            age_s=self._age_s,
+            largest_correction=self._correction.largest_step,
         )
 
-    def _is_anew(self, frame: TimedSample, transit: float) -> bool:
-        """Whether this frame belongs to another beginning of the sender, or of its clock."""
-        newest_number, newest_captured_us = self._newest or (0, 0)
-        ahead = sequence_distance(frame.sequence, newest_number % SEQUENCE_MODULUS)
-        if ahead < 0:  # a late frame was captured before the newest one
-            is_newer = frame.captured_us > newest_captured_us
-            return is_newer or ahead < -self.config.restart_frames
-        if ahead == 0:
-            return False
-        fell = frame.captured_us < newest_captured_us
-        return fell or transit < self._smallest_s - self.config.clock_jump_s
+    def _place(self, frame: TimedSample) -> None:
+        """Put a frame where it belongs, and let it tell how the network is."""
+        insertion = self._timeline.insert(frame)
+        match insertion:
+            case "new":
+                self._is_path_new = True
+            case "late":
+                self._late += 1
+            case "duplicate":
+                self._duplicates += 1
+                return
+            case "misplaced":
+                self._misplaced += 1
+                return
+        clock = self._time.clock
+        assert clock is not None
+        transit_s = clock.receive(frame.media_s, frame.arrived_s)
+        self._jitter.receive(frame.arrived_s, frame.media_s, transit_s, clock)
+        self._cadence.receive(frame.number, frame.media_s, is_still=frame.sample.is_still)
 
-    def _unwrap(self, sequence: int) -> int:
-        """The sequence as a number that never wraps."""
-        if self._newest is None:
-            return sequence
-        return self._newest[0] + sequence_distance(sequence, self._newest[0] % SEQUENCE_MODULUS)
+    def _floor_s(self, *, is_displayed: bool) -> float:
+        """What is waited at least, jitter aside."""
+        config = self.config
+        smooth_s = config.floor_intervals * self._cadence.interval_s if is_displayed else 0.0
+        return min(max(config.floor_s, smooth_s), config.ceiling_s)
 
-    def _measure(self, number: int, frame: TimedSample, transit: float) -> None:
-        """Let a frame move the estimates of offset, jitter and frame interval."""
-        if self._newest is None or number > self._newest[0]:
-            if self._newest is not None:
-                steps = number - self._newest[0]
-                interval_s = (frame.captured_us - self._newest[1]) / 1e6 / steps
-                # One eighth of the way each time: the usual weight of a smoothed estimate
-                # (RFC 6298 2.3), quick enough for a sender that changes its rate.
-                share = 0.125 if self._interval_s else 1.0
-                self._interval_s += share * (interval_s - self._interval_s)
-            self._newest = (number, frame.captured_us)
-        self._transits.append(transit)
-        ordered = sorted(self._transits)
-        rank = math.ceil(self.config.jitter_quantile * len(ordered)) - 1
-        self._smallest_s = ordered[0]
-        jitter_s = ordered[rank] - ordered[0]
-        self._due_s = ordered[0] + min(self.config.floor_s + jitter_s, self.config.ceiling_s)
+    def _target_s(self, *, is_displayed: bool) -> float:
+        """What should be waited beyond the fastest transit."""
+        jitter = self._jitter
+        delay_s = self._floor_s(is_displayed=is_displayed) + jitter.jitter_s
+        return jitter.base_s + min(delay_s, self.config.ceiling_s)
 
-    def _show_first(self) -> TimedSample:
-        """Take the oldest waiting frame as the one that is shown."""
-        number, frame = self._waiting.pop(0)
-        if self._shown_number is not None:
-            self._lost += number - self._shown_number - 1
-        self._shown_number, self._held = number, frame
-        return frame
+    def _local_s(self, media_s: float) -> float:
+        """Our clock when a frame captured then comes the fastest way."""
+        assert self._time.clock is not None
+        return media_s + self._time.clock.fastest_transit_s(media_s)
 
+    def _num_missing(self, before: TimedSample, after: TimedSample) -> int:
+        """Frames that should have been between two others and were not."""
+        num_skipped = after.number - before.number - 1
+        if num_skipped <= 0 or before.sample.is_still:
+            return 0
+        return min(num_skipped, self._cadence.num_missing(before.media_s, after.media_s))
 
-def _blend(before: LatentSample, after: LatentSample, weight: float) -> LatentSample:
-    share = np.float32(weight)
-    return LatentSample(
-        latent=before.latent + share * (after.latent - before.latent),
-        rotation=blend_rotations(before.rotation, after.rotation, weight),
-        translation_m=before.translation_m + share * (after.translation_m - before.translation_m),
-    )
+    def _played(self, face: LatentSample, position_s: float, now: float) -> PlayedFace:
+        """Say of a face how fresh it is, and remember where it stands."""
+        config, timeline, interval_s = self.config, self._timeline, self._cadence.interval_s
+        held, following = timeline.held, timeline.following
+        assert held is not None
+        past_s = position_s - held.media_s
+        newest, known_s, is_concealed = held, held.media_s, False
+        self._end_s = math.inf
+        if following is not None and timeline.is_under_way(position_s, interval_s):
+            newest, known_s = following, position_s
+        elif held.sample.is_still:
+            known_s += min(past_s, config.still_s)
+            is_concealed = past_s > config.still_s
+        else:
+            self._end_s = held.media_s + config.extrapolate_s
+            # By now the next frame should have come, had it been as late as we wait for: half an
+            # interval is granted for a tracker that is not so regular.
+            waited_s = self._target_s(is_displayed=True) - self._jitter.base_s
+            granted_s = max(waited_s - self._jitter.jitter_s, 0.0)
+            is_concealed = past_s > 1.5 * interval_s - granted_s and interval_s > 0
+        self._num_shown += 1
+        self._concealed += is_concealed
+        self._age_s = now - self._local_s(known_s)
+        return PlayedFace(
+            sample=face,
+            captured_us=held.captured_us + round((known_s - held.media_s) * 1e6),
+            newest=newest,
+            is_concealed=is_concealed,
+            age_s=self._age_s,
+        )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -47,7 +48,7 @@ def blend_rotations(
     Args:
         before: Where the turn begins, radians. float32 ``[3]``.
         after: Where it ends. float32 ``[3]``.
-        weight: 0 gives `before`, 1 gives `after`.
+        weight: 0 gives `before`, 1 gives `after`; beyond 1 the turn goes on.
 
     Returns:
         A rotation vector. float32 ``[3]``.
@@ -63,11 +64,22 @@ def blend_rotations(
         share = math.sin(weight * angle) / math.sin(angle)
         rest = math.sin((1 - weight) * angle) / math.sin(angle)
     real, *imaginary = (rest * a + share * b for a, b in zip(first, second, strict=True))
-    if real < 0:  # an angle above π is the rest of the turn, the other way round
-        real, imaginary = -real, [-part for part in imaginary]
-    sine = math.hypot(*imaginary)
-    scale = 2 * math.atan2(sine, real) / sine if sine > 1e-12 else 2.0
-    return np.array([scale * part for part in imaginary], np.float32)
+    return _vector((real, *imaginary))
+
+
+def turn_between(
+    begin: npt.NDArray[np.float32], end: npt.NDArray[np.float32]
+) -> npt.NDArray[np.float32]:
+    """The turn after `begin` that makes `end` of it; all are rotation vectors, float32 ``[3]``."""
+    real, x, y, z = _quaternion(begin)
+    return _vector(_product(_quaternion(end), (real, -x, -y, -z)))
+
+
+def turned(
+    rotation: npt.NDArray[np.float32], turn: npt.NDArray[np.float32]
+) -> npt.NDArray[np.float32]:
+    """A rotation, and after it another turn; all are rotation vectors, float32 ``[3]``."""
+    return _vector(_product(_quaternion(turn), _quaternion(rotation)))
 
 
 def _quaternion(vector: npt.NDArray[np.float32]) -> tuple[float, float, float, float]:
@@ -76,3 +88,25 @@ def _quaternion(vector: npt.NDArray[np.float32]) -> tuple[float, float, float, f
     angle = math.hypot(x, y, z)
     scale = math.sin(angle / 2) / angle if angle > 1e-12 else 0.5
     return math.cos(angle / 2), scale * x, scale * y, scale * z
+
+
+def _vector(quaternion: Sequence[float]) -> npt.NDArray[np.float32]:
+    """The rotation vector of a quaternion, with an angle of at most π."""
+    real, *imaginary = quaternion
+    if real < 0:  # an angle above π is the rest of the turn, the other way round
+        real, imaginary = -real, [-part for part in imaginary]
+    sine = math.hypot(*imaginary)
+    scale = 2 * math.atan2(sine, real) / sine if sine > 1e-12 else 2.0
+    return np.array([scale * part for part in imaginary], np.float32)
+
+
+def _product(left: Sequence[float], right: Sequence[float]) -> tuple[float, float, float, float]:
+    """The turn `right`, and after it `left`."""
+    a, b, c, d = left
+    e, f, g, h = right
+    return (
+        a * e - b * f - c * g - d * h,
+        a * f + b * e + c * h - d * g,
+        a * g - b * h + c * e + d * f,
+        a * h + b * g - c * f + d * e,
+    )

@@ -186,7 +186,7 @@ async def test_a_slow_receiver_gets_every_peer_at_a_lower_rate_within_bounded_de
     assert min(rates) >= 14  # the outbox is fair: nobody is starved
     assert max(rates) <= 20
     assert max(watched.delay_percentile(name, 99) for name in PEERS) <= 0.5
-    assert watched.stats["dropped"] > 0
+    assert sum(relay_stats["dropped"].values()) > 0
     assert relay_stats["open_connections"] == 0
 
 

@@ -1,0 +1,91 @@
+"""How often frames of a stream come, and which of them never came. Pure.
+
+A stream is thinned on its way when a receiver or the network wants less of it, so a hole in the
+sequence is no loss by itself. What tells them apart is time: after thinning the frames that are
+left come at an even, longer interval; a lost frame leaves a gap among frames that come closer. The
+interval is the median of the last gaps, so single losses do not move it. A hole is judged with the
+longer of two intervals, when its end came and half a second or eight frames later: only then is it
+known whether the stream is thinned from there on, and whether the frames were merely overtaken.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, insort
+from itertools import pairwise
+from typing import NamedTuple
+
+NUM_GAPS = 16
+"""Gaps the interval is the median of (chosen: with a third of the frames lost it still stands, and
+it follows a thinned stream after eight frames)."""
+JUDGED_AFTER_S = 0.5
+"""Until then a frame may still come (chosen: more than twice the usual ceiling of the delay)."""
+JUDGED_AFTER_FRAMES = NUM_GAPS // 2
+"""The interval follows after so many."""
+MAX_UNJUDGED = 512
+"""Frames that wait for judgement; beyond it the oldest is judged."""
+
+
+class _Seen(NamedTuple):
+    number: int
+    media_s: float
+    is_still: bool
+    interval_s: float
+
+
+class Cadence:
+    """Interval and losses of one stream.
+
+    Attributes:
+        interval_s: Between two frames of the layers that arrive; 0 until two have come.
+        num_lost: Frames known to be lost; one that comes after it was judged counts, too.
+    """
+
+    def __init__(self) -> None:
+        self.interval_s = 0.0
+        self.num_lost = 0
+        # In order of their numbers; drop their oldest when full.
+        self._recent: list[_Seen] = []
+        self._unjudged: list[_Seen] = []
+
+    def receive(self, number: int, media_s: float, *, is_still: bool) -> None:
+        """Take a frame into account; one that came again changes nothing."""
+        place = bisect_left(self._unjudged, (number,))
+        if place < len(self._unjudged) and self._unjudged[place].number == number:
+            return
+        seen = _Seen(number, media_s, is_still, self.interval_s)
+        insort(self._recent, seen)
+        # What follows a still frame is a silence on purpose, and no gap.
+        gaps = sorted(
+            after.media_s - before.media_s
+            for before, after in pairwise(self._recent)
+            if not before.is_still and after.media_s > before.media_s
+        )
+        if gaps:
+            self.interval_s = gaps[(len(gaps) - 1) // 2]
+        if len(self._recent) > NUM_GAPS:
+            del self._recent[0]
+        if place or not self._unjudged:  # else its hole has been judged already
+            self._unjudged.insert(place, seen)
+        self._judge()
+
+    def num_missing(self, before_s: float, after_s: float, interval_s: float | None = None) -> int:
+        """Frames that the interval would have put between two others."""
+        interval_s = self.interval_s if interval_s is None else interval_s
+        if interval_s <= 0:
+            return 0
+        return max(round((after_s - before_s) / interval_s) - 1, 0)
+
+    def _judge(self) -> None:
+        """Count what is missing between the oldest frames, where that is known by now."""
+        unjudged = self._unjudged
+        while len(unjudged) > JUDGED_AFTER_FRAMES + 1:
+            before, after = unjudged[:2]
+            is_known = unjudged[-1].media_s - after.media_s >= JUDGED_AFTER_S
+            if not is_known and len(unjudged) <= MAX_UNJUDGED:
+                return
+            num_skipped = after.number - before.number - 1
+            if num_skipped > 0 and not before.is_still:
+                interval_s = max(self.interval_s, after.interval_s)
+                num_missing = self.num_missing(before.media_s, after.media_s, interval_s)
+                self.num_lost += min(num_skipped, num_missing)
+            del unjudged[0]

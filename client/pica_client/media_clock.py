@@ -1,0 +1,75 @@
+"""Which moment of a stream the display is at: follows what it should be, without leaps. Pure.
+
+The moment that should be shown moves when the playout delay changes. Following it at once would be
+seen: so the display's time runs a little faster or slower until it is there, and never backwards.
+Only where that would take too long it leaps forwards.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+UNSEEN_S = 0.001
+"""Nobody sees a display that is less far behind."""
+
+
+class Step(NamedTuple):
+    """From one display time to the next."""
+
+    elapsed_s: float
+    """On our clock."""
+    moved_s: float
+    """How far the moment shown went on; where it leapt, how far it would have gone."""
+    is_leap: bool = False
+
+
+class MediaClock:
+    """The display's time of one stream.
+
+    Attributes:
+        position_s: The moment shown, on the stream's time line; minus infinity before the first.
+        num_leaps: How often the display leapt forwards.
+    """
+
+    def __init__(self, *, faster: float, slower: float, leap_s: float) -> None:
+        """Prepare.
+
+        Args:
+            faster: By which share time may run faster to catch up.
+            slower: By which share it may run slower to fall back.
+            leap_s: A display this far behind leaps.
+        """
+        self.position_s = -math.inf
+        self.num_leaps = 0
+        self._faster = faster
+        self._slower = slower
+        self._leap_s = leap_s
+        self._now = -math.inf
+
+    def advance(self, now: float, target_s: float, end_s: float) -> Step:
+        """Go on to a display time.
+
+        Args:
+            now: Our clock.
+            target_s: The moment that should be shown.
+            end_s: The moment up to which the face last shown had moved: where the display stands
+                still beyond it, falling back that far is not seen.
+        """
+        if self.position_s == -math.inf:
+            self.position_s, self._now = target_s, now
+            return Step(0.0, 0.0)
+        elapsed_s = max(now - self._now, 0.0)
+        self._now = max(now, self._now)
+        before_s = self.position_s
+        behind_s = target_s - before_s - elapsed_s
+        if behind_s > max(self._leap_s, UNSEEN_S):
+            self.num_leaps += 1
+            self.position_s = target_s
+            return Step(elapsed_s, elapsed_s, is_leap=True)
+        rate = min(max(behind_s, -self._slower * elapsed_s), self._faster * elapsed_s)
+        position_s = before_s + elapsed_s + rate
+        if end_s < position_s and target_s < position_s:
+            position_s = max(target_s, min(end_s, position_s))
+        self.position_s = position_s
+        return Step(elapsed_s, max(position_s - before_s, 0.0))
