@@ -29,6 +29,7 @@ from pica_protocol.messages import (
 )
 from pica_protocol.session import Closed, Media, ServerEvent, ServerSession
 from pica_protocol.stream_queue import Put
+from pica_server.coalescing import Coalescing
 from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.errors import OutboxFullError, RoomFullError
 from pica_server.limits import TokenBucket
@@ -45,7 +46,7 @@ in four seconds (chosen: keys change when somebody comes or goes)."""
 
 
 class Connection:
-    """One websocket as the hub sees it; the shell reads ``closed`` and nothing else."""
+    """One websocket as the hub sees it; the shell reads ``closed`` and ``is_urgent``."""
 
     __slots__ = (
         "address",
@@ -82,6 +83,11 @@ class Connection:
         self.whispers = TokenBucket(WHISPERS_PER_S, WHISPER_BURST, now)
 
     @property
+    def is_urgent(self) -> bool:
+        """Whether it has more to send than frames, which may wait for others."""
+        return self.outbox.has_control or self.session.closed is not None
+
+    @property
     def closed(self) -> Closed | None:
         """How it ended, or None."""
         return self.session.closed
@@ -101,6 +107,7 @@ class Hub:
         self._connections: dict[str, Connection] = {}
         self._rooms: dict[str, Room] = {}
         self._ready: dict[Connection, None] = {}
+        self._coalescing: Coalescing | None = None  # begins with the first frame
         self._joins: TokenBucket | None = None  # full when the first one comes
         self._by_address: Counter[str] = Counter()  # bounded by the number of connections
         self._timers: list[tuple[float, int, Connection]] = []
@@ -114,6 +121,11 @@ class Hub:
     def num_rooms(self) -> int:
         """Rooms with somebody in them."""
         return len(self._rooms)
+
+    @property
+    def coalescing_s(self) -> float:
+        """How long frames may wait now for others to share a message with."""
+        return 0.0 if self._coalescing is None else self._coalescing.window_s
 
     def connect(self, now: float, address: str = "") -> Connection:
         """Take a new websocket; it is closed at once when there are too many.
@@ -275,6 +287,7 @@ class Hub:
         if len(media.spans) > 1 and not connection.messages_in.take(now, len(media.spans) - 1):
             self._close_too_fast(connection, "messages", now)
             return
+        num_deliveries = 0
         needed: dict[tuple[int, Put], None] = {}
         for number, layer, flags, start, end in media.spans:
             frame = media.message[start:end]
@@ -291,8 +304,14 @@ class Hub:
                     self._ready[receiver] = None
                     if fate is not Put.WAITS:
                         needed[number, fate] = None
+            num_deliveries += len(receivers)
             self.stats.frames_in += 1
             self.stats.unwanted += len(room) - 1 - len(receivers)
+        if self._coalescing is None:
+            config = self._config
+            above_per_s, longest_s = config.coalesce_above_per_s, config.coalesce_longest_s
+            self._coalescing = Coalescing(above_per_s, longest_s, now)
+        self._coalescing.note(num_deliveries, now)
         for number, fate in needed:
             self._ask_for_keyframe(room, number, fate.value, now)
 

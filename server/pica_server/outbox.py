@@ -49,6 +49,11 @@ class Outbox:
         return sum(map(len, self._queues.values()))
 
     @property
+    def has_control(self) -> bool:
+        """Whether a control message waits."""
+        return bool(self._control)
+
+    @property
     def waiting_control_bytes(self) -> int:
         """How many bytes of control messages wait."""
         return self._control_bytes

@@ -2,8 +2,9 @@
 
 Each websocket has a reader (read, feed the hub, wake whoever got something) and a writer (take from
 the hub, send, until nothing is left). Frames that arrive in one turn of the event loop leave in one
-message, and a writer whose peer reads slowly blocks nobody: what it has not taken yet stays in its
-outbox, where newer frames replace older ones. One timer serves all deadlines.
+message, under load also those of a few milliseconds, see ``coalescing``. A writer whose peer reads
+slowly blocks nobody: what it has not taken yet stays in its outbox, where newer frames replace
+older ones. One timer serves all deadlines.
 
 The buffers behind an outbox are kept small, because what they hold can be neither replaced nor
 withdrawn: one message in the transport and a bounded socket buffer in the kernel, of which unsent
@@ -64,6 +65,8 @@ class Relay:
         self._server: Server | None = None
         self._wakers: dict[Connection, _Waker] = {}
         self._timer: asyncio.TimerHandle | None = None
+        self._held: dict[Connection, None] = {}
+        self._release: asyncio.TimerHandle | None = None
 
     @property
     def url(self) -> str:
@@ -125,6 +128,8 @@ class Relay:
         await self._server.wait_closed()
         if self._timer is not None:
             self._timer.cancel()
+        if self._release is not None:
+            self._release.cancel()
 
     def _guarded_connection(self, *args: Any, **kwargs: Any) -> "_GuardedConnection":
         connection = _GuardedConnection(*args, **kwargs)
@@ -188,10 +193,15 @@ class Relay:
 
     def _after_events(self) -> None:
         """Wake the writers that have something to do, and set the timer to the next deadline."""
+        window_s = self.hub.coalescing_s
         for connection in self.hub.take_ready():
-            waker = self._wakers.get(connection)
-            if waker is not None:
-                waker.wake(is_last=connection.closed is not None)
+            if window_s == 0 or connection.is_urgent:
+                self._wake(connection)
+                continue
+            self._held[connection] = None
+            if self._release is None:
+                loop = asyncio.get_running_loop()
+                self._release = loop.call_later(window_s, self._wake_held)
         when = self.hub.next_timer()
         if self._timer is not None:
             if self._timer.when() == when:
@@ -200,6 +210,18 @@ class Relay:
             self._timer = None
         if when is not None:
             self._timer = asyncio.get_running_loop().call_at(when, self._on_timer)
+
+    def _wake(self, connection: Connection) -> None:
+        waker = self._wakers.get(connection)
+        if waker is not None:
+            waker.wake(is_last=connection.closed is not None)
+
+    def _wake_held(self) -> None:
+        """Let go what waited for company."""
+        self._release = None
+        held, self._held = self._held, {}
+        for connection in held:
+            self._wake(connection)
 
     def _on_timer(self) -> None:
         # A loop may fire a timer up to its clock's resolution too early; a deadline that is not met

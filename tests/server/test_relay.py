@@ -9,7 +9,7 @@ from websockets.exceptions import ConnectionClosed
 from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode, LocalProtocolError
 from pica_protocol.frames import Frame
-from pica_protocol.messages import Hello, KeyframeRequest, PeerJoined, PeerLeft
+from pica_protocol.messages import Hello, KeyframeRequest, PeerJoined, PeerLeft, Whisper
 from pica_protocol.session import Closed
 from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.relay import Relay
@@ -375,6 +375,51 @@ async def test_two_frames_that_come_together_both_reach_a_reader_that_keeps_up()
         await ada.send_frame(b"two")
         await asyncio.sleep(0.001)
         assert [frame.payload for _, frame in bob.arrivals] == [b"one", b"two"]
+
+
+@in_virtual_time
+async def test_under_load_frames_share_messages_and_wait_no_longer_than_the_window() -> None:
+    async def messages_per_frame(above_per_s: float, phase_s: float) -> tuple[float, float]:
+        config = RelayConfig(coalesce_above_per_s=above_per_s, coalesce_longest_s=0.008)
+        async with (
+            Relay(config) as relay,
+            peer_in_room(URL, "Ada") as ada,
+            peer_in_room(URL, "Bob") as bob,
+            peer_in_room(URL, "Cyd", tracks=()) as cyd,
+        ):
+            start = now()
+            for i in range(90):
+                for peer, offset_s in ((ada, 0.0), (bob, phase_s)):
+                    await asyncio.sleep(start + i / 30 + offset_s - now())
+                    await peer.send_frame(b"x")
+            await asyncio.sleep(0.01)
+            assert len(cyd.arrivals) == 180
+            stats = relay.stats()
+            return stats["messages_out"] / stats["frames_out"], max(cyd.delays_s)
+
+    light, delay_s = await messages_per_frame(above_per_s=10_000, phase_s=0.004)
+    assert light > 1
+    assert delay_s < 0.001
+    heavy, delay_s = await messages_per_frame(above_per_s=25, phase_s=0.004)
+    assert heavy < 0.85  # Cyd's share a message; Ada and Bob get one frame each as before
+    assert delay_s < 0.0085
+
+
+@in_virtual_time
+async def test_control_does_not_wait_for_company() -> None:
+    config = RelayConfig(coalesce_above_per_s=1, coalesce_longest_s=0.1)
+    async with (
+        Relay(config),
+        peer_in_room(URL, "Ada") as ada,
+        peer_in_room(URL, "Bob", tracks=()) as bob,
+    ):
+        await ada.publish(num_frames=30, fps=30)
+        await ada.send_frame(b"held")
+        ada.session.whisper(bob.session.peer_id, b"at once")
+        await ada.flush()
+        start = now()
+        await bob.until(Whisper)
+        assert now() - start < 0.001
 
 
 @in_virtual_time
