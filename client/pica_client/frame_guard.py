@@ -6,7 +6,7 @@ carries its whispers. It knows no more about encryption; `pica_client.seal.guard
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 from pica_protocol.frames import Frame
 from pica_protocol.session import ClientEvent
@@ -35,3 +35,6 @@ class FrameGuard(Protocol):
 
     def handle_timer(self, now: float) -> None:
         """It is that time."""
+
+    def stats(self) -> dict[str, Any]:
+        """Return what was sealed, opened and refused so far."""

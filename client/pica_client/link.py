@@ -16,6 +16,7 @@ import logging
 import random
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from urllib.parse import urlsplit
 
 from websockets.asyncio.client import ClientConnection
@@ -50,6 +51,11 @@ class LinkConfig:
     """Name shown to the others."""
     connect_timeout_s: float | None = 3.0
     """How long to try the first time before giving up, seconds; None tries for ever."""
+    secret_file: Path | None = None
+    """File with the room secret; with it, payloads are encrypted end to end. Needs the extra
+    `seal`."""
+    short_tags: bool = False
+    """Seal with tags of 8 bytes instead of 16; see `pica_client.seal.suites`."""
     backoff: BackoffConfig = field(default_factory=BackoffConfig)
 
     def __post_init__(self) -> None:
@@ -88,6 +94,7 @@ class Link:
 
     Attributes:
         counters: What went over it.
+        guard: What seals and opens frames, or None.
         last_closed: How the latest connection ended, or None.
     """
 
@@ -110,14 +117,23 @@ class Link:
             connector: Opens one websocket; a plain TCP or TLS connection to `config.url` by
                 default.
             rng: Spreads reconnects; seeded by tests.
-            guard: Seals what we send and opens what comes; everything is plain by default.
+            guard: Seals what we send and opens what comes; by default one for the secret of the
+                configuration, and without a secret everything is plain.
+
+        Raises:
+            SecretFileError: There is no secret in the file.
         """
+        if guard is None and config.secret_file is not None:
+            # Only here: who does not encrypt needs no cryptography.
+            from pica_client.seal.guard import guard_from
+
+            guard = guard_from(config.secret_file, short_tags=config.short_tags)
         self.config = config
         self.counters = LinkCounters()
         self.last_closed: Closed | None = None
         self._tracks = tracks
         self._on_event = on_event
-        self._guard = guard
+        self.guard = guard
         self._connector = connector or (lambda: open_websocket(config.url))
         self._backoff = Backoff((rng or random.Random()).random, config.backoff)
         self._session: ClientSession | None = None
@@ -297,7 +313,7 @@ class Link:
             tracks=self._tracks,
             software=SOFTWARE,
             now=loop.time(),
-            seal=None if self._guard is None else self._guard.seal,
+            seal=None if self.guard is None else self.guard.seal,
         )
         self._session = session
         joined_s: float | None = None
@@ -309,8 +325,8 @@ class Link:
                     joined_s = now
                     self.counters.connects += 1
                 passed = [event]
-                if self._guard is not None:
-                    passed = self._guard.receive_event(event, now)
+                if self.guard is not None:
+                    passed = self.guard.receive_event(event, now)
                 if self._on_event is not None:
                     for each in passed:
                         self._on_event(each, now)
@@ -385,21 +401,21 @@ class Link:
 
     def _whisper_keys(self, session: ClientSession, now: float) -> None:
         """Queue what the guard has to tell others: it goes before the frames that need it."""
-        if self._guard is not None and session.state is State.JOINED:
-            for peer_id, data in self._guard.messages_to_send(now):
+        if self.guard is not None and session.state is State.JOINED:
+            for peer_id, data in self.guard.messages_to_send(now):
                 if session.can_queue:  # else it is lost, as a whisper may be
                     session.whisper(peer_id, data)
 
     async def _until_woken(self) -> None:
         """Wait until there may be something to write, by the guard's timer too."""
-        timer = None if self._guard is None else self._guard.next_timer()
+        timer = None if self.guard is None else self.guard.next_timer()
         try:
             async with asyncio.timeout_at(timer):
                 await self._wake.wait()
         except TimeoutError:
-            if self._guard is not None and timer is not None:
+            if self.guard is not None and timer is not None:
                 # A loop may fire a timer up to its clock's resolution too early.
-                self._guard.handle_timer(max(asyncio.get_running_loop().time(), timer))
+                self.guard.handle_timer(max(asyncio.get_running_loop().time(), timer))
 
     def _judge(self, closed: Closed) -> None:
         """Raise if coming back cannot help."""

@@ -43,6 +43,7 @@ class Unforgetting:
         self.messages_to_send = guard.messages_to_send
         self.next_timer = guard.next_timer
         self.handle_timer = guard.handle_timer
+        self.stats = guard.stats
 
     def receive_event(self, event: ClientEvent, now: float) -> list[ClientEvent]:
         return [event] if isinstance(event, Closed) else self._guard.receive_event(event, now)
