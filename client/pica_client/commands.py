@@ -53,6 +53,12 @@ class SendOptions:
     """Wait for a relay that is not there yet instead of giving up after 3 seconds."""
     frame_log: Path | None = None
     """Write capture and encoding time of each frame, in microseconds, into this file at the end."""
+    quality: int = DEFAULT_QUALITY
+    """Fineness of the coded stream, 0 to 7; each step up costs a quarter more bits."""
+    bitrate: float | None = None
+    """Payload bits a second to keep to by changing the quality."""
+    plain: bool = False
+    """Send 8 bits a value, 65 kbit/s, as avatars without a stream profile are sent."""
 
 
 def send(options: SendOptions) -> dict[str, Any]:
@@ -61,7 +67,13 @@ def send(options: SendOptions) -> dict[str, Any]:
     Runs until Ctrl-C or for --seconds, and comes back by itself when the relay goes away and
     returns.
     """
-    config = SenderConfig(fps=options.fps, seconds=options.seconds)
+    config = SenderConfig(
+        fps=options.fps,
+        seconds=options.seconds,
+        quality=options.quality,
+        bitrate_bps=options.bitrate,
+        plain=options.plain,
+    )
     if options.frame_log is not None:
         check_writable(options.frame_log)
     link = LinkConfig(
@@ -164,6 +176,56 @@ def _impairment(options: BenchCallOptions) -> Impairment | None:
         loss_ratio=options.loss,
         rate_bps=options.rate or None,
     )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BenchPlayoutOptions:
+    """Options of ``pica bench playout``."""
+
+    source: str = "performance:talk"
+    """The face that is sent; see pica send --help."""
+    avatar: str | None = None
+    """Name of a shipped avatar, or a .pica file; the first shipped one by default."""
+    codec: str = "coded"
+    """Format of the payloads: coded, or plain for 8 bits a value and every frame alone."""
+    scenarios: str = ""
+    """Names of troubles, separated by commas; all by default."""
+    seconds: float = 30.0
+    """Length of each run; the trouble lasts the middle third of it."""
+    fps: float = 30.0
+    """Frames captured a second."""
+    display_hz: float = 60.0
+    """Refreshes of the display a second."""
+    renders_per_s: float = 10.0
+    """Refreshes that are rendered to measure the error, a second."""
+    seed: int = 0
+    """Of the network."""
+
+
+def bench_playout(options: BenchPlayoutOptions) -> dict[str, Any]:
+    """Measure what the playout makes of troubled networks: rendered error, delay, recovery.
+
+    Runs on a virtual clock and needs no network. Compares the receiver's playout with a fixed
+    buffer of 100 ms and with none.
+    """
+    from pica_client.bench_playout import BenchPlayoutConfig, run_bench_playout
+    from pica_client.stream_trial import Schedule
+
+    config = BenchPlayoutConfig(
+        source=options.source,
+        codec=options.codec,
+        scenarios=tuple(name for name in options.scenarios.split(",") if name),
+        schedule=Schedule(seconds=options.seconds, fps=options.fps, display_hz=options.display_hz),
+        renders_per_s=options.renders_per_s,
+        seed=options.seed,
+    )
+    library = AvatarLibrary()
+    try:
+        (chosen, *_) = choose_avatars(options.avatar, library)
+        avatar = library.load(library.find(chosen))
+    finally:
+        library.close()
+    return run_bench_playout(config, avatar)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

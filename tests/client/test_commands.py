@@ -54,6 +54,13 @@ def avatar(tmp_path: Path) -> str:
         (["bench", "call", "--seconds", "-1"], "seconds is -1; above 0"),
         (["bench", "call", "--source", "performance:sing"], "performance 'sing' is unknown"),
         (["bench", "call", "--playout-floor-ms", "900"], "playout-floor-ms is 900; 0 to 200"),
+        (["bench", "call", "--loss", "1"], "loss_ratio is 1; 0 to 0.9 is allowed"),
+        (["bench", "call", "--rate", "5"], "rate_bps is 5; 1000 to"),
+        (["bench", "call", "--jitter", "nan"], "jitter_s is nan; 0 to 10"),
+        (["bench", "playout", "--codec", "mp3"], "codec 'mp3' is unknown; known are coded, plain"),
+        (["bench", "playout", "--scenarios", "storm"], "scenario 'storm' is unknown; known are"),
+        (["bench", "playout", "--seconds", "1"], "seconds is 1; 3 to 600 is allowed"),
+        (["bench", "playout", "--renders-per-s", "0"], "renders_per_s is 0; 0.5 to 60"),
     ],
 )
 def test_bad_input_is_one_line_with_the_fix_and_exit_status_two(

@@ -10,8 +10,7 @@ import pytest
 
 from pica_client.errors import OptionError
 from pica_client.impairment_scenarios import BY_NAME, CALM, SCENARIOS, Scenario
-from pica_client.playout import Playout
-from pica_client.playout_policies import POLICIES
+from pica_client.playout import POLICIES, Playout
 from pica_client.stream_ends import PlainDecoder, PlainEncoder
 from pica_client.stream_trial import Delivery, Schedule, deliver, play
 from pica_core.latent_sample import LatentSample
