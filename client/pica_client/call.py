@@ -9,6 +9,7 @@ the face is held; a peer whose avatar nobody has gets a seat without a face.
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from contextlib import suppress
@@ -21,12 +22,14 @@ from pica_client.faces import FaceState, FaceStatus
 from pica_client.playout import Playout, PlayoutConfig, PlayoutReport, TimedSample
 from pica_client.sender import FACE_TRACK
 from pica_core.avatar_file import Avatar
-from pica_core.errors import AvatarFileError, LatentError
-from pica_core.plain_stream import LatentProfile, decode_latent
+from pica_core.errors import AvatarFileError, LatentError, ProfileError
+from pica_core.stream_ends import FaceDecoder, open_decoder
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, Peer, PeerJoined, PeerLeft, Report, StreamReport, Track
 from pica_protocol.session import ClientEvent
 
+KEYFRAME_REQUEST_INTERVAL_S = 0.5
+"""Between two requests for the same stream (chosen: a round trip and the sender's pause fit)."""
 MAX_DEPARTED = 64
 """Peers remembered for the statistics after they left; drops the oldest."""
 MAX_SHOWN = 100_000
@@ -74,6 +77,7 @@ class _Window:
     received: int = 0
     payload_bytes: int = 0
     longest_gap_s: float = 0.0
+    keyframe_requests: int = 0
     before: PlayoutReport = field(default_factory=PlayoutReport)
 
 
@@ -84,7 +88,9 @@ class _Seat:
         self.peer = peer
         self.track = track
         self.playout = Playout(config)
-        self.profile: LatentProfile | None = None
+        self.decoder: FaceDecoder | None = None
+        self.trouble = ""
+        self.keyframe_asked_s = -math.inf
         self.last_arrival_s: float | None = None
         self.window = _Window()
         self.reported = PlayoutReport()
@@ -159,6 +165,19 @@ class Call:
                     )
                 )
             return Report(streams=tuple(streams))
+
+    def take_keyframe_requests(self, now: float) -> list[int]:
+        """Streams that can only go on with a keyframe, each at most once in
+        `KEYFRAME_REQUEST_INTERVAL_S`."""
+        with self._lock:
+            streams = []
+            for stream, seat in self._by_stream.items():
+                needs = seat.decoder is not None and seat.decoder.needs_keyframe
+                if needs and now - seat.keyframe_asked_s >= KEYFRAME_REQUEST_INTERVAL_S:
+                    seat.keyframe_asked_s = now
+                    seat.window.keyframe_requests += 1
+                    streams.append(stream)
+            return streams
 
     # The display's side
 
@@ -257,6 +276,8 @@ class Call:
             "longest_gap_ms": round(window.longest_gap_s * 1e3, 1),
             "lost": report.lost - window.before.lost,
             "late": report.late - window.before.late,
+            "keyframe_requests": window.keyframe_requests,
+            "unreferenced": seat.decoder.num_unreferenced if seat.decoder else 0,
             "concealed": report.concealed - window.before.concealed,
             "restarts": report.restarts - window.before.restarts,
             "playout_delay_ms": round(report.delay_s * 1e3, 2),
@@ -286,27 +307,44 @@ class Call:
         if seat is None:
             self.strays += 1
             return
-        if seat.profile is None:
-            try:
-                avatar = self._avatars.get(seat.track.avatar)
-            except AvatarFileError:
-                avatar = None  # the viewer asks for it too, and shows what is wrong with it
-            if avatar is None:
-                self.without_avatar += 1
-                return
-            seat.profile = LatentProfile.from_manifest(avatar.manifest)
+        if seat.decoder is None and not self._open_decoder(seat):
+            return
+        assert seat.decoder is not None
         try:
-            sample = decode_latent(frame.payload, seat.profile)
+            decoded = seat.decoder.receive(
+                frame.sequence, frame.captured_us, frame.layer, frame.is_keyframe, frame.payload
+            )
         except LatentError:
             self.errors += 1
             return
-        seat.playout.receive_frame(frame.sequence, frame.captured_us, sample, now)
+        for each in decoded:
+            seat.playout.receive_frame(each.sequence, each.captured_us, each.sample, now)
         if seat.window.received and seat.last_arrival_s is not None:
             gap_s = now - seat.last_arrival_s
             seat.window.longest_gap_s = max(seat.window.longest_gap_s, gap_s)
         seat.last_arrival_s = now
         seat.window.received += 1
         seat.window.payload_bytes += len(frame.payload)
+
+    def _open_decoder(self, seat: _Seat) -> bool:
+        """Make the decoder of a stream, if its avatar is there and of the sender's version."""
+        if seat.trouble:
+            self.errors += 1
+            return False
+        try:
+            avatar = self._avatars.get(seat.track.avatar)
+        except AvatarFileError:
+            avatar = None  # the viewer asks for it too, and shows what is wrong with it
+        if avatar is None:
+            self.without_avatar += 1
+            return False
+        try:
+            seat.decoder = open_decoder(avatar, seat.track.profile)
+        except ProfileError as error:
+            seat.trouble = str(error)
+            self.errors += 1
+            return False
+        return True
 
     def _face(self, seat: _Seat, now: float) -> FaceState:
         played = seat.playout.sample_at(now)
@@ -317,6 +355,7 @@ class Call:
                 avatar_id=seat.track.avatar,
                 latent=None,
                 status="waiting",
+                note=seat.trouble,
             )
         status: FaceStatus = "concealed" if played.is_concealed else "live"
         if seat.last_arrival_s is not None and now - seat.last_arrival_s > (

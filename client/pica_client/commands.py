@@ -25,6 +25,7 @@ from pica_client.sender import Sender, SenderConfig
 from pica_client.signals import on_stop_signal, terminate_as_interrupt
 from pica_client.sources import open_source
 from pica_client.staging import StageConfig, choose_avatars
+from pica_core.latent_stream import DEFAULT_QUALITY
 
 CONNECT_TIMEOUT_S = 3.0
 """How long a command tries to reach a relay before it gives up, unless told to wait."""
@@ -120,6 +121,10 @@ class BenchCallOptions:
     """Names or .pica files of avatars, separated by commas, dealt in turn."""
     fps: float = 30.0
     """Frames a second of each sender."""
+    quality: int = DEFAULT_QUALITY
+    """Fineness of the coded streams, 0 to 7."""
+    plain: bool = False
+    """Send 8 bits a value instead of coded streams."""
     playout_floor_ms: float = field(default=PlayoutConfig().floor_s * 1e3)
     """Least playout delay, milliseconds."""
     delay: float = 0.0
@@ -143,7 +148,12 @@ def bench_call(options: BenchCallOptions) -> dict[str, Any]:
 
     config = BenchConfig(
         stage=StageConfig(
-            peers=options.peers, source=options.source, avatar=options.avatar, fps=options.fps
+            peers=options.peers,
+            source=options.source,
+            avatar=options.avatar,
+            fps=options.fps,
+            quality=options.quality,
+            plain=options.plain,
         ),
         seconds=options.seconds,
         playout=_playout(options.playout_floor_ms),
@@ -331,6 +341,10 @@ class DemoOptions:
     """Names or .pica files of avatars, separated by commas, dealt in turn."""
     fps: float = 30.0
     """Frames a second of each sender."""
+    quality: int = DEFAULT_QUALITY
+    """Fineness of the coded streams, 0 to 7."""
+    plain: bool = False
+    """Send 8 bits a value instead of coded streams."""
     out: Path = Path("demo-out")
     """Folder for call.mp4, frame.png and stats.json."""
 
@@ -346,7 +360,12 @@ def demo(options: DemoOptions) -> dict[str, Any]:
     _size(options.size)
     config = DemoConfig(
         stage=StageConfig(
-            peers=options.peers, source=options.source, avatar=options.avatar, fps=options.fps
+            peers=options.peers,
+            source=options.source,
+            avatar=options.avatar,
+            fps=options.fps,
+            quality=options.quality,
+            plain=options.plain,
         ),
         seconds=options.seconds,
         size=options.size,

@@ -54,6 +54,8 @@ class FaceState:
     """Sender's clock at the *newest* sample that went into `latent`, for measuring latency. Between
     two samples the latent may move on while this stands still."""
     status: FaceStatus = "live"
+    note: str = ""
+    """What is wrong with the stream, for people; empty when nothing is."""
 
 
 class FaceSource(Protocol):

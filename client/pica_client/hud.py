@@ -49,7 +49,7 @@ def name_items(
         if anchor is None:
             continue
         lines = [(_cut(face.name, MAX_NAME_LENGTH), "")]
-        note = problems.get(face.peer_id) or STATUS_NOTE.get(face.status, "")
+        note = problems.get(face.peer_id) or face.note or STATUS_NOTE.get(face.status, "")
         wrapped = textwrap.wrap(note, NOTE_COLUMNS, max_lines=NOTE_LINES, placeholder=" …")
         lines += [("", line) for line in wrapped]
         items.append(

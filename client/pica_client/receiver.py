@@ -124,6 +124,8 @@ class Receiver:
 
     def _on_event(self, event: ClientEvent, now: float) -> None:
         self.call.receive_event(event, now)
+        for stream in self.call.take_keyframe_requests(now):
+            self.link.request_keyframe(stream)
         self.arrived.set()
 
     async def _report(self) -> None:

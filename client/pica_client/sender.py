@@ -21,8 +21,10 @@ from pica_client.sources import Source
 from pica_client.stats import Samples
 from pica_core.avatar_file import Avatar
 from pica_core.expression_encoder import ExpressionEncoder
-from pica_core.plain_stream import LatentProfile, encode_latent
-from pica_protocol.messages import Track
+from pica_core.latent_stream import DEFAULT_QUALITY, StreamConfig
+from pica_core.stream_ends import open_encoder
+from pica_protocol.messages import Joined, KeyframeRequest, Track
+from pica_protocol.session import ClientEvent
 
 FACE_TRACK = "face"
 """Kind of the tracks whose payloads are latents."""
@@ -38,12 +40,26 @@ class SenderConfig:
     """Frames a second."""
     seconds: float = 0.0
     """How long to send, counted from the first frame; 0 is until stopped."""
+    quality: int = DEFAULT_QUALITY
+    """Of the coded stream, 0 (coarse) to 7 (fine)."""
+    bitrate_bps: float | None = None
+    """Payload bits a second to keep to by changing the quality; None keeps the quality."""
+    plain: bool = False
+    """Send 8 bits a value instead of the coded stream."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.fps <= 240:
             raise OptionError(f"fps is {self.fps:g}; 1 to 240 is allowed")
         if not self.seconds >= 0:
             raise OptionError(f"seconds is {self.seconds:g}; 0 (for ever) or more is allowed")
+        self.stream()
+
+    def stream(self) -> StreamConfig:
+        """How the stream is encoded."""
+        try:
+            return StreamConfig(fps=self.fps, quality=self.quality, target_bps=self.bitrate_bps)
+        except ValueError as error:
+            raise OptionError(str(error).replace("target_bps", "bitrate_bps")) from error
 
 
 class Sender:
@@ -70,15 +86,17 @@ class Sender:
         self.frame_log: deque[tuple[int, int]] = deque(maxlen=MAX_LOGGED_FRAMES)
         self._source = source
         self._encoder = ExpressionEncoder(avatar)
-        self._profile = LatentProfile.from_manifest(avatar.manifest)
-        track = Track(kind=FACE_TRACK, avatar=avatar_identity)
-        self._link = Link(link_config, (track,), connector=connector, rng=rng)
+        self._stream, profile = open_encoder(avatar, config.stream(), plain=config.plain)
+        track = Track(kind=FACE_TRACK, avatar=avatar_identity, profile=profile)
+        self._link = Link(
+            link_config, (track,), on_event=self._on_event, connector=connector, rng=rng
+        )
         self._stopping = asyncio.Event()
         self._encode = Samples()
         self._first_sent_s: float | None = None
         self._last_sent_s = 0.0
         self._sent = self._unheard = self._faceless = self._payload_bytes = 0
-        self._skipped = 0
+        self._skipped = self._silent = self._keyframes = 0
 
     def stop(self) -> None:
         """Make `run` leave the room and return."""
@@ -119,6 +137,8 @@ class Sender:
             "replaced": counters.frames_replaced,
             "not_connected": self._unheard,
             "without_face": self._faceless,
+            "silent": self._silent,
+            "keyframes": self._keyframes,
             "payload_bytes": self._payload_bytes,
             "wire_bytes": counters.sent_wire_bytes,
             "payload_bps": round(self._payload_bytes * 8 / seconds) if seconds else None,
@@ -127,6 +147,15 @@ class Sender:
             "reconnects": self._link.reconnects,
             "errors": counters.errors,
         }
+
+    def _on_event(self, event: ClientEvent, now: float) -> None:
+        match event:
+            case KeyframeRequest():
+                self._stream.request_keyframe()
+            case Joined():  # nobody here has seen anything of us
+                self._stream.restart()
+            case _:
+                pass
 
     async def _pace(self) -> None:
         loop = asyncio.get_running_loop()
@@ -158,13 +187,20 @@ class Sender:
             self._faceless += 1  # nothing to say: the receivers see the stream fall silent
             return
         latent = self._encoder.encode(frame.arkit)
-        payload = encode_latent(latent, frame.rotation, frame.translation_m, self._profile)
-        encode_s = time.perf_counter() - began_s
         captured_us = round(now * 1e6)
-        if self._link.send_frame(payload, captured_us):
+        coded = self._stream.encode(latent, frame.rotation, frame.translation_m, captured_us)
+        encode_s = time.perf_counter() - began_s
+        if coded is None:
+            self._silent += 1  # still: the receivers know, and hold the face
+            self._last_sent_s = now
+            return
+        if self._link.send_frame(
+            coded.payload, captured_us, layer=coded.layer, is_keyframe=coded.is_keyframe
+        ):
             self._first_sent_s = now if self._first_sent_s is None else self._first_sent_s
             self._last_sent_s = now
             self._sent += 1
-            self._payload_bytes += len(payload)
+            self._keyframes += coded.is_keyframe
+            self._payload_bytes += len(coded.payload)
             self._encode.add(encode_s)
             self.frame_log.append((captured_us, round(encode_s * 1e6)))

@@ -19,7 +19,9 @@ from pica_client.avatars import AvatarLibrary
 from pica_client.errors import AvatarLookupError, CallProcessError, OptionError
 from pica_client.load import peer_sources
 from pica_client.processes import Child, Children
+from pica_client.sender import SenderConfig
 from pica_client.sources import open_source
+from pica_core.latent_stream import DEFAULT_QUALITY
 
 NAMES = ("Ada", "Ben", "Cho", "Dee", "Eve", "Fay", "Gus", "Hal")
 ROOM = "demo"
@@ -44,12 +46,17 @@ class StageConfig:
     """Names or files of avatars, separated by commas, dealt in turn; by default the shipped."""
     fps: float = 30.0
     """Frames a second of each sender."""
+    quality: int = DEFAULT_QUALITY
+    """Of the coded streams, 0 (coarse) to 7 (fine)."""
+    plain: bool = False
+    """Send 8 bits a value instead of coded streams."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.peers <= 15:
             raise OptionError(f"peers is {self.peers}; 1 to 15 fit the room")
         if not 1 <= self.fps <= 240:
             raise OptionError(f"fps is {self.fps:g}; 1 to 240 is allowed")
+        SenderConfig(quality=self.quality)  # checks it
 
 
 class Stage:
@@ -86,6 +93,7 @@ class Stage:
                 *("send", "--url", self.url, "--room", ROOM, "--name", name),
                 *("--avatar", avatars[index % len(avatars)], "--source", source),
                 *("--fps", f"{config.fps:g}", "--frame-log", str(self._log(name))),
+                *("--quality", str(config.quality), *(["--plain"] if config.plain else [])),
             )
         self.crashed: list[str] = []
 

@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from pica_core.avatar_manifest import Manifest
 from pica_core.errors import LatentError, ShapeError
-from pica_core.latent_sample import LatentSample
+from pica_core.latent_sample import DecodedFrame, EncodedFrame, LatentSample
 from pica_core.spec import LATENT_CHANNELS, LATENT_SHAPE, NUM_LATENT
 
 FloatArray = npt.NDArray[np.float32]
@@ -128,3 +128,43 @@ def _checked(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> npt.NDA
 
 def _quantise(ratio: npt.NDArray[np.float64], levels: int) -> npt.NDArray[Any]:
     return np.clip(np.rint(ratio * levels), -levels, levels)
+
+
+class PlainEncoder:
+    """The plain format as a stream: every frame is a keyframe of layer 0."""
+
+    def __init__(self, profile: LatentProfile) -> None:
+        self._profile = profile
+
+    def encode(
+        self,
+        latent: npt.ArrayLike,
+        rotation: npt.ArrayLike,
+        translation_m: npt.ArrayLike,
+        now_us: int,
+    ) -> EncodedFrame | None:
+        """As `LatentEncoder.encode`; never None."""
+        return EncodedFrame(encode_latent(latent, rotation, translation_m, self._profile))
+
+    def request_keyframe(self) -> None:
+        """Nothing to do."""
+
+    def restart(self) -> None:
+        """Nothing to do."""
+
+
+class PlainDecoder:
+    """The other end of `PlainEncoder`; keeps nothing between frames."""
+
+    needs_keyframe = False
+    num_unreferenced = 0
+
+    def __init__(self, profile: LatentProfile) -> None:
+        self._profile = profile
+
+    def receive(
+        self, sequence: int, captured_us: int, layer: int, is_keyframe: bool, payload: bytes
+    ) -> list[DecodedFrame]:
+        """As `LatentDecoder.receive`."""
+        sample = decode_latent(payload, self._profile)
+        return [DecodedFrame(sequence, captured_us, layer, sample)]
