@@ -35,7 +35,7 @@ class Arrival(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Trouble:
-    """What the way is like from the tenth second to the twentieth; calm before and after."""
+    """What the way is like from the sixth second to the thirteenth; calm before and after."""
 
     jitter_s: float = 0.0
     """Up to this much is added to each frame's way, uniformly."""
@@ -44,8 +44,8 @@ class Trouble:
     dropped_ratio: float = 0.0
     is_reordered: bool = False
     """Whether a frame may overtake another, as datagrams do."""
-    begin_s: float = 10.0
-    end_s: float = 20.0
+    begin_s: float = 6.0
+    end_s: float = 13.0
 
 
 def value_at(captured_s: float) -> float:
@@ -69,7 +69,7 @@ def value_of(played: PlayedFace) -> float:
 def arrivals(
     trouble: Trouble | None = None,
     *,
-    seconds: float = 40.0,
+    seconds: float = 22.0,
     fps: float = 30.0,
     drift_ppm: float = 0.0,
     seed: int = 1,
@@ -106,7 +106,7 @@ def play(
     playout: Playout,
     frames: Iterable[Arrival],
     *,
-    seconds: float = 40.0,
+    seconds: float = 22.0,
     display_hz: float = DISPLAY_HZ,
 ) -> list[Tick]:
     """Show a stream on a display."""

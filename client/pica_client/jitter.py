@@ -22,7 +22,7 @@ import numpy as np
 from pica_client.clock_map import ClockMap
 
 ATTACK_WINDOW_S = 1.0
-"""Length of the short window (chosen: of the usual stream four late frames of 30 are enough)."""
+"""Length of the short window (chosen: of the usual stream three delays are enough)."""
 ATTACK_QUANTILE = 0.9
 """Share of the short window that is waited for."""
 CAPACITY = 2048

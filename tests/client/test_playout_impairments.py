@@ -1,7 +1,7 @@
 """The playout buffer under a table of troubles, on a virtual clock, with seeded arrivals.
 
 Each row's limits are what was seen, rounded up by about a quarter. The display runs at 90 Hz, the
-stream at 30 fps, the trouble lasts ten seconds.
+stream at 30 fps, the trouble lasts seven seconds.
 """
 
 from __future__ import annotations
@@ -16,8 +16,6 @@ from playout_trial import DISPLAY_HZ, Tick, Trouble, arrivals, between, conceale
 pytestmark = pytest.mark.unit
 
 INTERVAL_S = 1 / 30
-OWN_STEP = 0.053
-"""Largest step of the face itself at 90 Hz, see `playout_trial.value_at`."""
 RETURN_S = 8.0
 """After this time without trouble the delay is at its floor: 6 s are remembered, 2 s are played
 faster."""
@@ -31,30 +29,30 @@ def is_under_way(tick: Tick) -> bool:
 
 def stalls(length_s: float) -> tuple[tuple[float, float], ...]:
     """One every two seconds."""
-    return tuple((10.0 + 2 * index, length_s) for index in range(5))
+    return tuple((6.0 + 2 * index, length_s) for index in range(4))
 
 
 TABLE = {
     # trouble: (what, most concealed, most delay in trouble, largest step at all)
     "calm": (Trouble(), 0.0, 0.034, 0.055),
     "jitter 20 ms": (Trouble(jitter_s=0.02), 0.005, 0.056, 0.058),
-    "jitter 80 ms": (Trouble(jitter_s=0.08), 0.03, 0.115, 0.06),
-    "jitter 200 ms": (Trouble(jitter_s=0.2), 0.06, 0.23, 0.07),
-    "datagrams, jitter 80 ms": (Trouble(jitter_s=0.08, is_reordered=True), 0.02, 0.115, 0.065),
-    "datagrams, jitter 200 ms": (Trouble(jitter_s=0.2, is_reordered=True), 0.05, 0.205, 0.08),
-    "stalls of 100 ms": (Trouble(stalls=stalls(0.1)), 0.05, 0.04, 0.085),
-    "stalls of 300 ms": (Trouble(stalls=stalls(0.3)), 0.12, 0.205, 0.095),
-    "stalls of 1000 ms": (Trouble(stalls=stalls(1.0)), 0.5, 0.205, 0.095),
-    "one stall of 300 ms": (Trouble(stalls=((15.0, 0.3),)), 0.035, 0.04, 0.075),
-    "one stall of 1000 ms": (Trouble(stalls=((15.0, 1.0),)), 0.12, 0.205, 0.08),
-    "1 % dropped": (Trouble(dropped_ratio=0.01), 0.015, 0.04, 0.06),
-    "10 % dropped": (Trouble(dropped_ratio=0.1), 0.11, 0.04, 0.085),
-    "30 % dropped": (Trouble(dropped_ratio=0.3), 0.3, 0.07, 0.085),
+    "jitter 80 ms": (Trouble(jitter_s=0.08), 0.04, 0.12, 0.065),
+    "jitter 200 ms": (Trouble(jitter_s=0.2), 0.07, 0.24, 0.085),
+    "datagrams, jitter 80 ms": (Trouble(jitter_s=0.08, is_reordered=True), 0.03, 0.115, 0.065),
+    "datagrams, jitter 200 ms": (Trouble(jitter_s=0.2, is_reordered=True), 0.045, 0.21, 0.08),
+    "stalls of 100 ms": (Trouble(stalls=stalls(0.1)), 0.055, 0.065, 0.08),
+    "stalls of 300 ms": (Trouble(stalls=stalls(0.3)), 0.13, 0.205, 0.13),
+    "stalls of 1000 ms": (Trouble(stalls=stalls(1.0)), 0.55, 0.205, 0.1),
+    "one stall of 300 ms": (Trouble(stalls=((9.0, 0.3),)), 0.05, 0.04, 0.1),
+    "one stall of 1000 ms": (Trouble(stalls=((9.0, 1.0),)), 0.17, 0.205, 0.07),
+    "1 % dropped": (Trouble(dropped_ratio=0.01), 0.02, 0.034, 0.055),
+    "10 % dropped": (Trouble(dropped_ratio=0.1), 0.12, 0.034, 0.075),
+    "30 % dropped": (Trouble(dropped_ratio=0.3), 0.3, 0.034, 0.085),
     "datagrams, both": (
         Trouble(jitter_s=0.08, dropped_ratio=0.1, is_reordered=True),
-        0.05,
+        0.065,
         0.12,
-        0.085,
+        0.075,
     ),
 }
 
@@ -63,13 +61,13 @@ TABLE = {
 @pytest.mark.parametrize("name", TABLE)
 def test_a_troubled_stream_plays_within_its_bounds_and_recovers(name: str, seed: int) -> None:
     trouble, most_concealed, most_delay_s, largest_step = TABLE[name]
-    ticks = play(Playout(ADAPTIVE), arrivals(trouble, seed=seed), seconds=32)
+    ticks = play(Playout(ADAPTIVE), arrivals(trouble, seed=seed))
     troubled = between(ticks, trouble.begin_s, trouble.end_s)
     report = ticks[-1].report
     assert concealed_ratio(troubled) <= most_concealed
     assert max(tick.report.delay_s for tick in troubled) <= most_delay_s
     assert max(steps(ticks)) <= largest_step
-    healed = between(ticks, trouble.end_s + RETURN_S, 32.0)
+    healed = between(ticks, trouble.end_s + RETURN_S, 22.0)
     assert max(tick.report.delay_s for tick in healed) <= INTERVAL_S + 0.001
     assert concealed_ratio(healed) == 0
     assert (report.restarts, report.refused, report.duplicates) == (0, 0, 0)
@@ -81,7 +79,7 @@ def test_a_troubled_stream_plays_within_its_bounds_and_recovers(name: str, seed:
 def test_a_fixed_buffer_keeps_its_delay_whatever_happens(name: str) -> None:
     ticks = play(Playout(FIXED), arrivals(TABLE[name][0]))
     targets_s = [tick.report.target_s for tick in ticks[90:]]
-    assert min(targets_s) == pytest.approx(0.1)
+    assert min(targets_s) == pytest.approx(0.1, abs=0.001)
     # Where every frame of six seconds is late, this much is the way itself.
     assert max(targets_s) <= 0.14
     assert ticks[-1].report.delay_s == pytest.approx(0.1, abs=0.001)
@@ -90,7 +88,7 @@ def test_a_fixed_buffer_keeps_its_delay_whatever_happens(name: str) -> None:
 def test_without_a_buffer_each_frame_is_shown_when_it_comes() -> None:
     frames = arrivals(Trouble(jitter_s=0.2))
     ticks = play(Playout(UNBUFFERED), frames)
-    for tick in between(ticks, 1.0, 40.0):
+    for tick in between(ticks, 1.0, 22.0):
         newest = max(
             (frame for frame in frames if frame.arrived_s <= tick.now),
             key=lambda frame: frame.number,
@@ -102,7 +100,7 @@ def test_without_a_buffer_each_frame_is_shown_when_it_comes() -> None:
 def test_what_the_buffer_gains_is_calm_and_what_it_costs_is_age() -> None:
     frames = arrivals(Trouble(jitter_s=0.08))
     shown = {
-        policy: between(play(Playout(config), frames), 10.0, 20.0)
+        policy: between(play(Playout(config), frames), 6.0, 13.0)
         for policy, config in (("adaptive", ADAPTIVE), ("none", UNBUFFERED))
     }
     ages_s = {
@@ -115,14 +113,14 @@ def test_what_the_buffer_gains_is_calm_and_what_it_costs_is_age() -> None:
 
 
 def test_a_single_stall_does_not_raise_the_delay_of_what_follows() -> None:
-    ticks = play(Playout(), arrivals(Trouble(stalls=((15.0, 0.3),))))
-    assert max(tick.report.delay_s for tick in between(ticks, 5.0, 40.0)) <= INTERVAL_S + 0.005
+    ticks = play(Playout(), arrivals(Trouble(stalls=((9.0, 0.3),))))
+    assert max(tick.report.delay_s for tick in between(ticks, 3.0, 22.0)) <= INTERVAL_S + 0.005
 
 
 def test_jitter_is_answered_within_a_second() -> None:
     ticks = play(Playout(), arrivals(Trouble(jitter_s=0.08)))
-    assert min(tick.report.target_s for tick in between(ticks, 11.0, 20.0)) >= INTERVAL_S + 0.06
-    assert min(tick.report.delay_s for tick in between(ticks, 11.5, 20.0)) >= INTERVAL_S + 0.06
+    assert min(tick.report.target_s for tick in between(ticks, 7.0, 13.0)) >= INTERVAL_S + 0.06
+    assert min(tick.report.delay_s for tick in between(ticks, 7.5, 13.0)) >= INTERVAL_S + 0.06
 
 
 def test_the_delay_changes_by_playing_a_little_faster_or_slower() -> None:
@@ -141,15 +139,15 @@ def test_the_delay_changes_by_playing_a_little_faster_or_slower() -> None:
 @pytest.mark.parametrize("ppm", [-200, 200])
 @pytest.mark.parametrize("jitter_s", [0.0, 0.08])
 def test_a_drifting_clock_neither_adds_delay_nor_conceals(ppm: float, jitter_s: float) -> None:
-    trouble = Trouble(jitter_s=jitter_s, begin_s=0.0, end_s=240.0)
+    trouble = Trouble(jitter_s=jitter_s, begin_s=0.0, end_s=120.0)
     playout = Playout()
     ticks = play(
         playout,
-        arrivals(trouble, seconds=240, drift_ppm=ppm),
-        seconds=240,
+        arrivals(trouble, seconds=120, drift_ppm=ppm),
+        seconds=120,
         display_hz=30,
     )
-    later = between(ticks, 20.0, 240.0)
+    later = between(ticks, 20.0, 120.0)
     assert playout.report().drift_ppm == pytest.approx(ppm, abs=10 if jitter_s == 0 else 60)
     assert max(tick.report.delay_s for tick in later) <= INTERVAL_S + jitter_s + 0.002
     assert concealed_ratio(later) <= 0.01
