@@ -86,6 +86,7 @@ def _view_arguments(config: DemoConfig, stage: Stage, log: Path) -> list[str]:
     arguments += ["--png", str(config.out / "frame.png")]
     if config.stage.avatar is not None:
         arguments += ["--avatar", config.stage.avatar]
+    arguments += stage.secret_arguments
     return [*arguments, "--headless" if config.is_headless else "--statistics"]
 
 
@@ -136,6 +137,7 @@ def _stats(
         "latency_ms": latency,
         "dropped": received["dropped"],
         "concealed": received["concealed"],
+        "seal": received["seal"],
         "errors": errors + len(stage.crashed),
         "crashed": stage.crashed,
         "source": config.stage.source or "shipped performances",

@@ -66,6 +66,8 @@ class LinkConfig:
             usable = False
         if not usable:
             raise OptionError(f"url {self.url!r} is no relay address; write ws://HOST:PORT")
+        if self.short_tags and self.secret_file is None:
+            raise OptionError("short-tags says how to encrypt; it needs a secret-file")
         try:
             check_token("room", self.room)
             check_text("name", self.name, 64, required=True)

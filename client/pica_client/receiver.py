@@ -89,6 +89,7 @@ class Receiver:
         stats["errors"] += counters.errors
         stats["reconnects"] = self.link.reconnects
         stats["received_wire_bytes"] = counters.received_wire_bytes
+        stats["seal"] = None if self.link.guard is None else self.link.guard.stats()
         return stats
 
     def __enter__(self) -> Self:

@@ -146,6 +146,7 @@ class Sender:
             "encode_ms": self._encode.summary_ms(),
             "reconnects": self._link.reconnects,
             "errors": counters.errors,
+            "seal": None if self._link.guard is None else self._link.guard.stats(),
         }
 
     def _on_event(self, event: ClientEvent, now: float) -> None:

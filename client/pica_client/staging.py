@@ -50,6 +50,8 @@ class StageConfig:
     """Of the coded streams, 0 (coarse) to 7 (fine)."""
     plain: bool = False
     """Send 8 bits a value instead of coded streams."""
+    is_encrypted: bool = False
+    """Encrypt end to end, with a secret made for this call. Needs the extra `seal`."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.peers <= 15:
@@ -65,6 +67,7 @@ class Stage:
     Attributes:
         url: Where the relay listens.
         senders: Their processes, by name.
+        secret_arguments: What senders and viewers are told of the secret, if there is one.
         names: The senders, in order.
     """
 
@@ -85,6 +88,7 @@ class Stage:
             for index in range(config.peers)
         ]
         self._children = children
+        self.secret_arguments = _make_secret(children) if config.is_encrypted else []
         _, self.url = children.start_relay()
         self.senders: dict[str, Child] = {}
         for index, (name, source) in enumerate(zip(self.names, sources, strict=True)):
@@ -94,6 +98,7 @@ class Stage:
                 *("--avatar", avatars[index % len(avatars)], "--source", source),
                 *("--fps", f"{config.fps:g}", "--frame-log", str(self._log(name))),
                 *("--quality", str(config.quality), *(["--plain"] if config.plain else [])),
+                *self.secret_arguments,
             )
         self.crashed: list[str] = []
 
@@ -138,6 +143,17 @@ class Stage:
 
     def _log(self, name: str) -> Path:
         return self._children.folder / f"{name.replace(' ', '-')}.frames.json"
+
+
+def _make_secret(children: Children) -> list[str]:
+    """Make the secret of one call, and check that it can be used here."""
+    from pica_client.seal.guard import guard_from
+    from pica_client.seal.secret import RoomSecret, save_secret
+
+    file = children.folder / "room.secret"
+    save_secret(file, RoomSecret.new())
+    guard_from(file)
+    return ["--secret-file", str(file)]
 
 
 def choose_avatars(names: str | None, library: AvatarLibrary) -> list[str]:
