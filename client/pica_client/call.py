@@ -279,8 +279,15 @@ class Call:
             "keyframe_requests": window.keyframe_requests,
             "unreferenced": seat.decoder.num_unreferenced if seat.decoder else 0,
             "concealed": report.concealed - window.before.concealed,
+            "concealed_ratio": round(report.since(window.before).concealed_ratio, 4),
+            "duplicates": report.duplicates - window.before.duplicates,
+            "refused": report.refused - window.before.refused,
+            "future": report.future - window.before.future,
             "restarts": report.restarts - window.before.restarts,
             "playout_delay_ms": round(report.delay_s * 1e3, 2),
+            "jitter_ms": round(report.jitter_s * 1e3, 2),
+            "age_ms": round(report.age_s * 1e3, 2),
+            "clock_drift_ppm": round(report.drift_ppm, 1),
         }
 
     def _add(self, peer: Peer) -> None:

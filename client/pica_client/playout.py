@@ -32,7 +32,7 @@ for nothing: the decoder has used them to predict others, here they tell how lon
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 from pica_client.cadence import Cadence
 from pica_client.jitter import JitterEstimate
@@ -192,6 +192,15 @@ class PlayoutReport:
     def concealed_ratio(self) -> float:
         """Share of display times without a fresh face."""
         return self.concealed / self.shown if self.shown else 0.0
+
+    def since(self, before: PlayoutReport) -> PlayoutReport:
+        """This report with all counters begun anew at an earlier one."""
+        counted = {
+            each.name: getattr(self, each.name) - getattr(before, each.name)
+            for each in fields(self)
+            if isinstance(getattr(self, each.name), int)
+        }
+        return replace(self, **counted)
 
 
 class Playout:

@@ -172,12 +172,16 @@ class View:
             latents = sum(peer["latents_per_s"] for peer in stats["peers"])
             kilobits = sum(peer["payload_bps"] for peer in stats["peers"]) / 1e3
             lines += [("latents", f"{latents:.0f} /s"), ("payload", f"{kilobits:.0f} kbit/s")]
-        delay_ms = max((peer["playout_delay_ms"] for peer in stats["peers"]), default=0.0)
+        peers = stats["peers"]
+        delay_ms = max((peer["playout_delay_ms"] for peer in peers), default=0.0)
+        age_ms = max((peer["age_ms"] for peer in peers), default=0.0)
+        refused, restarts = (sum(peer[key] for peer in peers) for key in ("refused", "restarts"))
         return [
             *lines,
-            ("playout delay", f"{delay_ms:.0f} ms"),
+            ("playout delay", f"{delay_ms:.0f} ms, age {age_ms:.0f} ms"),
             ("lost", str(stats["dropped"])),
             ("concealed", str(stats["concealed"])),
+            ("refused", f"{refused}, {restarts} restarts"),
             ("errors", str(stats["errors"])),
         ]
 

@@ -168,6 +168,24 @@ def test_a_report_tells_what_came_since_the_last(call: Call) -> None:
     assert (second.received, second.lost) == (0, 0)
 
 
+def test_what_is_wrong_with_a_stream_stands_in_its_statistics(call: Call) -> None:
+    call.receive_event(joined(peer("p1", "Ada", 1)), now=0.0)
+    call.begin_window(0.0)
+    for index in range(60):
+        now = index / 30
+        call.receive_event(frame(1, index, round(now * 1e6)), now=now)
+        if index % 10 == 5:  # twice, and once from the future
+            call.receive_event(frame(1, index, round(now * 1e6)), now=now)
+            call.receive_event(frame(1, index + 1, 10**12 * index), now=now)
+        call.faces(now + 0.001)
+    (ada,) = call.stats(2.0)["peers"]
+    assert (ada["duplicates"], ada["refused"], ada["future"], ada["restarts"]) == (6, 6, 6, 0)
+    assert ada["concealed_ratio"] == 0
+    assert ada["age_ms"] == pytest.approx(33.3, abs=1.5)
+    assert ada["playout_delay_ms"] == pytest.approx(33.3, abs=1.5)
+    assert (ada["jitter_ms"], abs(ada["clock_drift_ppm"])) == (0, 0)
+
+
 def test_what_is_shown_can_be_traced_back_to_its_frame() -> None:
     call = Call(LoadedAvatars({TOY_ID: TOY}), log_shown=True)
     call.receive_event(joined(peer("p1", "Ada", 1)), now=0.0)

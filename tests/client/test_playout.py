@@ -539,6 +539,17 @@ def test_a_stream_that_never_sent_reports_zeros() -> None:
     assert (report.concealed_ratio, report.drift_ppm, report.age_s) == (0, 0, 0)
 
 
+def test_counters_can_be_begun_anew() -> None:
+    playout = Playout()
+    steady(playout, 30)
+    before = playout.report()
+    for index in (30, 30, 31):
+        receive(playout, index, index * FRAME_S + 0.01)
+    since = playout.report().since(before)
+    assert (since.received, since.duplicates, since.lost) == (3, 1, 0)
+    assert since.interval_s == pytest.approx(FRAME_S, rel=1e-3)
+
+
 @pytest.mark.parametrize(
     ("field", "value"),
     [
