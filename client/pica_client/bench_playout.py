@@ -34,7 +34,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -47,7 +47,6 @@ from pica_client.playout import POLICIES, Playout
 from pica_client.render_error import Drawing, FaceRenderer, rendered_mse
 from pica_client.sources import open_source
 from pica_client.stats import percentile
-from pica_client.stream_ends import Decoder, Encoder, PlainDecoder, PlainEncoder
 from pica_client.stream_trial import (
     Delivery,
     Face,
@@ -59,8 +58,8 @@ from pica_client.stream_trial import (
 from pica_core.avatar_file import Avatar
 from pica_core.expression_encoder import ExpressionEncoder
 from pica_core.latent_sample import LatentSample
-from pica_core.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
-from pica_core.plain_stream import LatentProfile
+from pica_core.latent_stream import StreamConfig
+from pica_core.stream_ends import FaceDecoder, FaceEncoder, open_decoder, open_encoder
 
 SIZE_PX = 192
 MAX_DRAWINGS = 1500
@@ -69,7 +68,7 @@ POSE_WEIGHT = 3.0
 """Of a radian or a tenth of a metre against a latent's unit, where steps are compared before they
 are drawn (chosen: only the order of candidates depends on it)."""
 
-EndsMaker = Callable[[Avatar, float], tuple[Encoder, Decoder]]
+CODECS = ("coded", "plain")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -99,23 +98,19 @@ class BenchPlayoutConfig:
                 raise OptionError(f"scenario {name!r} is unknown; known are {', '.join(BY_NAME)}")
 
 
-def _plain_ends(avatar: Avatar, fps: float) -> tuple[Encoder, Decoder]:
-    profile = LatentProfile.from_manifest(avatar.manifest)
-    return PlainEncoder(profile), PlainDecoder(profile)
+def open_ends(avatar: Avatar, codec: str, fps: float) -> tuple[FaceEncoder, FaceDecoder]:
+    """Both ends of a stream of an avatar, fresh.
 
-
-def _coded_ends(avatar: Avatar, fps: float) -> tuple[Encoder, Decoder]:
-    profile = avatar.stream_profile()
-    if profile is None:
+    Raises:
+        OptionError: The avatar cannot be coded.
+    """
+    if codec == "coded" and avatar.stream_profile() is None:
         raise OptionError(
             f"avatar {avatar.manifest.name} has no stream profile; take codec plain, "
             "or export the avatar anew"
         )
-    return LatentEncoder(profile, StreamConfig(fps=fps)), LatentDecoder(profile)
-
-
-CODECS: dict[str, EndsMaker] = {"coded": _coded_ends, "plain": _plain_ends}
-"""Both ends of every format, fresh, for an avatar and a frame rate, by its name."""
+    encoder, name = open_encoder(avatar, StreamConfig(fps=fps), plain=codec == "plain")
+    return encoder, open_decoder(avatar, name)
 
 
 def run_bench_playout(config: BenchPlayoutConfig, avatar: Avatar) -> dict[str, Any]:
@@ -134,7 +129,7 @@ def run_bench_playout(config: BenchPlayoutConfig, avatar: Avatar) -> dict[str, A
     with FaceRenderer(avatar, size_px=SIZE_PX, views=("front",)) as renderer:
         judge = Judge(renderer, face, config.schedule, config.renders_per_s)
         for scenario in chosen:
-            ends = CODECS[config.codec](avatar, config.schedule.fps)
+            ends = open_ends(avatar, config.codec, config.schedule.fps)
             delivery = deliver(face, ends, scenario, config.schedule, seed=config.seed)
             for policy, playout in POLICIES.items():
                 ticks = play(delivery, Playout(playout), config.schedule)

@@ -27,8 +27,8 @@ from pica_client.errors import OptionError
 from pica_client.frame_path import FramePath, PathCounters
 from pica_client.impairment_scenarios import Scenario
 from pica_client.playout import PlayedFace, Playout, PlayoutReport
-from pica_client.stream_ends import Decoder, Encoder
 from pica_core.latent_sample import LatentSample
+from pica_core.stream_ends import FaceDecoder, FaceEncoder
 from pica_protocol.frames import SEQUENCE_MODULUS, Frame
 
 Face = Callable[[float], LatentSample]
@@ -120,7 +120,7 @@ class Tick:
 
 def deliver(
     face: Face,
-    ends: tuple[Encoder, Decoder],
+    ends: tuple[FaceEncoder, FaceDecoder],
     scenario: Scenario,
     schedule: Schedule,
     *,

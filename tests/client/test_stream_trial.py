@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -11,10 +11,9 @@ import pytest
 from pica_client.errors import OptionError
 from pica_client.impairment_scenarios import BY_NAME, CALM, SCENARIOS, Scenario
 from pica_client.playout import POLICIES, Playout
-from pica_client.stream_ends import PlainDecoder, PlainEncoder
 from pica_client.stream_trial import Delivery, Schedule, deliver, play
-from pica_core.latent_sample import LatentSample
-from pica_core.plain_stream import LatentProfile
+from pica_core.latent_sample import DecodedFrame, EncodedFrame, LatentSample
+from pica_core.plain_stream import LatentProfile, PlainDecoder, PlainEncoder
 
 pytestmark = pytest.mark.unit
 
@@ -35,13 +34,6 @@ def deliver_plain(scenario: str | Scenario, *, seed: int = 0) -> Delivery:
     return deliver(face, (PlainEncoder(PLAIN), PlainDecoder(PLAIN)), chosen, SHORT, seed=seed)
 
 
-@dataclass(frozen=True)
-class ChainFrame:
-    payload: bytes
-    layer: int
-    is_keyframe: bool
-
-
 class ChainEncoder:
     """Every frame refers to the one before it, as in a stream of one layer."""
 
@@ -52,38 +44,34 @@ class ChainEncoder:
     def request_keyframe(self) -> None:
         self._wanted = True
 
+    restart = request_keyframe
+
     def encode(
         self,
         latent: npt.ArrayLike,
         rotation: npt.ArrayLike,
         translation_m: npt.ArrayLike,
         now_us: int,
-    ) -> ChainFrame:
+    ) -> EncodedFrame:
         is_keyframe, self._wanted = self._wanted, False
         self.granted += is_keyframe
-        return ChainFrame(b"x", 0, is_keyframe)
-
-
-@dataclass(frozen=True)
-class ChainRead:
-    sequence: int
-    captured_us: int
-    sample: LatentSample
+        return EncodedFrame(b"x", 0, is_keyframe)
 
 
 class ChainDecoder:
     def __init__(self) -> None:
         self._next: int | None = None
         self.needs_keyframe = False
+        self.num_unreferenced = 0
 
     def receive(
         self, sequence: int, captured_us: int, layer: int, is_keyframe: bool, payload: bytes
-    ) -> list[ChainRead]:
+    ) -> list[DecodedFrame]:
         if not is_keyframe and sequence != self._next:
             self.needs_keyframe = True
             return []
         self._next, self.needs_keyframe = sequence + 1, False
-        return [ChainRead(sequence, captured_us, face(0))]
+        return [DecodedFrame(sequence, captured_us, layer, face(0))]
 
 
 def test_the_trouble_begins_and_ends_with_the_middle_third() -> None:
