@@ -67,10 +67,7 @@ class FaceRenderer:
         views: Sequence[str] = ("front", "left"),
         decoder: ObjectDecoder | None = None,
     ) -> None:
-        if unknown := sorted(set(views) - set(EVALUATION_VIEWS)):
-            raise ShapeError(f"view {unknown[0]!r} is unknown; known are {list(EVALUATION_VIEWS)}")
-        by_name = {camera.name: camera for camera in dome_cameras(5, size_px, size_px)}
-        self.cameras: tuple[Camera, ...] = tuple(by_name[name] for name in views)
+        self.cameras = evaluation_cameras(views, size_px)
         self._decoder = decoder or OnnxDecoder(avatar)
         self._context = create_context()
         # Smoothed edges would hide errors of the silhouette and belong to the display, not to us.
@@ -115,6 +112,18 @@ class FaceRenderer:
         traceback: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def evaluation_cameras(views: Sequence[str], size_px: int) -> tuple[Camera, ...]:
+    """The stage's cameras of some evaluation views.
+
+    Raises:
+        ShapeError: A view that the stage does not have.
+    """
+    if unknown := sorted(set(views) - set(EVALUATION_VIEWS)):
+        raise ShapeError(f"view {unknown[0]!r} is unknown; known are {list(EVALUATION_VIEWS)}")
+    by_name = {camera.name: camera for camera in dome_cameras(5, size_px, size_px)}
+    return tuple(by_name[name] for name in views)
 
 
 def rendered_mse(a: Drawing, b: Drawing) -> float:

@@ -104,6 +104,12 @@ class StageRenderer:
         self._vertices: FloatArray = np.zeros((0, 3), np.float32)
         self._occlusion = Occlusion(head, self._draw_depth_map) if occlusion else None
 
+    def release(self) -> None:
+        """Give the context back; the stage is useless afterwards."""
+        self._framebuffers.clear()
+        self._context.gc()
+        self._context.release()
+
     def _array(
         self,
         program: str,
@@ -154,8 +160,8 @@ class StageRenderer:
             targets[index].build_mipmaps(max_level=4)
             targets[index].filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
             targets[index].repeat_x = targets[index].repeat_y = False
-        framebuffer.release()
-        array.release()
+        del framebuffer, array
+        c.gc()
         return targets[0], targets[1]
 
     def pose(self, arkit: npt.ArrayLike) -> FloatArray:
@@ -296,8 +302,8 @@ class StageRenderer:
             image.use(0)
             geometry.use(1)
             self._arrays["unwrap"].render()
-            image.release()
-            geometry.release()
+            del image, geometry, texture
+            c.gc()
         c.enable_only(moderngl.NOTHING)
         raw = np.frombuffer(framebuffer.read(components=4, dtype="f4"), np.float32)
         total = raw.reshape(size, size, 4)
