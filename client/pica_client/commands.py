@@ -60,6 +60,8 @@ class SendOptions:
     """Payload bits a second to keep to by changing the quality."""
     plain: bool = False
     """Send 8 bits a value, 65 kbit/s, as avatars without a stream profile are sent."""
+    token_file: Path | None = None
+    """File with the join token that the relay wants, see pica token."""
     secret_file: Path | None = None
     """File with the room secret, from pica secret: encrypts end to end, see docs/privacy.md."""
     short_tags: bool = False
@@ -87,6 +89,7 @@ def send(options: SendOptions) -> dict[str, Any]:
         name=options.name,
         connect_timeout_s=None if options.wait else CONNECT_TIMEOUT_S,
         secret_file=options.secret_file,
+        token_file=options.token_file,
         short_tags=options.short_tags,
     )
     source = open_source(options.source)
@@ -282,6 +285,8 @@ class ViewOptions:
     """Least playout delay, milliseconds; 33 makes 30 frames a second smooth on a fast display."""
     frame_log: Path | None = None
     """Write the times of every frame into this file at the end."""
+    token_file: Path | None = None
+    """File with the join token that the relay wants, see pica token."""
     secret_file: Path | None = None
     """File with the room secret of those who encrypt: shows them, and nobody else."""
 
@@ -302,6 +307,7 @@ def view(options: ViewOptions) -> dict[str, Any]:
             name=options.name,
             connect_timeout_s=None if options.wait else CONNECT_TIMEOUT_S,
             secret_file=options.secret_file,
+            token_file=options.token_file,
         ),
         call=CallConfig(playout=_playout(options.playout_floor_ms)),
         viewer=ViewerOptions(

@@ -29,7 +29,7 @@ from pica_client.frame_guard import FrameGuard
 from pica_client.stats import wire_bytes
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode, is_worth_retrying
-from pica_protocol.limits import check_text, check_token
+from pica_protocol.limits import check_pass, check_text, check_token
 from pica_protocol.messages import Joined, Report, Track
 from pica_protocol.session import ClientEvent, ClientSession, Closed, State
 
@@ -56,6 +56,9 @@ class LinkConfig:
     `seal`."""
     short_tags: bool = False
     """Seal with tags of 8 bytes instead of 16; see `pica_client.seal.suites`."""
+    token_file: Path | None = None
+    """File with the token that the relay wants, from `pica token`; read anew for every join, so
+    that a fresh one can be put there."""
     backoff: BackoffConfig = field(default_factory=BackoffConfig)
 
     def __post_init__(self) -> None:
@@ -240,12 +243,14 @@ class Link:
         Raises:
             RelayUnreachableError: Nobody answered within the first connect timeout.
             RelayRefusedError: The relay, or what answers there, will not have us.
+            OptionError: The token file cannot be read.
         """
         loop = asyncio.get_running_loop()
         limit_s = self.config.connect_timeout_s
         give_up_s = None if limit_s is None else loop.time() + limit_s
         trouble = "it does not let us in"
         while not self._is_leaving:
+            token = _read_token(self.config.token_file)
             before_first = self.counters.connects == 0
             joined_s = None
             try:
@@ -265,7 +270,7 @@ class Link:
                     raise RelayRefusedError(
                         f"{self.config.url}: a websocket server that does not speak {SUBPROTOCOL}"
                     )
-                joined_s = await self._talk(websocket)
+                joined_s = await self._talk(websocket, token)
             if self._is_leaving:
                 return
             lasted_s = 0.0 if joined_s is None else loop.time() - joined_s
@@ -302,7 +307,7 @@ class Link:
         except TimeoutError:
             pass
 
-    async def _talk(self, websocket: ClientConnection) -> float | None:
+    async def _talk(self, websocket: ClientConnection, token: str) -> float | None:
         """One connection from its first byte to its last.
 
         Returns:
@@ -316,6 +321,7 @@ class Link:
             software=SOFTWARE,
             now=loop.time(),
             seal=None if self.guard is None else self.guard.seal,
+            token=token,
         )
         self._session = session
         joined_s: float | None = None
@@ -431,3 +437,16 @@ class Link:
             f"{self.config.url}: the relay said no: {closed.reason or 'no reason'} "
             f"(code {closed.code})"
         )
+
+
+def _read_token(path: Path | None) -> str:
+    if path is None:
+        return ""
+    try:
+        token = path.read_text().strip()
+        check_pass("token", token)
+    except OSError as error:
+        raise OptionError(f"token-file {path}: {error.strerror}") from error
+    except ValueError as error:  # no text, or none that can be a token
+        raise OptionError(f"token-file {path}: it holds no token") from error
+    return token

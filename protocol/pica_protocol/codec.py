@@ -17,6 +17,7 @@ from pica_protocol.errors import LocalProtocolError, RemoteProtocolError
 from pica_protocol.limits import (
     MAX_CONTROL_BYTES,
     MAX_MAP_FIELDS,
+    MAX_PASS_BYTES,
     MAX_PEERS,
     MAX_REPORT_STREAMS,
     MAX_TEXT_BYTES,
@@ -79,7 +80,7 @@ def _unpack(data: bytes) -> object:
             raw=False,
             strict_map_key=True,
             ext_hook=_refuse_extension,
-            max_str_len=MAX_TEXT_BYTES,
+            max_str_len=max(MAX_TEXT_BYTES, MAX_PASS_BYTES),
             max_bin_len=MAX_WHISPER_BYTES,
             max_array_len=max(MAX_PEERS, MAX_REPORT_STREAMS),
             max_map_len=MAX_MAP_FIELDS,

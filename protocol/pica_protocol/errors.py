@@ -46,6 +46,12 @@ class CloseCode(IntEnum):
     """More joins at once than the relay takes; later there will be room."""
     TOO_MANY = 4010
     """One address holds as many connections as it may."""
+    UNAUTHORIZED = 4011
+    """No token, or none that is good for this room and this moment."""
+    FORBIDDEN = 4012
+    """The token does not allow what the join asks for."""
+    REPLACED = 4013
+    """The same identity has joined again from elsewhere; the newer one stays."""
 
 
 _WORTH_RETRYING = frozenset(

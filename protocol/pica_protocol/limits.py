@@ -34,7 +34,7 @@ MAX_REPORT_STREAMS = 64
 """Streams in one report; a receiver of more sends several reports."""
 
 MAX_TEXT_BYTES = 128
-"""The longest text in any message, in UTF-8; single fields are bounded more tightly."""
+"""The longest text in a message but a token, in UTF-8; fields are bounded more tightly."""
 
 MAX_NAME_BYTES = 64
 """A peer's display name, in UTF-8."""
@@ -45,10 +45,14 @@ MAX_REASON_BYTES = 120
 MAX_WHISPER_BYTES = 512
 """Opaque bytes one peer may send to another through the relay: a wrapped key fits (chosen)."""
 
+MAX_PASS_BYTES = 2048
+"""A join token: its claims and signature, in base64 (chosen: fourteen avatar ids fit)."""
+
 MAX_MAP_FIELDS = 16
 """Fields in one map; room for later versions to add some."""
 
 _TOKEN = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+_PASS = re.compile(r"[A-Za-z0-9_.-]*")
 _SHA256_HEX = re.compile(r"[0-9a-f]{64}")
 
 
@@ -72,6 +76,12 @@ def check_text(field: str, value: str, max_bytes: int, *, required: bool = False
         raise ValueError(f"{field} must be printable text, got {quoted(value)}")
     if len(value.encode()) > max_bytes:
         raise ValueError(f"{field} must be at most {max_bytes} bytes of UTF-8, got {quoted(value)}")
+
+
+def check_pass(field: str, value: str) -> None:
+    """Refuse what cannot be a join token, without quoting it: it may be a secret."""
+    if len(value) > MAX_PASS_BYTES or not _PASS.fullmatch(value):
+        raise ValueError(f"{field} must be at most {MAX_PASS_BYTES} of A-Z a-z 0-9 _ . -")
 
 
 def check_sha256(field: str, value: str) -> None:

@@ -5,7 +5,7 @@ Direction and bytes of each are shown in ``docs/protocol.md``. The annotations a
 of these. A later version may add a field with a default; it never reorders, retypes or removes one.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 from pica_protocol import PROTOCOL_VERSION
@@ -20,6 +20,7 @@ from pica_protocol.limits import (
     MAX_WHISPER_BYTES,
     check_bytes,
     check_count,
+    check_pass,
     check_range,
     check_sha256,
     check_text,
@@ -112,9 +113,12 @@ class Join:
     room: str
     name: str
     tracks: tuple[Track, ...] = ()
+    token: str = field(default="", repr=False)
+    """Proof that its owner may come in, where the relay wants one; a secret."""
 
     def __post_init__(self) -> None:
         check_token("join.room", self.room)
+        check_pass("join.token", self.token)
         check_text("join.name", self.name, MAX_NAME_BYTES, required=True)
         check_count("join.tracks", self.tracks, MAX_TRACKS)
         for track in self.tracks:
@@ -217,12 +221,12 @@ class StreamReport:
 
     def __post_init__(self) -> None:
         check_range("report.stream", self.stream, 1, MAX_STREAM)
-        for field, value in (
+        for counter, value in (
             ("received", self.received),
             ("lost", self.lost),
             ("concealed", self.concealed),
         ):
-            check_range(f"report.{field}", value, 0, MAX_COUNTER)
+            check_range(f"report.{counter}", value, 0, MAX_COUNTER)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

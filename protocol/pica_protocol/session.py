@@ -222,6 +222,7 @@ class ClientSession(_Session):
         now: float,
         timeout_s: float = HANDSHAKE_TIMEOUT_S,
         seal: Callable[[Frame], bytes] | None = None,
+        token: str = "",
     ) -> None:
         """Start on a websocket that is open: ``Hello`` and ``Join`` wait in ``messages_to_send``.
 
@@ -232,10 +233,11 @@ class ClientSession(_Session):
             software: Name and version of this client, for the relay's logs.
             now: The time.
             timeout_s: For the relay to let us in.
+            token: Proof that we may come in, where the relay wants one.
             seal: Makes the payload that travels out of a frame whose header is final.
 
         Raises:
-            ValueError: A name, room or track is out of its limits.
+            ValueError: A name, room, track or token is out of its limits.
         """
         super().__init__(CLIENT_TABLE, MAX_CONTROL_BYTES, now + timeout_s)
         self.peer_id = ""
@@ -246,7 +248,7 @@ class ClientSession(_Session):
         self._next_sequence = [0] * len(tracks)
         self._queues = [StreamQueue(self.drops) for _ in tracks]
         self._queue(Hello(software=software))
-        self._queue(Join(room=room, name=name, tracks=tracks))
+        self._queue(Join(room=room, name=name, tracks=tracks, token=token))
 
     def receive_data(self, data: bytes | str, now: float) -> list[ClientEvent]:
         """Take one websocket message; a text one is the other side's mistake."""

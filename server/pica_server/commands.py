@@ -37,6 +37,7 @@ def relay(options: RelayOptions) -> dict[str, Any]:
 
     Raises:
         ListenError: The address or the ready file cannot be had.
+        KeyFileError: The key file cannot be used.
     """
     return asyncio.run(_run(options))
 
@@ -50,6 +51,8 @@ async def _run(options: RelayOptions) -> dict[str, Any]:
                 _say(f"listening on {url}")
                 if options.config.insecure:
                     _say("INSECURE: anybody who reaches this port may join any room")
+                elif options.config.keys is None:
+                    _say("DEVELOPMENT: no --keys, anybody on this machine may join any room")
                 await stop.wait()
             _say(f"stopping, {server.hub.num_connections} connections to close")
     return {"url": url, **server.stats()}

@@ -2,6 +2,7 @@
 
 import ipaddress
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from pica_protocol.limits import MAX_PEERS
 from pica_server.errors import ConfigurationError
@@ -41,11 +42,15 @@ class RelayConfig:
     """Settings of one relay."""
 
     host: str = "127.0.0.1"
-    """Address to listen on. Without tokens it must be this machine's own, see ``insecure``."""
+    """Address to listen on. Without keys it must be this machine's own, see ``insecure``."""
     port: int = 8765
     """TCP port; 0 takes a free one."""
+    keys: Path | None = None
+    """File of the keys that join tokens are signed with, see ``pica token``. With it nobody joins
+    without a token."""
     insecure: bool = False
-    """Listen beyond this machine although anybody who reaches the port may join any room."""
+    """Without keys, listen beyond this machine although anybody who reaches the port may join any
+    room."""
     room_capacity: int = 16
     """Peers in one room."""
     max_connections: int = 1024
@@ -91,10 +96,13 @@ class RelayConfig:
         _check("max-control-bytes", self.max_control_bytes, 65_536, 16_777_216)
         _check("coalesce-above-per-s", self.coalesce_above_per_s, 1, 1e12)
         _check("coalesce-longest-s", self.coalesce_longest_s, 0, 0.1)
-        if not self.insecure and not _is_loopback(self.host):
+        if self.keys is not None and self.insecure:
+            raise ConfigurationError("--insecure lets anybody in: leave it out, or --keys")
+        if self.keys is None and not self.insecure and not _is_loopback(self.host):
             raise ConfigurationError(
                 f"--host {self.host} can be reached from other machines and this relay has no "
-                "tokens: keep --host 127.0.0.1 behind a proxy, or add --insecure to let anybody in"
+                "tokens: name a key file with --keys (`pica token --new-key` makes one), keep "
+                "--host 127.0.0.1, or add --insecure to let anybody in"
             )
 
 

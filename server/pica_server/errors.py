@@ -1,11 +1,15 @@
-"""What keeps a relay from running, and the two refusals its pure parts report.
+"""What keeps a relay from running, and the refusals its pure parts report.
 
 RelayError
 ├── ConfigurationError   a setting that cannot work: names field, value and range
 ├── ListenError          the address cannot be bound
+├── KeyFileError         the file of signing keys cannot be used
+├── AdmissionError       a join without a token that allows it; carries the close code
 ├── RoomFullError        one peer more than the room takes
 └── OutboxFullError      more control messages than a peer that reads would leave waiting
 """
+
+from pica_protocol.errors import CloseCode
 
 
 class RelayError(Exception):
@@ -20,6 +24,18 @@ class ConfigurationError(RelayError, ValueError):
 
 class ListenError(RelayError):
     """The relay cannot listen on its address: names it and the fix."""
+
+
+class KeyFileError(RelayError):
+    """The file of signing keys cannot be used: names the line and the fix."""
+
+
+class AdmissionError(RelayError):
+    """Somebody may not do what their join asks for; ``code`` is what they are told."""
+
+    def __init__(self, message: str, code: CloseCode) -> None:
+        super().__init__(message)
+        self.code = code
 
 
 class RoomFullError(RelayError):

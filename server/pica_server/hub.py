@@ -11,6 +11,7 @@ first with its handshake, then with reading what it was sent.
 
 import heapq
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
 
@@ -30,67 +31,16 @@ from pica_protocol.messages import (
 from pica_protocol.session import Closed, Media, ServerEvent, ServerSession
 from pica_protocol.stream_queue import Put
 from pica_server.coalescing import Coalescing
-from pica_server.config import LimitsConfig, RelayConfig
-from pica_server.errors import OutboxFullError, RoomFullError
+from pica_server.config import RelayConfig
+from pica_server.connection import Connection
+from pica_server.errors import AdmissionError, OutboxFullError, RoomFullError
 from pica_server.limits import TokenBucket
 from pica_server.outbox import Outbox, Parcel
 from pica_server.room import Room
 from pica_server.stats import RelayStats
+from pica_server.tokens import Admission
 
 SOFTWARE = "pica-relay"
-
-WHISPERS_PER_S = 16.0
-WHISPER_BURST = 128.0
-"""What one peer may whisper: two rounds to everybody in the largest room at once, and then a round
-in four seconds (chosen: keys change when somebody comes or goes)."""
-
-
-class Connection:
-    """One websocket as the hub sees it; the shell reads ``closed`` and ``is_urgent``."""
-
-    __slots__ = (
-        "address",
-        "bytes_in",
-        "messages_in",
-        "outbox",
-        "peer_id",
-        "room",
-        "sending_since",
-        "serial",
-        "session",
-        "whispers",
-    )
-
-    def __init__(
-        self,
-        serial: int,
-        session: ServerSession,
-        outbox: Outbox,
-        limits: LimitsConfig,
-        address: str,
-        now: float,
-    ) -> None:
-        burst_s = limits.burst_s
-        self.messages_in = TokenBucket(limits.messages_per_s, limits.messages_per_s * burst_s, now)
-        self.bytes_in = TokenBucket(limits.bytes_per_s, limits.bytes_per_s * burst_s, now)
-        self.address = address
-        self.serial = serial
-        self.session = session
-        self.outbox = outbox
-        self.room: Room | None = None
-        self.peer_id = f"p{serial}"
-        self.sending_since: float | None = None
-        self.whispers = TokenBucket(WHISPERS_PER_S, WHISPER_BURST, now)
-
-    @property
-    def is_urgent(self) -> bool:
-        """Whether it has more to send than frames, which may wait for others."""
-        return self.outbox.has_control or self.session.closed is not None
-
-    @property
-    def closed(self) -> Closed | None:
-        """How it ended, or None."""
-        return self.session.closed
 
 
 class Hub:
@@ -100,7 +50,17 @@ class Hub:
         stats: What it has done so far.
     """
 
-    def __init__(self, config: RelayConfig) -> None:
+    def __init__(
+        self, config: RelayConfig, admit: Callable[[Join], Admission] | None = None
+    ) -> None:
+        """Begin empty.
+
+        Args:
+            config: The limits.
+            admit: Says what who joins may do, or raises `AdmissionError`; everybody may do
+                everything by default.
+        """
+        self._admit = admit or (lambda join: Admission())
         self.stats = RelayStats()
         self._config = config
         self._serials = count(1)
@@ -357,11 +317,24 @@ class Hub:
             self.stats.limits_hit["joins"] += 1
             self.close(connection, CloseCode.BUSY, "too many join at once, try again", now)
             return
+        try:
+            admission = self._admit(join)
+        except AdmissionError as error:
+            self.stats.limits_hit["admission"] += 1
+            self.close(connection, error.code, str(error), now)
+            return
+        self._replace(join.room, admission.identity, now)
         room = self._rooms.get(join.room)
         if room is None:
             room = Room(join.room, config.room_capacity)
         try:
-            joined = room.join(connection.peer_id, join.name, join.tracks)
+            joined = room.join(
+                connection.peer_id,
+                admission.name or join.name,
+                join.tracks,
+                identity=admission.identity,
+                may_subscribe=admission.may_subscribe,
+            )
         except RoomFullError as error:
             self.stats.limits_hit["room"] += 1
             self.close(connection, CloseCode.ROOM_FULL, str(error), now)
@@ -374,8 +347,16 @@ class Hub:
         arrival = PeerJoined(peer=room.peer(connection.peer_id))
         self._tell_others(room, connection.peer_id, arrival, now)
         for number, _ in list(room.streams):  # asking closes a publisher that does not read
-            if connection.closed is None:
+            if connection.closed is None and admission.may_subscribe:
                 self._resume(connection, room, number, now)
+
+    def _replace(self, room_name: str, identity: str, now: float) -> None:
+        """Close who is here under an identity that joins again: the newer one wins."""
+        room = self._rooms.get(room_name)
+        peer_id = None if room is None else room.peer_of(identity)
+        if peer_id is not None:
+            reason = "you have joined again from elsewhere"
+            self.close(self._connections[peer_id], CloseCode.REPLACED, reason, now)
 
     def _finish(self, connection: Connection, now: float) -> None:
         """Clear up after a connection that is over: its last words, its place, the others' view."""

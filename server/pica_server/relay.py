@@ -15,7 +15,8 @@ import asyncio
 import http
 import logging
 import socket
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from types import TracebackType
 from typing import Any, Self
@@ -29,9 +30,11 @@ from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
 from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
 from pica_server.config import RelayConfig
+from pica_server.connection import Connection
 from pica_server.errors import ListenError
-from pica_server.hub import Connection, Hub
+from pica_server.hub import Hub
 from pica_server.limits import SocketGuard, address_group
+from pica_server.tokens import KeyRing, admit, load_keys
 
 _MAX_QUEUED_MESSAGES = 16
 """Messages read ahead from one websocket before its socket is left alone."""
@@ -52,12 +55,23 @@ class Relay:
     """A relay that listens inside ``async with Relay(config) as relay``, and stops at its end.
 
     Raises:
+        KeyFileError: The key file cannot be used.
         ListenError: On entry, when the address cannot be bound.
     """
 
-    def __init__(self, config: RelayConfig) -> None:
+    def __init__(self, config: RelayConfig, *, unix_time: Callable[[], float] = time.time) -> None:
+        """Prepare to listen.
+
+        Args:
+            config: Where, and the limits.
+            unix_time: The clock that tokens are checked against.
+        """
         self.config = config
-        self.hub = Hub(config)
+        keys: KeyRing | None = None if config.keys is None else load_keys(config.keys)
+        if keys is None:
+            self.hub = Hub(config)
+        else:
+            self.hub = Hub(config, lambda join: admit(keys, join, now=unix_time()))
         limits = config.limits
         # Twice: of sockets that are closing, and of those that are told why they must.
         per_address = 2 * limits.connections_per_address

@@ -23,7 +23,9 @@ _NOTHING = -1
 class _Member:
     peer: Peer
     highest_layer: dict[int, int] = field(default_factory=dict)
-    """By stream; a stream that is missing is wanted whole."""
+    """By stream; a stream that is missing is wanted up to ``default_layer``."""
+    identity: str = ""
+    default_layer: int = MAX_LAYER
 
 
 @dataclass(slots=True)
@@ -85,8 +87,23 @@ class Room:
         """Return a stream, or None if it has ended or never was."""
         return self._streams.get(number)
 
-    def join(self, peer_id: str, name: str, tracks: tuple[Track, ...]) -> Joined:
+    def join(
+        self,
+        peer_id: str,
+        name: str,
+        tracks: tuple[Track, ...],
+        *,
+        identity: str = "",
+        may_subscribe: bool = True,
+    ) -> Joined:
         """Let a peer in, allot streams to its tracks, and return what to tell it.
+
+        Args:
+            peer_id: Unique in the room.
+            name: What the others are shown.
+            tracks: What it publishes.
+            identity: Who it is for sure, or empty.
+            may_subscribe: Whether it gets anybody's frames.
 
         Raises:
             RoomFullError: The room has no place left.
@@ -95,7 +112,11 @@ class Room:
             raise RoomFullError(f"room {self.name} is full: {self._capacity} peers")
         present = self.peers
         own = tuple(replace(track, stream=self._new_stream(peer_id)) for track in tracks)
-        self._members[peer_id] = _Member(Peer(peer_id=peer_id, name=name, tracks=own))
+        self._members[peer_id] = _Member(
+            Peer(peer_id=peer_id, name=name, tracks=own),
+            identity=identity,
+            default_layer=MAX_LAYER if may_subscribe else _NOTHING,
+        )
         return Joined(room=self.name, peer_id=peer_id, tracks=own, peers=present)
 
     def leave(self, peer_id: str) -> Peer:
@@ -106,6 +127,13 @@ class Room:
             for member in self._members.values():
                 member.highest_layer.pop(track.stream, None)
         return peer
+
+    def peer_of(self, identity: str) -> str | None:
+        """Return the peer id of somebody who is here for sure, or None."""
+        for peer_id, member in self._members.items():
+            if identity and member.identity == identity:
+                return peer_id
+        return None
 
     def peer(self, peer_id: str) -> Peer:
         """Return one member as the others see it."""
@@ -119,7 +147,10 @@ class Room:
         """
         if stream not in self._streams:
             return False
-        wishes = self._members[peer_id].highest_layer
+        member = self._members[peer_id]
+        if member.default_layer == _NOTHING:
+            return False
+        wishes = member.highest_layer
         had_stopped = wishes.get(stream) == _NOTHING
         wishes[stream] = _NOTHING if layer is None else layer
         return had_stopped and layer is not None
@@ -135,7 +166,8 @@ class Room:
         return [
             peer_id
             for peer_id, member in self._members.items()
-            if member.highest_layer.get(stream, MAX_LAYER) >= layer and peer_id != publisher
+            if peer_id != publisher
+            and member.highest_layer.get(stream, member.default_layer) >= layer
         ]
 
     def request_keyframe(self, stream: int, interval_s: float, now: float) -> str | None:

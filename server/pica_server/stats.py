@@ -69,7 +69,8 @@ class RelayStats:
     (``nobody``), or reads too slowly (``backlog``)."""
     limits_hit: Counter[str] = field(default_factory=Counter)
     """How often a limit was reached: ``messages`` or ``bytes`` of a client, ``joins``,
-    ``connections`` in all, ``address``, ``room``, ``control`` left unread."""
+    ``connections`` in all, ``address``, ``room``, ``control`` left unread; ``admission``,
+    a join that its token did not allow."""
     closed: Counter[int] = field(default_factory=Counter)
     """Connections ended, by close code."""
     reported_lost: int = 0

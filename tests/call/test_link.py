@@ -5,17 +5,19 @@ from __future__ import annotations
 
 import asyncio
 import random
+from pathlib import Path
 
 import pytest
 from websockets.asyncio.server import ServerConnection, serve
 
-from pica_client.errors import RelayRefusedError, RelayUnreachableError
+from pica_client.errors import OptionError, RelayRefusedError, RelayUnreachableError
 from pica_client.link import Link, LinkConfig
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.messages import Joined, KeyframeRequest, PeerJoined, Whisper
 from pica_protocol.session import ClientEvent, Closed
 from pica_server.config import RelayConfig
 from pica_server.relay import Relay
+from pica_server.tokens import Admission, KeyRing, load_keys, mint
 from simnet.clock import current_network, in_virtual_time
 from simnet.peers import FACE, peer_in_room
 
@@ -181,3 +183,46 @@ async def test_wishes_requests_and_whispers_go_through_the_relay() -> None:
         ]
         link.leave()
         await running
+
+
+def test_a_link_shows_its_token_and_reads_a_fresh_one_when_it_comes_back(tmp_path: Path) -> None:
+    keys, token_file = tmp_path / "keys", tmp_path / "token"
+    keys.write_text(KeyRing.new_line())
+
+    def write_token(now: float) -> None:
+        admission = Admission(identity="ada")
+        token = mint(load_keys(keys), "r", admission, now=now, lasts_s=60, starts_s=0)
+        token_file.write_text(f"{token}\n")
+
+    @in_virtual_time
+    async def scenario() -> None:
+        loop = asyncio.get_running_loop()
+        config = LinkConfig(url=URL, room="r", token_file=token_file)
+        seen = Seen()
+        link = Link(config, on_event=seen.take, rng=random.Random(0))
+        running = asyncio.create_task(link.run())
+        for minted_s in (0, 100):
+            write_token(1e9 + minted_s)
+            seen.joined.clear()
+            async with Relay(RelayConfig(keys=keys), unix_time=lambda: 1e9 + loop.time()):
+                await seen.joined.wait()
+                await asyncio.sleep(100)  # it outlives its token, and the relay goes away then
+        async with Relay(RelayConfig(keys=keys), unix_time=lambda: 1e9 + loop.time()):
+            with pytest.raises(RelayRefusedError, match=r"has expired \(code 4011\)"):
+                await running
+
+    scenario()
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe", b"two words", None])
+def test_a_token_file_without_a_token_is_named(content: bytes | None, tmp_path: Path) -> None:
+    path = tmp_path / "token"
+    if content is not None:
+        path.write_bytes(content)
+
+    @in_virtual_time
+    async def scenario() -> None:
+        with pytest.raises(OptionError, match=r"token-file .*token: "):
+            await Link(LinkConfig(url=URL, token_file=path)).run()
+
+    scenario()

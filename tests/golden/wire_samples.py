@@ -43,7 +43,7 @@ _OLD_ADA = Peer(peer_id="p1", name="Ada", tracks=(Track(kind="face", avatar=_AVA
 MESSAGES: dict[str, Message] = {
     "hello": Hello(software="pica-client"),
     "welcome": Welcome(software="pica-relay"),
-    "join": Join(room="lobby", name="Bob", tracks=(Track(kind="face"),)),
+    "join": Join(room="lobby", name="Bob", tracks=(Track(kind="face"),), token="h.c.s"),
     "joined": Joined(
         room="lobby", peer_id="p2", tracks=(Track(kind="face", stream=2),), peers=(_ADA,)
     ),
@@ -60,6 +60,7 @@ MESSAGES: dict[str, Message] = {
 
 OLDER: dict[str, Message] = {
     "join before profiles": Join(room="lobby", name="Bob", tracks=(Track(kind="face"),)),
+    "join before tokens": Join(room="lobby", name="Bob", tracks=(Track(kind="face"),)),
     "joined before profiles": Joined(
         room="lobby", peer_id="p2", tracks=(Track(kind="face", stream=2),), peers=(_OLD_ADA,)
     ),
@@ -106,6 +107,9 @@ def invalid_bytes() -> dict[str, bytes]:
         "whisper above the limit": b"\x01\x83\xa4type\xa7whisper\xa7peer_id\xa2p1\xa4data"
         + b"\xc5\x02\x01"
         + bytes(513),
+        "token above the limit": b"\x01\x84\xa4type\xa4join\xa4room\xa1r\xa4name\xa1n\xa5token"
+        + b"\xda\x08\x01"
+        + b"x" * 2049,
         "bytes where text belongs": b"\x01\x82\xa4type\xa9peer_left\xa7peer_id\xc4\x02p1",
         "text where bytes belong": encode_message(Whisper(peer_id="p1", data=b"x")).replace(
             b"\xc4\x01x", b"\xa1x"

@@ -5,7 +5,7 @@ import string
 from hypothesis import strategies as st
 
 from pica_protocol.frames import MAX_PAYLOAD_BYTES, Frame
-from pica_protocol.limits import MAX_WHISPER_BYTES
+from pica_protocol.limits import MAX_PASS_BYTES, MAX_WHISPER_BYTES
 from pica_protocol.messages import (
     BYE_CODES,
     Bye,
@@ -52,7 +52,13 @@ peers = st.builds(Peer, peer_id=tokens, name=names, tracks=tracks(streams))
 messages: st.SearchStrategy[Message] = st.one_of(
     st.builds(Hello, version=counters, software=texts),
     st.builds(Welcome, version=counters, software=texts),
-    st.builds(Join, room=tokens, name=names, tracks=tracks(st.just(0))),
+    st.builds(
+        Join,
+        room=tokens,
+        name=names,
+        tracks=tracks(st.just(0)),
+        token=st.just("") | tokens | st.just("x" * MAX_PASS_BYTES),
+    ),
     st.builds(
         Joined,
         room=tokens,

@@ -17,7 +17,8 @@ from pica_protocol.messages import (
 )
 from pica_protocol.session import ClientSession, State
 from pica_server.config import LimitsConfig, RelayConfig
-from pica_server.hub import Connection, Hub
+from pica_server.connection import Connection
+from pica_server.hub import Hub
 
 pytestmark = pytest.mark.unit
 

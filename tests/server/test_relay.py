@@ -1,6 +1,7 @@
 """The real relay and real websockets on a virtual clock."""
 
 import asyncio
+from pathlib import Path
 
 import pytest
 from websockets.asyncio.client import connect
@@ -13,6 +14,7 @@ from pica_protocol.messages import Hello, KeyframeRequest, PeerJoined, PeerLeft,
 from pica_protocol.session import Closed
 from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.relay import Relay
+from pica_server.tokens import Admission, KeyRing, load_keys, mint
 from simnet.clock import current_network, in_virtual_time
 from simnet.link import Link
 from simnet.peers import FACE, now, open_websocket, peer_in_room
@@ -420,6 +422,45 @@ async def test_control_does_not_wait_for_company() -> None:
         start = now()
         await bob.until(Whisper)
         assert now() - start < 0.001
+
+
+NOBODY = "x"
+
+
+def test_with_keys_only_who_has_a_token_comes_in_and_the_newer_of_two_stays(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "keys"
+    path.write_text(KeyRing.new_line())
+
+    def token(identity: str, room: str = "lobby", **grants: bool) -> str:
+        admission = Admission(identity=identity, **grants)  # type: ignore[arg-type]
+        return mint(load_keys(path), room, admission, now=1e9, lasts_s=60, starts_s=0)
+
+    @in_virtual_time
+    async def scenario() -> None:
+        async with (
+            Relay(RelayConfig(keys=path, host="0.0.0.0"), unix_time=lambda: 1e9) as relay,
+            peer_in_room(URL, "Ada", token=token("ada")) as ada,
+            peer_in_room(URL, "Deaf", token=token("deaf", may_subscribe=False)) as deaf,
+        ):
+            for pass_ in ("", NOBODY, token("ada", room="elsewhere")):
+                async with peer_in_room(URL, "Mallory", token=pass_) as mallory:
+                    assert (await mallory.until(Closed)).code == CloseCode.UNAUTHORIZED
+            viewer = token("viewer", may_publish=False)
+            async with peer_in_room(URL, "Viewer", token=viewer) as refused:
+                assert (await refused.until(Closed)).code == CloseCode.FORBIDDEN
+            await ada.send_frame(b"x")
+            deaf.session.want(ada.session.tracks[0].stream, 2)
+            await deaf.flush()
+            await ada.send_frame(b"y")
+            async with peer_in_room(URL, "Ada again", token=token("ada")) as again:
+                assert (await ada.until(Closed)).code == CloseCode.REPLACED
+                assert [peer.name for peer in again.session.peers.values()] == ["Deaf"]
+            assert deaf.arrivals == []
+            assert relay.stats()["limits_hit"] == {"admission": 4}
+
+    scenario()
 
 
 @in_virtual_time

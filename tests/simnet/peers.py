@@ -106,11 +106,17 @@ async def open_websocket(url: str, *, max_queue: int = 16) -> AsyncIterator[Clie
 
 @asynccontextmanager
 async def peer_in_room(
-    url: str, name: str, *, room: str = "lobby", tracks: tuple[Track, ...] = (FACE,)
+    url: str,
+    name: str,
+    *,
+    room: str = "lobby",
+    tracks: tuple[Track, ...] = (FACE,),
+    token: str = "",
 ) -> AsyncIterator[WirePeer]:
     """Join a room, read whatever comes, and leave in good order unless it is over before."""
     async with open_websocket(url) as websocket:
-        peer = WirePeer(websocket, ClientSession(room=room, name=name, tracks=tracks, now=now()))
+        session = ClientSession(room=room, name=name, tracks=tracks, token=token, now=now())
+        peer = WirePeer(websocket, session)
         await peer.flush()
         reader = asyncio.create_task(peer.read())
         try:

@@ -1,0 +1,60 @@
+"""One websocket as the hub sees it: its session, its outbox, and what it may still send. Pure."""
+
+from pica_protocol.session import Closed, ServerSession
+from pica_server.config import LimitsConfig
+from pica_server.limits import TokenBucket
+from pica_server.outbox import Outbox
+from pica_server.room import Room
+
+WHISPERS_PER_S = 16.0
+WHISPER_BURST = 128.0
+"""What one peer may whisper: two rounds to everybody in the largest room at once, and then a round
+in four seconds (chosen: keys change when somebody comes or goes)."""
+
+
+class Connection:
+    """One websocket as the hub sees it; the shell reads ``closed`` and ``is_urgent``."""
+
+    __slots__ = (
+        "address",
+        "bytes_in",
+        "messages_in",
+        "outbox",
+        "peer_id",
+        "room",
+        "sending_since",
+        "serial",
+        "session",
+        "whispers",
+    )
+
+    def __init__(
+        self,
+        serial: int,
+        session: ServerSession,
+        outbox: Outbox,
+        limits: LimitsConfig,
+        address: str,
+        now: float,
+    ) -> None:
+        burst_s = limits.burst_s
+        self.messages_in = TokenBucket(limits.messages_per_s, limits.messages_per_s * burst_s, now)
+        self.bytes_in = TokenBucket(limits.bytes_per_s, limits.bytes_per_s * burst_s, now)
+        self.address = address
+        self.serial = serial
+        self.session = session
+        self.outbox = outbox
+        self.room: Room | None = None
+        self.peer_id = f"p{serial}"
+        self.sending_since: float | None = None
+        self.whispers = TokenBucket(WHISPERS_PER_S, WHISPER_BURST, now)
+
+    @property
+    def is_urgent(self) -> bool:
+        """Whether it has more to send than frames, which may wait for others."""
+        return self.outbox.has_control or self.session.closed is not None
+
+    @property
+    def closed(self) -> Closed | None:
+        """How it ended, or None."""
+        return self.session.closed

@@ -1,0 +1,252 @@
+"""Who may enter: join tokens, signed by whoever runs the place, checked here. Times are arguments.
+
+A token is a JWT (RFC 7519) signed with HMAC-SHA256 under a key that the relay knows by its id, and
+nothing else: the algorithm is pinned, whatever the token says. It names one room and one identity,
+what that identity may do there, and which avatars it may wear, so that nobody puts on another
+person's face. It is checked when its owner joins; a connection outlives it. Keys are rotated by
+keeping the old one in the file until its last token has expired.
+"""
+
+import base64
+import binascii
+import re
+import secrets
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import jwt
+
+from pica_protocol.errors import CloseCode
+from pica_protocol.limits import MAX_NAME_BYTES, MAX_PASS_BYTES, check_text, check_token, quoted
+from pica_protocol.messages import Join
+from pica_server.errors import AdmissionError, KeyFileError
+
+ALGORITHM: Final = "HS256"
+AUDIENCE: Final = "pica-relay"
+ANY_AVATAR: Final = "*"
+LEEWAY_S: Final = 10.0
+"""How far the clocks of minter and relay may differ (chosen)."""
+MIN_SECRET_BYTES: Final = 32
+"""As long as the hash (RFC 7518 3.2)."""
+MAX_AVATARS: Final = 14
+"""Avatars in one token; more would not fit into it."""
+
+_SHA256_HEX = re.compile(r"[0-9a-f]{64}")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Admission:
+    """What somebody may do in the room they join."""
+
+    identity: str = ""
+    """Who it is; empty: nobody in particular, as everybody is without tokens."""
+    name: str = ""
+    """What they are called; empty: as they like."""
+    may_publish: bool = True
+    may_subscribe: bool = True
+    avatars: tuple[str, ...] = (ANY_AVATAR,)
+    """Avatar ids they may wear; ``*`` is any."""
+
+
+class KeyRing:
+    """Signing keys by id, the newest last.
+
+    The file has one key on each line, its id and its secret in base64url; ``#`` begins a comment.
+    """
+
+    def __init__(self, keys: Mapping[str, bytes]) -> None:
+        self._keys = dict(keys)
+
+    @classmethod
+    def parse(cls, text: str) -> "KeyRing":
+        """Read a key file.
+
+        Raises:
+            KeyFileError: A line is wrong, two keys share an id, or there is none; names the line,
+                never a secret.
+        """
+        keys: dict[str, bytes] = {}
+        for number, line in enumerate(text.splitlines(), start=1):
+            words = line.partition("#")[0].split()
+            if not words:
+                continue
+            if len(words) != 2:
+                raise KeyFileError(f"line {number}: write a key id and its secret")
+            key_id, encoded = words
+            try:
+                check_token("the key id", key_id)
+                padded = encoded + "=" * (-len(encoded) % 4)
+                secret = base64.b64decode(padded, altchars=b"-_", validate=True)
+            except (ValueError, binascii.Error) as error:
+                raise KeyFileError(f"line {number}: a bad key id, or no base64url") from error
+            if len(secret) < MIN_SECRET_BYTES:
+                raise KeyFileError(f"line {number}: a secret has {MIN_SECRET_BYTES} bytes or more")
+            if key_id in keys:
+                raise KeyFileError(f"line {number}: key id {key_id} is there already")
+            keys[key_id] = secret
+        if not keys:
+            raise KeyFileError("there is no key in it; make one with `pica token --new-key`")
+        return cls(keys)
+
+    @staticmethod
+    def new_line() -> str:
+        """Return the line of a new key."""
+        encoded = base64.urlsafe_b64encode(secrets.token_bytes(MIN_SECRET_BYTES)).rstrip(b"=")
+        return f"k{secrets.token_hex(4)} {encoded.decode()}\n"
+
+    @property
+    def newest(self) -> str:
+        """The id of the key that signs."""
+        return next(reversed(self._keys))
+
+    def secret(self, key_id: str) -> bytes | None:
+        """Return a key, or None."""
+        return self._keys.get(key_id)
+
+
+def load_keys(path: Path) -> KeyRing:
+    """Read a key file.
+
+    Raises:
+        KeyFileError: It cannot be read, or used.
+    """
+    try:
+        return KeyRing.parse(path.read_text())
+    except (OSError, UnicodeDecodeError) as error:
+        what = error.strerror if isinstance(error, OSError) else "no text"
+        raise KeyFileError(f"--keys {path}: {what}") from error
+    except KeyFileError as error:
+        raise KeyFileError(f"--keys {path}: {error}") from error
+
+
+def mint(
+    keys: KeyRing, room: str, admission: Admission, *, now: float, lasts_s: float, starts_s: float
+) -> str:
+    """Return a token for one room.
+
+    Args:
+        keys: The newest signs.
+        room: Where it lets its owner in.
+        admission: As whom, and to do what.
+        now: Seconds since 1970.
+        lasts_s: From ``now`` until it ends.
+        starts_s: From ``now`` until it begins.
+
+    Raises:
+        ValueError: A field is out of its limits.
+    """
+    check_token("room", room)
+    check_token("identity", admission.identity)
+    check_text("name", admission.name, MAX_NAME_BYTES, required=bool(admission.name))
+    if len(admission.avatars) > MAX_AVATARS:
+        raise ValueError(f"avatars must have at most {MAX_AVATARS}, got {len(admission.avatars)}")
+    for avatar in admission.avatars:
+        if avatar != ANY_AVATAR and not _SHA256_HEX.fullmatch(avatar):
+            raise ValueError(f"avatars must be SHA-256 in hexadecimal or *, got {quoted(avatar)}")
+    if not 0 <= starts_s < lasts_s:
+        raise ValueError(f"it must begin before it ends, got {starts_s:g} and {lasts_s:g} s")
+    claims: dict[str, Any] = {
+        "aud": AUDIENCE,
+        "sub": admission.identity,
+        "room": room,
+        "iat": int(now),
+        "nbf": int(now + starts_s),
+        "exp": int(now + lasts_s),
+        "publish": admission.may_publish,
+        "subscribe": admission.may_subscribe,
+        "avatars": list(admission.avatars),
+    }
+    if admission.name:
+        claims["name"] = admission.name
+    key_id = keys.newest
+    secret = keys.secret(key_id)
+    assert secret is not None
+    token = jwt.encode(claims, secret, algorithm=ALGORITHM, headers={"kid": key_id})
+    if len(token) > MAX_PASS_BYTES:
+        raise ValueError(f"the token has {len(token)} bytes, the limit is {MAX_PASS_BYTES}")
+    return token
+
+
+def admit(keys: KeyRing, join: Join, *, now: float) -> Admission:
+    """Check the token of a join, and what the join asks for against it.
+
+    Args:
+        keys: Any of them may have signed.
+        join: What somebody asks for.
+        now: Seconds since 1970.
+
+    Raises:
+        AdmissionError: ``UNAUTHORIZED`` without a token that is good here and now, ``FORBIDDEN``
+            for what the token does not grant; the text does not quote the token.
+    """
+    claims = _claims(keys, join.token)
+    begins_s, ends_s = _number(claims, "nbf"), _number(claims, "exp")
+    if now < begins_s - LEEWAY_S:
+        raise _unauthorized("the token does not hold yet")
+    if now >= ends_s + LEEWAY_S:
+        raise _unauthorized("the token has expired")
+    if claims.get("room") != join.room:
+        raise _unauthorized("the token is for another room")
+    avatars = claims.get("avatars", [])
+    if not isinstance(avatars, list) or not all(isinstance(item, str) for item in avatars):
+        raise _unauthorized("the token's avatars are no list of text")
+    name = claims.get("name", "")
+    try:
+        identity = claims["sub"]
+        check_token("identity", identity)
+        check_text("name", name, MAX_NAME_BYTES, required=bool(name))
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise _unauthorized("the token names nobody") from error
+    admission = Admission(
+        identity=identity,
+        name=name,
+        may_publish=claims.get("publish") is True,
+        may_subscribe=claims.get("subscribe") is True,
+        avatars=tuple(avatars),
+    )
+    if join.tracks and not admission.may_publish:
+        raise AdmissionError("the token does not let you publish", CloseCode.FORBIDDEN)
+    for track in join.tracks:
+        if track.avatar and not {track.avatar, ANY_AVATAR} & set(admission.avatars):
+            raise AdmissionError("the token does not let you wear this", CloseCode.FORBIDDEN)
+    return admission
+
+
+def _claims(keys: KeyRing, token: str) -> Mapping[str, Any]:
+    if not token:
+        raise _unauthorized("this relay wants a token")
+    try:
+        key_id = jwt.get_unverified_header(token).get("kid")
+        secret = keys.secret(key_id) if isinstance(key_id, str) else None
+        if secret is None:
+            raise _unauthorized("the token is signed with a key that is not known here")
+        claims = jwt.decode(
+            token,
+            secret,
+            algorithms=[ALGORITHM],
+            audience=AUDIENCE,
+            # Times are checked against an argument, not against a clock in there.
+            options={
+                "require": ["aud", "sub", "nbf", "exp"],
+                "verify_exp": False,
+                "verify_nbf": False,
+                "verify_iat": False,
+            },
+        )
+    # What a stranger wrote goes through base64 and JSON before the signature is looked at.
+    except (jwt.InvalidTokenError, ValueError, TypeError, RecursionError) as error:
+        raise _unauthorized("the token is not valid") from error
+    return claims
+
+
+def _number(claims: Mapping[str, Any], field: str) -> float:
+    value = claims.get(field)
+    if type(value) not in (int, float):
+        raise _unauthorized("the token is not valid")
+    return float(value)  # type: ignore[arg-type]
+
+
+def _unauthorized(reason: str) -> AdmissionError:
+    return AdmissionError(reason, CloseCode.UNAUTHORIZED)
