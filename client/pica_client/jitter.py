@@ -1,13 +1,14 @@
 """How long frames of a stream must be waited for: fast up, slow down. Pure.
 
-The lateness of a frame is how far its transit lies above the fastest (`clock_map`). Two windows
-judge it, and the longer wait counts:
+The lateness of a frame is how far its transit lies above the fastest (`clock_map`). What counts are
+delays, not frames: those that a stall held back come in one burst, and only the first of them tells
+how long it was. (Counting all of them let one stall of 300 ms every two seconds raise the delay
+to its ceiling; the face was 150 ms older and hardly less often concealed.) Two windows judge, and
+the longer wait counts:
 
-- slow release: of the frames of the last seconds, the share that must not be late. When trouble
+- slow release: the share of the delays of the last seconds that must not be longer. When trouble
   ends it is forgotten after one such window;
-- fast attack: the same of the last second alone, so that a handful of late frames is enough.
-  Frames that a stall held back come in one burst and count there as one: a stall that happened once
-  is over, and waiting longer would not undo it.
+- fast attack: the same of the last second alone, so that three delays are enough.
 
 What *all* frames of the long window have in common is no jitter but the way itself (a longer route,
 a standing queue, a sender's clock set back): `base_s`, which is waited for without being counted.
@@ -25,6 +26,8 @@ ATTACK_WINDOW_S = 1.0
 """Length of the short window (chosen: of the usual stream three delays are enough)."""
 ATTACK_QUANTILE = 0.9
 """Share of the short window that is waited for."""
+ATTACK_MIN_DELAYS = 10
+"""Fewer in the short window say nothing about such a share."""
 CAPACITY = 2048
 """Frames a window holds; drops its oldest beyond (chosen: 6 s at 240 fps and some)."""
 
@@ -40,7 +43,7 @@ class JitterEstimate:
     def __init__(self, *, quantile: float, window_s: float) -> None:
         self.base_s = self.jitter_s = 0.0
         self._quantile = quantile
-        self._release = _Window(window_s)
+        self._all, self._release = _Window(window_s), _Window(window_s)
         self._attack = _Window(ATTACK_WINDOW_S)
         self._last = (-math.inf, -math.inf)  # (arrived_s, media_s)
 
@@ -56,13 +59,14 @@ class JitterEstimate:
         last_arrived_s, last_media_s = self._last
         is_burst = arrived_s - last_arrived_s < 0.5 * (media_s - last_media_s)
         self._last = (arrived_s, media_s)
-        self._release.add(arrived_s, media_s, transit_s)
-        lateness_s = self._release.lateness_s(clock)
-        self.base_s = float(lateness_s.min())
-        wait_s = _quantile(lateness_s, self._quantile)
-        if not is_burst or self._attack.is_empty:
+        self._all.add(arrived_s, media_s, transit_s)
+        self.base_s = float(self._all.lateness_s(clock).min())
+        if not (is_burst and self._release.num_rows):
+            self._release.add(arrived_s, media_s, transit_s)
             self._attack.add(arrived_s, media_s, transit_s)
-        wait_s = max(wait_s, _quantile(self._attack.lateness_s(clock), ATTACK_QUANTILE))
+        wait_s = _quantile(self._release.lateness_s(clock), self._quantile)
+        if self._attack.num_rows >= ATTACK_MIN_DELAYS:
+            wait_s = max(wait_s, _quantile(self._attack.lateness_s(clock), ATTACK_QUANTILE))
         self.jitter_s = max(wait_s - self.base_s, 0.0)
 
 
@@ -75,8 +79,8 @@ class _Window:
         self._begin = self._end = 0
 
     @property
-    def is_empty(self) -> bool:
-        return self._begin == self._end
+    def num_rows(self) -> int:
+        return self._end - self._begin
 
     def add(self, arrived_s: float, media_s: float, transit_s: float) -> None:
         if self._end == len(self._rows):

@@ -26,10 +26,10 @@ class PlayoutConfig:
     """Longest delay (chosen: with 50 ms of network still above the 150 ms of G.114, so worse jitter
     is better concealed than waited for)."""
     jitter_quantile: float = 0.95
-    """Share of frames that the delay waits for; the rest are shown late."""
+    """Share of delays that are waited for; what is later is shown late. A burst is one delay."""
     window_s: float = 6.0
-    """Time over which jitter is measured: so long the delay stays up after trouble (chosen: a
-    stall every few seconds is one trouble, not many)."""
+    """Time over which jitter is measured: so long the delay stays up after trouble (chosen: short
+    enough that a call is fresh again soon, long enough to hold a share of 95 %)."""
     faster: float = 0.1
     """Share by which display time runs faster to catch up (chosen: speech 10 % faster looks
     natural). From ceiling to floor it takes 2 s."""

@@ -40,11 +40,11 @@ TABLE = {
     "jitter 200 ms": (Trouble(jitter_s=0.2), 0.07, 0.24, 0.085),
     "datagrams, jitter 80 ms": (Trouble(jitter_s=0.08, is_reordered=True), 0.03, 0.115, 0.065),
     "datagrams, jitter 200 ms": (Trouble(jitter_s=0.2, is_reordered=True), 0.045, 0.21, 0.08),
-    "stalls of 100 ms": (Trouble(stalls=stalls(0.1)), 0.055, 0.065, 0.08),
-    "stalls of 300 ms": (Trouble(stalls=stalls(0.3)), 0.13, 0.205, 0.13),
-    "stalls of 1000 ms": (Trouble(stalls=stalls(1.0)), 0.55, 0.205, 0.1),
-    "one stall of 300 ms": (Trouble(stalls=((9.0, 0.3),)), 0.05, 0.04, 0.1),
-    "one stall of 1000 ms": (Trouble(stalls=((9.0, 1.0),)), 0.17, 0.205, 0.07),
+    "stalls of 100 ms": (Trouble(stalls=stalls(0.1)), 0.055, 0.034, 0.085),
+    "stalls of 300 ms": (Trouble(stalls=stalls(0.3)), 0.2, 0.034, 0.14),
+    "stalls of 1000 ms": (Trouble(stalls=stalls(1.0)), 0.65, 0.034, 0.145),
+    "one stall of 300 ms": (Trouble(stalls=((9.0, 0.3),)), 0.05, 0.034, 0.11),
+    "one stall of 1000 ms": (Trouble(stalls=((9.0, 1.0),)), 0.17, 0.034, 0.115),
     "1 % dropped": (Trouble(dropped_ratio=0.01), 0.02, 0.034, 0.055),
     "10 % dropped": (Trouble(dropped_ratio=0.1), 0.12, 0.034, 0.075),
     "30 % dropped": (Trouble(dropped_ratio=0.3), 0.3, 0.034, 0.085),
@@ -110,11 +110,6 @@ def test_what_the_buffer_gains_is_calm_and_what_it_costs_is_age() -> None:
     assert max(steps(shown["adaptive"])) < 0.3 * max(steps(shown["none"]))
     assert concealed_ratio(shown["adaptive"]) < 0.05 * concealed_ratio(shown["none"])
     assert ages_s["none"] < ages_s["adaptive"] <= 0.115
-
-
-def test_a_single_stall_does_not_raise_the_delay_of_what_follows() -> None:
-    ticks = play(Playout(), arrivals(Trouble(stalls=((9.0, 0.3),))))
-    assert max(tick.report.delay_s for tick in between(ticks, 3.0, 22.0)) <= INTERVAL_S + 0.005
 
 
 def test_jitter_is_answered_within_a_second() -> None:

@@ -131,25 +131,35 @@ def test_the_hull_line_is_the_best_line_below_all_points(
 def test_jitter_is_what_a_plain_sort_of_the_windows_says() -> None:
     rng = random.Random(4)
     clock, estimate = ClockMap(0.0, 0.0), JitterEstimate(quantile=0.95, window_s=6.0)
-    seen: list[tuple[float, float]] = []
-    arrived_s = 0.0
+    frames: list[tuple[float, float, bool]] = []
+    arrived_s = -1.0
     for index in range(600):
-        media_s = index * FRAME_S
+        media_s, before_s = index * FRAME_S, arrived_s
         lateness_s = rng.expovariate(50) if index % 100 < 50 else 0.0
         arrived_s = max(arrived_s, media_s + lateness_s)
         transit_s = clock.receive(media_s, arrived_s)
         estimate.receive(arrived_s, media_s, transit_s, clock)
-        seen.append((media_s, arrived_s))
-        lateness = sorted(
-            at - captured - clock.fastest_transit_s(captured)
-            for captured, at in seen
-            if at >= arrived_s - 6.0
+        frames.append((media_s, arrived_s, arrived_s - before_s >= 0.5 * FRAME_S))
+        recent = [frame for frame in frames if frame[1] >= arrived_s - 6.0]
+        late_s = [at - captured - clock.fastest_transit_s(captured) for captured, at, _ in recent]
+        delays_s = sorted(
+            each_s for each_s, (_, _, is_alone) in zip(late_s, recent, strict=True) if is_alone
         )
-        wanted_s = lateness[math.ceil(0.95 * len(lateness)) - 1] - lateness[0]
-        assert estimate.base_s == pytest.approx(lateness[0], abs=1e-9)
+        wanted_s = delays_s[math.ceil(0.95 * len(delays_s)) - 1] - min(late_s)
+        assert estimate.base_s == pytest.approx(min(late_s), abs=1e-9)
         assert estimate.jitter_s >= wanted_s - 1e-9
         if index % 100 == 99:  # the last second was calm
             assert estimate.jitter_s == pytest.approx(wanted_s, abs=1e-9)
+
+
+def test_a_stall_now_and_then_is_not_waited_for() -> None:
+    clock, estimate = ClockMap(0.0, 0.0), JitterEstimate(quantile=0.95, window_s=6.0)
+    for index in range(600):
+        media_s = index * FRAME_S
+        since_s = media_s % 2.0
+        arrived_s = media_s + (0.4 - since_s if since_s < 0.4 else 0.0)
+        estimate.receive(arrived_s, media_s, clock.receive(media_s, arrived_s), clock)
+        assert index < 100 or estimate.jitter_s == pytest.approx(0, abs=1e-9)
 
 
 def test_three_delays_in_a_second_are_enough_to_be_waited_for() -> None:
