@@ -1,11 +1,14 @@
 """Everything an operator may set, with unit and range."""
 
 import ipaddress
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from pica_protocol.limits import MAX_PEERS
 from pica_server.errors import ConfigurationError
+
+_ORIGIN = re.compile(r"https?://[^/?#\s]+")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -51,6 +54,11 @@ class RelayConfig:
     insecure: bool = False
     """Without keys, listen beyond this machine although anybody who reaches the port may join any
     room."""
+    origins: tuple[str, ...] = ()
+    """Web pages that may connect, as https://HOST: a browser says where a page comes from. Programs
+    say nothing, and may."""
+    open_metrics: bool = False
+    """Answer /metrics to other machines too, not to this one alone."""
     room_capacity: int = 16
     """Peers in one room."""
     max_connections: int = 1024
@@ -96,6 +104,9 @@ class RelayConfig:
         _check("max-control-bytes", self.max_control_bytes, 65_536, 16_777_216)
         _check("coalesce-above-per-s", self.coalesce_above_per_s, 1, 1e12)
         _check("coalesce-longest-s", self.coalesce_longest_s, 0, 0.1)
+        for origin in self.origins:
+            if not _ORIGIN.fullmatch(origin):
+                raise ConfigurationError(f"--origins {origin} is no origin: write https://HOST")
         if self.keys is not None and self.insecure:
             raise ConfigurationError("--insecure lets anybody in: leave it out, or --keys")
         if self.keys is None and not self.insecure and not _is_loopback(self.host):

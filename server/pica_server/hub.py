@@ -83,6 +83,16 @@ class Hub:
         return len(self._rooms)
 
     @property
+    def num_waiting_frames(self) -> int:
+        """Frames that wait for their receivers."""
+        return sum(each.outbox.waiting_frames for each in self._connections.values())
+
+    @property
+    def num_waiting_control_bytes(self) -> int:
+        """Bytes of control messages that wait."""
+        return sum(each.outbox.waiting_control_bytes for each in self._connections.values())
+
+    @property
     def coalescing_s(self) -> float:
         """How long frames may wait now for others to share a message with."""
         return 0.0 if self._coalescing is None else self._coalescing.window_s
@@ -266,6 +276,7 @@ class Hub:
                         needed[number, fate] = None
             num_deliveries += len(receivers)
             self.stats.frames_in += 1
+            self.stats.frames_in_by_layer[layer] += 1
             self.stats.unwanted += len(room) - 1 - len(receivers)
         if self._coalescing is None:
             config = self._config

@@ -49,14 +49,9 @@ def address_group(host: str) -> str:
 
 
 class SocketGuard:
-    """Counts sockets from their first byte on, before there is a websocket that could be told why.
-
-    Attributes:
-        num_refused: Sockets that were cut at once.
-    """
+    """Counts sockets from their first byte on, when there is no websocket yet to be told why."""
 
     def __init__(self, *, handshakes: int, per_address: int) -> None:
-        self.num_refused = 0
         self._handshakes = handshakes
         self._per_address = per_address
         self._num_handshaking = 0
@@ -66,7 +61,6 @@ class SocketGuard:
         """Say whether a new socket may stay; if so, ``opened`` or ``closed`` follows."""
         is_many = bool(group) and self._open[group] >= self._per_address
         if is_many or self._num_handshaking >= self._handshakes:
-            self.num_refused += 1
             return False
         self._num_handshaking += 1
         if group:

@@ -12,7 +12,6 @@ bytes are bounded once more where the system can (``TCP_NOTSENT_LOWAT``).
 """
 
 import asyncio
-import http
 import logging
 import socket
 import time
@@ -24,7 +23,7 @@ from typing import Any, Self
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
-from websockets.typing import Subprotocol
+from websockets.typing import Origin, Subprotocol
 
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
@@ -34,6 +33,9 @@ from pica_server.connection import Connection
 from pica_server.errors import ListenError
 from pica_server.hub import Hub
 from pica_server.limits import SocketGuard, address_group
+from pica_server.loop_watch import PERIOD_S, LoopWatch
+from pica_server.stats import RelayStats
+from pica_server.status_pages import StatusPages
 from pica_server.tokens import KeyRing, admit, load_keys
 
 _MAX_QUEUED_MESSAGES = 16
@@ -75,10 +77,13 @@ class Relay:
         limits = config.limits
         # Twice: of sockets that are closing, and of those that are told why they must.
         per_address = 2 * limits.connections_per_address
-        self.guard = SocketGuard(handshakes=limits.handshakes, per_address=per_address)
+        self._guard = SocketGuard(handshakes=limits.handshakes, per_address=per_address)
         self._server: Server | None = None
         self._wakers: dict[Connection, _Waker] = {}
         self._timer: asyncio.TimerHandle | None = None
+        self._watch = LoopWatch()
+        self._pages = StatusPages(self.hub, self._watch, config)
+        self._watching: asyncio.TimerHandle | None = None
         self._held: dict[Connection, None] = {}
         self._release: asyncio.TimerHandle | None = None
 
@@ -95,7 +100,6 @@ class Relay:
         return {
             "open_connections": hub.num_connections,
             "rooms": hub.num_rooms,
-            "sockets_refused": self.guard.num_refused,
             **hub.stats.as_dict(),
         }
 
@@ -106,7 +110,9 @@ class Relay:
             config.host,
             config.port,
             create_connection=self._guarded_connection,  # type: ignore[arg-type]
-            process_request=_answer_health,
+            process_request=self._answer,
+            # Without an allow-list any web page could join from the browser of somebody nearby.
+            origins=[None, *map(Origin, config.origins)],
             subprotocols=[Subprotocol(SUBPROTOCOL)],
             select_subprotocol=_select_subprotocol,
             compression=None,
@@ -127,6 +133,7 @@ class Relay:
                 f"cannot listen on {config.host}:{config.port}: {error.strerror or error}; "
                 "choose another --port (0 takes a free one) or --host"
             ) from error
+        self._watch_later()
         return self
 
     async def __aexit__(
@@ -142,12 +149,36 @@ class Relay:
         await self._server.wait_closed()
         if self._timer is not None:
             self._timer.cancel()
+        if self._watching is not None:
+            self._watching.cancel()
         if self._release is not None:
             self._release.cancel()
 
+    def _answer(self, websocket: ServerConnection, request: Request) -> Response | None:
+        """Answer a plain HTTP request; None lets a websocket begin."""
+        assert isinstance(websocket, _GuardedConnection)
+        page = self._pages.answer(request.path, is_local=not websocket.address, now=self._now())
+        if page is None:
+            return None
+        response = websocket.respond(page.status, page.text)
+        del response.headers["Content-Type"]
+        response.headers["Content-Type"] = page.content_type
+        return response
+
+    def _watch_later(self) -> None:
+        loop = asyncio.get_running_loop()
+        due_s = loop.time() + PERIOD_S
+
+        def look() -> None:
+            self._watch.note(due_s, loop.time())
+            self._watch_later()
+
+        self._watching = loop.call_at(due_s, look)
+
     def _guarded_connection(self, *args: Any, **kwargs: Any) -> "_GuardedConnection":
         connection = _GuardedConnection(*args, **kwargs)
-        connection.guard = self.guard
+        connection.guard = self._guard
+        connection.stats = self.hub.stats
         return connection
 
     async def _serve(self, websocket: ServerConnection) -> None:
@@ -253,6 +284,7 @@ class _GuardedConnection(ServerConnection):
     """A connection that is counted from its first moment, and cut at once if it is one too many."""
 
     guard: SocketGuard
+    stats: RelayStats
     address = ""
     _is_admitted = _is_opened = False
 
@@ -262,6 +294,7 @@ class _GuardedConnection(ServerConnection):
         self.address = address_group(str(peername[0])) if peername else ""
         self._is_admitted = self.guard.admit(self.address)
         if not self._is_admitted:
+            self.stats.limits_hit["sockets"] += 1
             self.transport.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -307,12 +340,6 @@ def _select_subprotocol(
 ) -> Subprotocol | None:
     # Whoever offers none is let in and told so with a close code: clearer than an HTTP 400.
     return Subprotocol(SUBPROTOCOL) if SUBPROTOCOL in offered else None
-
-
-def _answer_health(websocket: ServerConnection, request: Request) -> Response | None:
-    if request.path == "/healthz":
-        return websocket.respond(http.HTTPStatus.OK, "ok\n")
-    return None
 
 
 def _bound_kernel_buffer(websocket: ServerConnection, send_buffer_bytes: int) -> None:

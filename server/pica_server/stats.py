@@ -15,6 +15,7 @@ class LatencyHistogram:
 
     def __init__(self) -> None:
         self.count = 0
+        self.sum_s = 0.0
         self._buckets = [0] * _NUM_BUCKETS
 
     def record(self, latency_s: float) -> None:
@@ -22,6 +23,12 @@ class LatencyHistogram:
         bucket = int(math.log2(max(latency_s, _SMALLEST_S) / _SMALLEST_S) * _BUCKETS_PER_OCTAVE)
         self._buckets[min(bucket, _NUM_BUCKETS - 1)] += 1
         self.count += 1
+        self.sum_s += latency_s
+
+    def count_within(self, bound_s: float) -> int:
+        """Return how many were at most ``bound_s``, to the width of a bucket."""
+        num_buckets = math.floor(math.log2(bound_s / _SMALLEST_S) * _BUCKETS_PER_OCTAVE + 0.5)
+        return sum(self._buckets[: max(num_buckets, 0)])
 
     def percentile_s(self, percent: float) -> float | None:
         """Return the middle of the bucket where the percentile lies; None without any latency."""
@@ -43,6 +50,7 @@ class RelayStats:
     joins: int = 0
     """Peers let into a room."""
     frames_in: int = 0
+    frames_in_by_layer: Counter[int] = field(default_factory=Counter)
     bytes_in: int = 0
     """Of all messages received, as websocket payload."""
     frames_out: int = 0
@@ -70,7 +78,7 @@ class RelayStats:
     limits_hit: Counter[str] = field(default_factory=Counter)
     """How often a limit was reached: ``messages`` or ``bytes`` of a client, ``joins``,
     ``connections`` in all, ``address``, ``room``, ``control`` left unread; ``admission``,
-    a join that its token did not allow."""
+    a join that its token did not allow; ``sockets`` that were cut at once."""
     closed: Counter[int] = field(default_factory=Counter)
     """Connections ended, by close code."""
     reported_lost: int = 0

@@ -18,6 +18,12 @@ def test_this_machine_is_no_danger(host: str) -> None:
     assert RelayConfig(host=host).host == host
 
 
+@pytest.mark.parametrize("origin", ["", "*", "example.org", "https://example.org/page"])
+def test_what_is_no_origin_is_refused(origin: str) -> None:
+    with pytest.raises(ConfigurationError, match="is no origin: write https://HOST"):
+        RelayConfig(origins=(origin,))
+
+
 @pytest.mark.parametrize(
     ("field", "value"),
     [

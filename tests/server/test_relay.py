@@ -5,8 +5,10 @@ from pathlib import Path
 
 import pytest
 from websockets.asyncio.client import connect
-from websockets.exceptions import ConnectionClosed
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.typing import Origin, Subprotocol
 
+from pica_protocol import SUBPROTOCOL
 from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode, LocalProtocolError
 from pica_protocol.frames import Frame
@@ -22,6 +24,7 @@ from simnet.peers import FACE, now, open_websocket, peer_in_room
 pytestmark = pytest.mark.call
 
 URL = "ws://relay:8765"
+PICA = [Subprotocol(SUBPROTOCOL)]
 
 
 @in_virtual_time
@@ -359,7 +362,7 @@ async def test_sockets_that_never_speak_do_not_pile_up_and_free_their_places() -
             await loop.create_connection(Mute, "relay", 8765)
         await asyncio.sleep(0.1)
         assert len(lost) == 40
-        assert relay.stats()["sockets_refused"] == 40
+        assert relay.stats()["limits_hit"] == {"sockets": 40}
         await asyncio.sleep(3)
         assert len(lost) == 50
         async with peer_in_room(URL, "Bob"):
@@ -422,6 +425,28 @@ async def test_control_does_not_wait_for_company() -> None:
         start = now()
         await bob.until(Whisper)
         assert now() - start < 0.001
+
+
+@in_virtual_time
+async def test_a_web_page_may_connect_only_if_it_is_on_the_list() -> None:
+    async with Relay(RelayConfig(origins=("https://app.example",))):
+        for origin, is_welcome in (("https://app.example", True), ("https://evil.example", False)):
+            opening = connect(URL, origin=Origin(origin), proxy=None, subprotocols=PICA)
+            if is_welcome:
+                async with opening:
+                    pass
+            else:
+                with pytest.raises(InvalidStatus, match="403"):
+                    await opening
+        async with peer_in_room(URL, "Ada"):
+            pass
+
+
+@in_virtual_time
+async def test_without_a_list_no_web_page_may_connect() -> None:
+    async with Relay(RelayConfig()):
+        with pytest.raises(InvalidStatus, match="403"):
+            await connect(URL, origin=Origin("http://localhost"), proxy=None, subprotocols=PICA)
 
 
 NOBODY = "x"

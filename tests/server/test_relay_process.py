@@ -89,9 +89,16 @@ def test_a_relay_without_numpy_forwards_stops_on_a_signal_and_prints_its_numbers
     assert not ready_file.exists()
 
 
-def test_a_relay_answers_health_checks() -> None:
-    with running_relay() as (_, url), urllib.request.urlopen(f"http{url[2:]}/healthz") as reply:
-        assert (reply.status, reply.read()) == (200, b"ok\n")
+def test_a_relay_answers_health_checks_and_shows_its_numbers() -> None:
+    with running_relay() as (_, url):
+        for path in ("healthz", "readyz"):
+            with urllib.request.urlopen(f"http{url[2:]}/{path}") as reply:
+                assert (reply.status, reply.read()) == (200, b"ok\n")
+        with urllib.request.urlopen(f"http{url[2:]}/metrics") as reply:
+            assert reply.headers.get_all("Content-Type") == [
+                "text/plain; version=0.0.4; charset=utf-8"
+            ]
+            assert b"pica_open_connections 0\n" in reply.read()
 
 
 def test_a_killed_peer_is_reported_and_noise_on_the_port_hurts_nobody() -> None:
