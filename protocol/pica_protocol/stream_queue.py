@@ -141,6 +141,8 @@ class StreamQueue:
             self.is_cut = self._is_behind = False
             return Put.WAITS
         self._append(Waiting(frame, 0, now))
+        if len(self._waiting) == 1:
+            return Put.WAITS
         self._shed_upper(MAX_WAITING_UPPER)
         if self._is_overfull(now):
             self._cut()
@@ -179,18 +181,21 @@ class StreamQueue:
 
     def take(self, max_bytes: int) -> list[Waiting]:
         """Take the frames that go out next, in order, as many as ``max_bytes`` hold."""
-        end = 0
-        for item in self._waiting:
-            max_bytes -= len(item.frame)
-            if max_bytes < 0:
-                break
-            end += 1
+        taken = self._waiting
+        if self.num_bytes <= max_bytes:  # nearly always
+            self._waiting = []
+            self._num_base = self.num_bytes = 0
+        else:
+            end = 0
+            while (max_bytes := max_bytes - len(taken[end].frame)) >= 0:
+                end += 1
+            taken = taken[:end]
+            self._replace(self._waiting[end:])
+        for item in taken:
             if item.layer == 0:
                 self._last_base = item.frame
                 if item.frame[5] & FLAG_KEYFRAME:
                     self._last_keyframe = item.frame
-        taken = self._waiting[:end]
-        self._replace(self._waiting[end:])
         return taken
 
     def _put_upper(self, frame: bytes, layer: int, now: float) -> Put:
@@ -205,6 +210,8 @@ class StreamQueue:
         self._blocked_above = _ALL  # above, this is the reference now; below, nothing was blocked
         item = Waiting(frame, layer, now)
         self._append(item)
+        if len(self._waiting) == 1:
+            return Put.WAITS
         self._shed_upper(MAX_WAITING_UPPER)
         return Put.WAITS if self._waiting and self._waiting[-1] is item else Put.DROPPED
 

@@ -120,12 +120,12 @@ class Outbox:
         while self._line:
             stream = next(iter(self._line))
             queue = self._queues[stream]
-            taken = queue.take(room_left)
-            items += taken
-            if len(queue):
+            num_bytes = queue.num_bytes
+            items += queue.take(room_left)
+            if num_bytes > room_left:
                 break  # this message is full; the stream keeps its place
             del self._line[stream]
-            room_left -= sum(len(item.frame) for item in taken)
+            room_left -= num_bytes
         if not items:
             return None
         return Parcel(

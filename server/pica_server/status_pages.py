@@ -1,4 +1,4 @@
-"""What the relay answers to plain HTTP: does it live, does it take more people, its numbers. Pure."""
+"""What the relay answers to plain HTTP: is it alive, is there a place, its numbers. Pure."""
 
 from http import HTTPStatus
 from typing import NamedTuple
