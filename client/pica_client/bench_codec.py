@@ -8,6 +8,7 @@ avatar is of a head that the stage can draw, with that head itself (`psnr_loss_d
     quality-N            our stream at quality N, all layers
     quality-N-layer-L    the same with only the layers up to L: what is left after thinning, faces
                          in between interpolated
+    rate-N               our stream told to keep to N bits a second of payload
     plain-8-bit          the plain format
     float-16             latent and pose as 16-bit floats
     zlib                 each plain frame compressed on its own
@@ -36,12 +37,14 @@ import time
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from statistics import median
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from pica_client.codec_sheet import Cell, write_sheet
 from pica_client.errors import OptionError
 from pica_client.render_error import (
     Drawing,
@@ -91,6 +94,10 @@ class CodecConfig:
     """Rows and columns of each drawing."""
     thinned_quality: int = 3
     """Quality whose lower layers are measured too."""
+    rates_bps: tuple[int, ...] = (2000, 1000, 500, 250, 125)
+    """Payload bitrates that the stream is told to keep to."""
+    sheet: Path | None = None
+    """Draw every profile at the moment of its largest error into this PNG, if given."""
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -150,15 +157,21 @@ def run_codec_bench(config: CodecConfig, avatar: Avatar) -> dict[str, Any]:
         for source in takes
     }
     rows: list[dict[str, Any]] = []
+    cells: list[Cell] = []
     coders = _coders(profile, avatar, config)
     with FaceRenderer(avatar, size_px=config.image_size, views=VIEWS) as renderer:
         for source, take in takes.items():
             judge = _Judge(renderer, take, moments[source], truth[source])
             for name, code in coders.items():
                 print(f"{source}: {name}", file=sys.stderr)
-                rows.append(
-                    {"profile": name, "source": source, "fps": FPS, **judge.measure(code(take))}
-                )
+                row = {"profile": name, "source": source, "fps": FPS, **judge.measure(code(take))}
+                rows.append(row)
+                if source == config.sources[0]:
+                    cells.append(
+                        Cell(f"{name}  {row['payload_bps'] / 1e3:.2f} kbit/s", *judge.worst)
+                    )
+    if config.sheet is not None:
+        write_sheet(config.sheet, cells)
     return {
         "avatar": avatar.manifest.identity,
         "stream_profile": profile.hash,
@@ -209,6 +222,8 @@ class _Judge:
         truth: list[Image] | None,
     ) -> None:
         self._renderer, self._take, self._moments, self._truth = renderer, take, moments, truth
+        self.worst: tuple[Image, Image] = (np.zeros((1, 1, 3), np.uint8),) * 2
+        """Front view of the largest error of the last measurement: as it should be, as shown."""
         self._uncoded = [self._draw_pair(take.latents, moment) for moment in moments]
 
     def _draw_pair(self, latents: Sequence[FloatArray] | FloatArray, at: int) -> list[Drawing]:
@@ -220,6 +235,8 @@ class _Judge:
             plain, plain_next = self._uncoded[index]
             shown, shown_next = self._draw_pair(coded.latents, moment)
             errors.append(rendered_mse(plain, shown))
+            if errors[-1] == max(errors):
+                self.worst = (plain.images[0], shown.images[0])
             changes.append(_change_mse(plain, plain_next, shown, shown_next))
             if self._truth is not None:
                 truth = self._truth[index]
@@ -263,14 +280,17 @@ Coder = Callable[[Take], Coded]
 def _coders(profile: StreamProfile, avatar: Avatar, config: CodecConfig) -> dict[str, Coder]:
     """What is compared, by name."""
 
-    def stream(quality: int, highest_layer: int) -> Coder:
-        return lambda take: _code_stream(profile, quality, highest_layer, take)
+    def stream(quality: int, highest_layer: int, rate_bps: int | None = None) -> Coder:
+        config = StreamConfig(fps=FPS, quality=quality, target_bps=rate_bps)
+        return lambda take: _code_stream(profile, config, highest_layer, take)
 
     coders = {f"quality-{q}": stream(q, 2) for q in range(profile.num_qualities)}
     if config.thinned_quality < profile.num_qualities:
         for layer in (1, 0):
             name = f"quality-{config.thinned_quality}-layer-{layer}"
             coders[name] = stream(config.thinned_quality, layer)
+    for rate_bps in config.rates_bps:
+        coders[f"rate-{rate_bps}"] = stream(0, 2, rate_bps)
     latent_profile = LatentProfile.from_manifest(avatar.manifest)
 
     def plain(squeeze: Callable[[bytes], bytes], spread: Callable[[bytes], bytes]) -> Coder:
@@ -288,9 +308,11 @@ def _coders(profile: StreamProfile, avatar: Avatar, config: CodecConfig) -> dict
     return coders
 
 
-def _code_stream(profile: StreamProfile, quality: int, highest_layer: int, take: Take) -> Coded:
+def _code_stream(
+    profile: StreamProfile, config: StreamConfig, highest_layer: int, take: Take
+) -> Coded:
     """Our stream, thinned to some layers."""
-    encoder = LatentEncoder(profile, StreamConfig(fps=FPS, quality=quality))
+    encoder = LatentEncoder(profile, config)
     decoder = LatentDecoder(profile)
     found: dict[int, LatentSample] = {}
     coded = Coded([], [])

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from pica_client.avatars import AvatarLibrary
+from pica_client.output import check_writable
 from pica_client.staging import choose_avatars
 
 
@@ -24,6 +26,8 @@ class BenchCodecOptions:
     """Moments of each source that are drawn."""
     image_size: int = 256
     """Rows and columns of each drawing, pixels."""
+    sheet: Path | None = None
+    """Draw every profile at the moment of its largest error on the first source into this PNG."""
 
 
 def bench_codec(options: BenchCodecOptions) -> dict[str, Any]:
@@ -39,7 +43,10 @@ def bench_codec(options: BenchCodecOptions) -> dict[str, Any]:
         seconds=options.seconds,
         moments=options.moments,
         image_size=options.image_size,
+        sheet=options.sheet,
     )
+    if options.sheet is not None:
+        check_writable(options.sheet)
     library = AvatarLibrary()
     try:
         (chosen, *_) = choose_avatars(options.avatar, library)

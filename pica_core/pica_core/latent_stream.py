@@ -27,7 +27,7 @@ Coding of one frame: `stream_frames`; tables: `stream_profile`; bytes: docs/bits
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -37,6 +37,7 @@ from pica_core.latent_sample import DecodedFrame, EncodedFrame, LatentSample
 from pica_core.rate_control import RateController
 from pica_core.spec import LATENT_SHAPE, NUM_LATENT
 from pica_core.stream_frames import (
+    MAX_RESIDUAL,
     FrameState,
     IntArray,
     decode_frame,
@@ -60,8 +61,9 @@ DEFAULT_QUALITY = 3
 MAX_PENDING = 8
 """Frames that wait for their reference; beyond it the oldest is given up."""
 SEQUENCE_MODULUS = 1 << 16
-RESTART_DISTANCE = 1000
-"""A sequence this far behind is no late frame: the stream began anew."""
+MAX_AHEAD = 256
+"""A sequence further ahead than this, or further behind than any reference, does not go on with the
+same count: a second at the fastest rate (chosen)."""
 POSE_UNIT = 1.0 / (1 << POSE_BITS)
 MAX_POSE = np.pi
 """Rotation vectors (radians) and offsets (metres) are clamped to this."""
@@ -187,6 +189,8 @@ class LatentEncoder:
         wanted = self._coefficients(latent, rotation, translation_m)
         base = self._base
         is_quiet = base is not None and not self._residual(wanted, base, None).any()
+        if not is_quiet:
+            self._quiet_since_us = None
         if base is None or self._is_keyframe_due(now_us):
             self._is_silent &= is_quiet
             return self._send(wanted, 0, None, now_us, is_still=self._is_silent)
@@ -195,11 +199,8 @@ class LatentEncoder:
                 return None
             self._is_silent = is_quiet
             self._phase = 0
-            self._quiet_since_us = self._quiet_since_us if is_quiet else None
             return self._send(wanted, 0, base, now_us, is_still=is_quiet)
-        if not is_quiet:
-            self._quiet_since_us = None
-        elif self._quiet_since_us is None:
+        if is_quiet and self._quiet_since_us is None:
             self._quiet_since_us = now_us
         layer = self._pattern[self._phase]
         if layer == 0:
@@ -209,9 +210,6 @@ class LatentEncoder:
             )
             self._is_silent = is_still
             return self._send(wanted, 0, base, now_us, is_still=is_still)
-        if self._controller is not None and not self._controller.has_room(now_us / 1e6):
-            self._phase = (self._phase + 1) % len(self._pattern)
-            return None
         return self._send(wanted, layer, base if layer == 1 else self._lower, now_us)
 
     def _is_keyframe_due(self, now_us: int) -> bool:
@@ -236,9 +234,9 @@ class LatentEncoder:
             raise LatentError("latent or pose holds a value that is not finite")
         units = np.rint(np.clip(pose.reshape(-1), -MAX_POSE, MAX_POSE) / POSE_UNIT)
         face = self.profile.analyse(values.reshape(NUM_LATENT))
-        coefficients = np.concatenate((face, units.astype(np.int64)))
-        # Where the limits cut, they cut in both ends alike.
-        return np.clip(coefficients, -MAX_COEFFICIENT // 2, MAX_COEFFICIENT // 2)
+        # Far from the limit of what is decoded: rounding must not step over it.
+        np.clip(face, -MAX_COEFFICIENT // 2, MAX_COEFFICIENT // 2, out=face)
+        return np.concatenate((face, units.astype(np.int64)))
 
     def _residual(
         self, wanted: IntArray, reference: FrameState | None, kind: int | None, quality: int = -1
@@ -265,25 +263,40 @@ class LatentEncoder:
         now_us: int,
         *,
         is_still: bool = False,
-    ) -> EncodedFrame:
+    ) -> EncodedFrame | None:
+        """Encode one frame and go on from it; None if the bitrate has no room for it."""
         sequence = self._sequence + 1
         if reference is not None and sequence - reference.sequence > MAX_DISTANCE:
             layer, reference = 0, None
-        if self._controller is not None and layer == 0:
-            self._controller.choose(now_us / 1e6)
-        quality = min(self._quality + is_still, self.profile.num_qualities - 1)
         kind = frame_type(layer, reference)
-        payload, state = encode_frame(
-            self.profile,
-            self._residual(wanted, reference, kind, quality),
-            sequence=sequence,
-            layer=layer,
-            quality=quality,
-            reference=reference,
-            is_still=is_still,
-        )
-        if self._controller is not None:
-            self._controller.sent(len(payload), now_us / 1e6)
+        controller, now_s = self._controller, now_us / 1e6
+        quality = self._quality if controller is None else controller.propose(layer)
+        quality = min(quality + is_still, self.profile.num_qualities - 1)
+        while True:
+            residual = self._residual(wanted, reference, kind, quality)
+            if reference is not None and np.abs(residual).max() > MAX_RESIDUAL:
+                # A leap that no face makes, as when a tracker takes one side for the other.
+                layer, reference, kind = 0, None, frame_type(0, None)
+                residual = self._residual(wanted, None, kind, quality)
+            payload, state = encode_frame(
+                self.profile,
+                np.clip(residual, -MAX_RESIDUAL, MAX_RESIDUAL),
+                sequence=sequence,
+                layer=layer,
+                quality=quality,
+                reference=reference,
+                is_still=is_still,
+            )
+            if controller is None or controller.has_room(len(payload), layer, now_s):
+                break
+            if quality == 0:
+                if layer == 0:
+                    break
+                self._phase = (self._phase + 1) % len(self._pattern)
+                return None
+            quality -= 1
+        if controller is not None:
+            controller.sent(len(payload), quality, now_s)
         self._sequence = sequence
         self._sent_us = now_us
         if layer == 0:
@@ -298,25 +311,70 @@ class LatentEncoder:
         return EncodedFrame(payload, layer, reference is None)
 
 
+@dataclass(slots=True)
+class _Strand:
+    """Frames of one unbroken count: what a later frame may refer to, and what waits."""
+
+    references: dict[int, FrameState] = field(default_factory=dict)
+    """Decoded frames by number, as far back as a reference may be."""
+    pending: dict[int, tuple[int, int, bytes]] = field(default_factory=dict)
+    """Capture time, layer and payload of frames whose reference is not there, by number."""
+    newest: int | None = None
+    newest_us: int = 0
+    newest_base: int | None = None
+
+    def number_of(self, sequence: int, captured_us: int) -> int | None:
+        """The sequence as a number that never wraps; None if it cannot be of this count."""
+        if self.newest is None:
+            return sequence
+        half = SEQUENCE_MODULUS // 2
+        ahead = (sequence - self.newest + half) % SEQUENCE_MODULUS - half
+        if not -MAX_DISTANCE <= ahead <= MAX_AHEAD or (ahead <= 0 and captured_us > self.newest_us):
+            return None
+        return self.newest + ahead
+
+    def keep(self, number: int, captured_us: int, state: FrameState) -> int:
+        """Keep a decoded frame; how many that waited are given up because they are too old now."""
+        self.references[number] = state
+        if state.layer == 0 and (self.newest_base is None or number > self.newest_base):
+            self.newest_base = number
+        if self.newest is None or number > self.newest:
+            self.newest, self.newest_us = number, captured_us
+        for known in [n for n in self.references if n < self.newest - MAX_DISTANCE]:
+            del self.references[known]
+        old = [n for n in self.pending if n < self.newest - MAX_DISTANCE]
+        for waiting in old:
+            del self.pending[waiting]
+        return len(old)
+
+    @property
+    def is_broken(self) -> bool:
+        """Whether a base frame waits that nothing newer has replaced."""
+        newest = self.newest_base
+        return any(
+            layer == 0 and (newest is None or number > newest)
+            for number, (_, layer, _) in self.pending.items()
+        )
+
+
 class LatentDecoder:
     """The receiving end of one stream.
 
+    A frame belongs to the *strand* of frames whose count it goes on with. One that fits nowhere (a
+    stream that began anew, a leap of the count) opens a strand if it is a keyframe; the one before
+    is kept until the new one has gone on, so a single stray frame ends nothing.
+
     Attributes:
         needs_keyframe: Whether frames that could be had are lost without one.
-        num_unreferenced: Frames given up because their reference did not come.
+        num_unreferenced: Frames given up because their reference did not come, or was damaged.
     """
 
     def __init__(self, profile: StreamProfile) -> None:
         self.profile = profile
         self.needs_keyframe = True
         self.num_unreferenced = 0
-        self._forget()
-
-    def _forget(self) -> None:
-        # By sequence: what was decoded, as far back as a reference may be, and what waits.
-        self._references: dict[int, FrameState] = {}
-        self._pending: dict[int, tuple[int, int, bytes]] = {}
-        self._newest: int | None = None
+        self._strand = _Strand()
+        self._former: _Strand | None = None
 
     def receive(
         self, sequence: int, captured_us: int, layer: int, is_keyframe: bool, payload: bytes
@@ -337,35 +395,68 @@ class LatentDecoder:
         Raises:
             LatentError: The payload is no frame of this profile; the stream goes on.
         """
-        number = self._unwrap(sequence)
-        if number in self._references or number in self._pending:
+        strand, number = self._place(sequence, captured_us)
+        if strand is None:
+            if not is_keyframe:
+                self.needs_keyframe = True
+                self.num_unreferenced += 1
+                return []
+            strand = _Strand()
+        if number in strand.references or number in strand.pending:
             return []
-        if is_keyframe and self._newest is not None and number > self._newest:
-            # What came before cannot be referred to any more. (A keyframe that was overtaken by
-            # its own successors leaves them alone.)
-            self._references.clear()
         try:
-            frames = [self._decode(number, captured_us, layer, is_keyframe, payload)]
+            frames = [self._decode(strand, number, captured_us, layer, is_keyframe, payload)]
         except MissingReferenceError:
-            self._wait(number, captured_us, layer, payload)
+            self._wait(strand, number, captured_us, layer, payload)
             return []
+        except LatentError:
+            self.needs_keyframe |= layer == 0
+            raise
+        if strand is self._strand:
+            self._former = None
+        else:
+            self._former = self._strand if strand is not self._former else None
+            self._strand = strand
+        frames += self._decode_waiting(strand)
+        if layer == 0 or len(frames) > 1:
+            self.needs_keyframe = strand.is_broken
+        return frames
+
+    def _place(self, sequence: int, captured_us: int) -> tuple[_Strand | None, int]:
+        """The strand that a frame goes on with, and its number there."""
+        for strand in (self._strand, self._former):
+            number = strand.number_of(sequence, captured_us) if strand is not None else None
+            if number is not None:
+                return strand, number
+        return None, sequence
+
+    def _decode_waiting(self, strand: _Strand) -> list[DecodedFrame]:
+        """Decode what waited for the frame that was just decoded, and for each other."""
+        frames = []
         progress = True
-        while progress and self._pending:
+        while progress and strand.pending:
             progress = False
-            for waiting, (captured, its_layer, data) in sorted(self._pending.items()):
+            for number, (captured_us, layer, payload) in sorted(strand.pending.items()):
                 try:
-                    frames.append(self._decode(waiting, captured, its_layer, False, data))
+                    frame = self._decode(strand, number, captured_us, layer, False, payload)
                 except MissingReferenceError:
                     continue
-                except LatentError:
-                    del self._pending[waiting]
-                    raise
-                del self._pending[waiting]
+                except LatentError:  # found out too late to be told: it counts as given up
+                    self.num_unreferenced += 1
+                else:
+                    frames.append(frame)
+                strand.pending.pop(number, None)
                 progress = True
         return frames
 
     def _decode(
-        self, number: int, captured_us: int, layer: int, is_keyframe: bool, payload: bytes
+        self,
+        strand: _Strand,
+        number: int,
+        captured_us: int,
+        layer: int,
+        is_keyframe: bool,
+        payload: bytes,
     ) -> DecodedFrame:
         state, is_still = decode_frame(
             self.profile,
@@ -373,15 +464,9 @@ class LatentDecoder:
             sequence=number,
             layer=layer,
             is_keyframe=is_keyframe,
-            references=self._references,
+            references=strand.references,
         )
-        if layer == 0:
-            self.needs_keyframe = False
-        self._references[number] = state
-        if self._newest is None or number > self._newest:
-            self._newest = number
-            for known in [n for n in self._references if n < number - MAX_DISTANCE]:
-                del self._references[known]
+        self.num_unreferenced += strand.keep(number, captured_us, state)
         count = self.profile.num_components
         pose = (state.coefficients[count:] * POSE_UNIT).astype(np.float32)
         sample = LatentSample(
@@ -392,22 +477,11 @@ class LatentDecoder:
         )
         return DecodedFrame(number % SEQUENCE_MODULUS, captured_us, layer, sample)
 
-    def _wait(self, number: int, captured_us: int, layer: int, payload: bytes) -> None:
-        if layer == 0:
-            self.needs_keyframe = True
-        self._pending[number] = (captured_us, layer, payload)
-        if len(self._pending) > MAX_PENDING:
-            del self._pending[min(self._pending)]
+    def _wait(
+        self, strand: _Strand, number: int, captured_us: int, layer: int, payload: bytes
+    ) -> None:
+        strand.pending[number] = (captured_us, layer, payload)
+        if len(strand.pending) > MAX_PENDING:
+            del strand.pending[min(strand.pending)]
             self.num_unreferenced += 1
-
-    def _unwrap(self, sequence: int) -> int:
-        """The sequence as a number that never wraps; a stream that began anew is forgotten."""
-        if self._newest is None:
-            return sequence
-        half = SEQUENCE_MODULUS // 2
-        ahead = (sequence - self._newest + half) % SEQUENCE_MODULUS - half
-        if ahead < -RESTART_DISTANCE:
-            self._forget()
-            self.needs_keyframe = True
-            return sequence
-        return self._newest + ahead
+        self.needs_keyframe |= strand.is_broken

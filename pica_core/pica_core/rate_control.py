@@ -1,24 +1,24 @@
 """Keep a latent stream at a bitrate, by choosing each frame's quality. Pure: `now_s` is an
 argument.
 
-A window holds what was sent during the last second. Before every base frame the quality moves
-towards where the window would hold the target; a window that is full already refuses upper layers,
-and a quality that is the lowest already leaves nothing else to give.
+A bucket fills with bits at the target rate and holds half a second's worth; frames take theirs out
+of it. A frame may take a share of what is there, a base frame the largest, since others build on
+it: so a face that begins to move spends what a quiet one saved, and grows coarser smoothly as the
+bucket empties. A frame that is too large is coded anew one quality coarser. Of frames that are too
+large at the coarsest quality, upper layers are left out, base frames are sent all the same and the
+bucket is in debt. Quality rises by one a base frame at most: a face that grows finer is a change
+that is seen.
+
+So over any second no more than 1.5 times the target is sent, keyframes on request and base frames
+at the coarsest quality aside.
 """
 
 from __future__ import annotations
 
-import math
-from collections import deque
-
-WINDOW_S = 1.0
-BITS_PER_QUALITY = 1.3
-"""What one quality costs against the next, roughly (measured: docs/results/codec.jsonl)."""
-EAGERNESS = 0.35
-"""Share of the way to the right quality that is gone at once; the bitrate of a face jumps about,
-and a quality that follows every jump flickers."""
-MAX_FRAMES = 1000
-"""Frames remembered; more in a second than any sender sends."""
+CAPACITY_S = 0.5
+"""What the bucket holds, in seconds of the target rate (chosen: a word)."""
+SHARES = (0.5, 0.35, 0.25)
+"""Part of the bucket's content that a frame may take, by layer."""
 
 
 class RateController:
@@ -33,40 +33,34 @@ class RateController:
     def __init__(self, target_bps: float, num_qualities: int, start: int) -> None:
         if not target_bps > 0:
             raise ValueError(f"target_bps is {target_bps}; it must be above 0")
-        self._target_bits = target_bps * WINDOW_S
+        self._target_bps = target_bps
         self._highest = num_qualities - 1
-        self._level = float(start)
-        # Drops its oldest when full.
-        self._sent: deque[tuple[float, int]] = deque(maxlen=MAX_FRAMES)
-        self._begin_s: float | None = None
-
-    def window_bits(self, now_s: float) -> int:
-        """Bits sent during the last second."""
-        while self._sent and self._sent[0][0] <= now_s - WINDOW_S:
-            self._sent.popleft()
-        return sum(bits for _, bits in self._sent)
-
-    def choose(self, now_s: float) -> int:
-        """Move towards the target; the quality for the next base frame and those above it."""
-        bits = self.window_bits(now_s)
-        if self._begin_s is not None and bits:
-            # Until a second has passed, what was sent stands for its share of one.
-            share = min(max((now_s - self._begin_s) / WINDOW_S, 0.1), 1.0)
-            ratio = self._target_bits * share / bits
-            self._level += EAGERNESS * math.log(ratio) / math.log(BITS_PER_QUALITY)
-        self._level = min(max(self._level, 0.0), float(self._highest))
-        return self.quality
+        self._quality = start
+        self._bits = target_bps * CAPACITY_S
+        self._filled_s: float | None = None
 
     @property
     def quality(self) -> int:
-        """The quality chosen last."""
-        return round(self._level)
+        """The quality of the last frame: where the next one of an upper layer begins."""
+        return self._quality
 
-    def has_room(self, now_s: float) -> bool:
-        """Whether the window has room for a frame that could be left out."""
-        return self.window_bits(now_s) < self._target_bits
+    def propose(self, layer: int) -> int:
+        """The finest quality that a frame of a layer may have."""
+        return min(self._quality + (layer == 0), self._highest)
 
-    def sent(self, num_bytes: int, now_s: float) -> None:
-        """Take note of a frame."""
-        self._begin_s = now_s if self._begin_s is None else self._begin_s
-        self._sent.append((now_s, 8 * num_bytes))
+    def has_room(self, num_bytes: int, layer: int, now_s: float) -> bool:
+        """Whether a frame of this size is within its share."""
+        self._fill(now_s)
+        return 8 * num_bytes <= SHARES[layer] * self._bits
+
+    def sent(self, num_bytes: int, quality: int, now_s: float) -> None:
+        """Take a frame out of the bucket; it may owe as much as it holds."""
+        self._fill(now_s)
+        self._quality = quality
+        self._bits = max(self._bits - 8 * num_bytes, -self._target_bps * CAPACITY_S)
+
+    def _fill(self, now_s: float) -> None:
+        if self._filled_s is not None:
+            gained = max(now_s - self._filled_s, 0.0) * self._target_bps
+            self._bits = min(self._bits + gained, self._target_bps * CAPACITY_S)
+        self._filled_s = now_s

@@ -46,6 +46,9 @@ QUALITY_BITS = 4
 """A keyframe states its quality in so many bits."""
 REST_LENGTH_BITS = 4
 """What lies beyond an escape is written as its length in bits, so many, and then itself."""
+MAX_REST_BITS = 13
+MAX_RESIDUAL = ESCAPE + (1 << (MAX_REST_BITS + 1)) - 2
+"""Largest magnitude that an escape and its rest can say."""
 DEAD_ZONE_BITS = 6
 
 _ACTIVITY_LEVEL = bytes(
@@ -265,7 +268,7 @@ def _write_residuals(
         if magnitude >= ESCAPE:
             rest = magnitude - ESCAPE + 1
             length = rest.bit_length() - 1
-            if length > 13:
+            if length > MAX_REST_BITS:
                 raise LatentError(f"a residual of {value} steps is beyond what a frame can hold")
             ranges.append(uniform(length, REST_LENGTH_BITS))
             ranges.append(uniform(rest - (1 << length), length))
@@ -295,8 +298,8 @@ def _read_residuals(
             magnitude = (symbol + 1) >> 1
             if magnitude >= ESCAPE:
                 length = reader.read_uniform(REST_LENGTH_BITS)
-                if length > 13:
-                    raise LatentError(f"a residual of {length} bits; the limit is 13")
+                if length > MAX_REST_BITS:
+                    raise LatentError(f"a residual of {length} bits; the limit is {MAX_REST_BITS}")
                 magnitude += (1 << length) + reader.read_uniform(length) - 1
             values[place] = magnitude if symbol & 1 else -magnitude
             activity += magnitude

@@ -1,0 +1,53 @@
+"""A sheet of faces as profiles show them, each with its difference from what it should be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image as Pillow
+from PIL import ImageDraw
+
+from pica_client.output import writing
+
+Image = npt.NDArray[np.uint8]
+
+COLUMNS = 6
+CAPTION_PX = 16
+AMPLIFIED = 8
+"""Factor on differences, so that 4 of 255 can be seen."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cell:
+    """One profile."""
+
+    caption: str
+    wanted: Image
+    """uint8 ``[H, W, 3]``."""
+    shown: Image
+
+
+def write_sheet(path: Path, cells: Sequence[Cell]) -> None:
+    """Write the sheet as PNG: each face above its difference, captions on top.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    height, width = cells[0].shown.shape[:2]
+    tall = CAPTION_PX + 2 * height
+    rows = -(-len(cells) // COLUMNS)
+    sheet = Pillow.new("RGB", (COLUMNS * width, rows * tall), (24, 26, 30))
+    pen = ImageDraw.Draw(sheet)
+    for index, cell in enumerate(cells):
+        x, y = index % COLUMNS * width, index // COLUMNS * tall
+        difference = AMPLIFIED * np.abs(cell.shown.astype(np.int16) - cell.wanted)
+        pen.text((x + 4, y + 2), cell.caption, fill=(225, 225, 225))
+        sheet.paste(Pillow.fromarray(cell.shown), (x, y + CAPTION_PX))
+        shade = Pillow.fromarray(np.minimum(difference, 255).astype(np.uint8))
+        sheet.paste(shade, (x, y + CAPTION_PX + height))
+    with writing(path):
+        sheet.save(path)
