@@ -11,6 +11,7 @@ says otherwise a figure is of the troubled third of the run:
     mse_now          against the true face now, so with the delay of network and playout in it.
     added_delay_ms   age of the face on the display beyond the fastest transit, over all refreshes.
     concealed_ratio  share of refreshes for which the frame to show was not there.
+    longest_gap_ms   the longest time without such a frame.
     late             frames that came after a newer one had been shown.
     recovery_ms      from the end of the trouble to the last refresh that was still concealed; 0 if
                      there was none, None if that lasts to the end of the run.
@@ -32,6 +33,7 @@ refreshes, and people: performances and avatars are synthetic.
 
 from __future__ import annotations
 
+import itertools
 import math
 import sys
 from collections.abc import Sequence
@@ -200,6 +202,7 @@ class Judge:
             "added_delay_ms_p50": round(percentile(added_s, 50) * 1e3, 1),
             "added_delay_ms_p95": round(percentile(added_s, 95) * 1e3, 1),
             "concealed_ratio": round(float(np.mean([_is_concealed(tick) for tick in troubled])), 4),
+            "longest_gap_ms": self._longest_gap_ms(troubled),
             "late": late[1] - late[0],
             **self._recovery(ticks, delivery),
             "largest_step": self._largest_step(ticks),
@@ -215,6 +218,12 @@ class Judge:
             rendered_mse(drawn, self._true_drawing(round(meant_s * 1e6))),
             rendered_mse(drawn, self._true_drawing(round(tick.now_s * 1e6))),
         )
+
+    def _longest_gap_ms(self, ticks: Sequence[Tick]) -> float:
+        """The longest run of concealed refreshes."""
+        runs = itertools.groupby(ticks, key=_is_concealed)
+        longest = max((sum(1 for _ in run) for is_gap, run in runs if is_gap), default=0)
+        return round(longest / self._schedule.display_hz * 1e3, 1)
 
     def _recovery(self, ticks: Sequence[Tick], delivery: Delivery) -> dict[str, float | None]:
         schedule = self._schedule

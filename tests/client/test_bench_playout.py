@@ -33,6 +33,9 @@ def test_rows_are_repeatable_and_compare_every_policy() -> None:
     assert calm["added_delay_ms_p50"] == pytest.approx(100, abs=1)
     assert calm["recovery_ms"] == 0
     assert stalled["concealed_ratio"] > 0.02
+    # 300 ms of silence and up to one frame interval, less the 100 ms that were in the buffer.
+    assert stalled["longest_gap_ms"] == pytest.approx(217, abs=20)
+    assert calm["longest_gap_ms"] == 0
     assert stalled["mse_shown"] > calm["mse_shown"]
     # A delay of 100 ms shows in the error against the face now, not in that against its moment.
     assert calm["mse_now"] > rows["jitter-0", "unbuffered"]["mse_now"]
