@@ -251,8 +251,16 @@ def _without_tables(
         table_index=np.zeros((NUM_TYPES, count + NUM_POSE, NUM_CONTEXTS), np.uint8),
         header_tables=np.stack([_frequencies(np.ones(NUM_HEADERS))] * NUM_TYPES),
         distance_tables=_distance_tables(),
-        quality_table=_frequencies(np.where(np.arange(len(steps)) == 0, 400.0, 1.0)),
+        quality_table=_quality_table(len(steps)),
     )
+
+
+def _quality_table(count: int) -> npt.NDArray[np.uint16]:
+    """Quality mostly stays, and where a bitrate is kept goes by one (chosen)."""
+    weights = np.full(count, 0.5)
+    weights[0] = 100.0
+    weights[[1 % count, -1]] = np.maximum(weights[[1 % count, -1]], 6.0)
+    return _frequencies(weights)
 
 
 def _distance_tables() -> npt.NDArray[np.uint16]:
