@@ -35,16 +35,17 @@ from pica_protocol.limits import MAX_LAYER
 MAX_WAITING_UPPER: Final = 3
 """Upper-layer frames of a stream that may wait: those between two base frames when there are three
 dyadic layers (chosen)."""
-MAX_WAITING_BASE: Final = 40
+MAX_WAITING_BASE: Final = 104
 """Base-layer frames that may wait: a chain of ``MAX_CHAIN_FRAMES`` and a second at 7.5 a second."""
 MAX_WAITING_BYTES: Final = 6144
 """Bytes of a stream that may wait, headers included; a single frame always may."""
 MAX_WAITING_S: Final = 0.5
 """Age of the oldest base frame that waits when the stream is cut (chosen: later than that, a fresh
 keyframe comes sooner than the rest of the queue over the link that was too slow for it)."""
-MAX_CHAIN_FRAMES: Final = 32
+MAX_CHAIN_FRAMES: Final = 96
 MAX_CHAIN_BYTES: Final = 4096
-"""What a relay keeps of a stream for latecomers: a keyframe and the base frames since."""
+"""What a relay keeps of a stream for latecomers: a keyframe and the base frames since (chosen: of
+some forty bytes with their header, at 7.5 a second, and a keyframe each ten seconds)."""
 
 MIN_PROBATION: Final = 8
 MAX_PROBATION: Final = 256

@@ -115,14 +115,16 @@ async def test_many_latecomers_to_a_long_chain_cost_one_keyframe_together() -> N
     delay_s = 0.040
     for name in ("far", "relay"):
         current_network().route(name, up=Link(delay_s=delay_s), down=Link(delay_s=delay_s))
-    async with Relay(RelayConfig()) as relay, publishing(seconds=12) as ada:
-        await asyncio.sleep(10)  # 75 base frames
+    async with Relay(RelayConfig()) as relay, publishing(seconds=17) as ada:
+        await asyncio.sleep(15)  # 112 base frames
         start = now()
         async with asyncio.TaskGroup() as guests:
             for i in range(10):
                 guests.create_task(check_late_guest(f"Guest {i}", start, delay_s))
         assert ada.num_keyframes == 2
-        assert relay.stats()["keyframe_requests"] == {"keyless": 1, "withheld": 9}
+        requests = relay.stats()["keyframe_requests"]
+        assert requests["keyless"] == 1
+        assert requests["withheld"] >= 9  # asked again with each base frame until it came
 
 
 async def check_late_guest(name: str, start: float, delay_s: float) -> None:

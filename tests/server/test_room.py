@@ -93,7 +93,7 @@ def test_a_keyframe_and_what_followed_is_kept_as_long_as_its_stream() -> None:
     assert room.stream(1) is None
 
 
-@pytest.mark.parametrize(("num_bytes", "num_kept"), [(1, 31), (1000, 4)])
+@pytest.mark.parametrize(("num_bytes", "num_kept"), [(1, 95), (1000, 4)])
 def test_a_chain_that_grows_too_long_is_given_up_but_for_its_keyframe(
     num_bytes: int, num_kept: int
 ) -> None:
