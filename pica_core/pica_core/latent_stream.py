@@ -317,35 +317,52 @@ class _Strand:
 
     references: dict[int, FrameState] = field(default_factory=dict)
     """Decoded frames by number, as far back as a reference may be."""
+    captured_us: dict[int, int] = field(default_factory=dict)
+    """Their capture times."""
     pending: dict[int, tuple[int, int, bytes]] = field(default_factory=dict)
     """Capture time, layer and payload of frames whose reference is not there, by number."""
     newest: int | None = None
     newest_us: int = 0
     newest_base: int | None = None
 
-    def number_of(self, sequence: int, captured_us: int) -> int | None:
-        """The sequence as a number that never wraps; None if it cannot be of this count."""
+    def number_of(self, sequence: int) -> int | None:
+        """The sequence as a number that never wraps; None if it is too far away."""
         if self.newest is None:
             return sequence
         half = SEQUENCE_MODULUS // 2
         ahead = (sequence - self.newest + half) % SEQUENCE_MODULUS - half
-        if not -MAX_DISTANCE <= ahead <= MAX_AHEAD or (ahead <= 0 and captured_us > self.newest_us):
-            return None
-        return self.newest + ahead
+        return self.newest + ahead if -MAX_DISTANCE <= ahead <= MAX_AHEAD else None
+
+    def contradicts(self, number: int, captured_us: int) -> bool:
+        """Whether a frame of this number was captured when no frame of this count can have been:
+        it is of another life of the stream."""
+        if number in self.pending:
+            return self.pending[number][0] != captured_us
+        if number in self.captured_us:
+            return self.captured_us[number] != captured_us
+        return self.newest is not None and number < self.newest and captured_us > self.newest_us
 
     def keep(self, number: int, captured_us: int, state: FrameState) -> int:
         """Keep a decoded frame; how many that waited are given up because they are too old now."""
-        self.references[number] = state
+        self.references[number], self.captured_us[number] = state, captured_us
         if state.layer == 0 and (self.newest_base is None or number > self.newest_base):
             self.newest_base = number
         if self.newest is None or number > self.newest:
             self.newest, self.newest_us = number, captured_us
         for known in [n for n in self.references if n < self.newest - MAX_DISTANCE]:
-            del self.references[known]
+            del self.references[known], self.captured_us[known]
         old = [n for n in self.pending if n < self.newest - MAX_DISTANCE]
         for waiting in old:
             del self.pending[waiting]
         return len(old)
+
+    def end(self) -> int:
+        """Let nothing build on this any more; how many frames that waited are given up."""
+        num_waiting = len(self.pending)
+        self.references.clear()
+        self.captured_us.clear()
+        self.pending.clear()
+        return num_waiting
 
     @property
     def is_broken(self) -> bool:
@@ -362,7 +379,9 @@ class LatentDecoder:
 
     A frame belongs to the *strand* of frames whose count it goes on with. One that fits nowhere (a
     stream that began anew, a leap of the count) opens a strand if it is a keyframe; the one before
-    is kept until the new one has gone on, so a single stray frame ends nothing.
+    is kept until the new one has gone on, so a single stray keyframe ends nothing. Any other frame
+    that fits nowhere is dropped, and if its number is near but its capture time cannot be, then
+    the stream began anew and its keyframe was lost: nothing must build on the strand any more.
 
     Attributes:
         needs_keyframe: Whether frames that could be had are lost without one.
@@ -395,13 +414,11 @@ class LatentDecoder:
         Raises:
             LatentError: The payload is no frame of this profile; the stream goes on.
         """
-        strand, number = self._place(sequence, captured_us)
+        strand, number = self._place(sequence, captured_us, is_keyframe)
         if strand is None:
-            if not is_keyframe:
-                self.needs_keyframe = True
-                self.num_unreferenced += 1
-                return []
-            strand = _Strand()
+            self.needs_keyframe = True
+            self.num_unreferenced += 1
+            return []
         if number in strand.references or number in strand.pending:
             return []
         try:
@@ -422,12 +439,27 @@ class LatentDecoder:
             self.needs_keyframe = strand.is_broken
         return frames
 
-    def _place(self, sequence: int, captured_us: int) -> tuple[_Strand | None, int]:
-        """The strand that a frame goes on with, and its number there."""
+    @property
+    def num_kept(self) -> int:
+        """Frames in memory: references, and those that wait."""
+        strands = (self._strand, self._former or _Strand())
+        return sum(len(strand.references) + len(strand.pending) for strand in strands)
+
+    def _place(
+        self, sequence: int, captured_us: int, is_keyframe: bool
+    ) -> tuple[_Strand | None, int]:
+        """The strand that a frame goes on with or opens, and its number there."""
+        contradicted = []
         for strand in (self._strand, self._former):
-            number = strand.number_of(sequence, captured_us) if strand is not None else None
-            if number is not None:
+            number = strand.number_of(sequence) if strand is not None else None
+            if strand is None or number is None:
+                continue
+            if not strand.contradicts(number, captured_us):
                 return strand, number
+            contradicted.append(strand)
+        if is_keyframe:
+            return _Strand(), sequence
+        self.num_unreferenced += sum(strand.end() for strand in contradicted)
         return None, sequence
 
     def _decode_waiting(self, strand: _Strand) -> list[DecodedFrame]:
