@@ -8,6 +8,9 @@ says otherwise a figure is of the troubled third of the run:
     mse_shown        against the true face at the moment that the policy means to show: the refresh
                      less the fastest transit less the policy's own delay. What interpolation,
                      concealment and missing frames cost; a constant delay costs nothing.
+    mse_expression   the same with the head where it truly was: what is wrong with the face itself.
+                     A head that is off by a tenth of a pixel already costs more MSE than anybody
+                     sees.
     mse_now          against the true face now, so with the delay of network and playout in it.
     added_delay_ms   age of the face on the display beyond the fastest transit, over all refreshes.
     concealed_ratio  share of refreshes for which the frame to show was not there.
@@ -71,6 +74,7 @@ POSE_WEIGHT = 3.0
 are drawn (chosen: only the order of candidates depends on it)."""
 
 CODECS = ("coded", "plain")
+MSE_FIGURES = ("mse_shown", "mse_expression", "mse_now")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -197,8 +201,10 @@ class Judge:
         errors = [self._errors(tick, delivery) for tick in troubled[:: self._every]]
         late = [tick.report.late for tick in (troubled[0], troubled[-1])]
         return {
-            "mse_shown": round(float(np.mean([shown for shown, _ in errors])), 3),
-            "mse_now": round(float(np.mean([now for _, now in errors])), 3),
+            **{
+                name: round(float(mean), 3)
+                for name, mean in zip(MSE_FIGURES, np.mean(errors, axis=0), strict=True)
+            },
             "added_delay_ms_p50": round(percentile(added_s, 50) * 1e3, 1),
             "added_delay_ms_p95": round(percentile(added_s, 95) * 1e3, 1),
             "concealed_ratio": round(float(np.mean([_is_concealed(tick) for tick in troubled])), 4),
@@ -208,14 +214,19 @@ class Judge:
             "largest_step": self._largest_step(ticks),
         }
 
-    def _errors(self, tick: Tick, delivery: Delivery) -> tuple[float, float]:
-        """MSE against the face that was meant to be shown, and against the face now."""
+    def _errors(self, tick: Tick, delivery: Delivery) -> tuple[float, float, float]:
+        """One refresh's `MSE_FIGURES`."""
         if tick.played is None:
             raise OptionError("nothing is shown in the troubled third; let the run be longer")
-        drawn = self._draw(tick.played.sample)
-        meant_s = tick.now_s - delivery.base_delay_s - tick.report.delay_s
+        shown = tick.played.sample
+        drawn = self._draw(shown)
+        meant_us = round((tick.now_s - delivery.base_delay_s - tick.report.delay_s) * 1e6)
+        pose = self._face(meant_us / 1e6)
+        expression = self._renderer.draw(shown.latent, pose.rotation, pose.translation_m)
+        meant = self._true_drawing(meant_us)
         return (
-            rendered_mse(drawn, self._true_drawing(round(meant_s * 1e6))),
+            rendered_mse(drawn, meant),
+            rendered_mse(expression, meant),
             rendered_mse(drawn, self._true_drawing(round(tick.now_s * 1e6))),
         )
 
