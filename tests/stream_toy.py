@@ -112,8 +112,14 @@ class Sent:
 class Publisher:
     """An encoder with what it sent and what it believes the receivers see."""
 
-    def __init__(self, config: StreamConfig | None = None, *, first_number: int = 0) -> None:
-        self.encoder = LatentEncoder(toy_profile(), config)
+    def __init__(
+        self,
+        config: StreamConfig | None = None,
+        *,
+        first_number: int = 0,
+        profile: StreamProfile | None = None,
+    ) -> None:
+        self.encoder = LatentEncoder(profile or toy_profile(), config)
         self.sent: list[Sent] = []
         self._first = first_number
 

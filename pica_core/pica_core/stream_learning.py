@@ -23,9 +23,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.errors import ProfileError, ShapeError
-from pica_core.latent_stream import LAYER_PATTERNS, ROUNDING
+from pica_core.latent_stream import LAYER_PATTERNS, rounding_by_type
 from pica_core.range_coder import TOTAL
-from pica_core.spec import NUM_LATENT
+from pica_core.spec import LATENT_SHAPE, NUM_LATENT
 from pica_core.stream_frames import (
     HAS_LATENT,
     HAS_POSE,
@@ -43,6 +43,7 @@ from pica_core.stream_profile import (
     ESCAPE,
     LATENT_BITS,
     MAX_DISTANCE,
+    MAX_LATENT,
     MAX_SYNTHESIS_SHIFT,
     NUM_CONTEXTS,
     NUM_HEADERS,
@@ -67,6 +68,8 @@ POSE_GAINS = (0, 54, 28, 14, 28)
 """By frame type: a head goes on as it moved, less an eighth. A base frame looks as far ahead as its
 reference did, the middle one half as far, the top one a quarter or half."""
 TRAINING_QUALITIES = (1, 3, 4, 6)
+MIN_LATENTS = 100
+"""Fewer say nothing about what is likely."""
 LEAST_GAIN = 1e-3
 """Directions of less effect on the image than this share of the strongest count as that strong."""
 
@@ -124,12 +127,7 @@ def learn_profile(
         ProfileError: Latents or a metric that no profile can hold.
     """
     config = config or LearningConfig()
-    codes = [np.asarray(s, np.float64).reshape(len(s), -1) for s in sequences]
-    if any(c.shape[1] != NUM_LATENT for c in codes) or sum(map(len, codes)) < 100:
-        raise ShapeError(
-            f"sequences hold {sum(map(len, codes))} latents; [T, {NUM_LATENT}] each and "
-            "100 together are needed"
-        )
+    codes = _checked(sequences, metric)
     rng = np.random.default_rng(config.seed)
     mean = np.concatenate(codes).mean(axis=0)
     forward, backward = _transform(codes, mean, metric, config, rng)
@@ -143,6 +141,31 @@ def learn_profile(
         "header_tables": np.stack([_frequencies(row + 0.5) for row in counts.headers]),
     }
     return StreamProfile(**{name: np.array(array) for name, array in arrays.items()})
+
+
+def _checked(
+    sequences: Sequence[npt.NDArray[np.floating[Any]]], metric: RenderMetric
+) -> list[Float64Array]:
+    """The sequences as ``[T, 256]``, if they and the metric can be learned from."""
+    shapes = [np.shape(sequence) for sequence in sequences]
+    length = len(LAYER_PATTERNS[3])
+    if (
+        any(s[1:] not in (LATENT_SHAPE, (NUM_LATENT,)) or s[0] <= length for s in shapes)
+        or sum(s[0] for s in shapes) < MIN_LATENTS
+    ):
+        raise ShapeError(
+            f"sequences are {shapes[:3]}...; [T, {NUM_LATENT}] of more than {length} each and "
+            f"{MIN_LATENTS} together are needed"
+        )
+    codes = [np.asarray(s, np.float64).reshape(-1, NUM_LATENT) for s in sequences]
+    largest = MAX_LATENT >> LATENT_BITS
+    if not all((np.abs(code) <= largest).all() for code in codes):  # nor is NaN
+        raise ProfileError(f"sequences hold latents that are not finite or beyond {largest}")
+    if not (np.isfinite(metric.gram).all() and np.isfinite(metric.directions).all()):
+        raise ProfileError("the metric is not finite")
+    if not metric.gram.any():
+        raise ProfileError("the metric is 0: the image does not change with the latent")
+    return codes
 
 
 def _transform(
@@ -317,6 +340,7 @@ def _frames(
 ) -> Iterator[tuple[int, npt.NDArray[np.int64], npt.NDArray[np.int64]]]:
     """Frame type, motion levels and quantised residuals of a stream, with a keyframe a second."""
     pattern = LAYER_PATTERNS[3]
+    rounding = rounding_by_type(profile.num_components)
     base: FrameState | None = None
     lower: FrameState | None = None
     for number, values in enumerate(wanted):
@@ -326,9 +350,8 @@ def _frames(
             reference = None
         kind = frame_type(layer, reference)
         expected = predict(profile, kind, reference)
-        rounding = ROUNDING if reference is not None else 32
         steps = profile.steps[quality]
-        quantised = quantise(values - expected, steps, rounding)
+        quantised = quantise(values - expected, steps, rounding[kind])
         yield kind, motion_levels(profile, quality, reference), quantised
         found = expected + quantised * steps
         motion = np.zeros_like(found) if reference is None else found - reference.coefficients
