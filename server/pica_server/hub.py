@@ -41,6 +41,7 @@ from pica_server.stats import RelayStats
 from pica_server.tokens import Admission
 
 SOFTWARE = "pica-relay"
+_KNOWN_CODES = frozenset(map(int, CloseCode))
 
 
 class Hub:
@@ -375,7 +376,8 @@ class Hub:
         assert closed is not None
         if self._connections.pop(connection.peer_id, None) is None:
             return
-        self.stats.closed[int(closed.code)] += 1
+        # A peer may name any code; each that is counted apart is a line of the metrics for ever.
+        self.stats.closed[closed.code if closed.code in _KNOWN_CODES else 0] += 1
         if connection.address:
             self._by_address[connection.address] -= 1
             if self._by_address[connection.address] <= 0:

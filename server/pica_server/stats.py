@@ -80,7 +80,7 @@ class RelayStats:
     ``connections`` in all, ``address``, ``room``, ``control`` left unread; ``admission``,
     a join that its token did not allow; ``sockets`` that were cut at once."""
     closed: Counter[int] = field(default_factory=Counter)
-    """Connections ended, by close code."""
+    """Connections ended, by close code; 0 is any code that is not ours."""
     reported_lost: int = 0
     """Frames that receivers reported missing."""
     reported_concealed: int = 0

@@ -298,6 +298,13 @@ def test_whispers_do_not_get_a_slow_reader_closed() -> None:
     assert hub.stats.whispers_dropped["backlog"] > 0
 
 
+def test_close_codes_that_peers_make_up_are_counted_together() -> None:
+    hub, members = hub_with("Ada", "Bob", "Cyd")
+    for member, code in zip(members, (3001, 4444, 1000), strict=True):
+        hub.receive(member.connection, encode_message(Bye(code=code)), now=1.0)
+    assert hub.stats.closed == {0: 2, 1000: 1}
+
+
 def test_a_message_after_the_end_is_ignored() -> None:
     hub, (ada, bob) = hub_with("Ada", "Bob")
     hub.close(ada.connection, CloseCode.INTERNAL_ERROR, "test", now=1.0)
