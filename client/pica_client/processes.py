@@ -112,8 +112,11 @@ class Children:
         self._children.append(child)
         return child
 
-    def start_relay(self) -> tuple[Child, str]:
+    def start_relay(self, *arguments: str) -> tuple[Child, str]:
         """Start a relay on a free port and wait until it listens.
+
+        Args:
+            arguments: Further arguments of ``pica relay``.
 
         Returns:
             The process and its address.
@@ -122,7 +125,7 @@ class Children:
             CallProcessError: It ended, or did not listen in time.
         """
         ready = self.folder / "relay.url"
-        relay = self.start("relay", "relay", "--port", "0", "--ready-file", str(ready))
+        relay = self.start("relay", "relay", "--port", "0", "--ready-file", str(ready), *arguments)
         deadline = time.monotonic() + START_TIMEOUT_S
         while not ready.exists():
             relay.check_alive_or_done()

@@ -1,0 +1,210 @@
+"""The processes of a relay bench: servers and swarms, each on its core, and what they cost."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Self
+
+from pica_client.errors import CallProcessError, OptionError
+
+START_TIMEOUT_S = 20.0
+"""For a process to say its first word."""
+STOP_TIMEOUT_S = 5.0
+"""For all processes together to end when asked; then they are killed."""
+
+
+class Worker:
+    """A Python module in a process of its own, spoken to over its standard input and output.
+
+    It ends when its input does.
+    """
+
+    def __init__(self, module: str, *arguments: str, core: int | None = None) -> None:
+        self.name = module.rpartition(".")[2]
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", module, *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            # Ctrl-C in a terminal goes to the parent, which ends its children in good order.
+            start_new_session=True,
+        )
+        pin(self._process.pid, core)
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self._process.pid
+
+    def order(self, **order: Any) -> None:
+        """Send an order.
+
+        Raises:
+            CallProcessError: It has ended.
+        """
+        try:
+            self._in.write(json.dumps(order).encode() + b"\n")
+            self._in.flush()
+        except OSError as error:
+            raise self._failure() from error
+
+    def answer(self, timeout_s: float) -> dict[str, Any]:
+        """Wait for the answer to an order.
+
+        Raises:
+            CallProcessError: It has ended, or says nothing.
+            OptionError: It refuses its configuration.
+        """
+        answer = json.loads(self.line(timeout_s))
+        if "error" in answer:
+            raise OptionError(answer["error"])
+        return dict(answer)
+
+    def line(self, timeout_s: float) -> str:
+        """Wait for a line of its output.
+
+        Raises:
+            CallProcessError: It has ended, or says nothing.
+        """
+        assert self._process.stdout is not None
+        ready, _, _ = select.select([self._process.stdout], [], [], timeout_s)
+        line = self._process.stdout.readline() if ready else b""
+        if not line.endswith(b"\n"):
+            raise self._failure()
+        return line.decode().strip()
+
+    def let_go(self) -> None:
+        """End its input."""
+        with contextlib.suppress(OSError):
+            self._in.close()
+
+    def wait(self, deadline: float) -> None:
+        """Wait for its end until `deadline` (`time.monotonic`), then kill it."""
+        try:
+            self._process.wait(max(deadline - time.monotonic(), 0.0))
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        assert self._process.stdout is not None
+        self._process.stdout.close()
+
+    @property
+    def _in(self) -> IO[bytes]:
+        assert self._process.stdin is not None
+        return self._process.stdin
+
+    def _failure(self) -> CallProcessError:
+        code = self._process.poll()
+        how = "says nothing" if code is None else f"ended with status {code}"
+        return CallProcessError(f"{self.name} {how}")
+
+
+class Workers:
+    """A group of workers; leaving the ``with`` block ends all of them."""
+
+    def __init__(self) -> None:
+        self._workers: list[Worker] = []
+
+    def start(self, module: str, *arguments: str, core: int | None = None) -> Worker:
+        """Start a module of this package."""
+        worker = Worker(f"pica_client.{module}", *arguments, core=core)
+        self._workers.append(worker)
+        return worker
+
+    def stop(self, workers: Iterable[Worker]) -> None:
+        """End some of them."""
+        ending = list(workers)
+        for worker in ending:
+            worker.let_go()
+        deadline = time.monotonic() + STOP_TIMEOUT_S
+        for worker in ending:
+            worker.wait(deadline)
+            self._workers.remove(worker)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.stop(self._workers)
+
+
+def share_cores() -> tuple[int | None, list[int | None]]:
+    """Choose a core for the server and those for the load; None where nothing can be pinned."""
+    if not hasattr(os, "sched_getaffinity"):
+        return None, [None]
+    cores = sorted(os.sched_getaffinity(0))
+    if len(cores) < 2:
+        return None, [None]
+    return cores[-1], list(cores[:-1])
+
+
+def pin(pid: int, core: int | None) -> None:
+    """Let a process run on one core."""
+    if core is not None:
+        os.sched_setaffinity(pid, {core})
+
+
+def cpu_s(pid: int) -> float | None:
+    """Processor time that a process has used, of user and system; None where that is not told."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return None
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def memory_bytes(pid: int, field: str = "VmRSS") -> int | None:
+    """Resident memory of a process, or with "VmHWM" its peak; None where that is not told."""
+    try:
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    except OSError:
+        return None
+    for line in lines:
+        name, _, value = line.partition(":")
+        if name == field:
+            return int(value.split()[0]) * 1024
+    return None
+
+
+def relay_metrics(url: str) -> dict[str, float]:
+    """What the relay itself counts, by Prometheus name and labels; empty if it does not tell us."""
+    page = url.replace("ws", "http", 1).rstrip("/") + "/metrics"
+    try:
+        opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+        with opener.open(page, timeout=5.0) as response:
+            text = response.read(1 << 20).decode()
+    except (OSError, ValueError):
+        return {}
+    values = {}
+    for line in text.splitlines():
+        name, _, value = line.rpartition(" ")
+        if name and not line.startswith("#"):
+            values[name] = float(value)
+    return values
+
+
+def summed(metrics: Mapping[str, float], name: str) -> float:
+    """Return the sum of a family over its labels."""
+    return sum(
+        value for key, value in metrics.items() if key == name or key.startswith(f"{name}{{")
+    )
+
+
+def split_evenly(items: Sequence[str], num_parts: int) -> list[list[str]]:
+    """Deal items to parts in turn."""
+    return [list(items[part::num_parts]) for part in range(num_parts)]
