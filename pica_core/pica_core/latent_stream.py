@@ -46,17 +46,29 @@ from pica_core.stream_frames import (
     predict,
     quantise,
 )
-from pica_core.stream_profile import MAX_COEFFICIENT, MAX_DISTANCE, POSE_BITS, StreamProfile
+from pica_core.stream_profile import (
+    MAX_COEFFICIENT,
+    MAX_DISTANCE,
+    NUM_POSE,
+    POSE_BITS,
+    StreamProfile,
+)
 
 LAYER_PATTERNS: dict[int, tuple[int, ...]] = {1: (0,), 2: (0, 1), 3: (0, 2, 1, 2)}
 """Layers of successive frames, by the number of layers."""
 LEAST_BASE_FPS = 5.0
 """A stream has no more layers than leave this many base frames a second: below, a face that lost
 its upper layers is a slide show."""
-ROUNDING = 22
-"""Rounding of residuals in 64ths: a dead zone of 0.66 steps to each side. 32 would be to the
-nearest, at 12 % more bits for 9 % less error; below 20 the error grows faster than the bits fall
-(measured: docs/results/log.md)."""
+ROUNDING = (32, 22, 22, 22, 22)
+POSE_ROUNDING = (32, 32, 24, 12, 12)
+"""Rounding of residuals in 64ths, by frame type: 32 is to the nearest, less leaves a dead zone. On
+the latent a dead zone of 0.66 steps to each side saves 12 % of the bits for 9 % more error; below
+20 the error grows faster than the bits fall. On the pose it would let the head stick and slip, so
+base frames round to the nearest; between them a head moves evenly, and a frame that only says so
+again is not worth its bits (measured: docs/results/log.md)."""
+QUIET_ROUNDING = 22
+"""The same for telling whether a face is still: what no frame would say must not keep it awake, so
+no more than any of a base frame's."""
 DEFAULT_QUALITY = 3
 MAX_PENDING = 8
 """Frames that wait for their reference; beyond it the oldest is given up."""
@@ -118,6 +130,17 @@ class StreamConfig:
         )
 
 
+def rounding_by_type(num_components: int) -> IntArray:
+    """What is added before residuals are cut off, in 64ths of a step. int64 ``[types, C]``."""
+    return np.array(
+        [
+            [latent] * num_components + [pose] * NUM_POSE
+            for latent, pose in zip(ROUNDING, POSE_ROUNDING, strict=True)
+        ],
+        np.int64,
+    )
+
+
 class LatentEncoder:
     """The sending end of one stream."""
 
@@ -135,6 +158,7 @@ class LatentEncoder:
                 f"this avatar has 0 to {profile.num_qualities - 1}"
             )
         self._pattern = LAYER_PATTERNS[self.config.layers]
+        self._rounding = rounding_by_type(profile.num_components)
         self._controller: RateController | None = None
         if self.config.target_bps is not None:
             self._controller = RateController(
@@ -248,7 +272,7 @@ class LatentEncoder:
         else:
             assert reference is not None
             expected = reference.coefficients
-        rounding = ROUNDING if reference is not None else 32
+        rounding = QUIET_ROUNDING if kind is None else self._rounding[kind]
         return quantise(wanted - expected, self.profile.steps[quality], rounding)
 
     @property

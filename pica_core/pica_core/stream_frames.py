@@ -98,7 +98,7 @@ def predict(profile: StreamProfile, kind: int, reference: FrameState | None) -> 
     return prediction
 
 
-def quantise(residual: IntArray, steps: npt.NDArray[Any], rounding: int) -> IntArray:
+def quantise(residual: IntArray, steps: npt.NDArray[Any], rounding: int | IntArray) -> IntArray:
     """Residuals in steps; `rounding` / 64 is added before cutting off, 32 is to the nearest."""
     magnitudes = ((np.abs(residual) << DEAD_ZONE_BITS) + rounding * steps) // (
         steps << DEAD_ZONE_BITS

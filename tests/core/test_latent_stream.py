@@ -410,6 +410,22 @@ def test_a_still_face_falls_silent_but_for_a_heartbeat_a_second(fps: float) -> N
     assert 8 * sum(len(frame.payload) for frame in beats) / 30 < 30
 
 
+@settings(max_examples=60)
+@given(seed=st.integers(0, 10_000), quality=st.integers(0, 7), layers=st.integers(1, 3))
+def test_any_face_that_does_not_change_falls_silent(seed: int, quality: int, layers: int) -> None:
+    publisher = Publisher(StreamConfig(quality=quality, num_layers=layers))
+    poses = np.random.default_rng(seed).normal(0, 0.2, (1, 2, 3))
+    publisher.show_all(toy_faces(seed, 9)[5:], toy_pose(seed, 4))
+    publisher.show_all(np.repeat(toy_faces(seed, 1, 2.0), 24, 0), np.repeat(poses, 24, 0))
+    begin = len(publisher.sent)
+    publisher.show_all(np.repeat(toy_faces(seed, 1, 2.0), 60, 0), np.repeat(poses, 60, 0))
+    assert len(publisher.sent) - begin <= 3
+    # The pose of a head at rest is as good as its steps: half of one, before the last finer frame.
+    steps = toy_profile().steps[quality]
+    errors = poses.reshape(-1) * 2**14 - publisher.sent[-1].state.coefficients[-6:]
+    assert (np.abs(errors) <= 0.67 * steps[-6:]).all()
+
+
 def test_the_last_frame_before_a_silence_is_finer_and_says_so() -> None:
     publisher = Publisher(StreamConfig(quality=3))
     sent = rest(publisher, 2)
