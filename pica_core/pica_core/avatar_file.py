@@ -156,7 +156,8 @@ def save_avatar(
             be written.
     """
     where = str(path)
-    tensors = {name: np.asarray(array) for name, array in avatar.tensors.items()}
+    # Row after row: safetensors writes the memory of an array as it lies there.
+    tensors = {name: np.ascontiguousarray(array) for name, array in avatar.tensors.items()}
     _check_tensors(where, avatar.spec, tensors)
     stored: dict[str, Array] = {}
     affine: dict[str, Any] = {}

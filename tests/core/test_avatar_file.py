@@ -25,11 +25,13 @@ from pica_core.avatar_file import (
 )
 from pica_core.errors import AvatarFileError
 from pica_core.spec import PAPER_SPEC, AvatarSpec
+from stream_toy import toy_profile
 from toy import make_toy_avatar
 
 pytestmark = pytest.mark.unit
 
 TOY = make_toy_avatar(grid=8, spec=AvatarSpec(uv_encoding_size=16, axis_encoding_size=20))
+WITH_STREAM = Avatar(TOY.manifest, {**TOY.tensors, **toy_profile().to_tensors()})
 
 
 @pytest.fixture(scope="module")
@@ -304,3 +306,114 @@ def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     path = tmp_path / "nowhere" / "a.pica"
     with pytest.raises(AvatarFileError, match=r"nowhere/a\.pica: cannot be written: No such file"):
         save_avatar(path, make_toy_avatar())
+
+
+# The tables of the latent stream
+
+
+@pytest.fixture(scope="module")
+def stream_bytes(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("avatar") / "stream.pica"
+    save_avatar(path, WITH_STREAM)
+    return path.read_bytes()
+
+
+def with_stream_tensor(data: bytes, name: str, change: Callable[[Any], Any]) -> bytes:
+    """The file with one array of its stream changed, as an honest writer would store it."""
+    tensors = safetensors.numpy.load(data)
+    array = change(tensors[name])
+    tensors = {key: value for key, value in tensors.items() if key != name}
+    if array is not None:
+        tensors[name] = array
+    metadata = split(data)[0]["__metadata__"]
+    return safetensors.numpy.save(tensors, metadata)
+
+
+def with_place(place: tuple[int, ...], value: int) -> Callable[[Any], Any]:
+    def change(array: Any) -> Any:
+        array = array.copy()
+        array[place] = value
+        return array
+
+    return change
+
+
+def test_the_tables_of_a_stream_come_back_exactly(stream_bytes: bytes) -> None:
+    loaded = load_avatar(stream_bytes)
+    profile = loaded.stream_profile()
+    assert profile is not None
+    assert profile.hash == toy_profile().hash
+    for name, array in toy_profile().to_tensors().items():
+        assert loaded.tensors[name].dtype == array.dtype
+        np.testing.assert_array_equal(loaded.tensors[name], array)
+
+
+def test_an_avatar_without_tables_has_no_stream(toy_bytes: bytes) -> None:
+    assert load_avatar(toy_bytes).stream_profile() is None
+
+
+def test_tables_in_another_memory_layout_are_the_same_tables(tmp_path: Path) -> None:
+    columns_first = {name: np.asfortranarray(a) for name, a in WITH_STREAM.tensors.items()}
+    save_avatar(tmp_path / "columns.pica", Avatar(TOY.manifest, columns_first))
+    save_avatar(tmp_path / "rows.pica", WITH_STREAM)
+    assert avatar_id(tmp_path / "columns.pica") == avatar_id(tmp_path / "rows.pica")
+
+
+def wrong_sum(array: Any) -> Any:
+    return array + np.uint16(1)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("steps", lambda array: None, r"tensor stream\.(steps|)|stream\.steps has shape"),
+        ("gains", lambda array: None, r"tensor stream\.gains is missing"),
+        ("analysis", lambda array: array.astype(np.int32), r"stream\.analysis is int32"),
+        ("analysis", lambda array: array.astype(np.float32), r"stream\.analysis is stored as F32"),
+        ("steps", lambda array: array.astype(np.int64), r"stream\.steps is stored as I64"),
+        ("tables", lambda array: array.astype(np.int16), r"stream\.tables is int16"),
+        ("analysis", lambda array: array[:, :4], r"tensor stream\.\w+ has shape"),
+        ("synthesis", lambda array: array[:4], r"stream\.synthesis has shape \[4, 256\]"),
+        ("tables", lambda array: array[:, :24], r"stream\.tables has shape"),
+        ("tables", lambda array: np.repeat(array, 40, 0), r"dimension 0 may be 1 to 256"),
+        ("analysis", lambda array: np.repeat(array, 20, 1), r"dimension 1 may be 1 to 128"),
+        ("tables", wrong_sum, r"stream\.tables row 0 sums to"),
+        ("header_tables", wrong_sum, r"stream\.header_tables row 0 sums to"),
+        ("distance_tables", with_place((2, 3), 0), r"stream\.distance_tables row 2"),
+        ("quality_table", with_place((0,), 0), r"stream\.quality_table row 0"),
+        ("table_index", with_place((0, 0, 0), 200), r"stream\.table_index spans 0 to 200"),
+        ("steps", with_place((0, 0), 0), r"stream\.steps spans 0 to"),
+        ("steps", with_place((7, 3), 2**31 - 1), r"stream\.steps spans .* to 2147483647"),
+        ("gains", with_place((1, 1), -(2**31)), r"stream\.gains spans -2147483648"),
+        ("mean", with_place((9,), 2**30), r"stream\.mean spans"),
+        ("synthesis_shift", with_place((0,), 64), r"stream\.synthesis_shift spans"),
+    ],
+)
+def test_tables_that_do_not_fit_are_refused_by_name(
+    stream_bytes: bytes, name: str, change: Callable[[Any], Any], message: str
+) -> None:
+    with pytest.raises(AvatarFileError, match=message):
+        load_avatar(with_stream_tensor(stream_bytes, f"stream.{name}", change))
+
+
+def test_a_table_that_nobody_knows_is_refused(stream_bytes: bytes, toy_bytes: bytes) -> None:
+    tensors = {**WITH_STREAM.tensors, "stream.surprise": np.zeros(3, np.int32)}
+    with pytest.raises(AvatarFileError, match=r"'stream\.surprise' is unknown"):
+        save_avatar(Path("unwritten.pica"), Avatar(TOY.manifest, tensors))
+    alone = safetensors.numpy.save(
+        {**safetensors.numpy.load(toy_bytes), "stream.mean": np.zeros(256, np.int32)},
+        split(toy_bytes)[0]["__metadata__"],
+    )
+    with pytest.raises(AvatarFileError, match=r"stream\.analysis has shape \[\]"):
+        load_avatar(alone)
+
+
+def test_tables_that_do_not_fit_are_not_written(tmp_path: Path) -> None:
+    steps = toy_profile().steps.copy()
+    steps[0, 0] = 0
+    with pytest.raises(AvatarFileError, match=r"stream\.steps spans 0"):
+        save_avatar(
+            tmp_path / "bad.pica",
+            Avatar(TOY.manifest, {**WITH_STREAM.tensors, "stream.steps": steps}),
+        )
+    assert not (tmp_path / "bad.pica").exists()
