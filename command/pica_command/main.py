@@ -3,7 +3,8 @@
 An entry point of the group ``pica.commands`` names a function with one parameter, a frozen
 dataclass of options, that returns a map or None. The name's dots stand for spaces: ``bench.call``
 is ``pica bench call``. So the relay starts without importing numpy, and an extension adds a
-sub-command by being installed.
+sub-command by being installed. Options that come from elsewhere too, as from a file, bring a class
+method ``parse(words, *, prog, description)`` that makes them.
 
 Exit status: 0 done; 2 bad usage or bad input (any exception with an ``exit_code``, or a missing
 extra); 1 a failure.
@@ -87,9 +88,13 @@ def _run(entry: EntryPoint, spoken: str, rest: list[str]) -> Mapping[str, typing
         "\n\nWith --json the last line of stdout is the result as one JSON object; "
         f"{DEBUG_FLAG} shows the traceback of an error."
     )
-    import tyro  # half of a command's start; --version and the list do without
+    parse = getattr(options_type, "parse", None)
+    if parse is not None:
+        options = parse(rest, prog=spoken, description=description)
+    else:
+        import tyro  # half of a command's start; --version and the list do without
 
-    options = tyro.cli(options_type, prog=spoken, args=rest, description=description)
+        options = tyro.cli(options_type, prog=spoken, args=rest, description=description)
     result: Mapping[str, typing.Any] | None = function(options)
     return result
 

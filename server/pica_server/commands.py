@@ -4,17 +4,20 @@ import asyncio
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import tyro
 
 from pica_server.config import RelayConfig
 from pica_server.errors import ListenError
 from pica_server.relay import Relay
+from pica_server.settings import ELSEWHERE, Effective, as_plain, as_toml, read_options
+
+ENVIRONMENT_PREFIX = "PICA_RELAY_"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -25,6 +28,30 @@ class RelayOptions:
     """Where to listen, and the limits."""
     ready_file: Path | None = None
     """Write the URL into this file once the relay listens, and remove it at the end."""
+    config_file: Annotated[Path | None, tyro.conf.arg(name="config"), ELSEWHERE] = None
+    """Read settings from this TOML file. Flags go before PICA_RELAY_... in the environment, and
+    that before the file; see docs/operating.md."""
+    print_config: Annotated[bool, ELSEWHERE] = False
+    """Check the settings, print all of them as TOML with where each comes from, and stop."""
+    effective: Annotated[tuple[Effective, ...], tyro.conf.Suppress, ELSEWHERE] = ()
+
+    @classmethod
+    def parse(cls, words: Sequence[str], *, prog: str, description: str) -> Self:
+        """Read the command line, the environment and the file.
+
+        Raises:
+            ConfigurationError: A setting that cannot work; one line that says where it stands.
+        """
+
+        def read_words(defaults: Self) -> Self:
+            return tyro.cli(
+                cls, prog=prog, args=list(words), description=description, default=defaults
+            )
+
+        options, effective = read_options(
+            cls, read_words, words, os.environ, prefix=ENVIRONMENT_PREFIX
+        )
+        return replace(options, effective=tuple(effective))
 
 
 def relay(options: RelayOptions) -> dict[str, Any]:
@@ -33,12 +60,16 @@ def relay(options: RelayOptions) -> dict[str, Any]:
     The first line on stderr says where it listens.
 
     Returns:
-        Its statistics at the end; ``forward_ms`` holds percentiles of the forwarding latency.
+        Its settings with --print-config, else its statistics at the end; ``forward_ms`` holds
+        percentiles of the forwarding latency.
 
     Raises:
         ListenError: The address or the ready file cannot be had.
         KeyFileError: The key file cannot be used.
     """
+    if options.print_config:
+        print(as_toml(options.effective), end="")
+        return as_plain(options.effective)
     return asyncio.run(_run(options))
 
 

@@ -120,3 +120,29 @@ def test_an_unknown_option_ends_with_2(run: Callable[..., int]) -> None:
         run("greet", "--nam", "Ada")
 
     assert ended.value.code == 2
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ShoutOptions(GreetOptions):
+    """Options that come from elsewhere."""
+
+    @classmethod
+    def parse(cls, words: list[str], *, prog: str, description: str) -> "ShoutOptions":
+        """Take the words as they are."""
+        assert prog == "pica greet"
+        return cls(name=" ".join(words).upper())
+
+
+def shout(options: ShoutOptions) -> dict[str, Any]:
+    """Greet somebody loudly."""
+    return greet(options)
+
+
+def test_options_may_read_the_words_themselves(
+    run: Callable[..., int],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(EntryPoint, "load", lambda _: shout)
+    assert run("greet", "Ada", "--json") == 0
+    assert json.loads(capsys.readouterr().out) == {"greeting": "hello ADA"}
