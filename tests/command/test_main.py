@@ -127,7 +127,7 @@ class ShoutOptions(GreetOptions):
     """Options that come from elsewhere."""
 
     @classmethod
-    def parse(cls, words: list[str], *, prog: str, description: str) -> "ShoutOptions":
+    def parse(cls, words: list[str], *, prog: str, description: str) -> ShoutOptions:
         """Take the words as they are."""
         assert prog == "pica greet"
         return cls(name=" ".join(words).upper())
