@@ -23,6 +23,7 @@ from pica_client.playout import Playout, PlayoutConfig, PlayoutReport, TimedSamp
 from pica_client.sender import FACE_TRACK
 from pica_core.avatar_file import Avatar
 from pica_core.errors import AvatarFileError, LatentError, ProfileError
+from pica_core.latent_sample import DecodedFrame
 from pica_core.stream_ends import FaceDecoder, open_decoder
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, Peer, PeerJoined, PeerLeft, Report, StreamReport, Track
@@ -30,6 +31,9 @@ from pica_protocol.session import ClientEvent
 
 KEYFRAME_REQUEST_INTERVAL_S = 0.5
 """Between two requests for the same stream (chosen: a round trip and the sender's pause fit)."""
+CATCH_UP_S = 0.02
+"""Whoever comes late gets the frames since the last keyframe at once, to decode from. They are old;
+only the newest is shown, or the playout would take them for a network that delays."""
 MAX_DEPARTED = 64
 """Peers remembered for the statistics after they left; drops the oldest."""
 MAX_SHOWN = 100_000
@@ -91,9 +95,19 @@ class _Seat:
         self.decoder: FaceDecoder | None = None
         self.trouble = ""
         self.keyframe_asked_s = -math.inf
+        self.is_behind = True
+        self.catching_up_until_s = -math.inf
+        self.catch_up: tuple[DecodedFrame, float] | None = None
         self.last_arrival_s: float | None = None
         self.window = _Window()
         self.reported = PlayoutReport()
+
+    def settle(self) -> None:
+        """Show the newest of the frames that brought a latecomer up to date."""
+        if self.catch_up is not None:
+            frame, arrived_s = self.catch_up
+            self.catch_up = None
+            self.playout.receive_frame(frame.sequence, frame.captured_us, frame.sample, arrived_s)
 
     def begin_window(self) -> None:
         self.window = _Window(before=self.playout.report())
@@ -140,6 +154,7 @@ class Call:
                     for peer_id, seat in list(self._seats.items()):
                         if seat.peer not in peers:
                             self._remove(peer_id)
+                        seat.is_behind = True
                     for peer in peers:
                         self._add(peer)
                 case PeerJoined(peer=peer):
@@ -200,6 +215,8 @@ class Call:
     def due_frames(self, now: float) -> list[DueFrame]:
         """Take every frame that is due; not to be mixed with `faces`."""
         with self._lock:
+            for seat in self._seats.values():
+                seat.settle()
             return [
                 DueFrame(seat.peer.peer_id, seat.peer.name, seat.track.avatar, frame)
                 for seat in self._seats.values()
@@ -209,6 +226,8 @@ class Call:
     def next_timer(self) -> float | None:
         """When the next frame becomes due, or None."""
         with self._lock:
+            for seat in self._seats.values():
+                seat.settle()
             timers = [seat.playout.next_timer() for seat in self._seats.values()]
         return min((timer for timer in timers if timer is not None), default=None)
 
@@ -324,8 +343,16 @@ class Call:
         except LatentError:
             self.errors += 1
             return
+        if seat.is_behind:
+            seat.is_behind = False
+            seat.catching_up_until_s = now + CATCH_UP_S
         for each in decoded:
-            seat.playout.receive_frame(each.sequence, each.captured_us, each.sample, now)
+            if seat.catch_up is not None and now > seat.catching_up_until_s:
+                seat.settle()
+            if now <= seat.catching_up_until_s:
+                seat.catch_up = (each, now)
+            else:
+                seat.playout.receive_frame(each.sequence, each.captured_us, each.sample, now)
         if seat.window.received and seat.last_arrival_s is not None:
             gap_s = now - seat.last_arrival_s
             seat.window.longest_gap_s = max(seat.window.longest_gap_s, gap_s)
@@ -354,6 +381,7 @@ class Call:
         return True
 
     def _face(self, seat: _Seat, now: float) -> FaceState:
+        seat.settle()
         played = seat.playout.sample_at(now)
         if played is None:
             return FaceState(

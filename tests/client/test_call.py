@@ -12,9 +12,21 @@ from pica_client.call import Call
 from pica_client.errors import AvatarLookupError
 from pica_core.avatar_file import Avatar, save_avatar
 from pica_core.errors import AvatarFileError
+from pica_core.latent_stream import LatentDecoder
 from pica_core.plain_stream import LatentProfile, encode_latent
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, Peer, PeerJoined, PeerLeft, Track
+from stream_toy import (
+    Publisher,
+    Sent,
+    deliver_all,
+    other_profile,
+    perform,
+    stream_avatar,
+    toy_faces,
+    toy_pose,
+    toy_profile,
+)
 from toy import make_toy_avatar
 
 pytestmark = pytest.mark.unit
@@ -141,6 +153,19 @@ def test_a_damaged_avatar_costs_its_peer_the_face_and_nobody_the_call() -> None:
         call.avatar(TOY_ID)
 
 
+def test_frames_that_bring_a_latecomer_up_to_date_are_no_sign_of_jitter(call: Call) -> None:
+    call.receive_event(joined(peer("p1", "Ada", 1)), now=10.0)
+    for sequence in range(60):  # two seconds of frames, all at once
+        call.receive_event(frame(1, sequence, sequence * 33_333, sequence / 10), now=10.0)
+    (ada,) = call.faces(10.01)
+    assert ada.captured_us == 59 * 33_333
+    for sequence in range(60, 90):
+        now = 10.0 + (sequence - 59) / 30
+        call.receive_event(frame(1, sequence, sequence * 33_333), now=now)
+        call.faces(now + 0.01)
+    assert call.stats(11.0)["peers"][0]["playout_delay_ms"] == pytest.approx(33.3, abs=1.5)
+
+
 def test_rates_are_counted_from_the_beginning_of_the_window(call: Call) -> None:
     call.receive_event(joined(peer("p1", "Ada", 1)), now=0.0)
     for index in range(90):
@@ -232,3 +257,153 @@ def test_a_damaged_file_is_an_error_each_time_without_keeping_the_last(tmp_path:
 def test_a_folder_of_avatars_must_be_there(tmp_path: Path) -> None:
     with pytest.raises(AvatarLookupError, match="nowhere is not there"):
         AvatarLibrary(folder=tmp_path / "nowhere", shipped=[])
+
+
+# Coded streams
+
+
+STREAM_ID = "c" * 64
+
+
+def coded_peer(name: str, stream: int, profile: str = "") -> Peer:
+    track = Track(
+        kind="face", avatar=STREAM_ID, stream=stream, profile=profile or toy_profile().hash
+    )
+    return Peer(peer_id=name, name=name, tracks=(track,))
+
+
+def coded(sent: Sent, stream: int = 1) -> Frame:
+    return Frame(
+        stream=stream,
+        sequence=sent.sequence,
+        captured_us=sent.captured_us,
+        payload=sent.payload,
+        layer=sent.layer,
+        is_keyframe=sent.is_keyframe,
+    )
+
+
+@pytest.fixture
+def coded_call() -> Call:
+    call = Call(LoadedAvatars({STREAM_ID: stream_avatar(), TOY_ID: TOY}))
+    call.receive_event(joined(coded_peer("ada", 1)), now=0.0)
+    return call
+
+
+def test_a_coded_stream_is_played(coded_call: Call) -> None:
+    sent = perform(num_frames=60)
+    for frame_sent in sent:
+        coded_call.receive_event(coded(frame_sent), now=frame_sent.captured_us / 1e6)
+    (face,) = coded_call.faces(59.5 / 30)
+    assert (face.status, face.note) == ("live", "")
+    assert coded_call.errors == 0
+    truth = LatentDecoder(toy_profile())
+    shown = list(deliver_all(truth, sent))
+    assert face.latent is not None
+    assert np.abs(face.latent - shown[-1].sample.latent).max() < 1
+
+
+@pytest.mark.parametrize("profile", ["f" * 64, other_profile().hash])
+def test_a_profile_that_we_do_not_have_is_a_note_and_counted_and_no_face(profile: str) -> None:
+    call = Call(LoadedAvatars({STREAM_ID: stream_avatar()}))
+    call.receive_event(joined(coded_peer("ada", 1, profile), coded_peer("ben", 2)), now=0.0)
+    for sent in perform(num_frames=10):
+        call.receive_event(coded(sent, 1), now=sent.captured_us / 1e6)
+        call.receive_event(coded(sent, 2), now=sent.captured_us / 1e6)
+    ada, ben = call.faces(0.4)
+    assert (ada.status, ada.latent) == ("waiting", None)
+    assert f"coded with profile {profile[:8]}" in ada.note
+    assert "get the sender's version of the file" in ada.note
+    assert call.errors == 10  # each frame that could have been a face
+    assert call.take_keyframe_requests(0.4) == []  # no keyframe would help
+    assert (ben.note, ben.latent is not None) == ("", True)
+
+
+def test_a_coded_stream_to_an_avatar_without_tables_is_a_note(call: Call) -> None:
+    track = Track(kind="face", avatar=TOY_ID, stream=1, profile=toy_profile().hash)
+    call.receive_event(joined(Peer(peer_id="a", name="Ada", tracks=(track,))), now=0.0)
+    call.receive_event(coded(perform(num_frames=1)[0]), now=0.0)
+    assert "this avatar file holds none" in call.faces(0.1)[0].note
+
+
+def test_coded_payloads_that_cannot_be_read_are_counted_and_the_face_is_held(
+    coded_call: Call,
+) -> None:
+    sent = perform(num_frames=8)
+    for frame_sent in sent:
+        coded_call.receive_event(coded(frame_sent), now=frame_sent.captured_us / 1e6)
+    before = coded_call.faces(0.3)[0].latent
+    for number, payload in enumerate((b"\0", b"\xff" * 513, bytes(1000)), start=8):
+        broken = Frame(stream=1, sequence=number, captured_us=number * 33_333, payload=payload)
+        coded_call.receive_event(broken, now=0.3)
+    assert coded_call.errors == 3
+    after = coded_call.faces(0.31)[0].latent
+    assert before is not None
+    assert after is not None
+    assert np.abs(after - before).max() < 1
+
+
+def test_a_keyframe_is_asked_for_at_a_limited_rate_until_it_comes(coded_call: Call) -> None:
+    publisher = Publisher()
+    sent = publisher.show_all(toy_faces(1, 90), toy_pose(1, 90))
+    asked_s = []
+    for frame_sent in sent[1:]:  # the keyframe is lost
+        now = frame_sent.captured_us / 1e6
+        coded_call.receive_event(coded(frame_sent), now=now)
+        if coded_call.take_keyframe_requests(now):
+            asked_s.append(now)
+    # With the first frame that cannot be read, and then every half second.
+    assert asked_s == pytest.approx([1 / 30 + 0.5 * i for i in range(6)], abs=0.1)
+    assert coded_call.stats(3.0)["peers"][0]["keyframe_requests"] == 6
+    publisher.encoder.request_keyframe()
+    for frame_sent in publisher.show_all(toy_faces(2, 30), toy_pose(2, 30)):
+        now = frame_sent.captured_us / 1e6
+        coded_call.receive_event(coded(frame_sent), now=now)
+        assert coded_call.take_keyframe_requests(now) == []
+    assert coded_call.faces(4.0)[0].latent is not None
+
+
+def test_streams_ask_for_their_own_keyframes(coded_call: Call) -> None:
+    coded_call.receive_event(PeerJoined(peer=coded_peer("ben", 2)), now=0.0)
+    sent = perform(num_frames=10)
+    coded_call.receive_event(coded(sent[0], 1), now=0.0)
+    for frame_sent in sent[1:]:
+        coded_call.receive_event(coded(frame_sent, 1), now=0.1)
+        coded_call.receive_event(coded(frame_sent, 2), now=0.1)
+    assert coded_call.take_keyframe_requests(0.1) == [2]
+
+
+def test_a_still_face_is_held_as_a_live_one_and_not_concealed(coded_call: Call) -> None:
+    publisher = Publisher()
+    publisher.show_all(toy_faces(1, 20), toy_pose(1, 20))
+    publisher.show_all(
+        np.repeat(toy_faces(1, 20)[-1:], 300, 0), np.repeat(toy_pose(1, 20)[-1:], 300, 0)
+    )
+    waiting = list(publisher.sent)
+    statuses = []
+    for tick in range(60, 10 * 60):
+        now = tick / 60
+        while waiting and waiting[0].captured_us / 1e6 <= now:
+            coded_call.receive_event(coded(waiting.pop(0)), now=now)
+        statuses.append(coded_call.faces(now)[0].status)
+    assert set(statuses[60:]) == {"live"}
+    (ada,) = coded_call.stats(10.0)["peers"]
+    assert (ada["concealed"], ada["lost"]) == (0, 0)
+
+
+def test_a_silence_without_a_word_is_concealed(coded_call: Call) -> None:
+    for frame_sent in perform(num_frames=20):
+        coded_call.receive_event(coded(frame_sent), now=frame_sent.captured_us / 1e6)
+        coded_call.faces(frame_sent.captured_us / 1e6)
+    assert coded_call.faces(1.2)[0].status == "concealed"
+
+
+def test_a_thinned_stream_has_no_losses(coded_call: Call) -> None:
+    for frame_sent in perform(num_frames=200):
+        now = frame_sent.captured_us / 1e6
+        if frame_sent.layer == 0 or now < 2:
+            coded_call.receive_event(coded(frame_sent), now=now)
+        coded_call.faces(now)
+    (ada,) = coded_call.stats(7.0)["peers"]
+    assert (ada["lost"], ada["unreferenced"]) == (0, 0)
+    assert coded_call.take_keyframe_requests(7.0) == []
