@@ -60,15 +60,17 @@ LEAST_BASE_FPS = 5.0
 """A stream has no more layers than leave this many base frames a second: below, a face that lost
 its upper layers is a slide show."""
 ROUNDING = (32, 22, 22, 22, 22)
-POSE_ROUNDING = (32, 32, 24, 12, 12)
+POSE_ROUNDING = (32, 31, 24, 12, 12)
 """Rounding of residuals in 64ths, by frame type: 32 is to the nearest, less leaves a dead zone. On
 the latent a dead zone of 0.66 steps to each side saves 12 % of the bits for 9 % more error; below
 20 the error grows faster than the bits fall. On the pose it would let the head stick and slip, so
-base frames round to the nearest; between them a head moves evenly, and a frame that only says so
-again is not worth its bits (measured: docs/results/log.md)."""
+base frames round almost to the nearest (ties would tip to and fro); between them a head moves
+evenly, and a frame that only says so again is not worth its bits (measured: docs/results/log.md).
+"""
 QUIET_ROUNDING = 22
 """The same for telling whether a face is still: what no frame would say must not keep it awake, so
 no more than any of a base frame's."""
+QUIET_ROUNDING = 22
 DEFAULT_QUALITY = 3
 MAX_PENDING = 8
 """Frames that wait for their reference; beyond it the oldest is given up."""
@@ -77,8 +79,9 @@ MAX_AHEAD = 256
 """A sequence further ahead than this, or further behind than any reference, does not go on with the
 same count: a second at the fastest rate (chosen)."""
 POSE_UNIT = 1.0 / (1 << POSE_BITS)
-MAX_POSE = np.pi
-"""Rotation vectors (radians) and offsets (metres) are clamped to this."""
+MAX_POSE = np.repeat((np.pi, 1.0), 3)
+"""Rotation vectors (radians) and offsets (metres) are clamped to this: half a turn, an arm's length
+about the chair."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -60,10 +60,11 @@ Float64Array = npt.NDArray[np.float64]
 LATENT_STEPS = (80, 56, 40, 28, 22, 16, 11, 8)
 """By quality, in 64ths of a root of rendered MSE: a step of 22 leaves an MSE near 0.5 over 48
 components (chosen: half of an octave apart)."""
-ROTATION_STEPS = (96, 80, 64, 48, 40, 32, 24, 16)
-"""Unit 2⁻¹⁴ rad; 40 is 2.4 mrad: 0.24 mm at the tip of a nose (chosen)."""
-TRANSLATION_STEPS = (24, 16, 12, 8, 6, 5, 4, 4)
-"""Unit 2⁻¹⁴ m; 6 is 0.37 mm (chosen)."""
+ROTATION_STEPS = (24, 20, 14, 12, 10, 8, 6, 4)
+"""Unit 2⁻¹⁴ rad. A head turns by 2 to 4 mrad a frame; 12 is 0.7 mrad and leaves an error of 0.3 in
+its steps from frame to frame. With 48, half of a head's motion was noise (docs/results/log.md)."""
+TRANSLATION_STEPS = (5, 4, 3, 2, 2, 2, 1, 1)
+"""Unit 2⁻¹⁴ m; 2 is 0.12 mm, and a head moves by 0.2 to 0.4 mm a frame."""
 POSE_GAINS = (0, 54, 28, 14, 28)
 """By frame type: a head goes on as it moved, less an eighth. A base frame looks as far ahead as its
 reference did, the middle one half as far, the top one a quarter or half."""
