@@ -2,15 +2,50 @@
 
 A websocket message costs the relay and the network far more than the few bytes of a frame in it (29
 microseconds of processor time with this library, so about 35,000 messages a second on one core).
-Frames that arrive in one turn of the event loop share a message anyway. Above a given load all
-receivers' frames are held back for a window that grows with the load up to a longest one: latency,
-bounded, is given for capacity. Control never waits. Pure.
+Frames that arrive in one turn of the event loop share a message anyway. Above a given load the
+first frame for a receiver opens a window, which grows with the load up to a longest one, and what
+comes in it goes out with that frame: latency, bounded, is given for capacity. Each receiver has its
+own window; one for all would make bursts of hundreds of messages, and windows that nothing has come
+in yet. Control never waits. Pure.
 """
 
-from typing import Final
+from typing import Final, Generic, TypeVar
 
 MEASURED_S: Final = 0.25
 """Over which the load is measured (chosen: eight frames of one face)."""
+
+
+SLACK_S: Final = 0.0005
+"""So much too early somebody may leave the line, to be served in one go with others (chosen: half
+of what event loops promise)."""
+
+T = TypeVar("T")
+
+
+class WaitingLine(Generic[T]):
+    """Who waits, and until when. Served in the order of coming."""
+
+    def __init__(self) -> None:
+        self._due_s: dict[T, float] = {}
+
+    def join(self, who: T, due_s: float) -> None:
+        """Wait until ``due_s``; who waits already keeps place and time."""
+        self._due_s.setdefault(who, due_s)
+
+    def next_timer(self) -> float | None:
+        """Return when the first one is due, or None."""
+        return next(iter(self._due_s.values()), None)
+
+    def take_due(self, now: float) -> list[T]:
+        """Take those who are due, or all but."""
+        due = []
+        for who, due_s in self._due_s.items():
+            if due_s > now + SLACK_S:
+                break
+            due.append(who)
+        for who in due:
+            del self._due_s[who]
+        return due
 
 
 class Coalescing:

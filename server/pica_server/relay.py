@@ -1,10 +1,12 @@
 """The relay's shell: websockets on one side, the hub on the other, and nothing decided here.
 
-Each websocket has a reader (read, feed the hub, wake whoever got something) and a writer (take from
-the hub, send, until nothing is left). Frames that arrive in one turn of the event loop leave in one
-message, under load also those of a few milliseconds, see ``coalescing``. A writer whose peer reads
-slowly blocks nobody: what it has not taken yet stays in its outbox, where newer frames replace
-older ones. One timer serves all deadlines.
+What a websocket receives is fed to the hub at once, see ``relay_socket``; after a turn of the event
+loop, whoever has got something is sent it, so frames that arrive in one turn leave in one message,
+under load also those of a few milliseconds, see ``coalescing``. While the kernel takes what is
+sent, that is all. Each websocket also has a reader, for the messages that do not come the short
+way, and a writer, which waits for a peer that reads slowly and sends the goodbye. A slow peer
+blocks nobody: what it has not taken yet stays in its outbox, where newer frames replace older ones.
+One timer serves all deadlines.
 
 The buffers behind an outbox are kept small, because what they hold can be neither replaced nor
 withdrawn: one message in the transport and a bounded socket buffer in the kernel, of which unsent
@@ -28,13 +30,15 @@ from websockets.typing import Origin, Subprotocol
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
 from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
+from pica_server.coalescing import WaitingLine
 from pica_server.config import RelayConfig
 from pica_server.connection import Connection
 from pica_server.errors import ListenError
 from pica_server.hub import Hub
-from pica_server.limits import SocketGuard, address_group
+from pica_server.limits import SocketGuard
 from pica_server.loop_watch import PERIOD_S, LoopWatch
-from pica_server.stats import RelayStats
+from pica_server.outbox import Parcel
+from pica_server.relay_socket import RelaySocket
 from pica_server.status_pages import StatusPages
 from pica_server.tokens import KeyRing, admit, load_keys
 
@@ -81,10 +85,14 @@ class Relay:
         self._server: Server | None = None
         self._wakers: dict[Connection, _Waker] = {}
         self._timer: asyncio.TimerHandle | None = None
+        self._timer_s: float | None = None
+        # Who was fed since the last look at who is ready, which is due soon.
+        self._fed: set[Connection] = set()
+        self._soon: asyncio.Handle | None = None
         self._watch = LoopWatch()
         self._pages = StatusPages(self.hub, self._watch, config)
         self._watching: asyncio.TimerHandle | None = None
-        self._held: dict[Connection, None] = {}
+        self._held: WaitingLine[Connection] = WaitingLine()
         self._release: asyncio.TimerHandle | None = None
 
     @property
@@ -147,16 +155,13 @@ class Relay:
         self.hub.close_all(CloseCode.GOING_AWAY, "the relay is stopping", self._now())
         self._after_events()
         await self._server.wait_closed()
-        if self._timer is not None:
-            self._timer.cancel()
-        if self._watching is not None:
-            self._watching.cancel()
-        if self._release is not None:
-            self._release.cancel()
+        for handle in (self._timer, self._watching, self._release, self._soon):
+            if handle is not None:
+                handle.cancel()
 
     def _answer(self, websocket: ServerConnection, request: Request) -> Response | None:
         """Answer a plain HTTP request; None lets a websocket begin."""
-        assert isinstance(websocket, _GuardedConnection)
+        assert isinstance(websocket, RelaySocket)
         page = self._pages.answer(request.path, is_local=not websocket.address, now=self._now())
         if page is None:
             return None
@@ -175,15 +180,15 @@ class Relay:
 
         self._watching = loop.call_at(due_s, look)
 
-    def _guarded_connection(self, *args: Any, **kwargs: Any) -> "_GuardedConnection":
-        connection = _GuardedConnection(*args, **kwargs)
+    def _guarded_connection(self, *args: Any, **kwargs: Any) -> RelaySocket:
+        connection = RelaySocket(*args, **kwargs)
         connection.guard = self._guard
         connection.stats = self.hub.stats
         return connection
 
     async def _serve(self, websocket: ServerConnection) -> None:
         """Serve one websocket until it has ended; the server owns this task."""
-        assert isinstance(websocket, _GuardedConnection)
+        assert isinstance(websocket, RelaySocket)
         websocket.note_opened()
         _bound_kernel_buffer(websocket, self.config.send_buffer_bytes)
         connection = self.hub.connect(self._now(), websocket.address)
@@ -193,6 +198,7 @@ class Relay:
                 reason = f"speak the websocket sub-protocol {SUBPROTOCOL}"
                 self.hub.close(connection, CloseCode.WRONG_VERSION, reason, self._now())
             self._after_events()
+            websocket.hand_to(lambda data: self._on_message(connection, data))
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._read(websocket, connection))
                 tasks.create_task(self._write(websocket, connection, waker))
@@ -205,7 +211,27 @@ class Relay:
             del self._wakers[connection]
             self._after_events()
 
-    async def _read(self, websocket: ServerConnection, connection: Connection) -> None:
+    def _on_message(self, connection: Connection, data: bytes) -> None:
+        """Feed the hub with a message that came the short way."""
+        # What a peer sends in one go, as after a stall, is passed on one by one: two of its frames
+        # must not replace each other although their receivers are not slow.
+        if connection in self._fed:
+            self._after_events()
+        self._fed.add(connection)
+        try:
+            self.hub.receive(connection, data, self._now())
+        except Exception:  # a fault of ours; it must not cost anybody else anything
+            _logger.exception("connection failed")
+            self.hub.close(connection, CloseCode.INTERNAL_ERROR, "relay fault", self._now())
+        if self._soon is None:
+            self._soon = asyncio.get_running_loop().call_soon(self._after_turn)
+
+    def _after_turn(self) -> None:
+        self._soon = None
+        self._after_events()
+
+    async def _read(self, websocket: RelaySocket, connection: Connection) -> None:
+        """Feed the hub with what came the long way, and tell it how the websocket ended."""
         try:
             while True:
                 data = await websocket.recv()
@@ -220,12 +246,15 @@ class Relay:
             self.hub.disconnect(connection, code, websocket.close_reason or "", self._now())
             self._after_events()
 
-    async def _write(
-        self, websocket: ServerConnection, connection: Connection, waker: "_Waker"
-    ) -> None:
+    async def _write(self, websocket: RelaySocket, connection: Connection, waker: "_Waker") -> None:
+        """Send what could not be sent at once, and the goodbye."""
         hub = self.hub
         try:
             while True:
+                if waker.under_way is not None:
+                    await websocket.drain()
+                    hub.sent(connection, waker.under_way, self._now())
+                    waker.under_way = None
                 while (parcel := hub.take(connection, self._now())) is not None:
                     await websocket.send(parcel.data)
                     hub.sent(connection, parcel, self._now())
@@ -237,42 +266,58 @@ class Relay:
             return
 
     def _after_events(self) -> None:
-        """Wake the writers that have something to do, and set the timer to the next deadline."""
+        """Send to those who have got something, and set the timer to the next deadline."""
+        self._fed.clear()
         window_s = self.hub.coalescing_s
+        due_s = self._now() + window_s
         for connection in self.hub.take_ready():
             if window_s == 0 or connection.is_urgent:
-                self._wake(connection)
-                continue
-            self._held[connection] = None
-            if self._release is None:
-                loop = asyncio.get_running_loop()
-                self._release = loop.call_later(window_s, self._wake_held)
+                self._send(connection)
+            else:
+                self._held.join(connection, due_s)
+        if self._release is None:
+            self._release_later()
         when = self.hub.next_timer()
-        if self._timer is not None:
-            if self._timer.when() == when:
-                return
-            self._timer.cancel()
-            self._timer = None
-        if when is not None:
-            self._timer = asyncio.get_running_loop().call_at(when, self._on_timer)
+        if when != self._timer_s:
+            if self._timer is not None:
+                self._timer.cancel()
+            loop = asyncio.get_running_loop()
+            self._timer = None if when is None else loop.call_at(when, self._on_timer)
+            self._timer_s = when
 
-    def _wake(self, connection: Connection) -> None:
+    def _send(self, connection: Connection) -> None:
+        """Send all that waits, as far as the kernel takes it; leave the rest to the writer."""
         waker = self._wakers.get(connection)
-        if waker is not None:
-            waker.wake(is_last=connection.closed is not None)
+        if waker is None:
+            return
+        if connection.closed is None and waker.is_idle and waker.websocket.is_writable:
+            now = self._now()
+            while (parcel := self.hub.take(connection, now)) is not None:
+                if not waker.websocket.write(parcel.data):
+                    waker.under_way = parcel
+                    break
+                self.hub.sent(connection, parcel, now)
+            else:
+                return
+        waker.wake(is_last=connection.closed is not None)
 
-    def _wake_held(self) -> None:
-        """Let go what waited for company."""
+    def _release_later(self) -> None:
+        when = self._held.next_timer()
+        if when is not None:
+            self._release = asyncio.get_running_loop().call_at(when, self._release_due)
+
+    def _release_due(self) -> None:
+        """Let go those who have waited for company long enough."""
+        for connection in self._held.take_due(self._now()):
+            self._send(connection)
         self._release = None
-        held, self._held = self._held, {}
-        for connection in held:
-            self._wake(connection)
+        self._release_later()
 
     def _on_timer(self) -> None:
         # A loop may fire a timer up to its clock's resolution too early; a deadline that is not met
         # then would be set again and again without the clock moving on.
-        due = self._timer.when() if self._timer is not None else 0.0
-        self._timer = None
+        due = self._timer_s or 0.0
+        self._timer = self._timer_s = None
         self.hub.handle_timer(max(self._now(), due))
         self._after_events()
 
@@ -280,54 +325,36 @@ class Relay:
         return asyncio.get_running_loop().time()
 
 
-class _GuardedConnection(ServerConnection):
-    """A connection that is counted from its first moment, and cut at once if it is one too many."""
-
-    guard: SocketGuard
-    stats: RelayStats
-    address = ""
-    _is_admitted = _is_opened = False
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        super().connection_made(transport)
-        peername = transport.get_extra_info("peername")
-        self.address = address_group(str(peername[0])) if peername else ""
-        self._is_admitted = self.guard.admit(self.address)
-        if not self._is_admitted:
-            self.stats.limits_hit["sockets"] += 1
-            self.transport.abort()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        super().connection_lost(exc)
-        if self._is_admitted:
-            self.guard.closed(self.address, was_opened=self._is_opened)
-
-    def note_opened(self) -> None:
-        """Take note that this is a websocket now."""
-        self._is_opened = True
-        self.guard.opened()
-
-
 class _Waker:
-    """Wakes one writer, and cuts the socket of a peer that does not let us close it in time."""
+    """Wakes one writer, and cuts the socket of a peer that does not let us close it in time.
 
-    def __init__(self, websocket: ServerConnection, close_timeout_s: float) -> None:
-        self._websocket = websocket
+    Attributes:
+        websocket: What the writer writes to.
+        is_idle: Whether the writer has nothing to do.
+        under_way: Written by somebody else, and not taken by the kernel yet.
+    """
+
+    def __init__(self, websocket: RelaySocket, close_timeout_s: float) -> None:
+        self.websocket = websocket
+        self.is_idle = False
+        self.under_way: Parcel | None = None
         self._close_timeout_s = close_timeout_s
         self._event = asyncio.Event()
         self._cut: asyncio.TimerHandle | None = None
 
     async def wait(self) -> None:
+        self.is_idle = not self._event.is_set()
         await self._event.wait()
         self._event.clear()
 
     def wake(self, *, is_last: bool) -> None:
+        self.is_idle = False
         self._event.set()
         if is_last and self._cut is None:
             # The library's own close_timeout starts only once its buffer has drained, and the
             # buffer of a peer that does not read never drains.
             loop = asyncio.get_running_loop()
-            cut = self._websocket.transport.abort
+            cut = self.websocket.transport.abort
             self._cut = loop.call_later(self._close_timeout_s, cut)
 
     def cancel_cut(self) -> None:

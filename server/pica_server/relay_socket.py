@@ -1,0 +1,129 @@
+"""The relay's websocket: the library's, with a short way through it for small messages.
+
+The library takes every message through a parser, a queue and a task, on the way out through another
+task: 20 to 25 microseconds of processor time each way, however small it is. Nearly all messages of
+a relay are a few dozen bytes, whole in one read. Those are unmasked and handed over at once, and
+what goes out is written at once while the kernel takes it. All else goes the library's way:
+handshakes, long, incomplete or fragmented messages, text, pings, closing, and all that is wrong.
+
+Order is kept. The short way is left while the library holds part of a message, and what it has put
+together itself is handed over from here. Once a message waits in ``recv``, as the parts of a
+fragmented one do, that connection stays on the library's way.
+
+It relies on details of the library that its documentation does not promise: ``protocol.reader`` and
+``process_event``. tests/server/test_relay_socket.py is there to notice when they change.
+"""
+
+import asyncio
+from collections.abc import Callable
+from typing import Final
+
+from websockets.asyncio.server import ServerConnection
+from websockets.frames import Frame, Opcode
+from websockets.protocol import Event, State
+
+try:
+    from websockets.speedups import apply_mask
+except ImportError:  # the library was installed without its C extension
+    from websockets.utils import apply_mask
+
+from pica_server.limits import SocketGuard, address_group
+from pica_server.stats import RelayStats
+
+_WHOLE_BINARY: Final = 0x82
+"""First byte of a message: the last part of it, and binary (RFC 6455 5.2)."""
+_MASKED: Final = 0x80
+_HEADER_BYTES: Final = 6
+_SHORT_BYTES: Final = 126
+_NO_MASK: Final = bytes(4)
+_DATA = (Opcode.BINARY, Opcode.TEXT, Opcode.CONT)
+
+
+class RelaySocket(ServerConnection):
+    """A websocket that is counted from its first moment, and cut at once if it is one too many.
+
+    Attributes:
+        guard: Counts the sockets.
+        stats: Where refused ones are noted.
+        address: Whose it is, see `limits.address_group`.
+    """
+
+    guard: SocketGuard
+    stats: RelayStats
+    address = ""
+    _is_admitted = _is_opened = False
+    _on_message: Callable[[bytes], None] | None = None
+    _uses_recv = False
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Let the guard decide."""
+        super().connection_made(transport)
+        peername = transport.get_extra_info("peername")
+        self.address = address_group(str(peername[0])) if peername else ""
+        self._is_admitted = self.guard.admit(self.address)
+        if not self._is_admitted:
+            self.stats.limits_hit["sockets"] += 1
+            self.transport.abort()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Tell the guard."""
+        super().connection_lost(exc)
+        if self._is_admitted:
+            self.guard.closed(self.address, was_opened=self._is_opened)
+
+    def note_opened(self) -> None:
+        """Take note that this is a websocket now."""
+        self._is_opened = True
+        self.guard.opened()
+
+    def hand_to(self, on_message: Callable[[bytes], None]) -> None:
+        """Hand whole binary messages to a function as they come, from now on; those that it does
+        not get are in ``recv``."""
+        if not self._uses_recv:
+            self._on_message = on_message
+
+    def data_received(self, data: bytes) -> None:
+        """Take what has come: whole short messages here, the rest the library's way."""
+        at, size = 0, len(data)
+        while (
+            size - at > _HEADER_BYTES
+            and data[at] == _WHOLE_BINARY
+            and (on_message := self._on_message) is not None
+            and self.state is State.OPEN
+            and not self.protocol.reader.buffer
+        ):
+            begin = at + _HEADER_BYTES
+            length = data[at + 1] - _MASKED
+            if not 0 <= length < _SHORT_BYTES or begin + length > size:
+                break
+            mask, message = data[at + 2 : begin], data[begin : begin + length]
+            at = begin + length
+            on_message(message if mask == _NO_MASK else apply_mask(message, mask))
+        if at < size:
+            super().data_received(data[at:] if at else data)
+
+    def process_event(self, event: Event) -> None:
+        """Take a message, or a part of one, that the library has read."""
+        if isinstance(event, Frame) and event.opcode in _DATA:
+            if self._on_message is not None and event.opcode is Opcode.BINARY and event.fin:
+                self._on_message(bytes(event.data))
+                return
+            self._uses_recv, self._on_message = True, None
+        super().process_event(event)
+
+    @property
+    def is_writable(self) -> bool:
+        """Whether `write` may be called: the kernel has taken all that was written before."""
+        return self.state is State.OPEN and not self.transport.get_write_buffer_size()
+
+    def write(self, message: bytes) -> bool:
+        """Write a binary message; return whether the kernel took it whole. If not, ``drain``."""
+        size = len(message)
+        if size < _SHORT_BYTES:
+            header = bytes((_WHOLE_BINARY, size))
+        elif size < 65_536:
+            header = bytes((_WHOLE_BINARY, _SHORT_BYTES)) + size.to_bytes(2, "big")
+        else:
+            header = bytes((_WHOLE_BINARY, _SHORT_BYTES + 1)) + size.to_bytes(8, "big")
+        self.transport.write(header + message)
+        return not self.transport.get_write_buffer_size()
