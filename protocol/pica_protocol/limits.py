@@ -48,11 +48,15 @@ MAX_WHISPER_BYTES = 512
 MAX_PASS_BYTES = 2048
 """A join token: its claims and signature, in base64 (chosen: fourteen avatar ids fit)."""
 
+MAX_URL_BYTES = 256
+"""The address of another relay (chosen: a host name is at most 253 characters, a usual one 30)."""
+
 MAX_MAP_FIELDS = 16
 """Fields in one map; room for later versions to add some."""
 
 _TOKEN = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 _PASS = re.compile(r"[A-Za-z0-9_.-]*")
+_RELAY_URL = re.compile(r"wss?://([A-Za-z0-9.-]+|\[[0-9a-fA-F:.]+\])(:\d{1,5})?(/[!-~]*)?")
 _SHA256_HEX = re.compile(r"[0-9a-f]{64}")
 
 
@@ -88,6 +92,15 @@ def check_sha256(field: str, value: str) -> None:
     """Refuse anything but "" or 64 lower-case hexadecimal digits."""
     if value and not _SHA256_HEX.fullmatch(value):
         raise ValueError(f"{field} must be empty or 64 hexadecimal digits, got {quoted(value)}")
+
+
+def check_url(field: str, value: str) -> None:
+    """Refuse anything but "" or a ``ws://`` or ``wss://`` address without a user in it."""
+    if value and (len(value) > MAX_URL_BYTES or not _RELAY_URL.fullmatch(value)):
+        raise ValueError(
+            f"{field} must be empty or ws[s]://HOST[:PORT] in {MAX_URL_BYTES} bytes, "
+            f"got {quoted(value)}"
+        )
 
 
 def check_count(field: str, items: tuple[object, ...], limit: int) -> None:

@@ -25,6 +25,7 @@ from pica_protocol.limits import (
     check_sha256,
     check_text,
     check_token,
+    check_url,
     quoted,
 )
 
@@ -245,11 +246,14 @@ class Bye:
 
     code: int
     reason: str = ""
+    url: str = ""
+    """Another relay, where the same join will be taken; a client may try there at once."""
 
     def __post_init__(self) -> None:
         if self.code not in BYE_CODES and not 3000 <= self.code <= 4999:
             raise ValueError(f"bye.code must be one a close frame may carry, got {self.code}")
         check_text("bye.reason", self.reason, MAX_REASON_BYTES)
+        check_url("bye.url", self.url)
 
 
 Message = (

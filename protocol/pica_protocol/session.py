@@ -111,6 +111,8 @@ class Closed:
     reason: str
     is_remote: bool
     """Whether the other side, or the network, ended it."""
+    url: str = ""
+    """Another relay to go to, if the other side named one."""
 
 
 ClientEvent = Joined | PeerJoined | PeerLeft | KeyframeRequest | Whisper | Frame | Closed
@@ -172,10 +174,10 @@ class _Session:
         """Return when ``handle_timer`` is due, or None."""
         return self._deadline
 
-    def close(self, code: int, reason: str) -> None:
+    def close(self, code: int, reason: str, url: str = "") -> None:
         """End the session from this side: ``Bye`` goes out, then the shell closes the websocket."""
         if self.state is not State.CLOSED:
-            self._end(code, reason, is_remote=False)
+            self._end(code, reason, is_remote=False, url=url)
 
     def _advance(self, received: type) -> None:
         """Take the step of the table, or refuse the message."""
@@ -190,12 +192,12 @@ class _Session:
     def _queue(self, message: Message) -> None:
         self._outgoing.append(encode_message(message))
 
-    def _end(self, code: int, reason: str, *, is_remote: bool) -> Closed:
+    def _end(self, code: int, reason: str, *, is_remote: bool, url: str = "") -> Closed:
         reason = clipped_reason(reason)
         if not is_remote:
-            self._queue(Bye(code=code, reason=reason))
+            self._queue(Bye(code=code, reason=reason, url=url))
         self.state = State.CLOSED
-        self.closed = Closed(code=code, reason=reason, is_remote=is_remote)
+        self.closed = Closed(code=code, reason=reason, is_remote=is_remote, url=url)
         self._deadline = None
         return self.closed
 
@@ -362,7 +364,7 @@ class ClientSession(_Session):
 
     def _receive_message(self, message: Message) -> list[ClientEvent]:
         if isinstance(message, Bye):
-            return [self._end(message.code, message.reason, is_remote=True)]
+            return [self._end(message.code, message.reason, is_remote=True, url=message.url)]
         self._advance(type(message))
         if self.state is State.LEAVING:
             return []

@@ -83,7 +83,12 @@ messages: st.SearchStrategy[Message] = st.one_of(
     st.builds(
         Whisper, peer_id=tokens, data=st.binary(max_size=20) | st.just(bytes(MAX_WHISPER_BYTES))
     ),
-    st.builds(Bye, code=st.sampled_from(BYE_CODES) | st.integers(3000, 4999), reason=texts),
+    st.builds(
+        Bye,
+        code=st.sampled_from(BYE_CODES) | st.integers(3000, 4999),
+        reason=texts,
+        url=st.sampled_from(("", "ws://a", "wss://[::1]:8765/pica", "wss://b.example.org:443")),
+    ),
 )
 
 frames = st.builds(

@@ -135,6 +135,10 @@ def test_missing_fields_take_their_default() -> None:
         ({"type": "join", "room": "../etc", "name": "n"}, "join.room must be 1..64 of"),
         ({"type": "join", "room": "r", "name": "\x1b[2J"}, "join.name must be printable"),
         ({"type": "bye", "code": 1006}, "bye.code must be one a close frame may carry, got 1006"),
+        *(
+            ({"type": "bye", "code": 1001, "url": url}, r"bye.url must be empty or ws\[s\]://HOST")
+            for url in ("http://a", "ws://", "ws://a:b@c", "ws://a b", "wss://a/" + "b" * 249)
+        ),
         ({"type": "poke"}, "unknown message type 'poke'"),
         ({}, "unknown message type None"),
         ([], "expected a map, got list"),

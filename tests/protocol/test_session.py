@@ -295,6 +295,14 @@ def test_a_goodbye_is_remembered_when_the_socket_ends_after_it() -> None:
     assert client.closed == closed
 
 
+def test_a_goodbye_may_name_another_relay() -> None:
+    client, server = joined_client(), ServerSession(now=0.0)
+    server.close(CloseCode.GOING_AWAY, "stopping", url="wss://b.example.org")
+    (bye,) = server.messages_to_send(now=0.0)
+    (closed,) = client.receive_data(bye, now=1.0)
+    assert closed == Closed(code=1001, reason="stopping", is_remote=True, url="wss://b.example.org")
+
+
 def test_a_socket_that_dies_without_a_word_ends_the_session() -> None:
     client = joined_client()
     assert client.receive_close(1006, "", now=1.0) == [Closed(code=1006, reason="", is_remote=True)]
