@@ -24,6 +24,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "docs" / "results"
 LIMITS_PAGE = ROOT / "docs" / "limits-of-the-stream.md"
+PLAYOUT_PAGE = RESULTS / "playout.md"
 
 Line = dict[str, Any]
 Row = dict[str, Any]
@@ -113,12 +114,15 @@ def chart_playout() -> None:
     for (codec, source), line in newest.items():
         name = f"playout-{codec}-{_short(source)}"
         save(_draw_playout(line), name)
-        fill_in(LIMITS_PAGE, name, f"{_playout_table(line)}\n\n{source_line(line)}")
+        fill_in(LIMITS_PAGE, name, f"{_verdicts(line)}\n\n{source_line(line)}")
+        fill_in(PLAYOUT_PAGE, name, f"{_playout_table(line)}\n\n{source_line(line)}")
 
 
 def _short(source: str) -> str:
-    """A source's name without its kind, folder and ending."""
-    return Path(source.partition(":")[2]).stem.replace("_", "-")
+    """A source's name without folder and ending."""
+    kind, _, name = source.partition(":")
+    stem = Path(name).stem.replace("_", "-")
+    return f"recording-{stem}" if kind == "csv" else stem
 
 
 def _split(scenario: str) -> tuple[str, int]:
@@ -133,7 +137,7 @@ def _draw_playout(line: Line) -> Figure:
         4, len(FAMILIES), figsize=(15, 9.6), sharex="col", sharey="row", layout="constrained"
     )
     figures: tuple[tuple[str, str, Callable[[Row], float]], ...] = (
-        ("rendered MSE, 0–255,\nagainst the moment shown", "log", lambda row: row["mse_shown"]),
+        ("rendered MSE, 0–255,\nof the expression", "log", lambda row: row["mse_expression"]),
         ("added delay, ms,\n95th percentile", "log", lambda row: row["added_delay_ms_p95"]),
         ("concealed refreshes, %", "linear", lambda row: 100 * row["concealed_ratio"]),
         ("largest step ÷\nlargest true step", "linear", lambda row: row["largest_step"]),
@@ -195,9 +199,10 @@ def _playout_table(line: Line) -> str:
         "trouble",
         "policy",
         "MSE, moment shown",
+        "of the expression alone",
         "MSE, now",
         "added delay p50 / p95, ms",
-        "concealed",
+        "concealed, longest gap",
         "late",
         "face back after, ms",
         "delay back after, ms",
@@ -212,9 +217,10 @@ def _playout_table(line: Line) -> str:
                 row["scenario"] if is_first else "",
                 POLICY_STYLE[row["policy"]]["label"],
                 f"{row['mse_shown']:.1f}",
+                f"{row['mse_expression']:.1f}",
                 f"{row['mse_now']:.0f}",
                 f"{row['added_delay_ms_p50']:.0f} / {row['added_delay_ms_p95']:.0f}",
-                f"{row['concealed_ratio']:.1%}",
+                f"{row['concealed_ratio']:.1%}, {row['longest_gap_ms']:.0f} ms",
                 row["late"],
                 _milliseconds(row["recovery_ms"]),
                 _milliseconds(row["delay_recovery_ms"]),
@@ -225,11 +231,156 @@ def _playout_table(line: Line) -> str:
     return markdown_table(header, rows)
 
 
+GRADES = ("good", "usable", "broken")
+GRADE_LIMITS = (
+    # figure, limit of good, limit of usable, what it is called
+    ("mse_expression", 16, 32, "error"),
+    ("longest_gap_ms", 100, 300, "gaps"),
+    ("added_delay_ms_p95", 130, 380, "delay"),
+    ("largest_step", 1.5, 2.0, "jumps"),
+)
+"""Chosen; docs/limits-of-the-stream.md says why."""
+
+
+def _grade(row: Row, calm: Row) -> tuple[str, list[str]]:
+    """The worst grade of any figure, and which figures have it."""
+    figures = {
+        **row,
+        "largest_step": row["largest_step"] / max(calm["largest_step"], 1.0),
+    }
+    grades = [
+        (1 + (figures[figure] > usable) if figures[figure] > good else 0, name)
+        for figure, good, usable, name in GRADE_LIMITS
+    ]
+    worst = max(grade for grade, _ in grades)
+    return GRADES[worst], [name for grade, name in grades if grade == worst and worst > 0]
+
+
+def _verdicts(line: Line) -> str:
+    """How good the face is under every trouble and policy."""
+    rows: list[Row] = line["result"]["rows"]
+    by_key = {(row["scenario"], row["policy"]): row for row in rows}
+    calm = by_key["jitter-0", "adaptive"]
+    table = []
+    for family, label, unit in FAMILIES:
+        for name in dict.fromkeys(row["scenario"] for row in rows):
+            if _split(name)[0] != family:
+                continue
+            cells = []
+            for policy in POLICY_STYLE:
+                grade, why = _grade(by_key[name, policy], calm)
+                text = f"**{grade}**" if grade == "broken" else grade
+                cells.append(f"{text} ({', '.join(why)})" if why else text)
+            table.append((label, f"{_split(name)[1]} {unit}", *cells))
+    header = ("trouble", "amount", *(str(style["label"]) for style in POLICY_STYLE.values()))
+    return markdown_table(header, table)
+
+
 def _milliseconds(value: float | None) -> str:
     return "not in the run" if value is None else f"{value:.0f}"
 
 
-CHARTS: dict[str, Callable[[], None]] = {"playout": chart_playout}
+# Real calls through a bad network
+
+
+def chart_impaired_call() -> None:
+    """Rendered error and age of the face in real calls, by what was done to their network."""
+    newest = {line["command"]: line for line in read_lines("impaired-call")}
+    lines = list(newest.values())
+    if not lines:
+        return
+    save(_draw_impaired_calls(lines), "impaired-call")
+    header = (
+        "network",
+        "peers",
+        "sample to decoded p50 / p95, ms",
+        "age on the display p50 / p95, ms",
+        "MSE, usual delay",
+        "MSE, now",
+        "concealed",
+        "largest step",
+    )
+    rows = []
+    for line in lines:
+        result = line["result"]
+        rendered, latency = result["rendered"], result["latency_ms"]
+        rows.append(
+            (
+                _network(line),
+                result["peers"],
+                f"{latency['p50']:.0f} / {latency['p95']:.0f}",
+                f"{rendered['age_ms']['p50']:.0f} / {rendered['age_ms']['p95']:.0f}",
+                f"{rendered['mse_delayed']:.1f}",
+                f"{rendered['mse_now']:.0f}",
+                f"{rendered['concealed_ratio']:.1%}",
+                f"{rendered['largest_step']:.2f}",
+            )
+        )
+    newest_line = lines[-1]
+    source = f"{newest_line['date']} · commit {newest_line['commit']} · pica bench call"
+    fill_in(LIMITS_PAGE, "impaired-call", f"{markdown_table(header, rows)}\n\n{source}")
+
+
+def _network(line: Line) -> str:
+    """What a line's command did to the network, in words."""
+    way = line["result"]["impairment"]
+    parts = []
+    if way["jitter_s"]:
+        parts.append(f"jitter {way['jitter_s'] * 1e3:g} ms")
+    if way["stall_s"]:
+        parts.append(f"stalls {way['stall_s'] * 1e3:g} ms")
+    if way["loss_ratio"]:
+        parts.append(f"{way['loss_ratio']:.0%} lost")
+    if way["rate_bps"]:
+        parts.append(f"{way['rate_bps'] / 1e3:g} kbit/s")
+    if "--plain" in line["command"]:
+        parts.append("plain 8 bit")
+    return ", ".join(parts) or "no trouble"
+
+
+def _draw_impaired_calls(lines: Sequence[Line]) -> Figure:
+    figure, (errors, ages) = plt.subplots(
+        2, 1, figsize=(max(0.95 * len(lines), 6), 5.6), sharex=True, layout="constrained"
+    )
+    places = range(len(lines))
+    rendered = [line["result"]["rendered"] for line in lines]
+    errors.plot(places, [row["mse_delayed"] for row in rendered], "o", label="at its usual delay")
+    errors.plot(places, [row["mse_now"] for row in rendered], "^", label="now", color="#777777")
+    errors.set_yscale("log")
+    errors.set_ylabel("rendered MSE, 0–255,\nagainst the undisturbed stream")
+    errors.yaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
+    errors.legend(frameon=False)
+    for percent, marker in (("p50", "o"), ("p95", "_")):
+        ages.plot(
+            places,
+            [row["age_ms"][percent] for row in rendered],
+            marker,
+            label=percent,
+            color="#0072B2",
+        )
+    ages.set_yscale("log")
+    ages.yaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
+    ages.set_ylabel("age of the face\non the display, ms")
+    ages.legend(frameon=False)
+    ages.set_xticks(list(places), [_network(line).replace(", ", ",\n") for line in lines])
+    ages.tick_params(axis="x", labelsize=7)
+    figure.suptitle(
+        f"Real calls of {lines[0]['result']['peers']} peers through a worse network, "
+        f"{lines[0]['result']['impairment']['delay_s'] * 1e3:g} ms each way",
+        fontsize=10,
+    )
+    figure.supxlabel(
+        f"{lines[-1]['date']} · commit {lines[-1]['commit']} · pica bench call on loopback",
+        fontsize=7,
+        color="#555555",
+    )
+    return figure
+
+
+CHARTS: dict[str, Callable[[], None]] = {
+    "playout": chart_playout,
+    "impaired-call": chart_impaired_call,
+}
 
 
 def main() -> None:
