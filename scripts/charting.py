@@ -1,0 +1,90 @@
+"""What all charts share: reading recorded lines, writing figures and filling tables into pages."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import matplotlib.pyplot as plt
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+ROOT = Path(__file__).resolve().parent.parent
+RESULTS = ROOT / "docs" / "results"
+LIMITS_PAGE = ROOT / "docs" / "limits-of-the-stream.md"
+
+Line = dict[str, Any]
+Row = dict[str, Any]
+
+matplotlib.use("svg")
+plt.rcParams.update(
+    {
+        "svg.fonttype": "none",  # text stays text: small files, searchable
+        "svg.hashsalt": "pica",  # the same bytes for the same data
+        "font.family": "sans-serif",
+        "font.size": 9,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.grid": True,
+        "grid.alpha": 0.3,
+        "lines.markersize": 4,
+    }
+)
+
+
+def read_lines(name: str) -> list[Line]:
+    """All lines of docs/results/NAME.jsonl, oldest first."""
+    path = RESULTS / f"{name}.jsonl"
+    return [json.loads(text) for text in path.read_text().splitlines()] if path.exists() else []
+
+
+def source_line(line: Line) -> str:
+    """What a chart says of its data."""
+    return f"{line['date']} · commit {line['commit']} · {line['command']}"
+
+
+def save(figure: Figure, name: str) -> None:
+    """Write docs/results/NAME.svg."""
+    path = RESULTS / f"{name}.svg"
+    figure.savefig(path, metadata={"Date": None, "Creator": "scripts/chart.py"})
+    plt.close(figure)
+    # matplotlib leaves blanks at the ends of lines
+    path.write_text("\n".join(text.rstrip() for text in path.read_text().splitlines()) + "\n")
+    print(f"wrote {path.relative_to(ROOT)}")
+
+
+def markdown_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A table; None becomes a dash."""
+    lines = [" | ".join(header), " | ".join("---" for _ in header)]
+    lines += [" | ".join("–" if cell is None else str(cell) for cell in row) for row in rows]
+    return "\n".join(f"| {line} |" for line in lines)
+
+
+def fill_in(page: Path, mark: str, text: str) -> None:
+    """Replace what stands between ``<!-- MARK -->`` and ``<!-- end MARK -->`` of a page."""
+    begin, end = f"<!-- {mark} -->", f"<!-- end {mark} -->"
+    before, found, rest = page.read_text().partition(begin)
+    _, found_end, after = rest.partition(end)
+    if not (found and found_end):
+        sys.exit(f"{page.relative_to(ROOT)} has no place for {mark!r}")
+    page.write_text(f"{before}{begin}\n{text}\n{end}{after}")
+    print(f"filled {mark} into {page.relative_to(ROOT)}")
+
+
+def short_source(source: str) -> str:
+    """A source's name without folder and ending."""
+    kind, _, name = source.partition(":")
+    stem = Path(name).stem.replace("_", "-")
+    return f"recording-{stem}" if kind == "csv" else stem
+
+
+def plain_ticks(axis: Axis) -> None:
+    """Write the ticks of a logarithmic axis as plain numbers, at 1, 2 and 5."""
+    axis.set_major_locator(LogLocator(base=10, subs=(1, 2, 5)))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
