@@ -4,7 +4,7 @@ import asyncio
 import os
 import signal
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Awaitable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -57,7 +57,8 @@ class RelayOptions:
 def relay(options: RelayOptions) -> dict[str, Any]:
     """Run the relay: forwards between the peers of a room, until SIGINT or SIGTERM.
 
-    The first line on stderr says where it listens.
+    SIGTERM sends everybody away first, see --drain-s; SIGINT, or another SIGTERM, ends at once. The
+    first line on stderr says where it listens.
 
     Returns:
         Its settings with --print-config, else its statistics at the end; ``forward_ms`` holds
@@ -74,8 +75,7 @@ def relay(options: RelayOptions) -> dict[str, Any]:
 
 
 async def _run(options: RelayOptions) -> dict[str, Any]:
-    stop = asyncio.Event()
-    with _stop_on_signal(stop):
+    with _signals() as signals:
         async with Relay(options.config) as server:
             url = server.url
             with _ready_file(options.ready_file, url):
@@ -84,19 +84,46 @@ async def _run(options: RelayOptions) -> dict[str, Any]:
                     _say("INSECURE: anybody who reaches this port may join any room")
                 elif options.config.keys is None:
                     _say("DEVELOPMENT: no --keys, anybody on this machine may join any room")
-                await stop.wait()
+                first = await signals.get()
+            if first == signal.SIGTERM and options.config.drain_s > 0:
+                _say(f"draining, {server.hub.num_connections} connections to send away")
+                await _unless(signals.get(), server.drain())
+                server.cut()
             _say(f"stopping, {server.hub.num_connections} connections to close")
     return {"url": url, **server.stats()}
 
 
+async def _unless(interruption: Awaitable[object], work: Awaitable[object]) -> None:
+    """Do some work until it is done or something else happens."""
+    tasks = {asyncio.ensure_future(interruption), asyncio.ensure_future(work)}
+    try:
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for task in done:
+            task.result()
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
 @contextmanager
-def _stop_on_signal(stop: asyncio.Event) -> Iterator[None]:
+def _signals() -> Iterator[asyncio.Queue[int]]:
+    """Queue the signals to stop that come; two say all there is to say, more are dropped."""
     # signal.signal and not loop.add_signal_handler: the latter is missing on Windows.
     loop = asyncio.get_running_loop()
+    queue: asyncio.Queue[int] = asyncio.Queue(maxsize=2)
+
+    def note(number: int) -> None:
+        if not queue.full():
+            queue.put_nowait(number)
+
     names = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(name, lambda *_: loop.call_soon_threadsafe(stop.set)) for name in names]
+    before = [
+        signal.signal(name, lambda number, _: loop.call_soon_threadsafe(note, number))
+        for name in names
+    ]
     try:
-        yield
+        yield queue
     finally:
         for name, handler in zip(names, before, strict=True):
             signal.signal(name, handler)

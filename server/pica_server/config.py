@@ -5,7 +5,7 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pica_protocol.limits import MAX_PEERS
+from pica_protocol.limits import MAX_PEERS, check_url
 from pica_server.errors import ConfigurationError
 
 _ORIGIN = re.compile(r"https?://[^/?#\s]+")
@@ -87,6 +87,11 @@ class RelayConfig:
     one by one (29 microseconds each)."""
     coalesce_longest_s: float = 0.008
     """The longest such wait, seconds; 0 turns it off."""
+    drain_s: float = 20.0
+    """Seconds to send everybody away after SIGTERM, before the rest is cut; 0 cuts at once."""
+    drain_to: str = ""
+    """Address of the relay that they are sent to, as wss://HOST:PORT; empty: clients try this one's
+    address again, where a load balancer may send them elsewhere."""
     limits: LimitsConfig = field(default_factory=LimitsConfig)
     """What clients may ask for."""
 
@@ -104,6 +109,11 @@ class RelayConfig:
         _check("max-control-bytes", self.max_control_bytes, 65_536, 16_777_216)
         _check("coalesce-above-per-s", self.coalesce_above_per_s, 1, 1e12)
         _check("coalesce-longest-s", self.coalesce_longest_s, 0, 0.1)
+        _check("drain-s", self.drain_s, 0, 3600)
+        try:
+            check_url("drain-to", self.drain_to)
+        except ValueError as error:
+            raise ConfigurationError(f"--{error}") from error
         for origin in self.origins:
             if not _ORIGIN.fullmatch(origin):
                 raise ConfigurationError(f"--origins {origin} is no origin: write https://HOST")

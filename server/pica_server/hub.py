@@ -10,7 +10,7 @@ first with its handshake, then with reading what it was sent.
 """
 
 import heapq
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
@@ -33,6 +33,7 @@ from pica_protocol.stream_queue import Put
 from pica_server.coalescing import Coalescing
 from pica_server.config import RelayConfig
 from pica_server.connection import Connection
+from pica_server.drain import departures
 from pica_server.errors import AdmissionError, OutboxFullError, RoomFullError
 from pica_server.limits import TokenBucket
 from pica_server.outbox import Outbox, Parcel
@@ -72,6 +73,8 @@ class Hub:
         self._joins: TokenBucket | None = None  # full when the first one comes
         self._by_address: Counter[str] = Counter()  # bounded by the number of connections
         self._timers: list[tuple[float, int, Connection]] = []
+        self._is_draining = False
+        self._departures: deque[tuple[float, str]] = deque()
 
     @property
     def num_connections(self) -> int:
@@ -82,6 +85,11 @@ class Hub:
     def num_rooms(self) -> int:
         """Rooms with somebody in them."""
         return len(self._rooms)
+
+    @property
+    def is_draining(self) -> bool:
+        """Whether everybody is being sent away, and nobody let in."""
+        return self._is_draining
 
     @property
     def num_waiting_frames(self) -> int:
@@ -120,6 +128,8 @@ class Hub:
             self.stats.limits_hit["address"] += 1
             reason = f"{limits.connections_per_address} connections from one address"
             self.close(connection, CloseCode.TOO_MANY, reason, now)
+        elif self._is_draining:
+            self._send_away([connection], now)
         elif is_full:
             self.stats.limits_hit["connections"] += 1
             self.close(connection, CloseCode.RELAY_FULL, "the relay is full", now)
@@ -152,6 +162,24 @@ class Hub:
         for connection in list(self._connections.values()):
             self.close(connection, code, reason, now)
 
+    def drain(self, now: float) -> None:
+        """Begin to send everybody away: who has no room at once, the rooms one after the other.
+
+        All that waits for them goes out before their goodbye. Nobody is let in any more.
+        """
+        config = self._config
+        self._is_draining = True
+        self._send_away([each for each in self._connections.values() if each.room is None], now)
+        offsets_s = departures(
+            [len(room) for room in self._rooms.values()],
+            per_s=config.limits.joins_per_s,
+            burst=config.limits.joins_burst,
+            longest_s=config.drain_s,
+        )
+        rooms = zip(offsets_s, self._rooms, strict=True)
+        self._departures.extend((now + offset_s, name) for offset_s, name in rooms)
+        self._send_rooms_away(now)
+
     def take_ready(self) -> list[Connection]:
         """Take the list of connections that have got something to send, or have closed."""
         ready = list(self._ready)
@@ -177,10 +205,12 @@ class Hub:
 
     def next_timer(self) -> float | None:
         """Return when ``handle_timer`` is due, or None."""
-        return self._timers[0][0] if self._timers else None
+        timers = [line[0][0] for line in (self._timers, self._departures) if line]
+        return min(timers, default=None)
 
     def handle_timer(self, now: float) -> None:
-        """Close those who are late by now."""
+        """Close those who are late by now, and those whose turn to go has come."""
+        self._send_rooms_away(now)
         while self._timers and self._timers[0][0] <= now:
             _, _, connection = heapq.heappop(self._timers)
             if connection.closed is not None:
@@ -194,6 +224,21 @@ class Hub:
                 self.close(connection, CloseCode.TOO_SLOW, reason, now)
             if connection.closed is None:
                 self._push_timer(connection, now)
+
+    def _send_rooms_away(self, now: float) -> None:
+        while self._departures and self._departures[0][0] <= now:
+            _, name = self._departures.popleft()
+            room = self._rooms.get(name)
+            if room is not None:  # else it has emptied by itself
+                self._send_away([self._connections[peer.peer_id] for peer in room.peers], now)
+
+    def _send_away(self, connections: list[Connection], now: float) -> None:
+        """Close some together: none of them is told how the others leave."""
+        reason, url = "the relay is stopping", self._config.drain_to
+        for connection in connections:
+            connection.session.close(CloseCode.GOING_AWAY, reason, url)
+        for connection in connections:
+            self._finish(connection, now)
 
     def _push_timer(self, connection: Connection, now: float) -> None:
         deadline = connection.session.next_timer()

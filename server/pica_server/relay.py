@@ -83,6 +83,8 @@ class Relay:
         per_address = 2 * limits.connections_per_address
         self._guard = SocketGuard(handshakes=limits.handshakes, per_address=per_address)
         self._server: Server | None = None
+        self._all_gone = asyncio.Event()
+        self._drain_ends_s: float | None = None
         self._wakers: dict[Connection, _Waker] = {}
         self._timer: asyncio.TimerHandle | None = None
         self._timer_s: float | None = None
@@ -170,6 +172,28 @@ class Relay:
         response.headers["Content-Type"] = page.content_type
         return response
 
+    async def drain(self) -> None:
+        """Send everybody away in good order, and return when they are gone.
+
+        Meanwhile the relay answers on, but lets nobody in. Whoever has not gone after ``drain_s``
+        is cut.
+        """
+        drain_s = self.config.drain_s
+        self._drain_ends_s = self._now() + drain_s
+        self._all_gone.clear()
+        self.hub.drain(self._now())
+        self._after_events()
+        if self._wakers:
+            with suppress(TimeoutError):
+                async with asyncio.timeout(drain_s):
+                    await self._all_gone.wait()
+        self.cut()
+
+    def cut(self) -> None:
+        """Cut every websocket without another word."""
+        for waker in self._wakers.values():
+            waker.websocket.transport.abort()
+
     def _watch_later(self) -> None:
         loop = asyncio.get_running_loop()
         due_s = loop.time() + PERIOD_S
@@ -192,7 +216,7 @@ class Relay:
         websocket.note_opened()
         _bound_kernel_buffer(websocket, self.config.send_buffer_bytes)
         connection = self.hub.connect(self._now(), websocket.address)
-        waker = self._wakers[connection] = _Waker(websocket, self.config.close_timeout_s)
+        waker = self._wakers[connection] = _Waker(websocket)
         try:
             if websocket.subprotocol is None:
                 reason = f"speak the websocket sub-protocol {SUBPROTOCOL}"
@@ -210,6 +234,8 @@ class Relay:
             self.hub.disconnect(connection, CloseCode.INTERNAL_ERROR, "", self._now())
             del self._wakers[connection]
             self._after_events()
+            if not self._wakers:
+                self._all_gone.set()
 
     def _on_message(self, connection: Connection, data: bytes) -> None:
         """Feed the hub with a message that came the short way."""
@@ -259,6 +285,7 @@ class Relay:
                     await websocket.send(parcel.data)
                     hub.sent(connection, parcel, self._now())
                 if connection.closed is not None:
+                    websocket.close_timeout = self._close_timeout_s()
                     await websocket.close(connection.closed.code, connection.closed.reason)
                     return
                 await waker.wait()
@@ -299,7 +326,9 @@ class Relay:
                 self.hub.sent(connection, parcel, now)
             else:
                 return
-        waker.wake(is_last=connection.closed is not None)
+        waker.wake()
+        if connection.closed is not None:
+            waker.cut_after(self._close_timeout_s())
 
     def _release_later(self) -> None:
         when = self._held.next_timer()
@@ -321,6 +350,13 @@ class Relay:
         self.hub.handle_timer(max(self._now(), due))
         self._after_events()
 
+    def _close_timeout_s(self) -> float:
+        """How long a peer may take to read the rest and to close."""
+        if self._drain_ends_s is None:
+            return self.config.close_timeout_s
+        # Nobody needs the place, and what waits for a slow reader is to reach it.
+        return max(self._drain_ends_s - self._now(), self.config.close_timeout_s)
+
     def _now(self) -> float:
         return asyncio.get_running_loop().time()
 
@@ -334,11 +370,10 @@ class _Waker:
         under_way: Written by somebody else, and not taken by the kernel yet.
     """
 
-    def __init__(self, websocket: RelaySocket, close_timeout_s: float) -> None:
+    def __init__(self, websocket: RelaySocket) -> None:
         self.websocket = websocket
         self.is_idle = False
         self.under_way: Parcel | None = None
-        self._close_timeout_s = close_timeout_s
         self._event = asyncio.Event()
         self._cut: asyncio.TimerHandle | None = None
 
@@ -347,15 +382,16 @@ class _Waker:
         await self._event.wait()
         self._event.clear()
 
-    def wake(self, *, is_last: bool) -> None:
+    def wake(self) -> None:
         self.is_idle = False
         self._event.set()
-        if is_last and self._cut is None:
+
+    def cut_after(self, timeout_s: float) -> None:
+        if self._cut is None:
             # The library's own close_timeout starts only once its buffer has drained, and the
             # buffer of a peer that does not read never drains.
             loop = asyncio.get_running_loop()
-            cut = self.websocket.transport.abort
-            self._cut = loop.call_later(self._close_timeout_s, cut)
+            self._cut = loop.call_later(timeout_s, self.websocket.transport.abort)
 
     def cancel_cut(self) -> None:
         if self._cut is not None:

@@ -38,6 +38,8 @@ class StatusPages:
                 worst_s = self._watch.worst_s(now)
                 return _verdict(f"stalled for {worst_s:.1f} s" if worst_s >= WORST_S else "")
             case "/readyz":
+                if self._hub.is_draining:
+                    return _verdict("draining")
                 is_full = self._hub.num_connections >= self._config.max_connections
                 return _verdict("full" if is_full else "")
             case "/metrics" if is_local or self._config.open_metrics:
@@ -53,6 +55,7 @@ class StatusPages:
             {
                 "open_connections": ("Connections that are open now.", hub.num_connections),
                 "rooms": ("Rooms with somebody in them.", hub.num_rooms),
+                "draining": ("1 while everybody is sent away.", float(hub.is_draining)),
                 "waiting_frames": ("Frames that wait for receivers.", hub.num_waiting_frames),
                 "waiting_control_bytes": (
                     "Bytes of control messages that wait for receivers.",

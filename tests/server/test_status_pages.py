@@ -45,6 +45,14 @@ def test_a_full_relay_is_not_ready_but_well() -> None:
     assert status(answers, "/healthz", now=0.0) == 200
 
 
+def test_a_relay_that_sends_everybody_away_is_not_ready_but_well() -> None:
+    answers, hub, _ = pages()
+    hub.drain(now=0.0)
+    page = answers.answer("/readyz", is_local=True, now=0.0)
+    assert page == Page(HTTPStatus.SERVICE_UNAVAILABLE, "draining\n")
+    assert status(answers, "/healthz", now=0.0) == 200
+
+
 def test_numbers_are_for_this_machine_unless_told_otherwise() -> None:
     closed, _, _ = pages()
     opened, _, _ = pages(RelayConfig(open_metrics=True))
