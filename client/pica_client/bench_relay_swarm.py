@@ -200,7 +200,9 @@ class Swarm:
     def _turn(self, until_s: float) -> None:
         """Send what is due, wait for something to read or for the next frame, and read."""
         due_s = min(self._send_due(), until_s)
-        timeout_s = max(due_s - time.monotonic(), 0.0)
+        # While there is load this process does not sleep: to wake it would be work for the sender
+        # of what it waits for, the relay, and as much as the sending.
+        timeout_s = 0.0 if self._schedule else max(due_s - time.monotonic(), 0.0)
         if isinstance(self._poller, select.epoll):
             ready = self._poller.poll(math.ceil(timeout_s * 1e3) / 1e3)
         else:
