@@ -1,15 +1,149 @@
-"""`pica bench codec`."""
+"""`pica bench call`, `pica bench playout` and `pica bench codec`."""
 
 from __future__ import annotations
 
-import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from pica_client.avatars import AvatarLibrary
-from pica_client.output import check_writable
-from pica_client.staging import choose_avatars
+from pica_client.impairment import Impairment
+from pica_client.output import check_writable, say
+from pica_client.playout_config import PlayoutConfig, playout_with_floor
+from pica_client.signals import terminate_as_interrupt
+from pica_client.staging import StageConfig, choose_avatars
+from pica_core.latent_stream import DEFAULT_QUALITY
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BenchCallOptions:
+    """Options of ``pica bench call``."""
+
+    peers: int = 5
+    """Number of senders, each a process."""
+    seconds: float = 20.0
+    """Measured time, seconds."""
+    source: str | None = None
+    """What all senders play, each starting elsewhere in it; by default shipped performances."""
+    avatar: str | None = None
+    """Names or .pica files of avatars, separated by commas, dealt in turn."""
+    fps: float = 30.0
+    """Frames a second of each sender."""
+    quality: int = DEFAULT_QUALITY
+    """Fineness of the coded streams, 0 to 7."""
+    plain: bool = False
+    """Send 8 bits a value instead of coded streams."""
+    playout_floor_ms: float = field(default=PlayoutConfig().floor_s * 1e3)
+    """Least playout delay, milliseconds."""
+    delay: float = 0.0
+    """Worsen the receiver's network: milliseconds added each way."""
+    jitter: float = 0.0
+    """95th percentile of a further, varying delay, milliseconds."""
+    stall: float = 0.0
+    """Every few seconds nothing comes for so many milliseconds, then all at once."""
+    loss: float = 0.0
+    """Share of TCP segments that have to be sent again, which takes 200 ms each time, 0 to 0.9."""
+    rate: float = 0.0
+    """Bits a second that the receiver's network carries, all headers included; 0 is no limit."""
+
+
+def bench_call(options: BenchCallOptions) -> dict[str, Any]:
+    """Measure a call on this machine without drawing it: relay, senders and a decoding receiver.
+
+    Reports the latency from source sample to decoded avatar, with its parts, rates and bitrates.
+    """
+    from pica_client.bench_call import BenchConfig, run_bench
+
+    config = BenchConfig(
+        stage=StageConfig(
+            peers=options.peers,
+            source=options.source,
+            avatar=options.avatar,
+            fps=options.fps,
+            quality=options.quality,
+            plain=options.plain,
+        ),
+        seconds=options.seconds,
+        playout=playout_with_floor(options.playout_floor_ms),
+        impairment=_impairment(options),
+    )
+    with terminate_as_interrupt():
+        result = run_bench(config)
+    latency = result["latency_ms"]
+    say(
+        f"{result['decoded_peers']} of {result['peers']} peers, source sample to decoded avatar: "
+        f"p50 {latency['p50']} ms, p95 {latency['p95']} ms, p99 {latency['p99']} ms"
+    )
+    if rendered := result.get("rendered"):
+        say(
+            f"on a display behind that network: rendered MSE {rendered['mse_delayed']} against the "
+            f"undisturbed stream, concealed {rendered['concealed_ratio']:.1%}, "
+            f"age p50 {rendered['age_ms']['p50']} ms, p95 {rendered['age_ms']['p95']} ms"
+        )
+    return result
+
+
+def _impairment(options: BenchCallOptions) -> Impairment | None:
+    given = (options.delay, options.jitter, options.stall, options.loss, options.rate)
+    if not any(given):
+        return None
+    return Impairment(
+        delay_s=options.delay / 1e3,
+        jitter_s=options.jitter / 1e3,
+        stall_s=options.stall / 1e3,
+        loss_ratio=options.loss,
+        rate_bps=options.rate or None,
+    )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BenchPlayoutOptions:
+    """Options of ``pica bench playout``."""
+
+    source: str = "performance:talk"
+    """The face that is sent; see pica send --help."""
+    avatar: str | None = None
+    """Name of a shipped avatar, or a .pica file; the first shipped one by default."""
+    codec: str = "coded"
+    """Format of the payloads: coded, or plain for 8 bits a value and every frame alone."""
+    scenarios: str = ""
+    """Names of troubles, separated by commas; all by default."""
+    seconds: float = 30.0
+    """Length of each run; the trouble lasts the middle third of it."""
+    fps: float = 30.0
+    """Frames captured a second."""
+    display_hz: float = 60.0
+    """Refreshes of the display a second."""
+    renders_per_s: float = 10.0
+    """Refreshes that are rendered to measure the error, a second."""
+    seed: int = 0
+    """Of the network."""
+
+
+def bench_playout(options: BenchPlayoutOptions) -> dict[str, Any]:
+    """Measure what the playout makes of troubled networks: rendered error, delay, recovery.
+
+    Runs on a virtual clock and needs no network. Compares the receiver's playout with a fixed
+    buffer of 100 ms and with none.
+    """
+    from pica_client.bench_playout import BenchPlayoutConfig, run_bench_playout
+    from pica_client.stream_trial import Schedule
+
+    config = BenchPlayoutConfig(
+        source=options.source,
+        codec=options.codec,
+        scenarios=tuple(name for name in options.scenarios.split(",") if name),
+        schedule=Schedule(seconds=options.seconds, fps=options.fps, display_hz=options.display_hz),
+        renders_per_s=options.renders_per_s,
+        seed=options.seed,
+    )
+    library = AvatarLibrary()
+    try:
+        (chosen, *_) = choose_avatars(options.avatar, library)
+        avatar = library.load(library.find(chosen))
+    finally:
+        library.close()
+    return run_bench_playout(config, avatar)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -56,10 +190,9 @@ def bench_codec(options: BenchCodecOptions) -> dict[str, Any]:
     result = run_codec_bench(config, avatar)
     for row in result["rows"]:
         loss = row["psnr_loss_db"]
-        print(
+        say(
             f"{row['source']:28} {row['profile']:18} {row['payload_bps'] / 1e3:8.2f} kbit/s  "
             f"MSE {row['mse']:6.2f}  change {row['change_mse']:6.2f}"
-            + ("" if loss is None else f"  loss {loss:+.3f} dB"),
-            file=sys.stderr,
+            + ("" if loss is None else f"  loss {loss:+.3f} dB")
         )
     return result

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,10 +16,9 @@ import tyro
 from pica_client.avatars import AvatarLibrary
 from pica_client.display import has_display
 from pica_client.errors import OptionError
-from pica_client.impairment import Impairment
 from pica_client.link import LinkConfig
-from pica_client.output import check_writable, writing
-from pica_client.playout import PlayoutConfig
+from pica_client.output import check_writable, say, writing
+from pica_client.playout_config import PlayoutConfig, playout_with_floor
 from pica_client.sender import Sender, SenderConfig
 from pica_client.signals import on_stop_signal, terminate_as_interrupt
 from pica_client.sources import open_source
@@ -107,144 +105,13 @@ def send(options: SendOptions) -> dict[str, Any]:
         with on_stop_signal(lambda: loop.call_soon_threadsafe(sender.stop)):
             return await sender.run(), list(sender.frame_log)
 
-    _say(f"sending {options.source} as {options.name} to room {options.room} at {options.url}")
+    say(f"sending {options.source} as {options.name} to room {options.room} at {options.url}")
     result, frame_log = asyncio.run(run())
     if options.frame_log is not None:
         with writing(options.frame_log):
             options.frame_log.write_text(json.dumps(frame_log))
-    _say(f"sent {result['sent']} frames, {result['payload_bps'] or 0} bit/s of payload")
+    say(f"sent {result['sent']} frames, {result['payload_bps'] or 0} bit/s of payload")
     return result
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class BenchCallOptions:
-    """Options of ``pica bench call``."""
-
-    peers: int = 5
-    """Number of senders, each a process."""
-    seconds: float = 20.0
-    """Measured time, seconds."""
-    source: str | None = None
-    """What all senders play, each starting elsewhere in it; by default shipped performances."""
-    avatar: str | None = None
-    """Names or .pica files of avatars, separated by commas, dealt in turn."""
-    fps: float = 30.0
-    """Frames a second of each sender."""
-    quality: int = DEFAULT_QUALITY
-    """Fineness of the coded streams, 0 to 7."""
-    plain: bool = False
-    """Send 8 bits a value instead of coded streams."""
-    playout_floor_ms: float = field(default=PlayoutConfig().floor_s * 1e3)
-    """Least playout delay, milliseconds."""
-    delay: float = 0.0
-    """Worsen the receiver's network: milliseconds added each way."""
-    jitter: float = 0.0
-    """95th percentile of a further, varying delay, milliseconds."""
-    stall: float = 0.0
-    """Every few seconds nothing comes for so many milliseconds, then all at once."""
-    loss: float = 0.0
-    """Share of TCP segments that have to be sent again, which takes 200 ms each time, 0 to 0.9."""
-    rate: float = 0.0
-    """Bits a second that the receiver's network carries, all headers included; 0 is no limit."""
-
-
-def bench_call(options: BenchCallOptions) -> dict[str, Any]:
-    """Measure a call on this machine without drawing it: relay, senders and a decoding receiver.
-
-    Reports the latency from source sample to decoded avatar, with its parts, rates and bitrates.
-    """
-    from pica_client.bench_call import BenchConfig, run_bench
-
-    config = BenchConfig(
-        stage=StageConfig(
-            peers=options.peers,
-            source=options.source,
-            avatar=options.avatar,
-            fps=options.fps,
-            quality=options.quality,
-            plain=options.plain,
-        ),
-        seconds=options.seconds,
-        playout=_playout(options.playout_floor_ms),
-        impairment=_impairment(options),
-    )
-    with terminate_as_interrupt():
-        result = run_bench(config)
-    latency = result["latency_ms"]
-    _say(
-        f"{result['decoded_peers']} of {result['peers']} peers, source sample to decoded avatar: "
-        f"p50 {latency['p50']} ms, p95 {latency['p95']} ms, p99 {latency['p99']} ms"
-    )
-    if rendered := result.get("rendered"):
-        _say(
-            f"on a display behind that network: rendered MSE {rendered['mse_delayed']} against the "
-            f"undisturbed stream, concealed {rendered['concealed_ratio']:.1%}, "
-            f"age p50 {rendered['age_ms']['p50']} ms, p95 {rendered['age_ms']['p95']} ms"
-        )
-    return result
-
-
-def _impairment(options: BenchCallOptions) -> Impairment | None:
-    given = (options.delay, options.jitter, options.stall, options.loss, options.rate)
-    if not any(given):
-        return None
-    return Impairment(
-        delay_s=options.delay / 1e3,
-        jitter_s=options.jitter / 1e3,
-        stall_s=options.stall / 1e3,
-        loss_ratio=options.loss,
-        rate_bps=options.rate or None,
-    )
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class BenchPlayoutOptions:
-    """Options of ``pica bench playout``."""
-
-    source: str = "performance:talk"
-    """The face that is sent; see pica send --help."""
-    avatar: str | None = None
-    """Name of a shipped avatar, or a .pica file; the first shipped one by default."""
-    codec: str = "coded"
-    """Format of the payloads: coded, or plain for 8 bits a value and every frame alone."""
-    scenarios: str = ""
-    """Names of troubles, separated by commas; all by default."""
-    seconds: float = 30.0
-    """Length of each run; the trouble lasts the middle third of it."""
-    fps: float = 30.0
-    """Frames captured a second."""
-    display_hz: float = 60.0
-    """Refreshes of the display a second."""
-    renders_per_s: float = 10.0
-    """Refreshes that are rendered to measure the error, a second."""
-    seed: int = 0
-    """Of the network."""
-
-
-def bench_playout(options: BenchPlayoutOptions) -> dict[str, Any]:
-    """Measure what the playout makes of troubled networks: rendered error, delay, recovery.
-
-    Runs on a virtual clock and needs no network. Compares the receiver's playout with a fixed
-    buffer of 100 ms and with none.
-    """
-    from pica_client.bench_playout import BenchPlayoutConfig, run_bench_playout
-    from pica_client.stream_trial import Schedule
-
-    config = BenchPlayoutConfig(
-        source=options.source,
-        codec=options.codec,
-        scenarios=tuple(name for name in options.scenarios.split(",") if name),
-        schedule=Schedule(seconds=options.seconds, fps=options.fps, display_hz=options.display_hz),
-        renders_per_s=options.renders_per_s,
-        seed=options.seed,
-    )
-    library = AvatarLibrary()
-    try:
-        (chosen, *_) = choose_avatars(options.avatar, library)
-        avatar = library.load(library.find(chosen))
-    finally:
-        library.close()
-    return run_bench_playout(config, avatar)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -309,7 +176,7 @@ def view(options: ViewOptions) -> dict[str, Any]:
             secret_file=options.secret_file,
             token_file=options.token_file,
         ),
-        call=CallConfig(playout=_playout(options.playout_floor_ms)),
+        call=CallConfig(playout=playout_with_floor(options.playout_floor_ms)),
         viewer=ViewerOptions(
             size=_size(options.size),
             headless=options.headless,
@@ -329,12 +196,12 @@ def view(options: ViewOptions) -> dict[str, Any]:
             if name:
                 library.load(library.find(name))
         looking = View(config, library)
-        _say(f"looking into room {options.room} at {options.url}")
+        say(f"looking into room {options.room} at {options.url}")
         with on_stop_signal(looking.stop):
             result = looking.run()
     finally:
         library.close()
-    _say(f"drew {result['frames_rendered']} images at {result['render_fps']} a second")
+    say(f"drew {result['frames_rendered']} images at {result['render_fps']} a second")
     return result
 
 
@@ -393,12 +260,12 @@ def demo(options: DemoOptions) -> dict[str, Any]:
     with terminate_as_interrupt():
         stats = run_demo(config)
     latency = stats["latency_ms"]
-    _say(
+    say(
         f"{stats['rendered_peers']} of {stats['peers']} peers drawn at {stats['render_fps']} "
         f"images/s with {stats['gl_renderer']}; source sample to decoded avatar "
         f"p50 {latency['p50']} ms, p99 {latency['p99']} ms; errors: {stats['errors']}"
     )
-    _say(f"see call.mp4, frame.png and stats.json in {options.out}")
+    say(f"see call.mp4, frame.png and stats.json in {options.out}")
     return stats
 
 
@@ -413,7 +280,7 @@ def doctor(options: DoctorOptions) -> dict[str, Any]:
 
     findings = examine(has_display=has_display)
     for finding in findings:
-        _say(finding.line)
+        say(finding.line)
     return {"findings": [asdict(finding) for finding in findings]}
 
 
@@ -441,15 +308,8 @@ def avatar_thumbnail(options: ThumbnailOptions) -> dict[str, Any]:
     finally:
         library.close()
     save_png(options.out, draw_thumbnail(avatar, size))
-    _say(f"wrote {options.out}")
+    say(f"wrote {options.out}")
     return {"name": avatar.manifest.name, "out": str(options.out)}
-
-
-def _playout(floor_ms: float) -> PlayoutConfig:
-    longest_ms = PlayoutConfig().ceiling_s * 1e3
-    if not 0 <= floor_ms <= longest_ms:
-        raise OptionError(f"playout-floor-ms is {floor_ms:g}; 0 to {longest_ms:g} is allowed")
-    return PlayoutConfig(floor_s=floor_ms / 1e3)
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -461,7 +321,3 @@ def _size(text: str) -> tuple[int, int]:
     if not all(16 <= length <= 8192 for length in size):
         raise OptionError(f"size is {text}; 16 to 8192 columns and rows are allowed")
     return size
-
-
-def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)

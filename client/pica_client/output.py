@@ -4,6 +4,7 @@ where it comes out later."""
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -54,3 +55,8 @@ def make_folder(path: Path) -> None:
         raise OptionError(f"{path}: cannot be made: {error.strerror or error}") from error
     if not os.access(path, os.W_OK):
         raise OptionError(f"{path}: cannot be written: Permission denied")
+
+
+def say(text: str) -> None:
+    """Tell the user something; results for programs go to stdout, all else here."""
+    print(text, file=sys.stderr, flush=True)

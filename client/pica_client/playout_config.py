@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+from pica_client.errors import OptionError
 from pica_client.motion import Distance
 
 CORRECTION_LIMIT = Distance(latent=10.0, turn_rad=3.0, move_m=0.5)
@@ -91,3 +92,15 @@ UNBUFFERED = replace(
 )
 """For comparison: each frame is shown when it comes, unless a newer one is shown already."""
 POLICIES = {"adaptive": ADAPTIVE, "fixed": FIXED, "unbuffered": UNBUFFERED}
+
+
+def playout_with_floor(floor_ms: float) -> PlayoutConfig:
+    """The default playout with another least delay, as an option of a command gives it.
+
+    Raises:
+        OptionError: Below 0 or above the longest delay.
+    """
+    longest_ms = PlayoutConfig().ceiling_s * 1e3
+    if not 0 <= floor_ms <= longest_ms:
+        raise OptionError(f"playout-floor-ms is {floor_ms:g}; 0 to {longest_ms:g} is allowed")
+    return PlayoutConfig(floor_s=floor_ms / 1e3)
