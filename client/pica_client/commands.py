@@ -60,6 +60,8 @@ class SendOptions:
     """Send 8 bits a value, 65 kbit/s, as avatars without a stream profile are sent."""
     token_file: Path | None = None
     """File with the join token that the relay wants, see pica token."""
+    ca_file: Path | None = None
+    """With a wss:// address, trust the certificates of this PEM file instead of the system's."""
     secret_file: Path | None = None
     """File with the room secret, from pica secret: encrypts end to end, see docs/privacy.md."""
     short_tags: bool = False
@@ -88,6 +90,7 @@ def send(options: SendOptions) -> dict[str, Any]:
         connect_timeout_s=None if options.wait else CONNECT_TIMEOUT_S,
         secret_file=options.secret_file,
         token_file=options.token_file,
+        ca_file=options.ca_file,
         short_tags=options.short_tags,
     )
     source = open_source(options.source)
@@ -154,6 +157,8 @@ class ViewOptions:
     """Write the times of every frame into this file at the end."""
     token_file: Path | None = None
     """File with the join token that the relay wants, see pica token."""
+    ca_file: Path | None = None
+    """With a wss:// address, trust the certificates of this PEM file instead of the system's."""
     secret_file: Path | None = None
     """File with the room secret of those who encrypt: shows them, and nobody else."""
 
@@ -175,6 +180,7 @@ def view(options: ViewOptions) -> dict[str, Any]:
             connect_timeout_s=None if options.wait else CONNECT_TIMEOUT_S,
             secret_file=options.secret_file,
             token_file=options.token_file,
+            ca_file=options.ca_file,
         ),
         call=CallConfig(playout=playout_with_floor(options.playout_floor_ms)),
         viewer=ViewerOptions(

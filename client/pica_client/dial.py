@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import ipaddress
 import socket
-from typing import Final
+import ssl
+from pathlib import Path
+from typing import Any, Final
 from urllib.parse import urlsplit
 
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import InvalidHandshake, InvalidMessage, InvalidStatus, InvalidURI
 
+from pica_client.errors import OptionError
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.limits import MAX_CONTROL_BYTES
 
@@ -26,8 +29,16 @@ MAX_QUEUED_MESSAGES: Final = 16
 """Websocket messages read ahead of us; then the network is told to wait."""
 
 
-async def open_websocket(url: str) -> ClientConnection:
-    """Open a websocket to a relay with our settings, small buffers among them."""
+async def open_websocket(url: str, ca_file: Path | None = None) -> ClientConnection:
+    """Open a websocket to a relay with our settings, small buffers among them.
+
+    Args:
+        url: Of the relay.
+        ca_file: With wss://, certificates to trust instead of the system's.
+
+    Raises:
+        OptionError: There are no certificates in the file.
+    """
     host = urlsplit(url).hostname or ""
     websocket = await connect(
         url,
@@ -42,12 +53,24 @@ async def open_websocket(url: str) -> ClientConnection:
         open_timeout=5.0,
         proxy=None if _is_loopback(host) else True,
         user_agent_header=SOFTWARE,
+        **_tls(url, ca_file),
     )
     raw = websocket.transport.get_extra_info("socket")
     option = getattr(socket, "TCP_NOTSENT_LOWAT", None)
     if raw is not None and option is not None and raw.family != getattr(socket, "AF_UNIX", None):
         raw.setsockopt(socket.IPPROTO_TCP, option, MAX_UNSENT_BYTES)
     return websocket
+
+
+def _tls(url: str, ca_file: Path | None) -> dict[str, Any]:
+    if ca_file is None or not url.startswith("wss://"):
+        return {}
+    try:
+        return {"ssl": ssl.create_default_context(cafile=ca_file)}
+    except ssl.SSLError as error:
+        raise OptionError(f"ca-file {ca_file}: it holds no certificate in PEM format") from error
+    except OSError as error:
+        raise OptionError(f"ca-file {ca_file}: {error.strerror}") from error
 
 
 def _is_loopback(host: str) -> bool:
@@ -60,6 +83,8 @@ def _is_loopback(host: str) -> bool:
 
 def refusal(error: BaseException) -> str | None:
     """Why trying again cannot help, or None if it may."""
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return f"its certificate is not trusted: {error.verify_message.rstrip('.')} (--ca-file)"
     if isinstance(error, InvalidURI):
         return f"is no websocket address ({error})"
     if isinstance(error, InvalidStatus):

@@ -59,6 +59,8 @@ class LinkConfig:
     token_file: Path | None = None
     """File with the token that the relay wants, from `pica token`; read anew for every join, so
     that a fresh one can be put there."""
+    ca_file: Path | None = None
+    """With wss://, trust the certificates of this PEM file instead of the system's."""
     backoff: BackoffConfig = field(default_factory=BackoffConfig)
 
     def __post_init__(self) -> None:
@@ -69,6 +71,8 @@ class LinkConfig:
             usable = False
         if not usable:
             raise OptionError(f"url {self.url!r} is no relay address; write ws://HOST:PORT")
+        if self.ca_file is not None and not self.url.startswith("wss://"):
+            raise OptionError(f"ca-file says whom to trust with wss://; url is {self.url}")
         if self.short_tags and self.secret_file is None:
             raise OptionError("short-tags says how to encrypt; it needs a secret-file")
         try:
@@ -119,8 +123,7 @@ class Link:
             config: Where to and as whom.
             tracks: What we publish.
             on_event: Called on the event loop for every event of every session, if given.
-            connector: Opens one websocket; a plain TCP or TLS connection to `config.url` by
-                default.
+            connector: Opens one websocket; a plain TCP or TLS connection to `url` by default.
             rng: Spreads reconnects; seeded by tests.
             guard: Seals what we send and opens what comes; by default one for the secret of the
                 configuration, and without a secret everything is plain.
@@ -139,11 +142,17 @@ class Link:
         self._tracks = tracks
         self._on_event = on_event
         self.guard = guard
-        self._connector = connector or (lambda: open_websocket(config.url))
+        self._elsewhere = ""
+        self._connector = connector or (lambda: open_websocket(self.url, config.ca_file))
         self._backoff = Backoff((rng or random.Random()).random, config.backoff)
         self._session: ClientSession | None = None
         self._wake = asyncio.Event()
         self._is_leaving = False
+
+    @property
+    def url(self) -> str:
+        """The relay that we are at, or try next: the configured one, or where that has sent us."""
+        return self._elsewhere or self.config.url
 
     @property
     def is_joined(self) -> bool:
@@ -243,7 +252,7 @@ class Link:
         Raises:
             RelayUnreachableError: Nobody answered within the first connect timeout.
             RelayRefusedError: The relay, or what answers there, will not have us.
-            OptionError: The token file cannot be read.
+            OptionError: The token file, or that of certificates to trust, cannot be read.
         """
         loop = asyncio.get_running_loop()
         limit_s = self.config.connect_timeout_s
@@ -258,8 +267,10 @@ class Link:
                     websocket = await self._connect_or_leave()
             except (OSError, TimeoutError, InvalidHandshake, EOFError) as error:
                 reason = refusal(error)
-                if reason is not None:
-                    raise RelayRefusedError(f"{self.config.url}: {reason}") from error
+                if self._elsewhere:
+                    self._elsewhere = ""  # nobody there; back to where we were sent from
+                elif reason is not None:
+                    raise RelayRefusedError(f"{self.url}: {reason}") from error
                 trouble = str(error) or "nobody answered"
                 _log.debug("relay not reached", extra={"error": type(error).__name__})
             else:
@@ -268,13 +279,17 @@ class Link:
                 if websocket.subprotocol != SUBPROTOCOL:
                     websocket.transport.abort()
                     raise RelayRefusedError(
-                        f"{self.config.url}: a websocket server that does not speak {SUBPROTOCOL}"
+                        f"{self.url}: a websocket server that does not speak {SUBPROTOCOL}"
                     )
                 joined_s = await self._talk(websocket, token)
             if self._is_leaving:
                 return
             lasted_s = 0.0 if joined_s is None else loop.time() - joined_s
             wait_s = self._backoff.next_wait_s(lasted_s)
+            if joined_s is not None and self._is_sent_elsewhere():
+                # The relay that sends us away spreads its clients over time. Two that send us to
+                # and fro are another matter.
+                wait_s = 0.0 if lasted_s >= self.config.backoff.settled_s else wait_s
             was_never_there = self.counters.connects == 0
             if was_never_there and give_up_s is not None and loop.time() + wait_s >= give_up_s:
                 raise RelayUnreachableError(
@@ -282,6 +297,17 @@ class Link:
                     "start one with `pica relay`, or wait for it with --wait"
                 )
             await self._sleep(wait_s)
+
+    def _is_sent_elsewhere(self) -> bool:
+        """Whether the latest connection ended with the address of another relay to go to."""
+        closed = self.last_closed
+        if closed is None or closed.code != CloseCode.GOING_AWAY or not closed.url:
+            return False
+        if self.config.url.startswith("wss://") and not closed.url.startswith("wss://"):
+            _log.warning("the relay sends us where connections are not encrypted; not going")
+            return False
+        self._elsewhere = closed.url
+        return True
 
     async def _connect_or_leave(self) -> ClientConnection | None:
         """Open a websocket, unless `leave` is called first."""
@@ -434,8 +460,7 @@ class Link:
             _log.info("connection to the relay ended", extra={"code": closed.code})
             return
         raise RelayRefusedError(
-            f"{self.config.url}: the relay said no: {closed.reason or 'no reason'} "
-            f"(code {closed.code})"
+            f"{self.url}: the relay said no: {closed.reason or 'no reason'} (code {closed.code})"
         )
 
 

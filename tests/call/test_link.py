@@ -9,12 +9,14 @@ from pathlib import Path
 
 import pytest
 from websockets.asyncio.server import ServerConnection, serve
+from websockets.typing import Subprotocol
 
 from pica_client.errors import OptionError, RelayRefusedError, RelayUnreachableError
 from pica_client.link import Link, LinkConfig
 from pica_protocol import SUBPROTOCOL
+from pica_protocol.errors import CloseCode
 from pica_protocol.messages import Joined, KeyframeRequest, PeerJoined, Whisper
-from pica_protocol.session import ClientEvent, Closed
+from pica_protocol.session import ClientEvent, Closed, ServerSession, State
 from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 from pica_server.tokens import Admission, KeyRing, load_keys, mint
@@ -67,6 +69,70 @@ async def test_who_waits_finds_the_relay_within_the_longest_wait_of_its_coming()
         assert link.is_joined
         link.leave()
         await running
+
+
+@in_virtual_time
+async def test_a_link_goes_where_a_relay_sends_it_without_waiting() -> None:
+    loop = asyncio.get_running_loop()
+    config = RelayConfig(drain_to="ws://other:8766")
+    async with Relay(RelayConfig(port=8766)) as other, Relay(config) as relay:
+        link, seen = make_link()
+        running = asyncio.create_task(link.run())
+        await seen.joined.wait()
+        await asyncio.sleep(10)
+        seen.joined.clear()
+        start = loop.time()
+        await relay.drain()
+        await seen.joined.wait()
+        assert loop.time() - start < 0.1
+        assert link.url == "ws://other:8766"
+        assert other.hub.num_rooms == 1
+        link.leave()
+        await running
+
+
+@in_virtual_time
+async def test_a_link_that_is_sent_to_nobody_comes_back() -> None:
+    config = RelayConfig(drain_to="ws://nobody:9999")
+    link, seen = make_link()
+    async with Relay(config) as relay:
+        running = asyncio.create_task(link.run())
+        await seen.joined.wait()
+        await asyncio.sleep(10)
+        await relay.drain()
+    seen.joined.clear()
+    async with Relay(RelayConfig()):
+        await seen.joined.wait()
+        assert link.url == URL
+        link.leave()
+        await running
+
+
+@in_virtual_time
+async def test_relays_that_send_a_link_to_and_fro_make_it_slower() -> None:
+    loop = asyncio.get_running_loop()
+    welcomes: list[float] = []
+
+    async def go_away(websocket: ServerConnection) -> None:
+        session = ServerSession(now=loop.time())
+        while session.state is not State.DECIDING:
+            session.receive_data(await websocket.recv(), loop.time())
+        welcomes.append(loop.time())
+        join_reply = Joined(room="r", peer_id="p1")
+        session.accept(join_reply)
+        session.close(CloseCode.GOING_AWAY, "not here", "ws://relay:8765")
+        for data in session.messages_to_send(loop.time()):
+            await websocket.send(data)
+        await websocket.close(CloseCode.GOING_AWAY)
+
+    pica = [Subprotocol(SUBPROTOCOL)]
+    async with serve(go_away, "relay", 8765, subprotocols=pica, compression=None):
+        link, _ = make_link()
+        running = asyncio.create_task(link.run())
+        await asyncio.sleep(120)
+        link.leave()
+        await running
+    assert 10 < len(welcomes) < 40
 
 
 @in_virtual_time
