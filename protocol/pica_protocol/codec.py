@@ -25,17 +25,22 @@ from pica_protocol.limits import (
     quoted,
 )
 from pica_protocol.messages import MESSAGE_TYPES, Message
+from pica_protocol.store import STORE_MESSAGE_TYPES, StoreMessage
 
 CONTROL_KIND: Final = 1
 """First byte of a websocket message that carries one control message."""
 
 _PREFIX = bytes([CONTROL_KIND])
-_TYPE_NAMES: Final = {cls: name for name, cls in MESSAGE_TYPES.items()}
+_TYPE_NAMES: Final = {
+    cls: name
+    for table in (MESSAGE_TYPES, STORE_MESSAGE_TYPES)
+    for name, cls in cast(Mapping[str, type], table).items()
+}
 
 _Reader = Callable[[object, str], Any]
 
 
-def encode_message(message: Message) -> bytes:
+def encode_message(message: Message | StoreMessage) -> bytes:
     """Return the websocket message that carries ``message``.
 
     Raises:
@@ -57,6 +62,19 @@ def decode_message(data: bytes, max_bytes: int = MAX_CONTROL_BYTES) -> Message:
         RemoteProtocolError: Too long, not msgpack within the limits, of an unknown type, or with a
             field that is missing, of the wrong type or out of range; the text names it.
     """
+    return cast(Message, _decode(data, max_bytes, MESSAGE_TYPES))
+
+
+def decode_store_message(data: bytes, max_bytes: int = MAX_CONTROL_BYTES) -> StoreMessage:
+    """Return the message of the sub-protocol ``pica.store.1`` that ``data`` carries.
+
+    Raises:
+        RemoteProtocolError: As ``decode_message``.
+    """
+    return cast(StoreMessage, _decode(data, max_bytes, STORE_MESSAGE_TYPES))
+
+
+def _decode(data: bytes, max_bytes: int, message_types: Mapping[str, type]) -> object:
     if len(data) > max_bytes:
         raise RemoteProtocolError(f"control message of {len(data)} bytes, the limit is {max_bytes}")
     if not data.startswith(_PREFIX):
@@ -65,10 +83,10 @@ def decode_message(data: bytes, max_bytes: int = MAX_CONTROL_BYTES) -> Message:
     if not isinstance(record, dict):
         raise RemoteProtocolError(f"expected a map, got {type(record).__name__}")
     name = record.get("type")
-    if not isinstance(name, str) or name not in MESSAGE_TYPES:
+    if not isinstance(name, str) or name not in message_types:
         raise RemoteProtocolError(f"unknown message type {quoted(name)}")
     try:
-        return cast(Message, _read_record(MESSAGE_TYPES[name], record, name))
+        return _read_record(message_types[name], record, name)
     except ValueError as error:  # from the message's own check
         raise RemoteProtocolError(str(error)) from error
 
@@ -187,5 +205,5 @@ def _wrong(path: str, wanted: str, value: object) -> RemoteProtocolError:
 
 
 _SCHEMAS: dict[type, tuple[_Field, ...]] = {}
-for _cls in MESSAGE_TYPES.values():
+for _cls in _TYPE_NAMES:
     _add_schema(_cls)

@@ -28,6 +28,7 @@ from pica_protocol.messages import (
     Welcome,
     Whisper,
 )
+from pica_protocol.store import Offer, Ready, Stored, StoreMessage, encode_chunk
 
 GOLDEN = Path(__file__).with_name("wire.json")
 
@@ -87,6 +88,21 @@ FRAMES: dict[str, list[Frame]] = {
 }
 
 
+STORE_MESSAGES: dict[str, StoreMessage] = {
+    "offer": Offer(sha256=_AVATAR, size=4, token="h.c.s"),
+    "ready": Ready(),
+    "stored": Stored(checked="full"),
+}
+"""Samples of the sub-protocol ``pica.store.1``."""
+CHUNK = b"test"
+
+
+def store_bytes() -> dict[str, bytes]:
+    """Return the websocket message of every sample of ``pica.store.1``."""
+    messages = {name: encode_message(message) for name, message in STORE_MESSAGES.items()}
+    return messages | {"chunk": encode_chunk(CHUNK)}
+
+
 def wire_bytes() -> dict[str, bytes]:
     """Return the websocket message of every sample."""
     messages = {name: encode_message(message) for name, message in MESSAGES.items()}
@@ -136,6 +152,7 @@ def _write() -> None:
         "older": json.loads(GOLDEN.read_text())["older"],
         "valid": {name: data.hex() for name, data in wire_bytes().items()},
         "invalid": {name: data.hex() for name, data in invalid_bytes().items()},
+        "store": {name: data.hex() for name, data in store_bytes().items()},
     }
     GOLDEN.write_text(json.dumps(golden, indent=2) + "\n")
 

@@ -1,0 +1,118 @@
+"""Giving a relay a file for its avatar store: the sub-protocol ``pica.store.1``.
+
+A websocket of its own on the relay's port, one file each. The client sends ``Offer``; the relay
+answers ``Stored`` when it has the file, else ``Ready``, and then takes chunks, in order, until it
+has as many bytes as were offered. It checks them and answers ``Stored``. Whatever goes wrong on
+either side ends with ``Bye`` and a close frame, as in ``pica.1``.
+
+Getting a file back is plain HTTP: ``GET /avatars/ID``, see ``docs/protocol.md``.
+"""
+
+import re
+from dataclasses import dataclass, field
+from typing import Final
+
+from pica_protocol.errors import RemoteProtocolError
+from pica_protocol.limits import (
+    MAX_CLIENT_MESSAGE_BYTES,
+    check_pass,
+    check_range,
+    check_sha256,
+    quoted,
+)
+from pica_protocol.messages import Bye
+
+STORE_SUBPROTOCOL: Final = "pica.store.1"
+"""The websocket sub-protocol of uploads; the digit changes when old peers could not follow."""
+
+AVATARS_PATH: Final = "/avatars/"
+"""Where files are got by HTTP; an id follows."""
+
+CHUNK_KIND: Final = 3
+"""First byte of a websocket message that carries a piece of a file."""
+
+MAX_CHUNK_BYTES: Final = MAX_CLIENT_MESSAGE_BYTES - 1
+"""Bytes of file in one message."""
+
+MAX_OFFER_BYTES: Final = 2**40
+"""What an offer can say; the relay's own limit is far below."""
+
+CHECKS: Final = ("full", "structure")
+"""What a relay has looked at: all that a receiver checks, or the layout of the file alone."""
+
+_ID: Final = re.compile(r"[0-9a-f]{64}")
+_CHUNK_PREFIX: Final = bytes([CHUNK_KIND])
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Offer:
+    """First message of an upload: which file comes."""
+
+    sha256: str
+    """Of its bytes, in hexadecimal: its id."""
+    size: int
+    """Its length in bytes."""
+    token: str = field(default="", repr=False)
+    """A join token that allows to publish with this avatar; a relay with keys wants one."""
+
+    def __post_init__(self) -> None:
+        check_sha256("offer.sha256", self.sha256)
+        if not self.sha256:
+            raise ValueError("offer.sha256 must not be empty")
+        check_range("offer.size", self.size, 1, MAX_OFFER_BYTES)
+        check_pass("offer.token", self.token)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Ready:
+    """The relay does not have it: send it."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Stored:
+    """The relay has it, and whoever knows its id can get it."""
+
+    checked: str = ""
+    """One of ``CHECKS``; empty when it was there already."""
+
+    def __post_init__(self) -> None:
+        if self.checked and self.checked not in CHECKS:
+            raise ValueError(f"stored.checked must be one of {CHECKS}, got {quoted(self.checked)}")
+
+
+StoreMessage = Offer | Ready | Stored | Bye
+
+STORE_MESSAGE_TYPES: Final[dict[str, type[StoreMessage]]] = {
+    "offer": Offer,
+    "ready": Ready,
+    "stored": Stored,
+    "bye": Bye,
+}
+"""The messages of this sub-protocol, as ``messages.MESSAGE_TYPES``."""
+
+
+def is_avatar_id(text: str) -> bool:
+    """Say whether this names a file of a store: 64 lower-case hexadecimal digits, nothing else."""
+    return _ID.fullmatch(text) is not None
+
+
+def encode_chunk(data: bytes | memoryview) -> bytes:
+    """Return the websocket message that carries a piece of a file."""
+    if not 0 < len(data) <= MAX_CHUNK_BYTES:
+        raise ValueError(f"a chunk has 1..{MAX_CHUNK_BYTES} bytes, got {len(data)}")
+    return _CHUNK_PREFIX + data
+
+
+def decode_chunk(message: bytes) -> memoryview:
+    """Return the piece of a file in a websocket message.
+
+    Raises:
+        RemoteProtocolError: It is no chunk, empty or too long.
+    """
+    if not message.startswith(_CHUNK_PREFIX):
+        raise RemoteProtocolError(f"not a chunk of a file: first byte {quoted(message[:1])}")
+    if not 1 < len(message) <= MAX_CHUNK_BYTES + 1:
+        raise RemoteProtocolError(
+            f"a chunk of {len(message) - 1} bytes, allowed are 1..{MAX_CHUNK_BYTES}"
+        )
+    return memoryview(message)[1:]
