@@ -67,6 +67,7 @@ def relay(options: RelayOptions) -> dict[str, Any]:
     Raises:
         ListenError: The address or the ready file cannot be had.
         KeyFileError: The key file cannot be used.
+        StoreError: The avatar store cannot be used.
     """
     if options.print_config:
         print(as_toml(options.effective), end="")
@@ -84,6 +85,12 @@ async def _run(options: RelayOptions) -> dict[str, Any]:
                     _say("INSECURE: anybody who reaches this port may join any room")
                 elif options.config.keys is None:
                     _say("DEVELOPMENT: no --keys, anybody on this machine may join any room")
+                if server.store is not None:
+                    how = "all that receivers check" if server.store.checks_fully else "its layout"
+                    _say(
+                        f"avatar store {options.config.avatar_store}: "
+                        f"{server.store.num_avatars} avatars; of an upload is checked: {how}"
+                    )
                 first = await signals.get()
             if first == signal.SIGTERM and options.config.drain_s > 0:
                 _say(f"draining, {server.hub.num_connections} connections to send away")

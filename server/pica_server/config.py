@@ -7,6 +7,7 @@ from pathlib import Path
 
 from pica_protocol.limits import MAX_PEERS, check_url
 from pica_server.errors import ConfigurationError
+from pica_server.store_config import StoreConfig
 
 _ORIGIN = re.compile(r"https?://[^/?#\s]+")
 
@@ -59,6 +60,10 @@ class RelayConfig:
     say nothing, and may."""
     open_metrics: bool = False
     """Answer /metrics to other machines too, not to this one alone."""
+    avatar_store: str = "temporary"
+    """Where avatar files are kept that clients give to each other: a folder; an fsspec URL such as
+    s3://BUCKET/FOLDER (extra `store`, and the driver's own package); temporary, a folder that ends
+    with the relay; none."""
     room_capacity: int = 16
     """Peers in one room."""
     max_connections: int = 1024
@@ -94,6 +99,8 @@ class RelayConfig:
     address again, where a load balancer may send them elsewhere."""
     limits: LimitsConfig = field(default_factory=LimitsConfig)
     """What clients may ask for."""
+    store: StoreConfig = field(default_factory=StoreConfig)
+    """What the avatar store takes and gives."""
 
     def __post_init__(self) -> None:
         _check("port", self.port, 0, 65_535)
@@ -109,6 +116,8 @@ class RelayConfig:
         _check("max-control-bytes", self.max_control_bytes, 65_536, 16_777_216)
         _check("coalesce-above-per-s", self.coalesce_above_per_s, 1, 1e12)
         _check("coalesce-longest-s", self.coalesce_longest_s, 0, 0.1)
+        if not self.avatar_store:
+            raise ConfigurationError("--avatar-store is empty; name a folder, or none")
         _check("drain-s", self.drain_s, 0, 3600)
         try:
             check_url("drain-to", self.drain_to)

@@ -5,6 +5,11 @@ RelayError
 ├── ListenError          the address cannot be bound
 ├── KeyFileError         the file of signing keys cannot be used
 ├── AdmissionError       a join without a token that allows it; carries the close code
+├── StoreError           the avatar store cannot be used
+│   ├── UnfitFileError   a file that it does not take
+│   └── StoreFullError   a file that it has no room for
+├── ClusterError         the cluster cannot be joined
+├── ClusterMessageError  another node sent what cannot be read
 ├── RoomFullError        one peer more than the room takes
 └── OutboxFullError      more control messages than a peer that reads would leave waiting
 """
@@ -36,6 +41,26 @@ class AdmissionError(RelayError):
     def __init__(self, message: str, code: CloseCode) -> None:
         super().__init__(message)
         self.code = code
+
+
+class StoreError(RelayError):
+    """The avatar store cannot be used: names the place and the fix."""
+
+
+class UnfitFileError(StoreError):
+    """A file is not what was offered, or no avatar file."""
+
+
+class StoreFullError(StoreError):
+    """The store has no room for a file."""
+
+
+class ClusterError(RelayError):
+    """The cluster cannot be joined: names the setting and the fix."""
+
+
+class ClusterMessageError(RelayError, ValueError):
+    """Another node, or whoever may use its NATS, sent what cannot be read; quotes nothing of it."""
 
 
 class RoomFullError(RelayError):

@@ -52,6 +52,7 @@ def metrics_text(stats: RelayStats, gauges: Mapping[str, tuple[str, float]]) -> 
         ("keyframe_requests_total", "Keyframe requests.", "reason", stats.keyframe_requests),
         ("whispers_dropped_total", "Whispers not passed on.", "reason", stats.whispers_dropped),
         ("limits_hit_total", "How often a limit was reached.", "limit", stats.limits_hit),
+        ("store_total", "What the avatar store did, times or bytes.", "what", stats.store),
         ("closed_total", "Connections ended.", "code", stats.closed),
     ):
         labelled: _Labelled = {

@@ -17,7 +17,7 @@ import asyncio
 import logging
 import socket
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from types import TracebackType
 from typing import Any, Self
@@ -30,17 +30,20 @@ from websockets.typing import Origin, Subprotocol
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
 from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
+from pica_protocol.store import AVATARS_PATH, STORE_SUBPROTOCOL
 from pica_server.coalescing import WaitingLine
 from pica_server.config import RelayConfig
 from pica_server.connection import Connection
-from pica_server.errors import ListenError
+from pica_server.errors import AdmissionError, ListenError
 from pica_server.hub import Hub
 from pica_server.limits import SocketGuard
 from pica_server.loop_watch import PERIOD_S, LoopWatch
 from pica_server.outbox import Parcel
 from pica_server.relay_socket import RelaySocket
 from pica_server.status_pages import StatusPages
-from pica_server.tokens import KeyRing, admit, load_keys
+from pica_server.store import open_store
+from pica_server.store_door import StoreDoor
+from pica_server.tokens import KeyRing, admit, admit_upload, load_keys
 
 _MAX_QUEUED_MESSAGES = 16
 """Messages read ahead from one websocket before its socket is left alone."""
@@ -62,6 +65,7 @@ class Relay:
 
     Raises:
         KeyFileError: The key file cannot be used.
+        StoreError: The avatar store cannot be used.
         ListenError: On entry, when the address cannot be bound.
     """
 
@@ -78,6 +82,21 @@ class Relay:
             self.hub = Hub(config)
         else:
             self.hub = Hub(config, lambda join: admit(keys, join, now=unix_time()))
+
+        def may_upload(token: str, avatar: str) -> None:
+            if keys is not None:
+                admit_upload(keys, token, avatar, now=unix_time())
+            elif config.insecure:  # else strangers could fill the disk
+                raise AdmissionError("this relay has no tokens to ask for", CloseCode.FORBIDDEN)
+
+        self.store = open_store(config.avatar_store, config.store)
+        self._door = StoreDoor(
+            self.store,
+            may_upload,
+            self.hub.stats.store,
+            origins=config.origins,
+            offer_timeout_s=config.handshake_timeout_s,
+        )
         limits = config.limits
         # Twice: of sockets that are closing, and of those that are told why they must.
         per_address = 2 * limits.connections_per_address
@@ -123,13 +142,13 @@ class Relay:
             process_request=self._answer,
             # Without an allow-list any web page could join from the browser of somebody nearby.
             origins=[None, *map(Origin, config.origins)],
-            subprotocols=[Subprotocol(SUBPROTOCOL)],
+            subprotocols=[Subprotocol(SUBPROTOCOL), Subprotocol(STORE_SUBPROTOCOL)],
             select_subprotocol=_select_subprotocol,
             compression=None,
             max_size=MAX_CLIENT_MESSAGE_BYTES,
             max_queue=_MAX_QUEUED_MESSAGES,
             write_limit=_WRITE_LIMIT_BYTES,
-            open_timeout=config.handshake_timeout_s,
+            open_timeout=None,  # a RelaySocket has one of its own
             ping_interval=config.ping_interval_s,
             ping_timeout=config.ping_interval_s,
             close_timeout=config.close_timeout_s,
@@ -156,14 +175,21 @@ class Relay:
         self._server.close(close_connections=False)
         self.hub.close_all(CloseCode.GOING_AWAY, "the relay is stopping", self._now())
         self._after_events()
+        self._door.close()
         await self._server.wait_closed()
+        if self.store is not None:
+            self.store.close()
         for handle in (self._timer, self._watching, self._release, self._soon):
             if handle is not None:
                 handle.cancel()
 
-    def _answer(self, websocket: ServerConnection, request: Request) -> Response | None:
+    def _answer(
+        self, websocket: ServerConnection, request: Request
+    ) -> Response | Awaitable[Response] | None:
         """Answer a plain HTTP request; None lets a websocket begin."""
         assert isinstance(websocket, RelaySocket)
+        if request.path.startswith(AVATARS_PATH):
+            return self._door.answer(websocket, request)
         page = self._pages.answer(request.path, is_local=not websocket.address, now=self._now())
         if page is None:
             return None
@@ -207,6 +233,7 @@ class Relay:
     def _guarded_connection(self, *args: Any, **kwargs: Any) -> RelaySocket:
         connection = RelaySocket(*args, **kwargs)
         connection.guard = self._guard
+        connection.handshake_timeout_s = self.config.handshake_timeout_s
         connection.stats = self.hub.stats
         return connection
 
@@ -214,6 +241,9 @@ class Relay:
         """Serve one websocket until it has ended; the server owns this task."""
         assert isinstance(websocket, RelaySocket)
         websocket.note_opened()
+        if websocket.subprotocol == STORE_SUBPROTOCOL:
+            await self._door.serve(websocket)
+            return
         _bound_kernel_buffer(websocket, self.config.send_buffer_bytes)
         connection = self.hub.connect(self._now(), websocket.address)
         waker = self._wakers[connection] = _Waker(websocket)
@@ -402,7 +432,10 @@ def _select_subprotocol(
     _websocket: ServerConnection, offered: Sequence[Subprotocol]
 ) -> Subprotocol | None:
     # Whoever offers none is let in and told so with a close code: clearer than an HTTP 400.
-    return Subprotocol(SUBPROTOCOL) if SUBPROTOCOL in offered else None
+    for known in (SUBPROTOCOL, STORE_SUBPROTOCOL):
+        if known in offered:
+            return Subprotocol(known)
+    return None
 
 
 def _bound_kernel_buffer(websocket: ServerConnection, send_buffer_bytes: int) -> None:

@@ -46,11 +46,15 @@ class RelaySocket(ServerConnection):
         guard: Counts the sockets.
         stats: Where refused ones are noted.
         address: Whose it is, see `limits.address_group`.
+        handshake_timeout_s: Until when it must be a websocket, or be taken for a download. Not the
+            library's ``open_timeout``: that one holds until all of an HTTP answer is gone.
     """
 
     guard: SocketGuard
     stats: RelayStats
     address = ""
+    handshake_timeout_s: float
+    _deadline: asyncio.TimerHandle | None = None
     _is_admitted = _is_opened = False
     _on_message: Callable[[bytes], None] | None = None
     _uses_recv = False
@@ -64,15 +68,21 @@ class RelaySocket(ServerConnection):
         if not self._is_admitted:
             self.stats.limits_hit["sockets"] += 1
             self.transport.abort()
+            return
+        self._deadline = self.loop.call_later(self.handshake_timeout_s, self.transport.abort)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Tell the guard."""
         super().connection_lost(exc)
+        if self._deadline is not None:
+            self._deadline.cancel()
         if self._is_admitted:
             self.guard.closed(self.address, was_opened=self._is_opened)
 
     def note_opened(self) -> None:
-        """Take note that this is a websocket now."""
+        """Take note that this is a websocket now, or a download."""
+        if self._deadline is not None:
+            self._deadline.cancel()
         self._is_opened = True
         self.guard.opened()
 

@@ -81,10 +81,22 @@ class RelayStats:
     a join that its token did not allow; ``sockets`` that were cut at once."""
     closed: Counter[int] = field(default_factory=Counter)
     """Connections ended, by close code; 0 is any code that is not ours."""
+    store: Counter[str] = field(default_factory=Counter)
+    """What the avatar store did: ``downloads`` begun, ``downloads_cut``, ``downloads_refused`` as
+    there were too many, ``download_bytes``; ``uploads_done``, of which ``uploads_known`` were there
+    already and ``uploads_kept`` are new, ``uploads_refused``, ``uploads_cut`` by their sender,
+    ``upload_bytes``; ``faults`` of its place."""
     reported_lost: int = 0
     """Frames that receivers reported missing."""
     reported_concealed: int = 0
     """Display times that receivers reported without a fresh frame."""
+    cluster: Counter[str] = field(default_factory=Counter)
+    """What happened between this node and its cluster: ``frames_in``, ``frames_out``,
+    ``media_out`` messages; answers of the store, ``found written conflict failed``; the node
+    became ``clustered``, ``uncertain``, ``local``, was ``reconnected``, ``restarted``;
+    ``media_lost``, ``overrun``: NATS dropped something; ``unreadable`` messages."""
+    cluster_dropped: Counter[str] = field(default_factory=Counter)
+    """Frames that did not go to another node because NATS takes too little, as ``dropped``."""
     forwarding: LatencyHistogram = field(default_factory=LatencyHistogram)
     """From a frame's receipt to the moment the receiver's socket took it."""
 
@@ -105,8 +117,11 @@ class RelayStats:
             "keyframe_requests": dict(self.keyframe_requests),
             "whispers": self.whispers,
             "whispers_dropped": dict(self.whispers_dropped),
+            "cluster": dict(self.cluster),
+            "cluster_dropped": dict(self.cluster_dropped),
             "limits_hit": dict(self.limits_hit),
             "closed": {str(code): count for code, count in sorted(self.closed.items())},
+            "store": dict(self.store),
             "reported_lost": self.reported_lost,
             "reported_concealed": self.reported_concealed,
             "forward_ms": {

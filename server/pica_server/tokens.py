@@ -181,17 +181,10 @@ def admit(keys: KeyRing, join: Join, *, now: float) -> Admission:
         AdmissionError: ``UNAUTHORIZED`` without a token that is good here and now, ``FORBIDDEN``
             for what the token does not grant; the text does not quote the token.
     """
-    claims = _claims(keys, join.token)
-    begins_s, ends_s = _number(claims, "nbf"), _number(claims, "exp")
-    if now < begins_s - LEEWAY_S:
-        raise _unauthorized("the token does not hold yet")
-    if now >= ends_s + LEEWAY_S:
-        raise _unauthorized("the token has expired")
+    claims = _claims_that_hold(keys, join.token, now)
     if claims.get("room") != join.room:
         raise _unauthorized("the token is for another room")
-    avatars = claims.get("avatars", [])
-    if not isinstance(avatars, list) or not all(isinstance(item, str) for item in avatars):
-        raise _unauthorized("the token's avatars are no list of text")
+    avatars = _avatars(claims)
     name = claims.get("name", "")
     try:
         identity = claims["sub"]
@@ -212,6 +205,42 @@ def admit(keys: KeyRing, join: Join, *, now: float) -> Admission:
         if track.avatar and not {track.avatar, ANY_AVATAR} & set(admission.avatars):
             raise AdmissionError("the token does not let you wear this", CloseCode.FORBIDDEN)
     return admission
+
+
+def admit_upload(keys: KeyRing, token: str, avatar: str, *, now: float) -> None:
+    """Check that a token lets its owner give the relay an avatar: the one they may publish with.
+
+    Args:
+        keys: Any of them may have signed.
+        token: A join token, for any room: files belong to none.
+        avatar: Its id.
+        now: Seconds since 1970.
+
+    Raises:
+        AdmissionError: As `admit`.
+    """
+    claims = _claims_that_hold(keys, token, now)
+    if claims.get("publish") is not True:
+        raise AdmissionError("the token does not let you publish", CloseCode.FORBIDDEN)
+    if not {avatar, ANY_AVATAR} & set(_avatars(claims)):
+        raise AdmissionError("the token does not let you wear this", CloseCode.FORBIDDEN)
+
+
+def _claims_that_hold(keys: KeyRing, token: str, now: float) -> Mapping[str, Any]:
+    claims = _claims(keys, token)
+    begins_s, ends_s = _number(claims, "nbf"), _number(claims, "exp")
+    if now < begins_s - LEEWAY_S:
+        raise _unauthorized("the token does not hold yet")
+    if now >= ends_s + LEEWAY_S:
+        raise _unauthorized("the token has expired")
+    return claims
+
+
+def _avatars(claims: Mapping[str, Any]) -> list[str]:
+    avatars = claims.get("avatars", [])
+    if not isinstance(avatars, list) or not all(isinstance(item, str) for item in avatars):
+        raise _unauthorized("the token's avatars are no list of text")
+    return avatars
 
 
 def _claims(keys: KeyRing, token: str) -> Mapping[str, Any]:

@@ -18,6 +18,7 @@ from pica_server.settings import (
     read_options,
     settings_of,
 )
+from pica_server.store_config import StoreConfig
 
 pytestmark = pytest.mark.unit
 
@@ -244,8 +245,9 @@ def test_secrets_are_not_printed() -> None:
 def test_every_setting_of_a_relay_has_a_place_in_file_and_environment() -> None:
     settings = settings_of(RelayOptions)
     names = {setting.name for setting in settings}
-    assert {f.name for f in fields(RelayConfig)} - {"limits"} <= names
+    assert {f.name for f in fields(RelayConfig)} - {"limits", "store"} <= names
     assert {f"limits.{f.name}" for f in fields(LimitsConfig)} <= names
+    assert {f"store.{f.name}" for f in fields(StoreConfig)} <= names
     variables = {setting.variable(ENVIRONMENT_PREFIX) for setting in settings}
     assert len(variables) == len(settings)
     assert "PICA_RELAY_LIMITS_JOINS_PER_S" in variables

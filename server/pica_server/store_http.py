@@ -1,0 +1,102 @@
+"""What to answer when somebody asks for a file of the store by HTTP (RFC 9110, 9111). Pure.
+
+A file never changes: its name is its hash. So the entity tag is the hash, caches may keep it for
+ever, and a range of it can be joined with what somebody got years ago.
+"""
+
+import re
+from dataclasses import dataclass, field
+from http import HTTPStatus
+from typing import Final
+
+CACHE_CONTROL: Final = "public, max-age=31536000, immutable"
+METHODS: Final = ("GET", "HEAD")
+
+_RANGE = re.compile(r"bytes=\s*(\d{0,18})-(\d{0,18})\s*")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Answer:
+    """Status, headers, and which bytes of the file follow."""
+
+    status: HTTPStatus
+    headers: dict[str, str] = field(default_factory=dict)
+    begin: int = 0
+    end: int = 0
+    text: str = ""
+    """Instead of bytes of the file: for people."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Conditions:
+    """The headers of a request that change its answer; empty: not there."""
+
+    range: str = ""
+    if_range: str = ""
+    if_none_match: str = ""
+
+
+def answer_for(identity: str, size: int, conditions: Conditions) -> Answer:
+    """Say what to answer to a GET of a file that is there; a HEAD gets the same without bytes.
+
+    Several ranges at once, and ranges in other units, are answered with the whole file, as the
+    standard allows.
+
+    Args:
+        identity: The file's SHA-256 in hexadecimal.
+        size: Its length in bytes, above 0.
+        conditions: Of the request.
+    """
+    tag = f'"{identity}"'
+    headers = {"ETag": tag, "Cache-Control": CACHE_CONTROL, "Accept-Ranges": "bytes"}
+    # A weak tag is good enough for a cache (RFC 9110 13.1.2) but not for joining ranges (13.1.5).
+    known = [each.strip().removeprefix("W/") for each in conditions.if_none_match.split(",")]
+    if tag in known or "*" in known:
+        return Answer(status=HTTPStatus.NOT_MODIFIED, headers=headers)
+    headers["Content-Type"] = "application/octet-stream"
+    headers["X-Content-Type-Options"] = "nosniff"
+    wanted = None
+    if conditions.range and conditions.if_range in ("", tag):
+        wanted = parse_range(conditions.range, size)
+    if wanted is None:
+        headers["Content-Length"] = str(size)
+        return Answer(status=HTTPStatus.OK, headers=headers, end=size)
+    begin, end = wanted
+    if begin >= end:
+        headers["Content-Range"] = f"bytes */{size}"
+        return Answer(
+            status=HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE,
+            headers=headers,
+            text=f"the file has {size} bytes\n",
+        )
+    headers["Content-Range"] = f"bytes {begin}-{end - 1}/{size}"
+    headers["Content-Length"] = str(end - begin)
+    return Answer(status=HTTPStatus.PARTIAL_CONTENT, headers=headers, begin=begin, end=end)
+
+
+def parse_range(text: str, size: int) -> tuple[int, int] | None:
+    """Read a ``Range`` header.
+
+    Returns:
+        First byte and the one behind the last, equal for a range that lies outside the file; None
+        for what is no single range of bytes, and is to be ignored.
+    """
+    found = _RANGE.fullmatch(text)
+    if found is None or not (found[1] or found[2]):
+        return None
+    if not found[1]:  # the last so many
+        return max(size - int(found[2]), 0), size
+    begin, last = int(found[1]), int(found[2] or size)
+    if found[2] and last < begin:
+        return None  # RFC 9110 14.1.1: such a range is invalid
+    return min(begin, size), min(last + 1, size)
+
+
+def refusal(status: HTTPStatus, text: str) -> Answer:
+    """Say no."""
+    headers = {"Cache-Control": "no-store"}
+    if status == HTTPStatus.METHOD_NOT_ALLOWED:
+        headers["Allow"] = ", ".join(METHODS)
+    if status == HTTPStatus.SERVICE_UNAVAILABLE:
+        headers["Retry-After"] = "1"
+    return Answer(status=status, headers=headers, text=f"{text}\n")

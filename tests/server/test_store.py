@@ -1,0 +1,504 @@
+"""The avatar store of a real relay on loopback, used well and badly."""
+
+import asyncio
+import errno
+import os
+import sys
+from pathlib import Path
+
+import pytest
+from websockets.exceptions import ConnectionClosed
+
+from pica_client.avatars import shipped_avatar_files
+from pica_protocol.codec import encode_message
+from pica_protocol.errors import CloseCode
+from pica_protocol.messages import Bye, Hello
+from pica_protocol.store import Offer, encode_chunk
+from pica_server import store_places
+from pica_server.config import RelayConfig
+from pica_server.errors import ConfigurationError, StoreError
+from pica_server.relay import Relay
+from pica_server.store import AvatarStore
+from pica_server.store_config import StoreConfig
+from pica_server.store_places import FolderPlace
+from pica_server.tokens import Admission, KeyRing, mint
+from simnet.peers import peer_in_room
+from store_peers import (
+    ask,
+    chunks_of,
+    fake_avatar,
+    id_of,
+    store_relay,
+    store_socket,
+    talk,
+    until_counted,
+    upload,
+)
+
+pytestmark = pytest.mark.call
+
+FILE = fake_avatar()
+ID = id_of(FILE)
+
+
+def left_in(folder: Path) -> set[str]:
+    """Names below a folder that are no folders."""
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+
+
+# What it is for
+
+
+@pytest.mark.asyncio
+async def test_what_one_gives_another_gets_byte_for_byte(tmp_path: Path) -> None:
+    async with store_relay(tmp_path) as relay:
+        assert (await ask(relay, f"/avatars/{ID}")).status == 404
+        outcome = await upload(relay, FILE)
+        assert outcome.code == CloseCode.NORMAL
+        assert outcome.stored is not None
+        assert outcome.stored.checked == "structure"
+        reply = await ask(relay, f"/avatars/{ID}")
+        assert (reply.status, reply.body) == (200, FILE)
+        assert reply.headers["etag"] == f'"{ID}"'
+        assert reply.headers["cache-control"] == "public, max-age=31536000, immutable"
+        assert reply.headers["content-length"] == str(len(FILE))
+        assert relay.stats()["store"]["uploads_kept"] == 1
+    assert left_in(tmp_path) == {f"{ID}.pica"}
+
+
+@pytest.mark.asyncio
+async def test_a_store_in_a_folder_outlives_its_relay_and_a_temporary_one_does_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(store_places.tempfile, "tempdir", str(tmp_path / "tmp"))
+    (tmp_path / "tmp").mkdir()
+    for where, is_there in ((tmp_path / "store", True), ("temporary", False)):
+        async with store_relay(where) as relay:
+            assert (await upload(relay, FILE)).code == CloseCode.NORMAL
+        async with store_relay(where) as relay:
+            assert (await ask(relay, f"/avatars/{ID}")).status == (200 if is_there else 404)
+    assert left_in(tmp_path / "tmp") == set()
+
+
+@pytest.mark.asyncio
+async def test_what_is_there_already_is_not_sent_again(tmp_path: Path) -> None:
+    async with store_relay(tmp_path) as relay:
+        await upload(relay, FILE)
+        offer = encode_message(Offer(sha256=ID, size=len(FILE)))
+        outcome = await talk(relay, [offer])
+        assert outcome.code == CloseCode.NORMAL
+        assert outcome.stored is not None
+        assert outcome.stored.checked == ""
+
+
+@pytest.mark.asyncio
+async def test_many_who_give_the_same_file_at_once_all_succeed(tmp_path: Path) -> None:
+    async with store_relay(tmp_path) as relay:
+        outcomes = await asyncio.gather(*(upload(relay, FILE) for _ in range(6)))
+        assert {outcome.code for outcome in outcomes} == {CloseCode.NORMAL}
+        assert (await ask(relay, f"/avatars/{ID}")).body == FILE
+        assert relay.store is not None
+        assert relay.store.used_bytes == len(FILE)
+    assert left_in(tmp_path) == {f"{ID}.pica"}
+
+
+@pytest.mark.asyncio
+async def test_a_head_tells_the_size_and_ranges_are_parts_of_the_file(tmp_path: Path) -> None:
+    async with store_relay(tmp_path) as relay:
+        await upload(relay, FILE)
+        head = await ask(relay, f"/avatars/{ID}", method="HEAD", Range="bytes=0-1")
+        assert (head.status, head.body) == (200, b"")
+        assert head.headers["content-length"] == str(len(FILE))
+        part = await ask(relay, f"/avatars/{ID}", Range="bytes=100-", If_Range=f'"{ID}"')
+        assert (part.status, part.body) == (206, FILE[100:])
+        assert part.headers["content-range"] == f"bytes 100-{len(FILE) - 1}/{len(FILE)}"
+        assert (await ask(relay, f"/avatars/{ID}", Range="bytes=-7")).body == FILE[-7:]
+        beyond = await ask(relay, f"/avatars/{ID}", Range=f"bytes={len(FILE)}-")
+        assert (beyond.status, beyond.headers["content-range"]) == (416, f"bytes */{len(FILE)}")
+        known = await ask(relay, f"/avatars/{ID}", If_None_Match=f'"{ID}"')
+        assert (known.status, known.body) == (304, b"")
+
+
+@pytest.mark.asyncio
+async def test_a_file_larger_than_one_read_comes_whole(tmp_path: Path) -> None:
+    large = fake_avatar(1_000_000)
+    async with store_relay(tmp_path) as relay:
+        assert (await upload(relay, large)).code == CloseCode.NORMAL
+        assert (await ask(relay, f"/avatars/{id_of(large)}")).body == large
+        part = await ask(relay, f"/avatars/{id_of(large)}", Range="bytes=200000-800000")
+        assert part.body == large[200_000:800_001]
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("url", ["memory://avatars", "file://{tmp_path}/avatars"])
+async def test_any_place_that_fsspec_knows_will_do(url: str, tmp_path: Path) -> None:
+    fsspec = pytest.importorskip("fsspec")
+    url = url.format(tmp_path=tmp_path)
+    for _ in range(2):  # the second relay finds what the first has put there
+        async with store_relay(url) as relay:
+            assert (await upload(relay, FILE)).code == CloseCode.NORMAL
+            assert (await ask(relay, f"/avatars/{ID}", Range="bytes=5-9")).body == FILE[5:10]
+    files, root = fsspec.core.url_to_fs(url)
+    assert [path.rpartition("/")[2] for path in files.find(root)] == [f"{ID}.pica"]
+
+
+@pytest.mark.asyncio
+async def test_a_relay_sees_what_another_one_puts_into_the_same_folder(tmp_path: Path) -> None:
+    async with store_relay(tmp_path) as one, store_relay(tmp_path) as other:
+        await upload(one, FILE)
+        assert (await ask(other, f"/avatars/{ID}")).body == FILE
+
+
+@pytest.mark.asyncio
+async def test_a_file_that_the_operator_removes_is_gone_and_can_be_given_again(
+    tmp_path: Path,
+) -> None:
+    async with store_relay(tmp_path) as relay:
+        await upload(relay, FILE)
+        (tmp_path / f"{ID}.pica").unlink()
+        assert (await ask(relay, f"/avatars/{ID}")).status == 404
+        assert (await upload(relay, FILE)).code == CloseCode.NORMAL
+        assert (await ask(relay, f"/avatars/{ID}")).status == 200
+
+
+@pytest.mark.asyncio
+async def test_a_page_of_a_listed_origin_may_read_an_avatar_and_no_other(tmp_path: Path) -> None:
+    config = {"origins": ("https://pica.example",)}
+    async with store_relay(tmp_path, config=config) as relay:
+        await upload(relay, FILE)
+        listed = await ask(relay, f"/avatars/{ID}", Origin="https://pica.example")
+        assert listed.headers["access-control-allow-origin"] == "https://pica.example"
+        other = await ask(relay, f"/avatars/{ID}", Origin="https://evil.example")
+        assert "access-control-allow-origin" not in other.headers
+        assert other.headers["vary"] == "origin"
+
+
+@pytest.mark.asyncio
+async def test_a_relay_without_a_store_says_so_both_ways() -> None:
+    async with store_relay("none") as relay:
+        assert (await ask(relay, f"/avatars/{ID}")).status == 501
+        outcome = await upload(relay, FILE)
+        assert outcome.code == CloseCode.WRONG_VERSION
+        assert outcome.reason == "this relay keeps no avatars"
+
+
+# The full check
+
+
+@pytest.mark.asyncio
+async def test_the_full_check_takes_a_real_avatar_and_refuses_what_only_looks_like_one(
+    tmp_path: Path,
+) -> None:
+    real = shipped_avatar_files()[0].read_bytes()
+    async with store_relay(tmp_path, check="full") as relay:
+        outcome = await upload(relay, real)
+        assert outcome.code == CloseCode.NORMAL
+        assert outcome.stored is not None
+        assert outcome.stored.checked == "full"
+        outcome = await upload(relay, FILE)
+        assert outcome.code == CloseCode.UNFIT_FILE
+        assert "manifest" in outcome.reason
+        assert str(tmp_path) not in outcome.reason
+        assert (await ask(relay, f"/avatars/{ID}")).status == 404
+    assert left_in(tmp_path) == {f"{id_of(real)}.pica"}
+
+
+def test_a_relay_that_shall_check_fully_and_cannot_does_not_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "numpy", None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(StoreError, match="needs numpy beside the relay"):
+        AvatarStore(FolderPlace(tmp_path), StoreConfig(check="full"))
+    store = AvatarStore(FolderPlace(tmp_path), StoreConfig(check="auto"))
+    assert not store.checks_fully
+    store.close()
+
+
+# Who may
+
+
+@pytest.mark.asyncio
+async def test_with_keys_only_who_may_wear_an_avatar_may_upload_it(tmp_path: Path) -> None:
+    line = KeyRing.new_line()
+    (tmp_path / "keys").write_text(line)
+    ring, now = KeyRing.parse(line), 1e9
+
+    def token(begins_s: float = now, **grants: object) -> str:
+        admission = Admission(identity="ada", **grants)  # type: ignore[arg-type]
+        return mint(ring, "lobby", admission, now=begins_s, lasts_s=60, starts_s=0)
+
+    settings = {"keys": tmp_path / "keys"}
+    async with store_relay(tmp_path / "store", config=settings, unix_time=lambda: now) as relay:
+        for bad, code in (
+            ("", CloseCode.UNAUTHORIZED),
+            ("a.b.c", CloseCode.UNAUTHORIZED),
+            (token(now - 3600, avatars=(ID,)), CloseCode.UNAUTHORIZED),
+            (token(avatars=("cd" * 32,)), CloseCode.FORBIDDEN),
+            (token(avatars=(ID,), may_publish=False), CloseCode.FORBIDDEN),
+        ):
+            assert (await upload(relay, FILE, token=bad)).code == code
+        assert left_in(tmp_path / "store") == set()
+        assert (await upload(relay, FILE, token=token(avatars=(ID,)))).code == CloseCode.NORMAL
+        assert (await ask(relay, f"/avatars/{ID}")).status == 200
+
+
+@pytest.mark.asyncio
+async def test_a_relay_that_lets_anybody_in_takes_files_from_nobody(tmp_path: Path) -> None:
+    async with store_relay(tmp_path, config={"insecure": True}) as relay:
+        assert (await upload(relay, FILE)).code == CloseCode.FORBIDDEN
+    assert left_in(tmp_path) == set()
+
+
+# What strangers do
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    ("offer", "data", "code", "words"),
+    [
+        ({"sha256": "00" * 32}, FILE, CloseCode.UNFIT_FILE, "SHA-256"),
+        ({"size": len(FILE) - 1}, FILE, CloseCode.UNFIT_FILE, "bytes"),
+        ({}, b"\x80\x04pickle" * 1000, CloseCode.UNFIT_FILE, "no avatar file"),
+        ({}, b"x", CloseCode.UNFIT_FILE, "ends within its header"),
+        ({"size": 2**24 + 1}, FILE, CloseCode.STORE_FULL, "no file above 16777216"),
+        ({"size": 2**40}, FILE, CloseCode.STORE_FULL, "no file above"),
+    ],
+)
+async def test_a_file_that_is_not_what_it_should_be_is_refused_and_leaves_nothing(
+    offer: dict[str, object], data: bytes, code: CloseCode, words: str, tmp_path: Path
+) -> None:
+    async with store_relay(tmp_path) as relay:
+        outcome = await upload(relay, data, **offer)
+        assert outcome.code == code
+        assert words in outcome.reason
+        assert relay.store is not None
+        assert relay.store.used_bytes == 0
+        assert (await upload(relay, FILE)).code == CloseCode.NORMAL  # and all goes on
+    assert left_in(tmp_path) == {f"{ID}.pica"}
+
+
+OFFER = encode_message(Offer(sha256=ID, size=len(FILE)))
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    ("messages", "code"),
+    [
+        (["offer"], CloseCode.MALFORMED),
+        ([b""], CloseCode.MALFORMED),
+        ([encode_message(Hello())], CloseCode.MALFORMED),
+        ([encode_message(Bye(code=1000))], CloseCode.UNEXPECTED_MESSAGE),
+        ([encode_chunk(FILE[:100])], CloseCode.MALFORMED),
+        ([OFFER, OFFER], CloseCode.MALFORMED),
+        ([OFFER, b"\x03"], CloseCode.MALFORMED),
+        ([OFFER, "text"], CloseCode.MALFORMED),
+        ([OFFER.replace(ID.encode(), b"../" + ID[3:].encode())], CloseCode.MALFORMED),
+        ([OFFER.replace(ID.encode(), ID.upper().encode())], CloseCode.MALFORMED),
+        ([OFFER, bytes(16_385)], CloseCode.MESSAGE_TOO_BIG),
+    ],
+)
+async def test_who_does_not_speak_the_protocol_is_closed_with_a_code(
+    messages: list[bytes | str], code: CloseCode, tmp_path: Path
+) -> None:
+    async with store_relay(tmp_path) as relay:
+        assert (await talk(relay, messages)).code == code
+        assert (await upload(relay, FILE)).code == CloseCode.NORMAL
+    assert left_in(tmp_path) == {f"{ID}.pica"}
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/avatars/",
+        "/avatars/..",
+        "/avatars/../../etc/passwd",
+        "/avatars/%2e%2e/secret",
+        f"/avatars/{ID}/../../secret",
+        f"/avatars/{ID}.pica",
+        f"/avatars//{ID}",
+        f"/avatars/{ID.upper()}",
+        f"/avatars/incoming/{ID}",
+        "/avatars/" + "a" * 5000,
+    ],
+)
+async def test_no_path_leads_out_of_the_store(path: str, tmp_path: Path) -> None:
+    (tmp_path / "secret").write_text("secret")
+    async with store_relay(tmp_path / "store") as relay:
+        await upload(relay, FILE)
+        reply = await ask(relay, path)
+        assert reply.status == 404
+        assert b"secret" not in reply.body
+        assert (await ask(relay, f"/avatars/{ID}", method="DELETE")).status == 405
+
+
+@pytest.mark.asyncio
+async def test_what_lies_in_the_folder_under_another_name_is_not_given(tmp_path: Path) -> None:
+    for name in ("notes.txt", f"{ID}.pica.bak", f"x{ID}.pica"):
+        (tmp_path / name).write_bytes(FILE)
+    (tmp_path / ("cd" * 32 + ".pica")).symlink_to("/etc/passwd")
+    store = AvatarStore(FolderPlace(tmp_path), StoreConfig())
+    assert store.num_avatars == 0
+    store.close()
+
+
+@pytest.mark.asyncio
+async def test_an_upload_that_breaks_off_leaves_nothing_and_gives_its_room_back(
+    tmp_path: Path,
+) -> None:
+    async with store_relay(tmp_path, quota_bytes=len(FILE)) as relay:
+        async with store_socket(relay) as websocket:
+            await websocket.send(OFFER)
+            await websocket.recv()
+            await websocket.send(chunks_of(FILE)[0])
+            assert (await upload(relay, FILE)).code == CloseCode.STORE_FULL  # its room is taken
+            websocket.transport.abort()
+        await until_counted(relay, "uploads_cut")
+        assert (await upload(relay, FILE)).code == CloseCode.NORMAL
+    assert left_in(tmp_path) == {f"{ID}.pica"}
+
+
+@pytest.mark.asyncio
+async def test_who_sends_too_slowly_or_nothing_is_closed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(StoreConfig, "longest_s", lambda self, size: 0.05)
+    async with store_relay(tmp_path, config={"handshake_timeout_s": 0.2}) as relay:
+        assert (await talk(relay, [OFFER])).code == CloseCode.TOO_SLOW
+        assert (await talk(relay, [])).code == CloseCode.HANDSHAKE_TIMEOUT
+    assert left_in(tmp_path) == set()
+
+
+@pytest.mark.asyncio
+async def test_a_reader_that_stops_is_cut_and_its_place_is_free_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    large = fake_avatar(8_000_000)
+    async with store_relay(tmp_path, downloads=1, bytes_per_s=1e9) as relay:
+        await upload(relay, large)
+        monkeypatch.setattr(StoreConfig, "longest_s", lambda self, size: 0.3)
+        host, _, port = relay.url.removeprefix("ws://").rpartition(":")
+        _, writer = await asyncio.open_connection(host, int(port), limit=1024)
+        writer.write(f"GET /avatars/{id_of(large)} HTTP/1.1\r\nHost: x\r\n\r\n".encode())
+        await until_counted(relay, "downloads")
+        busy = await ask(relay, f"/avatars/{id_of(large)}")
+        assert (busy.status, busy.headers["retry-after"]) == (503, "1")
+        await until_counted(relay, "downloads_cut")
+        assert (await ask(relay, f"/avatars/{id_of(large)}", Range="bytes=0-9")).status == 206
+        writer.transport.abort()
+        assert relay.stats()["limits_hit"] == {}
+
+
+@pytest.mark.asyncio
+async def test_more_uploads_at_once_than_allowed_are_told_to_come_later(tmp_path: Path) -> None:
+    async with store_relay(tmp_path, uploads=1) as relay, store_socket(relay) as first:
+        await first.send(OFFER)
+        await first.recv()
+        assert (await upload(relay, fake_avatar(seed=1))).code == CloseCode.BUSY
+        await first.close()
+
+
+@pytest.mark.asyncio
+async def test_a_full_store_refuses_clearly_and_still_gives(tmp_path: Path) -> None:
+    async with store_relay(tmp_path, quota_bytes=len(FILE) + 10) as relay:
+        await upload(relay, FILE)
+        outcome = await upload(relay, fake_avatar(seed=1))
+        assert outcome.code == CloseCode.STORE_FULL
+        assert outcome.reason == f"its {len(FILE) + 10} bytes are taken"
+        assert (await ask(relay, f"/avatars/{ID}")).status == 200
+    async with store_relay(tmp_path, max_avatars=1) as relay:
+        outcome = await upload(relay, fake_avatar(seed=1))
+        assert outcome.code == CloseCode.STORE_FULL
+        assert outcome.reason == "it has 1 avatars, the most it may"
+
+
+@pytest.mark.asyncio
+async def test_a_full_disk_is_a_full_store_and_costs_nobody_a_call(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_room(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    async with store_relay(tmp_path) as relay, peer_in_room(relay.url, "Ada") as ada:
+        monkeypatch.setattr(FolderPlace, "keep", no_room)
+        assert (await upload(relay, FILE)).code == CloseCode.STORE_FULL
+        monkeypatch.setattr(FolderPlace, "spool", no_room)
+        assert (await upload(relay, FILE)).code == CloseCode.STORE_FULL
+        assert ada.session.closed is None
+    assert left_in(tmp_path) == set()
+
+
+@pytest.mark.asyncio
+async def test_a_place_that_breaks_is_a_fault_of_the_relay_without_details(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", str(tmp_path))
+
+    async with store_relay(tmp_path) as relay:
+        monkeypatch.setattr(FolderPlace, "keep", broken)
+        outcome = await upload(relay, FILE)
+        assert (outcome.code, outcome.reason) == (CloseCode.INTERNAL_ERROR, "the store has a fault")
+        monkeypatch.setattr(FolderPlace, "size", broken)
+        reply = await ask(relay, f"/avatars/{ID}")
+        assert (reply.status, str(tmp_path).encode() in reply.body) == (503, False)
+
+
+@pytest.mark.asyncio
+async def test_a_relay_that_stops_waits_for_no_transfer(tmp_path: Path) -> None:
+    async with store_relay(tmp_path, bytes_per_s=1024) as relay:
+        async with store_socket(relay) as websocket:
+            await websocket.send(OFFER)
+            await websocket.recv()
+            await relay.__aexit__(None, None, None)
+            with pytest.raises(ConnectionClosed):
+                await websocket.recv()
+        await relay.__aenter__()
+    assert left_in(tmp_path) == set()
+
+
+# Settings that cannot work
+
+
+@pytest.mark.parametrize(
+    ("where", "words"),
+    [
+        ("/proc/nowhere/store", "cannot be written"),
+        ("nothing://bucket/x", "nothing"),
+        ("file:///proc/nowhere/store", "cannot be written"),
+    ],
+)
+def test_a_store_that_cannot_be_written_stops_the_relay_with_the_setting(
+    where: str, words: str
+) -> None:
+    with pytest.raises(StoreError, match=f"--avatar-store .*{words}"):
+        Relay(RelayConfig(avatar_store=where))
+
+
+@pytest.mark.skipif(
+    os.name == "nt" or os.geteuid() == 0, reason="root may write into a folder of 0500"
+)
+def test_a_folder_without_permission_stops_the_relay(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    with pytest.raises(StoreError, match="Permission denied"):
+        AvatarStore(FolderPlace(tmp_path), StoreConfig())
+
+
+def test_more_files_than_a_store_may_hold_are_named_at_the_start(tmp_path: Path) -> None:
+    for number in range(3):
+        (tmp_path / f"{number:064x}.pica").write_bytes(b"x")
+    with pytest.raises(StoreError, match="holds more than 2 avatars"):
+        AvatarStore(FolderPlace(tmp_path), StoreConfig(max_avatars=2))
+
+
+def test_a_password_in_a_url_is_not_quoted() -> None:
+    with pytest.raises(StoreError) as caught:
+        Relay(RelayConfig(avatar_store="nothing://ada:hunter2@host/x?key=abc"))
+    assert "hunter2" not in str(caught.value)
+    assert "abc" not in str(caught.value)
+
+
+def test_an_empty_name_is_no_store() -> None:
+    with pytest.raises(ConfigurationError, match="--avatar-store is empty"):
+        RelayConfig(avatar_store="")
