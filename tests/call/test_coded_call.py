@@ -1,0 +1,342 @@
+"""Coded streams through the real relay on the virtual clock: joining late, stalls, thinning, a new
+relay.
+
+Sender and receiver are the product's, with a shipped avatar; only their two ends of the stream are
+watched, to compare each decoded face with what the encoder went on with. Code takes no time on a
+virtual clock: delays are those of the network and of our own waiting.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import Iterator
+from importlib import resources
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from pica_client import call as call_module
+from pica_client import sender as sender_module
+from pica_client.avatars import LoadedAvatars
+from pica_client.call import Call
+from pica_client.faces import FaceState
+from pica_client.link import LinkConfig
+from pica_client.load import make_senders
+from pica_client.receiver import Receiver
+from pica_client.sender import Sender, SenderConfig
+from pica_core import latent_stream, stream_ends
+from pica_core.avatar_file import Avatar, load_avatar
+from pica_core.latent_sample import DecodedFrame, EncodedFrame
+from pica_core.latent_stream import StreamConfig
+from pica_core.stream_ends import FaceDecoder, FaceEncoder
+from pica_core.stream_frames import FrameState, encode_frame
+from pica_server.config import RelayConfig
+from pica_server.relay import Relay
+from simnet.clock import current_network, in_virtual_time
+from simnet.link import Link as Wire
+
+pytestmark = pytest.mark.call
+
+AVATAR_ID = "5" * 64
+FRAME_S = 1 / 30
+BASE_S = 4 * FRAME_S
+
+
+class Witness:
+    """Watches both ends of all streams.
+
+    Attributes:
+        truth: The latent that the encoder went on with, by capture time.
+        decoded: What came out of decoders, each with the time.
+        is_key: Whether a frame was a keyframe, by capture time.
+    """
+
+    def __init__(self) -> None:
+        self.truth: dict[int, npt.NDArray[np.float32]] = {}
+        self.is_key: dict[int, bool] = {}
+        self.layers: dict[int, int] = {}
+        self.decoded: list[tuple[float, DecodedFrame]] = []
+
+    def assert_true(self) -> None:
+        """Every decoded face is the encoder's own."""
+        assert self.decoded
+        for _, frame in self.decoded:
+            np.testing.assert_array_equal(frame.sample.latent, self.truth[frame.captured_us])
+
+    def since(self, begin_s: float, end_s: float = 1e9) -> list[DecodedFrame]:
+        """What was decoded in a span of time."""
+        return [frame for at_s, frame in self.decoded if begin_s <= at_s < end_s]
+
+
+class WatchedEncoder:
+    def __init__(self, encoder: FaceEncoder, avatar: Avatar, witness: Witness) -> None:
+        profile = avatar.stream_profile()
+        assert profile is not None
+        self._encoder, self._profile, self._witness = encoder, profile, witness
+        self.request_keyframe = encoder.request_keyframe
+        self.restart = encoder.restart
+
+    def encode(self, latent: Any, rotation: Any, translation: Any, now_us: int) -> Any:
+        states: list[FrameState] = []
+
+        def spy(*arguments: Any, **options: Any) -> tuple[bytes, FrameState]:
+            payload, state = encode_frame(*arguments, **options)
+            states.append(state)
+            return payload, state
+
+        with mock.patch.object(latent_stream, "encode_frame", spy):
+            frame = self._encoder.encode(latent, rotation, translation, now_us)
+        if isinstance(frame, EncodedFrame):
+            count = self._profile.num_components
+            face = self._profile.synthesise(states[-1].coefficients[:count])
+            self._witness.truth[now_us] = face.reshape(8, 8, 4)
+            self._witness.is_key[now_us] = frame.is_keyframe
+            self._witness.layers[now_us] = frame.layer
+        return frame
+
+
+class WatchedDecoder:
+    def __init__(self, decoder: FaceDecoder, witness: Witness) -> None:
+        self._decoder, self._witness = decoder, witness
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._decoder, name)
+
+    def receive(self, *arguments: Any) -> list[DecodedFrame]:
+        frames = self._decoder.receive(*arguments)
+        now = asyncio.get_running_loop().time()
+        self._witness.decoded += [(now, frame) for frame in frames]
+        return frames
+
+
+@pytest.fixture
+def witness() -> Iterator[Witness]:
+    watching = Witness()
+
+    def open_encoder(avatar: Avatar, config: StreamConfig, **options: Any) -> Any:
+        encoder, name = stream_ends.open_encoder(avatar, config, **options)
+        return WatchedEncoder(encoder, avatar, watching), name
+
+    def open_decoder(avatar: Avatar, name: str) -> Any:
+        return WatchedDecoder(stream_ends.open_decoder(avatar, name), watching)
+
+    with (
+        mock.patch.object(sender_module, "open_encoder", open_encoder),
+        mock.patch.object(call_module, "open_decoder", open_decoder),
+    ):
+        yield watching
+
+
+@pytest.fixture(scope="module")
+def avatar() -> Avatar:
+    return load_avatar(Path(str(resources.files("pica_core"))) / "avatars" / "ines.pica")
+
+
+def config(url: str, host: str) -> LinkConfig:
+    port = url.rpartition(":")[2]
+    return LinkConfig(url=f"ws://{host}:{port}", room="kitchen", name=host)
+
+
+def make_sender(url: str, avatar: Avatar, seconds: float) -> Sender:
+    (sender,) = make_senders(
+        [config(url, "ada")], [(AVATAR_ID, avatar)], config=SenderConfig(seconds=seconds)
+    )
+    return sender
+
+
+def make_receiver(url: str, avatar: Avatar) -> Receiver:
+    call = Call(LoadedAvatars({AVATAR_ID: avatar}))
+    return Receiver(config(url, "viewer"), call, rng=random.Random(1))
+
+
+class Display:
+    """Asks for the faces sixty times a second, and keeps them with the time."""
+
+    def __init__(self, receiver: Receiver) -> None:
+        self.faces: list[tuple[float, FaceState]] = []
+        self._receiver = receiver
+
+    async def run(self, seconds: float) -> None:
+        loop = asyncio.get_running_loop()
+        running = asyncio.create_task(self._receiver.run())
+        end_s = loop.time() + seconds
+        while loop.time() < end_s:
+            await asyncio.sleep(1 / 60)
+            self.faces += [(loop.time(), face) for face in self._receiver.call.faces(loop.time())]
+        self._receiver.stop()
+        await running
+
+    def first_face_s(self) -> float:
+        return next(at_s for at_s, face in self.faces if face.latent is not None)
+
+
+@pytest.mark.parametrize("came_at_s", [0.7, 3.05, 5.21, 9.9, 14.4])
+@in_virtual_time
+async def test_who_joins_late_sees_todays_face_with_the_answer_to_the_join(
+    came_at_s: float, witness: Witness, avatar: Avatar
+) -> None:
+    one_way_s = 0.04
+    current_network().route("viewer", up=Wire(delay_s=one_way_s), down=Wire(delay_s=one_way_s))
+    loop = asyncio.get_running_loop()
+    async with Relay(RelayConfig(port=0)) as relay:
+        sending = asyncio.create_task(make_sender(relay.url, avatar, 17).run())
+        await asyncio.sleep(came_at_s)
+        receiver = make_receiver(relay.url, avatar)
+        display = Display(receiver)
+        joined_s: list[float] = []
+        watching = asyncio.create_task(display.run(2))
+        while not joined_s:
+            await asyncio.sleep(0.001)
+            if receiver.is_connected:
+                joined_s.append(loop.time())
+        await watching
+        stats = receiver.stats(loop.time())
+        await sending
+    witness.assert_true()
+    # What the relay kept comes with the answer; then the stream goes on. (A millisecond to look.)
+    first_s, first = witness.decoded[0]
+    assert first_s - joined_s[0] <= FRAME_S + 0.002
+    # The join and its answer are one round trip; opening a connection takes two more.
+    assert joined_s[0] - came_at_s <= 3 * 2 * one_way_s + 0.01
+    assert display.first_face_s() - joined_s[0] <= 2 * FRAME_S + 1 / 60
+    # Not the face of the last keyframe, but that of now.
+    newest = max(frame.captured_us for frame in witness.since(0, first_s + 0.002)) / 1e6
+    assert joined_s[0] - newest <= one_way_s + BASE_S + FRAME_S
+    assert first.layer == 0
+    assert stats["peers"][0]["keyframe_requests"] <= 1
+    assert stats["errors"] == 0
+
+
+@in_virtual_time
+async def test_a_stall_of_three_seconds_heals_with_the_first_frames_after_it(
+    witness: Witness, avatar: Avatar
+) -> None:
+    network = current_network()
+    network.route("viewer", up=Wire(delay_s=0.02), down=Wire(delay_s=0.02))
+    async with Relay(RelayConfig(port=0)) as relay:
+        sending = asyncio.create_task(make_sender(relay.url, avatar, 16).run())
+        receiver = make_receiver(relay.url, avatar)
+        display = Display(receiver)
+        watching = asyncio.create_task(display.run(14))
+        await asyncio.sleep(5)
+        network.stall("viewer", 3)
+        await asyncio.sleep(2)
+        assert not witness.since(5.1)
+        await watching
+        await sending
+    witness.assert_true()
+    # Back at 8 s: fresh faces come within a round trip and a base frame.
+    fresh = [
+        at_s
+        for at_s, frame in witness.decoded
+        if at_s > 5.1 and at_s - frame.captured_us / 1e6 < 0.2
+    ]
+    assert fresh[0] <= 8 + 0.04 + BASE_S + 0.05
+    assert len(witness.since(10, 13)) >= 85
+    statuses = [face.status for at_s, face in display.faces if at_s > 10]
+    assert set(statuses) == {"live"}
+    assert receiver.stats(14)["errors"] == 0
+
+
+@in_virtual_time
+async def test_a_slow_spell_thins_the_stream_and_every_face_stays_true(
+    witness: Witness, avatar: Avatar
+) -> None:
+    # With their headers 30 frames a second are 6 kbit/s.
+    slow = Wire(delay_s=0.02, rate_bps=3500, window_bytes=300)
+    current_network().route("viewer", up=Wire(delay_s=0.02), down=slow)
+    async with Relay(RelayConfig(port=0)) as relay:
+        sending = asyncio.create_task(make_sender(relay.url, avatar, 32).run())
+        receiver = make_receiver(relay.url, avatar)
+        display = Display(receiver)
+        await display.run(30)
+        await sending
+        stats = receiver.stats(30)
+    witness.assert_true()
+    assert stats["errors"] == 0
+    seen = witness.since(10, 30)
+    assert 7 * 20 <= len(seen) <= 20 * 20
+    assert sum(frame.layer == 0 for frame in seen) >= 6 * 20
+
+
+@in_virtual_time
+async def test_wanting_fewer_layers_leaves_a_clean_stream_at_once_and_more_come_back(
+    witness: Witness, avatar: Avatar
+) -> None:
+    async with Relay(RelayConfig(port=0)) as relay:
+        sending = asyncio.create_task(make_sender(relay.url, avatar, 20).run())
+        receiver = make_receiver(relay.url, avatar)
+        display = Display(receiver)
+        watching = asyncio.create_task(display.run(18))
+        await asyncio.sleep(3)
+        for layer in (1, 0, 2, 0, 1, 2):
+            receiver.link.want(1, layer)
+            await asyncio.sleep(2.345)
+        await watching
+        await sending
+        stats = receiver.stats(18)
+    witness.assert_true()
+    (ada,) = stats["peers"]
+    assert (ada["lost"], ada["unreferenced"], ada["keyframe_requests"]) == (0, 0, 0)
+    assert stats["errors"] == 0
+    begin_s = 3.0
+    for highest in (1, 0, 2, 0, 1, 2):
+        seen = witness.since(begin_s + 0.2, begin_s + 2.3)
+        assert {frame.layer for frame in seen} == set(range(highest + 1))
+        assert len(seen) == pytest.approx(2.1 * 7.5 * 2**highest, abs=3)
+        begin_s += 2.345
+    # The playout notices at its own pace that the intervals are longer now.
+    statuses = [face.status for at_s, face in display.faces if at_s > 1]
+    assert set(statuses) <= {"live", "concealed"}
+    assert statuses.count("concealed") <= 0.1 * len(statuses)
+    times_us = [frame.captured_us for _, frame in witness.decoded]
+    assert all(before < after for before, after in pairwise(times_us))
+
+
+@in_virtual_time
+async def test_a_face_comes_back_true_when_a_relay_begins_anew_with_the_same_ids(
+    witness: Witness, avatar: Avatar
+) -> None:
+    # The new relay numbers peers and streams from 1 again, and the sender its frames from 0: to the
+    # receiver it is the same peer, with a stream that has gone back.
+    receivers: list[Receiver] = []
+    async with Relay(RelayConfig(port=8765)) as relay:
+        sending = asyncio.create_task(make_sender(relay.url, avatar, 40).run())
+        await asyncio.sleep(0.5)  # the sender is the first in both relays
+        receivers.append(make_receiver(relay.url, avatar))
+        display = Display(receivers[0])
+        watching = asyncio.create_task(display.run(30))
+        await asyncio.sleep(2)
+    await asyncio.sleep(3)
+    async with Relay(RelayConfig(port=8765)):
+        await watching
+        await sending
+    witness.assert_true()
+    assert len(witness.since(20, 29)) >= 9 * 29
+    assert {face.status for at_s, face in display.faces if at_s > 20} == {"live"}
+
+
+@in_virtual_time
+async def test_a_keyframe_is_answered_within_a_round_trip_and_a_frame(
+    witness: Witness, avatar: Avatar
+) -> None:
+    for host in ("viewer", "ada"):
+        current_network().route(host, up=Wire(delay_s=0.03), down=Wire(delay_s=0.03))
+    async with Relay(RelayConfig(port=0)) as relay:
+        sending = asyncio.create_task(make_sender(relay.url, avatar, 8).run())
+        receiver = make_receiver(relay.url, avatar)
+        watching = asyncio.create_task(Display(receiver).run(6))
+        await asyncio.sleep(3.01)
+        receiver.link.request_keyframe(1)
+        await watching
+        await sending
+    witness.assert_true()
+    keys_s = [at_s for at_s, f in witness.decoded if witness.is_key[f.captured_us] and at_s > 3.01]
+    # To the relay, to the sender, and all the way back.
+    assert keys_s[0] - 3.01 <= 4 * 0.03 + FRAME_S + 0.005
