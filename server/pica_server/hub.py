@@ -20,8 +20,10 @@ from pica_protocol.errors import CloseCode
 from pica_protocol.frames import FLAG_KEYFRAME
 from pica_protocol.messages import (
     Join,
+    Joined,
     KeyframeRequest,
     Message,
+    Peer,
     PeerJoined,
     PeerLeft,
     Report,
@@ -30,12 +32,14 @@ from pica_protocol.messages import (
 )
 from pica_protocol.session import Closed, Media, ServerEvent, ServerSession
 from pica_protocol.stream_queue import Put
+from pica_server.cluster_media import NodeLink
 from pica_server.coalescing import Coalescing
 from pica_server.config import RelayConfig
 from pica_server.connection import Connection
 from pica_server.drain import departures
 from pica_server.errors import AdmissionError, OutboxFullError, RoomFullError
 from pica_server.limits import TokenBucket
+from pica_server.neighbours import Neighbours
 from pica_server.outbox import Outbox, Parcel
 from pica_server.room import Room
 from pica_server.stats import RelayStats
@@ -50,6 +54,8 @@ class Hub:
 
     Attributes:
         stats: What it has done so far.
+        neighbours: The other nodes of its cluster, or None.
+        prefix: Begins the id of every peer; with a cluster it is different on each node.
     """
 
     def __init__(
@@ -64,11 +70,14 @@ class Hub:
         """
         self._admit = admit or (lambda join: Admission())
         self.stats = RelayStats()
+        self.neighbours: Neighbours | None = None
+        self.prefix = "p"
         self._config = config
         self._serials = count(1)
         self._connections: dict[str, Connection] = {}
         self._rooms: dict[str, Room] = {}
         self._ready: dict[Connection, None] = {}
+        self._ready_links: dict[NodeLink, None] = {}
         self._coalescing: Coalescing | None = None  # begins with the first frame
         self._joins: TokenBucket | None = None  # full when the first one comes
         self._by_address: Counter[str] = Counter()  # bounded by the number of connections
@@ -117,6 +126,7 @@ class Hub:
         session = ServerSession(software=SOFTWARE, now=now, timeout_s=config.handshake_timeout_s)
         outbox = Outbox(config.max_control_bytes, self.stats.dropped)
         connection = Connection(next(self._serials), session, outbox, limits, address, now)
+        connection.peer_id = f"{self.prefix}{connection.serial}"
         self.stats.connections += 1
         is_full = len(self._connections) >= config.max_connections
         self._connections[connection.peer_id] = connection
@@ -270,7 +280,7 @@ class Hub:
                 self._want(connection, stream, layer, now)
             case KeyframeRequest(stream=stream):
                 assert connection.room is not None  # the session's table: only while joined
-                self._ask_for_keyframe(connection.room, stream, "asked", now)
+                self.ask_for_keyframe(connection.room, stream, "asked", now)
             case Whisper():
                 self._whisper(connection, event, now)
 
@@ -281,15 +291,27 @@ class Hub:
         if not connection.whispers.take(now):
             stats.whispers_dropped["rate"] += 1
             return
+        if self.neighbours is not None and self.neighbours.whisper(
+            room, connection.peer_id, whisper
+        ):
+            stats.whispers += 1
+        elif whisper.peer_id != connection.peer_id:
+            self.pass_whisper(room, connection.peer_id, whisper, now)
+        else:
+            stats.whispers_dropped["nobody"] += 1
+
+    def pass_whisper(self, room: Room, sender: str, whisper: Whisper, now: float) -> None:
+        """Pass a whisper to a peer that is connected here."""
+        stats = self.stats
         receiver = self._connections.get(whisper.peer_id)
-        if receiver is None or receiver.room is not room or receiver is connection:
+        if receiver is None or receiver.room is not room:
             stats.whispers_dropped["nobody"] += 1
             return
         # Whispers of many must not fill the queue that closes a peer for reading too slowly.
         if receiver.outbox.waiting_control_bytes > self._config.max_control_bytes // 4:
             stats.whispers_dropped["backlog"] += 1
             return
-        self._send(receiver, replace(whisper, peer_id=connection.peer_id), now)
+        self._send(receiver, replace(whisper, peer_id=sender), now)
         stats.whispers += 1
 
     def _forward(self, connection: Connection, media: Media, now: float) -> None:
@@ -303,13 +325,24 @@ class Hub:
         if len(media.spans) > 1 and not connection.messages_in.take(now, len(media.spans) - 1):
             self._close_too_fast(connection, "messages", now)
             return
+        self.deliver(room, media, now)
+
+    def deliver(self, room: Room, media: Media, now: float, *, num_here: int = 1) -> None:
+        """Give frames to all who want them, here and on other nodes.
+
+        Args:
+            room: Where.
+            media: The frames, of streams that are there.
+            now: The time.
+            num_here: Of the publisher: 1 if it is connected here, else 0.
+        """
         num_deliveries = 0
         needed: dict[tuple[int, Put], None] = {}
         for number, layer, flags, start, end in media.spans:
             frame = media.message[start:end]
             is_keyframe = layer == 0 and bool(flags & FLAG_KEYFRAME)
             stream = room.stream(number)
-            assert stream is not None  # its publisher is here
+            assert stream is not None  # its publisher is in the room
             if layer == 0:
                 stream.remember(frame, is_keyframe)
             receivers = room.receivers(number, layer)
@@ -320,19 +353,25 @@ class Hub:
                     self._ready[receiver] = None
                     if fate is not Put.WAITS:
                         needed[number, fate] = None
+            for link in room.links.values():
+                wanted = link.put_frame(number, frame, layer, is_keyframe, now)
+                if wanted is not None and wanted is not Put.DROPPED:
+                    self._ready_links[link] = None
+                    if wanted is not Put.WAITS:
+                        needed[number, wanted] = None
             num_deliveries += len(receivers)
             self.stats.frames_in += 1
             self.stats.frames_in_by_layer[layer] += 1
-            self.stats.unwanted += len(room) - 1 - len(receivers)
+            self.stats.unwanted += len(room) - num_here - len(receivers)
         if self._coalescing is None:
             config = self._config
             above_per_s, longest_s = config.coalesce_above_per_s, config.coalesce_longest_s
             self._coalescing = Coalescing(above_per_s, longest_s, now)
         self._coalescing.note(num_deliveries, now)
         for number, fate in needed:
-            self._ask_for_keyframe(room, number, fate.value, now)
+            self.ask_for_keyframe(room, number, fate.value, now)
 
-    def _ask_for_keyframe(self, room: Room, stream: int, why: str, now: float) -> None:
+    def ask_for_keyframe(self, room: Room, stream: int, why: str, now: float) -> None:
         """Ask a publisher for a keyframe, unless it was asked a moment ago."""
         config = self._config
         is_slow = why == Put.BEHIND.value
@@ -342,7 +381,11 @@ class Hub:
             self.stats.keyframe_requests["withheld"] += 1
             return
         self.stats.keyframe_requests[why] += 1
-        self._send(self._connections[publisher], KeyframeRequest(stream=stream), now)
+        connection = self._connections.get(publisher)
+        if connection is not None:
+            self._send(connection, KeyframeRequest(stream=stream), now)
+        elif self.neighbours is not None:
+            self.neighbours.ask_for_keyframe(room, publisher, stream, why)
 
     def _want(self, connection: Connection, stream: int, layer: int | None, now: float) -> None:
         room = connection.room
@@ -351,6 +394,8 @@ class Hub:
             return  # it has just ended
         starts_again = room.want(connection.peer_id, stream, layer)
         self.stats.unwanted += connection.outbox.want(stream, layer)
+        if self.neighbours is not None:
+            self.neighbours.note_wishes(room)
         if starts_again:
             self._resume(connection, room, stream, now)
 
@@ -364,7 +409,7 @@ class Hub:
         )
         self._ready[connection] = None
         if not stream.is_whole:
-            self._ask_for_keyframe(room, number, Put.KEYLESS.value, now)
+            self.ask_for_keyframe(room, number, Put.KEYLESS.value, now)
 
     def _join(self, connection: Connection, join: Join, now: float) -> None:
         config = self._config
@@ -381,9 +426,10 @@ class Hub:
             self.close(connection, error.code, str(error), now)
             return
         self._replace(join.room, admission.identity, now)
-        room = self._rooms.get(join.room)
-        if room is None:
-            room = Room(join.room, config.room_capacity)
+        if self.neighbours is not None:
+            self.neighbours.join(connection, join, admission, now)
+            return
+        room = self._room(join.room)
         try:
             joined = room.join(
                 connection.peer_id,
@@ -392,11 +438,80 @@ class Hub:
                 identity=admission.identity,
                 may_subscribe=admission.may_subscribe,
             )
-        except RoomFullError as error:
-            self.stats.limits_hit["room"] += 1
-            self.close(connection, CloseCode.ROOM_FULL, str(error), now)
+        except RoomFullError:
+            self.refuse(connection, join.room, now)
             return
-        self._rooms[join.room] = room
+        self._enter(connection, room, joined, admission, now)
+
+    def room(self, name: str) -> Room | None:
+        """Return a room, or None if nobody is in it here."""
+        return self._rooms.get(name)
+
+    def enter(
+        self, connection: Connection, name: str, peer: Peer, admission: Admission, now: float
+    ) -> None:
+        """Let somebody in for whom the nodes of the cluster have agreed on a place."""
+        room = self._room(name)
+        joined = room.enter(
+            peer, identity=admission.identity, may_subscribe=admission.may_subscribe
+        )
+        self._enter(connection, room, joined, admission, now)
+
+    def refuse(self, connection: Connection, name: str, now: float) -> None:
+        """Close somebody for whom a room has no place."""
+        self.stats.limits_hit["room"] += 1
+        reason = f"room {name} is full: {self._config.room_capacity} peers"
+        self.close(connection, CloseCode.ROOM_FULL, reason, now)
+
+    def arrive(self, name: str, node: str, peer: Peer, now: float) -> None:
+        """Note a peer that came in on another node, and tell who is here."""
+        room = self._room(name)
+        self._rooms[name] = room
+        room.arrive(peer, node)
+        self._tell_others(room, peer.peer_id, PeerJoined(peer=peer), now)
+
+    def depart(self, name: str, peer_id: str, reason: str, now: float) -> None:
+        """Note that a peer has gone that was on another node, and tell who is here."""
+        room = self._rooms.get(name)
+        if room is not None and room.node_of(peer_id):
+            self._forget(room, peer_id, reason, now)
+
+    def ready_links(self) -> list[NodeLink]:
+        """Return the links to other nodes with something to send."""
+        return list(self._ready_links)
+
+    def done_with(self, link: NodeLink) -> None:
+        """Note that nothing waits in a link any more."""
+        self._ready_links.pop(link, None)
+
+    def drop_link(self, room: Room, node: str) -> None:
+        """Forget another node that has left a room."""
+        link = room.links.pop(node)
+        self._ready_links.pop(link, None)
+
+    def resume_link(self, room: Room, link: NodeLink, number: int, now: float) -> None:
+        """Give another node what was kept of a stream that it begins to read."""
+        stream = room.stream(number)
+        if stream is None or not stream.chain:
+            return
+        link.outbox.resume(number, stream.chain, is_whole=stream.is_whole, now=now)
+        self._ready_links[link] = None
+        if not stream.is_whole:
+            self.ask_for_keyframe(room, number, Put.KEYLESS.value, now)
+
+    def _room(self, name: str) -> Room:
+        room = self._rooms.get(name)
+        return Room(name, self._config.room_capacity) if room is None else room
+
+    def _enter(
+        self,
+        connection: Connection,
+        room: Room,
+        joined: Joined,
+        admission: Admission,
+        now: float,
+    ) -> None:
+        self._rooms[room.name] = room
         connection.room = room
         self.stats.joins += 1
         connection.session.accept(joined)
@@ -431,18 +546,28 @@ class Hub:
         self._drop_departed(connection.outbox.finish(last_words))
         self._ready[connection] = None
         room, connection.room = connection.room, None
-        if room is None:
-            return
-        peer = room.leave(connection.peer_id)
+        reason = _farewell(closed)
+        if self.neighbours is not None:
+            self.neighbours.leave(connection, reason)
+        if room is not None:
+            self._forget(room, connection.peer_id, reason, now)
+
+    def _forget(self, room: Room, peer_id: str, reason: str, now: float) -> None:
+        """Clear up after a member of a room, and tell the others."""
+        peer = room.leave(peer_id)
         if len(room) == 0:
+            for node in list(room.links):
+                self.drop_link(room, node)
             del self._rooms[room.name]
             return
         for track in peer.tracks:
             for other in room.peers:
-                outbox = self._connections[other.peer_id].outbox
-                self._drop_departed(outbox.forget_stream(track.stream))
-        departure = PeerLeft(peer_id=peer.peer_id, reason=_farewell(closed))
-        self._tell_others(room, peer.peer_id, departure, now)
+                receiver = self._connections.get(other.peer_id)
+                if receiver is not None:
+                    self._drop_departed(receiver.outbox.forget_stream(track.stream))
+            for link in room.links.values():
+                self._drop_departed(link.forget_stream(track.stream))
+        self._tell_others(room, peer_id, PeerLeft(peer_id=peer_id, reason=reason), now)
 
     def _drop_departed(self, num_frames: int) -> None:
         if num_frames:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from pica_protocol.limits import MAX_LAYER, MAX_STREAM
 from pica_protocol.messages import Joined, Peer, Track
 from pica_protocol.stream_queue import MAX_CHAIN_BYTES, MAX_CHAIN_FRAMES
+from pica_server.cluster_media import NodeLink
 from pica_server.errors import RoomFullError
 
 _NOTHING = -1
@@ -26,6 +27,8 @@ class _Member:
     """By stream; a stream that is missing is wanted up to ``default_layer``."""
     identity: str = ""
     default_layer: int = MAX_LAYER
+    node: str = ""
+    """Where it is connected, if that is another node of the cluster."""
 
 
 @dataclass(slots=True)
@@ -61,6 +64,7 @@ class Room:
 
     Attributes:
         name: As the peers know it.
+        links: The other nodes of the cluster with peers in this room, as receivers of frames.
     """
 
     def __init__(self, name: str, capacity: int) -> None:
@@ -69,13 +73,16 @@ class Room:
         self._members: dict[str, _Member] = {}
         self._streams: dict[int, Stream] = {}
         self._last_stream = 0
+        self._num_remote = 0
+        self.links: dict[str, NodeLink] = {}
 
     def __len__(self) -> int:
-        return len(self._members)
+        """How many are connected here; the peers of other nodes are not counted."""
+        return len(self._members) - self._num_remote
 
     @property
     def peers(self) -> tuple[Peer, ...]:
-        """Everybody here, in the order of their coming."""
+        """Everybody in the room, in the order of their coming."""
         return tuple(member.peer for member in self._members.values())
 
     @property
@@ -108,20 +115,33 @@ class Room:
         Raises:
             RoomFullError: The room has no place left.
         """
-        if len(self._members) >= self._capacity:
+        if len(self) >= self._capacity:
             raise RoomFullError(f"room {self.name} is full: {self._capacity} peers")
-        present = self.peers
         own = tuple(replace(track, stream=self._new_stream(peer_id)) for track in tracks)
-        self._members[peer_id] = _Member(
-            Peer(peer_id=peer_id, name=name, tracks=own),
-            identity=identity,
-            default_layer=MAX_LAYER if may_subscribe else _NOTHING,
+        peer = Peer(peer_id=peer_id, name=name, tracks=own)
+        return self.enter(peer, identity=identity, may_subscribe=may_subscribe)
+
+    def enter(self, peer: Peer, *, identity: str = "", may_subscribe: bool = True) -> Joined:
+        """Let a peer in whose tracks have their streams, and return what to tell it."""
+        present = self.peers
+        self._members[peer.peer_id] = _Member(
+            peer, identity=identity, default_layer=MAX_LAYER if may_subscribe else _NOTHING
         )
-        return Joined(room=self.name, peer_id=peer_id, tracks=own, peers=present)
+        for track in peer.tracks:
+            self._streams.setdefault(track.stream, Stream(peer.peer_id))
+        return Joined(room=self.name, peer_id=peer.peer_id, tracks=peer.tracks, peers=present)
+
+    def arrive(self, peer: Peer, node: str) -> None:
+        """Note a peer that is connected to another node."""
+        self.enter(peer, may_subscribe=False)
+        self._members[peer.peer_id].node = node
+        self._num_remote += 1
 
     def leave(self, peer_id: str) -> Peer:
         """Forget a peer, its streams and everybody's wishes for them."""
-        peer = self._members.pop(peer_id).peer
+        gone = self._members.pop(peer_id)
+        self._num_remote -= bool(gone.node)
+        peer = gone.peer
         for track in peer.tracks:
             del self._streams[track.stream]
             for member in self._members.values():
@@ -138,6 +158,33 @@ class Room:
     def peer(self, peer_id: str) -> Peer:
         """Return one member as the others see it."""
         return self._members[peer_id].peer
+
+    def node_of(self, peer_id: str) -> str:
+        """Return the other node that a peer is connected to, or empty."""
+        member = self._members.get(peer_id)
+        return "" if member is None else member.node
+
+    def is_remote(self, stream: int) -> bool:
+        """Say whether a stream comes from another node."""
+        found = self._streams.get(stream)
+        return found is not None and bool(self.node_of(found.publisher))
+
+    def interest(self) -> dict[int, int]:
+        """Return what all who are here together want of other nodes' streams: the highest layer
+        of each; a stream that nobody wants is missing."""
+        here = [member for member in self._members.values() if not member.node]
+        wanted = {}
+        for stream in filter(self.is_remote, self._streams):
+            layer = max(m.highest_layer.get(stream, m.default_layer) for m in here)
+            if layer > _NOTHING:
+                wanted[stream] = layer
+        return wanted
+
+    def forget_chain(self, stream: int) -> None:
+        """Forget what was kept of a stream that does not come any more."""
+        found = self._streams.get(stream)
+        if found is not None:
+            found.chain, found.num_bytes, found.is_whole = [], 0, False
 
     def want(self, peer_id: str, stream: int, layer: int | None) -> bool:
         """Note a wish; one for a stream that has just ended is no mistake and changes nothing.

@@ -1,0 +1,451 @@
+"""One node of a cluster: the rooms it shares, and what passes between its hub and the others.
+
+Pure. The shell tells the node what NATS brought (``receive_*``), calls ``step`` after anything has
+happened, here or there, and then does what ``take_commands`` and ``take_media`` say. The node tells
+its hub who may come in, who is in a room elsewhere, and which frames came from there.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Final
+
+from pica_protocol.errors import CloseCode, RemoteProtocolError
+from pica_protocol.frames import scan_frames
+from pica_protocol.messages import Join, Peer, Whisper
+from pica_protocol.session import Media
+from pica_server.cluster_liveness import Liveness, Standing
+from pica_server.cluster_media import Exchange, NodeLink
+from pica_server.cluster_messages import (
+    MEDIA_HEADER_BYTES,
+    STREAMS_PER_SLOT,
+    Ask,
+    Interest,
+    NodeId,
+    NodeMessage,
+    Passed,
+    decode_media_header,
+    decode_node_message,
+    encode_node_message,
+    identity_key,
+    room_key,
+    slot_of,
+)
+from pica_server.cluster_room import (
+    Admitted,
+    Answer,
+    Arrived,
+    Departed,
+    Heard,
+    Refused,
+    Replaced,
+    Request,
+    RoomEvent,
+    SharedRoom,
+)
+from pica_server.connection import Connection
+from pica_server.errors import ClusterMessageError
+from pica_server.hub import Hub
+from pica_server.room import Room
+from pica_server.tokens import Admission
+
+TICK_S: Final = 0.25
+"""Between two looks at who lives."""
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """Hear of every change of a record from now on."""
+
+    key: str
+
+
+@dataclass(frozen=True, slots=True)
+class Unwatch:
+    """Do not hear of it any more."""
+
+    key: str
+
+
+@dataclass(frozen=True, slots=True)
+class Tell:
+    """Send a message to a node."""
+
+    slot: int
+    data: bytes
+
+
+Command = Watch | Unwatch | Tell | Request
+
+
+@dataclass(slots=True)
+class _Place:
+    """Who is in a room here, or waits to be."""
+
+    connection: Connection
+    shared: SharedRoom
+    admission: Admission
+
+
+class ClusterNode:
+    """The cluster as one hub's neighbours; see `pica_server.neighbours`.
+
+    Attributes:
+        liveness: Which nodes live.
+    """
+
+    def __init__(self, hub: Hub, me: NodeId, capacity: int, now: float) -> None:
+        """Begin with a lease that was confirmed just now.
+
+        Args:
+            hub: Whose neighbours these are.
+            me: This node.
+            capacity: Peers in one room.
+            now: The time.
+        """
+        self.liveness = Liveness(now)
+        self._hub = hub
+        self._me = me
+        self._capacity = capacity
+        self._stats = hub.stats
+        self._standing = Standing.CLUSTERED
+        self._rooms: dict[str, SharedRoom] = {}
+        self._exchanges: dict[str, Exchange] = {}
+        self._places: dict[str, _Place] = {}  # bounded by the number of connections
+        self._dirty: dict[str, None] = {}
+        self._commands: list[Command] = []
+        self._last_stream = 0
+        self._last_epoch = 0
+        self._tick_s = now + TICK_S
+        self._alive: list[str] = []
+
+    @property
+    def name(self) -> str:
+        """This node, as the others know it."""
+        return self._me.name
+
+    @property
+    def standing(self) -> Standing:
+        """What this node is to the cluster."""
+        return self._standing
+
+    @property
+    def num_nodes(self) -> int:
+        """Nodes that live, this one included."""
+        return len({*self._alive, self._me.name}) if self._standing is not Standing.LOCAL else 1
+
+    @property
+    def trouble(self) -> str:
+        """What is wrong, in a few words, or empty."""
+        match self._standing:
+            case Standing.CLUSTERED:
+                return ""
+            case Standing.UNCERTAIN:
+                return "cluster uncertain, joins wait"
+            case Standing.LOCAL:
+                return "cluster lost, rooms are local"
+
+    # What the hub says.
+
+    def join(self, connection: Connection, join: Join, admission: Admission, now: float) -> None:
+        """Find a place for somebody; see `Neighbours`."""
+        shared = self._room(join.room)
+        tracks = tuple(replace(t, stream=self._new_stream(shared)) for t in join.tracks)
+        name = admission.name or join.name
+        self._places[connection.peer_id] = _Place(connection, shared, admission)
+        peer = Peer(peer_id=connection.peer_id, name=name, tracks=tracks)
+        shared.join(peer, identity_key(admission.identity))
+        self._dirty[shared.key] = None
+
+    def leave(self, connection: Connection, reason: str) -> None:
+        """Note that somebody has gone; see `Neighbours`."""
+        place = self._places.pop(connection.peer_id, None)
+        if place is not None:
+            place.shared.leave(connection.peer_id, reason)
+            self._dirty[place.shared.key] = None
+
+    def note_wishes(self, room: Room) -> None:
+        """Look at what the peers here want; see `Neighbours`."""
+        self._dirty[room_key(room.name)] = None
+
+    def ask_for_keyframe(self, room: Room, publisher: str, stream: int, why: str) -> None:
+        """Ask a publisher elsewhere; see `Neighbours`."""
+        self._tell(room.node_of(publisher), Ask(room_key(room.name), stream, why))
+
+    def whisper(self, room: Room, sender: str, whisper: Whisper) -> bool:
+        """Send a whisper elsewhere; see `Neighbours`."""
+        node = room.node_of(whisper.peer_id)
+        if node:
+            self._tell(node, Passed(room_key(room.name), sender, whisper))
+        return bool(node)
+
+    # What NATS brought.
+
+    def receive_reconnected(self) -> None:
+        """Note that the connection was lost for a while, and all that was said meanwhile with
+        it."""
+        self._count("reconnected")
+        for key in self._rooms:
+            self.receive_loss(key)
+
+    def receive_loss(self, key: str) -> None:
+        """Note that news of a room may have been lost."""
+        shared, exchange = self._rooms.get(key), self._exchanges.get(key)
+        if shared is not None:
+            shared.doubt()
+            self._dirty[key] = None
+        if exchange is not None:
+            exchange.suspect_loss()
+
+    def receive_beat(self, node: str, now: float) -> None:
+        """Note that a node renewed its lease."""
+        if node != self._me.name:
+            self.liveness.receive_beat(node, now)
+
+    def receive_farewell(self, node: str, now: float) -> None:
+        """Note that a node gave up its lease."""
+        self.liveness.forget(node)
+        self._tick_s = now
+
+    def receive_renewed(self, sent_s: float, now: float) -> None:
+        """Note that this node's lease was confirmed."""
+        self.liveness.receive_renewed(sent_s, now)
+        self._look(now)
+
+    def receive_record(self, key: str, data: bytes, revision: int, now: float) -> None:
+        """Take news of a room's record."""
+        shared = self._rooms.get(key)
+        if shared is None:
+            return
+        try:
+            shared.receive_record(data, revision, now)
+        except ClusterMessageError:
+            self._count("unreadable")
+        self._dirty[key] = None
+
+    def receive_answer(self, key: str, ticket: int, answer: Answer, now: float) -> None:
+        """Take the answer to a request."""
+        shared = self._rooms.get(key)
+        if shared is not None:
+            self._count(type(answer).__name__.lower())
+            shared.receive_answer(ticket, answer, now)
+            self._dirty[key] = None
+
+    def receive_node_message(self, data: bytes, now: float) -> None:
+        """Take what another node said to this one."""
+        try:
+            message = decode_node_message(data)
+        except ClusterMessageError:
+            self._count("unreadable")
+            return
+        shared = self._rooms.get(message.room)
+        room = None if shared is None else self._hub.room(shared.name)
+        if shared is None or room is None or self._standing is Standing.LOCAL:
+            return
+        match message:
+            case Interest():
+                self._follow(shared, room, message, now)
+            case Ask(stream=stream, why=why):
+                if not room.is_remote(stream):
+                    self._hub.ask_for_keyframe(room, stream, why, now)
+            case Passed(sender=sender, whisper=whisper):
+                if room.node_of(sender):
+                    self._hub.pass_whisper(room, sender, whisper, now)
+
+    def receive_media(self, key: str, data: bytes, now: float) -> None:
+        """Take frames from another node."""
+        shared, exchange = self._rooms.get(key), self._exchanges.get(key)
+        room = None if shared is None else self._hub.room(shared.name)
+        if exchange is None or room is None:
+            return
+        try:
+            header = decode_media_header(data)
+            message = data[MEDIA_HEADER_BYTES:]
+            spans = scan_frames(message)
+        except (ClusterMessageError, RemoteProtocolError):
+            self._count("unreadable")
+            return
+        if not exchange.receive_header(header):
+            if exchange.is_lossy:
+                self._count("media_lost")
+                self._dirty[key] = None
+            return
+        known = [span for span in spans if room.is_remote(span.stream)]
+        self._stats.cluster["frames_in"] += len(known)
+        self._hub.deliver(room, Media(message, known), now, num_here=0)
+
+    # What must be done.
+
+    def next_timer(self) -> float:
+        """Return when ``handle_timer`` is due."""
+        return self._tick_s
+
+    def handle_timer(self, now: float) -> None:
+        """Look at who lives."""
+        if now >= self._tick_s:
+            self._tick_s = now + TICK_S
+            self._look(now)
+
+    def restart(self, me: NodeId, now: float) -> None:
+        """Be another node: the slot has been given away while this one was cut off.
+
+        Its streams may be somebody else's now, so all who are in a room must come anew.
+        """
+        self._count("restarted")
+        for place in list(self._places.values()):
+            reason = "this relay was away for too long, come again"
+            self._hub.close(place.connection, CloseCode.GOING_AWAY, reason, now)
+        self._commands += [Unwatch(key) for key in self._rooms]
+        for kept in (self._rooms, self._exchanges, self._dirty):
+            kept.clear()
+        self._me = me
+        self.liveness = Liveness(now)
+        self._look(now)
+
+    def step(self, now: float) -> None:
+        """Bring every room where something has happened up to date."""
+        while self._dirty:
+            key = next(iter(self._dirty))
+            del self._dirty[key]
+            shared = self._rooms.get(key)
+            if shared is None:
+                continue
+            shared.advance(self._standing, self.liveness, now)
+            for event in shared.take_events():
+                self._handle(shared, event, now)
+            request = shared.take_request()
+            if request is not None:
+                self._commands.append(request)
+            self._exchange(shared, now)
+            if shared.is_over and key not in self._dirty:
+                del self._rooms[key]
+                self._commands.append(Unwatch(key))
+
+    def take_commands(self) -> list[Command]:
+        """Take what the shell has to do."""
+        commands, self._commands = self._commands, []
+        return commands
+
+    def take_media(self) -> Iterator[tuple[int, str, bytes]]:
+        """Take the media messages that wait: slot of the receiver, room key, bytes.
+
+        What is not taken stays, and is thinned like a slow reader's.
+        """
+        for link in self._hub.ready_links():
+            while (taken := link.take()) is not None:
+                data, num_frames = taken
+                self._stats.cluster["frames_out"] += num_frames
+                self._stats.cluster["media_out"] += 1
+                yield link.slot, link.room_key, data
+            self._hub.done_with(link)
+
+    def _handle(self, shared: SharedRoom, event: RoomEvent, now: float) -> None:
+        match event:
+            case Admitted(peer=peer):
+                place = self._places.get(peer.peer_id)
+                if place is None:  # gone meanwhile: the record must hear of it
+                    shared.leave(peer.peer_id, "left")
+                    self._dirty[shared.key] = None
+                else:
+                    self._hub.enter(place.connection, shared.name, peer, place.admission, now)
+            case Refused(peer_id=peer_id):
+                place = self._places.get(peer_id)
+                if place is not None:
+                    self._hub.refuse(place.connection, shared.name, now)
+            case Replaced(peer_id=peer_id):
+                place = self._places.get(peer_id)
+                if place is not None:
+                    reason = "you have joined again from elsewhere"
+                    self._hub.close(place.connection, CloseCode.REPLACED, reason, now)
+            case Arrived(node=node, peer=peer):
+                self._hub.arrive(shared.name, node, peer, now)
+            case Departed(peer_id=peer_id, reason=reason):
+                self._hub.depart(shared.name, peer_id, reason, now)
+            case Heard(node=node):
+                self.liveness.receive_beat(node, now)
+
+    def _exchange(self, shared: SharedRoom, now: float) -> None:
+        """Tell the other nodes of a room what is wanted of them."""
+        room = self._hub.room(shared.name)
+        nodes = shared.nodes
+        if room is not None:
+            for node in [n for n in room.links if n not in nodes]:
+                self._hub.drop_link(room, node)
+        if room is None or not nodes:
+            self._exchanges.pop(shared.key, None)
+            return
+        exchange = self._exchanges.get(shared.key)
+        if exchange is None:
+            exchange = Exchange(shared.key, self._me.name, self._next_epoch())
+            self._exchanges[shared.key] = exchange
+        layers = room.interest()
+        for stream in exchange.layers:
+            if stream not in layers:
+                room.forget_chain(stream)
+        told = exchange.announce(layers, shared.revision, nodes, self._last_epoch + 1, now)
+        self._last_epoch += 1
+        for node, interest in told:
+            self._tell(node, interest)
+
+    def _follow(self, shared: SharedRoom, room: Room, interest: Interest, now: float) -> None:
+        """Do as another node wishes."""
+        if interest.revision > shared.revision and shared.revision > 0:
+            shared.doubt()  # news was lost
+            self._dirty[shared.key] = None
+        exchange = self._exchanges.get(shared.key)
+        # Who is not known to be in the room yet will be asked for its wishes once it is.
+        if exchange is None or interest.node not in shared.nodes:
+            return
+        if not exchange.receive_interest(interest):
+            return
+        if interest.wants_answer:
+            self._dirty[shared.key] = None
+        link = room.links.get(interest.node)
+        if link is None:
+            dropped = self._stats.cluster_dropped
+            link = NodeLink(interest.node, self._me.slot, shared.key, dropped)
+            room.links[interest.node] = link
+        if interest.epoch != link.epoch:
+            link.restart(interest.epoch)
+        for number, _ in list(room.streams):
+            if not room.is_remote(number) and link.want(number, interest.layers.get(number)):
+                self._hub.resume_link(room, link, number, now)
+
+    def _look(self, now: float) -> None:
+        """See who lives, and what this node is; bring rooms up to date that depend on it."""
+        standing = self.liveness.standing(now)
+        alive = self.liveness.alive(now)
+        has_changed = standing is not self._standing or alive != self._alive
+        if standing is not self._standing:
+            self._count(standing.value)
+        self._standing, self._alive = standing, alive
+        for key, shared in self._rooms.items():
+            exchange = self._exchanges.get(key)
+            is_due = exchange is not None and exchange.is_due(now)
+            if has_changed or shared.is_unsettled or is_due:
+                self._dirty[key] = None
+
+    def _room(self, name: str) -> SharedRoom:
+        shared = SharedRoom(name, self._capacity, self._me)
+        found = self._rooms.setdefault(shared.key, shared)
+        if found is shared:
+            self._commands.append(Watch(shared.key))
+        return found
+
+    def _new_stream(self, shared: SharedRoom) -> int:
+        # Counting up over all rooms: a late frame of a departed peer must not find a new owner.
+        while True:
+            self._last_stream = self._last_stream % (STREAMS_PER_SLOT - 1) + 1
+            stream = self._me.slot * STREAMS_PER_SLOT + self._last_stream
+            if not shared.uses(stream):
+                return stream
+
+    def _next_epoch(self) -> int:
+        self._last_epoch += 1
+        return self._last_epoch
+
+    def _tell(self, node: str, message: NodeMessage) -> None:
+        if node:
+            self._commands.append(Tell(slot_of(node), encode_node_message(message)))
+
+    def _count(self, what: str) -> None:
+        self._stats.cluster[what] += 1
