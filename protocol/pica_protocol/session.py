@@ -50,6 +50,7 @@ from pica_protocol.limits import (
     MAX_CLIENT_MESSAGE_BYTES,
     MAX_CONTROL_BYTES,
     MAX_MEDIA_MESSAGE_BYTES,
+    MAX_PEERS,
     clipped_reason,
     quoted,
 )
@@ -381,6 +382,9 @@ class ClientSession(_Session):
                 self._deadline = None
                 return [message]
             case PeerJoined(peer=peer):
+                # A relay that does not keep to it would fill our memory.
+                if len(self.peers) >= MAX_PEERS and peer.peer_id not in self.peers:
+                    raise RemoteProtocolError(f"more than {MAX_PEERS} peers in a room")
                 self.peers[peer.peer_id] = peer
                 return [message]
             case PeerLeft(peer_id=peer_id):

@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 from pica_protocol.codec import decode_message, encode_message
 from pica_protocol.errors import CloseCode, LocalProtocolError, is_worth_retrying
 from pica_protocol.frames import Frame, decode_media, encode_frame, media_message
+from pica_protocol.limits import MAX_PEERS
 from pica_protocol.messages import (
     Bye,
     Hello,
@@ -430,6 +431,16 @@ def test_no_received_bytes_make_a_session_raise_or_speak_after_its_goodbye(
     if session.closed is not None and not session.closed.is_remote:
         assert isinstance(said[-1], Bye)
     assert sum(isinstance(message, Bye) for message in said) <= 1
+
+
+def test_a_client_does_not_believe_in_more_peers_than_a_room_holds() -> None:
+    client = joined_client()
+    for number in range(MAX_PEERS + 1):
+        peer = Peer(peer_id=f"x{number}", name="X")
+        client.receive_data(encode_message(PeerJoined(peer=peer)), now=1.0)
+    assert len(client.peers) == MAX_PEERS
+    assert client.closed is not None
+    assert client.closed.code == CloseCode.MALFORMED
 
 
 def test_a_retry_is_worth_it_when_nobody_is_at_fault() -> None:
