@@ -373,6 +373,30 @@ def test_streams_ask_for_their_own_keyframes(coded_call: Call) -> None:
     assert coded_call.take_keyframe_requests(0.1) == [2]
 
 
+def test_a_sender_that_counts_from_0_again_under_its_old_ids_is_seen_as_it_is_now(
+    coded_call: Call,
+) -> None:
+    # As when a relay died without a word, and the next one gave everybody the same ids.
+    for sent in perform(seed=1, num_frames=14):
+        coded_call.receive_event(coded(sent), now=sent.captured_us / 1e6)
+    coded_call.receive_event(joined(coded_peer("ada", 1)), now=8.0)
+    publisher = Publisher()
+    faces, poses = toy_faces(2, 90), toy_pose(2, 90)
+    for index in range(90):
+        now = 9 + index / 30
+        sent_now = publisher.show(faces[index], poses[index], round(now * 1e6))
+        if sent_now is not None:
+            coded_call.receive_event(coded(sent_now), now=now)
+        coded_call.faces(now)
+    (face,) = coded_call.faces(9 + 89.5 / 30)
+    assert face.latent is not None
+    truth = list(deliver_all(LatentDecoder(toy_profile()), publisher.sent))[-1].sample
+    # The display is a few frames behind.
+    assert np.abs(face.latent - truth.latent).mean() < 0.03
+    assert coded_call.errors == 0
+    assert coded_call.stats(12.0)["peers"][0]["unreferenced"] == 0
+
+
 def test_a_still_face_is_held_as_a_live_one_and_not_concealed(coded_call: Call) -> None:
     publisher = Publisher()
     publisher.show_all(toy_faces(1, 20), toy_pose(1, 20))
