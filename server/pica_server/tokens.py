@@ -33,6 +33,9 @@ MIN_SECRET_BYTES: Final = 32
 MAX_AVATARS: Final = 14
 """Avatars in one token; more would not fit into it."""
 
+_MAX_TIME_S: Final = 2.0**53
+"""Seconds since 1970 that a float still counts one by one."""
+
 _SHA256_HEX = re.compile(r"[0-9a-f]{64}")
 
 
@@ -272,9 +275,12 @@ def _claims(keys: KeyRing, token: str) -> Mapping[str, Any]:
 
 def _number(claims: Mapping[str, Any], field: str) -> float:
     value = claims.get(field)
-    if type(value) not in (int, float):
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise _unauthorized("the token is not valid")
-    return float(value)  # type: ignore[arg-type]
+    # JSON has numbers that no float holds, and Python reads NaN: a token that never expires.
+    if not -_MAX_TIME_S < value < _MAX_TIME_S:
+        raise _unauthorized("the token is not valid")
+    return float(value)
 
 
 def _unauthorized(reason: str) -> AdmissionError:
