@@ -124,6 +124,16 @@ class ClusterNode:
         return self._me.name
 
     @property
+    def slot(self) -> int:
+        """Its slot."""
+        return self._me.slot
+
+    @property
+    def num_rooms(self) -> int:
+        """Rooms whose records hold peers of this node, or may."""
+        return len(self._rooms)
+
+    @property
     def standing(self) -> Standing:
         """What this node is to the cluster."""
         return self._standing
@@ -131,7 +141,7 @@ class ClusterNode:
     @property
     def num_nodes(self) -> int:
         """Nodes that live, this one included."""
-        return len({*self._alive, self._me.name}) if self._standing is not Standing.LOCAL else 1
+        return 1 if self._standing is Standing.LOCAL else 1 + len(self._alive)
 
     @property
     def trouble(self) -> str:
@@ -184,8 +194,7 @@ class ClusterNode:
         """Note that the connection was lost for a while, and all that was said meanwhile with
         it."""
         self._count("reconnected")
-        for key in self._rooms:
-            self.receive_loss(key)
+        self.receive_loss_of_all()
 
     def receive_loss(self, key: str) -> None:
         """Note that news of a room may have been lost."""
@@ -196,15 +205,22 @@ class ClusterNode:
         if exchange is not None:
             exchange.suspect_loss()
 
-    def receive_beat(self, node: str, now: float) -> None:
-        """Note that a node renewed its lease."""
-        if node != self._me.name:
-            self.liveness.receive_beat(node, now)
+    def receive_loss_of_all(self) -> None:
+        """Note that news of any room may have been lost."""
+        for key in self._rooms:
+            self.receive_loss(key)
 
-    def receive_farewell(self, node: str, now: float) -> None:
-        """Note that a node gave up its lease."""
-        self.liveness.forget(node)
-        self._tick_s = now
+    def receive_lease(self, slot: str, data: bytes, now: float) -> None:
+        """Take news of a lease: the name of the node that renewed it, or nothing if it was given
+        up."""
+        name = data.decode("ascii", "replace")
+        if data and name != self._me.name:
+            self.liveness.receive_beat(name, now)
+        elif not data:
+            for node in self.liveness.alive(now):
+                if node.partition("-")[0] == slot:
+                    self.liveness.forget(node)
+            self._look(now)
 
     def receive_renewed(self, sent_s: float, now: float) -> None:
         """Note that this node's lease was confirmed."""

@@ -46,6 +46,8 @@ from pica_server.stats import RelayStats
 from pica_server.tokens import Admission
 
 SOFTWARE = "pica-relay"
+
+_WAITS, _DROPPED = Put.WAITS, Put.DROPPED  # an enumeration's own lookup is slow
 _KNOWN_CODES = frozenset(map(int, CloseCode))
 
 
@@ -338,6 +340,7 @@ class Hub:
         """
         num_deliveries = 0
         needed: dict[tuple[int, Put], None] = {}
+        connections, ready, stats = self._connections, self._ready, self.stats
         for number, layer, flags, start, end in media.spans:
             frame = media.message[start:end]
             is_keyframe = layer == 0 and bool(flags & FLAG_KEYFRAME)
@@ -347,22 +350,22 @@ class Hub:
                 stream.remember(frame, is_keyframe)
             receivers = room.receivers(number, layer)
             for peer_id in receivers:
-                receiver = self._connections[peer_id]
+                receiver = connections[peer_id]
                 fate = receiver.outbox.put_frame(number, frame, layer, is_keyframe, now)
-                if fate is not Put.DROPPED:
-                    self._ready[receiver] = None
-                    if fate is not Put.WAITS:
+                if fate is not _DROPPED:
+                    ready[receiver] = None
+                    if fate is not _WAITS:
                         needed[number, fate] = None
             for link in room.links.values():
                 wanted = link.put_frame(number, frame, layer, is_keyframe, now)
-                if wanted is not None and wanted is not Put.DROPPED:
+                if wanted is not None and wanted is not _DROPPED:
                     self._ready_links[link] = None
-                    if wanted is not Put.WAITS:
+                    if wanted is not _WAITS:
                         needed[number, wanted] = None
             num_deliveries += len(receivers)
-            self.stats.frames_in += 1
-            self.stats.frames_in_by_layer[layer] += 1
-            self.stats.unwanted += len(room) - num_here - len(receivers)
+            stats.frames_in += 1
+            stats.frames_in_by_layer[layer] += 1
+            stats.unwanted += len(room) - num_here - len(receivers)
         if self._coalescing is None:
             config = self._config
             above_per_s, longest_s = config.coalesce_above_per_s, config.coalesce_longest_s
@@ -475,6 +478,11 @@ class Hub:
         room = self._rooms.get(name)
         if room is not None and room.node_of(peer_id):
             self._forget(room, peer_id, reason, now)
+
+    @property
+    def has_ready_links(self) -> bool:
+        """Whether something waits to go to another node."""
+        return bool(self._ready_links)
 
     def ready_links(self) -> list[NodeLink]:
         """Return the links to other nodes with something to send."""

@@ -18,6 +18,10 @@ class Neighbours(Protocol):
     def trouble(self) -> str:
         """What is wrong between this node and the others, in a few words, or empty."""
 
+    @property
+    def num_nodes(self) -> int:
+        """How many nodes there are, this one included."""
+
     def join(self, connection: Connection, join: Join, admission: Admission, now: float) -> None:
         """Find a place for somebody who is admitted; the hub lets them in, or closes them."""
 
