@@ -261,12 +261,18 @@ def _unpack(data: bytes, max_bytes: int, num_items: int | None = None) -> list[A
             max_array_len=_MAX_ITEMS,
             max_map_len=_MAX_ITEMS,
             max_ext_len=0,
+            ext_hook=_refuse_extension,
         )
-    except (ValueError, msgpack.UnpackException) as error:
+    # A key that is a list is a TypeError, a timestamp out of range an OverflowError.
+    except (ValueError, TypeError, OverflowError, RecursionError, msgpack.UnpackException) as error:
         raise ClusterMessageError("not a message of a node") from error
     if not isinstance(value, list) or not value or num_items not in (None, len(value)):
         raise ClusterMessageError("not a message of a node")
     return value
+
+
+def _refuse_extension(code: int, _data: bytes) -> object:
+    raise ValueError(f"extension type {code}")
 
 
 def _read_member(item: Any) -> Member:

@@ -1,0 +1,25 @@
+"""What nodes read from each other: anything, without falling over it."""
+
+import pytest
+
+from pica_server.cluster_messages import decode_node_message, decode_record
+from pica_server.errors import ClusterMessageError
+
+pytestmark = pytest.mark.unit
+
+NO_MESSAGES = {
+    "a list as a key": b"\x91\x81\x90\xc0",
+    "a map as a key": b"\x91\x81\x80\xc0",
+    "an extension type": b"\x91\xd4\x05x",
+    "a timestamp out of range": b"\x91\xc7\x0c\xff" + b"\xff" * 12,
+    "lists in lists": b"\x91" * 5000,
+    "a list of four thousand million": b"\xdd\xff\xff\xff\xff",
+    "no text": b"\x91\xa3\xff\xfe\xfd",
+}
+
+
+@pytest.mark.parametrize("name", NO_MESSAGES)
+def test_what_no_node_sends_is_refused_with_an_error_that_is_counted(name: str) -> None:
+    for decode in (decode_record, decode_node_message):
+        with pytest.raises(ClusterMessageError):
+            decode(NO_MESSAGES[name])
