@@ -16,6 +16,8 @@ from pica_protocol.limits import MAX_MEDIA_MESSAGE_BYTES
 from pica_protocol.stream_queue import Put, StreamQueue, Waiting
 from pica_server.errors import OutboxFullError
 
+_WAITS = Put.WAITS
+
 
 class Parcel(NamedTuple):
     """One websocket message on its way out."""
@@ -73,8 +75,12 @@ class Outbox:
         self, stream: int, frame: bytes, layer: int, is_keyframe: bool, now: float
     ) -> Put:
         """Queue a frame, or drop it, and what it replaces; see `StreamQueue.put`."""
-        fate = self._queue(stream).put(frame, layer, is_keyframe, now)
-        if fate is Put.WAITS:
+        # Once for every frame and receiver: written for speed.
+        queue = self._queues.get(stream)
+        if queue is None:
+            queue = self._queue(stream)
+        fate = queue.put(frame, layer, is_keyframe, now)
+        if fate is _WAITS:
             self._line[stream] = None  # where it stands already if something of it waited
         return fate
 
@@ -115,21 +121,30 @@ class Outbox:
             data = self._control.popleft()
             self._control_bytes -= len(data)
             return Parcel(data, ())
+        line = self._line
+        if not line:
+            return None
         room_left = MAX_MEDIA_MESSAGE_BYTES - 1
         items: list[Waiting] = []
-        while self._line:
-            stream = next(iter(self._line))
+        num_taken = 0
+        for stream in line:
             queue = self._queues[stream]
             num_bytes = queue.num_bytes
             items += queue.take(room_left)
             if num_bytes > room_left:
                 break  # this message is full; the stream keeps its place
-            del self._line[stream]
             room_left -= num_bytes
+            num_taken += 1
+        if num_taken == len(line):
+            line.clear()
+        else:
+            for stream in list(line)[:num_taken]:
+                del line[stream]
         if not items:
             return None
         return Parcel(
-            media_message(item.frame for item in items), tuple(item.received_s for item in items)
+            media_message([item.frame for item in items]),
+            tuple([item.received_s for item in items]),
         )
 
     def _queue(self, stream: int) -> StreamQueue:

@@ -74,6 +74,8 @@ class Room:
         self._streams: dict[int, Stream] = {}
         self._last_stream = 0
         self._num_remote = 0
+        # Who gets the frames of a stream and layer: looked up for every frame, changed rarely.
+        self._receivers: dict[tuple[int, int], list[str]] = {}
         self.links: dict[str, NodeLink] = {}
 
     def __len__(self) -> int:
@@ -124,6 +126,7 @@ class Room:
     def enter(self, peer: Peer, *, identity: str = "", may_subscribe: bool = True) -> Joined:
         """Let a peer in whose tracks have their streams, and return what to tell it."""
         present = self.peers
+        self._receivers.clear()
         self._members[peer.peer_id] = _Member(
             peer, identity=identity, default_layer=MAX_LAYER if may_subscribe else _NOTHING
         )
@@ -139,6 +142,7 @@ class Room:
 
     def leave(self, peer_id: str) -> Peer:
         """Forget a peer, its streams and everybody's wishes for them."""
+        self._receivers.clear()
         gone = self._members.pop(peer_id)
         self._num_remote -= bool(gone.node)
         peer = gone.peer
@@ -199,6 +203,7 @@ class Room:
             return False
         wishes = member.highest_layer
         had_stopped = wishes.get(stream) == _NOTHING
+        self._receivers.clear()
         wishes[stream] = _NOTHING if layer is None else layer
         return had_stopped and layer is not None
 
@@ -208,14 +213,18 @@ class Room:
         return found is not None and found.publisher == peer_id
 
     def receivers(self, stream: int, layer: int) -> list[str]:
-        """Return who gets a frame of this stream and layer."""
+        """Return who gets a frame of this stream and layer; the list is to be read only."""
+        found = self._receivers.get((stream, layer))
+        if found is not None:
+            return found
         publisher = self._streams[stream].publisher
-        return [
+        found = self._receivers[stream, layer] = [
             peer_id
             for peer_id, member in self._members.items()
             if peer_id != publisher
             and member.highest_layer.get(stream, member.default_layer) >= layer
         ]
+        return found
 
     def request_keyframe(self, stream: int, interval_s: float, now: float) -> str | None:
         """Return the publisher to ask, or None if it is gone or was asked within the interval."""
