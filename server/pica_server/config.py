@@ -2,6 +2,7 @@
 
 import ipaddress
 import re
+import socket
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from pica_server.errors import ConfigurationError
 from pica_server.store_config import StoreConfig
 
 _ORIGIN = re.compile(r"https?://[^/?#\s]+")
+_NATS_URL = re.compile(r"(nats|tls)://([^/?#\s@]+@)?[A-Za-z0-9._-]+(:[0-9]{1,5})?")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -64,6 +66,11 @@ class RelayConfig:
     """Where avatar files are kept that clients give to each other: a folder; an fsspec URL such as
     s3://BUCKET/FOLDER (extra `store`, and the driver's own package); temporary, a folder that ends
     with the relay; none."""
+    cluster: str = ""
+    """Share rooms with other relays over this NATS, as nats://HOST:4222; it needs JetStream.
+    Several servers of one NATS cluster with commas between. See docs/cluster.md."""
+    share_port: bool = False
+    """Let other relays on this machine listen on the same port: the kernel spreads the clients."""
     room_capacity: int = 16
     """Peers in one room."""
     max_connections: int = 1024
@@ -123,6 +130,11 @@ class RelayConfig:
             check_url("drain-to", self.drain_to)
         except ValueError as error:
             raise ConfigurationError(f"--{error}") from error
+        for url in filter(None, self.cluster.split(",")):
+            if not _NATS_URL.fullmatch(url):
+                raise ConfigurationError("--cluster is no address of NATS: write nats://HOST:4222")
+        if self.share_port and not hasattr(socket, "SO_REUSEPORT"):
+            raise ConfigurationError("--share-port does not work on this system: leave it out")
         for origin in self.origins:
             if not _ORIGIN.fullmatch(origin):
                 raise ConfigurationError(f"--origins {origin} is no origin: write https://HOST")

@@ -51,6 +51,13 @@ def metrics_text(stats: RelayStats, gauges: Mapping[str, tuple[str, float]]) -> 
         ("frames_dropped_total", "Frames a receiver did not get.", "reason", stats.dropped),
         ("keyframe_requests_total", "Keyframe requests.", "reason", stats.keyframe_requests),
         ("whispers_dropped_total", "Whispers not passed on.", "reason", stats.whispers_dropped),
+        ("cluster_total", "What happened in the cluster.", "event", stats.cluster),
+        (
+            "cluster_frames_dropped_total",
+            "Frames another node did not get.",
+            "reason",
+            stats.cluster_dropped,
+        ),
         ("limits_hit_total", "How often a limit was reached.", "limit", stats.limits_hit),
         ("store_total", "What the avatar store did, times or bytes.", "what", stats.store),
         ("closed_total", "Connections ended.", "code", stats.closed),

@@ -20,7 +20,7 @@ import time
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
@@ -45,6 +45,9 @@ from pica_server.store import open_store
 from pica_server.store_door import StoreDoor
 from pica_server.tokens import KeyRing, admit, admit_upload, load_keys
 
+if TYPE_CHECKING:
+    from pica_server.cluster import Cluster
+
 _MAX_QUEUED_MESSAGES = 16
 """Messages read ahead from one websocket before its socket is left alone."""
 _WRITE_LIMIT_BYTES = 0
@@ -67,6 +70,7 @@ class Relay:
         KeyFileError: The key file cannot be used.
         StoreError: The avatar store cannot be used.
         ListenError: On entry, when the address cannot be bound.
+        ClusterError: On entry, when the cluster cannot be joined.
     """
 
     def __init__(self, config: RelayConfig, *, unix_time: Callable[[], float] = time.time) -> None:
@@ -104,6 +108,7 @@ class Relay:
         self._server: Server | None = None
         self._all_gone = asyncio.Event()
         self._drain_ends_s: float | None = None
+        self._cluster: Cluster | None = None
         self._wakers: dict[Connection, _Waker] = {}
         self._timer: asyncio.TimerHandle | None = None
         self._timer_s: float | None = None
@@ -134,6 +139,14 @@ class Relay:
 
     async def __aenter__(self) -> Self:
         config = self.config
+        if config.cluster:
+            # Only here: a relay alone needs no NATS.
+            from pica_server.cluster import Cluster
+
+            self._cluster = Cluster(
+                config.cluster, self.hub, config.room_capacity, self._after_turn_soon
+            )
+            await self._cluster.start()
         server = serve(
             self._serve,
             config.host,
@@ -154,10 +167,13 @@ class Relay:
             close_timeout=config.close_timeout_s,
             server_header=None,
             logger=_websockets_logger,
+            reuse_port=config.share_port or None,
         )
         try:
             self._server = await server
         except OSError as error:
+            if self._cluster is not None:
+                await self._cluster.stop()
             raise ListenError(
                 f"cannot listen on {config.host}:{config.port}: {error.strerror or error}; "
                 "choose another --port (0 takes a free one) or --host"
@@ -177,6 +193,8 @@ class Relay:
         self._after_events()
         self._door.close()
         await self._server.wait_closed()
+        if self._cluster is not None:
+            await self._cluster.stop()
         if self.store is not None:
             self.store.close()
         for handle in (self._timer, self._watching, self._release, self._soon):
@@ -279,6 +297,9 @@ class Relay:
         except Exception:  # a fault of ours; it must not cost anybody else anything
             _logger.exception("connection failed")
             self.hub.close(connection, CloseCode.INTERNAL_ERROR, "relay fault", self._now())
+        self._after_turn_soon()
+
+    def _after_turn_soon(self) -> None:
         if self._soon is None:
             self._soon = asyncio.get_running_loop().call_soon(self._after_turn)
 
@@ -325,6 +346,8 @@ class Relay:
     def _after_events(self) -> None:
         """Send to those who have got something, and set the timer to the next deadline."""
         self._fed.clear()
+        if self._cluster is not None:
+            self._cluster.step()
         window_s = self.hub.coalescing_s
         due_s = self._now() + window_s
         for connection in self.hub.take_ready():

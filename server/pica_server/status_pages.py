@@ -36,23 +36,34 @@ class StatusPages:
         match path:
             case "/healthz":
                 worst_s = self._watch.worst_s(now)
-                return _verdict(f"stalled for {worst_s:.1f} s" if worst_s >= WORST_S else "")
+                trouble = f"stalled for {worst_s:.1f} s" if worst_s >= WORST_S else ""
+                # No reason to start it again: its rooms go on, and it comes back by itself.
+                return _verdict(trouble, self._cluster_trouble)
             case "/readyz":
                 if self._hub.is_draining:
                     return _verdict("draining")
                 is_full = self._hub.num_connections >= self._config.max_connections
-                return _verdict("full" if is_full else "")
+                return _verdict("full" if is_full else "", self._cluster_trouble)
             case "/metrics" if is_local or self._config.open_metrics:
                 return Page(HTTPStatus.OK, self._metrics(now), CONTENT_TYPE)
             case "/metrics":
                 return Page(HTTPStatus.FORBIDDEN, "ask on this machine\n")
         return None
 
+    @property
+    def _cluster_trouble(self) -> str:
+        return "" if self._hub.neighbours is None else self._hub.neighbours.trouble
+
     def _metrics(self, now: float) -> str:
         hub = self._hub
+        cluster = hub.neighbours
+        num_nodes = 0 if cluster is None else cluster.num_nodes
+        is_up = cluster is not None and not cluster.trouble
         return metrics_text(
             hub.stats,
             {
+                "cluster_up": ("1 while rooms are shared with other nodes.", float(is_up)),
+                "cluster_nodes": ("Nodes of the cluster that live, with this one.", num_nodes),
                 "open_connections": ("Connections that are open now.", hub.num_connections),
                 "rooms": ("Rooms with somebody in them.", hub.num_rooms),
                 "draining": ("1 while everybody is sent away.", float(hub.is_draining)),
@@ -70,7 +81,7 @@ class StatusPages:
         )
 
 
-def _verdict(trouble: str) -> Page:
+def _verdict(trouble: str, note: str = "") -> Page:
     if trouble:
         return Page(HTTPStatus.SERVICE_UNAVAILABLE, f"{trouble}\n")
-    return Page(HTTPStatus.OK, "ok\n")
+    return Page(HTTPStatus.OK, f"ok\n{note}\n" if note else "ok\n")
