@@ -16,7 +16,7 @@ from unittest import mock
 import numpy as np
 import numpy.typing as npt
 
-from pica_core import latent_stream
+from pica_core import latent_encoder
 from pica_core.avatar_file import Avatar
 from pica_core.latent_sample import DecodedFrame
 from pica_core.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
@@ -132,7 +132,7 @@ class Publisher:
             states.append(state)
             return payload, state
 
-        with mock.patch.object(latent_stream, "encode_frame", spy):
+        with mock.patch.object(latent_encoder, "encode_frame", spy):
             frame = self.encoder.encode(face, pose[0], pose[1], now_us)
         if frame is None:
             return None

@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.errors import ProfileError, ShapeError
-from pica_core.latent_stream import LAYER_PATTERNS, rounding_by_type
+from pica_core.latent_encoder import LAYER_PATTERNS, rounding_by_type
 from pica_core.range_coder import TOTAL
 from pica_core.spec import LATENT_SHAPE, NUM_LATENT
 from pica_core.stream_frames import (

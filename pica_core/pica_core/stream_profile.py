@@ -42,6 +42,9 @@ IntArray = npt.NDArray[Any]
 FloatArray = npt.NDArray[np.float64]
 
 PREFIX = "stream."
+FORMAT = "pica latent stream 1\n"
+"""Begins the text that a profile's hash is taken of: arrays of the same numbers under another
+bitstream are another profile."""
 NUM_POSE = 6
 NUM_TYPES = 5
 """Frame types: 0 keyframe, 1 base, 2 middle layer, 3 top layer after base, 4 top after middle."""
@@ -65,6 +68,7 @@ MAX_LATENT = 1 << (LATENT_BITS + 8)
 ANALYSIS_SHIFT = 16
 UNITS_PER_RMSE = 64
 POSE_BITS = 14
+POSE_UNIT = 1.0 / (1 << POSE_BITS)
 MAX_COEFFICIENT = 1 << 16
 """A decoder refuses coefficients beyond: 1000 times the largest rendered change there is."""
 MAX_COMPONENTS = 128
@@ -160,8 +164,8 @@ class StreamProfile:
 
     @cached_property
     def hash(self) -> str:
-        """SHA-256 over names, types, shapes and little-endian contents, hexadecimal."""
-        digest = hashlib.sha256()
+        """SHA-256 over the format, names, types, shapes and little-endian contents, hexadecimal."""
+        digest = hashlib.sha256(FORMAT.encode())
         for name in sorted(_TYPES):
             array = getattr(self, name)
             digest.update(f"{name} {array.dtype} {list(array.shape)}\n".encode())

@@ -12,14 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pica_core.errors import LatentError, ShapeError
+from pica_core.latent_decoder import MAX_AHEAD
+from pica_core.latent_encoder import LAYER_PATTERNS
 from pica_core.latent_sample import DecodedFrame
-from pica_core.latent_stream import (
-    LAYER_PATTERNS,
-    MAX_AHEAD,
-    LatentDecoder,
-    LatentEncoder,
-    StreamConfig,
-)
+from pica_core.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
 from stream_toy import (
     STILL,
     Publisher,

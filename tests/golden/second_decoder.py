@@ -171,7 +171,7 @@ def latent_units(profile: Profile, c: list[int]) -> list[int]:
 
 def profile_hash(profile: Mapping[str, Mapping[str, Any]]) -> str:
     """The name of a profile from its arrays as the golden file holds them: type, shape, values."""
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(b"pica latent stream 1\n")
     for name in sorted(profile):
         array = profile[name]
         digest.update(f"{name} {array['type']} {array['shape']}\n".encode("ascii"))
