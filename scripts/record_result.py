@@ -12,6 +12,7 @@ import platform
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -32,35 +33,46 @@ def processor() -> str:
     return platform.processor() or platform.machine()
 
 
+def load_now() -> float | None:
+    """How busy the machine has been in the last minute; None where nobody counts."""
+    return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+
+
+def append_result(name: str, command: str, result: Any, load_before: float | None) -> None:
+    """Append a line about one run to docs/results/NAME.jsonl."""
+    changed = git("status", "--porcelain", "--untracked-files=no", "--", ":!docs")
+    row = {
+        "date": datetime.date.today().isoformat(),
+        "commit": git("rev-parse", "--short", "HEAD") + ("+changes" if changed else ""),
+        "command": command,
+        "machine": {
+            "processor": processor(),
+            "cores": os.cpu_count(),
+            "system": f"{platform.system()} {platform.machine()}",
+            "python": platform.python_version(),
+            "load_before": load_before,
+        },
+        "result": result,
+    }
+    path = ROOT / "docs" / "results" / f"{name}.jsonl"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a") as file:
+        file.write(json.dumps(row) + "\n")
+    print(f"appended to {path.relative_to(ROOT)}", file=sys.stderr)
+
+
 def main() -> None:
     """Run, read the last line of stdout, append one line."""
     if len(sys.argv) < 3:
         sys.exit(__doc__)
     name, words = sys.argv[1], sys.argv[2:]
     command = [sys.executable, "-m", "pica_command", *words, "--json"]
-    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+    load_before = load_now()
     run = subprocess.run(command, stdout=subprocess.PIPE, text=True)
     if run.returncode:
         sys.exit(run.returncode)
-    changed = git("status", "--porcelain", "--untracked-files=no", "--", ":!docs")
-    row = {
-        "date": datetime.date.today().isoformat(),
-        "commit": git("rev-parse", "--short", "HEAD") + ("+changes" if changed else ""),
-        "command": "pica " + " ".join(words),
-        "machine": {
-            "processor": processor(),
-            "cores": os.cpu_count(),
-            "system": f"{platform.system()} {platform.machine()}",
-            "python": platform.python_version(),
-            "load_before": load,
-        },
-        "result": json.loads(run.stdout.splitlines()[-1]),
-    }
-    path = ROOT / "docs" / "results" / f"{name}.jsonl"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a") as file:
-        file.write(json.dumps(row) + "\n")
-    print(f"appended to {path.relative_to(ROOT)}")
+    result = json.loads(run.stdout.splitlines()[-1])
+    append_result(name, "pica " + " ".join(words), result, load_before)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,239 @@
+"""What damaged messages are thrown at, and what may come of it.
+
+Each target takes a source of chance and a meter, throws some dozens of messages, and raises
+`Violation` when something happens that is not documented. Any other exception that leaves a target
+is a defect too.
+"""
+
+from __future__ import annotations
+
+import random
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final
+
+from fuzzing.corpus import CORPUS, FACE, media, shuffled, to_client, to_relay
+from fuzzing.meter import Meter, Violation
+from fuzzing.mutator import Mutator
+from pica_protocol.codec import decode_message, encode_message
+from pica_protocol.errors import CloseCode, RemoteProtocolError
+from pica_protocol.frames import HEADER_BYTES, decode_media, encode_frame, scan_frames
+from pica_protocol.limits import (
+    MAX_CLIENT_MESSAGE_BYTES,
+    MAX_CONTROL_BYTES,
+    MAX_FRAME_BYTES,
+    MAX_PEERS,
+)
+from pica_protocol.messages import Bye, Join, Joined, Peer, PeerJoined, Track
+from pica_protocol.session import (
+    MAX_QUEUED_MESSAGES,
+    ClientSession,
+    Closed,
+    ServerSession,
+    State,
+)
+from pica_protocol.stream_queue import (
+    MAX_CHAIN_BYTES,
+    MAX_WAITING_BASE,
+    MAX_WAITING_BYTES,
+    MAX_WAITING_UPPER,
+    Put,
+    StreamQueue,
+)
+
+Target = Callable[[random.Random, Meter], None]
+
+OUR_CODES: Final = frozenset(map(int, CloseCode))
+
+
+def expect(condition: bool, what: str, *details: object) -> None:
+    """Raise a violation unless something holds."""
+    if not condition:
+        raise Violation(" ".join([what, *map(repr, details)]))
+
+
+def refusal(code: int) -> str:
+    """Name a close code, which must be a documented one."""
+    expect(code in OUR_CODES, "closed with a code that nobody documents:", code)
+    return f"refused {CloseCode(code).name}"
+
+
+def codec(rng: random.Random, meter: Meter) -> None:
+    """Control messages: read and written again they are the same."""
+    mutator = Mutator(rng, CORPUS)
+    for _ in range(50):
+        data = mutator.mutate(rng.choice(CORPUS))
+        limit = rng.choice((MAX_CLIENT_MESSAGE_BYTES, MAX_CONTROL_BYTES))
+        try:
+            message = meter.call(decode_message, data, limit)
+        except RemoteProtocolError as error:
+            meter.note(refusal(error.code))
+            continue
+        again = decode_message(encode_message(message))
+        expect(again == message, "written and read again it differs:", data, message)
+        meter.note("accepted")
+
+
+def frames(rng: random.Random, meter: Meter) -> None:
+    """Media messages: the frames found fill the message, and are the same to relay and client."""
+    mutator = Mutator(rng, CORPUS)
+    for _ in range(50):
+        data = mutator.mutate(media(rng, 1, num_frames=rng.choice((1, 2, 9))))
+        try:
+            spans = meter.call(scan_frames, data)
+        except RemoteProtocolError as error:
+            meter.note(refusal(error.code))
+            continue
+        decoded = meter.call(decode_media, data)
+        expect(len(spans) == len(decoded) > 0, "relay and client disagree:", data)
+        at = 1
+        for span, frame in zip(spans, decoded, strict=True):
+            expect(span.start == at and span.end - at >= HEADER_BYTES, "a gap:", data)
+            at = span.end
+            written = bytearray(encode_frame(frame))
+            written[5] = span.flags  # those bits that a client does not know are let through
+            expect(written == data[span.start : span.end], "written again it differs:", data)
+        expect(at == len(data), "bytes left over:", data)
+        meter.note("accepted")
+
+
+def server_session(rng: random.Random, meter: Meter) -> None:
+    """The relay's end of a connection, in every state."""
+    mutator = Mutator(rng, CORPUS)
+    session = ServerSession(now=0.0, timeout_s=5.0)
+    now = 0.0
+    for data in shuffled(rng, to_relay(rng) + [rng.choice(CORPUS) for _ in range(4)]):
+        now += rng.choice((0.0, 0.0, 0.01, 1.0))
+        # Few of them: after the first that is refused there is nothing left to see.
+        sent: bytes | str = mutator.mutate(data) if rng.random() < 0.2 else data
+        if rng.random() < 0.01:
+            sent = data.decode("latin-1")
+        before = session.state
+        events = meter.call(session.receive_data, sent, now)
+        _note_session(session, meter, before)
+        if before is State.CLOSED:
+            expect(not events, "events after the end:", events)
+            break
+        if session.state is State.DECIDING and rng.random() < 0.8:
+            join = next(event for event in events if isinstance(event, Join))
+            own = tuple(replace(track, stream=7 + i) for i, track in enumerate(join.tracks))
+            session.accept(Joined(room=join.room, peer_id="p2", tracks=own))
+        if rng.random() < 0.05:
+            session.handle_timer(now)
+        if rng.random() < 0.02:
+            session.receive_close(rng.randrange(5000), "\x00gone", now)
+    _check_last_words(session, session.messages_to_send(now))
+
+
+def client_session(rng: random.Random, meter: Meter) -> None:
+    """The client's end of a connection, in every state, while it speaks itself."""
+    mutator = Mutator(rng, CORPUS)
+    tracks = (FACE,) * rng.randrange(3)
+    session = ClientSession(room="lobby", name="Ada", tracks=tracks, now=0.0)
+    now = 0.0
+    said: list[bytes] = []
+    for data in shuffled(rng, to_client(rng, tracks) + [rng.choice(CORPUS) for _ in range(4)]):
+        now += rng.choice((0.0, 0.0, 0.01, 1.0))
+        before = session.state
+        sent = mutator.mutate(data) if rng.random() < 0.2 else data
+        events = meter.call(session.receive_data, sent, now)
+        _note_session(session, meter, before)
+        if before is State.CLOSED:
+            expect(not events, "events after the end:", events)
+            break
+        expect(len(session.peers) <= MAX_PEERS, "more peers than a room holds:", session.peers)
+        if session.can_queue and tracks and rng.random() < 0.3:
+            session.send_frame(rng.randbytes(30), captured_us=int(now * 1e6), is_keyframe=True)
+            session.want(3, 1)
+        if rng.random() < 0.03:
+            session.leave(now)
+        if rng.random() < 0.05:
+            session.handle_timer(now)
+        if rng.random() < 0.2:
+            said += session.messages_to_send(now)
+        expect(len(said) <= MAX_QUEUED_MESSAGES, "it talks too much")
+    _check_last_words(session, said + session.messages_to_send(now))
+
+
+def crowded_client(rng: random.Random, meter: Meter) -> None:
+    """A client whose relay tells it of peers without end."""
+    session = ClientSession(room="lobby", name="Ada", now=0.0)
+    for data in to_client(rng, ())[:2]:
+        session.receive_data(data, 0.0)
+    for number in range(MAX_PEERS + 2):
+        before = session.state
+        peer = Peer(peer_id=f"x{number}", name="X", tracks=(Track(kind="face", stream=number + 1),))
+        meter.call(session.receive_data, encode_message(PeerJoined(peer=peer)), 0.0)
+        _note_session(session, meter, before)
+        expect(len(session.peers) <= MAX_PEERS, "more peers than a room holds:", number)
+
+
+def stream_queue(rng: random.Random, meter: Meter) -> None:
+    """The queue of one stream and reader: bounded, in order, and counting right."""
+    drops: Counter[str] = Counter()
+    queue = StreamQueue(drops)
+    chain: list[bytes] = []
+    now, given, got = 0.0, 0, 0
+    for number in range(120):
+        now += rng.choice((0.0, 0.0, 0.033, 0.6))
+        match rng.randrange(12):
+            case 0:
+                queue.want(rng.choice((None, 0, 1, 2, 7)))
+            case 1:
+                is_whole = sum(map(len, chain)) <= MAX_CHAIN_BYTES and rng.random() < 0.8
+                kept = chain if is_whole else chain[:1]
+                meter.call(queue.resume, kept, is_whole=is_whole, now=now)
+            case 2 | 3:
+                budget = rng.choice((0, 100, 1200, 16_383))
+                taken = meter.call(queue.take, budget)
+                got += len(taken)
+                total = sum(len(item.frame) for item in taken)
+                expect(total <= budget, "more taken than there is room for:", total, budget)
+                sequences = [int.from_bytes(item.frame[2:4]) for item in taken]
+                expect(sequences == sorted(sequences), "out of order:", sequences)
+            case _:
+                layer = rng.choice((0, 0, 1, 2, 7))
+                is_keyframe = layer == 0 and rng.random() < 0.2
+                header = b"\x00\x01" + number.to_bytes(2) + bytes([layer, is_keyframe])
+                frame = header + bytes(rng.choice((10, 40, 1194)))
+                if is_keyframe:
+                    chain.clear()
+                if layer == 0:
+                    chain.append(frame)
+                fate = meter.call(queue.put, frame, layer, is_keyframe, now)
+                given += 1
+                expect(isinstance(fate, Put), "no fate:", fate)
+                meter.note("accepted" if fate is Put.WAITS else f"refused {fate.name}")
+        bound = MAX_WAITING_BASE + MAX_WAITING_UPPER
+        expect(len(queue) <= bound, "too many frames wait:", len(queue))
+        num_bytes = queue.num_bytes
+        is_fit = 0 <= num_bytes <= MAX_WAITING_BYTES + MAX_FRAME_BYTES
+        expect(is_fit, "too many bytes wait, or fewer than none:", num_bytes)
+    rest = queue.take(1 << 30)
+    expect(queue.num_bytes == 0 and len(queue) == 0, "something is left of an empty queue")
+    expect(got + len(rest) <= given + 120 * 96, "frames out of nothing")
+
+
+def _note_session(session: ClientSession | ServerSession, meter: Meter, before: State) -> None:
+    closed = session.closed
+    if before is State.CLOSED:
+        meter.note("ignored after the end")
+    elif closed is None or closed.is_remote:
+        meter.note("accepted")
+    else:
+        meter.note(refusal(closed.code))
+
+
+def _check_last_words(session: ClientSession | ServerSession, said: list[bytes]) -> None:
+    """Check that what goes out can be read, and that a goodbye is the last of it."""
+    messages = [decode_message(data) for data in said if data[0] == 1]
+    for data in said:
+        if data[0] == 2:
+            decode_media(data)
+    goodbyes = sum(isinstance(message, Bye) for message in messages)
+    closed: Closed | None = session.closed
+    if closed is not None and not closed.is_remote:
+        expect(isinstance(messages[-1], Bye), "closed without a goodbye:", messages)
+    expect(goodbyes <= 1, "two goodbyes:", messages)
+    expect((session.state is State.CLOSED) == (closed is not None), "closed and not closed")
