@@ -30,7 +30,7 @@ from pica_client.link import LinkConfig
 from pica_client.load import make_senders
 from pica_client.receiver import Receiver
 from pica_client.sender import Sender, SenderConfig
-from pica_core import stream_ends
+from pica_core import latent_encoder, stream_ends
 from pica_core.avatar_file import Avatar, load_avatar
 from pica_core.latent_sample import DecodedFrame, EncodedFrame
 from pica_core.latent_stream import StreamConfig
