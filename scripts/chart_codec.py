@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import matplotlib.pyplot as plt
 from charting import (
+    LIMITS_PAGE,
     RESULTS,
     Line,
     Row,
@@ -63,6 +64,38 @@ def chart_codec() -> None:
         parts.append(f"### {avatar}\n\n{_table(line)}\n\n{source_line(line)}")
     if parts:
         fill_in(PAGE, "codec", "\n\n".join(parts))
+        fill_in(LIMITS_PAGE, "codec", "\n\n".join(map(_verdicts, newest.values())))
+
+
+def _verdicts(line: Line) -> str:
+    """How good the face is at each kept bitrate, by the error of the worst moment."""
+    header = (
+        "avatar, source",
+        "told to keep",
+        "sent",
+        "frames a second",
+        "MSE",
+        "worst",
+        "verdict",
+    )
+    rows = []
+    for row in line["result"]["rows"]:
+        if not row["profile"].startswith("rate-"):
+            continue
+        worst = row["worst_frame_mse"]
+        grade = "good" if worst <= 16 else "usable" if worst <= 32 else "**broken**"
+        rows.append(
+            (
+                f"{line['result']['avatar']}, {short_source(row['source'])}",
+                f"{int(row['profile'].removeprefix('rate-')) / 1e3:g} kbit/s",
+                f"{row['payload_bps'] / 1e3:.2f} kbit/s",
+                f"{row['frames_per_s']:.0f}",
+                f"{row['mse']:.1f}",
+                f"{worst:.0f}",
+                grade,
+            )
+        )
+    return f"{markdown_table(header, rows)}\n\n{source_line(line)}"
 
 
 def _draw(line: Line) -> Figure:

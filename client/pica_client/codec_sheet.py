@@ -15,7 +15,7 @@ from pica_client.output import writing
 
 Image = npt.NDArray[np.uint8]
 
-COLUMNS = 6
+COLUMNS = 4
 CAPTION_PX = 16
 AMPLIFIED = 8
 """Factor on differences, so that 4 of 255 can be seen."""
@@ -50,4 +50,4 @@ def write_sheet(path: Path, cells: Sequence[Cell]) -> None:
         shade = Pillow.fromarray(np.minimum(difference, 255).astype(np.uint8))
         sheet.paste(shade, (x, y + CAPTION_PX + height))
     with writing(path):
-        sheet.save(path)
+        sheet.quantize(256).save(path, optimize=True)  # a third of the bytes
