@@ -24,7 +24,7 @@ from pica_protocol.limits import (
     MAX_WHISPER_BYTES,
     quoted,
 )
-from pica_protocol.messages import MESSAGE_TYPES, Message
+from pica_protocol.messages import MESSAGE_TYPES, Message, Metadata
 from pica_protocol.store import STORE_MESSAGE_TYPES, StoreMessage
 
 CONTROL_KIND: Final = 1
@@ -119,10 +119,12 @@ class _Field(NamedTuple):
     name: str
     read: _Reader
     default: object
+    is_map: bool = False
 
 
 def _plain_record(record: Any) -> dict[str, object]:
-    return {field.name: _plain(getattr(record, field.name)) for field in _SCHEMAS[type(record)]}
+    values = ((field, getattr(record, field.name)) for field in _SCHEMAS[type(record)])
+    return {field.name: dict(value) if field.is_map else _plain(value) for field, value in values}
 
 
 def _plain(value: Any) -> object:
@@ -150,6 +152,12 @@ def _read_int(value: object, path: str) -> int:
     return value
 
 
+def _read_bool(value: object, path: str) -> bool:
+    if not isinstance(value, bool):
+        raise _wrong(path, "true or false", value)
+    return value
+
+
 def _read_int_or_none(value: object, path: str) -> int | None:
     return None if value is None else _read_int(value, path)
 
@@ -166,16 +174,30 @@ def _read_bytes(value: object, path: str) -> bytes:
     return value
 
 
+def _read_metadata(value: object, path: str) -> Metadata:
+    if not isinstance(value, dict):
+        raise _wrong(path, "a map", value)
+    # msgpack lets binary keys through too.
+    return tuple(
+        (_read_text(key, f"{path} key"), _read_text(item, f"{path}.{quoted(key)}"))
+        for key, item in value.items()
+    )
+
+
 def _reader(hint: Any) -> _Reader:
     """Return what reads a field of this annotation; records met on the way get their schema too."""
     if hint is int:
         return _read_int
+    if hint is bool:
+        return _read_bool
     if hint is str:
         return _read_text
     if hint is bytes:
         return _read_bytes
     if get_origin(hint) in (Union, types.UnionType) and set(get_args(hint)) == {int, type(None)}:
         return _read_int_or_none
+    if hint == Metadata:
+        return _read_metadata
     if get_origin(hint) is tuple:
         read_item = _reader(get_args(hint)[0])
 
@@ -195,7 +217,12 @@ def _reader(hint: Any) -> _Reader:
 def _add_schema(cls: type) -> None:
     hints: Mapping[str, Any] = get_type_hints(cls)
     _SCHEMAS[cls] = tuple(
-        _Field(field.name, _reader(hints[field.name]), field.default)
+        _Field(
+            field.name,
+            _reader(hints[field.name]),
+            field.default,
+            hints[field.name] == Metadata,
+        )
         for field in fields(cast(Any, cls))
     )
 

@@ -56,6 +56,10 @@ class CloseCode(IntEnum):
     """An uploaded file is not the one that was offered, or no avatar that a receiver would take."""
     STORE_FULL = 4015
     """The avatar store has no room for this file, or takes none as large."""
+    REMOVED = 4016
+    """An admin has put this peer out of the room."""
+    ROOM_CLOSED = 4017
+    """An admin has closed the room."""
 
 
 _WORTH_RETRYING = frozenset(

@@ -12,7 +12,7 @@ MAX_FRAME_BYTES = 1200
 MAX_MEDIA_MESSAGE_BYTES = 16_384
 """One websocket message of media frames (chosen: 13 of the largest frames, a TLS record)."""
 
-MAX_CONTROL_BYTES = 65_536
+MAX_CONTROL_BYTES = 131_072
 """One control message from the relay: ``Joined`` with the largest room fits; a test proves it."""
 
 MAX_CLIENT_MESSAGE_BYTES = 16_384
@@ -32,6 +32,17 @@ MAX_TRACKS = 4
 
 MAX_REPORT_STREAMS = 64
 """Streams in one report; a receiver of more sends several reports."""
+
+MAX_METADATA_ENTRIES = 8
+"""Entries in what a peer says of itself."""
+
+MAX_METADATA_KEY_BYTES = 16
+MAX_METADATA_VALUE_BYTES = 64
+"""Of one entry; all of them together take less than 700 bytes (chosen: a role, a seat, a raised
+hand; what is larger belongs behind an address that stands here)."""
+
+MAX_DEADLINE_MS = 10_000
+"""How long a frame of an ordered track may wait for its receiver, at most."""
 
 MAX_TEXT_BYTES = 128
 """The longest text in a message but a token, in UTF-8; fields are bounded more tightly."""
@@ -86,6 +97,17 @@ def check_pass(field: str, value: str) -> None:
     """Refuse what cannot be a join token, without quoting it: it may be a secret."""
     if len(value) > MAX_PASS_BYTES or not _PASS.fullmatch(value):
         raise ValueError(f"{field} must be at most {MAX_PASS_BYTES} of A-Z a-z 0-9 _ . -")
+
+
+def check_metadata(field: str, entries: tuple[tuple[str, str], ...]) -> None:
+    """Refuse too many entries, a key twice, or a key or value out of its limits."""
+    check_count(field, entries, MAX_METADATA_ENTRIES)
+    for key, value in entries:
+        check_token(f"{field} key", key)
+        check_text(f"{field} key", key, MAX_METADATA_KEY_BYTES)
+        check_text(f"{field}.{key}", value, MAX_METADATA_VALUE_BYTES)
+    if len({key for key, _ in entries}) < len(entries):
+        raise ValueError(f"{field} has a key twice")
 
 
 def check_sha256(field: str, value: str) -> None:

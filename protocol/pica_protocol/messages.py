@@ -1,8 +1,9 @@
 """The control messages: frozen records that check their own limits.
 
 Direction and bytes of each are shown in ``docs/protocol.md``. The annotations are the schema that
-``codec.py`` reads: ``int``, ``str``, ``bytes``, ``int | None``, another record, or a tuple of one
-of these. A later version may add a field with a default; it never reorders, retypes or removes one.
+``codec.py`` reads: ``int``, ``bool``, ``str``, ``bytes``, ``int | None``, another record, a tuple
+of one of these, or ``Metadata``. A later version may add a field with a default; it never reorders,
+retypes or removes one.
 """
 
 from dataclasses import dataclass, field
@@ -10,6 +11,7 @@ from typing import Final
 
 from pica_protocol import PROTOCOL_VERSION
 from pica_protocol.limits import (
+    MAX_DEADLINE_MS,
     MAX_LAYER,
     MAX_NAME_BYTES,
     MAX_PEERS,
@@ -20,6 +22,7 @@ from pica_protocol.limits import (
     MAX_WHISPER_BYTES,
     check_bytes,
     check_count,
+    check_metadata,
     check_pass,
     check_range,
     check_sha256,
@@ -31,9 +34,11 @@ from pica_protocol.limits import (
 
 MAX_COUNTER: Final = 2**63 - 1
 MAX_TRACK_KIND_BYTES: Final = 16
-DROP_POLICIES: Final = ("latest",)
-"""What may be dropped when a receiver is slow. ``latest``: every frame but the newest of a
-stream."""
+DROP_POLICIES: Final = ("latest", "ordered")
+"""What may be dropped when a receiver is slow. ``latest``: whatever newer frames make needless, see
+`stream_queue`. ``ordered``: what has waited longer than its deadline, see `ordered_queue`."""
+Metadata = tuple[tuple[str, str], ...]
+"""What a peer says of itself, a few short texts by key; a map on the wire."""
 BYE_CODES: Final = (1000, 1001, 1009, 1011)
 """Codes below 3000 that a ``Bye`` may carry (RFC 6455 7.4)."""
 
@@ -52,6 +57,8 @@ class Track:
     """The stream its frames travel on; 0 in ``Join``, allotted by the relay in ``Joined``."""
     profile: str = ""
     """SHA-256 of the stream profile the payloads are encoded with, in hexadecimal; empty: plain."""
+    deadline_ms: int = 0
+    """With ``ordered``, how long a frame may wait for a receiver, milliseconds; else 0."""
 
     def __post_init__(self) -> None:
         check_token("track.kind", self.kind)
@@ -63,6 +70,9 @@ class Track:
         check_sha256("track.avatar", self.avatar)
         check_range("track.stream", self.stream, 0, MAX_STREAM)
         check_sha256("track.profile", self.profile)
+        is_ordered = self.policy == "ordered"
+        longest_ms = MAX_DEADLINE_MS if is_ordered else 0
+        check_range("track.deadline_ms", self.deadline_ms, int(is_ordered), longest_ms)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -74,9 +84,12 @@ class Peer:
     name: str
     """What the person wants to be called; not unique, not to be trusted."""
     tracks: tuple[Track, ...] = ()
+    metadata: Metadata = ()
+    """What it says of itself; not to be trusted."""
 
     def __post_init__(self) -> None:
         check_token("peer.peer_id", self.peer_id)
+        check_metadata("peer.metadata", self.metadata)
         check_text("peer.name", self.name, MAX_NAME_BYTES, required=True)
         check_count("peer.tracks", self.tracks, MAX_TRACKS)
         for track in self.tracks:
@@ -116,10 +129,18 @@ class Join:
     tracks: tuple[Track, ...] = ()
     token: str = field(default="", repr=False)
     """Proof that its owner may come in, where the relay wants one; a secret."""
+    metadata: Metadata = ()
+    """What this client says of itself."""
+    resumable: bool = False
+    """Whether it comes back when the connection breaks: its place is kept for a while."""
+    resume: str = field(default="", repr=False)
+    """From the last ``Joined``: it comes back to its place, if that is still there. A secret."""
 
     def __post_init__(self) -> None:
         check_token("join.room", self.room)
         check_pass("join.token", self.token)
+        check_pass("join.resume", self.resume)
+        check_metadata("join.metadata", self.metadata)
         check_text("join.name", self.name, MAX_NAME_BYTES, required=True)
         check_count("join.tracks", self.tracks, MAX_TRACKS)
         for track in self.tracks:
@@ -136,6 +157,13 @@ class Joined:
     """The tracks of the ``Join`` in the same order, each with its stream."""
     peers: tuple[Peer, ...] = ()
     """The others who are here already."""
+    resumed: bool = False
+    """Whether this is the old place: own id and streams are those of before, and the others have
+    seen nobody come or go."""
+    resume: str = field(default="", repr=False)
+    """What to come back with, once; empty: the place is not kept. A secret."""
+    resume_ms: int = 0
+    """For how long the place is kept after the connection broke, milliseconds."""
 
     def __post_init__(self) -> None:
         check_token("joined.room", self.room)
@@ -144,6 +172,8 @@ class Joined:
         for track in self.tracks:
             check_range("joined.tracks.stream", track.stream, 1, MAX_STREAM)
         check_count("joined.peers", self.peers, MAX_PEERS)
+        check_pass("joined.resume", self.resume)
+        check_range("joined.resume_ms", self.resume_ms, 0, MAX_COUNTER)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -163,6 +193,61 @@ class PeerLeft:
     def __post_init__(self) -> None:
         check_token("peer_left.peer_id", self.peer_id)
         check_text("peer_left.reason", self.reason, MAX_REASON_BYTES)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PeerAway:
+    """Somebody lost the connection and may come back: their seat and streams are kept."""
+
+    peer_id: str
+
+    def __post_init__(self) -> None:
+        check_token("peer_away.peer_id", self.peer_id)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PeerBack:
+    """Somebody has come back on a new connection; also without a ``PeerAway`` before it."""
+
+    peer_id: str
+
+    def __post_init__(self) -> None:
+        check_token("peer_back.peer_id", self.peer_id)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PeerUpdated:
+    """Somebody says something else of themselves."""
+
+    peer_id: str
+    metadata: Metadata = ()
+    """All of it: it replaces what was said before."""
+
+    def __post_init__(self) -> None:
+        check_token("peer_updated.peer_id", self.peer_id)
+        check_metadata("peer_updated.metadata", self.metadata)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StreamMuted:
+    """An admin has stopped a stream, or lets it go on; the publisher is told too."""
+
+    stream: int
+    is_muted: bool
+
+    def __post_init__(self) -> None:
+        check_range("stream_muted.stream", self.stream, 1, MAX_STREAM)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class UpdateMetadata:
+    """A client says something else of itself; the relay tells the others with ``PeerUpdated``."""
+
+    metadata: Metadata = ()
+    """All of it: it replaces what was said before."""
+
+    def __post_init__(self) -> None:
+        check_metadata("update_metadata.metadata", self.metadata)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -263,6 +348,11 @@ Message = (
     | Joined
     | PeerJoined
     | PeerLeft
+    | PeerAway
+    | PeerBack
+    | PeerUpdated
+    | StreamMuted
+    | UpdateMetadata
     | Leave
     | Want
     | KeyframeRequest
@@ -278,6 +368,11 @@ MESSAGE_TYPES: Final[dict[str, type[Message]]] = {
     "joined": Joined,
     "peer_joined": PeerJoined,
     "peer_left": PeerLeft,
+    "peer_away": PeerAway,
+    "peer_back": PeerBack,
+    "peer_updated": PeerUpdated,
+    "stream_muted": StreamMuted,
+    "update_metadata": UpdateMetadata,
     "leave": Leave,
     "want": Want,
     "keyframe_request": KeyframeRequest,

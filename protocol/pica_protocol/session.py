@@ -29,7 +29,7 @@ What may be received in which state, and where it leads, stands in the two table
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Final, NamedTuple
 
@@ -62,16 +62,23 @@ from pica_protocol.messages import (
     KeyframeRequest,
     Leave,
     Message,
+    Metadata,
     Peer,
+    PeerAway,
+    PeerBack,
     PeerJoined,
     PeerLeft,
+    PeerUpdated,
     Report,
+    StreamMuted,
     Track,
+    UpdateMetadata,
     Want,
     Welcome,
     Whisper,
 )
-from pica_protocol.stream_queue import Put, StreamQueue
+from pica_protocol.ordered_queue import queue_for
+from pica_protocol.stream_queue import Put
 
 HANDSHAKE_TIMEOUT_S: Final = 5.0
 """From the open socket to the place in the room (chosen: ten slow round trips)."""
@@ -116,8 +123,30 @@ class Closed:
     """Another relay to go to, if the other side named one."""
 
 
-ClientEvent = Joined | PeerJoined | PeerLeft | KeyframeRequest | Whisper | Frame | Closed
-ServerEvent = Join | Want | KeyframeRequest | Report | Whisper | Media | Closed
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Ticket:
+    """What a client comes back with after its connection broke, to the place that it had."""
+
+    secret: str = field(repr=False)
+    next_sequences: tuple[int, ...]
+    """Of each track: streams go on where they stopped, so the others see what was lost as a
+    hole."""
+
+
+ClientEvent = (
+    Joined
+    | PeerJoined
+    | PeerLeft
+    | PeerAway
+    | PeerBack
+    | PeerUpdated
+    | StreamMuted
+    | KeyframeRequest
+    | Whisper
+    | Frame
+    | Closed
+)
+ServerEvent = Join | Want | KeyframeRequest | Report | Whisper | UpdateMetadata | Media | Closed
 
 _Table = Mapping[State, Mapping[type, State]]
 
@@ -127,6 +156,10 @@ CLIENT_TABLE: Final[_Table] = {
     State.JOINED: {
         PeerJoined: State.JOINED,
         PeerLeft: State.JOINED,
+        PeerAway: State.JOINED,
+        PeerBack: State.JOINED,
+        PeerUpdated: State.JOINED,
+        StreamMuted: State.JOINED,
         KeyframeRequest: State.JOINED,
         Whisper: State.JOINED,
         Media: State.JOINED,
@@ -137,6 +170,10 @@ CLIENT_TABLE: Final[_Table] = {
         Joined: State.LEAVING,
         PeerJoined: State.LEAVING,
         PeerLeft: State.LEAVING,
+        PeerAway: State.LEAVING,
+        PeerBack: State.LEAVING,
+        PeerUpdated: State.LEAVING,
+        StreamMuted: State.LEAVING,
         KeyframeRequest: State.LEAVING,
         Whisper: State.LEAVING,
         Media: State.LEAVING,
@@ -153,6 +190,7 @@ SERVER_TABLE: Final[_Table] = {
         KeyframeRequest: State.JOINED,
         Report: State.JOINED,
         Whisper: State.JOINED,
+        UpdateMetadata: State.JOINED,
         Media: State.JOINED,
         Leave: State.CLOSED,
     },
@@ -211,6 +249,8 @@ class ClientSession(_Session):
         peer_id: Our own id, once joined.
         tracks: Our own tracks; with their streams, once joined.
         peers: Everybody else in the room by id, kept up to date.
+        away: Ids of those among them who have lost their connection and may come back.
+        muted: Streams that an admin has stopped, our own among them.
         closed: How it ended, or None.
         drops: Frames that did not go out because the network was too slow, by reason.
     """
@@ -226,6 +266,9 @@ class ClientSession(_Session):
         timeout_s: float = HANDSHAKE_TIMEOUT_S,
         seal: Callable[[Frame], bytes] | None = None,
         token: str = "",
+        metadata: Metadata = (),
+        resumable: bool = False,
+        ticket: Ticket | None = None,
     ) -> None:
         """Start on a websocket that is open: ``Hello`` and ``Join`` wait in ``messages_to_send``.
 
@@ -238,20 +281,37 @@ class ClientSession(_Session):
             timeout_s: For the relay to let us in.
             token: Proof that we may come in, where the relay wants one.
             seal: Makes the payload that travels out of a frame whose header is final.
+            metadata: What we say of ourselves.
+            resumable: Whether we may come back with the `ticket` of this session.
+            ticket: Of the last session, to come back to its place; if that is gone, we join anew.
 
         Raises:
-            ValueError: A name, room, track or token is out of its limits.
+            ValueError: A name, room, track, token or metadata is out of its limits.
         """
         super().__init__(CLIENT_TABLE, MAX_CONTROL_BYTES, now + timeout_s)
         self.peer_id = ""
         self.tracks = tracks
         self.peers: dict[str, Peer] = {}
+        self.away: set[str] = set()
+        self.muted: set[int] = set()
         self.drops: Counter[str] = Counter()
         self._seal = seal
         self._next_sequence = [0] * len(tracks)
-        self._queues = [StreamQueue(self.drops) for _ in tracks]
+        self._queues = [queue_for(track, self.drops) for track in tracks]
+        self._came_with = ticket
+        self._resume = ""
         self._queue(Hello(software=software))
-        self._queue(Join(room=room, name=name, tracks=tracks, token=token))
+        self._queue(
+            Join(
+                room=room,
+                name=name,
+                tracks=tracks,
+                token=token,
+                metadata=metadata,
+                resumable=resumable,
+                resume="" if ticket is None else ticket.secret,
+            )
+        )
 
     def receive_data(self, data: bytes | str, now: float) -> list[ClientEvent]:
         """Take one websocket message; a text one is the other side's mistake."""
@@ -321,9 +381,12 @@ class ClientSession(_Session):
             layer=layer,
             is_keyframe=is_keyframe,
         )
+        self._next_sequence[track] = (sequence + 1) % SEQUENCE_MODULUS
+        if stream in self.muted:
+            self.drops["muted"] += 1
+            return []
         if self._seal is not None:
             frame = replace(frame, payload=self._seal(frame))
-        self._next_sequence[track] = (sequence + 1) % SEQUENCE_MODULUS
         # The capture time is all the clock we have here; only differences count.
         queue = self._queues[track]
         fate = queue.put(encode_frame(frame), layer, is_keyframe, captured_us / 1e6)
@@ -349,6 +412,22 @@ class ClientSession(_Session):
             ValueError: More than ``MAX_WHISPER_BYTES``, or no peer id.
         """
         self._queue_when_joined(Whisper(peer_id=peer_id, data=data))
+
+    def update_metadata(self, metadata: Metadata) -> None:
+        """Say something else of ourselves, instead of all that was said before.
+
+        Raises:
+            LocalProtocolError: Not joined, or too much waits.
+            ValueError: It is out of its limits.
+        """
+        self._queue_when_joined(UpdateMetadata(metadata=metadata))
+
+    @property
+    def ticket(self) -> Ticket | None:
+        """What to come back with if this connection breaks, or None: it may be used once."""
+        if not self._resume:
+            return None
+        return Ticket(secret=self._resume, next_sequences=tuple(self._next_sequence))
 
     @property
     def can_queue(self) -> bool:
@@ -380,6 +459,11 @@ class ClientSession(_Session):
                 self.tracks = message.tracks
                 self.peers = {peer.peer_id: peer for peer in message.peers}
                 self._deadline = None
+                self._resume = message.resume
+                if message.resumed:
+                    if self._came_with is None:
+                        raise RemoteProtocolError("resumed, and we did not ask to")
+                    self._next_sequence = list(self._came_with.next_sequences)
                 return [message]
             case PeerJoined(peer=peer):
                 # A relay that does not keep to it would fill our memory.
@@ -389,6 +473,20 @@ class ClientSession(_Session):
                 return [message]
             case PeerLeft(peer_id=peer_id):
                 self.peers.pop(peer_id, None)
+                self.away.discard(peer_id)
+                return [message]
+            case PeerAway(peer_id=peer_id):
+                self.away.add(peer_id)
+                return [message]
+            case PeerBack(peer_id=peer_id):
+                self.away.discard(peer_id)
+                return [message]
+            case PeerUpdated(peer_id=peer_id, metadata=metadata):
+                if peer_id in self.peers:
+                    self.peers[peer_id] = replace(self.peers[peer_id], metadata=metadata)
+                return [message]
+            case StreamMuted(stream=stream, is_muted=is_muted):
+                (self.muted.add if is_muted else self.muted.discard)(stream)
                 return [message]
             case KeyframeRequest() | Whisper():
                 return [message]
@@ -475,7 +573,7 @@ class ServerSession(_Session):
             case Leave():
                 self._queue(Bye(code=CloseCode.NORMAL, reason="left"))
                 return [self._end(CloseCode.NORMAL, "left", is_remote=True)]
-            case Join() | Want() | KeyframeRequest() | Report() | Whisper():
+            case Join() | Want() | KeyframeRequest() | Report() | Whisper() | UpdateMetadata():
                 return [message]
         raise AssertionError(f"the table admits {message} and nobody handles it")
 

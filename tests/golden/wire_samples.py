@@ -6,6 +6,7 @@ before that stay in ``older``, which the script carries over.
 """
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 from pica_protocol.codec import encode_message
@@ -19,11 +20,16 @@ from pica_protocol.messages import (
     Leave,
     Message,
     Peer,
+    PeerAway,
+    PeerBack,
     PeerJoined,
     PeerLeft,
+    PeerUpdated,
     Report,
+    StreamMuted,
     StreamReport,
     Track,
+    UpdateMetadata,
     Want,
     Welcome,
     Whisper,
@@ -38,18 +44,42 @@ _ADA = Peer(
     peer_id="p1",
     name="Ada",
     tracks=(Track(kind="face", avatar=_AVATAR, stream=1, profile=_PROFILE),),
+    metadata=(("role", "host"),),
 )
+_ADA_BEFORE_METADATA = replace(_ADA, metadata=())
 _OLD_ADA = Peer(peer_id="p1", name="Ada", tracks=(Track(kind="face", avatar=_AVATAR, stream=1),))
 
 MESSAGES: dict[str, Message] = {
     "hello": Hello(software="pica-client"),
     "welcome": Welcome(software="pica-relay"),
-    "join": Join(room="lobby", name="Bob", tracks=(Track(kind="face"),), token="h.c.s"),
+    "join": Join(
+        room="lobby",
+        name="Bob",
+        tracks=(Track(kind="face"),),
+        token="h.c.s",
+        metadata=(("seat", "2"),),
+        resumable=True,
+    ),
+    "join again": Join(room="lobby", name="Bob", resumable=True, resume="x9Jd0cW1bQe7"),
+    "join with voice": Join(
+        room="lobby", name="Bob", tracks=(Track(kind="voice", policy="ordered", deadline_ms=200),)
+    ),
     "joined": Joined(
-        room="lobby", peer_id="p2", tracks=(Track(kind="face", stream=2),), peers=(_ADA,)
+        room="lobby",
+        peer_id="p2",
+        tracks=(Track(kind="face", stream=2),),
+        peers=(_ADA,),
+        resumed=True,
+        resume="Zk3vT8mN5rLa",
+        resume_ms=10_000,
     ),
     "peer_joined": PeerJoined(peer=_ADA),
     "peer_left": PeerLeft(peer_id="p1", reason="lost"),
+    "peer_away": PeerAway(peer_id="p1"),
+    "peer_back": PeerBack(peer_id="p1"),
+    "peer_updated": PeerUpdated(peer_id="p1", metadata=(("role", "host"), ("hand", "up"))),
+    "stream_muted": StreamMuted(stream=1, is_muted=True),
+    "update_metadata": UpdateMetadata(metadata=(("role", "host"), ("hand", "up"))),
     "leave": Leave(),
     "want": Want(stream=1, layer=0),
     "want none": Want(stream=1, layer=None),
@@ -63,6 +93,16 @@ MESSAGES: dict[str, Message] = {
 OLDER: dict[str, Message] = {
     "join before profiles": Join(room="lobby", name="Bob", tracks=(Track(kind="face"),)),
     "join before tokens": Join(room="lobby", name="Bob", tracks=(Track(kind="face"),)),
+    "join before metadata": Join(
+        room="lobby", name="Bob", tracks=(Track(kind="face"),), token="h.c.s"
+    ),
+    "joined before metadata": Joined(
+        room="lobby",
+        peer_id="p2",
+        tracks=(Track(kind="face", stream=2),),
+        peers=(_ADA_BEFORE_METADATA,),
+    ),
+    "peer_joined before metadata": PeerJoined(peer=_ADA_BEFORE_METADATA),
     "joined before profiles": Joined(
         room="lobby", peer_id="p2", tracks=(Track(kind="face", stream=2),), peers=(_OLD_ADA,)
     ),
@@ -134,6 +174,15 @@ def invalid_bytes() -> dict[str, bytes]:
         "text where bytes belong": encode_message(Whisper(peer_id="p1", data=b"x")).replace(
             b"\xc4\x01x", b"\xa1x"
         ),
+        "metadata above the limit": encode_message(
+            UpdateMetadata(metadata=(("k", "x" * 64),))
+        ).replace(b"\xd9\x40x", b"\xd9\x41xx"),
+        "number where true or false belongs": encode_message(
+            StreamMuted(stream=1, is_muted=True)
+        ).replace(b"\xc3", b"\x01"),
+        "deadline of a latest track": encode_message(
+            Join(room="r", name="n", tracks=(Track(kind="face"),))
+        ).replace(b"deadline_ms\x00", b"deadline_ms\x01"),
         "stream 0": encode_message(Want(stream=1)).replace(b"stream\x01", b"stream\x00"),
         "map with a number as key": b"\x01\x81\x01\x01",
         "extension type": b"\x01\xd4\x05\x00",

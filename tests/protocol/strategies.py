@@ -5,7 +5,7 @@ import string
 from hypothesis import strategies as st
 
 from pica_protocol.frames import MAX_PAYLOAD_BYTES, Frame
-from pica_protocol.limits import MAX_PASS_BYTES, MAX_WHISPER_BYTES
+from pica_protocol.limits import MAX_DEADLINE_MS, MAX_PASS_BYTES, MAX_WHISPER_BYTES
 from pica_protocol.messages import (
     BYE_CODES,
     Bye,
@@ -16,11 +16,16 @@ from pica_protocol.messages import (
     Leave,
     Message,
     Peer,
+    PeerAway,
+    PeerBack,
     PeerJoined,
     PeerLeft,
+    PeerUpdated,
     Report,
+    StreamMuted,
     StreamReport,
     Track,
+    UpdateMetadata,
     Want,
     Welcome,
     Whisper,
@@ -33,21 +38,26 @@ streams = st.integers(1, 65_535)
 counters = st.integers(0, 2**63 - 1)
 texts = st.text(max_size=15).filter(str.isprintable)
 names = texts.filter(lambda text: bool(text.strip()))
+metadata = st.dictionaries(
+    st.text(_TOKEN_CHARS, min_size=1, max_size=16), texts | st.just("x" * 64), max_size=8
+).map(lambda entries: tuple(entries.items()))
+secrets = st.just("") | tokens
 
 
 def tracks(stream: st.SearchStrategy[int]) -> st.SearchStrategy[tuple[Track, ...]]:
     """Up to four tracks, with streams of the given kind."""
-    track = st.builds(
-        Track,
-        kind=st.text(_TOKEN_CHARS, min_size=1, max_size=16),
-        avatar=st.sampled_from(["", "0f" * 32]),
-        stream=stream,
-        profile=st.sampled_from(["", "1e" * 32]),
-    )
+    fields = {
+        "kind": st.text(_TOKEN_CHARS, min_size=1, max_size=16),
+        "avatar": st.sampled_from(["", "0f" * 32]),
+        "stream": stream,
+        "profile": st.sampled_from(["", "1e" * 32]),
+    }
+    ordered = {"policy": st.just("ordered"), "deadline_ms": st.integers(1, MAX_DEADLINE_MS)}
+    track = st.builds(Track, **fields) | st.builds(Track, **fields, **ordered)
     return st.lists(track, max_size=4).map(tuple)
 
 
-peers = st.builds(Peer, peer_id=tokens, name=names, tracks=tracks(streams))
+peers = st.builds(Peer, peer_id=tokens, name=names, tracks=tracks(streams), metadata=metadata)
 
 messages: st.SearchStrategy[Message] = st.one_of(
     st.builds(Hello, version=counters, software=texts),
@@ -58,6 +68,9 @@ messages: st.SearchStrategy[Message] = st.one_of(
         name=names,
         tracks=tracks(st.just(0)),
         token=st.just("") | tokens | st.just("x" * MAX_PASS_BYTES),
+        metadata=metadata,
+        resumable=st.booleans(),
+        resume=secrets,
     ),
     st.builds(
         Joined,
@@ -65,9 +78,17 @@ messages: st.SearchStrategy[Message] = st.one_of(
         peer_id=tokens,
         tracks=tracks(streams),
         peers=st.lists(peers, max_size=3).map(tuple),
+        resumed=st.booleans(),
+        resume=secrets,
+        resume_ms=counters,
     ),
     st.builds(PeerJoined, peer=peers),
     st.builds(PeerLeft, peer_id=tokens, reason=texts),
+    st.builds(PeerAway, peer_id=tokens),
+    st.builds(PeerBack, peer_id=tokens),
+    st.builds(PeerUpdated, peer_id=tokens, metadata=metadata),
+    st.builds(StreamMuted, stream=streams, is_muted=st.booleans()),
+    st.builds(UpdateMetadata, metadata=metadata),
     st.builds(Leave),
     st.builds(Want, stream=streams, layer=st.none() | st.integers(0, 7)),
     st.builds(KeyframeRequest, stream=streams),

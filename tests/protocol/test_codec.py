@@ -139,6 +139,31 @@ def test_missing_fields_take_their_default() -> None:
             ({"type": "bye", "code": 1001, "url": url}, r"bye.url must be empty or ws\[s\]://HOST")
             for url in ("http://a", "ws://", "ws://a:b@c", "ws://a b", "wss://a/" + "b" * 249)
         ),
+        (
+            {"type": "update_metadata", "metadata": {"k": 1}},
+            "update_metadata.metadata.'k' must be text, got 1",
+        ),
+        (
+            {"type": "update_metadata", "metadata": {b"k": "v"}},
+            "update_metadata.metadata key must be text, got b'k'",
+        ),
+        (
+            {"type": "update_metadata", "metadata": {str(i): "" for i in range(9)}},
+            "update_metadata.metadata must have at most 8 items, got 9",
+        ),
+        (
+            {
+                "type": "join",
+                "room": "r",
+                "name": "n",
+                "tracks": [{"kind": "k", "policy": "ordered"}],
+            },
+            r"track.deadline_ms must be in 1..10000, got 0",
+        ),
+        (
+            {"type": "stream_muted", "stream": 1, "is_muted": 1},
+            "stream_muted.is_muted must be true or false, got 1",
+        ),
         ({"type": "poke"}, "unknown message type 'poke'"),
         ({}, "unknown message type None"),
         ([], "expected a map, got list"),
@@ -158,9 +183,25 @@ def test_a_refused_value_cannot_fill_the_log() -> None:
 
 
 def test_the_fullest_room_fits_a_control_message() -> None:
-    track = Track(kind="k" * 16, avatar="f" * 64, stream=65_535, profile="f" * 64)
-    peer = Peer(peer_id="p" * 64, name="n" * 64, tracks=(track,) * 4)
-    joined = Joined(room="r" * 64, peer_id="p" * 64, tracks=(track,) * 4, peers=(peer,) * MAX_PEERS)
+    track = Track(
+        kind="k" * 16,
+        policy="ordered",
+        avatar="f" * 64,
+        stream=65_535,
+        profile="f" * 64,
+        deadline_ms=10_000,
+    )
+    metadata = tuple((f"{i}" * 16, "x" * 64) for i in range(8))
+    peer = Peer(peer_id="p" * 64, name="n" * 64, tracks=(track,) * 4, metadata=metadata)
+    joined = Joined(
+        room="r" * 64,
+        peer_id="p" * 64,
+        tracks=(track,) * 4,
+        peers=(peer,) * MAX_PEERS,
+        resumed=True,
+        resume="s" * 64,
+        resume_ms=2**63 - 1,
+    )
     assert len(encode_message(joined)) <= MAX_CONTROL_BYTES
 
 
