@@ -32,8 +32,12 @@ class AvatarStore(Protocol):
         """The avatar, or None while it is being loaded, or for ever if it is unknown.
 
         Raises:
-            AvatarFileError: The file is there and must not be used.
+            AvatarFileError: The file is there and must not be used, or will not come.
         """
+        ...
+
+    def note(self, identity: str) -> str:
+        """How far an avatar is on its way, for people; empty when there is nothing to say."""
         ...
 
 
@@ -121,6 +125,18 @@ class AvatarLibrary:
             raise AvatarFileError(str(error)) from error
         return future.result()
 
+    def note(self, identity: str) -> str:
+        """See `AvatarStore.note`; files are here or not."""
+        return ""
+
+    def add(self, identity: str, path: Path) -> None:
+        """Know one more file, whose hash is known already."""
+        self._paths.setdefault(identity, path)
+
+    def path(self, identity: str) -> Path:
+        """The file of an avatar that is known."""
+        return self._paths[identity]
+
     def load(self, identity: str) -> Avatar:
         """The avatar, waiting for it.
 
@@ -163,3 +179,7 @@ class LoadedAvatars:
     def get(self, identity: str) -> Avatar | None:
         """See `AvatarStore.get`."""
         return self._avatars.get(identity)
+
+    def note(self, identity: str) -> str:
+        """See `AvatarStore.note`."""
+        return ""

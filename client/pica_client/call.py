@@ -390,7 +390,7 @@ class Call:
                 avatar_id=seat.track.avatar,
                 latent=None,
                 status="waiting",
-                note=seat.trouble,
+                note=seat.trouble or self._avatars.note(seat.track.avatar),
             )
         status: FaceStatus = "concealed" if played.is_concealed else "live"
         if seat.last_arrival_s is not None and now - seat.last_arrival_s > (

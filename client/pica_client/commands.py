@@ -9,11 +9,12 @@ import asyncio
 import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import tyro
 
-from pica_client.avatars import AvatarLibrary
+from pica_client.avatar_push import AvatarGiver, Push
+from pica_client.avatars import AvatarLibrary, shipped_avatar_files
 from pica_client.display import has_display
 from pica_client.errors import OptionError
 from pica_client.link import LinkConfig
@@ -66,6 +67,9 @@ class SendOptions:
     """File with the room secret, from pica secret: encrypts end to end, see docs/privacy.md."""
     short_tags: bool = False
     """With a secret: 11 bytes a frame for encryption instead of 19, see docs/privacy.md."""
+    give_avatar: Literal["auto", "yes", "no"] = "auto"
+    """Give the avatar's file to the relay, for those who do not have it; auto does, unless it ships
+    with this package or there is a secret: whoever runs the relay can look at the file."""
 
 
 def send(options: SendOptions) -> dict[str, Any]:
@@ -99,14 +103,27 @@ def send(options: SendOptions) -> dict[str, Any]:
         (chosen, *_) = choose_avatars(options.avatar, library)
         identity = library.find(chosen)
         avatar = library.load(identity)
+        path = library.path(identity)
     finally:
         library.close()
+    gives = options.give_avatar == "yes" or (
+        options.give_avatar == "auto"
+        and options.secret_file is None
+        and path not in shipped_avatar_files()
+    )
 
     async def run() -> tuple[dict[str, Any], list[tuple[int, int]]]:
-        sender = Sender(config, link, source, avatar, identity)
+        push = Push(path=path, identity=identity, token_file=link.token_file, ca_file=link.ca_file)
+        giver = AvatarGiver(push, lambda: sender.relay_url, say)
+        on_joined = giver.begin if gives else None
+        sender = Sender(config, link, source, avatar, identity, on_joined=on_joined)
         loop = asyncio.get_running_loop()
-        with on_stop_signal(lambda: loop.call_soon_threadsafe(sender.stop)):
-            return await sender.run(), list(sender.frame_log)
+        try:
+            with on_stop_signal(lambda: loop.call_soon_threadsafe(sender.stop)):
+                result = await sender.run()
+        finally:
+            await giver.close()
+        return {**result, "avatar_given": giver.outcome}, list(sender.frame_log)
 
     say(f"sending {options.source} as {options.name} to room {options.room} at {options.url}")
     result, frame_log = asyncio.run(run())
@@ -138,7 +155,8 @@ class ViewOptions:
     png_folder: Path | None = None
     """Write an image a second into this folder."""
     avatar: str | None = None
-    """Further avatar files, separated by commas, for peers whose avatar does not ship."""
+    """Further avatar files, separated by commas, for peers whose avatar neither ships nor is at the
+    relay."""
     avatar_folder: Path | None = None
     """A folder with further avatar files."""
     seconds: float = 0.0
@@ -161,6 +179,10 @@ class ViewOptions:
     """With a wss:// address, trust the certificates of this PEM file instead of the system's."""
     secret_file: Path | None = None
     """File with the room secret of those who encrypt: shows them, and nobody else."""
+    fetch: bool = True
+    """Get avatars that are not on this machine from the relay, and keep them."""
+    avatar_cache: Path | None = None
+    """Where to keep those, instead of this user's folder for such things."""
 
 
 def view(options: ViewOptions) -> dict[str, Any]:
@@ -195,6 +217,8 @@ def view(options: ViewOptions) -> dict[str, Any]:
         png=options.png,
         png_folder=options.png_folder,
         frame_log=options.frame_log,
+        fetch=options.fetch,
+        avatar_cache=options.avatar_cache,
     )
     library = AvatarLibrary(folder=options.avatar_folder)
     try:

@@ -259,7 +259,7 @@ class Link:
         give_up_s = None if limit_s is None else loop.time() + limit_s
         trouble = "it does not let us in"
         while not self._is_leaving:
-            token = _read_token(self.config.token_file)
+            token = read_token(self.config.token_file)
             before_first = self.counters.connects == 0
             joined_s = None
             try:
@@ -464,7 +464,12 @@ class Link:
         )
 
 
-def _read_token(path: Path | None) -> str:
+def read_token(path: Path | None) -> str:
+    """Read a join token; empty without a file.
+
+    Raises:
+        OptionError: There is none in the file.
+    """
     if path is None:
         return ""
     try:

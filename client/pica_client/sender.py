@@ -11,6 +11,7 @@ import contextlib
 import random
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -80,9 +81,11 @@ class Sender:
         *,
         connector: Connector | None = None,
         rng: random.Random | None = None,
+        on_joined: Callable[[], None] | None = None,
     ) -> None:
-        """Prepare; see `Link` for connector and rng."""
+        """Prepare; see `Link` for connector and rng; ``on_joined`` is called after each join."""
         self.config = config
+        self._on_joined = on_joined
         self.frame_log: deque[tuple[int, int]] = deque(maxlen=MAX_LOGGED_FRAMES)
         self._source = source
         self._encoder = ExpressionEncoder(avatar)
@@ -97,6 +100,11 @@ class Sender:
         self._last_sent_s = 0.0
         self._sent = self._unheard = self._faceless = self._payload_bytes = 0
         self._skipped = self._silent = self._keyframes = 0
+
+    @property
+    def relay_url(self) -> str:
+        """The relay that the sender is at, or tries next."""
+        return self._link.url
 
     def stop(self) -> None:
         """Make `run` leave the room and return."""
@@ -155,6 +163,8 @@ class Sender:
                 self._stream.request_keyframe()
             case Joined():  # nobody here has seen anything of us
                 self._stream.restart()
+                if self._on_joined is not None:
+                    self._on_joined()
             case _:
                 pass
 

@@ -10,9 +10,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from pica_client.avatar_cache import AvatarCache
+from pica_client.avatar_fetch import AvatarFetcher
 from pica_client.avatars import AvatarLibrary
 from pica_client.call import Call, CallConfig
 from pica_client.decoder import DecodeResult
+from pica_client.dial import trusting
 from pica_client.errors import OptionError, RelayUnreachableError
 from pica_client.link import LinkConfig
 from pica_client.output import check_writable, make_folder, writing
@@ -48,6 +51,10 @@ class ViewConfig:
     """Write an image a second into this folder."""
     frame_log: Path | None = None
     """Write the times of every frame and decode here, for whoever shares this clock."""
+    fetch: bool = False
+    """Get avatars that are not here from the relay."""
+    avatar_cache: Path | None = None
+    """Where to keep those, instead of this user's folder for such things."""
 
     def __post_init__(self) -> None:
         if not self.seconds >= 0:
@@ -71,7 +78,9 @@ class View:
         if config.png_folder is not None:
             make_folder(config.png_folder)
         self._config = config
-        self._call = Call(library, config.call, log_shown=config.frame_log is not None)
+        self._fetcher = self._make_fetcher(library) if config.fetch else None
+        avatars = self._fetcher or library
+        self._call = Call(avatars, config.call, log_shown=config.frame_log is not None)
         self._receiver = Receiver(config.link, self._call)
         self._is_stopping = False
         # Drops its oldest when full.
@@ -92,6 +101,13 @@ class View:
             GraphicsError: There is no way to draw.
             OptionError: A file cannot be written.
         """
+        try:
+            return self._run()
+        finally:
+            if self._fetcher is not None:
+                self._fetcher.close()
+
+    def _run(self) -> dict[str, Any]:
         config = self._config
         with self._receiver:
             self._wait_for_peers()
@@ -120,7 +136,18 @@ class View:
             "errors": drawn["errors"] + received["errors"],
             "problems": problems,
             "received": received,
+            "avatars_fetched": 0 if self._fetcher is None else self._fetcher.num_fetched,
         }
+
+    def _make_fetcher(self, library: AvatarLibrary) -> AvatarFetcher:
+        config = self._config
+        ca_file = config.link.ca_file
+        return AvatarFetcher(
+            library,
+            lambda: self._receiver.link.url,
+            cache=None if config.avatar_cache is None else AvatarCache(config.avatar_cache),
+            tls=None if ca_file is None else trusting(ca_file),
+        )
 
     def _wait_for_peers(self) -> None:
         """Wait for the room, and for the peers that are expected."""

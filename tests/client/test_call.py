@@ -141,6 +141,9 @@ class DamagedAvatars:
     def get(self, identity: str) -> Avatar | None:
         raise AvatarFileError(f"{identity[:8]}: cut or damaged")
 
+    def note(self, identity: str) -> str:
+        return ""
+
 
 def test_a_damaged_avatar_costs_its_peer_the_face_and_nobody_the_call() -> None:
     call = Call(DamagedAvatars())

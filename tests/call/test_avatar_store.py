@@ -1,0 +1,126 @@
+"""A call in which the receiver does not have the sender's avatar: its file goes by the relay.
+
+On loopback and a real clock, because files come and go in threads.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pica_client.avatar_cache import AvatarCache
+from pica_client.avatar_fetch import AvatarFetcher
+from pica_client.avatar_push import AvatarGiver, Push
+from pica_client.avatars import AvatarLibrary
+from pica_client.call import Call
+from pica_client.decoder import OnnxDecoder
+from pica_client.faces import FaceState
+from pica_client.link import LinkConfig
+from pica_client.receiver import Receiver
+from pica_client.sender import Sender, SenderConfig
+from pica_client.sources import open_source
+from pica_core.avatar_file import avatar_id, load_avatar, save_avatar
+from pica_server.relay import Relay
+from pica_server.tokens import Admission, KeyRing, mint
+from store_peers import store_relay
+from toy import make_toy_avatar
+
+pytestmark = pytest.mark.call
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    for _ in range(20_000):
+        if condition():
+            return
+        await asyncio.sleep(0.001)
+    raise AssertionError("it did not happen")
+
+
+async def hold_call(relay: Relay, folder: Path) -> list[str]:
+    """Send a stranger's face, receive it, decode it.
+
+    Returns:
+        What the receiver was told of the avatar while it was on its way.
+    """
+    path = folder / "stranger.pica"
+    identity = avatar_id(path)
+    link = LinkConfig(url=relay.url, name="stranger")
+    giver = AvatarGiver(
+        Push(path=path, identity=identity),
+        lambda: relay.url,
+        lambda line: None,
+    )
+    source = open_source("performance:talk")
+    sender = Sender(
+        SenderConfig(), link, source, load_avatar(path), identity, on_joined=giver.begin
+    )
+    library = AvatarLibrary(shipped=[])
+    fetcher = AvatarFetcher(library, lambda: relay.url, cache=AvatarCache(folder / "cache"))
+    call = Call(fetcher)
+    receiver = Receiver(LinkConfig(url=relay.url, name="viewer"), call)
+    loop = asyncio.get_running_loop()
+    notes: list[str] = []
+
+    def face() -> FaceState | None:
+        faces = call.faces(loop.time())
+        notes.extend(each.note for each in faces if each.note and each.note not in notes)
+        return faces[0] if faces and faces[0].latent is not None else None
+
+    try:
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(receiver.run())
+            await until(lambda: receiver.is_connected)
+            tasks.create_task(sender.run())
+            await until(lambda: face() is not None)
+            shown, avatar = face(), call.avatar(identity)
+            sender.stop()
+            receiver.stop()
+        assert shown is not None
+        assert shown.latent is not None
+        assert avatar is not None
+        decoded = OnnxDecoder(avatar).decode(shown.latent, np.array([0, 0, 1], np.float32))
+        assert decoded.position_map.shape == (256, 256, 3)
+        assert np.isfinite(decoded.position_map).all()
+        assert giver.outcome == "given"
+        assert fetcher.num_fetched == 1
+    finally:
+        await giver.close()
+        fetcher.close()
+        library.close()
+    return notes
+
+
+@pytest.mark.asyncio
+async def test_a_strangers_face_is_seen_by_who_does_not_have_its_file(tmp_path: Path) -> None:
+    save_avatar(tmp_path / "stranger.pica", make_toy_avatar(seed=23))
+    async with store_relay(check="full") as relay:
+        notes = await hold_call(relay, tmp_path)
+        assert relay.stats()["store"]["uploads_kept"] == 1
+    assert any("avatar" in note for note in notes)
+
+
+@pytest.mark.asyncio
+async def test_with_tokens_a_stranger_gives_the_avatar_that_the_token_names(
+    tmp_path: Path,
+) -> None:
+    save_avatar(tmp_path / "stranger.pica", make_toy_avatar(seed=24))
+    line = KeyRing.new_line()
+    (tmp_path / "keys").write_text(line)
+    identity = avatar_id(tmp_path / "stranger.pica")
+    tokens = tmp_path / "token"
+    admission = Admission(identity="stranger", avatars=(identity,))
+    tokens.write_text(
+        mint(KeyRing.parse(line), "lobby", admission, now=1e9, lasts_s=60, starts_s=0)
+    )
+    config = {"keys": tmp_path / "keys"}
+    async with store_relay(tmp_path / "store", config=config, unix_time=lambda: 1e9) as relay:
+        push = Push(path=tmp_path / "stranger.pica", identity=identity, token_file=tokens)
+        giver = AvatarGiver(push, lambda: relay.url, lambda line: None)
+        giver.begin()
+        await until(lambda: giver.outcome == "given")
+        await giver.close()
+    assert (tmp_path / "store" / f"{identity}.pica").exists()
