@@ -5,19 +5,24 @@ import os
 import signal
 import sys
 from collections.abc import Awaitable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Self
 
 import tyro
 
+from pica_server.certificate import Certificate
 from pica_server.config import RelayConfig
-from pica_server.errors import ListenError
+from pica_server.errors import ConfigurationError, ListenError
 from pica_server.relay import Relay
 from pica_server.settings import ELSEWHERE, Effective, as_plain, as_toml, read_options
 
 ENVIRONMENT_PREFIX = "PICA_RELAY_"
+CERTIFICATE_PERIOD_S = 2.0
+"""Between two looks at the files of the certificate, see below (chosen: two stat calls)."""
+CERTIFICATE_SETTLES_S = 0.5
+"""Between the first change of a file and reading both (chosen)."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -65,6 +70,7 @@ def relay(options: RelayOptions) -> dict[str, Any]:
         percentiles of the forwarding latency.
 
     Raises:
+        ConfigurationError: The certificate cannot be used.
         ListenError: The address or the ready file cannot be had.
         KeyFileError: The key file cannot be used.
         StoreError: The avatar store cannot be used.
@@ -76,8 +82,9 @@ def relay(options: RelayOptions) -> dict[str, Any]:
 
 
 async def _run(options: RelayOptions) -> dict[str, Any]:
-    with _signals() as signals:
+    with _signals() as signals, ExitStack() as stack:
         async with Relay(options.config) as server:
+            stack.enter_context(_certificate_kept_fresh(server.certificate))
             url = server.url
             with _ready_file(options.ready_file, url):
                 _say(f"listening on {url}")
@@ -98,6 +105,42 @@ async def _run(options: RelayOptions) -> dict[str, Any]:
                 server.cut()
             _say(f"stopping, {server.hub.num_connections} connections to close")
     return {"url": url, **server.stats()}
+
+
+@contextmanager
+def _certificate_kept_fresh(certificate: Certificate | None) -> Iterator[None]:
+    """Read the certificate again on SIGHUP, and when its files have changed."""
+    if certificate is None:
+        yield
+        return
+
+    def reload() -> None:
+        try:
+            certificate.reload()
+        except ConfigurationError as error:
+            _say(f"the old certificate stays: {error}")
+        else:
+            _say("read the certificate again")
+
+    async def look() -> None:
+        while True:
+            await asyncio.sleep(CERTIFICATE_PERIOD_S)
+            if certificate.has_changed():
+                # Both files are written one after the other; the pair is there a moment later.
+                await asyncio.sleep(CERTIFICATE_SETTLES_S)
+                reload()
+
+    loop = asyncio.get_running_loop()
+    looking = loop.create_task(look())
+    before = None
+    if hasattr(signal, "SIGHUP"):
+        before = signal.signal(signal.SIGHUP, lambda *_: loop.call_soon_threadsafe(reload))
+    try:
+        yield
+    finally:
+        looking.cancel()
+        if hasattr(signal, "SIGHUP"):
+            signal.signal(signal.SIGHUP, before)
 
 
 async def _unless(interruption: Awaitable[object], work: Awaitable[object]) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from pica_protocol.limits import MAX_PEERS, check_url
 from pica_server.errors import ConfigurationError
+from pica_server.proxies import proxy_networks
 from pica_server.store_config import StoreConfig
 
 _ORIGIN = re.compile(r"https?://[^/?#\s]+")
@@ -57,6 +58,14 @@ class RelayConfig:
     insecure: bool = False
     """Without keys, listen beyond this machine although anybody who reaches the port may join any
     room."""
+    tls_cert: Path | None = None
+    """File with the certificate and those between it and a root, in PEM format: speaks TLS, so that
+    clients write wss://. Read again when it changes, and on SIGHUP; connections go on."""
+    tls_key: Path | None = None
+    """File with the private key of the certificate."""
+    trusted_proxies: tuple[str, ...] = ()
+    """Addresses or networks of proxies in front of this relay, as 10.0.0.0/8. What they say in
+    X-Forwarded-For is used for the limits of one address, and for nothing else."""
     origins: tuple[str, ...] = ()
     """Web pages that may connect, as https://HOST: a browser says where a page comes from. Programs
     say nothing, and may."""
@@ -130,6 +139,15 @@ class RelayConfig:
             check_url("drain-to", self.drain_to)
         except ValueError as error:
             raise ConfigurationError(f"--{error}") from error
+        try:
+            proxy_networks(self.trusted_proxies)
+        except ValueError as error:
+            raise ConfigurationError(
+                f"--trusted-proxies: {error}; write addresses, or networks as 10.0.0.0/8"
+            ) from error
+        if (self.tls_cert is None) != (self.tls_key is None):
+            given, lacking = ("cert", "key") if self.tls_key is None else ("key", "cert")
+            raise ConfigurationError(f"--tls-{given} needs --tls-{lacking} beside it")
         for url in filter(None, self.cluster.split(",")):
             if not _NATS_URL.fullmatch(url):
                 raise ConfigurationError("--cluster is no address of NATS: write nats://HOST:4222")

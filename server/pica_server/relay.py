@@ -31,6 +31,7 @@ from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
 from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
 from pica_protocol.store import AVATARS_PATH, STORE_SUBPROTOCOL
+from pica_server.certificate import Certificate
 from pica_server.coalescing import WaitingLine
 from pica_server.config import RelayConfig
 from pica_server.connection import Connection
@@ -39,6 +40,7 @@ from pica_server.hub import Hub
 from pica_server.limits import SocketGuard
 from pica_server.loop_watch import PERIOD_S, LoopWatch
 from pica_server.outbox import Parcel
+from pica_server.proxies import proxy_networks
 from pica_server.relay_socket import RelaySocket
 from pica_server.status_pages import StatusPages
 from pica_server.store import open_store
@@ -50,7 +52,7 @@ if TYPE_CHECKING:
 
 _MAX_QUEUED_MESSAGES = 16
 """Messages read ahead from one websocket before its socket is left alone."""
-_WRITE_LIMIT_BYTES = 0
+_WRITE_LIMIT_BYTES = 1  # of 0, TLS of the standard library would make no end of waiting
 """A writer goes on when the kernel has taken all of its last message. With a limit above that, the
 library waits until three quarters of it have drained: seconds of a slow reader's time, in which its
 streams fall behind and are cut."""
@@ -67,6 +69,7 @@ class Relay:
     """A relay that listens inside ``async with Relay(config) as relay``, and stops at its end.
 
     Raises:
+        ConfigurationError: The certificate cannot be used.
         KeyFileError: The key file cannot be used.
         StoreError: The avatar store cannot be used.
         ListenError: On entry, when the address cannot be bound.
@@ -101,6 +104,10 @@ class Relay:
             origins=config.origins,
             offer_timeout_s=config.handshake_timeout_s,
         )
+        self.certificate: Certificate | None = None
+        if config.tls_cert is not None and config.tls_key is not None:
+            self.certificate = Certificate(config.tls_cert, config.tls_key)
+        self._proxies = proxy_networks(config.trusted_proxies)
         limits = config.limits
         # Twice: of sockets that are closing, and of those that are told why they must.
         per_address = 2 * limits.connections_per_address
@@ -126,7 +133,8 @@ class Relay:
         """Where it listens, with the port that it really has."""
         assert self._server is not None, "only while it listens"
         host, port = self._server.sockets[0].getsockname()[:2]
-        return f"ws://[{host}]:{port}" if ":" in host else f"ws://{host}:{port}"
+        scheme = "ws" if self.certificate is None else "wss"
+        return f"{scheme}://[{host}]:{port}" if ":" in host else f"{scheme}://{host}:{port}"
 
     def stats(self) -> dict[str, Any]:
         """Return the counters, and what is open now."""
@@ -168,6 +176,7 @@ class Relay:
             server_header=None,
             logger=_websockets_logger,
             reuse_port=config.share_port or None,
+            **self._tls(),
         )
         try:
             self._server = await server
@@ -201,14 +210,24 @@ class Relay:
             if handle is not None:
                 handle.cancel()
 
+    def _tls(self) -> dict[str, Any]:
+        if self.certificate is None:
+            return {}
+        return {
+            "ssl": self.certificate.context,
+            "ssl_handshake_timeout": self.config.handshake_timeout_s,
+            "ssl_shutdown_timeout": self.config.close_timeout_s,
+        }
+
     def _answer(
         self, websocket: ServerConnection, request: Request
     ) -> Response | Awaitable[Response] | None:
         """Answer a plain HTTP request; None lets a websocket begin."""
         assert isinstance(websocket, RelaySocket)
+        websocket.note_request(request)
         if request.path.startswith(AVATARS_PATH):
             return self._door.answer(websocket, request)
-        page = self._pages.answer(request.path, is_local=not websocket.address, now=self._now())
+        page = self._pages.answer(request.path, is_local=websocket.is_local, now=self._now())
         if page is None:
             return None
         response = websocket.respond(page.status, page.text)
@@ -253,6 +272,7 @@ class Relay:
         connection.guard = self._guard
         connection.handshake_timeout_s = self.config.handshake_timeout_s
         connection.stats = self.hub.stats
+        connection.proxies = self._proxies
         return connection
 
     async def _serve(self, websocket: ServerConnection) -> None:

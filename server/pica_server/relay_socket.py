@@ -15,11 +15,12 @@ It relies on details of the library that its documentation does not promise: ``p
 """
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final
 
 from websockets.asyncio.server import ServerConnection
 from websockets.frames import Frame, Opcode
+from websockets.http11 import Request
 from websockets.protocol import Event, State
 
 try:
@@ -28,6 +29,7 @@ except ImportError:  # the library was installed without its C extension
     from websockets.utils import apply_mask
 
 from pica_server.limits import SocketGuard, address_group
+from pica_server.proxies import Network, client_of, is_trusted
 from pica_server.stats import RelayStats
 
 _WHOLE_BINARY: Final = 0x82
@@ -39,20 +41,38 @@ _NO_MASK: Final = bytes(4)
 _DATA = (Opcode.BINARY, Opcode.TEXT, Opcode.CONT)
 
 
+def bound_tls_buffer(transport: asyncio.BaseTransport) -> bool:
+    """Let TLS, if there is any, write no further ahead than one message; return whether there is.
+
+    The limits of a TLS transport hold for what is not encrypted yet; the plain transport under it
+    takes 64 KiB more, which is seconds of a slow reader's time. The standard library has no public
+    way to it; a test notices when this one ends.
+    """
+    plain = getattr(getattr(transport, "_ssl_protocol", None), "_transport", None)
+    if plain is not None:
+        plain.set_write_buffer_limits(high=0)
+    return plain is not None
+
+
 class RelaySocket(ServerConnection):
     """A websocket that is counted from its first moment, and cut at once if it is one too many.
 
     Attributes:
         guard: Counts the sockets.
         stats: Where refused ones are noted.
+        proxies: Whose word counts for who is behind them.
         address: Whose it is, see `limits.address_group`.
+        is_local: Whether it comes from this machine, and not through a proxy.
         handshake_timeout_s: Until when it must be a websocket, or be taken for a download. Not the
             library's ``open_timeout``: that one holds until all of an HTTP answer is gone.
     """
 
     guard: SocketGuard
     stats: RelayStats
+    proxies: Sequence[Network] = ()
     address = ""
+    is_local = False
+    _counted_as = ""
     handshake_timeout_s: float
     _deadline: asyncio.TimerHandle | None = None
     _is_admitted = _is_opened = False
@@ -62,9 +82,14 @@ class RelaySocket(ServerConnection):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Let the guard decide."""
         super().connection_made(transport)
+        bound_tls_buffer(transport)
         peername = transport.get_extra_info("peername")
-        self.address = address_group(str(peername[0])) if peername else ""
-        self._is_admitted = self.guard.admit(self.address)
+        peer = str(peername[0]) if peername else ""
+        self.is_local = not address_group(peer)
+        # Of whom a proxy speaks is not known yet; all the proxy's sockets are not one client's.
+        self._counted_as = "" if is_trusted(peer, self.proxies) else address_group(peer)
+        self.address = self._counted_as
+        self._is_admitted = self.guard.admit(self._counted_as)
         if not self._is_admitted:
             self.stats.limits_hit["sockets"] += 1
             self.transport.abort()
@@ -77,7 +102,16 @@ class RelaySocket(ServerConnection):
         if self._deadline is not None:
             self._deadline.cancel()
         if self._is_admitted:
-            self.guard.closed(self.address, was_opened=self._is_opened)
+            self.guard.closed(self._counted_as, was_opened=self._is_opened)
+
+    def note_request(self, request: Request) -> None:
+        """Take note of who is behind a proxy."""
+        headers = request.headers.get_all("X-Forwarded-For")
+        if headers:
+            peer = str(self.remote_address[0])
+            self.is_local = False  # somebody else asks through a proxy on this machine
+            if is_trusted(peer, self.proxies):
+                self.address = address_group(client_of(peer, headers, self.proxies))
 
     def note_opened(self) -> None:
         """Take note that this is a websocket now, or a download."""

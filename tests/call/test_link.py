@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import asyncio
 import random
+from functools import partial
 from pathlib import Path
 
 import pytest
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.typing import Subprotocol
 
+from pica_client.dial import open_websocket
 from pica_client.errors import OptionError, RelayRefusedError, RelayUnreachableError
 from pica_client.link import Link, LinkConfig
 from pica_protocol import SUBPROTOCOL
@@ -104,6 +106,24 @@ async def test_a_link_that_is_sent_to_nobody_comes_back() -> None:
     async with Relay(RelayConfig()):
         await seen.joined.wait()
         assert link.url == URL
+        link.leave()
+        await running
+
+
+@in_virtual_time
+async def test_a_link_on_tls_is_not_sent_where_there_is_none() -> None:
+    config = LinkConfig(url="wss://relay:8765", room="r")
+    seen = Seen()
+    connector = partial(open_websocket, URL)  # the virtual network has no TLS
+    link = Link(config, on_event=seen.take, rng=random.Random(0), connector=connector)
+    async with Relay(RelayConfig(drain_to="ws://other:8766")) as relay:
+        running = asyncio.create_task(link.run())
+        await seen.joined.wait()
+        await asyncio.sleep(10)
+        await relay.drain()
+        await seen.closed.wait()
+        await asyncio.sleep(1)
+        assert link.url == "wss://relay:8765"
         link.leave()
         await running
 

@@ -1,0 +1,62 @@
+"""Whose connection it is behind a proxy (``X-Forwarded-For``). Pure.
+
+Each proxy adds the address that it was called from at the end of the header. So it is read from the
+end, as far as those who wrote it are trusted; what stands before that is anybody's word. The answer
+is used to count connections of one address, and for nothing else.
+"""
+
+import ipaddress
+from collections.abc import Sequence
+
+Network = ipaddress.IPv4Network | ipaddress.IPv6Network
+_Address = ipaddress.IPv4Address | ipaddress.IPv6Address
+_MOST_HOPS = 64
+"""Looked at in one header; nobody has as many proxies (chosen)."""
+
+
+def proxy_networks(names: Sequence[str]) -> tuple[Network, ...]:
+    """Return the networks of some addresses, or networks as 10.0.0.0/8.
+
+    Raises:
+        ValueError: One is neither; the text quotes it.
+    """
+    return tuple(ipaddress.ip_network(name) for name in names)
+
+
+def client_of(peer: str, headers: Sequence[str], trusted: Sequence[Network]) -> str:
+    """Return the address of the first one on the way back who is no trusted proxy.
+
+    Args:
+        peer: Who connected to us.
+        headers: All ``X-Forwarded-For`` of the request, in order.
+        trusted: The proxies.
+    """
+    nearest = peer
+    hops = [hop for header in headers for hop in header.rsplit(",", _MOST_HOPS)]
+    for hop in reversed(hops):
+        address = _address(hop)
+        if address is None or not is_trusted(nearest, trusted):
+            break
+        nearest = str(address)
+    return nearest
+
+
+def is_trusted(peer: str, trusted: Sequence[Network]) -> bool:
+    """Say whether somebody is a trusted proxy."""
+    address = _address(peer)
+    return address is not None and any(address in network for network in trusted)
+
+
+def _address(text: str) -> _Address | None:
+    """Read an address, with or without a port; None if it is none."""
+    text = text.strip().strip('"').partition("%")[0]
+    if text.startswith("["):
+        text = text[1:].partition("]")[0]
+    elif text.count(":") == 1:
+        text = text.partition(":")[0]
+    try:
+        address = ipaddress.ip_address(text)
+    except ValueError:
+        return None
+    mapped = getattr(address, "ipv4_mapped", None)
+    return address if mapped is None else mapped
