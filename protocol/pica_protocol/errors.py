@@ -18,10 +18,14 @@ class CloseCode(IntEnum):
     """The peer left on purpose."""
     GOING_AWAY = 1001
     """The relay, or the client, is stopping."""
+    PROTOCOL_ERROR = 1002
+    """Bytes that are no websocket; sent by the websocket layer itself."""
     CONNECTION_LOST = 1006
     """Never sent: what a side concludes when the socket dies without a close frame."""
+    INVALID_TEXT = 1007
+    """A text message, or a close reason, that is no UTF-8; sent by the websocket layer itself."""
     MESSAGE_TOO_BIG = 1009
-    """A websocket message above the limit; sent by the websocket layer itself."""
+    """A websocket message above the limit, or in too many fragments; sent by the websocket layer itself."""
     INTERNAL_ERROR = 1011
     """A fault of the relay, or a peer that stopped answering pings."""
     MALFORMED = 4000
