@@ -1,9 +1,11 @@
 """``pica relay``: run a relay until it is told to stop."""
 
 import asyncio
+import logging
 import os
 import signal
 import sys
+import time
 from collections.abc import Awaitable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
@@ -15,8 +17,18 @@ import tyro
 from pica_server.certificate import Certificate
 from pica_server.config import RelayConfig
 from pica_server.errors import ConfigurationError, ListenError
+from pica_server.log import Level, Style, logging_to, say
 from pica_server.relay import Relay
-from pica_server.settings import ELSEWHERE, Effective, as_plain, as_toml, read_options
+from pica_server.settings import (
+    ELSEWHERE,
+    Effective,
+    as_plain,
+    as_toml,
+    read_options,
+    without_user,
+)
+
+_logger = logging.getLogger(__name__)
 
 ENVIRONMENT_PREFIX = "PICA_RELAY_"
 CERTIFICATE_PERIOD_S = 2.0
@@ -33,6 +45,11 @@ class RelayOptions:
     """Where to listen, and the limits."""
     ready_file: Path | None = None
     """Write the URL into this file once the relay listens, and remove it at the end."""
+    log: Style = "text"
+    """How to log to stderr: text, or json, an object a line. Neither holds names, addresses or
+    payloads."""
+    log_level: Level = "info"
+    """The least that is logged; debug tells of connections that were not let in."""
     config_file: Annotated[Path | None, tyro.conf.arg(name="config"), ELSEWHERE] = None
     """Read settings from this TOML file. Flags go before PICA_RELAY_... in the environment, and
     that before the file; see docs/operating.md."""
@@ -82,28 +99,38 @@ def relay(options: RelayOptions) -> dict[str, Any]:
 
 
 async def _run(options: RelayOptions) -> dict[str, Any]:
-    with _signals() as signals, ExitStack() as stack:
+    log = logging_to(sys.stderr, options.log, options.log_level, time.monotonic)
+    with log, _signals() as signals, ExitStack() as stack:
         async with Relay(options.config) as server:
             stack.enter_context(_certificate_kept_fresh(server.certificate))
             url = server.url
             with _ready_file(options.ready_file, url):
-                _say(f"listening on {url}")
+                _say("listening", f"listening on {url}", url=url)
                 if options.config.insecure:
-                    _say("INSECURE: anybody who reaches this port may join any room")
+                    _say("insecure", "INSECURE: anybody who reaches this port may join any room")
                 elif options.config.keys is None:
-                    _say("DEVELOPMENT: no --keys, anybody on this machine may join any room")
+                    _say(
+                        "development",
+                        "DEVELOPMENT: no --keys, anybody on this machine may join any room",
+                    )
                 if server.store is not None:
                     how = "all that receivers check" if server.store.checks_fully else "its layout"
+                    place, num_avatars = options.config.avatar_store, server.store.num_avatars
                     _say(
-                        f"avatar store {options.config.avatar_store}: "
-                        f"{server.store.num_avatars} avatars; of an upload is checked: {how}"
+                        "avatar store",
+                        f"avatar store {without_user(place)}: {num_avatars} avatars; "
+                        f"of an upload is checked: {how}",
+                        avatars=num_avatars,
+                        checks_fully=server.store.checks_fully,
                     )
                 first = await signals.get()
             if first == signal.SIGTERM and options.config.drain_s > 0:
-                _say(f"draining, {server.hub.num_connections} connections to send away")
+                num_open = server.hub.num_connections
+                _say("draining", f"draining, {num_open} connections to send away", open=num_open)
                 await _unless(signals.get(), server.drain())
                 server.cut()
-            _say(f"stopping, {server.hub.num_connections} connections to close")
+            num_open = server.hub.num_connections
+            _say("stopping", f"stopping, {num_open} connections to close", open=num_open)
     return {"url": url, **server.stats()}
 
 
@@ -118,9 +145,9 @@ def _certificate_kept_fresh(certificate: Certificate | None) -> Iterator[None]:
         try:
             certificate.reload()
         except ConfigurationError as error:
-            _say(f"the old certificate stays: {error}")
+            _say("certificate refused", f"the old certificate stays: {error}", why=str(error))
         else:
-            _say("read the certificate again")
+            _say("certificate read", "read the certificate again")
 
     async def look() -> None:
         while True:
@@ -196,5 +223,5 @@ def _ready_file(path: Path | None, url: str) -> Iterator[None]:
         path.unlink(missing_ok=True)
 
 
-def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
+def _say(event: str, spoken: str, **fields: Any) -> None:
+    say(_logger, event, spoken, **fields)

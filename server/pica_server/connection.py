@@ -18,6 +18,7 @@ class Connection:
     __slots__ = (
         "address",
         "bytes_in",
+        "has_joined",
         "messages_in",
         "outbox",
         "peer_id",
@@ -41,6 +42,7 @@ class Connection:
         self.messages_in = TokenBucket(limits.messages_per_s, limits.messages_per_s * burst_s, now)
         self.bytes_in = TokenBucket(limits.bytes_per_s, limits.bytes_per_s * burst_s, now)
         self.address = address
+        self.has_joined = False
         self.serial = serial
         self.session = session
         self.outbox = outbox

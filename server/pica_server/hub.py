@@ -522,6 +522,7 @@ class Hub:
         self._rooms[room.name] = room
         connection.room = room
         self.stats.joins += 1
+        connection.has_joined = True
         connection.session.accept(joined)
         self._flush(connection, now)
         arrival = PeerJoined(peer=room.peer(connection.peer_id))

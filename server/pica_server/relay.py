@@ -283,7 +283,8 @@ class Relay:
             await self._door.serve(websocket)
             return
         _bound_kernel_buffer(websocket, self.config.send_buffer_bytes)
-        connection = self.hub.connect(self._now(), websocket.address)
+        began_s = self._now()
+        connection = self.hub.connect(began_s, websocket.address)
         waker = self._wakers[connection] = _Waker(websocket)
         try:
             if websocket.subprotocol is None:
@@ -295,15 +296,29 @@ class Relay:
                 tasks.create_task(self._read(websocket, connection))
                 tasks.create_task(self._write(websocket, connection, waker))
         except Exception:
-            _logger.exception("connection failed")
+            _logger.exception("connection failed", extra={"connection": connection.serial})
             raise  # the library closes the websocket with 1011
         finally:
             waker.cancel_cut()
             self.hub.disconnect(connection, CloseCode.INTERNAL_ERROR, "", self._now())
             del self._wakers[connection]
             self._after_events()
+            self._log_closed(connection, began_s)
             if not self._wakers:
                 self._all_gone.set()
+
+    def _log_closed(self, connection: Connection, began_s: float) -> None:
+        # Strangers who are not let in come by the thousand; metrics count them.
+        level = logging.INFO if connection.has_joined else logging.DEBUG
+        closed = connection.closed
+        code = CloseCode.INTERNAL_ERROR if closed is None else closed.code
+        fields = {
+            "connection": connection.serial,
+            "code": int(code),
+            "by_peer": closed is not None and closed.is_remote,
+            "seconds": round(self._now() - began_s, 3),
+        }
+        _logger.log(level, "connection closed", extra=fields)
 
     def _on_message(self, connection: Connection, data: bytes) -> None:
         """Feed the hub with a message that came the short way."""
@@ -315,7 +330,7 @@ class Relay:
         try:
             self.hub.receive(connection, data, self._now())
         except Exception:  # a fault of ours; it must not cost anybody else anything
-            _logger.exception("connection failed")
+            _logger.exception("connection failed", extra={"connection": connection.serial})
             self.hub.close(connection, CloseCode.INTERNAL_ERROR, "relay fault", self._now())
         self._after_turn_soon()
 

@@ -363,13 +363,18 @@ def _hint(name: str, known: list[str]) -> str:
     return "; `pica relay --print-config` lists them"
 
 
+def without_user(text: str) -> str:
+    """Hide user and password in an address."""
+    return _USER_IN_URL.sub(f"{_HIDDEN}@", text)
+
+
 def _shown(each: Effective) -> Any:
     name = each.setting.name.rpartition(".")[2]
     if not isinstance(each.value, str):
         return each.value
     if each.value and any(word in name.split("_") for word in _SECRET_NAMES):
         return _HIDDEN
-    return _USER_IN_URL.sub(f"{_HIDDEN}@", each.value)
+    return without_user(each.value)
 
 
 def _plain(value: Any) -> Any:
