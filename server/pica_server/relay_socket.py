@@ -6,29 +6,35 @@ a relay are a few dozen bytes, whole in one read. Those are unmasked and handed 
 what goes out is written at once while the kernel takes it. All else goes the library's way:
 handshakes, long, incomplete or fragmented messages, text, pings, closing, and all that is wrong.
 
-Order is kept. The short way is left while the library holds part of a message, and what it has put
+Order is kept. The short way is left while the library holds part of a frame, and what it has put
 together itself is handed over from here. Once a message waits in ``recv``, as the parts of a
 fragmented one do, that connection stays on the library's way.
 
-It relies on details of the library that its documentation does not promise: ``protocol.reader`` and
+What the library leaves without a limit has one here: the bytes of a request before it is a
+websocket; pings, which it answers by itself, and fragments; and the time that a peer may keep the
+socket open after the library has given it up.
+
+It relies on details of the library that its documentation does not promise: ``protocol.parser`` and
 ``process_event``. tests/server/test_relay_socket.py is there to notice when they change.
 """
 
 import asyncio
 from collections.abc import Callable, Sequence
-from typing import Final
+from typing import Any, Final
 
 from websockets.asyncio.server import ServerConnection
 from websockets.frames import Frame, Opcode
 from websockets.http11 import Request
 from websockets.protocol import Event, State
+from websockets.streams import StreamReader
 
 try:
     from websockets.speedups import apply_mask
 except ImportError:  # the library was installed without its C extension
     from websockets.utils import apply_mask
 
-from pica_server.limits import SocketGuard, address_group
+from pica_protocol.errors import CloseCode
+from pica_server.limits import SocketGuard, TokenBucket, address_group
 from pica_server.proxies import Network, client_of, is_trusted
 from pica_server.stats import RelayStats
 
@@ -39,6 +45,13 @@ _HEADER_BYTES: Final = 6
 _SHORT_BYTES: Final = 126
 _NO_MASK: Final = bytes(4)
 _DATA = (Opcode.BINARY, Opcode.TEXT, Opcode.CONT)
+
+MAX_REQUEST_BYTES: Final = 16_384
+"""Until it is a websocket (chosen: twice what common servers read). The library would keep 128
+lines of 8 KiB of each of them."""
+EXTRA_FRAMES_PER_S: Final = 20.0
+EXTRA_FRAMES_BURST: Final = 100.0
+"""Pings, pongs and fragments, which no other limit sees (chosen: a ping a second is usual)."""
 
 
 def bound_tls_buffer(transport: asyncio.BaseTransport) -> bool:
@@ -78,11 +91,17 @@ class RelaySocket(ServerConnection):
     _is_admitted = _is_opened = False
     _on_message: Callable[[bytes], None] | None = None
     _uses_recv = False
+    _is_between_frames = False
+    _num_request_bytes = 0
+    _extra_frames: TokenBucket
+    _cut: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Let the guard decide."""
         super().connection_made(transport)
         bound_tls_buffer(transport)
+        now = self.loop.time()
+        self._extra_frames = TokenBucket(EXTRA_FRAMES_PER_S, EXTRA_FRAMES_BURST, now)
         peername = transport.get_extra_info("peername")
         peer = str(peername[0]) if peername else ""
         self.is_local = not address_group(peer)
@@ -99,8 +118,9 @@ class RelaySocket(ServerConnection):
     def connection_lost(self, exc: Exception | None) -> None:
         """Tell the guard."""
         super().connection_lost(exc)
-        if self._deadline is not None:
-            self._deadline.cancel()
+        for handle in (self._deadline, self._cut):
+            if handle is not None:
+                handle.cancel()
         if self._is_admitted:
             self.guard.closed(self._counted_as, was_opened=self._is_opened)
 
@@ -129,12 +149,18 @@ class RelaySocket(ServerConnection):
     def data_received(self, data: bytes) -> None:
         """Take what has come: whole short messages here, the rest the library's way."""
         at, size = 0, len(data)
+        if not self._is_opened:
+            self._num_request_bytes += size
+            if self._num_request_bytes > MAX_REQUEST_BYTES:
+                self.stats.limits_hit["request"] += 1
+                self.transport.abort()
+                return
         while (
             size - at > _HEADER_BYTES
             and data[at] == _WHOLE_BINARY
             and (on_message := self._on_message) is not None
             and self.state is State.OPEN
-            and not self.protocol.reader.buffer
+            and self._is_between_frames
         ):
             begin = at + _HEADER_BYTES
             length = data[at + 1] - _MASKED
@@ -144,7 +170,12 @@ class RelaySocket(ServerConnection):
             at = begin + length
             on_message(message if mask == _NO_MASK else apply_mask(message, mask))
         if at < size:
+            was_open = self.state is State.OPEN
             super().data_received(data[at:] if at else data)
+            self._is_between_frames = self._awaits_frame()
+            if was_open and self.state is not State.OPEN and self._cut is None:
+                # Who broke a rule may not care to close; till then its face stays, and is frozen.
+                self._cut = self.loop.call_later(self.close_timeout or 0, self.transport.abort)
 
     def process_event(self, event: Event) -> None:
         """Take a message, or a part of one, that the library has read."""
@@ -153,7 +184,24 @@ class RelaySocket(ServerConnection):
                 self._on_message(bytes(event.data))
                 return
             self._uses_recv, self._on_message = True, None
+        if isinstance(event, Frame) and (event.opcode not in _DATA or not event.fin):
+            self._count_extra()
         super().process_event(event)
+
+    def _count_extra(self) -> None:
+        """Count a frame that is no message; close after too many."""
+        if self.state is State.OPEN and not self._extra_frames.take(self.loop.time()):
+            self.stats.limits_hit["extra_frames"] += 1
+            self.protocol.fail(CloseCode.TOO_FAST, "too many pings or fragments")
+            self.send_data()
+
+    def _awaits_frame(self) -> bool:
+        """Say whether the library holds no part of a frame. Its buffer does not tell: it takes the
+        header out before the rest has come."""
+        step: Any = self.protocol.parser
+        while (inner := step.gi_yieldfrom) is not None:
+            step = inner
+        return bool(step.gi_code is StreamReader.at_eof.__code__)
 
     @property
     def is_writable(self) -> bool:

@@ -80,7 +80,8 @@ class RelayStats:
     limits_hit: Counter[str] = field(default_factory=Counter)
     """How often a limit was reached: ``messages`` or ``bytes`` of a client, ``joins``,
     ``connections`` in all, ``address``, ``room``, ``control`` left unread; ``admission``,
-    a join that its token did not allow; ``sockets`` that were cut at once."""
+    a join that its token did not allow; ``sockets`` that were cut at once, a ``request`` that grew
+    too long before it was a websocket; ``extra_frames``, pings and fragments."""
     closed: Counter[int] = field(default_factory=Counter)
     """Connections ended, by close code; 0 is any code that is not ours."""
     store: Counter[str] = field(default_factory=Counter)

@@ -9,11 +9,12 @@ from websockets.frames import Opcode
 
 from pica_protocol.errors import CloseCode
 from pica_protocol.frames import Frame, encode_frame, media_message
-from pica_protocol.session import Closed
+from pica_protocol.messages import PeerJoined, PeerLeft
+from pica_protocol.session import ClientSession, Closed
 from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import in_virtual_time
-from simnet.peers import WirePeer, peer_in_room
+from simnet.peers import WirePeer, now, open_websocket, peer_in_room
 
 pytestmark = pytest.mark.call
 
@@ -65,6 +66,24 @@ async def test_messages_cut_anywhere_on_their_way_arrive_whole_and_in_order(seed
         )
         await send_in_pieces(ada, stream, [rng.randrange(1, 200) for _ in range(10)])
         assert sequences(bob) == list(range(12))
+
+
+@in_virtual_time
+async def test_bytes_that_look_like_a_frame_in_the_middle_of_one_are_none() -> None:
+    async with (
+        Relay(RelayConfig()),
+        peer_in_room(URL, "Ada") as ada,
+        peer_in_room(URL, "Bob") as bob,
+    ):
+        message = media(ada, 0, 60)
+        # Masked, it begins as a short binary frame would. The header comes first, and alone.
+        mask = bytes([message[0] ^ 0x82, message[1] ^ 0x81, 0, 0])
+        masked = bytes(byte ^ mask[i % 4] for i, byte in enumerate(message))
+        header = bytes([0x82, 0x80 | len(message)]) + mask
+        for cut in range(1, len(header) + 2):
+            await send_in_pieces(ada, header + masked, [cut])
+        assert len(sequences(bob)) == len(header) + 1
+        assert ada.session.closed is None
 
 
 @in_virtual_time
@@ -122,3 +141,58 @@ async def test_a_message_behind_one_that_closes_the_connection_is_not_taken() ->
         await send_in_pieces(ada, stream, [])
         assert (await ada.until(Closed)).code == CloseCode.MALFORMED
         assert sequences(bob) == []
+
+
+@in_virtual_time
+async def test_who_floods_with_pings_is_closed_although_it_reads_no_answer() -> None:
+    async with (
+        Relay(RelayConfig()) as relay,
+        peer_in_room(URL, "Ada") as ada,
+        peer_in_room(URL, "Bob") as bob,
+    ):
+        pings = websocket_bytes(b"?" * 125, opcode=Opcode.PING) * 100
+        await send_in_pieces(ada, pings, [])
+        assert ada.session.closed is None  # so many at once are allowed
+        await send_in_pieces(ada, pings, [])
+        assert (await ada.until(Closed)).code == CloseCode.TOO_FAST
+        assert (await bob.until(PeerLeft)).peer_id == ada.session.peer_id
+        assert relay.hub.stats.limits_hit["extra_frames"] == 1
+
+
+@in_virtual_time
+async def test_fragments_without_end_are_no_message_without_end() -> None:
+    async with Relay(RelayConfig()), peer_in_room(URL, "Ada") as ada:
+        empty = websocket_bytes(b"", opcode=Opcode.CONT, fin=False)
+        await send_in_pieces(ada, websocket_bytes(b"\x02", fin=False) + empty * 100, [])
+        assert (await ada.until(Closed)).code == CloseCode.TOO_FAST
+
+
+@in_virtual_time
+async def test_who_breaks_a_rule_and_does_not_hang_up_is_cut_off() -> None:
+    async with (
+        Relay(RelayConfig(close_timeout_s=1.0)),
+        peer_in_room(URL, "Bob") as bob,
+        open_websocket(URL) as websocket,
+    ):
+        session = ClientSession(room="lobby", name="Eve", now=now())
+        for data in session.messages_to_send(now()):
+            await websocket.send(data)
+        await bob.until(PeerJoined)
+        websocket.transport.pause_reading()  # it does not see the close frame, so it stays
+        websocket.transport.write(b"\x7f no frame")
+        begin_s = now()
+        await bob.until(PeerLeft)
+        assert now() - begin_s == pytest.approx(1.0, abs=0.1)
+
+
+@in_virtual_time
+async def test_a_request_that_grows_and_grows_is_cut_before_it_is_large() -> None:
+    async with Relay(RelayConfig()) as relay:
+        loop = asyncio.get_running_loop()
+        transport, _ = await loop.create_connection(asyncio.Protocol, "relay", 8765)
+        transport.write(b"GET / HTTP/1.1\r\n")
+        for number in range(10):
+            transport.write(b"X-%d: " % number + b"a" * 4000 + b"\r\n")
+            await asyncio.sleep(0.01)
+        assert relay.hub.stats.limits_hit["request"]
+        assert transport.is_closing()
