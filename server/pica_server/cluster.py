@@ -116,6 +116,7 @@ class Cluster:
             raise
         self._hub.prefix = f"{self._run}-"
         self._hub.neighbours = self.node
+        self._must_renew.set()  # all who are there hear of this node
         loops = [self._renew(), self._tick(), self._tell(), self._send_media()]
         loops += [self._work() for _ in range(_NUM_WORKERS)]
         self._tasks = [asyncio.create_task(loop) for loop in loops]

@@ -20,7 +20,7 @@ from typing import Final
 BEAT_S: Final = 0.75
 """Between two renewals (chosen: four in a lease)."""
 SUSPECT_S: Final = 1.75
-"""Two missed renewals: something may be wrong."""
+"""From the last renewal that was confirmed: two have failed, something may be wrong."""
 FENCE_S: Final = 2.25
 """From the last renewal that was confirmed, by the time it was sent, to the end of this node's
 part in the cluster."""
@@ -66,9 +66,9 @@ class Liveness:
             return Standing.CLUSTERED
         return Standing.UNCERTAIN if age_s < FENCE_S else Standing.LOCAL
 
-    def is_suspect(self, node: str, now: float) -> bool:
-        """Say whether a node may be dead."""
-        return now - self._last_s(node) > SUSPECT_S
+    def was_heard_since(self, node: str, then: float) -> bool:
+        """Say whether a node has renewed its lease since then."""
+        return self._heard_s.get(node, float("-inf")) >= then
 
     def is_expired(self, node: str, now: float) -> bool:
         """Say whether a node is dead."""

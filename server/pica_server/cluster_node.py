@@ -163,7 +163,7 @@ class ClusterNode:
         name = admission.name or join.name
         self._places[connection.peer_id] = _Place(connection, shared, admission)
         peer = Peer(peer_id=connection.peer_id, name=name, tracks=tracks)
-        shared.join(peer, identity_key(admission.identity))
+        shared.join(peer, identity_key(admission.identity), now)
         self._dirty[shared.key] = None
 
     def leave(self, connection: Connection, reason: str) -> None:
@@ -216,6 +216,9 @@ class ClusterNode:
         name = data.decode("ascii", "replace")
         if data and name != self._me.name:
             self.liveness.receive_beat(name, now)
+            if name not in self._alive:
+                self._look(now)
+            self._settle()
         elif not data:
             for node in self.liveness.alive(now):
                 if node.partition("-")[0] == slot:
@@ -438,6 +441,12 @@ class ClusterNode:
             exchange = self._exchanges.get(key)
             is_due = exchange is not None and exchange.is_due(now)
             if has_changed or shared.is_unsettled or is_due:
+                self._dirty[key] = None
+
+    def _settle(self) -> None:
+        """Look at the rooms where somebody waits."""
+        for key, shared in self._rooms.items():
+            if shared.is_unsettled:
                 self._dirty[key] = None
 
     def _room(self, name: str) -> SharedRoom:

@@ -20,7 +20,8 @@ enough have gone.
 
     standing    record     under way    what advance does
     CLUSTERED   unknown    nothing      read it
-    CLUSTERED   known      nothing      write what differs; else refuse whom there is no place for
+    CLUSTERED   known      nothing      write what differs; else refuse whom there is no place for,
+                                        once every node of the record has renewed its lease since
     CLUSTERED   any        a request    wait for the answer
     UNCERTAIN   any        any          wait; everybody who was seen stays
     LOCAL       forgotten  ignored      decide by who is here, show nobody else
@@ -162,6 +163,7 @@ class SharedRoom:
         self._me = me.name
         self._own: dict[str, Member] = {}
         self._pending: dict[str, Member] = {}
+        self._since_s: dict[str, float] = {}  # when who is pending came
         self._shown: dict[str, Member] = {}
         self._farewells: dict[str, str] = {}
         self._record: Record | None = None
@@ -207,13 +209,14 @@ class SharedRoom:
             for track in member.peer.tracks
         )
 
-    def join(self, peer: Peer, identity: str) -> None:
+    def join(self, peer: Peer, identity: str, now: float) -> None:
         """Ask for a place; ``Admitted`` or ``Refused`` follows, unless ``leave`` does."""
         for places in (self._own, self._pending):
             for peer_id in [p for p, m in places.items() if identity and m.identity == identity]:
                 del places[peer_id]
                 self._events.append(Replaced(peer_id))
         self._pending[peer.peer_id] = Member(self._me, peer, identity)
+        self._since_s[peer.peer_id] = now
 
     def leave(self, peer_id: str, reason: str) -> None:
         """Give up a place, or the wish for one."""
@@ -279,6 +282,7 @@ class SharedRoom:
         """Do what the table says."""
         if standing is Standing.LOCAL:
             self._be_alone()
+            self._forget_times()
             return
         if self._record is not None:
             self._show(self._record, liveness, now)
@@ -297,7 +301,7 @@ class SharedRoom:
                 self._begin(Write(self.key, self._ticket(), data, self.revision))
                 self._written = wanted
                 return
-        self._refuse(liveness, now)
+        self._refuse(liveness)
 
     def take_events(self) -> list[RoomEvent]:
         """Take what has come out, in order."""
@@ -357,15 +361,21 @@ class SharedRoom:
                 return None
         return Record(tuple(members), dict(self._farewells), here)
 
-    def _refuse(self, liveness: Liveness, now: float) -> None:
-        """Refuse those for whom there is no place, unless a node that may be dead holds some."""
+    def _refuse(self, liveness: Liveness) -> None:
+        """Refuse those for whom there is no place, once all who hold one have shown that they live:
+        the peers of a node that has just died come back here, into their own places."""
         assert self._record is not None
-        if any(
-            m.node != self._me and liveness.is_suspect(m.node, now) for m in self._record.members
-        ):
-            return
-        self._events += [Refused(peer_id) for peer_id in self._pending]
-        self._pending.clear()
+        nodes = {m.node for m in self._record.members if m.node != self._me}
+        for peer_id in list(self._pending):
+            since_s = self._since_s[peer_id]
+            if all(liveness.was_heard_since(node, since_s) for node in nodes):
+                del self._pending[peer_id]
+                self._events.append(Refused(peer_id))
+        self._forget_times()
+
+    def _forget_times(self) -> None:
+        for peer_id in [p for p in self._since_s if p not in self._pending]:
+            del self._since_s[peer_id]
 
     def _show(self, record: Record, liveness: Liveness, now: float) -> None:
         """Tell the peers here who is in the room on other nodes."""

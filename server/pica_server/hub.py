@@ -242,7 +242,8 @@ class Hub:
             _, name = self._departures.popleft()
             room = self._rooms.get(name)
             if room is not None:  # else it has emptied by itself
-                self._send_away([self._connections[peer.peer_id] for peer in room.peers], now)
+                here = [self._connections[peer.peer_id] for peer in room.peers_here]
+                self._send_away(here, now)
 
     def _send_away(self, connections: list[Connection], now: float) -> None:
         """Close some together: none of them is told how the others leave."""
@@ -570,10 +571,9 @@ class Hub:
             del self._rooms[room.name]
             return
         for track in peer.tracks:
-            for other in room.peers:
-                receiver = self._connections.get(other.peer_id)
-                if receiver is not None:
-                    self._drop_departed(receiver.outbox.forget_stream(track.stream))
+            for other in room.peers_here:
+                outbox = self._connections[other.peer_id].outbox
+                self._drop_departed(outbox.forget_stream(track.stream))
             for link in room.links.values():
                 self._drop_departed(link.forget_stream(track.stream))
         self._tell_others(room, peer_id, PeerLeft(peer_id=peer_id, reason=reason), now)
@@ -583,7 +583,7 @@ class Hub:
             self.stats.dropped["departed"] += num_frames
 
     def _tell_others(self, room: Room, peer_id: str, message: Message, now: float) -> None:
-        for other in room.peers:
+        for other in room.peers_here:
             # Closing one that is full tells the rest, and so may close more: look again.
             connection = self._connections.get(other.peer_id)
             if connection is not None and other.peer_id != peer_id:

@@ -88,6 +88,11 @@ class Room:
         return tuple(member.peer for member in self._members.values())
 
     @property
+    def peers_here(self) -> tuple[Peer, ...]:
+        """Those who are connected to this node, in the order of their coming."""
+        return tuple(member.peer for member in self._members.values() if not member.node)
+
+    @property
     def streams(self) -> Iterable[tuple[int, Stream]]:
         """Every stream with its number."""
         return self._streams.items()

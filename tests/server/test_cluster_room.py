@@ -59,6 +59,7 @@ class Store:
 class Node:
     """One node's view, and what came of it."""
 
+    name: str
     room: SharedRoom
     liveness: Liveness
     standing: Standing = Standing.CLUSTERED
@@ -90,6 +91,10 @@ class Node:
                 self.others.remove(peer_id)
                 self.farewells.append((peer_id, reason))
 
+    def hear(self, *nodes: "Node", now: float = 0.0) -> None:
+        for each in nodes:
+            self.liveness.receive_beat(each.name, now)
+
     def leave(self, peer_id: str, reason: str = "left") -> None:
         self.here.discard(peer_id)
         self.room.leave(peer_id, reason)
@@ -98,7 +103,8 @@ class Node:
 
 
 def node(slot: int, capacity: int = 3) -> Node:
-    return Node(SharedRoom("lobby", capacity, NodeId(slot, "a1")), Liveness(0.0))
+    me = NodeId(slot, "a1")
+    return Node(me.name, SharedRoom("lobby", capacity, me), Liveness(0.0))
 
 
 def somebody(peer_id: str) -> Peer:
@@ -106,7 +112,10 @@ def somebody(peer_id: str) -> Peer:
 
 
 def settle(store: Store, *nodes: Node, now: float = 0.0) -> None:
-    """Let everybody do what they want until nobody wants anything; all news arrives."""
+    """Let everybody do what they want until nobody wants anything; all news arrives, and all these
+    are heard to live."""
+    for each in nodes:
+        each.hear(*(other for other in nodes if other is not each), now=now)
     for _ in range(100):
         is_quiet = True
         for each in nodes:
@@ -126,8 +135,8 @@ def settle(store: Store, *nodes: Node, now: float = 0.0) -> None:
 
 def test_peers_of_two_nodes_see_each_other_come_and_go_with_the_reason() -> None:
     store, first, second = Store(), node(1), node(2)
-    first.room.join(somebody("ada"), "")
-    second.room.join(somebody("bob"), "")
+    first.room.join(somebody("ada"), "", 0.0)
+    second.room.join(somebody("bob"), "", 0.0)
     settle(store, first, second)
     assert (first.here, first.others) == ({"ada"}, {"bob"})
     assert (second.here, second.others) == ({"bob"}, {"ada"})
@@ -139,8 +148,8 @@ def test_peers_of_two_nodes_see_each_other_come_and_go_with_the_reason() -> None
 
 def test_of_two_nodes_that_take_the_last_place_at_once_one_gets_it() -> None:
     store, first, second = Store(), node(1, capacity=1), node(2, capacity=1)
-    first.room.join(somebody("ada"), "")
-    second.room.join(somebody("bob"), "")
+    first.room.join(somebody("ada"), "", 0.0)
+    second.room.join(somebody("bob"), "", 0.0)
     reads = [each.advance(0.0) for each in (first, second)]
     for each, read in zip((first, second), reads, strict=True):
         assert read is not None
@@ -157,8 +166,8 @@ def test_of_two_nodes_that_take_the_last_place_at_once_one_gets_it() -> None:
 
 def test_a_node_that_empties_its_part_of_a_room_takes_nobody_else_out_of_it() -> None:
     store, first, second = Store(), node(1), node(2)
-    first.room.join(somebody("ada"), "")
-    second.room.join(somebody("bob"), "")
+    first.room.join(somebody("ada"), "", 0.0)
+    second.room.join(somebody("bob"), "", 0.0)
     settle(store, first, second)
     first.leave("ada")
     settle(store, first, second)
@@ -172,9 +181,9 @@ def test_a_node_that_empties_its_part_of_a_room_takes_nobody_else_out_of_it() ->
 
 def test_who_joins_elsewhere_under_the_same_identity_replaces_themselves() -> None:
     store, first, second = Store(), node(1, capacity=1), node(2, capacity=1)
-    first.room.join(somebody("old"), "ada")
+    first.room.join(somebody("old"), "ada", 0.0)
     settle(store, first, second)
-    second.room.join(somebody("new"), "ada")
+    second.room.join(somebody("new"), "ada", 0.0)
     settle(store, first, second)
     assert (first.here, second.here) == (set(), {"new"})
     assert store.peers == ["new"]
@@ -182,8 +191,8 @@ def test_who_joins_elsewhere_under_the_same_identity_replaces_themselves() -> No
 
 def test_the_peers_of_a_dead_node_are_gone_when_its_lease_is_over() -> None:
     store, first, second = Store(), node(1, capacity=2), node(2, capacity=2)
-    first.room.join(somebody("ada"), "")
-    second.room.join(somebody("bob"), "")
+    first.room.join(somebody("ada"), "", 0.0)
+    second.room.join(somebody("bob"), "", 0.0)
     settle(store, first, second)
     first.liveness.receive_beat("2-a1", 1.0)
     for beat in range(8):
@@ -197,10 +206,10 @@ def test_the_peers_of_a_dead_node_are_gone_when_its_lease_is_over() -> None:
 
 def test_a_join_waits_while_a_node_that_may_be_dead_holds_the_last_place() -> None:
     store, first, second = Store(), node(1, capacity=2), node(2, capacity=2)
-    first.room.join(somebody("ada"), "")
-    second.room.join(somebody("bob"), "")
+    first.room.join(somebody("ada"), "", 0.0)
+    second.room.join(somebody("bob"), "", 0.0)
     settle(store, first, second)
-    first.room.join(somebody("bob-again"), "")
+    first.room.join(somebody("bob-again"), "", 0.5)
     settle(store, first, now=2.0)
     assert first.refused == set()
     settle(store, first, now=LEASE_S + 0.01)
@@ -209,21 +218,21 @@ def test_a_join_waits_while_a_node_that_may_be_dead_holds_the_last_place() -> No
 
 def test_a_join_that_finds_the_room_full_of_the_living_is_refused_at_once() -> None:
     store, first, second = Store(), node(1, capacity=1), node(2, capacity=1)
-    first.room.join(somebody("ada"), "")
+    first.room.join(somebody("ada"), "", 0.0)
     settle(store, first, second)
-    second.room.join(somebody("bob"), "")
+    second.room.join(somebody("bob"), "", 0.0)
     settle(store, first, second)
     assert second.refused == {"bob"}
 
 
 def test_alone_a_node_decides_by_who_is_here_and_shows_nobody_else() -> None:
     store, first, second = Store(), node(1, capacity=2), node(2, capacity=2)
-    first.room.join(somebody("ada"), "")
-    second.room.join(somebody("bob"), "")
+    first.room.join(somebody("ada"), "", 0.0)
+    second.room.join(somebody("bob"), "", 0.0)
     settle(store, first, second)
     first.standing = Standing.LOCAL
-    first.room.join(somebody("cleo"), "")
-    first.room.join(somebody("dan"), "")
+    first.room.join(somebody("cleo"), "", 0.0)
+    first.room.join(somebody("dan"), "", 0.0)
     assert first.advance(9.0) is None
     assert (first.here, first.others) == ({"ada", "cleo"}, set())
     assert first.refused == {"dan"}
@@ -233,35 +242,35 @@ def test_when_two_halves_meet_again_everybody_stays_and_nobody_comes_before_enou
     None
 ):
     store, first, second = Store(), node(1, capacity=2), node(2, capacity=2)
-    first.room.join(somebody("ada"), "")
-    second.room.join(somebody("bob"), "")
+    first.room.join(somebody("ada"), "", 0.0)
+    second.room.join(somebody("bob"), "", 0.0)
     settle(store, first, second)
     first.standing = Standing.LOCAL
-    first.room.join(somebody("cleo"), "")
+    first.room.join(somebody("cleo"), "", 0.0)
     first.advance(9.0)
     second.liveness.forget("1-a1")
-    second.room.join(somebody("dan"), "")
+    second.room.join(somebody("dan"), "", 0.0)
     settle(store, second)
     assert store.peers == ["bob", "dan"]
     first.standing = Standing.CLUSTERED
     settle(store, first, second, now=0.0)
     assert first.here | first.others == second.here | second.others == {"ada", "bob", "cleo", "dan"}
     for leaver in ("ada", "cleo"):
-        second.room.join(somebody("eve"), "")
+        second.room.join(somebody("eve"), "", 0.0)
         settle(store, first, second)
         assert second.refused == {"eve"}
         first.leave(leaver)
         settle(store, first, second)
     second.refused.clear()
     second.leave("dan")
-    second.room.join(somebody("fay"), "")
+    second.room.join(somebody("fay"), "", 0.0)
     settle(store, first, second)
     assert second.here == {"bob", "fay"}
 
 
 def test_a_write_of_which_nobody_heard_again_is_not_made_twice() -> None:
     store, first = Store(), node(1)
-    first.room.join(somebody("ada"), "")
+    first.room.join(somebody("ada"), "", 0.0)
     read = first.advance(0.0)
     assert read is not None
     first.room.receive_answer(read.ticket, store.do(read), 0.0)
@@ -277,7 +286,7 @@ def test_a_write_of_which_nobody_heard_again_is_not_made_twice() -> None:
 
 def test_who_hangs_up_while_the_answer_is_under_way_leaves_nothing_behind() -> None:
     store, first = Store(), node(1)
-    first.room.join(somebody("ada"), "")
+    first.room.join(somebody("ada"), "", 0.0)
     read = first.advance(0.0)
     assert read is not None
     first.room.receive_answer(read.ticket, store.do(read), 0.0)
@@ -294,7 +303,7 @@ def test_who_hangs_up_while_the_answer_is_under_way_leaves_nothing_behind() -> N
 
 def test_a_node_that_lost_its_standing_remembers_what_it_may_have_left_in_the_record() -> None:
     store, first = Store(), node(1)
-    first.room.join(somebody("ada"), "")
+    first.room.join(somebody("ada"), "", 0.0)
     settle(store, first)
     first.standing = Standing.LOCAL
     first.advance(9.0)
@@ -319,7 +328,6 @@ def test_who_comes_back_has_no_opinion_on_others_before_it_has_listened_for_a_le
     liveness = Liveness(0.0)
     liveness.receive_beat("2-a1", 0.0)
     liveness.receive_renewed(100.0, 100.1)
-    assert not liveness.is_suspect("2-a1", 100.1)
     assert not liveness.is_expired("2-a1", 100.1 + LEASE_S)
     assert liveness.is_expired("2-a1", 100.2 + LEASE_S)
 
@@ -343,7 +351,8 @@ def test_whatever_the_order_of_answers_no_room_takes_more_than_it_may_and_all_ag
         here = nodes[where]
         if what == "j":
             num_peers += 1
-            here.room.join(somebody(f"p{num_peers}"), ["", "", "", "x", "y", "z"][which])
+            identity = ["", "", "", "x", "y", "z"][which]
+            here.room.join(somebody(f"p{num_peers}"), identity, 0.0)
         elif what == "l" and here.here:
             here.leave(sorted(here.here)[which % len(here.here)])
         elif what == "a":
