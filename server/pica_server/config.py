@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pica_protocol.limits import MAX_PEERS, check_url
 from pica_server.errors import ConfigurationError
-from pica_server.proxies import proxy_networks
+from pica_server.proxies import networks
 from pica_server.store_config import StoreConfig
 
 _ORIGIN = re.compile(r"https?://[^/?#\s]+")
@@ -70,7 +70,9 @@ class RelayConfig:
     """Web pages that may connect, as https://HOST: a browser says where a page comes from. Programs
     say nothing, and may."""
     open_metrics: bool = False
-    """Answer /metrics to other machines too, not to this one alone."""
+    """Answer /metrics to all other machines too, not to this one alone."""
+    metrics_to: tuple[str, ...] = ()
+    """Addresses or networks that /metrics is answered to besides this machine, as 10.0.0.0/8."""
     avatar_store: str = "temporary"
     """Where avatar files are kept that clients give to each other: a folder; an fsspec URL such as
     s3://BUCKET/FOLDER (extra `store`, and the driver's own package); temporary, a folder that ends
@@ -139,12 +141,16 @@ class RelayConfig:
             check_url("drain-to", self.drain_to)
         except ValueError as error:
             raise ConfigurationError(f"--{error}") from error
-        try:
-            proxy_networks(self.trusted_proxies)
-        except ValueError as error:
-            raise ConfigurationError(
-                f"--trusted-proxies: {error}; write addresses, or networks as 10.0.0.0/8"
-            ) from error
+        for flag, names in (
+            ("trusted-proxies", self.trusted_proxies),
+            ("metrics-to", self.metrics_to),
+        ):
+            try:
+                networks(names)
+            except ValueError as error:
+                raise ConfigurationError(
+                    f"--{flag}: {error}; write addresses, or networks as 10.0.0.0/8"
+                ) from error
         if (self.tls_cert is None) != (self.tls_key is None):
             given, lacking = ("cert", "key") if self.tls_key is None else ("key", "cert")
             raise ConfigurationError(f"--tls-{given} needs --tls-{lacking} beside it")

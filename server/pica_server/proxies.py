@@ -14,7 +14,7 @@ _MOST_HOPS = 64
 """Looked at in one header; nobody has as many proxies (chosen)."""
 
 
-def proxy_networks(names: Sequence[str]) -> tuple[Network, ...]:
+def networks(names: Sequence[str]) -> tuple[Network, ...]:
     """Return the networks of some addresses, or networks as 10.0.0.0/8.
 
     Raises:
@@ -35,16 +35,16 @@ def client_of(peer: str, headers: Sequence[str], trusted: Sequence[Network]) -> 
     hops = [hop for header in headers for hop in header.rsplit(",", _MOST_HOPS)]
     for hop in reversed(hops):
         address = _address(hop)
-        if address is None or not is_trusted(nearest, trusted):
+        if address is None or not is_in(nearest, trusted):
             break
         nearest = str(address)
     return nearest
 
 
-def is_trusted(peer: str, trusted: Sequence[Network]) -> bool:
-    """Say whether somebody is a trusted proxy."""
-    address = _address(peer)
-    return address is not None and any(address in network for network in trusted)
+def is_in(host: str, networks: Sequence[Network]) -> bool:
+    """Say whether an address is in one of the networks."""
+    address = _address(host)
+    return address is not None and any(address in network for network in networks)
 
 
 def _address(text: str) -> _Address | None:

@@ -40,7 +40,7 @@ from pica_server.hub import Hub
 from pica_server.limits import SocketGuard
 from pica_server.loop_watch import PERIOD_S, LoopWatch
 from pica_server.outbox import Parcel
-from pica_server.proxies import proxy_networks
+from pica_server.proxies import is_in, networks
 from pica_server.relay_socket import RelaySocket
 from pica_server.status_pages import StatusPages
 from pica_server.store import open_store
@@ -107,7 +107,8 @@ class Relay:
         self.certificate: Certificate | None = None
         if config.tls_cert is not None and config.tls_key is not None:
             self.certificate = Certificate(config.tls_cert, config.tls_key)
-        self._proxies = proxy_networks(config.trusted_proxies)
+        self._proxies = networks(config.trusted_proxies)
+        self._metrics_to = networks(config.metrics_to)
         limits = config.limits
         # Twice: of sockets that are closing, and of those that are told why they must.
         per_address = 2 * limits.connections_per_address
@@ -225,9 +226,10 @@ class Relay:
         """Answer a plain HTTP request; None lets a websocket begin."""
         assert isinstance(websocket, RelaySocket)
         websocket.note_request(request)
+        is_local = websocket.is_local or is_in(websocket.direct_from, self._metrics_to)
         if request.path.startswith(AVATARS_PATH):
             return self._door.answer(websocket, request)
-        page = self._pages.answer(request.path, is_local=websocket.is_local, now=self._now())
+        page = self._pages.answer(request.path, is_local=is_local, now=self._now())
         if page is None:
             return None
         response = websocket.respond(page.status, page.text)

@@ -35,7 +35,7 @@ except ImportError:  # the library was installed without its C extension
 
 from pica_protocol.errors import CloseCode
 from pica_server.limits import SocketGuard, TokenBucket, address_group
-from pica_server.proxies import Network, client_of, is_trusted
+from pica_server.proxies import Network, client_of, is_in
 from pica_server.stats import RelayStats
 
 _WHOLE_BINARY: Final = 0x82
@@ -76,6 +76,7 @@ class RelaySocket(ServerConnection):
         proxies: Whose word counts for who is behind them.
         address: Whose it is, see `limits.address_group`.
         is_local: Whether it comes from this machine, and not through a proxy.
+        direct_from: The address that it comes from; empty: through a proxy.
         handshake_timeout_s: Until when it must be a websocket, or be taken for a download. Not the
             library's ``open_timeout``: that one holds until all of an HTTP answer is gone.
     """
@@ -85,6 +86,7 @@ class RelaySocket(ServerConnection):
     proxies: Sequence[Network] = ()
     address = ""
     is_local = False
+    direct_from = ""
     _counted_as = ""
     handshake_timeout_s: float
     _deadline: asyncio.TimerHandle | None = None
@@ -105,8 +107,9 @@ class RelaySocket(ServerConnection):
         peername = transport.get_extra_info("peername")
         peer = str(peername[0]) if peername else ""
         self.is_local = not address_group(peer)
+        self.direct_from = peer
         # Of whom a proxy speaks is not known yet; all the proxy's sockets are not one client's.
-        self._counted_as = "" if is_trusted(peer, self.proxies) else address_group(peer)
+        self._counted_as = "" if is_in(peer, self.proxies) else address_group(peer)
         self.address = self._counted_as
         self._is_admitted = self.guard.admit(self._counted_as)
         if not self._is_admitted:
@@ -128,9 +131,9 @@ class RelaySocket(ServerConnection):
         """Take note of who is behind a proxy."""
         headers = request.headers.get_all("X-Forwarded-For")
         if headers:
-            peer = str(self.remote_address[0])
+            peer, self.direct_from = self.direct_from, ""
             self.is_local = False  # somebody else asks through a proxy on this machine
-            if is_trusted(peer, self.proxies):
+            if is_in(peer, self.proxies):
                 self.address = address_group(client_of(peer, headers, self.proxies))
 
     def note_opened(self) -> None:

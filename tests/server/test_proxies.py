@@ -1,5 +1,7 @@
 """Whose connection it is behind proxies, and what that is used for."""
 
+import asyncio
+
 import pytest
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
@@ -7,13 +9,13 @@ from websockets.exceptions import ConnectionClosed
 from pica_protocol import SUBPROTOCOL
 from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.errors import ConfigurationError
-from pica_server.proxies import client_of, proxy_networks
+from pica_server.proxies import client_of, networks
 from pica_server.relay import Relay
-from simnet.clock import in_virtual_time
+from simnet.clock import current_network, in_virtual_time
 
 pytestmark = pytest.mark.call
 
-TRUSTED = proxy_networks(("10.0.0.0/8", "127.0.0.1", "fd00::/8"))
+TRUSTED = networks(("10.0.0.0/8", "127.0.0.1", "fd00::/8"))
 
 
 @pytest.mark.parametrize(
@@ -46,6 +48,40 @@ def test_the_first_on_the_way_back_who_is_no_proxy_of_ours_is_the_client(
 def test_what_is_no_network_is_refused(name: str) -> None:
     with pytest.raises(ConfigurationError, match=r"--trusted-proxies: .*; write addresses"):
         RelayConfig(trusted_proxies=(name,))
+    with pytest.raises(ConfigurationError, match=r"--metrics-to: .*; write addresses"):
+        RelayConfig(metrics_to=(name,))
+
+
+async def metrics_status(host: str, forwarded: str = "") -> int:
+    """Ask for the numbers from an address, and return the status of the answer."""
+    loop = asyncio.get_running_loop()
+    answer: asyncio.Future[bytes] = loop.create_future()
+
+    class Asker(asyncio.Protocol):
+        def connection_made(self, transport: asyncio.BaseTransport) -> None:
+            header = f"X-Forwarded-For: {forwarded}\r\n" if forwarded else ""
+            request = f"GET /metrics HTTP/1.1\r\nHost: relay\r\n{header}\r\n"
+            assert isinstance(transport, asyncio.WriteTransport)
+            transport.write(request.encode())
+
+        def data_received(self, data: bytes) -> None:
+            if not answer.done():
+                answer.set_result(data)
+
+    transport, _ = await current_network().create_connection(Asker, host, 8765)
+    status = int((await answer).split()[1])
+    transport.abort()
+    return status
+
+
+@in_virtual_time
+async def test_numbers_go_to_the_networks_that_are_named_but_not_through_a_proxy() -> None:
+    async with Relay(RelayConfig(metrics_to=("192.0.2.0/24",))):
+        assert await metrics_status("192.0.2.9") == 200
+        assert await metrics_status("127.0.0.1") == 200
+        assert await metrics_status("198.51.100.1") == 403
+        assert await metrics_status("192.0.2.9", forwarded="198.51.100.1") == 403
+        assert await metrics_status("127.0.0.1", forwarded="127.0.0.1") == 403
 
 
 async def close_code(forwarded: str | None) -> int | None:
