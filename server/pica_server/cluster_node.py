@@ -162,7 +162,7 @@ class ClusterNode:
         tracks = tuple(replace(t, stream=self._new_stream(shared)) for t in join.tracks)
         name = admission.name or join.name
         self._places[connection.peer_id] = _Place(connection, shared, admission)
-        peer = Peer(peer_id=connection.peer_id, name=name, tracks=tracks)
+        peer = Peer(peer_id=connection.peer_id, name=name, tracks=tracks, metadata=join.metadata)
         shared.join(peer, identity_key(admission.identity), now)
         self._dirty[shared.key] = None
 
@@ -172,6 +172,13 @@ class ClusterNode:
         if place is not None:
             place.shared.leave(connection.peer_id, reason)
             self._dirty[place.shared.key] = None
+
+    def come_back(self, connection: Connection, room: Room) -> None:
+        """Note that somebody has come back; see `Neighbours`."""
+        place = self._places.get(connection.peer_id)
+        if place is not None:
+            place.connection = connection
+        self.note_wishes(room)
 
     def note_wishes(self, room: Room) -> None:
         """Look at what the peers here want; see `Neighbours`."""

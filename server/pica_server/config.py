@@ -110,6 +110,8 @@ class RelayConfig:
     one by one (29 microseconds each)."""
     coalesce_longest_s: float = 0.008
     """The longest such wait, seconds; 0 turns it off."""
+    resume_grace_s: float = 10.0
+    """Seconds for which the place of a peer is kept whose connection broke; 0 keeps none."""
     drain_s: float = 20.0
     """Seconds to send everybody away after SIGTERM, before the rest is cut; 0 cuts at once."""
     drain_to: str = ""
@@ -136,6 +138,7 @@ class RelayConfig:
         _check("coalesce-longest-s", self.coalesce_longest_s, 0, 0.1)
         if not self.avatar_store:
             raise ConfigurationError("--avatar-store is empty; name a folder, or none")
+        _check("resume-grace-s", self.resume_grace_s, 0, 600)
         _check("drain-s", self.drain_s, 0, 3600)
         try:
             check_url("drain-to", self.drain_to)

@@ -12,6 +12,12 @@ WHISPER_BURST = 128.0
 in four seconds (chosen: keys change when somebody comes or goes)."""
 
 
+UPDATES_PER_S = 1.0
+UPDATES_BURST = 10.0
+"""How often one peer may say something else of itself (chosen: people raise a hand; with 700 bytes
+for each, one peer alone does not fill the queues of slow readers)."""
+
+
 class Connection:
     """One websocket as the hub sees it; the shell reads ``closed`` and ``is_urgent``."""
 
@@ -19,6 +25,7 @@ class Connection:
         "address",
         "bytes_in",
         "has_joined",
+        "is_resumable",
         "messages_in",
         "outbox",
         "peer_id",
@@ -26,6 +33,7 @@ class Connection:
         "sending_since",
         "serial",
         "session",
+        "updates",
         "whispers",
     )
 
@@ -49,6 +57,8 @@ class Connection:
         self.room: Room | None = None
         self.peer_id = f"p{serial}"
         self.sending_since: float | None = None
+        self.is_resumable = False
+        self.updates = TokenBucket(UPDATES_PER_S, UPDATES_BURST, now)
         self.whispers = TokenBucket(WHISPERS_PER_S, WHISPER_BURST, now)
 
     @property

@@ -7,11 +7,14 @@ send ends with a ``Bye``.
 
 Every connection stands once in the timer heap, with the next moment at which it could be late:
 first with its handshake, then with reading what it was sent.
+
+A peer of this node has a connection, or it is away: its connection broke, and its place is kept for
+a while (see ``returns``). A connection that comes back to a place takes the id of the peer there.
 """
 
 import heapq
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from itertools import count
 
@@ -24,9 +27,14 @@ from pica_protocol.messages import (
     KeyframeRequest,
     Message,
     Peer,
+    PeerAway,
+    PeerBack,
     PeerJoined,
     PeerLeft,
+    PeerUpdated,
     Report,
+    StreamMuted,
+    UpdateMetadata,
     Want,
     Whisper,
 )
@@ -40,7 +48,9 @@ from pica_server.drain import departures
 from pica_server.errors import AdmissionError, OutboxFullError, RoomFullError
 from pica_server.limits import TokenBucket
 from pica_server.neighbours import Neighbours
+from pica_server.notices import Notice
 from pica_server.outbox import Outbox, Parcel
+from pica_server.returns import Returns
 from pica_server.room import Room
 from pica_server.stats import RelayStats
 from pica_server.tokens import Admission
@@ -49,6 +59,8 @@ SOFTWARE = "pica-relay"
 
 _WAITS, _DROPPED = Put.WAITS, Put.DROPPED  # an enumeration's own lookup is slow
 _KNOWN_CODES = frozenset(map(int, CloseCode))
+MAX_BARRED = 256
+"""Identities that a room remembers to keep out; drops the oldest (chosen)."""
 
 
 class Hub:
@@ -61,7 +73,12 @@ class Hub:
     """
 
     def __init__(
-        self, config: RelayConfig, admit: Callable[[Join], Admission] | None = None
+        self,
+        config: RelayConfig,
+        admit: Callable[[Join], Admission] | None = None,
+        *,
+        new_secret: Callable[[], str] | None = None,
+        notify: Callable[[Notice], None] | None = None,
     ) -> None:
         """Begin empty.
 
@@ -69,7 +86,14 @@ class Hub:
             config: The limits.
             admit: Says what who joins may do, or raises `AdmissionError`; everybody may do
                 everything by default.
+            new_secret: Makes secrets to come back with; without it no place is kept.
+            notify: Told at once what happens in rooms; it must neither block nor raise.
         """
+        grace_s = 0.0 if new_secret is None else config.resume_grace_s
+        self._returns = Returns(grace_s, new_secret or str)
+        # The last connection of those who are away; as many as there are places kept.
+        self._away: dict[str, Connection] = {}
+        self._notify = notify or (lambda notice: None)
         self._admit = admit or (lambda join: Admission())
         self.stats = RelayStats()
         self.neighbours: Neighbours | None = None
@@ -96,6 +120,15 @@ class Hub:
     def num_rooms(self) -> int:
         """Rooms with somebody in them."""
         return len(self._rooms)
+
+    @property
+    def rooms(self) -> Iterable[Room]:
+        """Every room, to look at."""
+        return self._rooms.values()
+
+    def connection_of(self, peer_id: str) -> Connection | None:
+        """Return the connection of a peer to look at, or None: it is away, elsewhere, or gone."""
+        return self._connections.get(peer_id)
 
     @property
     def is_draining(self) -> bool:
@@ -141,7 +174,7 @@ class Hub:
             reason = f"{limits.connections_per_address} connections from one address"
             self.close(connection, CloseCode.TOO_MANY, reason, now)
         elif self._is_draining:
-            self._send_away([connection], now)
+            self._send_elsewhere([connection], now)
         elif is_full:
             self.stats.limits_hit["connections"] += 1
             self.close(connection, CloseCode.RELAY_FULL, "the relay is full", now)
@@ -164,15 +197,73 @@ class Hub:
             self._handle(connection, event, now)
 
     def close(self, connection: Connection, code: CloseCode, reason: str, now: float) -> None:
-        """End a connection from this side."""
+        """End a connection from this side; one that is lost, for good."""
         if connection.closed is None:
             connection.session.close(code, reason)
             self._finish(connection, now)
+        elif self._away.get(connection.peer_id) is connection:
+            self._give_up(connection.peer_id, "removed", now)
 
     def close_all(self, code: CloseCode, reason: str, now: float) -> None:
         """End every connection: the relay is stopping."""
-        for connection in list(self._connections.values()):
+        for connection in [*self._connections.values(), *self._away.values()]:
             self.close(connection, code, reason, now)
+
+    def remove(self, room_name: str, peer_id: str, *, bar: bool, now: float) -> bool:
+        """Put a peer out of its room.
+
+        Args:
+            room_name: The room.
+            peer_id: The peer, who may be away.
+            bar: Also keep its identity out as long as the room lasts.
+            now: The time.
+
+        Returns:
+            Whether it was there, on this node.
+        """
+        room = self._rooms.get(room_name)
+        if room is None or peer_id not in room or room.node_of(peer_id):
+            return False
+        if bar:
+            room.bar(room.identity_of(peer_id), MAX_BARRED)
+        connection = self._connections.get(peer_id) or self._away[peer_id]
+        self.close(connection, CloseCode.REMOVED, "an admin has removed you", now)
+        return True
+
+    def close_room(self, room_name: str, now: float) -> int | None:
+        """Put everybody out of a room who is on this node; return how many, or None: there is no
+        such room."""
+        room = self._rooms.get(room_name)
+        if room is None:
+            return None
+        num_peers = len(room)
+        reason = "an admin has closed the room"
+        self._send_away(self._connected(room), CloseCode.ROOM_CLOSED, reason, now)
+        for peer_id in room.away:
+            self._give_up(peer_id, "removed", now)
+        return num_peers
+
+    def mute(self, room_name: str, number: int, *, is_muted: bool, now: float) -> bool:
+        """Stop a stream, or let it go on, and tell everybody; return whether it is there."""
+        room = self._rooms.get(room_name)
+        stream = None if room is None else room.stream(number)
+        if room is None or stream is None:
+            return False
+        if stream.is_muted is is_muted:
+            return True
+        stream.is_muted = is_muted
+        room.forget_chain(number)
+        if is_muted:
+            for outbox in [link.outbox for link in room.links.values()]:
+                self._drop(outbox.interrupt(number), "muted")
+        for receiver in self._connected(room):
+            if is_muted:
+                self._drop(receiver.outbox.interrupt(number), "muted")
+            self._send(receiver, StreamMuted(stream=number, is_muted=is_muted), now)
+        if not is_muted and stream.deadline_s is None:
+            stream.asked_s = None
+            self.ask_for_keyframe(room, number, Put.KEYLESS.value, now)
+        return True
 
     def drain(self, now: float) -> None:
         """Begin to send everybody away: who has no room at once, the rooms one after the other.
@@ -181,7 +272,8 @@ class Hub:
         """
         config = self._config
         self._is_draining = True
-        self._send_away([each for each in self._connections.values() if each.room is None], now)
+        roomless = [each for each in self._connections.values() if each.room is None]
+        self._send_elsewhere(roomless, now)
         offsets_s = departures(
             [len(room) for room in self._rooms.values()],
             per_s=config.limits.joins_per_s,
@@ -200,7 +292,7 @@ class Hub:
 
     def take(self, connection: Connection, now: float) -> Parcel | None:
         """Take the next message for a connection; the shell calls ``sent`` when it is out."""
-        parcel = connection.outbox.take()
+        parcel = connection.outbox.take(now)
         if parcel is not None:
             connection.sending_since = now
         return parcel
@@ -218,11 +310,16 @@ class Hub:
     def next_timer(self) -> float | None:
         """Return when ``handle_timer`` is due, or None."""
         timers = [line[0][0] for line in (self._timers, self._departures) if line]
+        grace_ends_s = self._returns.next_timer()
+        if grace_ends_s is not None:
+            timers.append(grace_ends_s)
         return min(timers, default=None)
 
     def handle_timer(self, now: float) -> None:
         """Close those who are late by now, and those whose turn to go has come."""
         self._send_rooms_away(now)
+        for peer_id in self._returns.take_expired(now):
+            self._give_up(peer_id, "lost", now)
         while self._timers and self._timers[0][0] <= now:
             _, _, connection = heapq.heappop(self._timers)
             if connection.closed is not None:
@@ -242,16 +339,27 @@ class Hub:
             _, name = self._departures.popleft()
             room = self._rooms.get(name)
             if room is not None:  # else it has emptied by itself
-                here = [self._connections[peer.peer_id] for peer in room.peers_here]
-                self._send_away(here, now)
+                self._send_elsewhere(self._connected(room), now)
+                for peer_id in room.away:
+                    self._give_up(peer_id, "lost", now)
 
-    def _send_away(self, connections: list[Connection], now: float) -> None:
-        """Close some together: none of them is told how the others leave."""
+    def _send_elsewhere(self, connections: list[Connection], now: float) -> None:
         reason, url = "the relay is stopping", self._config.drain_to
+        self._send_away(connections, CloseCode.GOING_AWAY, reason, now, url)
+
+    def _send_away(
+        self, connections: list[Connection], code: CloseCode, reason: str, now: float, url: str = ""
+    ) -> None:
+        """Close some together: none of them is told how the others leave."""
         for connection in connections:
-            connection.session.close(CloseCode.GOING_AWAY, reason, url)
+            connection.session.close(code, reason, url)
         for connection in connections:
             self._finish(connection, now)
+
+    def _connected(self, room: Room) -> list[Connection]:
+        """Return the connections of those in a room who are on this node and not away."""
+        found = (self._connections.get(peer.peer_id) for peer in room.peers_here)
+        return [connection for connection in found if connection is not None]
 
     def _push_timer(self, connection: Connection, now: float) -> None:
         deadline = connection.session.next_timer()
@@ -286,6 +394,18 @@ class Hub:
                 self.ask_for_keyframe(connection.room, stream, "asked", now)
             case Whisper():
                 self._whisper(connection, event, now)
+            case UpdateMetadata():
+                self._update_metadata(connection, event, now)
+
+    def _update_metadata(self, connection: Connection, update: UpdateMetadata, now: float) -> None:
+        room, metadata = connection.room, update.metadata
+        assert room is not None
+        if not connection.updates.take(now):
+            self.stats.limits_hit["metadata"] += 1
+            self.close(connection, CloseCode.TOO_FAST, "metadata changes too often", now)
+        elif room.update_metadata(connection.peer_id, metadata):
+            news = PeerUpdated(peer_id=connection.peer_id, metadata=metadata)
+            self._tell_others(room, connection.peer_id, news, now)
 
     def _whisper(self, connection: Connection, whisper: Whisper, now: float) -> None:
         """Pass a whisper on, under its sender's name, or drop it."""
@@ -347,9 +467,18 @@ class Hub:
             is_keyframe = layer == 0 and bool(flags & FLAG_KEYFRAME)
             stream = room.stream(number)
             assert stream is not None  # its publisher is in the room
+            receivers = room.receivers(number, layer)
+            if stream.is_muted:
+                stats.frames_in += 1
+                stats.frames_in_by_layer[layer] += 1
+                stats.dropped["muted"] += len(receivers)
+                continue
             if layer == 0:
                 stream.remember(frame, is_keyframe)
-            receivers = room.receivers(number, layer)
+            if stream.deadline_s is not None:
+                outboxes = [connections[peer_id].outbox for peer_id in receivers]
+                for outbox in outboxes + [link.outbox for link in room.links.values()]:
+                    outbox.open_ordered(number, stream.deadline_s)
             for peer_id in receivers:
                 receiver = connections[peer_id]
                 fate = receiver.outbox.put_frame(number, frame, layer, is_keyframe, now)
@@ -429,7 +558,15 @@ class Hub:
             self.stats.limits_hit["admission"] += 1
             self.close(connection, error.code, str(error), now)
             return
+        connection.is_resumable = join.resumable
+        if join.resume and self._come_back(connection, join, admission, now):
+            return
         self._replace(join.room, admission.identity, now)
+        former = self._rooms.get(join.room)
+        if former is not None and former.is_barred(admission.identity):
+            self.stats.limits_hit["admission"] += 1
+            self.close(connection, CloseCode.FORBIDDEN, "an admin has removed you", now)
+            return
         if self.neighbours is not None:
             self.neighbours.join(connection, join, admission, now)
             return
@@ -441,6 +578,7 @@ class Hub:
                 join.tracks,
                 identity=admission.identity,
                 may_subscribe=admission.may_subscribe,
+                metadata=join.metadata,
             )
         except RoomFullError:
             self.refuse(connection, join.room, now)
@@ -520,14 +658,71 @@ class Hub:
         admission: Admission,
         now: float,
     ) -> None:
+        if len(room) == 1:
+            self._notify(Notice(event="room_started", room=room.name))
         self._rooms[room.name] = room
-        connection.room = room
         self.stats.joins += 1
+        self._note(room, connection.peer_id, "peer_joined")
+        self._accept(connection, room, joined, now)
+        arrival = PeerJoined(peer=room.peer(connection.peer_id))
+        self._tell_others(room, connection.peer_id, arrival, now)
+        self._catch_up(connection, room, admission, now)
+
+    def _come_back(
+        self, connection: Connection, join: Join, admission: Admission, now: float
+    ) -> bool:
+        """Let somebody come back to their place, if it is still there and theirs."""
+        peer_id = self._returns.redeem(join.room, join.resume)
+        if peer_id is None:
+            self.stats.resumes["unknown"] += 1
+            return False
+        room = self._rooms[join.room]
+        lost = self._away.get(peer_id)
+        former = self._connections[peer_id] if lost is None else lost
+        if not room.is_place_of(peer_id, admission.identity, join.tracks):
+            # Whoever has the secret does not come as who they were: nobody else will.
+            self.stats.resumes["unfit"] += 1
+            self.close(former, CloseCode.REPLACED, "your place was given up", now)
+            return False
+        self.stats.resumes["resumed"] += 1
+        self._away.pop(peer_id, None)
+        if lost is None:  # it is dead, and nobody has noticed yet
+            former.room = None
+            former.session.close(CloseCode.REPLACED, "you have come back on another connection")
+            self._wind_up(former, now)
+        del self._connections[connection.peer_id]
+        connection.peer_id = peer_id
+        self._connections[peer_id] = connection
+        joined = room.come_back(peer_id, may_subscribe=admission.may_subscribe)
+        if self.neighbours is not None:
+            self.neighbours.come_back(connection, room)
+        self._accept(connection, room, joined, now)
+        self._tell_others(room, peer_id, PeerBack(peer_id=peer_id), now)
+        if room.update_metadata(peer_id, join.metadata):
+            news = PeerUpdated(peer_id=peer_id, metadata=join.metadata)
+            self._tell_others(room, peer_id, news, now)
+        self._catch_up(connection, room, admission, now)
+        return True
+
+    def _accept(self, connection: Connection, room: Room, joined: Joined, now: float) -> None:
+        """Tell somebody that they are in, and what else is so in the room."""
+        connection.room = room
+        if connection.is_resumable:
+            secret = self._returns.issue(room.name, connection.peer_id)
+            resume_ms = round(self._returns.grace_s * 1000)
+            joined = replace(joined, resume=secret, resume_ms=resume_ms)
         connection.has_joined = True
         connection.session.accept(joined)
         self._flush(connection, now)
-        arrival = PeerJoined(peer=room.peer(connection.peer_id))
-        self._tell_others(room, connection.peer_id, arrival, now)
+        for peer_id in room.away:
+            self._send(connection, PeerAway(peer_id=peer_id), now)
+        for number, stream in list(room.streams):
+            if stream.is_muted:
+                self._send(connection, StreamMuted(stream=number, is_muted=True), now)
+
+    def _catch_up(
+        self, connection: Connection, room: Room, admission: Admission, now: float
+    ) -> None:
         for number, _ in list(room.streams):  # asking closes a publisher that does not read
             if connection.closed is None and admission.may_subscribe:
                 self._resume(connection, room, number, now)
@@ -538,14 +733,49 @@ class Hub:
         peer_id = None if room is None else room.peer_of(identity)
         if peer_id is not None:
             reason = "you have joined again from elsewhere"
-            self.close(self._connections[peer_id], CloseCode.REPLACED, reason, now)
+            former = self._connections.get(peer_id) or self._away[peer_id]
+            self.close(former, CloseCode.REPLACED, reason, now)
 
     def _finish(self, connection: Connection, now: float) -> None:
         """Clear up after a connection that is over: its last words, its place, the others' view."""
+        if not self._wind_up(connection, now):
+            return
         closed = connection.closed
         assert closed is not None
-        if self._connections.pop(connection.peer_id, None) is None:
+        room, peer_id, reason = connection.room, connection.peer_id, _farewell(closed)
+        may_come_back = _is_loss(closed) and not self._is_draining
+        if room is not None and may_come_back and self._returns.go_away(peer_id, now):
+            self.stats.resumes["away"] += 1
+            self._away[peer_id] = connection
+            room.go_away(peer_id)
+            if self.neighbours is not None:
+                self.neighbours.note_wishes(room)
+            self._tell_others(room, peer_id, PeerAway(peer_id=peer_id), now)
             return
+        self._depart(connection, reason, now)
+
+    def _give_up(self, peer_id: str, reason: str, now: float) -> None:
+        """Take somebody who is away out of the room."""
+        self._depart(self._away.pop(peer_id), reason, now)
+
+    def _depart(self, connection: Connection, reason: str, now: float) -> None:
+        """Take somebody whose connection is over out of the room, if they are in one."""
+        self._returns.forget(connection.peer_id)
+        if self.neighbours is not None:
+            self.neighbours.leave(connection, reason)
+        room, connection.room = connection.room, None
+        if room is not None:
+            self._note(room, connection.peer_id, "peer_left", reason)
+            self._forget(room, connection.peer_id, reason, now)
+
+    def _wind_up(self, connection: Connection, now: float) -> bool:
+        """Take a connection that is over out of the books, but not out of its room; return whether
+        it was in them."""
+        closed = connection.closed
+        assert closed is not None
+        if self._connections.get(connection.peer_id) is not connection:
+            return False
+        del self._connections[connection.peer_id]
         # A peer may name any code; each that is counted apart is a line of the metrics for ever.
         self.stats.closed[closed.code if closed.code in _KNOWN_CODES else 0] += 1
         if connection.address:
@@ -553,14 +783,9 @@ class Hub:
             if self._by_address[connection.address] <= 0:
                 del self._by_address[connection.address]
         last_words = connection.session.messages_to_send(now)
-        self._drop_departed(connection.outbox.finish(last_words))
+        self._drop(connection.outbox.finish(last_words), "departed")
         self._ready[connection] = None
-        room, connection.room = connection.room, None
-        reason = _farewell(closed)
-        if self.neighbours is not None:
-            self.neighbours.leave(connection, reason)
-        if room is not None:
-            self._forget(room, connection.peer_id, reason, now)
+        return True
 
     def _forget(self, room: Room, peer_id: str, reason: str, now: float) -> None:
         """Clear up after a member of a room, and tell the others."""
@@ -569,18 +794,31 @@ class Hub:
             for node in list(room.links):
                 self.drop_link(room, node)
             del self._rooms[room.name]
+            self._notify(Notice(event="room_ended", room=room.name))
             return
         for track in peer.tracks:
-            for other in room.peers_here:
-                outbox = self._connections[other.peer_id].outbox
-                self._drop_departed(outbox.forget_stream(track.stream))
+            for receiver in self._connected(room):
+                self._drop(receiver.outbox.forget_stream(track.stream), "departed")
             for link in room.links.values():
-                self._drop_departed(link.forget_stream(track.stream))
+                self._drop(link.forget_stream(track.stream), "departed")
         self._tell_others(room, peer_id, PeerLeft(peer_id=peer_id, reason=reason), now)
 
-    def _drop_departed(self, num_frames: int) -> None:
+    def _note(self, room: Room, peer_id: str, event: str, reason: str = "") -> None:
+        """Tell whoever keeps books about a peer of this node."""
+        self._notify(
+            Notice(
+                event=event,
+                room=room.name,
+                peer_id=peer_id,
+                identity=room.identity_of(peer_id),
+                name=room.peer(peer_id).name,
+                reason=reason,
+            )
+        )
+
+    def _drop(self, num_frames: int, reason: str) -> None:
         if num_frames:
-            self.stats.dropped["departed"] += num_frames
+            self.stats.dropped[reason] += num_frames
 
     def _tell_others(self, room: Room, peer_id: str, message: Message, now: float) -> None:
         for other in room.peers_here:
@@ -606,6 +844,12 @@ class Hub:
             self.stats.limits_hit["control"] += 1
             self.close(connection, CloseCode.TOO_SLOW, str(error), now)
         self._ready[connection] = None
+
+
+def _is_loss(closed: Closed) -> bool:
+    """Say whether somebody is gone whom the network took, and who will try to come back."""
+    lost = (CloseCode.CONNECTION_LOST, CloseCode.INTERNAL_ERROR)
+    return closed.code == CloseCode.TOO_SLOW or (closed.is_remote and closed.code in lost)
 
 
 def _farewell(closed: Closed) -> str:

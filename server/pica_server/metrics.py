@@ -58,6 +58,7 @@ def metrics_text(stats: RelayStats, gauges: Mapping[str, tuple[str, float]]) -> 
             "reason",
             stats.cluster_dropped,
         ),
+        ("resumes_total", "Lost connections, and who came back.", "outcome", stats.resumes),
         ("limits_hit_total", "How often a limit was reached.", "limit", stats.limits_hit),
         ("store_total", "What the avatar store did, times or bytes.", "what", stats.store),
         ("closed_total", "Connections ended.", "code", stats.closed),

@@ -28,6 +28,10 @@ class Neighbours(Protocol):
     def leave(self, connection: Connection, reason: str) -> None:
         """Note that somebody has gone, or does not wait for a place any more."""
 
+    def come_back(self, connection: Connection, room: Room) -> None:
+        """Note that somebody has come back to their place, on a new connection; ``leave`` was not
+        called."""
+
     def note_wishes(self, room: Room) -> None:
         """Note that a peer in the room may want something else of the others than before."""
 

@@ -1,18 +1,21 @@
 """What waits for one receiver: every control message, and of each stream what is fresh.
 
 Bounded by design. Frames: one queue for each stream of the room, see
-`pica_protocol.stream_queue` for what is dropped in it and in which order, so a receiver that reads
+`pica_protocol.stream_queue` and, for ordered streams, `pica_protocol.ordered_queue` for what is
+dropped in it and in which order, so a receiver that reads
 slowly gets fewer frames, never a stale one for long, and never one it cannot decode. Control: a
 queue with a limit in bytes; it is never thinned, a receiver that lets it overflow is closed
 instead.
 """
 
+import math
 from collections import Counter, deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from pica_protocol.frames import media_message
 from pica_protocol.limits import MAX_MEDIA_MESSAGE_BYTES
+from pica_protocol.ordered_queue import OrderedQueue
 from pica_protocol.stream_queue import Put, StreamQueue, Waiting
 from pica_server.errors import OutboxFullError
 
@@ -41,7 +44,8 @@ class Outbox:
         self._drops = drops
         self._control: deque[bytes] = deque()
         self._control_bytes = 0
-        self._queues: dict[int, StreamQueue] = {}
+        self._queues: dict[int, StreamQueue | OrderedQueue] = {}
+        self._ordered: dict[int, OrderedQueue] = {}
         # Streams with something that waits; dict order is the order of waiting.
         self._line: dict[int, None] = {}
 
@@ -84,6 +88,22 @@ class Outbox:
             self._line[stream] = None  # where it stands already if something of it waited
         return fate
 
+    def open_ordered(self, stream: int, deadline_s: float) -> None:
+        """Note that a stream is ordered, if that is news."""
+        if stream not in self._ordered:
+            self._queues[stream] = self._ordered[stream] = OrderedQueue(self._drops, deadline_s)
+
+    def interrupt(self, stream: int) -> int:
+        """Drop what waits of a stream that pauses; return how many frames that is.
+
+        It goes on with a keyframe, or, if it is ordered, with any frame.
+        """
+        queue = self._queue(stream)
+        dropped = queue.want(None)
+        if isinstance(queue, OrderedQueue):
+            queue.resume((), is_whole=True, now=0.0)
+        return dropped
+
     def want(self, stream: int, layer: int | None) -> int:
         """Follow a wish; return how many waiting frames were dropped for it."""
         return self._queue(stream).want(layer)
@@ -102,6 +122,7 @@ class Outbox:
     def forget_stream(self, stream: int) -> int:
         """Forget a stream that has ended; return how many of its frames waited."""
         self._line.pop(stream, None)
+        self._ordered.pop(stream, None)
         queue = self._queues.pop(stream, None)
         return 0 if queue is None else len(queue)
 
@@ -110,13 +131,17 @@ class Outbox:
         limit."""
         dropped = self.waiting_frames
         self._queues.clear()
+        self._ordered.clear()
         self._line.clear()
         self._control.extend(last_words)
         self._control_bytes += sum(map(len, last_words))
         return dropped
 
-    def take(self) -> Parcel | None:
-        """Take the next message: control first, then as many frames as one message holds."""
+    def take(self, now: float = -math.inf) -> Parcel | None:
+        """Take the next message: control first, then as many frames as one message holds.
+
+        Frames of ordered streams that are too old by ``now`` are dropped.
+        """
         if self._control:
             data = self._control.popleft()
             self._control_bytes -= len(data)
@@ -124,6 +149,8 @@ class Outbox:
         line = self._line
         if not line:
             return None
+        for ordered in self._ordered.values():
+            ordered.expire(now)
         room_left = MAX_MEDIA_MESSAGE_BYTES - 1
         items: list[Waiting] = []
         num_taken = 0
@@ -147,7 +174,7 @@ class Outbox:
             tuple([item.received_s for item in items]),
         )
 
-    def _queue(self, stream: int) -> StreamQueue:
+    def _queue(self, stream: int) -> StreamQueue | OrderedQueue:
         queue = self._queues.get(stream)
         if queue is None:
             queue = self._queues[stream] = StreamQueue(self._drops)

@@ -15,6 +15,7 @@ bytes are bounded once more where the system can (``TCP_NOTSENT_LOWAT``).
 
 import asyncio
 import logging
+import secrets
 import socket
 import time
 from collections.abc import Awaitable, Callable, Sequence
@@ -85,10 +86,11 @@ class Relay:
         """
         self.config = config
         keys: KeyRing | None = None if config.keys is None else load_keys(config.keys)
-        if keys is None:
-            self.hub = Hub(config)
-        else:
-            self.hub = Hub(config, lambda join: admit(keys, join, now=unix_time()))
+        self.hub = Hub(
+            config,
+            None if keys is None else lambda join: admit(keys, join, now=unix_time()),
+            new_secret=_new_secret,
+        )
 
         def may_upload(token: str, avatar: str) -> None:
             if keys is not None:
@@ -486,6 +488,11 @@ class _Waker:
     def cancel_cut(self) -> None:
         if self._cut is not None:
             self._cut.cancel()
+
+
+def _new_secret() -> str:
+    """Return 128 bits that nobody can guess."""
+    return secrets.token_urlsafe(16)
 
 
 def _select_subprotocol(

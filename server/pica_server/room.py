@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 from pica_protocol.limits import MAX_LAYER, MAX_STREAM
-from pica_protocol.messages import Joined, Peer, Track
+from pica_protocol.messages import Joined, Metadata, Peer, Track
 from pica_protocol.stream_queue import MAX_CHAIN_BYTES, MAX_CHAIN_FRAMES
 from pica_server.cluster_media import NodeLink
 from pica_server.errors import RoomFullError
@@ -27,6 +27,8 @@ class _Member:
     """By stream; a stream that is missing is wanted up to ``default_layer``."""
     identity: str = ""
     default_layer: int = MAX_LAYER
+    is_away: bool = False
+    """Its connection is lost, and it may come back."""
     node: str = ""
     """Where it is connected, if that is another node of the cluster."""
 
@@ -37,6 +39,10 @@ class Stream:
 
     publisher: str
     """Who sends it: a peer id."""
+    deadline_s: float | None = None
+    """How long its frames may wait for a receiver if it is ordered; None: it is not."""
+    is_muted: bool = False
+    """An admin has stopped it."""
     chain: list[bytes] = field(default_factory=list)
     """The latest keyframe and, if ``is_whole``, all base frames since."""
     is_whole: bool = False
@@ -45,8 +51,16 @@ class Stream:
     asked_s: float | None = None
     """When the publisher was last asked for a keyframe."""
 
+    @classmethod
+    def of(cls, publisher: str, track: Track) -> "Stream":
+        """Begin the stream of a track."""
+        is_ordered = track.policy == "ordered"
+        return cls(publisher, track.deadline_ms / 1000 if is_ordered else None)
+
     def remember(self, frame: bytes, is_keyframe: bool) -> None:
-        """Keep a base frame for those who come later."""
+        """Keep a base frame for those who come later; of an ordered stream nothing is kept."""
+        if self.deadline_s is not None:
+            return
         if is_keyframe:
             self.chain = [frame]
             self.num_bytes = len(frame)
@@ -73,6 +87,7 @@ class Room:
         self._members: dict[str, _Member] = {}
         self._streams: dict[int, Stream] = {}
         self._last_stream = 0
+        self._barred: dict[str, None] = {}  # bounded by who adds to it
         self._num_remote = 0
         # Who gets the frames of a stream and layer: looked up for every frame, changed rarely.
         self._receivers: dict[tuple[int, int], list[str]] = {}
@@ -81,6 +96,9 @@ class Room:
     def __len__(self) -> int:
         """How many are connected here; the peers of other nodes are not counted."""
         return len(self._members) - self._num_remote
+
+    def __contains__(self, peer_id: str) -> bool:
+        return peer_id in self._members
 
     @property
     def peers(self) -> tuple[Peer, ...]:
@@ -109,6 +127,7 @@ class Room:
         *,
         identity: str = "",
         may_subscribe: bool = True,
+        metadata: Metadata = (),
     ) -> Joined:
         """Let a peer in, allot streams to its tracks, and return what to tell it.
 
@@ -118,14 +137,15 @@ class Room:
             tracks: What it publishes.
             identity: Who it is for sure, or empty.
             may_subscribe: Whether it gets anybody's frames.
+            metadata: What it says of itself.
 
         Raises:
             RoomFullError: The room has no place left.
         """
         if len(self) >= self._capacity:
             raise RoomFullError(f"room {self.name} is full: {self._capacity} peers")
-        own = tuple(replace(track, stream=self._new_stream(peer_id)) for track in tracks)
-        peer = Peer(peer_id=peer_id, name=name, tracks=own)
+        own = tuple(replace(track, stream=self._new_stream(peer_id, track)) for track in tracks)
+        peer = Peer(peer_id=peer_id, name=name, tracks=own, metadata=metadata)
         return self.enter(peer, identity=identity, may_subscribe=may_subscribe)
 
     def enter(self, peer: Peer, *, identity: str = "", may_subscribe: bool = True) -> Joined:
@@ -136,7 +156,7 @@ class Room:
             peer, identity=identity, default_layer=MAX_LAYER if may_subscribe else _NOTHING
         )
         for track in peer.tracks:
-            self._streams.setdefault(track.stream, Stream(peer.peer_id))
+            self._streams.setdefault(track.stream, Stream.of(peer.peer_id, track))
         return Joined(room=self.name, peer_id=peer.peer_id, tracks=peer.tracks, peers=present)
 
     def arrive(self, peer: Peer, node: str) -> None:
@@ -156,6 +176,68 @@ class Room:
             for member in self._members.values():
                 member.highest_layer.pop(track.stream, None)
         return peer
+
+    def go_away(self, peer_id: str) -> None:
+        """Note that a peer has lost its connection: it wants nothing until it comes back."""
+        self._receivers.clear()
+        member = self._members[peer_id]
+        member.is_away = True
+        member.highest_layer.clear()
+        member.default_layer = _NOTHING
+
+    def is_place_of(self, peer_id: str, identity: str, tracks: tuple[Track, ...]) -> bool:
+        """Say whether somebody who comes back with these tracks is who had this place."""
+        member = self._members.get(peer_id)
+        if member is None or member.identity != identity:
+            return False
+        return tuple(replace(track, stream=0) for track in member.peer.tracks) == tracks
+
+    def come_back(self, peer_id: str, *, may_subscribe: bool) -> Joined:
+        """Give a peer its place again, without its wishes, and return what to tell it."""
+        self._receivers.clear()
+        member = self._members[peer_id]
+        member.is_away = False
+        member.highest_layer.clear()
+        member.default_layer = MAX_LAYER if may_subscribe else _NOTHING
+        for track in member.peer.tracks:
+            # What is to come does not follow what was kept: frames were lost between.
+            stream = self._streams[track.stream]
+            del stream.chain[1:]
+            stream.num_bytes = sum(map(len, stream.chain))
+            stream.is_whole = False
+            stream.asked_s = None
+        others = tuple(peer for peer in self.peers if peer.peer_id != peer_id)
+        return Joined(
+            room=self.name, peer_id=peer_id, tracks=member.peer.tracks, peers=others, resumed=True
+        )
+
+    def update_metadata(self, peer_id: str, metadata: Metadata) -> bool:
+        """Note what a peer says of itself; return whether it is something else than before."""
+        member = self._members[peer_id]
+        if member.peer.metadata == metadata:
+            return False
+        member.peer = replace(member.peer, metadata=metadata)
+        return True
+
+    @property
+    def away(self) -> tuple[str, ...]:
+        """Ids of those who have lost their connection and may come back."""
+        return tuple(peer_id for peer_id, member in self._members.items() if member.is_away)
+
+    def bar(self, identity: str, max_barred: int) -> None:
+        """Keep an identity out as long as the room lasts; drops the oldest above ``max_barred``."""
+        if identity:
+            self._barred[identity] = None
+            if len(self._barred) > max_barred:
+                del self._barred[next(iter(self._barred))]
+
+    def is_barred(self, identity: str) -> bool:
+        """Say whether an identity is kept out."""
+        return identity in self._barred
+
+    def identity_of(self, peer_id: str) -> str:
+        """Return who a peer is for sure, or empty."""
+        return self._members[peer_id].identity
 
     def peer_of(self, identity: str) -> str | None:
         """Return the peer id of somebody who is here for sure, or None."""
@@ -239,10 +321,10 @@ class Room:
         found.asked_s = now
         return found.publisher
 
-    def _new_stream(self, peer_id: str) -> int:
+    def _new_stream(self, peer_id: str, track: Track) -> int:
         # Counting up, not lowest first: a late frame of a departed peer must not find a new owner.
         while True:
             self._last_stream = self._last_stream % MAX_STREAM + 1
             if self._last_stream not in self._streams:
-                self._streams[self._last_stream] = Stream(peer_id)
+                self._streams[self._last_stream] = Stream.of(peer_id, track)
                 return self._last_stream

@@ -63,7 +63,11 @@ class RelayStats:
     """Frames that a receiver did not get. As it reads slowly: ``replaced`` by a newer keyframe;
     ``upper_replaced``, one too many of an upper layer; ``layer_thinned``, it refers to one that was
     dropped, or the layer has not begun yet; ``base_cut``, nothing goes before the next keyframe.
-    Besides: ``before_keyframe``, the receiver has none yet; ``departed`` with either end."""
+    Of ordered streams: ``expired`` at the deadline, ``overflow``, too many wait. Besides:
+    ``before_keyframe``, the receiver has none yet; ``departed`` with either end; ``muted``."""
+    resumes: Counter[str] = field(default_factory=Counter)
+    """Peers who lost their connection and may come back: ``away``. Those who tried: ``resumed``;
+    ``unknown``, the place was not there (any more); ``unfit``, as somebody else."""
     unwanted: int = 0
     """Frames that a receiver had asked not to get."""
     frames_resumed: int = 0
@@ -78,10 +82,11 @@ class RelayStats:
     """Whispers that were not: the sender's ``rate`` was too high, the receiver is not in the room
     (``nobody``), or reads too slowly (``backlog``)."""
     limits_hit: Counter[str] = field(default_factory=Counter)
-    """How often a limit was reached: ``messages`` or ``bytes`` of a client, ``joins``,
-    ``connections`` in all, ``address``, ``room``, ``control`` left unread; ``admission``,
-    a join that its token did not allow; ``sockets`` that were cut at once, a ``request`` that grew
-    too long before it was a websocket; ``extra_frames``, pings and fragments."""
+    """How often a limit was reached: ``messages``, ``bytes`` or ``metadata`` updates of a client,
+    ``joins``, ``connections`` in all, ``address``, ``room``, ``control`` left unread;
+    ``admission``, a join that its token did not allow; ``sockets`` that were cut at once, a
+    ``request`` that grew too long before it was a websocket; ``extra_frames``, pings and
+    fragments."""
     closed: Counter[int] = field(default_factory=Counter)
     """Connections ended, by close code; 0 is any code that is not ours."""
     store: Counter[str] = field(default_factory=Counter)
@@ -125,6 +130,7 @@ class RelayStats:
             "limits_hit": dict(self.limits_hit),
             "closed": {str(code): count for code, count in sorted(self.closed.items())},
             "store": dict(self.store),
+            "resumes": dict(self.resumes),
             "reported_lost": self.reported_lost,
             "reported_concealed": self.reported_concealed,
             "forward_ms": {

@@ -2,72 +2,22 @@
 
 import pytest
 
-from pica_protocol.codec import decode_message, encode_message
+from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
-from pica_protocol.frames import Frame, decode_media
 from pica_protocol.messages import (
     Bye,
-    Message,
     PeerJoined,
     PeerLeft,
     Report,
     StreamReport,
-    Track,
     Whisper,
 )
-from pica_protocol.session import ClientSession, State
+from pica_protocol.session import State
 from pica_server.config import LimitsConfig, RelayConfig
-from pica_server.connection import Connection
 from pica_server.hub import Hub
+from server.members import Member, hub_with
 
 pytestmark = pytest.mark.unit
-
-FACE = Track(kind="face")
-
-
-class Member:
-    """A client session and its connection, with the bytes carried by hand."""
-
-    def __init__(
-        self, hub: Hub, name: str, *, room: str = "lobby", now: float = 0.0, address: str = ""
-    ) -> None:
-        self.hub = hub
-        self.connection: Connection = hub.connect(now, address)
-        self.session = ClientSession(room=room, name=name, tracks=(FACE,), now=now)
-        self.speak(now)
-        self.listen(now)
-
-    @property
-    def stream(self) -> int:
-        return self.session.tracks[0].stream
-
-    def speak(self, now: float) -> None:
-        for data in self.session.messages_to_send(now):
-            self.hub.receive(self.connection, data, now)
-
-    def send_frame(self, payload: bytes, now: float, *, is_keyframe: bool = True) -> None:
-        self.session.send_frame(payload, captured_us=0, is_keyframe=is_keyframe)
-        self.speak(now)
-
-    def listen(self, now: float) -> list[Message | Frame]:
-        heard: list[Message | Frame] = []
-        while (parcel := self.hub.take(self.connection, now)) is not None:
-            self.hub.sent(self.connection, parcel, now)
-            self.session.receive_data(parcel.data, now)
-            if parcel.received_s:
-                heard += decode_media(parcel.data)
-            else:
-                heard.append(decode_message(parcel.data))
-        return heard
-
-
-def hub_with(*names: str, config: RelayConfig | None = None) -> tuple[Hub, list[Member]]:
-    hub = Hub(config or RelayConfig())
-    members = [Member(hub, name) for name in names]
-    for member in members:
-        member.listen(now=0.0)
-    hub.take_ready()
-    return hub, members
 
 
 def test_a_frame_makes_its_receivers_ready_and_nobody_else() -> None:

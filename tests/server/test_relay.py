@@ -12,14 +12,22 @@ from pica_protocol import SUBPROTOCOL
 from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode, LocalProtocolError
 from pica_protocol.frames import Frame
-from pica_protocol.messages import Hello, KeyframeRequest, PeerJoined, PeerLeft, Whisper
-from pica_protocol.session import Closed
+from pica_protocol.messages import (
+    Hello,
+    KeyframeRequest,
+    PeerAway,
+    PeerBack,
+    PeerJoined,
+    PeerLeft,
+    Whisper,
+)
+from pica_protocol.session import ClientSession, Closed
 from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.relay import Relay
 from pica_server.tokens import Admission, KeyRing, load_keys, mint
 from simnet.clock import current_network, in_virtual_time
 from simnet.link import Link
-from simnet.peers import FACE, now, open_websocket, peer_in_room
+from simnet.peers import FACE, WirePeer, now, open_websocket, peer_in_room
 
 pytestmark = pytest.mark.call
 
@@ -502,3 +510,46 @@ async def test_frames_of_several_senders_share_a_message() -> None:
         await asyncio.sleep(0.001)
         assert len(bob.arrivals) == 4
         assert relay.stats()["messages_out"] - before == 1
+
+
+@in_virtual_time
+async def test_a_room_takes_no_more_than_its_capacity_however_many_join_at_once() -> None:
+    async def join(number: int) -> int | None:
+        async with open_websocket(URL) as websocket:
+            peer = WirePeer(websocket, ClientSession(room="r", name=f"{number}", now=now()))
+            reader = asyncio.create_task(peer.read())
+            await peer.flush()
+            await asyncio.sleep(5)
+            reader.cancel()
+            await asyncio.gather(reader, return_exceptions=True)
+            return None if peer.session.closed is None else peer.session.closed.code
+
+    async with Relay(RelayConfig(room_capacity=5)) as relay:
+        codes = await asyncio.gather(*(join(number) for number in range(40)))
+        assert relay.stats()["joins"] == 5
+    assert sorted(code or 0 for code in codes) == [0] * 5 + [CloseCode.ROOM_FULL] * 35
+
+
+@in_virtual_time
+async def test_a_peer_whose_network_died_comes_back_to_its_place() -> None:
+    network = current_network()
+    async with (
+        Relay(RelayConfig(ping_interval_s=1, close_timeout_s=1)),
+        peer_in_room(URL, "Bob") as bob,
+        peer_in_room("ws://train:8765", "Ada", resumable=True) as ada,
+    ):
+        peer_id, stream = ada.session.peer_id, ada.session.tracks[0].stream
+        await ada.send_frame(b"before")
+        network.cut("train")
+        await bob.until(PeerAway)
+        async with peer_in_room(URL, "Ada", resumable=True, ticket=ada.session.ticket) as again:
+            assert (again.session.peer_id, again.session.tracks[0].stream) == (peer_id, stream)
+            await bob.until(PeerBack)
+            await again.send_frame(b"after")
+            await asyncio.sleep(0.01)
+            assert [(f.payload, f.sequence) for _, f in bob.arrivals] == [
+                (b"before", 0),
+                (b"after", 1),
+            ]
+            assert bob.told(PeerLeft) == []
+        ada.websocket.transport.abort()
