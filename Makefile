@@ -4,7 +4,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 DEMO ?=
 
-.PHONY: demo test lint types imports pytest extras golden clean
+.PHONY: demo test lint types imports pytest extras deployment golden clean
 
 demo: .venv/.ready-demo
 	@sh scripts/system_libraries.sh
@@ -30,6 +30,10 @@ pytest: .venv/.ready-test
 # Each part alone in an environment of its own: the relay without numpy, the client without torch.
 extras: .venv/.ready-test
 	$(BIN)/python scripts/check_extras.py
+
+# What the relay's image would start, from a wheel in an environment of its own.
+deployment: .venv/.ready-test
+	$(BIN)/python scripts/check_deployment.py
 
 .venv/bin/python:
 	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed (set PYTHON=...)"; exit 1; }

@@ -1,12 +1,28 @@
-# The relay: base install, no numpy, no OpenGL, not root. Build from the repository's root:
+# The relay: no numpy, no OpenGL, no compiler, not root. Build from the repository's root:
 #     docker build -f docker/relay.Dockerfile -t pica-relay .
-FROM python:3.11-slim
-COPY . /src
-RUN pip install --no-cache-dir --constraint /src/constraints.txt /src && rm -rf /src
-RUN useradd --system --no-create-home pica
-USER pica
+# Run it with a key file (docs/operating.md); it refuses to start without one:
+#     docker run --read-only --tmpfs /tmp -p 8765:8765 -v $PWD/keys:/run/secrets/keys:ro \
+#         -e PICA_RELAY_KEYS=/run/secrets/keys pica-relay
+FROM python:3.11.13-slim-bookworm AS build
+WORKDIR /src
+COPY pyproject.toml constraints.txt README.md LICENSE ./
+COPY command command
+COPY protocol protocol
+COPY server server
+COPY pica_core pica_core
+COPY client client
+RUN python -m venv /opt/pica \
+    && /opt/pica/bin/pip install --no-cache-dir --constraint constraints.txt '.[cluster]'
+
+FROM python:3.11.13-slim-bookworm
+COPY --from=build /opt/pica /opt/pica
+COPY docker/healthcheck.py /opt/pica/healthcheck.py
+ENV PATH=/opt/pica/bin:$PATH PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1 \
+    PICA_RELAY_HOST=0.0.0.0 PICA_RELAY_PORT=8765 PICA_RELAY_LOG=json
+# By number, so that Kubernetes can see that it is not root.
+USER 10001:10001
 EXPOSE 8765
-HEALTHCHECK --interval=10s --timeout=3s CMD ["python", "-c", \
-    "import urllib.request as u; u.urlopen('http://127.0.0.1:8765/healthz', timeout=2)"]
-# --insecure: whoever reaches the port may join. Publish it to a network that you trust, only.
-CMD ["pica", "relay", "--host", "0.0.0.0", "--port", "8765", "--insecure"]
+STOPSIGNAL SIGTERM
+HEALTHCHECK --interval=10s --timeout=3s --start-period=5s CMD ["python", "/opt/pica/healthcheck.py"]
+ENTRYPOINT ["pica"]
+CMD ["relay"]

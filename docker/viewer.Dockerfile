@@ -1,0 +1,23 @@
+# Viewer and sender with software OpenGL (Mesa), not root. Build from the repository's root:
+#     docker build -f docker/viewer.Dockerfile -t pica-viewer .
+FROM python:3.11.13-slim-bookworm
+RUN apt-get update \
+    && apt-get install -y --no-install-recommends libegl1 libgl1 libegl-mesa0 libgl1-mesa-dri \
+    && rm -rf /var/lib/apt/lists/*
+WORKDIR /src
+COPY pyproject.toml constraints.txt README.md LICENSE ./
+COPY command command
+COPY protocol protocol
+COPY server server
+COPY pica_core pica_core
+COPY client client
+RUN python -m venv /opt/pica \
+    && /opt/pica/bin/pip install --no-cache-dir --constraint constraints.txt '.[view,video,seal]' \
+    && rm -rf /src/*
+# Avatars are kept in the home folder, recordings go to /out.
+RUN useradd --uid 10001 --create-home pica && mkdir /out && chown pica /out
+ENV PATH=/opt/pica/bin:$PATH PYTHONUNBUFFERED=1
+WORKDIR /out
+USER 10001
+ENTRYPOINT ["pica"]
+CMD ["doctor"]
