@@ -41,9 +41,9 @@ WEIGHTS: Final[Mapping[str, int]] = {
 }
 """How often a target has its turn; a session is over after a few messages, so many are needed."""
 
-MOST_BYTES_A_CALL: Final = 1 << 20
-"""What one message may make its reader hold for a moment (chosen: without limits, msgpack turns ten
-kilobytes into 68 times that)."""
+MOST_BYTES_A_CALL: Final = 2 << 20
+"""What one message may make its reader hold for a moment: each of 16 KiB can be a map of its own,
+which takes Python 64 bytes."""
 MOST_BYTES: Final = 64 << 20
 """What everything together may hold."""
 
