@@ -57,6 +57,11 @@ PATIENCE_S: Final = 30.0
 """For a swarm's answer, beyond the time that the order takes."""
 GROWTH: Final = 1.25
 """Of the number of rooms from one try to the next, when capacity is looked for."""
+NO_LIMITS: Final = (
+    *("--limits.joins-per-s", "100000", "--limits.joins-burst", "100000"),
+    *("--limits.handshakes", "4096"),
+)
+"""Arguments of a relay whose limits on joins are not what is measured."""
 COMPARISONS: Final = ("naive", "naive-uvloop", "echo")
 
 
@@ -157,7 +162,7 @@ class Load:
         _, cores = share_cores()
         rate = config.joins_per_s or (40.0 if target.pid is None else OWN_JOINS_PER_S)
         self._rate = rate
-        names = [f"load-{config.seed}-{index}" for index in range(config.most_rooms)]
+        names = [self._room(index) for index in range(config.most_rooms)]
         self._swarms = [
             workers.start(
                 "bench_relay_swarm",
@@ -178,6 +183,11 @@ class Load:
             for part, rooms in enumerate(split_evenly(names, config.processes))
         ]
         self._idle_bytes = None if target.pid is None else memory_bytes(target.pid)
+
+    @property
+    def first_room(self) -> str:
+        """Its name."""
+        return self._room(0)
 
     @property
     def num_connections(self) -> int:
@@ -294,6 +304,9 @@ class Load:
             swarm.order(**order(part))
         return [swarm.answer(timeout_s + PATIENCE_S) for swarm in self._swarms]
 
+    def _room(self, index: int) -> str:
+        return f"load-{self._config.seed}-{index}"
+
     def _parts(self, rooms: int) -> list[int]:
         """How many rooms of each swarm are the first so many of all."""
         num = self._config.processes
@@ -318,7 +331,9 @@ def run_relay_bench(config: RelayBenchConfig) -> dict[str, Any]:
 
 
 @contextmanager
-def relay_target(config: RelayBenchConfig, children: Children) -> Iterator[Target]:
+def relay_target(
+    config: RelayBenchConfig, children: Children, limits: Sequence[str] = NO_LIMITS
+) -> Iterator[Target]:
     """The relay under load: the one at the address, or one of our own on its own core."""
     if config.url is not None:
         yield Target(url=config.url, has_metrics=bool(relay_metrics(config.url)))
@@ -327,8 +342,7 @@ def relay_target(config: RelayBenchConfig, children: Children) -> Iterator[Targe
     relay, url = children.start_relay(
         *("--max-connections", str(connections)),
         *("--room-capacity", str(max(config.peers + 2, 16))),
-        *("--limits.joins-per-s", "100000", "--limits.joins-burst", "100000"),
-        *("--limits.handshakes", "4096"),
+        *limits,
         *config.relay_arguments,
     )
     core, _ = share_cores()

@@ -38,8 +38,11 @@ class BenchRelayOptions:
     compare: str = ""
     """Give the same load to others as well: naive (read and broadcast, same library), naive-uvloop,
     echo (what the load generator can do at most); separated by commas."""
+    hostile: str = ""
+    """Measure the rooms beside somebody who behaves badly: all, or some of stopped-reader,
+    slow-reader, flood, slow-loris, half-open, large-messages, bombs, connects."""
     relay_arguments: str = ""
-    """Further arguments of the relay that is started, in one word: "--coalesce-longest-s 0"."""
+    """Further arguments of the relay that is started: --relay-arguments="--port 8765"."""
     seed: int = 0
     """Of phases and payload sizes."""
 
@@ -50,6 +53,7 @@ def bench_relay(options: BenchRelayOptions) -> dict[str, Any]:
     Latency is from one peer's send call to another's receive call on this machine.
     """
     from pica_client.bench_relay import RelayBenchConfig, run_relay_bench
+    from pica_client.bench_relay_hostile import HostileConfig, parse_kinds, run_hostile_bench
 
     config = RelayBenchConfig(
         url=options.url,
@@ -67,6 +71,9 @@ def bench_relay(options: BenchRelayOptions) -> dict[str, Any]:
         seed=options.seed,
     )
     with terminate_as_interrupt():
+        if options.hostile:
+            kinds = tuple(parse_kinds(options.hostile))
+            return run_hostile_bench(HostileConfig(load=config, kinds=kinds))
         result = run_relay_bench(config)
     if capacity := result.get("capacity"):
         most = "" if capacity["is_limit"] else " or more"
