@@ -97,6 +97,7 @@ class Stage:
                 *("send", "--url", self.url, "--room", ROOM, "--name", name),
                 *("--avatar", avatars[index % len(avatars)], "--source", source),
                 *("--fps", f"{config.fps:g}", "--frame-log", str(self._log(name))),
+                *("--give-avatar", "no"),  # the viewer has the same files
                 *("--quality", str(config.quality), *(["--plain"] if config.plain else [])),
                 *self.secret_arguments,
             )

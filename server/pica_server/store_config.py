@@ -13,7 +13,7 @@ class StoreConfig:
     check: Literal["auto", "full", "structure"] = "auto"
     """What an upload must pass: full, all that receivers check, in a process of its own, which
     needs numpy here; structure, the layout of the file alone; auto, full where that can be."""
-    quota_bytes: int = 2**30
+    quota_bytes: int = 256 * 2**20
     """Bytes of all files together; 4015 above it."""
     largest_bytes: int = 16 * 2**20
     """Bytes of one file; 4015 above it."""
