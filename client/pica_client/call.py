@@ -13,7 +13,7 @@ import math
 import threading
 from collections import deque
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 from pica_client.avatars import AvatarStore
@@ -26,7 +26,19 @@ from pica_core.errors import AvatarFileError, LatentError, ProfileError
 from pica_core.latent_sample import DecodedFrame
 from pica_core.stream_ends import FaceDecoder, open_decoder
 from pica_protocol.frames import Frame
-from pica_protocol.messages import Joined, Peer, PeerJoined, PeerLeft, Report, StreamReport, Track
+from pica_protocol.messages import (
+    Joined,
+    Peer,
+    PeerAway,
+    PeerBack,
+    PeerJoined,
+    PeerLeft,
+    PeerUpdated,
+    Report,
+    StreamMuted,
+    StreamReport,
+    Track,
+)
 from pica_protocol.session import ClientEvent
 
 KEYFRAME_REQUEST_INTERVAL_S = 0.5
@@ -94,6 +106,8 @@ class _Seat:
         self.playout = Playout(config)
         self.decoder: FaceDecoder | None = None
         self.trouble = ""
+        self.is_away = False
+        self.is_muted = False
         self.keyframe_asked_s = -math.inf
         self.is_behind = True
         self.catching_up_until_s = -math.inf
@@ -101,6 +115,30 @@ class _Seat:
         self.last_arrival_s: float | None = None
         self.window = _Window()
         self.reported = PlayoutReport()
+
+    def stays(self, peer: Peer | None, *, is_same_room: bool) -> bool:
+        """Say whether this is still the seat of whoever has its id after we joined again.
+
+        If we have come back to our old place, ids are those of before. Else somebody else may have
+        got an old id, as from another relay: only who is the same in every respect keeps the seat.
+        """
+        if peer is None or (not is_same_room and replace(peer, metadata=()) != self._who):
+            return False
+        self.peer = peer
+        return True
+
+    @property
+    def _who(self) -> Peer:
+        return replace(self.peer, metadata=())
+
+    @property
+    def note(self) -> str:
+        """What is wrong with the stream, for people."""
+        if self.trouble:
+            return self.trouble
+        if self.is_muted:
+            return "muted by an admin"
+        return "connection lost" if self.is_away else ""
 
     def settle(self) -> None:
         """Show the newest of the frames that brought a latecomer up to date."""
@@ -149,18 +187,28 @@ class Call:
                 case Frame():
                     self._receive_frame(event, now)
                 case Joined(peers=peers):
-                    # Another relay may give an old id to somebody else: only who is the same in
-                    # every respect keeps the seat.
+                    present = {peer.peer_id: peer for peer in peers}
                     for peer_id, seat in list(self._seats.items()):
-                        if seat.peer not in peers:
+                        if not seat.stays(present.get(peer_id), is_same_room=event.resumed):
                             self._remove(peer_id)
                         seat.is_behind = True
+                        seat.is_away = seat.is_muted = False  # we are told again if it is so
                     for peer in peers:
                         self._add(peer)
                 case PeerJoined(peer=peer):
                     self._add(peer)
                 case PeerLeft(peer_id=peer_id):
                     self._remove(peer_id)
+                case PeerAway(peer_id=peer_id) | PeerBack(peer_id=peer_id):
+                    if peer_id in self._seats:
+                        self._seats[peer_id].is_away = isinstance(event, PeerAway)
+                case PeerUpdated(peer_id=peer_id, metadata=metadata):
+                    if peer_id in self._seats:
+                        seat = self._seats[peer_id]
+                        seat.peer = replace(seat.peer, metadata=metadata)
+                case StreamMuted(stream=stream, is_muted=is_muted):
+                    if stream in self._by_stream:
+                        self._by_stream[stream].is_muted = is_muted
                 case _:
                     pass  # a keyframe is all we ever send; a closed session is the link's affair
 
@@ -390,7 +438,7 @@ class Call:
                 avatar_id=seat.track.avatar,
                 latent=None,
                 status="waiting",
-                note=seat.trouble or self._avatars.note(seat.track.avatar),
+                note=seat.note or self._avatars.note(seat.track.avatar),
             )
         status: FaceStatus = "concealed" if played.is_concealed else "live"
         if seat.last_arrival_s is not None and now - seat.last_arrival_s > (
@@ -415,4 +463,5 @@ class Call:
             translation_m=played.sample.translation_m,
             captured_us=max(played.captured_us, 0),
             status=status,
+            note=seat.note,
         )

@@ -4,6 +4,9 @@ The shell around `pica_protocol.session.ClientSession`. It connects, joins, hand
 owner, sends what waits, and comes back by itself when the relay goes away. It keeps nothing for
 later: a frame offered while nobody listens is refused, because a late face is worse than none.
 
+Who lost the connection comes back to the place it had, if the relay still keeps it; else it joins
+anew, with another id. Either way its owner gets a ``Joined`` and begins its streams anew.
+
 Time is that of the event loop, which for asyncio's own loops is `time.monotonic`. On one machine
 all processes share that clock (Linux CLOCK_MONOTONIC, macOS and Windows likewise), so benches there
 may subtract a sender's capture times from a receiver's clock. Across machines nobody may.
@@ -29,9 +32,9 @@ from pica_client.frame_guard import FrameGuard
 from pica_client.stats import wire_bytes
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode, is_worth_retrying
-from pica_protocol.limits import check_pass, check_text, check_token
-from pica_protocol.messages import Joined, Report, Track
-from pica_protocol.session import ClientEvent, ClientSession, Closed, State
+from pica_protocol.limits import check_metadata, check_pass, check_text, check_token
+from pica_protocol.messages import Joined, Metadata, Report, Track
+from pica_protocol.session import ClientEvent, ClientSession, Closed, State, Ticket
 
 _log = logging.getLogger(__name__)
 
@@ -87,6 +90,8 @@ class LinkCounters:
     """What went over the link since it was made."""
 
     connects: int = 0
+    resumes: int = 0
+    """How many of them led back to the old place in the room."""
     errors: int = 0
     """Connections that ended because somebody broke the protocol."""
     sent_messages: int = 0
@@ -148,6 +153,8 @@ class Link:
         self._session: ClientSession | None = None
         self._wake = asyncio.Event()
         self._is_leaving = False
+        self._metadata: Metadata = ()
+        self._ticket: Ticket | None = None
 
     @property
     def url(self) -> str:
@@ -226,6 +233,21 @@ class Link:
         if session is not None:
             session.whisper(peer_id, data)
         return session is not None
+
+    def update_metadata(self, metadata: Metadata) -> None:
+        """Say something of ourselves to the others, now and after each join; it replaces what was
+        said before.
+
+        More than once a second, over some time, makes the relay close us.
+
+        Raises:
+            ValueError: It is out of its limits.
+        """
+        check_metadata("metadata", metadata)
+        self._metadata = metadata
+        session = self._session_for_control()
+        if session is not None:
+            session.update_metadata(metadata)
 
     def report(self, report: Report) -> None:
         """Tell the relay how streams arrived, if it is there."""
@@ -307,6 +329,7 @@ class Link:
             _log.warning("the relay sends us where connections are not encrypted; not going")
             return False
         self._elsewhere = closed.url
+        self._ticket = None  # a secret between us and the relay that gave it
         return True
 
     async def _connect_or_leave(self) -> ClientConnection | None:
@@ -348,6 +371,9 @@ class Link:
             now=loop.time(),
             seal=None if self.guard is None else self.guard.seal,
             token=token,
+            metadata=self._metadata,
+            resumable=True,
+            ticket=self._ticket,
         )
         self._session = session
         joined_s: float | None = None
@@ -358,6 +384,7 @@ class Link:
                 if isinstance(event, Joined):
                     joined_s = now
                     self.counters.connects += 1
+                    self.counters.resumes += event.resumed
                 passed = [event]
                 if self.guard is not None:
                     passed = self.guard.receive_event(event, now)
@@ -372,6 +399,8 @@ class Link:
                 self._wake.set()  # let the writer see that it is over
         finally:
             self._session = None
+            # One that was refused meanwhile does not cost the place: it is kept for a while.
+            self._ticket = session.ticket or self._ticket
             self.counters.frames_replaced += session.drops.total()
             # In case we are cancelled: no socket outlives its link.
             websocket.transport.abort()

@@ -88,6 +88,7 @@ class Receiver:
         counters = self.link.counters
         stats["errors"] += counters.errors
         stats["reconnects"] = self.link.reconnects
+        stats["resumes"] = counters.resumes
         stats["received_wire_bytes"] = counters.received_wire_bytes
         stats["seal"] = None if self.link.guard is None else self.link.guard.stats()
         return stats

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import random
 import time
 from collections import deque
@@ -24,8 +25,10 @@ from pica_core.avatar_file import Avatar
 from pica_core.expression_encoder import ExpressionEncoder
 from pica_core.latent_stream import DEFAULT_QUALITY, StreamConfig
 from pica_core.stream_ends import open_encoder
-from pica_protocol.messages import Joined, KeyframeRequest, Track
+from pica_protocol.messages import Joined, KeyframeRequest, StreamMuted, Track
 from pica_protocol.session import ClientEvent
+
+_log = logging.getLogger(__name__)
 
 FACE_TRACK = "face"
 """Kind of the tracks whose payloads are latents."""
@@ -99,6 +102,8 @@ class Sender:
         self._first_sent_s: float | None = None
         self._last_sent_s = 0.0
         self._sent = self._unheard = self._faceless = self._payload_bytes = 0
+        self._own_streams: tuple[int, ...] = ()
+        self._is_muted = False
         self._skipped = self._silent = self._keyframes = 0
 
     @property
@@ -153,6 +158,8 @@ class Sender:
             "wire_bps": round(counters.sent_wire_bytes * 8 / seconds) if seconds else None,
             "encode_ms": self._encode.summary_ms(),
             "reconnects": self._link.reconnects,
+            "resumes": counters.resumes,
+            "muted": self._is_muted,
             "errors": counters.errors,
             "seal": None if self._link.guard is None else self._link.guard.stats(),
         }
@@ -161,8 +168,13 @@ class Sender:
         match event:
             case KeyframeRequest():
                 self._stream.request_keyframe()
-            case Joined():  # nobody here has seen anything of us
+            case Joined(tracks=tracks):  # nobody here has seen anything of us, or of the last of it
                 self._stream.restart()
+                self._own_streams = tuple(track.stream for track in tracks)
+                self._is_muted = False  # we are told again if it is so
+            case StreamMuted(stream=stream, is_muted=is_muted) if stream in self._own_streams:
+                self._is_muted = is_muted
+                _log.warning("muted by an admin" if is_muted else "not muted any more")
                 if self._on_joined is not None:
                     self._on_joined()
             case _:

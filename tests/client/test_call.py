@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,17 @@ from pica_core.errors import AvatarFileError
 from pica_core.latent_stream import LatentDecoder
 from pica_core.plain_stream import LatentProfile, encode_latent
 from pica_protocol.frames import Frame
-from pica_protocol.messages import Joined, Peer, PeerJoined, PeerLeft, Track
+from pica_protocol.messages import (
+    Joined,
+    Peer,
+    PeerAway,
+    PeerBack,
+    PeerJoined,
+    PeerLeft,
+    PeerUpdated,
+    StreamMuted,
+    Track,
+)
 from stream_toy import (
     Publisher,
     Sent,
@@ -434,3 +445,42 @@ def test_a_thinned_stream_has_no_losses(coded_call: Call) -> None:
     (ada,) = coded_call.stats(7.0)["peers"]
     assert (ada["lost"], ada["unreferenced"]) == (0, 0)
     assert coded_call.take_keyframe_requests(7.0) == []
+
+
+def test_after_coming_back_to_the_same_room_seats_stay_with_their_ids(call: Call) -> None:
+    call.receive_event(joined(peer("p1", "Ada", 7), peer("p2", "Bob", 8)), now=0.0)
+    call.receive_event(frame(7, 0, 0), now=0.1)
+    told = replace(peer("p1", "Ada", 7), metadata=(("hand", "up"),))
+    call.receive_event(
+        Joined(room="r", peer_id="me", peers=(told, peer("p3", "Cyd", 9)), resumed=True), now=1.0
+    )
+    assert [face.name for face in call.faces(1.1)] == ["Ada", "Cyd"]
+    assert call.faces(1.1)[0].latent is not None
+
+
+def test_a_peer_that_says_something_else_of_itself_keeps_its_seat_in_another_room(
+    call: Call,
+) -> None:
+    call.receive_event(joined(peer("p1", "Ada", 7)), now=0.0)
+    call.receive_event(frame(7, 0, 0), now=0.1)
+    call.receive_event(PeerUpdated(peer_id="p1", metadata=(("hand", "up"),)), now=0.2)
+    call.receive_event(joined(peer("p1", "Ada", 7)), now=1.0)
+    assert call.faces(1.1)[0].latent is not None
+    call.receive_event(joined(peer("p1", "Eve", 7)), now=2.0)
+    assert call.faces(2.1)[0].latent is None
+
+
+def test_a_face_says_why_it_stands_still(call: Call) -> None:
+    call.receive_event(joined(peer("p1", "Ada", 7)), now=0.0)
+    notes = []
+    for event in (
+        PeerAway(peer_id="p1"),
+        PeerBack(peer_id="p1"),
+        StreamMuted(stream=7, is_muted=True),
+        StreamMuted(stream=7, is_muted=False),
+        PeerAway(peer_id="nobody"),
+        StreamMuted(stream=99, is_muted=True),
+    ):
+        call.receive_event(event, now=0.1)
+        notes.append(call.faces(0.1)[0].note)
+    assert notes == ["connection lost", "", "muted by an admin", "", "", ""]

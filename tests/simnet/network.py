@@ -31,6 +31,7 @@ class Network:
         self._listeners: dict[int, ProtocolFactory] = {}
         self._connections: list[tuple[str, SimTransport, SimTransport]] = []
         self._unreachable: set[str] = set()
+        self._down_until_s: dict[str, float] = {}
 
     def route(self, host: str, *, up: Link | None = None, down: Link | None = None) -> None:
         """Say what the way to the server is like for those who connect to this host name."""
@@ -41,6 +42,12 @@ class Network:
         self._unreachable.add(host)
         for transport in self._transports(host):
             transport.cut()
+
+    def reset(self, host: str, down_s: float = 0.0) -> None:
+        """Break every connection on this route, both ends at once, and refuse new ones a while."""
+        self._down_until_s[host] = self._loop.time() + down_s
+        for transport in self._transports(host):
+            transport.abort()
 
     def stall(self, host: str, seconds: float) -> None:
         """Let nothing through on this route for a while; then all of it comes, in order."""
@@ -55,6 +62,8 @@ class Network:
         if host in self._unreachable:
             await asyncio.get_running_loop().create_future()  # nobody answers
         await asyncio.sleep(up.delay_s + down.delay_s)
+        if self._loop.time() < self._down_until_s.get(host, 0.0):
+            raise OSError(101, "Network is unreachable")
         listener = self._listeners.get(port)
         if listener is None:
             raise ConnectionRefusedError(f"nobody listens on port {port}")

@@ -30,6 +30,7 @@ from pica_protocol.messages import (
     Joined,
     KeyframeRequest,
     Peer,
+    PeerBack,
     PeerJoined,
     PeerLeft,
     Whisper,
@@ -129,6 +130,10 @@ class Guard:
             case PeerLeft(peer_id=peer_id):
                 self._keys.receive_peer_left(peer_id, now)
                 self._owners = {s: who for s, who in self._owners.items() if who != peer_id}
+            case PeerBack(peer_id=peer_id):
+                # Back on a new connection, it has forgotten its keys and ours.
+                self._keys.receive_peer_left(peer_id, now)
+                self._keys.receive_peer_joined(peer_id, now)
             case Closed():
                 self._keys.receive_closed(now)
                 self._owners.clear()

@@ -1,0 +1,150 @@
+"""Whole calls whose connections break: who comes back, with what, and what the others see."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pica_client.avatars import LoadedAvatars
+from pica_client.call import Call
+from pica_client.link import LinkConfig
+from pica_client.load import make_senders, run_senders
+from pica_client.receiver import Receiver
+from pica_client.seal.secret import RoomSecret, save_secret
+from pica_client.sender import SenderConfig
+from pica_server.config import RelayConfig
+from pica_server.relay import Relay
+from simnet.clock import current_network, in_virtual_time
+from toy import make_toy_avatar
+
+pytestmark = pytest.mark.call
+
+AVATARS = {"1" * 64: make_toy_avatar(seed=1)}
+RELAY = RelayConfig(port=8765, ping_interval_s=2, close_timeout_s=1)
+
+
+def config(host: str, name: str, secret_file: Path | None = None) -> LinkConfig:
+    return LinkConfig(url=f"ws://{host}:8765", room="kitchen", name=name, secret_file=secret_file)
+
+
+class Display:
+    """Looks at the face of the only sender, a hundred times a second."""
+
+    def __init__(self, call: Call) -> None:
+        self.call = call
+        self.seen: list[tuple[float, str, str]] = []
+        self.peer_ids: set[str] = set()
+        self.latent_jumps: list[float] = []
+
+    async def watch(self) -> None:
+        loop = asyncio.get_running_loop()
+        before = None
+        while True:
+            now = loop.time()
+            for face in self.call.faces(now):
+                self.seen.append((now, face.status, face.note))
+                self.peer_ids.add(face.peer_id)
+                if face.latent is not None:
+                    if before is not None:
+                        self.latent_jumps.append(float(np.abs(face.latent - before).max()))
+                    before = face.latent
+            await asyncio.sleep(0.01)
+
+    def statuses(self, begin_s: float, end_s: float) -> set[str]:
+        return {status for at_s, status, _ in self.seen if begin_s <= at_s < end_s}
+
+    def notes(self, begin_s: float, end_s: float) -> set[str]:
+        return {note for at_s, _, note in self.seen if begin_s <= at_s < end_s}
+
+
+async def break_calls(
+    broken: str, *, secret_file: Path | None = None, away_s: float = 0.0, seconds: float = 20.0
+) -> tuple[Display, dict[str, object], dict[str, object], dict[str, object]]:
+    """A sender and a receiver; the connection of one of them is reset at 8 s."""
+    network = current_network()
+    async with Relay(RELAY) as relay:
+        senders = make_senders(
+            [config("ada", "ada", secret_file)],
+            list(AVATARS.items()),
+            config=SenderConfig(seconds=seconds),
+        )
+        call = Call(LoadedAvatars(AVATARS))
+        viewer = config("viewer", "viewer", secret_file)
+        receiver = Receiver(viewer, call, rng=random.Random(1))
+        display = Display(call)
+        sending = asyncio.create_task(run_senders(senders))
+        receiving = asyncio.create_task(receiver.run())
+        watching = asyncio.create_task(display.watch())
+        await asyncio.sleep(4)
+        call.begin_window(asyncio.get_running_loop().time())
+        await asyncio.sleep(4)
+        network.reset(broken, away_s)
+        (sent,) = await sending
+        received = receiver.stats(asyncio.get_running_loop().time())
+        stats = relay.stats()
+        receiver.stop()
+        await receiving
+        watching.cancel()
+        await asyncio.gather(watching, return_exceptions=True)
+    return display, sent, received, stats
+
+
+@in_virtual_time
+async def test_a_sender_that_comes_back_has_its_old_seat_and_goes_on_within_a_second() -> None:
+    display, sent, received, stats = await break_calls("ada")
+    assert (sent["reconnects"], sent["resumes"]) == (1, 1)
+    assert len(display.peer_ids) == 1
+    assert stats["resumes"] == {"away": 1, "resumed": 1}
+    assert "connection lost" in display.notes(8.0, 9.0)
+    assert display.statuses(9.0, 19.0) == {"live"}
+    assert display.notes(9.0, 19.0) == {""}
+    (peer,) = received["peers"]  # type: ignore[misc, attr-defined]
+    assert peer["restarts"] == 0
+    assert peer["unreferenced"] == 0
+
+
+@in_virtual_time
+async def test_a_face_whose_sender_is_away_is_concealed_then_stale_then_live_in_its_seat() -> None:
+    display, sent, _, _ = await break_calls("ada", away_s=5.0)
+    assert sent["resumes"] == 1
+    assert len(display.peer_ids) == 1
+    assert display.statuses(8.1, 9.5) == {"concealed"}
+    assert display.statuses(10.5, 12.9) == {"stale"}
+    assert display.statuses(18.0, 19.0) == {"live"}
+
+
+@in_virtual_time
+async def test_a_sender_that_is_away_for_too_long_gets_a_new_seat() -> None:
+    display, sent, _, stats = await break_calls("ada", away_s=11.0, seconds=40.0)
+    assert (sent["reconnects"], sent["resumes"]) == (1, 0)
+    assert len(display.peer_ids) == 2
+    assert stats["resumes"] == {"away": 1, "unknown": 1}
+
+
+@in_virtual_time
+async def test_a_receiver_that_comes_back_keeps_its_seats_and_sees_everybody_at_once() -> None:
+    display, _, received, stats = await break_calls("viewer")
+    assert (received["reconnects"], received["resumes"]) == (1, 1)
+    assert len(display.peer_ids) == 1
+    assert stats["resumes"] == {"away": 1, "resumed": 1}
+    assert display.statuses(9.0, 19.0) == {"live"}
+
+
+@pytest.mark.parametrize("broken", ["ada", "viewer"])
+def test_an_encrypted_call_goes_on_after_a_break(broken: str, tmp_path: Path) -> None:
+    secret_file = tmp_path / "secret"
+    save_secret(secret_file, RoomSecret(bytes(range(32))))
+
+    @in_virtual_time
+    async def hold() -> None:
+        display, sent, received, _ = await break_calls(broken, secret_file=secret_file)
+        assert sent["resumes"] == (broken == "ada")
+        assert len(display.peer_ids) == 1
+        assert display.statuses(9.5, 19.0) == {"live"}
+        assert received["seal"]["forged"] == 0  # type: ignore[index]
+
+    hold()
