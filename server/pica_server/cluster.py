@@ -72,6 +72,8 @@ class Cluster:
     """
 
     node: ClusterNode
+    _client: Client
+    _store: ClusterStore
 
     def __init__(self, url: str, hub: Hub, capacity: int, on_news: Callable[[], None]) -> None:
         """Prepare.
@@ -86,7 +88,6 @@ class Cluster:
         self._hub = hub
         self._capacity = capacity
         self._on_news = on_news
-        self._client = Client()
         self._last_error = "nobody answers"
         self._run = secrets.token_hex(4)
         self._tasks: list[asyncio.Task[None]] = []
@@ -105,9 +106,8 @@ class Cluster:
         Raises:
             ClusterError: NATS does not answer, has no JetStream, or has no place left.
         """
+        self._client, self._store = await self._connect()
         try:
-            await self._connect()
-            self._store = await self._open_store()
             me, self._revision = await self._claim()
             self.node = ClusterNode(self._hub, me, self._capacity, self._now())
             await self._subscribe()
@@ -132,6 +132,7 @@ class Cluster:
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
+        self._tasks.clear()
         if self._media_timer is not None:
             self._media_timer.cancel()
         await self._client.close()
@@ -156,10 +157,13 @@ class Cluster:
         self._media_timer = None
         self._has_media.set()
 
-    async def _connect(self) -> None:
+    async def _connect(self) -> tuple[Client, ClusterStore]:
+        """Make a connection, and open the store over it."""
+        client = Client()
+        places = _places(self._urls)
         try:
             async with asyncio.timeout(CONNECT_S):
-                await self._client.connect(
+                await client.connect(
                     self._urls,
                     name="pica-relay",
                     error_cb=self._on_error,
@@ -173,19 +177,22 @@ class Cluster:
                     flush_timeout=REQUEST_S,
                 )
         except (TimeoutError, OSError, ValueError, nats.errors.Error) as error:
+            await client.close()
             trouble = self._last_error if isinstance(error, TimeoutError) else _words(error)
             raise ClusterError(
-                f"--cluster {_places(self._urls)}: {trouble}; start `nats-server -js` there, or "
-                "leave --cluster out"
+                f"--cluster {places}: {trouble}; start `nats-server -js` there, or leave --cluster "
+                "out"
             ) from error
-
-    async def _open_store(self) -> ClusterStore:
         try:
-            return await open_store(self._client, REQUEST_S)
+            return client, await open_store(client, REQUEST_S)
+        except ClusterError:
+            await client.close()
+            raise
         except (nats.errors.Error, TimeoutError) as error:
+            await client.close()
             raise ClusterError(
-                f"--cluster {_places(self._urls)}: no JetStream ({_words(error)}); start "
-                "nats-server with -js, or give this user access to it"
+                f"--cluster {places}: no JetStream ({_words(error)}); start nats-server with -js, "
+                "or give this user access to it"
             ) from error
 
     async def _claim(self) -> tuple[NodeId, int]:
@@ -249,7 +256,7 @@ class Cluster:
             self._on_news()
 
     async def _on_disconnected(self) -> None:
-        if not self._client.is_closed:
+        if self._tasks:
             _logger.warning("cluster connection lost")
 
     async def _on_reconnected(self) -> None:
@@ -269,6 +276,8 @@ class Cluster:
             self._must_renew.clear()
             sent_s = self._now()
             try:
+                if self._client.is_closed:
+                    await self._connect_anew()
                 revision = await self._store.renew(self.node.slot, self.node.name, self._revision)
                 if revision is None:
                     await self._begin_anew()
@@ -288,6 +297,16 @@ class Cluster:
         self._own.clear()
         self.node.restart(me, self._now())
         await self._subscribe()
+
+    async def _connect_anew(self) -> None:
+        """Replace a client that gave up: the library does when NATS refuses it, for whatever
+        reason and however short a time."""
+        self._client, self._store = await self._connect()
+        self._own.clear()
+        await self._subscribe()
+        for key in list(self._watched):
+            self._watched[key] = await self._follow(key)
+        self.node.receive_reconnected()
 
     async def _tick(self) -> None:
         while True:
@@ -314,12 +333,7 @@ class Cluster:
                     await self._client.publish(f"pica.node.{slot}", data)
             case Watch(key=key):
                 if key not in self._watched:
-                    self._watched[key] = await self._client.subscribe(
-                        f"pica.record.{key}",
-                        cb=self._on_record,
-                        pending_msgs_limit=_RECORD_LIMITS[0],
-                        pending_bytes_limit=_RECORD_LIMITS[1],
-                    )
+                    self._watched[key] = await self._follow(key)
             case Unwatch(key=key):
                 subscription = self._watched.pop(key, None)
                 if subscription is not None:
@@ -327,6 +341,14 @@ class Cluster:
             case Read() | Write():
                 # In this order: what is read is followed already, so no change is missed.
                 self._requests.put_nowait(command)
+
+    async def _follow(self, key: str) -> Subscription:
+        return await self._client.subscribe(
+            f"pica.record.{key}",
+            cb=self._on_record,
+            pending_msgs_limit=_RECORD_LIMITS[0],
+            pending_bytes_limit=_RECORD_LIMITS[1],
+        )
 
     async def _work(self) -> None:
         """Make requests, one after the other."""

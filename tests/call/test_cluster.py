@@ -356,6 +356,73 @@ def test_without_nats_rooms_are_local_and_say_so_and_what_was_split_heals_by_its
         server.stop()
 
 
+def test_a_nats_that_takes_nothing_more_holds_up_no_room(tmp_path: Path) -> None:
+    server = NatsServer(tmp_path)
+    server.start()
+
+    async def call(nodes: list[Node]) -> None:
+        async with (
+            person("ada", nodes[0], talks=True) as ada,
+            person("amy", nodes[0], talks=True) as amy,
+            person("bob", nodes[1], talks=True) as bob,
+        ):
+            await until(lambda: all(len(p.others) == 2 for p in (ada, amy, bob)))
+            for each in (ada, amy, bob):
+                each.payload_bytes = 1100
+            frozen = now()
+            server.freeze()
+            await asyncio.sleep(4.0)
+            report(f"longest gap in one node {gaps_ms([ada, amy], frozen, now())}")
+            assert (ada.left, amy.left, sorted(bob.left)) == (["bob"], ["bob"], ["ada", "amy"])
+            waiting = await asyncio.to_thread(nodes[0].number, "waiting_frames")
+            assert waiting < 10
+            server.thaw()
+            thawed = now()
+            await until(lambda: ada.sees("amy", "bob") and bob.sees("ada", "amy"))
+            count = len(bob.frames)
+            await until(lambda: len(bob.frames) > count + 20)
+            report(f"together again {now() - thawed:.1f} s after it went on")
+            assert [p.link.reconnects for p in (ada, amy, bob)] == [0, 0, 0]
+            assert ada.undecodable() == amy.undecodable() == bob.undecodable() == 0
+
+    try:
+        with running_nodes(2, server.url) as nodes:
+            asyncio.run(call(nodes))
+    finally:
+        server.thaw()
+        server.stop()
+
+
+def test_a_nats_that_refuses_its_nodes_for_a_while_gets_them_back(tmp_path: Path) -> None:
+    server = NatsServer(tmp_path / "store", config=tmp_path / "nats.conf")
+    server.start()
+
+    async def call(nodes: list[Node]) -> None:
+        async with (
+            person("ada", nodes[0], talks=True) as ada,
+            person("bob", nodes[1], talks=True) as bob,
+        ):
+            await until(lambda: ada.sees("bob") and bob.sees("ada"))
+            server.ask_for_password("new")
+            await until(lambda: ada.sees() and bob.sees())
+            server.stop()
+            server.let_everybody_in()
+            await asyncio.to_thread(server.start)
+            let_in = now()
+            await until(lambda: ada.sees("bob") and bob.sees("ada"))
+            count = len(ada.frames)
+            await until(lambda: len(ada.frames) > count + 20)
+            report(f"together again {now() - let_in:.1f} s after they were let in")
+            assert ada.link.reconnects == bob.link.reconnects == 0
+            assert ada.undecodable() == bob.undecodable() == 0
+
+    try:
+        with running_nodes(2, server.url) as nodes:
+            asyncio.run(call(nodes))
+    finally:
+        server.stop()
+
+
 def test_a_node_that_stops_in_good_order_takes_its_people_out_at_once(
     nats: NatsServer, shared_nodes: list[Node]
 ) -> None:

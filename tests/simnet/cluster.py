@@ -97,6 +97,7 @@ class Person:
         frames: When each frame came, and the frame.
         joined: The latest place they got.
         error: What the link gave up with.
+        payload_bytes: Of a frame when they talk, about.
     """
 
     def __init__(self, name: str, urls: list[str], *, room: str, publishes: bool) -> None:
@@ -108,6 +109,7 @@ class Person:
         self.joined: Joined | None = None
         self.error: Exception | None = None
         self.keyframe_requests = 0
+        self.payload_bytes = 40
         self._urls = urls
         self._attempts = 0
         self._needs_keyframe = True
@@ -161,7 +163,7 @@ class Person:
         start, number = loop.time(), 0
         while True:
             is_keyframe, self._needs_keyframe = self._needs_keyframe, False
-            self.say(b"%06d" % number + bytes(40), is_keyframe=is_keyframe)
+            self.say(b"%06d" % number + bytes(self.payload_bytes), is_keyframe=is_keyframe)
             number += 1
             await asyncio.sleep(max(start + number / FPS - loop.time(), 0))
 
