@@ -476,7 +476,8 @@ class ClientSession(_Session):
                 self.away.discard(peer_id)
                 return [message]
             case PeerAway(peer_id=peer_id):
-                self.away.add(peer_id)
+                if peer_id in self.peers:  # else a relay could fill our memory
+                    self.away.add(peer_id)
                 return [message]
             case PeerBack(peer_id=peer_id):
                 self.away.discard(peer_id)

@@ -456,6 +456,12 @@ def test_a_client_does_not_believe_in_more_peers_than_a_room_holds() -> None:
     assert client.closed.code == CloseCode.MALFORMED
 
 
+def test_nobody_is_away_who_was_never_there() -> None:
+    client = joined_client()
+    client.receive_data(encode_message(PeerAway(peer_id="nobody")), now=1.0)
+    assert client.away == set()
+
+
 def test_a_retry_is_worth_it_when_nobody_is_at_fault() -> None:
     assert is_worth_retrying(CloseCode.GOING_AWAY)
     assert is_worth_retrying(CloseCode.CONNECTION_LOST)
