@@ -546,17 +546,18 @@ class Hub:
 
     def _join(self, connection: Connection, join: Join, now: float) -> None:
         config = self._config
-        if self._joins is None:
-            self._joins = TokenBucket(config.limits.joins_per_s, config.limits.joins_burst, now)
-        if not self._joins.take(now):
-            self.stats.limits_hit["joins"] += 1
-            self.close(connection, CloseCode.BUSY, "too many join at once, try again", now)
-            return
+        # First of all: who has no token must not use up the joins of those who have one.
         try:
             admission = self._admit(join)
         except AdmissionError as error:
             self.stats.limits_hit["admission"] += 1
             self.close(connection, error.code, str(error), now)
+            return
+        if self._joins is None:
+            self._joins = TokenBucket(config.limits.joins_per_s, config.limits.joins_burst, now)
+        if not self._joins.take(now):
+            self.stats.limits_hit["joins"] += 1
+            self.close(connection, CloseCode.BUSY, "too many join at once, try again", now)
             return
         connection.is_resumable = join.resumable
         if join.resume and self._come_back(connection, join, admission, now):

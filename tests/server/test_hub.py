@@ -6,6 +6,7 @@ from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import (
     Bye,
+    Join,
     PeerJoined,
     PeerLeft,
     Report,
@@ -14,7 +15,9 @@ from pica_protocol.messages import (
 )
 from pica_protocol.session import State
 from pica_server.config import LimitsConfig, RelayConfig
+from pica_server.errors import AdmissionError
 from pica_server.hub import Hub
+from pica_server.tokens import Admission
 from server.members import Member, hub_with
 
 pytestmark = pytest.mark.unit
@@ -176,6 +179,19 @@ def test_more_joins_than_the_relay_takes_are_told_to_come_later() -> None:
     assert [closed_code(guest) for guest in guests] == [None] * 3 + [CloseCode.BUSY] * 2
     assert closed_code(Member(hub, "Later", now=2.0)) is None
     assert hub.stats.limits_hit == {"joins": 2}
+
+
+def test_who_may_not_join_does_not_use_up_the_joins_of_those_who_may() -> None:
+    def admit(join: Join) -> Admission:
+        if join.name != "Ada":
+            raise AdmissionError("no", CloseCode.UNAUTHORIZED)
+        return Admission()
+
+    limits = LimitsConfig(joins_per_s=1, joins_burst=1)
+    hub = Hub(RelayConfig(limits=limits), admit)
+    strangers = [Member(hub, f"Stranger {i}") for i in range(5)]
+    assert {closed_code(stranger) for stranger in strangers} == {CloseCode.UNAUTHORIZED}
+    assert closed_code(Member(hub, "Ada")) is None
 
 
 def test_one_address_has_a_limit_of_its_own_and_gets_its_places_back() -> None:
