@@ -80,6 +80,11 @@ class AvatarStore:
         """Bytes of all files that it knows of."""
         return sum(self._sizes.values())
 
+    @property
+    def num_free_bytes(self) -> int:
+        """Bytes that an offer may still have."""
+        return self.config.quota_bytes - self.used_bytes - self._reserved_bytes
+
     async def size(self, identity: str) -> int | None:
         """Return a file's size, or None if it is not there; asks the place, which others may share.
 
@@ -115,7 +120,7 @@ class AvatarStore:
             raise StoreFullError(f"{size} bytes, it takes no file above {config.largest_bytes}")
         if len(self._sizes) + self._num_reserved >= config.max_avatars:
             raise StoreFullError(f"it has {config.max_avatars} avatars, the most it may")
-        if self.used_bytes + self._reserved_bytes + size > config.quota_bytes:
+        if size > self.num_free_bytes:
             raise StoreFullError(f"its {config.quota_bytes} bytes are taken")
         self._reserved_bytes += size
         self._num_reserved += 1

@@ -21,8 +21,10 @@ class StoreConfig:
     """Files in the store; 4015 above it."""
     bytes_per_s: float = 16.0 * 2**20
     """Bytes a second of all transfers together, so that they do not delay the faces."""
+    grace_s: float = 10.0
+    """Seconds that every transfer may take."""
     slowest_bytes_per_s: float = 8192.0
-    """A transfer that takes longer than ten seconds and its size at this rate is cut."""
+    """A transfer that takes longer than that and its size at this rate is cut."""
     uploads: int = 8
     """At once; one more is told to come later (4009)."""
     uploads_per_address: int = 2
@@ -37,6 +39,7 @@ class StoreConfig:
         _check("largest-bytes", self.largest_bytes, 1024, 64 * 2**20)
         _check("max-avatars", self.max_avatars, 1, 1_000_000)
         _check("bytes-per-s", self.bytes_per_s, 1024, 1e12)
+        _check("grace-s", self.grace_s, 0.01, 600)
         _check("slowest-bytes-per-s", self.slowest_bytes_per_s, 1, 1e9)
         _check("uploads", self.uploads, 1, 10_000)
         _check("uploads-per-address", self.uploads_per_address, 1, 10_000)
@@ -45,7 +48,7 @@ class StoreConfig:
 
     def longest_s(self, size: int) -> float:
         """How long a transfer of ``size`` bytes may take."""
-        return 10.0 + size / self.slowest_bytes_per_s
+        return self.grace_s + size / self.slowest_bytes_per_s
 
 
 def _check(field: str, value: float, low: float, high: float) -> None:

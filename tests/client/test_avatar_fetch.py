@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import pytest
 
+from certificates import write_certificate
 from pica_client import avatar_download, avatar_fetch
 from pica_client.avatar_cache import AvatarCache, default_folder
 from pica_client.avatar_download import (
@@ -29,8 +30,9 @@ from pica_client.avatar_download import (
 from pica_client.avatar_fetch import AvatarFetcher
 from pica_client.avatar_push import AvatarGiver, Push, PushError, push_avatar
 from pica_client.avatars import AvatarLibrary
+from pica_client.dial import trusting
 from pica_client.errors import OptionError
-from pica_core.avatar_file import save_avatar
+from pica_core.avatar_file import avatar_id, save_avatar
 from pica_core.errors import AvatarFileError
 from store_peers import ask, fake_avatar, id_of, store_relay, upload
 from toy import make_toy_avatar
@@ -407,6 +409,24 @@ async def test_an_avatar_is_given_once_and_known_after_that(toy: AvatarFile) -> 
     assert (first.checked, second.checked) == ("structure", "")
     assert reply.body == toy.data
     assert ratios[-1] == 1
+
+
+@pytest.mark.asyncio
+async def test_under_tls_avatars_go_both_ways_for_who_trusts_the_relay(
+    toy: AvatarFile, tmp_path: Path
+) -> None:
+    cert = write_certificate(tmp_path)
+    config = {"tls_cert": cert, "tls_key": cert.with_suffix(".key")}
+    async with store_relay(config=config) as relay:
+        assert relay.url.startswith("wss://")
+        with pytest.raises(PushError):
+            await push_avatar(relay.url, push_of(toy.path))
+        await push_avatar(relay.url, push_of(toy.path, ca_file=cert))
+        with pytest.raises(DownloadError):
+            await asyncio.to_thread(download, relay.url, toy.identity, tmp_path / "untrusted")
+        got = tmp_path / "got"
+        await asyncio.to_thread(download, relay.url, toy.identity, got, tls=trusting(cert))
+        assert avatar_id(got) == toy.identity
 
 
 @pytest.mark.asyncio

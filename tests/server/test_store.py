@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from websockets.exceptions import ConnectionClosed
 
 from pica_client.avatars import shipped_avatar_files
@@ -307,6 +309,40 @@ async def test_who_does_not_speak_the_protocol_is_closed_with_a_code(
     assert left_in(tmp_path) == {f"{ID}.pica"}
 
 
+PIECES = st.sampled_from(
+    [OFFER, *chunks_of(FILE), b"\x03x", b"\x01\x80", encode_message(Bye(code=1000)), "text"]
+)
+
+
+@settings(max_examples=40)
+@given(st.lists(PIECES | st.binary(max_size=40), max_size=8))
+def test_whatever_is_said_to_the_store_ends_with_a_documented_code(
+    messages: list[bytes | str],
+) -> None:
+    documented = {
+        CloseCode.NORMAL,
+        CloseCode.MALFORMED,
+        CloseCode.UNEXPECTED_MESSAGE,
+        CloseCode.HANDSHAKE_TIMEOUT,
+        CloseCode.TOO_SLOW,
+        CloseCode.UNFIT_FILE,
+    }
+
+    async def say() -> None:
+        # Who says too little has it held against them soon.
+        config, limits = {"handshake_timeout_s": 0.3}, {"grace_s": 0.05}
+        async with store_relay(config=config, **limits) as relay:
+            assert (await talk(relay, messages)).code in documented
+            assert relay.store is not None
+            assert relay.store.used_bytes in (0, len(FILE))
+            assert (
+                relay.store.num_free_bytes + relay.store.used_bytes
+                == relay.store.config.quota_bytes
+            )
+
+    asyncio.run(say())
+
+
 @pytest.mark.asyncio
 @pytest.mark.parametrize(
     "path",
@@ -360,24 +396,20 @@ async def test_an_upload_that_breaks_off_leaves_nothing_and_gives_its_room_back(
 
 
 @pytest.mark.asyncio
-async def test_who_sends_too_slowly_or_nothing_is_closed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(StoreConfig, "longest_s", lambda self, size: 0.05)
-    async with store_relay(tmp_path, config={"handshake_timeout_s": 0.2}) as relay:
+async def test_who_sends_too_slowly_or_nothing_is_closed(tmp_path: Path) -> None:
+    limits = {"grace_s": 0.05, "slowest_bytes_per_s": 1e9}
+    async with store_relay(tmp_path, config={"handshake_timeout_s": 0.2}, **limits) as relay:
         assert (await talk(relay, [OFFER])).code == CloseCode.TOO_SLOW
         assert (await talk(relay, [])).code == CloseCode.HANDSHAKE_TIMEOUT
     assert left_in(tmp_path) == set()
 
 
 @pytest.mark.asyncio
-async def test_a_reader_that_stops_is_cut_and_its_place_is_free_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_reader_that_stops_is_cut_and_its_place_is_free_again(tmp_path: Path) -> None:
     large = fake_avatar(8_000_000)
-    async with store_relay(tmp_path, downloads=1, bytes_per_s=1e9) as relay:
+    limits = {"grace_s": 1.0, "slowest_bytes_per_s": 1e9}
+    async with store_relay(tmp_path, downloads=1, bytes_per_s=1e9, **limits) as relay:
         await upload(relay, large)
-        monkeypatch.setattr(StoreConfig, "longest_s", lambda self, size: 0.3)
         host, _, port = relay.url.removeprefix("ws://").rpartition(":")
         _, writer = await asyncio.open_connection(host, int(port), limit=1024)
         writer.write(f"GET /avatars/{id_of(large)} HTTP/1.1\r\nHost: x\r\n\r\n".encode())
