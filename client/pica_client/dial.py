@@ -29,12 +29,15 @@ MAX_QUEUED_MESSAGES: Final = 16
 """Websocket messages read ahead of us; then the network is told to wait."""
 
 
-async def open_websocket(url: str, ca_file: Path | None = None) -> ClientConnection:
+async def open_websocket(
+    url: str, ca_file: Path | None = None, *, subprotocol: str = SUBPROTOCOL
+) -> ClientConnection:
     """Open a websocket to a relay with our settings, small buffers among them.
 
     Args:
         url: Of the relay.
         ca_file: With wss://, certificates to trust instead of the system's.
+        subprotocol: What is to be spoken.
 
     Raises:
         OptionError: There are no certificates in the file.
@@ -42,7 +45,7 @@ async def open_websocket(url: str, ca_file: Path | None = None) -> ClientConnect
     host = urlsplit(url).hostname or ""
     websocket = await connect(
         url,
-        subprotocols=[SUBPROTOCOL],  # type: ignore[list-item]
+        subprotocols=[subprotocol],  # type: ignore[list-item]
         compression=None,
         max_size=MAX_CONTROL_BYTES,
         max_queue=MAX_QUEUED_MESSAGES,
@@ -53,7 +56,7 @@ async def open_websocket(url: str, ca_file: Path | None = None) -> ClientConnect
         ping_timeout=PING_TIMEOUT_S,
         close_timeout=CLOSE_TIMEOUT_S,
         open_timeout=5.0,
-        proxy=None if _is_loopback(host) else True,
+        proxy=None if is_loopback(host) else True,
         user_agent_header=SOFTWARE,
         **_tls(url, ca_file),
     )
@@ -71,15 +74,24 @@ async def open_websocket(url: str, ca_file: Path | None = None) -> ClientConnect
 def _tls(url: str, ca_file: Path | None) -> dict[str, Any]:
     if ca_file is None or not url.startswith("wss://"):
         return {}
+    return {"ssl": trusting(ca_file)}
+
+
+def trusting(ca_file: Path) -> ssl.SSLContext:
+    """What trusts the certificates of a file, and no others.
+
+    Raises:
+        OptionError: There are none in it.
+    """
     try:
-        return {"ssl": ssl.create_default_context(cafile=ca_file)}
+        return ssl.create_default_context(cafile=ca_file)
     except ssl.SSLError as error:
         raise OptionError(f"ca-file {ca_file}: it holds no certificate in PEM format") from error
     except OSError as error:
         raise OptionError(f"ca-file {ca_file}: {error.strerror}") from error
 
 
-def _is_loopback(host: str) -> bool:
+def is_loopback(host: str) -> bool:
     """Whether a proxy from the environment must not get in the way."""
     try:
         return ipaddress.ip_address(host).is_loopback
