@@ -47,7 +47,7 @@ from pica_client.bench_relay_processes import (
 )
 from pica_client.bench_relay_swarm import DRAIN_S, STEP_US, SwarmConfig
 from pica_client.errors import CallProcessError, OptionError
-from pica_client.processes import Children
+from pica_client.processes import Child, Children
 from pica_client.stats import describe_machine
 
 SETTLE_S: Final = 1.5
@@ -235,6 +235,16 @@ class Load:
             cpu = (cpu_after - cpu_before) / (at_after - at_before)
         return self._figures(rooms, seconds, answers, metrics, cpu)
 
+    def begin_farewell(self, timeout_s: float) -> None:
+        """Let the peers go on until the relay has closed them."""
+        for swarm in self._swarms:
+            swarm.order(do="farewell", timeout_s=timeout_s)
+
+    def end_farewell(self, timeout_s: float) -> tuple[int, dict[str, int]]:
+        """Return how many are still there, and with which codes the others were closed."""
+        answers = [swarm.answer(timeout_s + PATIENCE_S) for swarm in self._swarms]
+        return sum(answer["live"] for answer in answers), _codes(answers)
+
     def leave(self) -> None:
         """End the swarms."""
         self._workers.stop(self._swarms)
@@ -338,6 +348,18 @@ def relay_target(
     if config.url is not None:
         yield Target(url=config.url, has_metrics=bool(relay_metrics(config.url)))
         return
+    relay, target = start_relay(config, children, limits)
+    try:
+        yield target
+    finally:
+        relay.let_go()
+        relay.wait(time.monotonic() + START_TIMEOUT_S)
+
+
+def start_relay(
+    config: RelayBenchConfig, children: Children, limits: Sequence[str] = NO_LIMITS
+) -> tuple[Child, Target]:
+    """Start a relay with room for the load, on a core of its own."""
     connections = config.most_rooms * config.peers + 64
     relay, url = children.start_relay(
         *("--max-connections", str(connections)),
@@ -347,11 +369,7 @@ def relay_target(
     )
     core, _ = share_cores()
     pin(relay.pid, core)
-    try:
-        yield Target(url=url, pid=relay.pid, has_metrics=True)
-    finally:
-        relay.let_go()
-        relay.wait(time.monotonic() + START_TIMEOUT_S)
+    return relay, Target(url=url, pid=relay.pid, has_metrics=True)
 
 
 @contextmanager

@@ -41,6 +41,9 @@ class BenchRelayOptions:
     hostile: str = ""
     """Measure the rooms beside somebody who behaves badly: all, or some of stopped-reader,
     slow-reader, flood, slow-loris, half-open, large-messages, bombs, connects."""
+    soak: float = 0.0
+    """Keep the load up for so many minutes, tell memory and latency of each, then stop the relay
+    and see whether a control message is lost."""
     relay_arguments: str = ""
     """Further arguments of the relay that is started: --relay-arguments="--port 8765"."""
     seed: int = 0
@@ -54,6 +57,7 @@ def bench_relay(options: BenchRelayOptions) -> dict[str, Any]:
     """
     from pica_client.bench_relay import RelayBenchConfig, run_relay_bench
     from pica_client.bench_relay_hostile import HostileConfig, parse_kinds, run_hostile_bench
+    from pica_client.bench_relay_soak import SoakConfig, run_soak
 
     config = RelayBenchConfig(
         url=options.url,
@@ -74,6 +78,8 @@ def bench_relay(options: BenchRelayOptions) -> dict[str, Any]:
         if options.hostile:
             kinds = tuple(parse_kinds(options.hostile))
             return run_hostile_bench(HostileConfig(load=config, kinds=kinds))
+        if options.soak:
+            return run_soak(SoakConfig(load=config, minutes=options.soak))
         result = run_relay_bench(config)
     if capacity := result.get("capacity"):
         most = "" if capacity["is_limit"] else " or more"

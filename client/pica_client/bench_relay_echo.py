@@ -62,7 +62,7 @@ class _Echo:
                     self._session.accept(Joined(room=event.room, peer_id="p1", tracks=tracks))
                     self.is_joined = True
             for answer in self._session.messages_to_send(time.monotonic()):
-                self.sock.sendall(bytes((0x82, len(answer))) + answer)
+                self.sock.sendall(_framed(answer))
 
 
 def main() -> None:
@@ -102,12 +102,17 @@ def _echo(sock: socket.socket, data: bytes, copies: int, per_message: int) -> No
     while len(data) > _HEAD_BYTES:
         end = 6 + (data[1] & 0x7F)
         body = b"\x02" + data[_HEAD_BYTES:end] * per_message
-        size = len(body)
-        message = bytes((0x82, size) if size < 126 else (0x82, 126, size >> 8, size & 0xFF)) + body
+        message = _framed(body)
         with contextlib.suppress(OSError):
             for _ in range(copies // per_message):
                 sock.send(message)
         data = data[end:]
+
+
+def _framed(body: bytes) -> bytes:
+    """Put a binary message of less than 64 KiB into websocket form."""
+    size = len(body)
+    return bytes((0x82, size) if size < 126 else (0x82, 126, size >> 8, size & 0xFF)) + body
 
 
 if __name__ == "__main__":

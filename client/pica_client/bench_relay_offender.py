@@ -75,8 +75,8 @@ class Intruder:
         while self.code is None and not self._protocol.events_received():
             self._read()
 
-    def join(self, room: str) -> int:
-        """Come into a room; return the stream of our track, 0 if we are not let in."""
+    def join(self, room: str) -> Joined | None:
+        """Come into a room; None if we are not let in."""
         track = Track(kind="load")
         now = time.monotonic()
         session = ClientSession(room=room, name="intruder", tracks=(track,), now=now)
@@ -86,8 +86,8 @@ class Intruder:
             for message in self.received():
                 for event in session.receive_data(message, time.monotonic()):
                     if isinstance(event, Joined):
-                        return event.tracks[0].stream
-        return 0
+                        return event
+        return None
 
     def send(self, message: bytes) -> None:
         """Send a binary message, however long, for as long as anybody listens."""
@@ -184,14 +184,14 @@ def flood(url: str, room: str, end_s: float) -> dict[str, Any]:
     codes: list[int | None] = []
     while time.monotonic() < end_s:
         intruder = Intruder(url)
-        stream = intruder.join(room)
+        joined = intruder.join(room)
         intruder.sock.setblocking(True)
         begin_s, num_sent = time.monotonic(), 0
-        while stream and intruder.code is None and time.monotonic() < end_s:
+        while joined and intruder.code is None and time.monotonic() < end_s:
             while num_sent < (time.monotonic() - begin_s) * FLOOD_FPS and intruder.code is None:
                 # Captured at 0, so that nobody takes these for frames of the load.
                 frame = Frame(
-                    stream=stream,
+                    stream=joined.tracks[0].stream,
                     sequence=num_sent % 65_536,
                     captured_us=0,
                     payload=bytes(6),

@@ -1,0 +1,90 @@
+"""The load generator against real relays: what can be counted, never how fast it was."""
+
+import os
+
+import pytest
+
+from pica_client.bench_relay import Load, RelayBenchConfig, relay_target, run_relay_bench
+from pica_client.bench_relay_processes import Workers, memory_bytes, relay_metrics
+from pica_client.bench_relay_soak import SoakConfig, run_soak
+from pica_client.processes import Children
+
+pytestmark = pytest.mark.realtime
+
+if os.name == "nt":
+    pytest.skip("the load generator waits on pipes and sockets together", allow_module_level=True)
+
+KEYS = {
+    *("rooms", "peers", "fps", "seconds", "delivered_per_s", "forward_ms", "dropped"),
+    *("relay_cpu_s_per_1000", "bytes_per_connection", "errors"),
+}
+QUICK = ("--stall-timeout-s", "1", "--handshake-timeout-s", "1", "--close-timeout-s", "0.5")
+OFFENCE_S = 4.0
+MAX_GROWTH_BYTES = 32_000_000
+"""Of a relay's memory by all offenders together: 225 connections with full queues, and to spare."""
+
+
+def test_everybody_gets_every_frame_from_relay_naive_relay_and_echo() -> None:
+    config = RelayBenchConfig(rooms=2, seconds=1.0, compare=("naive", "echo"))
+    result = run_relay_bench(config)
+    assert result.keys() >= KEYS
+    for row in (result, *result["compare"].values()):
+        assert row["connections"] == 10
+        assert row["sent_per_s"] == pytest.approx(300, rel=0.1)
+        assert (row["missing"], row["errors"]) == (0, 0)
+    assert result["dropped"] == 0
+
+
+def test_offenders_get_their_close_codes_and_healthy_rooms_every_frame() -> None:
+    kinds = ("stopped-reader", "flood", "slow-loris", "half-open", "large-messages", "bombs")
+    config = RelayBenchConfig(rooms=3, seconds=3.0, relay_arguments=QUICK)
+    with Workers() as workers, Children() as children, relay_target(config, children) as target:
+        assert target.pid is not None
+        load = Load(config, target, workers)
+        load.connect(config.rooms)
+        before = memory_bytes(target.pid) or 0
+        offenders = {
+            kind: workers.start(
+                "bench_relay_offender", kind, target.url, load.first_room, str(OFFENCE_S)
+            )
+            for kind in kinds
+        }
+        beside = load.measure(config.rooms, config.seconds)
+        reports = {kind: worker.answer(30.0) for kind, worker in offenders.items()}
+        metrics = relay_metrics(target.url)
+        peak = memory_bytes(target.pid, "VmHWM") or 0
+        load.leave()
+    assert (beside["missing"], beside["errors"]) == (0, 0)
+    assert metrics['pica_closed_total{code="4005"}'] == 1  # it reads nothing, not even this
+    assert reports["flood"]["codes"]["4008"] >= 1
+    assert reports["slow-loris"]["cut"] == reports["slow-loris"]["attempts"]
+    assert reports["half-open"]["cut"] == reports["half-open"]["attempts"]
+    assert set(reports["half-open"]["websockets"]) == {"4003"}
+    assert set(reports["large-messages"]["codes"]) == {"1009"}
+    assert set(reports["bombs"]["codes"]) == {"4000"}
+    assert peak - before < MAX_GROWTH_BYTES
+
+
+def test_a_slow_reader_stays_while_it_reads_and_costs_nobody_else_a_frame() -> None:
+    config = RelayBenchConfig(rooms=2, seconds=2.0)
+    with Workers() as workers, Children() as children, relay_target(config, children) as target:
+        load = Load(config, target, workers)
+        load.connect(config.rooms)
+        slow = workers.start(
+            "bench_relay_offender", "slow-reader", target.url, load.first_room, "4"
+        )
+        beside = load.measure(config.rooms, config.seconds)
+        report = slow.answer(30.0)
+        load.leave()
+    assert report["codes"] == {"none": 1}
+    assert report["read_bytes"] > 0
+    assert beside["missing"] == 0
+
+
+def test_a_stopped_relay_loses_no_control_message_and_sends_everybody_away() -> None:
+    result = run_soak(SoakConfig(load=RelayBenchConfig(rooms=4), minutes=0.05))
+    drain = result["drain"]
+    assert drain["close_codes"] == {"1001": 20}
+    assert drain["whispers_passed"] >= 1
+    assert (drain["lost_control"], drain["still_open"]) == (0, 0)
+    assert len(result["soak"]) == 3
