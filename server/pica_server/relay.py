@@ -126,7 +126,7 @@ class Relay:
         self._fed: set[Connection] = set()
         self._soon: asyncio.Handle | None = None
         self._watch = LoopWatch()
-        self._pages = StatusPages(self.hub, self._watch, config)
+        self._pages = StatusPages(self.hub, self._watch, config, self.store)
         self._watching: asyncio.TimerHandle | None = None
         self._held: WaitingLine[Connection] = WaitingLine()
         self._release: asyncio.TimerHandle | None = None

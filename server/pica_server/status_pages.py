@@ -1,7 +1,7 @@
 """What the relay answers to plain HTTP: is it alive, is there a place, its numbers. Pure."""
 
 from http import HTTPStatus
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from pica_server.config import RelayConfig
 from pica_server.hub import Hub
@@ -17,13 +17,39 @@ class Page(NamedTuple):
     content_type: str = "text/plain; charset=utf-8"
 
 
+class StoreNumbers(Protocol):
+    """What is told of an avatar store."""
+
+    @property
+    def num_avatars(self) -> int:
+        """Files in it."""
+        ...
+
+    @property
+    def used_bytes(self) -> int:
+        """Of all files."""
+        ...
+
+    @property
+    def num_free_bytes(self) -> int:
+        """Left of its quota."""
+        ...
+
+
 class StatusPages:
     """The pages of one relay."""
 
-    def __init__(self, hub: Hub, watch: LoopWatch, config: RelayConfig) -> None:
+    def __init__(
+        self,
+        hub: Hub,
+        watch: LoopWatch,
+        config: RelayConfig,
+        store: StoreNumbers | None = None,
+    ) -> None:
         self._hub = hub
         self._watch = watch
         self._config = config
+        self._store = store
 
     def answer(self, path: str, *, is_local: bool, now: float) -> Page | None:
         """Return the page of a path, or None if there is none.
@@ -59,9 +85,14 @@ class StatusPages:
         cluster = hub.neighbours
         num_nodes = 0 if cluster is None else cluster.num_nodes
         is_up = cluster is not None and not cluster.trouble
+        store = self._store
+        used_bytes, num_free_bytes = (store.used_bytes, store.num_free_bytes) if store else (0, 0)
         return metrics_text(
             hub.stats,
             {
+                "avatars": ("Files in the avatar store.", store.num_avatars if store else 0),
+                "avatar_store_bytes": ("Bytes of those files.", used_bytes),
+                "avatar_store_free_bytes": ("Left of the store's quota.", num_free_bytes),
                 "cluster_up": ("1 while rooms are shared with other nodes.", float(is_up)),
                 "cluster_nodes": ("Nodes of the cluster that live, with this one.", num_nodes),
                 "open_connections": ("Connections that are open now.", hub.num_connections),
