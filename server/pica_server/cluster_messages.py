@@ -216,7 +216,7 @@ def decode_node_message(data: bytes) -> NodeMessage:
         if kind == "whisper":
             room, sender, body = rest
             check_token("sender", _text(sender))
-            whisper = decode_message(body)
+            whisper = decode_message(_bytes(body))
             if isinstance(whisper, Whisper):
                 return Passed(_text(room), sender, whisper)
     except (ValueError, TypeError, AttributeError, ProtocolError) as error:
@@ -279,7 +279,7 @@ def _read_member(item: Any) -> Member:
     try:
         node, identity, body = item
         slot_of(_text(node))
-        arrival = decode_message(body)
+        arrival = decode_message(_bytes(body))
         if not isinstance(arrival, PeerJoined):
             raise ValueError("no peer")
         return Member(node, arrival.peer, _text(identity))
@@ -296,6 +296,12 @@ def _texts(value: object) -> dict[str, str]:
 def _text(value: object) -> str:
     if not isinstance(value, str):
         raise ClusterMessageError("a field that should be text")
+    return value
+
+
+def _bytes(value: object) -> bytes:
+    if not isinstance(value, bytes):
+        raise ClusterMessageError("a field that should be bytes")
     return value
 
 

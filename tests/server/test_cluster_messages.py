@@ -14,6 +14,8 @@ NO_MESSAGES = {
     "a timestamp out of range": b"\x91\xc7\x0c\xff" + b"\xff" * 12,
     "lists in lists": b"\x91" * 5000,
     "a list of four thousand million": b"\xdd\xff\xff\xff\xff",
+    "a member who is no bytes": b"\x94\x01\xa30-a\x91\x93\xa30-a\xa0\x80\x80",
+    "a whisper that is no bytes": b"\x94\xa7whisper\xa1r\xa2p1\x80",
     "no text": b"\x91\xa3\xff\xfe\xfd",
 }
 
