@@ -21,6 +21,7 @@ TARGETS: Final[Mapping[str, Target]] = {
     "client session": targets.client_session,
     "crowded client": targets.crowded_client,
     "stream queue": targets.stream_queue,
+    "ordered queue": targets.ordered_queue,
     "hub": relay_targets.hub,
     "tokens": relay_targets.tokens,
     "sealed frames": seal_targets.sealed_frames,

@@ -17,11 +17,16 @@ from pica_protocol.messages import (
     KeyframeRequest,
     Leave,
     Peer,
+    PeerAway,
+    PeerBack,
     PeerJoined,
     PeerLeft,
+    PeerUpdated,
     Report,
+    StreamMuted,
     StreamReport,
     Track,
+    UpdateMetadata,
     Want,
     Welcome,
     Whisper,
@@ -36,6 +41,7 @@ GOLDEN_BYTES: Final[dict[str, bytes]] = {
 
 CORPUS: Final = [data for name, data in GOLDEN_BYTES.items() if not name.startswith("invalid")]
 FACE: Final = Track(kind="face")
+VOICE: Final = Track(kind="voice", policy="ordered", deadline_ms=100)
 
 
 def media(rng: random.Random, stream: int, *, num_frames: int = 1, sequence: int = 0) -> bytes:
@@ -59,12 +65,20 @@ def to_relay(rng: random.Random, *, room: str = "lobby", stream: int = 1) -> lis
     """Return what a client may send from its first message to its last."""
     sequence = [
         encode_message(Hello(software="fuzz")),
-        encode_message(Join(room=room, name="Eve", tracks=(FACE,) * rng.randrange(5))),
+        encode_message(
+            Join(
+                room=room,
+                name="Eve",
+                tracks=tuple(rng.choices((FACE, VOICE), k=rng.randrange(5))),
+                resumable=rng.random() < 0.5,
+            )
+        ),
     ]
     others = [
         encode_message(Want(stream=rng.randrange(1, 6), layer=rng.choice((None, 0, 1, 2)))),
         encode_message(KeyframeRequest(stream=rng.randrange(1, 6))),
         encode_message(Whisper(peer_id=f"p{rng.randrange(1, 6)}", data=rng.randbytes(20))),
+        encode_message(UpdateMetadata(metadata=(("hand", rng.choice(("up", "down"))),))),
         encode_message(Report(streams=(StreamReport(stream=1, received=9, lost=1),))),
         media(rng, stream),
         media(rng, stream, num_frames=3),
@@ -87,6 +101,10 @@ def to_client(rng: random.Random, tracks: tuple[Track, ...] = (FACE,)) -> list[b
     others = [
         encode_message(PeerJoined(peer=bob)),
         encode_message(PeerLeft(peer_id=rng.choice(("p1", "p3")), reason="left")),
+        encode_message(PeerAway(peer_id=rng.choice(("p1", "p3")))),
+        encode_message(PeerBack(peer_id=rng.choice(("p1", "p3")))),
+        encode_message(PeerUpdated(peer_id="p1", metadata=(("hand", "up"),))),
+        encode_message(StreamMuted(stream=rng.choice((1, 10)), is_muted=rng.random() < 0.5)),
         encode_message(KeyframeRequest(stream=10)),
         encode_message(Whisper(peer_id="p1", data=rng.randbytes(68))),
         media(rng, 1),

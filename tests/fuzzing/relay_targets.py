@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import jwt
 
-from fuzzing.corpus import CORPUS, FACE, media, to_relay
+from fuzzing.corpus import CORPUS, FACE, VOICE, media, to_relay
 from fuzzing.meter import Meter
 from fuzzing.mutator import INTEGERS, TEXTS, Mutator
 from fuzzing.targets import expect, refusal
@@ -79,7 +79,17 @@ class _Healthy:
 def hub(rng: random.Random, meter: Meter) -> None:
     """Hostile connections in the room of two healthy peers, and beside it."""
     has_keys = rng.random() < 0.5
-    relay = Hub(_CONFIG, (lambda join: admit(KEYS, join, now=NOW_UNIX)) if has_keys else None)
+    secrets: list[str] = []
+
+    def new_secret() -> str:
+        secrets.append(f"{rng.getrandbits(128):032x}")
+        return secrets[-1]
+
+    relay = Hub(
+        _CONFIG,
+        (lambda join: admit(KEYS, join, now=NOW_UNIX)) if has_keys else None,
+        new_secret=new_secret,
+    )
     now = 100.0
     ada, bob = (_Healthy(relay, name, _token(name), now) for name in ("ada", "bob"))
     ada.listen(now)
@@ -92,7 +102,7 @@ def hub(rng: random.Random, meter: Meter) -> None:
             connection = meter.call(relay.connect, now, rng.choice(("", "192.0.2.7")))
             _note(connection, meter, was_open=True)
             hostile.append(connection)
-            plans[connection] = _plan(rng, has_keys, stream=rng.randrange(1, 9))
+            plans[connection] = _plan(rng, has_keys, secrets, stream=rng.randrange(1, 9))
         if hostile:
             connection = rng.choice(hostile)
             plan = plans[connection]
@@ -109,6 +119,8 @@ def hub(rng: random.Random, meter: Meter) -> None:
             elif rng.random() < 0.3:
                 while (parcel := relay.take(connection, now)) is not None:
                     relay.sent(connection, parcel, now)
+        if rng.random() < 0.05:
+            _administer(rng, relay, now)
         if step % 8 == 0:
             for healthy in (ada, bob):
                 healthy.session.send_frame(bytes([step]), captured_us=step, is_keyframe=True)
@@ -131,14 +143,37 @@ def hub(rng: random.Random, meter: Meter) -> None:
         relay.disconnect(healthy.connection, CloseCode.NORMAL, "", now)
     for connection in hostile:
         relay.disconnect(connection, CloseCode.CONNECTION_LOST, "", now)
+    expect(relay.num_connections == 0, "connections that nobody has:", relay.num_connections)
+    relay.handle_timer(now + _CONFIG.resume_grace_s + 1)
     left = (relay.num_connections, relay.num_rooms, relay.num_waiting_frames)
     expect(left == (0, 0, 0), "not everything was cleared up:", left)
 
 
-def _plan(rng: random.Random, has_keys: bool, stream: int) -> list[bytes]:
+def _administer(rng: random.Random, relay: Hub, now: float) -> None:
+    """Do to the room of strangers alone what an admin may do."""
+    peers = [peer.peer_id for room in relay.rooms if room.name == "attic" for peer in room.peers]
+    match rng.randrange(4):
+        case 0:
+            relay.close_room("attic", now)
+        case 1:
+            relay.remove("attic", rng.choice([*peers, "p1"]), bar=rng.random() < 0.5, now=now)
+        case _:
+            relay.mute("attic", rng.randrange(1, 9), is_muted=rng.random() < 0.5, now=now)
+
+
+def _plan(rng: random.Random, has_keys: bool, secrets: list[str], stream: int) -> list[bytes]:
     room = rng.choice(("lobby", "lobby", "attic"))
+    # Its own, one that was good once, or somebody else's.
+    resume = rng.choice(secrets) if secrets and rng.random() < 0.5 else ""
     token = _token(f"eve{rng.randrange(3)}", room) if has_keys and rng.random() < 0.9 else ""
-    join = Join(room=room, name="Eve", tracks=(FACE,) * rng.choice((0, 1, 1, 4)), token=token)
+    join = Join(
+        room=room,
+        name="Eve",
+        tracks=rng.choice(((), (FACE,), (FACE,), (FACE, VOICE), (VOICE,) * 4)),
+        token=token,
+        resumable=rng.random() < 0.7,
+        resume=resume,
+    )
     plan = [encode_message(Hello()), encode_message(join)]
     return plan + to_relay(rng, room=room, stream=stream)[2:]
 

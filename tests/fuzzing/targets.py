@@ -16,6 +16,7 @@ from typing import Final
 from fuzzing.corpus import CORPUS, FACE, media, shuffled, to_client, to_relay
 from fuzzing.meter import Meter, Violation
 from fuzzing.mutator import Mutator
+from pica_protocol import ordered_queue as ordered
 from pica_protocol.codec import decode_message, encode_message
 from pica_protocol.errors import CloseCode, RemoteProtocolError
 from pica_protocol.frames import HEADER_BYTES, decode_media, encode_frame, scan_frames
@@ -25,7 +26,8 @@ from pica_protocol.limits import (
     MAX_FRAME_BYTES,
     MAX_PEERS,
 )
-from pica_protocol.messages import Bye, Join, Joined, Peer, PeerJoined, Track
+from pica_protocol.messages import Bye, Join, Joined, Peer, PeerAway, PeerJoined, Track
+from pica_protocol.ordered_queue import MAX_WAITING_FRAMES, OrderedQueue
 from pica_protocol.session import (
     MAX_QUEUED_MESSAGES,
     ClientSession,
@@ -143,6 +145,7 @@ def client_session(rng: random.Random, meter: Meter) -> None:
             expect(not events, "events after the end:", events)
             break
         expect(len(session.peers) <= MAX_PEERS, "more peers than a room holds:", session.peers)
+        expect(len(session.away) <= MAX_PEERS, "more are away than were there:", session.away)
         if session.can_queue and tracks and rng.random() < 0.3:
             session.send_frame(rng.randbytes(30), captured_us=int(now * 1e6), is_keyframe=True)
             session.want(3, 1)
@@ -163,10 +166,12 @@ def crowded_client(rng: random.Random, meter: Meter) -> None:
         session.receive_data(data, 0.0)
     for number in range(MAX_PEERS + 2):
         before = session.state
+        meter.call(session.receive_data, encode_message(PeerAway(peer_id=f"y{number}")), 0.0)
         peer = Peer(peer_id=f"x{number}", name="X", tracks=(Track(kind="face", stream=number + 1),))
         meter.call(session.receive_data, encode_message(PeerJoined(peer=peer)), 0.0)
         _note_session(session, meter, before)
-        expect(len(session.peers) <= MAX_PEERS, "more peers than a room holds:", number)
+        many = max(len(session.peers), len(session.away))
+        expect(many <= MAX_PEERS, "more peers than a room holds:", number)
 
 
 def stream_queue(rng: random.Random, meter: Meter) -> None:
@@ -213,6 +218,41 @@ def stream_queue(rng: random.Random, meter: Meter) -> None:
     rest = queue.take(1 << 30)
     expect(queue.num_bytes == 0 and len(queue) == 0, "something is left of an empty queue")
     expect(got + len(rest) <= given + 120 * 96, "frames out of nothing")
+
+
+def ordered_queue(rng: random.Random, meter: Meter) -> None:
+    """The queue of an ordered stream: bounded, in order, nothing in it for long."""
+    drops: Counter[str] = Counter()
+    deadline_s = rng.choice((0.001, 0.1, 10.0))
+    queue = OrderedQueue(drops, deadline_s)
+    now, given, got, unwanted = 0.0, 0, 0, 0
+    for number in range(400):
+        now += rng.choice((0.0, 0.0, 0.02, 0.2))
+        match rng.randrange(14):
+            case 0:
+                unwanted += queue.want(rng.choice((None, 0, 1, 7)))
+            case 1:
+                queue.resume([], is_whole=rng.random() < 0.5, now=now)
+            case 2:
+                queue.expire(now)
+                budget = rng.choice((0, 100, 1200, 16_383))
+                taken = meter.call(queue.take, budget)
+                got += len(taken)
+                expect(sum(len(item.frame) for item in taken) <= budget, "more than fits")
+                sequences = [int.from_bytes(item.frame[2:4]) for item in taken]
+                expect(sequences == sorted(sequences), "out of order:", sequences)
+                is_late = any(now - item.received_s > deadline_s for item in taken)
+                expect(not is_late, "later than its deadline:", now)
+            case _:
+                frame = b"\x00\x01" + number.to_bytes(2) + bytes(rng.choice((12, 40, 1196)))
+                fate = meter.call(queue.put, frame, rng.choice((0, 0, 1)), rng.random() < 0.5, now)
+                given += fate is Put.WAITS
+                meter.note("accepted" if fate is Put.WAITS else f"refused {fate.name}")
+        expect(len(queue) <= MAX_WAITING_FRAMES, "too many frames wait:", len(queue))
+        is_fit = 0 <= queue.num_bytes <= ordered.MAX_WAITING_BYTES
+        expect(is_fit, "too many bytes wait, or fewer than none:", queue.num_bytes)
+    got += len(queue.take(1 << 30))
+    expect(given == got + unwanted + drops.total(), "frames are lost count of:", given, drops)
 
 
 def _note_session(session: ClientSession | ServerSession, meter: Meter, before: State) -> None:
