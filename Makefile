@@ -12,6 +12,7 @@ demo: .venv/.ready-demo
 
 test: .venv/.ready-test
 	@sh scripts/system_libraries.sh
+	@sh scripts/system_libraries.sh --nats
 	@$(MAKE) --no-print-directory lint types imports extras pytest
 
 lint: .venv/.ready-test

@@ -4,6 +4,7 @@
     view    every module of `pica_client` imports, and torch and cryptography are not installed;
             those of `pica_client.seal` alone need the extra seal
     seal    with it, a sender's install imports them too
+    cluster with it, and without numpy, the relay's way to NATS imports
 
 The environments are temporary; wheels come from pip's cache when it has them.
 """
@@ -68,9 +69,11 @@ def check_relay(folder: Path) -> None:
 
 
 IMPORT_MODULES = """
-import importlib, pkgutil, sys, pica_client
+import importlib, pkgutil, sys
 inside, left_out = sys.argv[1], sys.argv[2:]
-names = [m.name for m in pkgutil.walk_packages(pica_client.__path__, "pica_client.")]
+name = inside.partition(".")[0]
+package = importlib.import_module(name)
+names = [m.name for m in pkgutil.walk_packages(package.__path__, name + ".")]
 names = [n for n in names if n.startswith(inside) and not n.startswith(tuple(left_out))]
 [importlib.import_module(n) for n in names]
 print(len(names), "modules of", inside, "import")
@@ -98,9 +101,16 @@ def check_seal(folder: Path) -> None:
     print(f"seal: {import_modules(python, 'pica_client.seal')}")
 
 
+def check_cluster(folder: Path) -> None:
+    """A relay's install has its way to NATS with the extra cluster."""
+    python = make_environment(folder, "cluster")
+    assert_absent(python, "numpy", "torch")
+    print(f"cluster: {import_modules(python, 'pica_server.cluster')}")
+
+
 def main() -> None:
     """Check each in its own temporary folder."""
-    for check in (check_relay, check_client, check_seal):
+    for check in (check_relay, check_client, check_seal, check_cluster):
         with tempfile.TemporaryDirectory(prefix="pica-extras-") as folder:
             check(Path(folder))
 

@@ -1,5 +1,6 @@
 #!/bin/sh
-# Makes sure of what pip cannot bring: OpenGL through EGL, and (with --venv PYTHON) the venv module.
+# Makes sure of what pip cannot bring: OpenGL through EGL, with --venv PYTHON the venv module, with
+# --nats the NATS server that the tests of a cluster start for themselves.
 # Installs through apt-get when that is allowed, else prints the exact line and stops.
 set -eu
 
@@ -7,6 +8,10 @@ packages=""
 if [ "${1:-}" = "--venv" ]; then
     if ! "$2" -c 'import ensurepip, venv' 2>/dev/null; then
         packages="$("$2" -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])')"
+    fi
+elif [ "${1:-}" = "--nats" ]; then
+    if ! command -v nats-server >/dev/null && [ ! -x /usr/sbin/nats-server ]; then
+        packages="nats-server"
     fi
 elif [ "$(uname -s)" = "Linux" ]; then
     libraries=$( (ldconfig -p || /sbin/ldconfig -p) 2>/dev/null || true)
@@ -40,3 +45,7 @@ echo "Installing $packages" >&2
 $as_root apt-get update -qq
 # shellcheck disable=SC2086  # a list of words is meant
 DEBIAN_FRONTEND=noninteractive $as_root apt-get install -y -qq --no-install-recommends $packages >&2
+if [ "$packages" = "nats-server" ] && [ -d /run/systemd/system ]; then
+    # The package starts one as a service; the tests need the program alone.
+    $as_root systemctl disable --now nats-server >&2 || true
+fi
