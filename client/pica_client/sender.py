@@ -172,11 +172,11 @@ class Sender:
                 self._stream.restart()
                 self._own_streams = tuple(track.stream for track in tracks)
                 self._is_muted = False  # we are told again if it is so
+                if self._on_joined is not None:
+                    self._on_joined()
             case StreamMuted(stream=stream, is_muted=is_muted) if stream in self._own_streams:
                 self._is_muted = is_muted
                 _log.warning("muted by an admin" if is_muted else "not muted any more")
-                if self._on_joined is not None:
-                    self._on_joined()
             case _:
                 pass
 
