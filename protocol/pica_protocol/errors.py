@@ -25,7 +25,8 @@ class CloseCode(IntEnum):
     INVALID_TEXT = 1007
     """A text message, or a close reason, that is no UTF-8; sent by the websocket layer itself."""
     MESSAGE_TOO_BIG = 1009
-    """A websocket message above the limit, or in too many fragments; sent by the websocket layer itself."""
+    """A websocket message above the limit, or in too many fragments; sent by the websocket layer
+    itself."""
     INTERNAL_ERROR = 1011
     """A fault of the relay, or a peer that stopped answering pings."""
     MALFORMED = 4000
