@@ -15,11 +15,13 @@ from collections.abc import Callable
 from chart_calls import chart_impaired_call
 from chart_codec import chart_codec
 from chart_playout import chart_playout
+from chart_relay import chart_relay
 
 CHARTS: dict[str, Callable[[], None]] = {
     "playout": chart_playout,
     "impaired-call": chart_impaired_call,
     "codec": chart_codec,
+    "relay": chart_relay,
 }
 
 

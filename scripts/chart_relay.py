@@ -1,0 +1,197 @@
+"""What a relay carries: latency, throughput and cost against the number of rooms; bad company; long
+runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import matplotlib.pyplot as plt
+from charting import (
+    RESULTS,
+    Line,
+    Row,
+    fill_in,
+    markdown_table,
+    plain_ticks,
+    read_lines,
+    save,
+    source_line,
+)
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+PAGE = RESULTS / "relay.md"
+STYLE: dict[str, dict[str, Any]] = {
+    "relay": {"label": "pica relay", "color": "#0072B2", "marker": "o"},
+    "naive": {"label": "naive, same library", "color": "#D55E00", "marker": "s"},
+    "naive-uvloop": {"label": "naive, with uvloop", "color": "#E69F00", "marker": "^"},
+    "echo": {"label": "echo: the generator's limit", "color": "#777777", "marker": "."},
+}
+
+
+def chart_relay() -> None:
+    """The newest line for each number of rooms, the newest soak and the newest bad company."""
+    lines = read_lines("relay")
+    loads = {line["result"]["rooms"]: line for line in lines if "forward_ms" in line["result"]}
+    if loads:
+        ordered = [loads[rooms] for rooms in sorted(loads)]
+        save(_draw_load(ordered), "relay")
+        fill_in(PAGE, "relay-load", _load_table(ordered))
+    for key, draw in (("hostile", _fill_hostile), ("soak", _draw_soak)):
+        newest = [line for line in lines if key in line["result"]]
+        if newest:
+            draw(newest[-1])
+
+
+def _series(lines: Sequence[Line]) -> dict[str, list[Row]]:
+    """Rows by server, in the order of the rooms."""
+    series: dict[str, list[Row]] = {}
+    for line in lines:
+        result = line["result"]
+        for name, row in {"relay": result, **result["compare"]}.items():
+            series.setdefault(name, []).append(row)
+    return series
+
+
+def _draw_load(lines: Sequence[Line]) -> Figure:
+    figure, axes = plt.subplots(3, 1, figsize=(6.4, 7.6), sharex=True, layout="constrained")
+    delivered, latency, cost = axes
+    for name, rows in _series(lines).items():
+        rooms = [row["rooms"] for row in rows]
+        style = STYLE[name]
+        delivered.plot(rooms, [row["delivered_per_s"] / 1e3 for row in rows], **style)
+        latency.plot(rooms, [row["forward_ms"]["p99"] for row in rows], **style)
+        if name != "echo":
+            _plot_known(cost, rows, lambda row: row["relay_cpu_s_per_1000"], style)
+    result = lines[-1]["result"]
+    delivered.set_ylabel("delivered, 1,000 frames/s")
+    delivered.legend(frameon=False, fontsize=8)
+    latency.set_yscale("log")
+    plain_ticks(latency.yaxis)
+    latency.axhline(10, color="#333333", linewidth=0.8, linestyle=":")
+    latency.annotate(
+        "10 ms", (1, 10), xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=8
+    )
+    latency.set_ylabel("forwarding p99, ms\n(send call to receive call)")
+    cost.set_ylabel("processor time for\n1,000 frames delivered, s")
+    cost.set_ylim(bottom=0)
+    cost.set_xlabel(f"rooms of {result['peers']} at {result['fps']:g} frames/s each")
+    figure.suptitle("One relay process on one core, the load on the other", fontsize=10)
+    figure.supxlabel(source_line(lines[-1]), fontsize=6, color="#555555")
+    return figure
+
+
+def _plot_known(
+    axis: Axes, rows: Sequence[Row], value: Callable[[Row], float | None], style: dict[str, Any]
+) -> None:
+    known = [(row["rooms"], value(row)) for row in rows if value(row) is not None]
+    axis.plot([rooms for rooms, _ in known], [cost for _, cost in known], **style)
+
+
+def _load_table(lines: Sequence[Line]) -> str:
+    header = (
+        *("rooms", "server", "delivered/s", "p50 / p99, ms", "missing", "dropped"),
+        *("core busy", "s per 1,000", "frames/message", "bytes/connection"),
+    )
+    rows = []
+    for line in lines:
+        result = line["result"]
+        for name, row in {"relay": result, **result["compare"]}.items():
+            forward, busy = row["forward_ms"], row["relay_cpu_ratio"]
+            rows.append(
+                (
+                    row["rooms"] if name == "relay" else "",
+                    STYLE[name]["label"],
+                    f"{row['delivered_per_s']:,.0f}",
+                    f"{_ms(forward['p50'])} / {_ms(forward['p99'])}",
+                    row["missing"],
+                    row["dropped"] if name == "relay" else None,
+                    None if busy is None else f"{busy:.0%}",
+                    row["relay_cpu_s_per_1000"],
+                    row["frames_per_message"],
+                    row["bytes_per_connection"],
+                )
+            )
+    capacities = [line for line in lines if "capacity" in line["result"]]
+    text = markdown_table(header, rows)
+    if capacities:
+        servers = {
+            "relay": capacities[-1]["result"],
+            **capacities[-1]["result"]["compare"],
+        }
+        found = [
+            f"{STYLE[name]['label']} {row['capacity']['rooms']}"
+            + ("" if row["capacity"]["is_limit"] else " or more")
+            for name, row in servers.items()
+        ]
+        bar = capacities[-1]["result"]["capacity"]["bar_ms"]
+        text += f"\n\nMost rooms with p99 within {bar:g} ms: {', '.join(found)}."
+    return f"{text}\n\n{source_line(lines[-1])}"
+
+
+def _ms(value: float | None) -> str:
+    return "–" if value is None else f"{value:.1f}"
+
+
+def _fill_hostile(line: Line) -> None:
+    """What changes for healthy rooms beside each offender."""
+    result = line["result"]
+    header = (
+        *("offender", "p99 before / beside, ms", "change", "frames missing"),
+        *("relay's peak, MB", "relay closed", "offender saw"),
+    )
+    rows = [
+        (
+            row["kind"],
+            f"{_ms(row['before']['forward_ms']['p99'])} / {_ms(row['beside']['forward_ms']['p99'])}",
+            None if row["p99_change"] is None else f"{row['p99_change']:+.0%}",
+            row["beside"]["missing"],
+            f"{row['relay_peak_bytes'] / 1e6:.1f}",
+            _codes(row["relay_closed"]),
+            _codes(row["offender"]["codes"])
+            + (f", {row['offender']['cut']} cut" if "cut" in row["offender"] else ""),
+        )
+        for row in result["hostile"]
+    ]
+    load = f"{result['rooms']} healthy rooms of {result['peers']} at {result['fps']:g} frames/s"
+    text = f"{load}.\n\n{markdown_table(header, rows)}\n\n{source_line(line)}"
+    fill_in(PAGE, "relay-hostile", text)
+
+
+def _codes(codes: dict[str, int]) -> str:
+    return ", ".join(f"{count} × {code}" for code, count in codes.items()) or "–"
+
+
+def _draw_soak(line: Line) -> None:
+    """Memory and latency over time."""
+    result = line["result"]
+    rows: list[Row] = result["soak"]
+    minutes = [(index + 1) * result["minutes"] / len(rows) for index in range(len(rows))]
+    figure, (memory, latency) = plt.subplots(
+        2, 1, figsize=(6.4, 4.2), sharex=True, layout="constrained"
+    )
+    memory.plot(minutes, [row["relay_bytes"] / 1e6 for row in rows], ".-", color="#0072B2")
+    memory.set_ylabel("relay's memory, MB")
+    memory.set_ylim(bottom=0)
+    for percent, color in (("p50", "#56B4E9"), ("p99", "#0072B2")):
+        values = [row["forward_ms"][percent] for row in rows]
+        latency.plot(minutes, values, ".-", color=color, label=percent)
+    latency.set_ylabel("forwarding, ms")
+    latency.set_ylim(bottom=0)
+    latency.legend(frameon=False, fontsize=8)
+    latency.set_xlabel("minutes")
+    figure.suptitle(f"{result['rooms']} rooms of {result['peers']} for long", fontsize=10)
+    figure.supxlabel(source_line(line), fontsize=6, color="#555555")
+    save(figure, "relay-soak")
+    drain = result["drain"]
+    fill_in(
+        PAGE,
+        "relay-soak",
+        f"{result['minutes']:g} minutes, {result['rooms']} rooms of {result['peers']}: memory "
+        f"{result['memory_growth']:+.1%}, p99 {result['p99_growth']:+.1%} from the first third to "
+        f"the last. Then SIGTERM: {drain['connections']} connections closed in "
+        f"{drain['seconds']:g} s ({_codes(drain['close_codes'])}), {drain['whispers_passed']} "
+        f"whispers passed on in that time, {drain['lost_control']} control messages lost.\n\n"
+        f"{source_line(line)}",
+    )
