@@ -209,10 +209,14 @@ class RelaySocket(ServerConnection):
     @property
     def is_writable(self) -> bool:
         """Whether `write` may be called: the kernel has taken all that was written before."""
-        return self.state is State.OPEN and not self.transport.get_write_buffer_size()
+        return self.state is State.OPEN and self._has_written_all()
 
     def write(self, message: bytes) -> bool:
-        """Write a binary message; return whether the kernel took it whole. If not, ``drain``."""
+        """Write a binary message; return whether the kernel took it whole. If not, ``drain``.
+
+        Also after a write that failed: more of them before the loop tells us of the end would put a
+        line each into the log of asyncio.
+        """
         size = len(message)
         if size < _SHORT_BYTES:
             header = bytes((_WHOLE_BINARY, size))
@@ -221,4 +225,7 @@ class RelaySocket(ServerConnection):
         else:
             header = bytes((_WHOLE_BINARY, _SHORT_BYTES + 1)) + size.to_bytes(8, "big")
         self.transport.write(header + message)
-        return not self.transport.get_write_buffer_size()
+        return self._has_written_all()
+
+    def _has_written_all(self) -> bool:
+        return not (self.transport.get_write_buffer_size() or self.transport.is_closing())

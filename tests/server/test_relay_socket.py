@@ -2,10 +2,14 @@
 
 import asyncio
 import random
+from typing import cast
 
 import pytest
+from websockets.asyncio.server import Server
 from websockets.frames import Frame as WebsocketFrame
 from websockets.frames import Opcode
+from websockets.protocol import State
+from websockets.server import ServerProtocol
 
 from pica_protocol.errors import CloseCode
 from pica_protocol.frames import Frame, encode_frame, media_message
@@ -13,12 +17,31 @@ from pica_protocol.messages import PeerJoined, PeerLeft
 from pica_protocol.session import ClientSession, Closed
 from pica_server.config import RelayConfig
 from pica_server.relay import Relay
+from pica_server.relay_socket import RelaySocket
 from simnet.clock import in_virtual_time
 from simnet.peers import WirePeer, now, open_websocket, peer_in_room
 
 pytestmark = pytest.mark.call
 
 URL = "ws://relay:8765"
+
+
+class DeadTransport(asyncio.Transport):
+    """Of a socket whose other end has gone: the first write finds out, and asyncio will say so in
+    the next turn of the loop."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.num_writes = 0
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        self.num_writes += 1
+
+    def is_closing(self) -> bool:
+        return self.num_writes > 0
+
+    def get_write_buffer_size(self) -> int:
+        return 0
 
 
 def websocket_bytes(data: bytes, *, opcode: Opcode = Opcode.BINARY, fin: bool = True) -> bytes:
@@ -196,3 +219,13 @@ async def test_a_request_that_grows_and_grows_is_cut_before_it_is_large() -> Non
             await asyncio.sleep(0.01)
         assert relay.hub.stats.limits_hit["request"]
         assert transport.is_closing()
+
+
+@in_virtual_time
+async def test_a_socket_that_has_died_is_written_to_once_and_not_for_each_message() -> None:
+    websocket = RelaySocket(ServerProtocol(state=State.OPEN), cast(Server, None))
+    websocket.transport = transport = DeadTransport()
+    assert websocket.is_writable
+    assert not websocket.write(b"news")
+    assert not websocket.is_writable
+    assert transport.num_writes == 1
