@@ -275,7 +275,7 @@ class Hub:
         roomless = [each for each in self._connections.values() if each.room is None]
         self._send_elsewhere(roomless, now)
         offsets_s = departures(
-            [len(room) for room in self._rooms.values()],
+            [len(self._connected(room)) for room in self._rooms.values()],
             per_s=config.limits.joins_per_s,
             burst=config.limits.joins_burst,
             longest_s=config.drain_s,
