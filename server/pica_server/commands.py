@@ -1,13 +1,14 @@
 """``pica relay``: run a relay until it is told to stop."""
 
 import asyncio
+import io
 import logging
 import os
 import signal
 import sys
 import time
 from collections.abc import Awaitable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, redirect_stderr
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -24,6 +25,7 @@ from pica_server.settings import (
     Effective,
     as_plain,
     as_toml,
+    one_line,
     read_options,
     without_user,
 )
@@ -66,9 +68,16 @@ class RelayOptions:
         """
 
         def read_words(defaults: Self) -> Self:
-            return tyro.cli(
-                cls, prog=prog, args=list(words), description=description, default=defaults
-            )
+            said = io.StringIO()
+            try:
+                with redirect_stderr(said):
+                    return tyro.cli(
+                        cls, prog=prog, args=list(words), description=description, default=defaults
+                    )
+            except SystemExit as end:
+                if end.code != 2:
+                    raise  # help was asked for
+                raise ConfigurationError(one_line(said.getvalue())) from None
 
         options, effective = read_options(
             cls, read_words, words, os.environ, prefix=ENVIRONMENT_PREFIX

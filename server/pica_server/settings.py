@@ -363,6 +363,15 @@ def _hint(name: str, known: list[str]) -> str:
     return "; `pica relay --print-config` lists them"
 
 
+def one_line(box: str) -> str:
+    """Return what the parser of the command line says in a box of many lines."""
+    lines = [line.strip("│╭╮╰╯ ") for line in box.splitlines()]
+    parts = " ".join(line for line in lines[1:] if line).split("───")
+    text = parts[0].strip(" ─.") or "bad usage"
+    near = re.search(r"Perhaps you meant:\s+(--[a-z0-9.-]+)", " ".join(lines))
+    return text + (f"; did you mean {near[1]}?" if near else "; `--help` lists all options")
+
+
 def without_user(text: str) -> str:
     """Hide user and password in an address."""
     return _USER_IN_URL.sub(f"{_HIDDEN}@", text)

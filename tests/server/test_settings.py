@@ -270,3 +270,20 @@ def test_a_relay_reads_its_settings_from_all_three(
     options = RelayOptions.parse(words, prog="pica relay", description="")
     limits = LimitsConfig(handshakes=9, burst_s=4)
     assert options.config == replace(RelayConfig(), port=1234, room_capacity=5, limits=limits)
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["--port", "many"], "Error parsing --port: invalid literal for int"),
+        (["--prot", "5"], "Unrecognized options: --prot, 5; did you mean --port?"),
+        (["--log", "xml"], "invalid choice 'xml' for argument '--log'. Expected one of "),
+        (["--port"], "Missing value for argument '--port'"),
+        (["noise"], "Unrecognized options: noise; `--help` lists all options"),
+    ],
+)
+def test_what_the_command_line_says_wrong_is_one_line(words: list[str], complaint: str) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        RelayOptions.parse(words, prog="pica relay", description="")
+    assert str(caught.value).startswith(complaint)
+    assert "\n" not in str(caught.value)
