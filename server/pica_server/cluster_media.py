@@ -122,6 +122,7 @@ class Exchange:
             epoch: Higher than any that this node used for this room before.
         """
         self.is_lossy = False
+        self._is_stale = False
         self._room_key = room_key
         self._me = me
         self._epoch = epoch
@@ -136,7 +137,10 @@ class Exchange:
 
     def receive_header(self, header: MediaHeader) -> bool:
         """Say whether the frames behind this header may be taken."""
-        if header.epoch != self._epoch or self.is_lossy:
+        if header.epoch != self._epoch:
+            self._is_stale = True  # either under way, or the sender has not heard of the new one
+            return False
+        if self.is_lossy:
             return False
         expected = self._expected.get(header.slot, 0)
         if header.number != expected:
@@ -162,7 +166,9 @@ class Exchange:
 
     def is_due(self, now: float) -> bool:
         """Say whether ``announce`` has something to say although nothing has happened."""
-        return self.is_lossy or now - self._announced_s >= ANNOUNCE_S
+        age_s = now - self._announced_s
+        is_unheard = self._is_stale and age_s >= EPOCH_INTERVAL_S
+        return self.is_lossy or is_unheard or age_s >= ANNOUNCE_S
 
     def announce(
         self, layers: Mapping[int, int], revision: int, nodes: Iterable[str], epoch: int, now: float
@@ -181,7 +187,7 @@ class Exchange:
         self._answers &= nodes
         for node in [n for n in self._heard if n not in nodes]:
             del self._heard[node]
-        is_due = layers != self.layers or now - self._announced_s >= ANNOUNCE_S
+        is_due = layers != self.layers or (self.is_due(now) and not self.is_lossy)
         if self.is_lossy and now - self._epoch_s >= EPOCH_INTERVAL_S:
             self.is_lossy = False
             self._epoch, self._epoch_s = epoch, now
@@ -189,7 +195,7 @@ class Exchange:
             is_due = True
         receivers = nodes if is_due else (nodes - self._told) | self._answers
         if is_due:
-            self.layers, self._announced_s = dict(layers), now
+            self.layers, self._announced_s, self._is_stale = dict(layers), now, False
         if not receivers:
             return []
         self._number += 1

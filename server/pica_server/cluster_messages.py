@@ -4,9 +4,11 @@ All of it travels on NATS, which only nodes may use; it is checked all the same,
 read is dropped and counted. Rooms are named by a hash, so that no name stands in a subject, and an
 identity is kept as a hash. A record holds the names that peers show each other.
 
-    record    version, writer, members: (node, identity, PeerJoined as on the wire), farewells
+    record    version, writer, members: (node, identity, PeerJoined as on the wire, away, muted),
+              farewells, barred identities
     interest  which streams of the receiving node the sending node wants, up to which layer
     ask       a keyframe is wanted of a stream of the receiving node
+    order     an admin wants something of the receiving node
     whisper   opaque bytes for a peer of the receiving node
     media     16-byte header, then a media message as on the websocket: kind 2 and frames
 """
@@ -77,6 +79,10 @@ class Member:
     peer: Peer
     identity: str = ""
     """Hash of who it is for sure, or empty."""
+    is_away: bool = False
+    """Its connection is lost, and it may come back."""
+    muted: tuple[int, ...] = ()
+    """Its streams that an admin has stopped."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +94,8 @@ class Record:
     """Why those have gone who were in the record before this one: peer id to a word."""
     writer: str = ""
     """The node that wrote it."""
+    barred: tuple[str, ...] = ()
+    """Hashes of identities that an admin keeps out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +126,17 @@ class Ask:
 
 
 @dataclass(frozen=True, slots=True)
+class Order:
+    """An admin wants something done on another node."""
+
+    room: str
+    what: str
+    """``remove`` or ``bar`` a peer, ``mute`` or ``unmute`` a stream, ``close`` the room."""
+    target: str
+    """The peer id, or the number of the stream."""
+
+
+@dataclass(frozen=True, slots=True)
 class Passed:
     """A whisper on its way to the node of its receiver."""
 
@@ -126,7 +145,7 @@ class Passed:
     whisper: Whisper
 
 
-NodeMessage = Interest | Ask | Passed
+NodeMessage = Interest | Ask | Order | Passed
 
 
 class MediaHeader(NamedTuple):
@@ -155,9 +174,11 @@ def identity_key(identity: str) -> str:
 def encode_record(record: Record) -> bytes:
     """Return a record as it is kept."""
     members = [
-        [m.node, m.identity, encode_message(PeerJoined(peer=m.peer))] for m in record.members
+        [m.node, m.identity, encode_message(PeerJoined(peer=m.peer)), m.is_away, list(m.muted)]
+        for m in record.members
     ]
-    return _pack([VERSION, record.writer, members, dict(record.farewells)])
+    barred = list(record.barred)
+    return _pack([VERSION, record.writer, members, dict(record.farewells), barred])
 
 
 def decode_record(data: bytes) -> Record:
@@ -168,13 +189,15 @@ def decode_record(data: bytes) -> Record:
     """
     if not data:
         return Record()
-    version, writer, members, farewells = _unpack(data, MAX_RECORD_BYTES, 4)
+    version, writer, members, farewells, barred = _unpack(data, MAX_RECORD_BYTES, 5)
     if version != VERSION:
         raise ClusterMessageError("record of another version: run the same release on all nodes")
-    if not isinstance(members, list):
+    if not isinstance(members, list) or not isinstance(barred, list):
         raise ClusterMessageError("malformed members of a record")
     slot_of(_text(writer))
-    return Record(tuple(map(_read_member, members)), _texts(farewells), writer)
+    return Record(
+        tuple(map(_read_member, members)), _texts(farewells), writer, tuple(map(_text, barred))
+    )
 
 
 def encode_node_message(message: NodeMessage) -> bytes:
@@ -186,6 +209,8 @@ def encode_node_message(message: NodeMessage) -> bytes:
             return _pack(["interest", message.room, message.node, message.number, flags, layers])
         case Ask():
             return _pack(["ask", message.room, message.stream, message.why])
+        case Order():
+            return _pack(["order", message.room, message.what, message.target])
         case Passed(room=room, sender=sender, whisper=whisper):
             return _pack(["whisper", room, sender, encode_message(whisper)])
 
@@ -213,6 +238,9 @@ def decode_node_message(data: bytes) -> NodeMessage:
         if kind == "ask":
             room, stream, why = rest
             return Ask(_text(room), _count(stream, MAX_STREAM), _text(why))
+        if kind == "order":
+            room, what, target = rest
+            return Order(_text(room), _text(what), _text(target))
         if kind == "whisper":
             room, sender, body = rest
             check_token("sender", _text(sender))
@@ -277,12 +305,13 @@ def _refuse_extension(code: int, _data: bytes) -> object:
 
 def _read_member(item: Any) -> Member:
     try:
-        node, identity, body = item
+        node, identity, body, is_away, muted = item
         slot_of(_text(node))
         arrival = decode_message(_bytes(body))
         if not isinstance(arrival, PeerJoined):
             raise ValueError("no peer")
-        return Member(node, arrival.peer, _text(identity))
+        streams = tuple(_count(stream, MAX_STREAM) for stream in muted)
+        return Member(node, arrival.peer, _text(identity), bool(is_away), streams)
     except (ValueError, TypeError, ProtocolError) as error:
         raise ClusterMessageError("malformed member of a record") from error
 

@@ -20,8 +20,10 @@ from pica_server.cluster_messages import (
     STREAMS_PER_SLOT,
     Ask,
     Interest,
+    Member,
     NodeId,
     NodeMessage,
+    Order,
     Passed,
     decode_media_header,
     decode_node_message,
@@ -34,6 +36,7 @@ from pica_server.cluster_room import (
     Admitted,
     Answer,
     Arrived,
+    Changed,
     Departed,
     Heard,
     Refused,
@@ -180,6 +183,37 @@ class ClusterNode:
             place.connection = connection
         self.note_wishes(room)
 
+    def note_member(self, room: Room, peer_id: str) -> None:
+        """Note that something is different about a peer; see `Neighbours`."""
+        place = self._places.get(peer_id)
+        if place is not None:
+            peer = room.peer(peer_id)
+            place.shared.update(peer, is_away=peer_id in room.away, muted=room.muted_of(peer_id))
+            self._dirty[place.shared.key] = None
+
+    def bar(self, room: Room, identity: str) -> None:
+        """Keep an identity out everywhere; see `Neighbours`."""
+        shared = self._rooms.get(room_key(room.name))
+        if shared is not None and identity:
+            shared.bar(identity_key(identity))
+            self._dirty[shared.key] = None
+
+    def order(self, room: Room, what: str, target: str) -> None:
+        """Have something done elsewhere; see `Neighbours`."""
+        key = room_key(room.name)
+        shared = self._rooms.get(key)
+        if shared is None:
+            return
+        if what == "close":
+            nodes = shared.nodes
+        elif what in ("mute", "unmute"):
+            stream = room.stream(int(target))
+            nodes = set() if stream is None else {room.node_of(stream.publisher)}
+        else:
+            nodes = {room.node_of(target)}
+        for node in sorted(nodes):
+            self._tell(node, Order(key, what, target))
+
     def note_wishes(self, room: Room) -> None:
         """Look at what the peers here want; see `Neighbours`."""
         self._dirty[room_key(room.name)] = None
@@ -273,6 +307,8 @@ class ClusterNode:
             case Ask(stream=stream, why=why):
                 if not room.is_remote(stream):
                     self._hub.ask_for_keyframe(room, stream, why, now)
+            case Order():
+                self._obey(room, message, now)
             case Passed(sender=sender, whisper=whisper):
                 if room.node_of(sender):
                     self._hub.pass_whisper(room, sender, whisper, now)
@@ -373,17 +409,22 @@ class ClusterNode:
                     self._dirty[shared.key] = None
                 else:
                     self._hub.enter(place.connection, shared.name, peer, place.admission, now)
-            case Refused(peer_id=peer_id):
+            case Refused(peer_id=peer_id, is_barred=is_barred):
                 place = self._places.get(peer_id)
-                if place is not None:
+                if place is not None and is_barred:
+                    self._hub.refuse_barred(place.connection, now)
+                elif place is not None:
                     self._hub.refuse(place.connection, shared.name, now)
             case Replaced(peer_id=peer_id):
                 place = self._places.get(peer_id)
                 if place is not None:
                     reason = "you have joined again from elsewhere"
                     self._hub.close(place.connection, CloseCode.REPLACED, reason, now)
-            case Arrived(node=node, peer=peer):
-                self._hub.arrive(shared.name, node, peer, now)
+            case Arrived(member=member):
+                self._hub.arrive(shared.name, member.node, member.peer, now)
+                self._hub.follow(shared.name, Member(member.node, member.peer), member, now)
+            case Changed(before=before, member=member):
+                self._hub.follow(shared.name, before, member, now)
             case Departed(peer_id=peer_id, reason=reason):
                 self._hub.depart(shared.name, peer_id, reason, now)
             case Heard(node=node):
@@ -435,6 +476,19 @@ class ClusterNode:
         for number, _ in list(room.streams):
             if not room.is_remote(number) and link.want(number, interest.layers.get(number)):
                 self._hub.resume_link(room, link, number, now)
+
+    def _obey(self, room: Room, order: Order, now: float) -> None:
+        """Do what an admin wants who has asked another node."""
+        match order.what:
+            case "close":
+                self._hub.close_room(room.name, now, everywhere=False)
+            case "mute" | "unmute" if order.target.isdigit():
+                number, is_muted = int(order.target), order.what == "mute"
+                if room.stream(number) is not None and not room.is_remote(number):
+                    self._hub.mute(room.name, number, is_muted=is_muted, now=now)
+            case "remove" | "bar" if order.target in room and not room.node_of(order.target):
+                is_bar = order.what == "bar"
+                self._hub.remove(room.name, order.target, bar=is_bar, now=now)
 
     def _look(self, now: float) -> None:
         """See who lives, and what this node is; bring rooms up to date that depend on it."""

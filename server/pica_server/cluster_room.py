@@ -27,7 +27,7 @@ enough have gone.
     LOCAL       forgotten  ignored      decide by who is here, show nobody else
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from pica_protocol.messages import Peer
@@ -49,6 +49,8 @@ REWRITE_S: Final = 6 * 3600.0
 """A record that nobody changes is written anew after that: one that nobody writes for four times as
 long is garbage of nodes that died, and the store clears it away."""
 _MAX_FAREWELLS: Final = 64
+MAX_BARRED: Final = 64
+"""Identities that are kept out of one room; one more lets the oldest in again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,14 +113,23 @@ class Refused:
     """There is no place for somebody."""
 
     peer_id: str
+    is_barred: bool = False
+    """Whether an admin keeps them out, and not others."""
 
 
 @dataclass(frozen=True, slots=True)
 class Arrived:
     """A peer of another node is in the room."""
 
-    node: str
-    peer: Peer
+    member: Member
+
+
+@dataclass(frozen=True, slots=True)
+class Changed:
+    """Something is different about a peer of another node."""
+
+    before: Member
+    member: Member
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +154,7 @@ class Heard:
     node: str
 
 
-RoomEvent = Admitted | Refused | Arrived | Departed | Replaced | Heard
+RoomEvent = Admitted | Refused | Arrived | Changed | Departed | Replaced | Heard
 
 
 class SharedRoom:
@@ -166,6 +177,7 @@ class SharedRoom:
         self._since_s: dict[str, float] = {}  # when who is pending came
         self._shown: dict[str, Member] = {}
         self._farewells: dict[str, str] = {}
+        self._bars: dict[str, None] = {}
         self._record: Record | None = None
         self._last_words: dict[str, str] = {}
         self._learned_s = 0.0
@@ -225,6 +237,20 @@ class SharedRoom:
             self._note_farewell(peer_id, reason)
         if not self._own:
             self._shown.clear()
+            self._bars.clear()
+
+    def update(self, peer: Peer, *, is_away: bool, muted: tuple[int, ...]) -> None:
+        """Note what is different about a peer of this node."""
+        member = self._own.get(peer.peer_id)
+        if member is not None:
+            member = replace(member, peer=peer, is_away=is_away, muted=muted)
+            self._own[peer.peer_id] = member
+
+    def bar(self, identity: str) -> None:
+        """Keep an identity out of the room as long as it lasts."""
+        self._bars[identity] = None
+        if len(self._bars) > MAX_BARRED:
+            del self._bars[next(iter(self._bars))]
 
     def receive_record(self, data: bytes, revision: int, now: float) -> None:
         """Take news of the record; what is older than what is known changes nothing.
@@ -348,27 +374,38 @@ class SharedRoom:
             if member.identity in taken and peer_id not in listed:
                 del self._own[peer_id]
                 self._events.append(Replaced(peer_id))
-        members = [m for m in living if m.node != here or m.peer.peer_id in self._own]
+        members = [
+            m if m.node != here else self._own[m.peer.peer_id]
+            for m in living
+            if m.node != here or m.peer.peer_id in self._own
+        ]
         members += [m for peer_id, m in self._own.items() if peer_id not in listed]
+        barred = tuple(dict.fromkeys([*record.barred, *self._bars]))[-MAX_BARRED:]
         for member in self._pending.values():
+            if member.identity and member.identity in barred:
+                continue
             others = [m for m in members if not member.identity or m.identity != member.identity]
             if len(others) < self._capacity:
                 members = [*others, member]
-        if [m for m in members if m.node == here] == [m for m in living if m.node == here]:
+        is_same = [m for m in members if m.node == here] == [m for m in living if m.node == here]
+        if is_same and barred == record.barred:
             # Others must see to what is left to do, unless this node is the first of all.
             is_old = now - self._learned_s >= REWRITE_S
             if not (dead or is_old) or (living and living[0].node != here):
                 return None
-        return Record(tuple(members), dict(self._farewells), here)
+        return Record(tuple(members), dict(self._farewells), here, barred)
 
     def _refuse(self, liveness: Liveness) -> None:
         """Refuse those for whom there is no place, once all who hold one have shown that they live:
         the peers of a node that has just died come back here, into their own places."""
         assert self._record is not None
         nodes = {m.node for m in self._record.members if m.node != self._me}
-        for peer_id in list(self._pending):
+        for peer_id, member in list(self._pending.items()):
             since_s = self._since_s[peer_id]
-            if all(liveness.was_heard_since(node, since_s) for node in nodes):
+            if member.identity and member.identity in self._record.barred:
+                del self._pending[peer_id]
+                self._events.append(Refused(peer_id, is_barred=True))
+            elif all(liveness.was_heard_since(node, since_s) for node in nodes):
                 del self._pending[peer_id]
                 self._events.append(Refused(peer_id))
         self._forget_times()
@@ -392,9 +429,12 @@ class SharedRoom:
             del self._shown[peer_id]
             self._events.append(Departed(peer_id, self._last_words.get(peer_id, "lost")))
         for peer_id, member in shown.items():
-            if peer_id not in self._shown:
-                self._shown[peer_id] = member
-                self._events.append(Arrived(member.node, member.peer))
+            before = self._shown.get(peer_id)
+            self._shown[peer_id] = member
+            if before is None:
+                self._events.append(Arrived(member))
+            elif before != member:
+                self._events.append(Changed(before, member))
 
     def _be_alone(self) -> None:
         """Be a room of this node alone."""

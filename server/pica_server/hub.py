@@ -41,6 +41,7 @@ from pica_protocol.messages import (
 from pica_protocol.session import Closed, Media, ServerEvent, ServerSession
 from pica_protocol.stream_queue import Put
 from pica_server.cluster_media import NodeLink
+from pica_server.cluster_messages import Member
 from pica_server.coalescing import Coalescing
 from pica_server.config import RelayConfig
 from pica_server.connection import Connection
@@ -51,7 +52,7 @@ from pica_server.neighbours import Neighbours
 from pica_server.notices import Notice
 from pica_server.outbox import Outbox, Parcel
 from pica_server.returns import Returns
-from pica_server.room import Room
+from pica_server.room import Room, Stream
 from pica_server.stats import RelayStats
 from pica_server.tokens import Admission
 
@@ -219,27 +220,36 @@ class Hub:
             now: The time.
 
         Returns:
-            Whether it was there, on this node.
+            Whether it was there, in a room that has peers on this node.
         """
         room = self._rooms.get(room_name)
-        if room is None or peer_id not in room or room.node_of(peer_id):
+        if room is None or peer_id not in room:
             return False
+        if room.node_of(peer_id):
+            if self.neighbours is not None:
+                self.neighbours.order(room, "bar" if bar else "remove", peer_id)
+            return True
         if bar:
-            room.bar(room.identity_of(peer_id), MAX_BARRED)
+            identity = room.identity_of(peer_id)
+            room.bar(identity, MAX_BARRED)
+            if self.neighbours is not None:
+                self.neighbours.bar(room, identity)
         connection = self._connections.get(peer_id) or self._away[peer_id]
         self.close(connection, CloseCode.REMOVED, "an admin has removed you", now)
         return True
 
-    def close_room(self, room_name: str, now: float) -> int | None:
-        """Put everybody out of a room who is on this node; return how many, or None: there is no
-        such room."""
+    def close_room(self, room_name: str, now: float, *, everywhere: bool = True) -> int | None:
+        """Put everybody out of a room, on all nodes or on this one alone; return how many were on
+        this one, or None: nobody was."""
         room = self._rooms.get(room_name)
         if room is None:
             return None
+        if everywhere and self.neighbours is not None:
+            self.neighbours.order(room, "close", "")
         num_peers = len(room)
         reason = "an admin has closed the room"
         self._send_away(self._connected(room), CloseCode.ROOM_CLOSED, reason, now)
-        for peer_id in room.away:
+        for peer_id in room.away_here:
             self._give_up(peer_id, "removed", now)
         return num_peers
 
@@ -251,6 +261,16 @@ class Hub:
             return False
         if stream.is_muted is is_muted:
             return True
+        if room.is_remote(number):
+            if self.neighbours is not None:
+                self.neighbours.order(room, "mute" if is_muted else "unmute", str(number))
+            return True
+        self._mute(room, number, stream, is_muted=is_muted, now=now)
+        if self.neighbours is not None:
+            self.neighbours.note_member(room, stream.publisher)
+        return True
+
+    def _mute(self, room: Room, number: int, stream: Stream, *, is_muted: bool, now: float) -> None:
         stream.is_muted = is_muted
         room.forget_chain(number)
         if is_muted:
@@ -263,7 +283,6 @@ class Hub:
         if not is_muted and stream.deadline_s is None:
             stream.asked_s = None
             self.ask_for_keyframe(room, number, Put.KEYLESS.value, now)
-        return True
 
     def drain(self, now: float) -> None:
         """Begin to send everybody away: who has no room at once, the rooms one after the other.
@@ -340,7 +359,7 @@ class Hub:
             room = self._rooms.get(name)
             if room is not None:  # else it has emptied by itself
                 self._send_elsewhere(self._connected(room), now)
-                for peer_id in room.away:
+                for peer_id in room.away_here:
                     self._give_up(peer_id, "lost", now)
 
     def _send_elsewhere(self, connections: list[Connection], now: float) -> None:
@@ -406,6 +425,8 @@ class Hub:
         elif room.update_metadata(connection.peer_id, metadata):
             news = PeerUpdated(peer_id=connection.peer_id, metadata=metadata)
             self._tell_others(room, connection.peer_id, news, now)
+            if self.neighbours is not None:
+                self.neighbours.note_member(room, connection.peer_id)
 
     def _whisper(self, connection: Connection, whisper: Whisper, now: float) -> None:
         """Pass a whisper on, under its sender's name, or drop it."""
@@ -479,13 +500,21 @@ class Hub:
                 outboxes = [connections[peer_id].outbox for peer_id in receivers]
                 for outbox in outboxes + [link.outbox for link in room.links.values()]:
                     outbox.open_ordered(number, stream.deadline_s)
+            bundle = room.shared.current
+            if bundle.is_full:
+                bundle = room.shared.turn_over()
             for peer_id in receivers:
                 receiver = connections[peer_id]
-                fate = receiver.outbox.put_frame(number, frame, layer, is_keyframe, now)
+                outbox = receiver.outbox
+                if number in outbox.flowing and outbox.share(bundle):
+                    ready[receiver] = None
+                    continue
+                fate = outbox.put_frame(number, frame, layer, is_keyframe, now)
                 if fate is not _DROPPED:
                     ready[receiver] = None
                     if fate is not _WAITS:
                         needed[number, fate] = None
+            bundle.add(number, frame, layer, is_keyframe, now)
             for link in room.links.values():
                 wanted = link.put_frame(number, frame, layer, is_keyframe, now)
                 if wanted is not None and wanted is not _DROPPED:
@@ -565,8 +594,7 @@ class Hub:
         self._replace(join.room, admission.identity, now)
         former = self._rooms.get(join.room)
         if former is not None and former.is_barred(admission.identity):
-            self.stats.limits_hit["admission"] += 1
-            self.close(connection, CloseCode.FORBIDDEN, "an admin has removed you", now)
+            self.refuse_barred(connection, now)
             return
         if self.neighbours is not None:
             self.neighbours.join(connection, join, admission, now)
@@ -605,6 +633,30 @@ class Hub:
         self.stats.limits_hit["room"] += 1
         reason = f"room {name} is full: {self._config.room_capacity} peers"
         self.close(connection, CloseCode.ROOM_FULL, reason, now)
+
+    def refuse_barred(self, connection: Connection, now: float) -> None:
+        """Close somebody whom an admin keeps out."""
+        self.stats.limits_hit["admission"] += 1
+        self.close(connection, CloseCode.FORBIDDEN, "an admin has removed you", now)
+
+    def follow(self, name: str, before: Member, member: Member, now: float) -> None:
+        """Note what is different about a peer of another node, and tell who is here."""
+        room, peer_id = self._rooms.get(name), member.peer.peer_id
+        if room is None or not room.node_of(peer_id):
+            return
+        if room.update_metadata(peer_id, member.peer.metadata):
+            news = PeerUpdated(peer_id=peer_id, metadata=member.peer.metadata)
+            self._tell_others(room, peer_id, news, now)
+        if member.is_away and not before.is_away:
+            room.go_away(peer_id)
+            self._tell_others(room, peer_id, PeerAway(peer_id=peer_id), now)
+        elif before.is_away and not member.is_away:
+            room.note_back(peer_id)
+            self._tell_others(room, peer_id, PeerBack(peer_id=peer_id), now)
+        for number in set(before.muted) ^ set(member.muted):
+            stream = room.stream(number)
+            if stream is not None and stream.publisher == peer_id:
+                self._mute(room, number, stream, is_muted=number in member.muted, now=now)
 
     def arrive(self, name: str, node: str, peer: Peer, now: float) -> None:
         """Note a peer that came in on another node, and tell who is here."""
@@ -702,6 +754,8 @@ class Hub:
         if room.update_metadata(peer_id, join.metadata):
             news = PeerUpdated(peer_id=peer_id, metadata=join.metadata)
             self._tell_others(room, peer_id, news, now)
+        if self.neighbours is not None:
+            self.neighbours.note_member(room, peer_id)
         self._catch_up(connection, room, admission, now)
         return True
 
@@ -713,6 +767,7 @@ class Hub:
             resume_ms = round(self._returns.grace_s * 1000)
             joined = replace(joined, resume=secret, resume_ms=resume_ms)
         connection.has_joined = True
+        connection.outbox.shared = room.shared
         connection.session.accept(joined)
         self._flush(connection, now)
         for peer_id in room.away:
@@ -750,7 +805,7 @@ class Hub:
             self._away[peer_id] = connection
             room.go_away(peer_id)
             if self.neighbours is not None:
-                self.neighbours.note_wishes(room)
+                self.neighbours.note_member(room, peer_id)
             self._tell_others(room, peer_id, PeerAway(peer_id=peer_id), now)
             return
         self._depart(connection, reason, now)

@@ -32,6 +32,16 @@ class Neighbours(Protocol):
         """Note that somebody has come back to their place, on a new connection; ``leave`` was not
         called."""
 
+    def note_member(self, room: Room, peer_id: str) -> None:
+        """Note that something is different about a peer of this node."""
+
+    def bar(self, room: Room, identity: str) -> None:
+        """Keep an identity out of the room on all nodes."""
+
+    def order(self, room: Room, what: str, target: str) -> None:
+        """Have something done where it must be: ``remove`` or ``bar`` a peer, ``mute`` or
+        ``unmute`` a stream, or ``close`` the room on all other nodes."""
+
     def note_wishes(self, room: Room) -> None:
         """Note that a peer in the room may want something else of the others than before."""
 

@@ -15,6 +15,7 @@ from pica_protocol.messages import Joined, Metadata, Peer, Track
 from pica_protocol.stream_queue import MAX_CHAIN_BYTES, MAX_CHAIN_FRAMES
 from pica_server.cluster_media import NodeLink
 from pica_server.errors import RoomFullError
+from pica_server.shared_frames import SharedFrames
 
 _NOTHING = -1
 """As the highest wanted layer: none."""
@@ -79,6 +80,7 @@ class Room:
     Attributes:
         name: As the peers know it.
         links: The other nodes of the cluster with peers in this room, as receivers of frames.
+        shared: What receivers here get alike.
     """
 
     def __init__(self, name: str, capacity: int) -> None:
@@ -92,6 +94,7 @@ class Room:
         # Who gets the frames of a stream and layer: looked up for every frame, changed rarely.
         self._receivers: dict[tuple[int, int], list[str]] = {}
         self.links: dict[str, NodeLink] = {}
+        self.shared = SharedFrames()
 
     def __len__(self) -> int:
         """How many are connected here; the peers of other nodes are not counted."""
@@ -192,6 +195,15 @@ class Room:
             return False
         return tuple(replace(track, stream=0) for track in member.peer.tracks) == tracks
 
+    def note_back(self, peer_id: str) -> None:
+        """Note that a peer of another node has come back to its place there."""
+        self._members[peer_id].is_away = False
+
+    def muted_of(self, peer_id: str) -> tuple[int, ...]:
+        """Return those streams of a peer that an admin has stopped."""
+        tracks = self._members[peer_id].peer.tracks
+        return tuple(t.stream for t in tracks if self._streams[t.stream].is_muted)
+
     def come_back(self, peer_id: str, *, may_subscribe: bool) -> Joined:
         """Give a peer its place again, without its wishes, and return what to tell it."""
         self._receivers.clear()
@@ -223,6 +235,11 @@ class Room:
     def away(self) -> tuple[str, ...]:
         """Ids of those who have lost their connection and may come back."""
         return tuple(peer_id for peer_id, member in self._members.items() if member.is_away)
+
+    @property
+    def away_here(self) -> tuple[str, ...]:
+        """Those of them who were on this node."""
+        return tuple(peer_id for peer_id in self.away if not self.node_of(peer_id))
 
     def bar(self, identity: str, max_barred: int) -> None:
         """Keep an identity out as long as the room lasts; drops the oldest above ``max_barred``."""

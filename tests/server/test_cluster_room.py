@@ -84,9 +84,9 @@ class Node:
                 self.refused.add(peer_id)
             case Replaced(peer_id=peer_id):
                 self.here.discard(peer_id)
-            case Arrived(peer=peer):
-                assert peer.peer_id not in self.others
-                self.others.add(peer.peer_id)
+            case Arrived(member=member):
+                assert member.peer.peer_id not in self.others
+                self.others.add(member.peer.peer_id)
             case Departed(peer_id=peer_id, reason=reason):
                 self.others.remove(peer_id)
                 self.farewells.append((peer_id, reason))
