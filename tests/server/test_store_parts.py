@@ -199,6 +199,17 @@ def test_whoever_waits_as_told_keeps_the_rate(steps: list[tuple[int, float]]) ->
         sent += num_bytes
 
 
+def test_on_a_late_loop_transfers_rest_for_a_multiple_of_it_but_not_for_long() -> None:
+    pace = Pace(1e9)
+    pace.note_lateness(0.001, now=1.0)  # no later than any loop
+    assert pace.wait_s(1, 1.0) == 0
+    pace.note_lateness(0.010, now=2.0)
+    pace.note_lateness(0.005, now=2.0)  # somebody else who waited for the same turn
+    assert pace.wait_s(1, 2.0) == pytest.approx(0.040 - 0.002, abs=1e-6)
+    pace.note_lateness(10.0, now=3.0)
+    assert pace.wait_s(1, 3.0) == pytest.approx(0.050 - 0.002, abs=1e-6)
+
+
 def test_slots_are_limited_in_all_and_for_each_address_and_come_back() -> None:
     slots = Slots(limit=3, per_address=2)
     with slots.taken("a"), slots.taken("a"):
