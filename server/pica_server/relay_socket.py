@@ -67,6 +67,28 @@ def bound_tls_buffer(transport: asyncio.BaseTransport) -> bool:
     return plain is not None
 
 
+class _GoneTransport(asyncio.Transport):
+    """Stands for a transport that has ended. asyncio's own may raise when somebody ends it again,
+    as the library does when it is late to notice."""
+
+    def is_closing(self) -> bool:
+        """Say that it is."""
+        return True
+
+    def abort(self) -> None:
+        """Do nothing more."""
+
+    def close(self) -> None:
+        """Do nothing more."""
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        """Drop it."""
+
+    def get_write_buffer_size(self) -> int:
+        """Return that nothing waits."""
+        return 0
+
+
 class RelaySocket(ServerConnection):
     """A websocket that is counted from its first moment, and cut at once if it is one too many.
 
@@ -121,6 +143,7 @@ class RelaySocket(ServerConnection):
     def connection_lost(self, exc: Exception | None) -> None:
         """Tell the guard."""
         super().connection_lost(exc)
+        self.transport = _GoneTransport({"peername": self.transport.get_extra_info("peername")})
         for handle in (self._deadline, self._cut):
             if handle is not None:
                 handle.cancel()
@@ -179,6 +202,17 @@ class RelaySocket(ServerConnection):
             if was_open and self.state is not State.OPEN and self._cut is None:
                 # Who broke a rule may not care to close; till then its face stays, and is frozen.
                 self._cut = self.loop.call_later(self.close_timeout or 0, self.transport.abort)
+
+    def send_data(self) -> None:
+        """Write what the library has to say in one go: a hundred pongs are one write, and one line
+        in the log of asyncio if the socket has died."""
+        writes = self.protocol.writes
+        if self.transport.is_closing():
+            writes.clear()
+        elif len(writes) > 1:
+            # An empty one is the last, and means the end.
+            self.protocol.writes = [b"".join(writes), *([] if writes[-1] else [b""])]
+        super().send_data()
 
     def process_event(self, event: Event) -> None:
         """Take a message, or a part of one, that the library has read."""

@@ -9,16 +9,18 @@ Meanwhile two peers keep up a call through the same relay and must not lose a fr
 from __future__ import annotations
 
 import asyncio
+import os
 import random
 import re
 import subprocess
 import sys
+import tempfile
 import time
 from collections import Counter
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager, suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import IO, Any, Final
 
 from fuzzing.abuse import CLOSE, Conversation, conversation, frame, handshake, http
 from pica_protocol.codec import decode_message, decode_store_message
@@ -34,6 +36,8 @@ STATUSES: Final = frozenset(
 MOST_GROWTH_MIB: Final = 64.0
 """What the relay's resident memory may grow by, with a few dozen strangers at a time (chosen: each
 has a handshake of 16 KiB or some messages of 16 KiB; the rest is the allocator's)."""
+_TROUBLE: Final = re.compile(r"\S+ (warning|error|critical) |Traceback")
+"""In the relay's log: what its operator would have to look at."""
 LONGEST_ANSWER_S: Final = 15.0
 FPS: Final = 30.0
 
@@ -50,33 +54,52 @@ def documented_codes() -> frozenset[int]:
 
 @contextmanager
 def relay_process(*arguments: str) -> Iterator[tuple[int, int]]:
-    """Run a relay; yields its process id and its port, and ends that process."""
+    """Run a relay; yields its process id and its port, and ends that process.
+
+    Raises:
+        LiveFailure: It does not start, ends by itself or badly, or has logged a warning: nothing
+            that a peer does is worth one, so none may fill the log with them.
+    """
     # Many joins from one machine: it is to see more than the refusal to let so many in at once.
     limits = ["--limits.joins-per-s", "1e6", "--limits.joins-burst", "1e6"]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "pica_command", "relay", "--port", "0", *limits, *arguments],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stderr is not None
-    try:
-        line = process.stderr.readline()
-        found = re.match(r"listening on ws://127\.0\.0\.1:(\d+)", line)
-        if found is None:
-            raise LiveFailure(f"no relay: {line}{process.stderr.read()}")
-        yield process.pid, int(found[1])
-        if process.poll() is not None:
-            raise LiveFailure(f"the relay ended by itself: {process.stderr.read()[-2000:]}")
-    finally:
-        process.terminate()
+    with tempfile.TemporaryFile("w+") as log:  # a pipe that nobody reads would stop it
+        process = subprocess.Popen(
+            [sys.executable, "-m", "pica_command", "relay", "--port", "0", *limits, *arguments],
+            stdout=subprocess.DEVNULL,
+            stderr=log,
+        )
         try:
-            _, errors = process.communicate(timeout=30)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            _, errors = process.communicate()
-    if process.returncode != 0 or "Traceback" in errors:
-        raise LiveFailure(f"it ended with {process.returncode} and said: {errors[-3000:]}")
+            yield process.pid, _port(process, log)
+            if process.poll() is not None:
+                raise LiveFailure(f"the relay ended by itself: {_lines(log)[-5:]}")
+        finally:
+            process.terminate()
+            try:
+                process.wait(timeout=30)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        lines = [line for line in _lines(log) if _TROUBLE.match(line)]
+        if process.returncode != 0 or lines:
+            said = f"{len(lines)} lines, as {lines[:3]}"
+            raise LiveFailure(f"it ended with {process.returncode} and said {said}")
+
+
+def _port(process: subprocess.Popen[bytes], log: IO[str]) -> int:
+    """Wait until it listens."""
+    for _ in range(600):
+        for line in _lines(log):
+            found = re.match(r"listening on ws://127\.0\.0\.1:(\d+)", line)
+            if found is not None:
+                return int(found[1])
+        if process.poll() is not None:
+            break
+        time.sleep(0.05)
+    raise LiveFailure(f"no relay: {_lines(log)}")
+
+
+def _lines(log: IO[str]) -> list[str]:
+    return os.pread(log.fileno(), 10_000_000, 0).decode(errors="replace").splitlines()
 
 
 def memory_mib(pid: int, field: str = "VmRSS") -> float:

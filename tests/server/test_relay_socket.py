@@ -6,8 +6,10 @@ from typing import cast
 
 import pytest
 from websockets.asyncio.server import Server
+from websockets.datastructures import Headers
 from websockets.frames import Frame as WebsocketFrame
 from websockets.frames import Opcode
+from websockets.http11 import Request
 from websockets.protocol import State
 from websockets.server import ServerProtocol
 
@@ -16,8 +18,10 @@ from pica_protocol.frames import Frame, encode_frame, media_message
 from pica_protocol.messages import PeerJoined, PeerLeft
 from pica_protocol.session import ClientSession, Closed
 from pica_server.config import RelayConfig
+from pica_server.limits import SocketGuard
 from pica_server.relay import Relay
 from pica_server.relay_socket import RelaySocket
+from pica_server.stats import RelayStats
 from simnet.clock import in_virtual_time
 from simnet.peers import WirePeer, now, open_websocket, peer_in_room
 
@@ -42,6 +46,18 @@ class DeadTransport(asyncio.Transport):
 
     def get_write_buffer_size(self) -> int:
         return 0
+
+    def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
+        pass
+
+    def pause_reading(self) -> None:
+        pass
+
+    def resume_reading(self) -> None:
+        pass
+
+    def abort(self) -> None:
+        raise AttributeError("'NoneType' object has no attribute 'call_soon'")  # as asyncio's may
 
 
 def websocket_bytes(data: bytes, *, opcode: Opcode = Opcode.BINARY, fin: bool = True) -> bytes:
@@ -221,11 +237,50 @@ async def test_a_request_that_grows_and_grows_is_cut_before_it_is_large() -> Non
         assert transport.is_closing()
 
 
+class QuietServer:
+    """Serves nobody."""
+
+    def __init__(self) -> None:
+        self.handler_tasks: set[object] = set()
+
+    async def handler(self, websocket: RelaySocket) -> None:
+        pass
+
+
+def open_relay_socket() -> tuple[RelaySocket, DeadTransport]:
+    websocket = RelaySocket(ServerProtocol(state=State.OPEN), cast(Server, QuietServer()))
+    websocket.guard = SocketGuard(handshakes=1, per_address=1)
+    websocket.stats = RelayStats()
+    websocket.handshake_timeout_s = 1.0
+    websocket.request = Request("/", Headers())
+    transport = DeadTransport()
+    websocket.connection_made(transport)
+    websocket.note_opened()
+    return websocket, transport
+
+
 @in_virtual_time
 async def test_a_socket_that_has_died_is_written_to_once_and_not_for_each_message() -> None:
-    websocket = RelaySocket(ServerProtocol(state=State.OPEN), cast(Server, None))
-    websocket.transport = transport = DeadTransport()
+    websocket, transport = open_relay_socket()
     assert websocket.is_writable
     assert not websocket.write(b"news")
     assert not websocket.is_writable
+    websocket.data_received(websocket_bytes(b"?", opcode=Opcode.PING) * 50)
     assert transport.num_writes == 1
+
+
+@in_virtual_time
+async def test_many_pings_at_once_are_answered_in_one_go() -> None:
+    websocket, transport = open_relay_socket()
+    websocket.data_received(websocket_bytes(b"?", opcode=Opcode.PING) * 50)
+    assert transport.num_writes == 1
+
+
+@in_virtual_time
+async def test_a_socket_that_has_ended_can_be_ended_again() -> None:
+    websocket, transport = open_relay_socket()
+    websocket.connection_lost(None)
+    with pytest.raises(AttributeError):
+        transport.abort()
+    websocket.transport.abort()
+    assert not websocket.is_writable
