@@ -144,7 +144,7 @@ def _fill_hostile(line: Line) -> None:
     rows = [
         (
             row["kind"],
-            f"{_ms(row['before']['forward_ms']['p99'])} / {_ms(row['beside']['forward_ms']['p99'])}",
+            " / ".join(_ms(row[when]["forward_ms"]["p99"]) for when in ("before", "beside")),
             None if row["p99_change"] is None else f"{row['p99_change']:+.0%}",
             row["beside"]["missing"],
             f"{row['relay_peak_bytes'] / 1e6:.1f}",
