@@ -368,7 +368,7 @@ class Cluster:
             if not self._client.is_connected:
                 continue  # it stays, and is thinned
             try:
-                for slot, key, data in self.node.take_media():
+                for slot, key, data in self.node.take_media(self._now()):
                     await self._client.publish(f"pica.media.{slot}.{key}", data)
                     if self._client.pending_data_size > _MAX_UNSENT_BYTES:
                         break

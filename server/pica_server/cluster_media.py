@@ -95,9 +95,9 @@ class NodeLink:
         self.layers.pop(stream, None)
         return self.outbox.forget_stream(stream)
 
-    def take(self) -> tuple[bytes, int] | None:
+    def take(self, now: float) -> tuple[bytes, int] | None:
         """Take the next message for the node, and how many frames are in it."""
-        parcel = self.outbox.take()
+        parcel = self.outbox.take(now)
         if parcel is None:
             return None
         header = MediaHeader(self._my_slot, self.epoch, self._number)

@@ -387,13 +387,13 @@ class ClusterNode:
         commands, self._commands = self._commands, []
         return commands
 
-    def take_media(self) -> Iterator[tuple[int, str, bytes]]:
+    def take_media(self, now: float) -> Iterator[tuple[int, str, bytes]]:
         """Take the media messages that wait: slot of the receiver, room key, bytes.
 
         What is not taken stays, and is thinned like a slow reader's.
         """
         for link in self._hub.ready_links():
-            while (taken := link.take()) is not None:
+            while (taken := link.take(now)) is not None:
                 data, num_frames = taken
                 self._stats.cluster["frames_out"] += num_frames
                 self._stats.cluster["media_out"] += 1

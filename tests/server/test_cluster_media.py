@@ -63,7 +63,7 @@ def put(to: NodeLink, stream: int, sequence: int, *, is_keyframe: bool = False) 
 def test_a_node_gets_nothing_that_it_did_not_ask_for() -> None:
     other = link()
     assert put(other, 5, 0, is_keyframe=True) is None
-    assert other.take() is None
+    assert other.take(0.0) is None
 
 
 def test_frames_of_several_streams_of_a_turn_leave_in_one_numbered_message() -> None:
@@ -72,14 +72,14 @@ def test_frames_of_several_streams_of_a_turn_leave_in_one_numbered_message() -> 
     other.want(6, 2)
     put(other, 5, 0, is_keyframe=True)
     put(other, 6, 0, is_keyframe=True)
-    taken = other.take()
+    taken = other.take(0.0)
     assert taken is not None
     data, num_frames = taken
     assert num_frames == 2
     assert decode_media_header(data) == MediaHeader(1, 7, 0)
     assert [f.stream for f in decode_media(data[MEDIA_HEADER_BYTES:])] == [5, 6]
     put(other, 5, 1)
-    taken = other.take()
+    taken = other.take(0.0)
     assert taken is not None
     assert decode_media_header(taken[0]).number == 1
 
@@ -89,7 +89,7 @@ def test_a_layer_above_what_the_node_wants_does_not_travel() -> None:
     other.want(5, 0)
     put(other, 5, 0, is_keyframe=True)
     assert other.put_frame(5, frame(5, 1, layer=1), 1, False, 0.0) is None
-    taken = other.take()
+    taken = other.take(0.0)
     assert taken is not None
     assert taken[1] == 1
 

@@ -107,7 +107,7 @@ class Nodes:
                     node.receive_answer(key, ticket, Found(*self._records.get(key, (b"", 0))), now)
                 case _:
                     self._write(slot, command.key, command.ticket, command, now)
-        for to, key, data in node.take_media():
+        for to, key, data in node.take_media(now):
             is_busy = True
             if not self.loses():
                 self.nodes[to].receive_media(key, data, now)
