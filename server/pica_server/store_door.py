@@ -48,6 +48,8 @@ READ_BYTES: Final = 256 * 2**10
 SEND_BUFFER_BYTES: Final = 32 * 2**10
 """How far a download may be ahead of its reader, in the kernel, which may double it (chosen: a
 quarter of a second of a link with 2 Mbit/s; with 50 ms there and back still 5 Mbit/s)."""
+MOST_OFFERS: Final = 64
+"""Websockets that have not offered anything yet (chosen: eight times the uploads)."""
 LEAD_S: Final = 0.002
 """So much too early a piece may go: event loops wait in whole milliseconds."""
 
@@ -150,6 +152,8 @@ class StoreDoor:
         if store is not None:
             config = store.config
             self._downloads = Slots(config.downloads, config.downloads_per_address)
+            # Who has not shown a token yet must not hold the places of those who have.
+            self._offers = Slots(MOST_OFFERS, config.uploads_per_address)
             self._uploads = Slots(config.uploads, config.uploads_per_address)
             self._pace = Pace(config.bytes_per_s)
 
@@ -293,8 +297,11 @@ class StoreDoor:
         if store is None:
             return CloseCode.WRONG_VERSION, "this relay keeps no avatars"
         try:
+            with self._offers.taken(websocket.address):
+                offer = await self._offer(websocket)
             with self._uploads.taken(websocket.address):
-                await websocket.send(encode_message(await self._receive(websocket, store)))
+                stored = await self._receive(websocket, store, offer)
+                await websocket.send(encode_message(stored))
             return CloseCode.NORMAL, ""
         except BusyError:
             return CloseCode.BUSY, "too many uploads at once, try again"
@@ -311,14 +318,20 @@ class StoreDoor:
             _logger.warning("avatar store failed", extra={"error": type(error).__name__})
             return CloseCode.INTERNAL_ERROR, "the store has a fault"
 
-    async def _receive(self, websocket: ServerConnection, store: AvatarStore) -> Stored:
-        """Take offer and file; return what to say then."""
+    async def _offer(self, websocket: ServerConnection) -> Offer:
+        """Take the offer, from somebody who may make it."""
         with _late_after(CloseCode.HANDSHAKE_TIMEOUT, "no offer came"):
             async with asyncio.timeout(self._offer_timeout_s):
                 offer = decode_store_message(await _binary(websocket))
         if not isinstance(offer, Offer):
             raise RemoteProtocolError("an offer comes first", CloseCode.UNEXPECTED_MESSAGE)
         self._may_upload(offer.token, offer.sha256)
+        return offer
+
+    async def _receive(
+        self, websocket: ServerConnection, store: AvatarStore, offer: Offer
+    ) -> Stored:
+        """Take the file; return what to say then."""
         if await store.size(offer.sha256) is not None:
             self._stats["uploads_known"] += 1
             return Stored()
