@@ -128,6 +128,26 @@ class StreamQueue:
     def __len__(self) -> int:
         return len(self._waiting)
 
+    @property
+    def is_clear(self) -> bool:
+        """Whether any frame that comes next would go through, and change nothing: the reader wants
+        all layers, has got all that there was, and has not been slow lately."""
+        return not (
+            self._waiting
+            or self.is_cut
+            or self._open_layer < MAX_LAYER
+            or self._blocked_above < _ALL
+            or self._probation
+            or self._penalty > MIN_PROBATION
+        )
+
+    def note_sent(self, frame: bytes, is_keyframe: bool) -> None:
+        """Note that a base frame has reached the reader by another way, while this queue was
+        clear."""
+        self._last_base = frame
+        if is_keyframe:
+            self._last_keyframe = frame
+
     def put(self, frame: bytes, layer: int, is_keyframe: bool, now: float) -> Put:
         """Take the next frame of the stream, header included; all of them must come here in order,
         but for those above the wanted layer."""

@@ -506,9 +506,12 @@ class Hub:
             for peer_id in receivers:
                 receiver = connections[peer_id]
                 outbox = receiver.outbox
-                if number in outbox.flowing and outbox.share(bundle):
-                    ready[receiver] = None
-                    continue
+                if number in outbox.flowing:
+                    if outbox.newest is bundle:
+                        continue  # it is on the list already, or held for others
+                    if outbox.share(bundle):
+                        ready[receiver] = None
+                        continue
                 fate = outbox.put_frame(number, frame, layer, is_keyframe, now)
                 if fate is not _DROPPED:
                     ready[receiver] = None

@@ -6,18 +6,22 @@ dropped in it and in which order, so a receiver that reads
 slowly gets fewer frames, never a stale one for long, and never one it cannot decode. Control: a
 queue with a limit in bytes; it is never thinned, a receiver that lets it overflow is closed
 instead.
+
+While a receiver keeps up, its frames do not come here one by one: it is given bundles, which it
+shares with others, see ``shared_frames``.
 """
 
 import math
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from typing import NamedTuple
 
-from pica_protocol.frames import media_message
+from pica_protocol.frames import MEDIA_PREFIX, media_message
 from pica_protocol.limits import MAX_MEDIA_MESSAGE_BYTES
 from pica_protocol.ordered_queue import OrderedQueue
 from pica_protocol.stream_queue import Put, StreamQueue, Waiting
 from pica_server.errors import OutboxFullError
+from pica_server.shared_frames import MAX_BUNDLES, Bundle, SharedFrames
 
 _WAITS = Put.WAITS
 
@@ -31,7 +35,14 @@ class Parcel(NamedTuple):
 
 
 class Outbox:
-    """The queue between the room and one receiver's socket."""
+    """The queue between the room and one receiver's socket.
+
+    Attributes:
+        shared: The bundles of the room, or None: every frame is put here.
+        flowing: Streams whose frames it takes in bundles: `share` is to be tried before
+            `put_frame`.
+        newest: The bundle it has taken last, if that still waits.
+    """
 
     def __init__(self, max_control_bytes: int, drops: Counter[str]) -> None:
         """Begin empty.
@@ -48,11 +59,21 @@ class Outbox:
         self._ordered: dict[int, OrderedQueue] = {}
         # Streams with something that waits; dict order is the order of waiting.
         self._line: dict[int, None] = {}
+        self.shared: SharedFrames | None = None
+        self.flowing: Set[int] = frozenset()
+        self.newest: Bundle | None = None
+        self._bundles: list[Bundle] = []
 
     @property
     def waiting_frames(self) -> int:
         """How many frames wait, at most a few of each stream."""
-        return sum(map(len, self._queues.values()))
+        bundled = [item[0] for bundle in self._bundles for item in bundle.frames]
+        return sum(map(len, self._queues.values())) + sum(map(self.flowing.__contains__, bundled))
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether `take` may have something."""
+        return bool(self._bundles or self._line or self._control)
 
     @property
     def has_control(self) -> bool:
@@ -75,11 +96,26 @@ class Outbox:
         self._control.append(data)
         self._control_bytes += len(data)
 
+    def share(self, bundle: Bundle) -> bool:
+        """Take a bundle that a frame of a flowing stream is about to come into.
+
+        Returns:
+            False if too many wait: nothing flows any more, and the frame is to be put.
+        """
+        if len(self._bundles) == MAX_BUNDLES:
+            self._unbundle()
+            return False
+        self._bundles.append(bundle)
+        self.newest = bundle
+        return True
+
     def put_frame(
         self, stream: int, frame: bytes, layer: int, is_keyframe: bool, now: float
     ) -> Put:
         """Queue a frame, or drop it, and what it replaces; see `StreamQueue.put`."""
         # Once for every frame and receiver: written for speed.
+        if stream in self.flowing:
+            self._unbundle()
         queue = self._queues.get(stream)
         if queue is None:
             queue = self._queue(stream)
@@ -91,6 +127,7 @@ class Outbox:
     def open_ordered(self, stream: int, deadline_s: float) -> None:
         """Note that a stream is ordered, if that is news."""
         if stream not in self._ordered:
+            self._unbundle()
             self._queues[stream] = self._ordered[stream] = OrderedQueue(self._drops, deadline_s)
 
     def interrupt(self, stream: int) -> int:
@@ -98,6 +135,7 @@ class Outbox:
 
         It goes on with a keyframe, or, if it is ordered, with any frame.
         """
+        self._unbundle()
         queue = self._queue(stream)
         dropped = queue.want(None)
         if isinstance(queue, OrderedQueue):
@@ -106,6 +144,7 @@ class Outbox:
 
     def want(self, stream: int, layer: int | None) -> int:
         """Follow a wish; return how many waiting frames were dropped for it."""
+        self._unbundle()
         return self._queue(stream).want(layer)
 
     def resume(self, stream: int, chain: Sequence[bytes], *, is_whole: bool, now: float) -> int:
@@ -114,6 +153,7 @@ class Outbox:
         Returns:
             How many frames that is; see `StreamQueue.resume`.
         """
+        self._unbundle()
         queue = self._queue(stream)
         queue.resume(chain, is_whole=is_whole, now=now)
         self._line[stream] = None
@@ -121,6 +161,7 @@ class Outbox:
 
     def forget_stream(self, stream: int) -> int:
         """Forget a stream that has ended; return how many of its frames waited."""
+        self._unbundle()
         self._line.pop(stream, None)
         self._ordered.pop(stream, None)
         queue = self._queues.pop(stream, None)
@@ -130,6 +171,7 @@ class Outbox:
         """Drop the waiting frames, return how many, and queue the last messages whatever the
         limit."""
         dropped = self.waiting_frames
+        self.shared, self.flowing, self.newest, self._bundles = None, frozenset(), None, []
         self._queues.clear()
         self._ordered.clear()
         self._line.clear()
@@ -147,6 +189,10 @@ class Outbox:
             self._control_bytes -= len(data)
             return Parcel(data, ())
         line = self._line
+        if self._bundles:
+            if not line:
+                return self._take_bundles()
+            self._unbundle()
         if not line:
             return None
         for ordered in self._ordered.values():
@@ -164,6 +210,7 @@ class Outbox:
             num_taken += 1
         if num_taken == len(line):
             line.clear()
+            self._let_flow()
         else:
             for stream in list(line)[:num_taken]:
                 del line[stream]
@@ -173,6 +220,47 @@ class Outbox:
             media_message([item.frame for item in items]),
             tuple([item.received_s for item in items]),
         )
+
+    def _take_bundles(self) -> Parcel:
+        """Take the bundles that wait; the queues stand as if their frames had gone through them."""
+        bundles, self._bundles, self.newest = self._bundles, [], None
+        flowing = self.flowing
+        for bundle in bundles:
+            for stream, frame, is_keyframe in bundle.bases:
+                if stream in flowing:
+                    queue = self._queues[stream]
+                    assert isinstance(queue, StreamQueue)
+                    queue.note_sent(frame, is_keyframe)
+        shared = self.shared
+        assert shared is not None
+        if shared.current is bundles[-1]:
+            shared.turn_over()
+        if len(bundles) == 1:
+            return Parcel(*bundles[0].message(flowing))
+        parts = [bundle.message(flowing) for bundle in bundles]
+        data = MEDIA_PREFIX + b"".join([data[len(MEDIA_PREFIX) :] for data, _ in parts])
+        return Parcel(data, tuple([moment for _, moments in parts for moment in moments]))
+
+    def _unbundle(self) -> None:
+        """Put what waits in bundles into the queues; from now on every frame comes there."""
+        flowing, self.flowing = self.flowing, frozenset()
+        bundles, self._bundles, self.newest = self._bundles, [], None
+        for bundle in bundles:
+            for stream, frame, layer, is_keyframe, received_s in bundle.frames:
+                if stream in flowing:
+                    # Should a keyframe be needed now, the next frame that is put says so again.
+                    self.put_frame(stream, frame, layer, is_keyframe, received_s)
+
+    def _let_flow(self) -> None:
+        """Take those streams in bundles from now on that nothing stands in the way of."""
+        if self.shared is None:
+            return
+        self.flowing = {
+            stream
+            for stream, queue in self._queues.items()
+            if isinstance(queue, StreamQueue) and queue.is_clear
+        }
+        self.shared.turn_over()  # it has got what is in the current one already
 
     def _queue(self, stream: int) -> StreamQueue | OrderedQueue:
         queue = self._queues.get(stream)

@@ -123,6 +123,7 @@ class Relay:
         self._timer: asyncio.TimerHandle | None = None
         self._timer_s: float | None = None
         # Who was fed since the last look at who is ready, which is due soon.
+        self._loop_time: Callable[[], float] = time.monotonic
         self._fed: set[Connection] = set()
         self._soon: asyncio.Handle | None = None
         self._watch = LoopWatch()
@@ -150,6 +151,7 @@ class Relay:
 
     async def __aenter__(self) -> Self:
         config = self.config
+        self._loop_time = asyncio.get_running_loop().time
         if config.cluster:
             # Only here: a relay alone needs no NATS.
             from pica_server.cluster import Cluster
@@ -406,16 +408,19 @@ class Relay:
 
     def _send(self, connection: Connection) -> None:
         """Send all that waits, as far as the kernel takes it; leave the rest to the writer."""
+        # Once for every message that goes out: written for speed.
         waker = self._wakers.get(connection)
         if waker is None:
             return
-        if connection.closed is None and waker.is_idle and waker.websocket.is_writable:
-            now = self._now()
-            while (parcel := self.hub.take(connection, now)) is not None:
+        if waker.is_idle and connection.closed is None and waker.websocket.is_writable:
+            hub, now = self.hub, self._loop_time()
+            while (parcel := hub.take(connection, now)) is not None:
                 if not waker.websocket.write(parcel.data):
                     waker.under_way = parcel
                     break
-                self.hub.sent(connection, parcel, now)
+                hub.sent(connection, parcel, self._loop_time())
+                if not connection.outbox.is_waiting:
+                    return
             else:
                 return
         waker.wake()
@@ -450,7 +455,7 @@ class Relay:
         return max(self._drain_ends_s - self._now(), self.config.close_timeout_s)
 
     def _now(self) -> float:
-        return asyncio.get_running_loop().time()
+        return self._loop_time()
 
 
 class _Waker:

@@ -185,7 +185,7 @@ class RelaySocket(ServerConnection):
             size - at > _HEADER_BYTES
             and data[at] == _WHOLE_BINARY
             and (on_message := self._on_message) is not None
-            and self.state is State.OPEN
+            and self.protocol.state is State.OPEN
             and self._is_between_frames
         ):
             begin = at + _HEADER_BYTES
