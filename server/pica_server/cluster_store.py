@@ -124,18 +124,24 @@ async def open_store(client: Client, timeout_s: float) -> ClusterStore:
         nats.errors.Error: There is no JetStream.
     """
     stream = client.jetstream(timeout=timeout_s)
-    nodes = await _open(stream, NODES, "pica.beat.>", SLOT_KEPT_S)
-    rooms = await _open(stream, ROOMS, "pica.record.>", 4 * REWRITE_S)
+    # Of a cluster of servers one may die. They know of each other, so one of them in the URL does.
+    num_replicas = 3 if len(client.servers) >= 3 else 1
+    nodes = await _open(stream, NODES, "pica.beat.>", SLOT_KEPT_S, num_replicas)
+    rooms = await _open(stream, ROOMS, "pica.record.>", 4 * REWRITE_S, num_replicas)
     return ClusterStore(stream, nodes, rooms)
 
 
-async def _open(stream: JetStreamContext, bucket: str, subject: str, kept_s: float) -> KeyValue:
+async def _open(
+    stream: JetStreamContext, bucket: str, subject: str, kept_s: float, num_replicas: int
+) -> KeyValue:
     source = f"$KV.{bucket}.>"
     try:
         kept = await stream.key_value(bucket)
     except nats.js.errors.NotFoundError:
         republish = RePublish(src=source, dest=subject)
-        return await stream.create_key_value(bucket=bucket, republish=republish, ttl=kept_s)
+        return await stream.create_key_value(
+            bucket=bucket, republish=republish, ttl=kept_s, replicas=num_replicas
+        )
     config = (await stream.stream_info(f"KV_{bucket}")).config
     if config.republish is None or (config.republish.src, config.republish.dest) != (
         source,
