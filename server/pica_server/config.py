@@ -11,6 +11,7 @@ from pica_server.errors import ConfigurationError
 from pica_server.proxies import networks
 from pica_server.store_config import StoreConfig
 
+_HTTP_URL = re.compile(r"https?://([A-Za-z0-9._-]+|\[[0-9a-fA-F:.]+\])(:\d{1,5})?(/[!-~]*)?")
 _ORIGIN = re.compile(r"https?://[^/?#\s]+")
 _NATS_URL = re.compile(r"(nats|tls)://([^/?#\s@]+@)?[A-Za-z0-9._-]+(:[0-9]{1,5})?")
 
@@ -45,6 +46,33 @@ class LimitsConfig:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class WebhookConfig:
+    """Telling another server what happens in rooms."""
+
+    url: str = ""
+    """Where events are posted to, http:// or https://; empty: nowhere. See docs/rooms.md."""
+    secret_file: Path | None = None
+    """File with the secret that events are signed with; without it they are not."""
+    ca_file: Path | None = None
+    """File of certificates to trust besides those of the system, for https://."""
+    timeout_s: float = 5.0
+    """Seconds for one attempt."""
+    give_up_s: float = 600.0
+    """Seconds after which an event that cannot be delivered is dropped."""
+    max_waiting: int = 1000
+    """Events that may wait; one more drops the oldest."""
+
+    def __post_init__(self) -> None:
+        _check("webhook.timeout-s", self.timeout_s, 0.1, 60)
+        _check("webhook.give-up-s", self.give_up_s, 0, 86_400)
+        _check("webhook.max-waiting", self.max_waiting, 1, 100_000)
+        if self.url and not _HTTP_URL.fullmatch(self.url):
+            raise ConfigurationError("--webhook.url is no address: write https://HOST/PATH")
+        if self.secret_file is not None and not self.url:
+            raise ConfigurationError("--webhook.secret-file signs events: name a --webhook.url")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class RelayConfig:
     """Settings of one relay."""
 
@@ -73,6 +101,11 @@ class RelayConfig:
     """Answer /metrics to all other machines too, not to this one alone."""
     metrics_to: tuple[str, ...] = ()
     """Addresses or networks that /metrics is answered to besides this machine, as 10.0.0.0/8."""
+    admin_port: int | None = None
+    """TCP port for looking at rooms and managing them over HTTP, see ``pica room``; 0 takes a free
+    one. With keys it wants an admin's token, else it answers this machine only."""
+    admin_host: str = "127.0.0.1"
+    """Address to listen on for that. Speaks TLS if the relay does."""
     avatar_store: str = "temporary"
     """Where avatar files are kept that clients give to each other: a folder; an fsspec URL such as
     s3://BUCKET/FOLDER (extra `store`, and the driver's own package); temporary, a folder that ends
@@ -119,11 +152,14 @@ class RelayConfig:
     address again, where a load balancer may send them elsewhere."""
     limits: LimitsConfig = field(default_factory=LimitsConfig)
     """What clients may ask for."""
+    webhook: WebhookConfig = field(default_factory=WebhookConfig)
+    """Whom to tell who comes and goes."""
     store: StoreConfig = field(default_factory=StoreConfig)
     """What the avatar store takes and gives."""
 
     def __post_init__(self) -> None:
         _check("port", self.port, 0, 65_535)
+        _check("admin-port", self.admin_port or 0, 0, 65_535)
         _check("room-capacity", self.room_capacity, 1, MAX_PEERS)
         _check("max-connections", self.max_connections, 1, 1_000_000)
         _check("handshake-timeout-s", self.handshake_timeout_s, 0.05, 600)
@@ -165,6 +201,11 @@ class RelayConfig:
         for origin in self.origins:
             if not _ORIGIN.fullmatch(origin):
                 raise ConfigurationError(f"--origins {origin} is no origin: write https://HOST")
+        if self.admin_port is not None and self.keys is None and not _is_loopback(self.admin_host):
+            raise ConfigurationError(
+                f"--admin-host {self.admin_host} can be reached from other machines and this relay "
+                "has no tokens: name a key file with --keys, or keep --admin-host 127.0.0.1"
+            )
         if self.keys is not None and self.insecure:
             raise ConfigurationError("--insecure lets anybody in: leave it out, or --keys")
         if self.keys is None and not self.insecure and not _is_loopback(self.host):

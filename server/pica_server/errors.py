@@ -8,6 +8,7 @@ RelayError
 ├── StoreError           the avatar store cannot be used
 │   ├── UnfitFileError   a file that it does not take
 │   └── StoreFullError   a file that it has no room for
+├── AdminRequestError    a relay does not do what an admin asks for
 ├── ClusterError         the cluster cannot be joined
 ├── ClusterMessageError  another node sent what cannot be read
 ├── RoomFullError        one peer more than the room takes
@@ -61,6 +62,10 @@ class ClusterError(RelayError):
 
 class ClusterMessageError(RelayError, ValueError):
     """Another node, or whoever may use its NATS, sent what cannot be read; quotes nothing of it."""
+
+
+class AdminRequestError(RelayError):
+    """A relay does not answer an admin, or says no: its reason."""
 
 
 class RoomFullError(RelayError):

@@ -59,6 +59,7 @@ def metrics_text(stats: RelayStats, gauges: Mapping[str, tuple[str, float]]) -> 
             stats.cluster_dropped,
         ),
         ("resumes_total", "Lost connections, and who came back.", "outcome", stats.resumes),
+        ("webhooks_total", "Events for the webhook.", "outcome", stats.webhooks),
         ("limits_hit_total", "How often a limit was reached.", "limit", stats.limits_hit),
         ("store_total", "What the avatar store did, times or bytes.", "what", stats.store),
         ("closed_total", "Connections ended.", "code", stats.closed),

@@ -32,6 +32,8 @@ from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
 from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
 from pica_protocol.store import AVATARS_PATH, STORE_SUBPROTOCOL
+from pica_server.admin import Admin
+from pica_server.admin_server import AdminServer
 from pica_server.certificate import Certificate
 from pica_server.coalescing import WaitingLine
 from pica_server.config import RelayConfig
@@ -40,13 +42,15 @@ from pica_server.errors import AdmissionError, ListenError
 from pica_server.hub import Hub
 from pica_server.limits import SocketGuard
 from pica_server.loop_watch import PERIOD_S, LoopWatch
+from pica_server.notices import Notice
 from pica_server.outbox import Parcel
 from pica_server.proxies import is_in, networks
 from pica_server.relay_socket import RelaySocket
 from pica_server.status_pages import StatusPages
 from pica_server.store import open_store
 from pica_server.store_door import StoreDoor
-from pica_server.tokens import KeyRing, admit, admit_upload, load_keys
+from pica_server.tokens import KeyRing, admin_scope, admit, admit_upload, load_keys
+from pica_server.webhook_sender import WebhookSender
 
 if TYPE_CHECKING:
     from pica_server.cluster import Cluster
@@ -90,7 +94,18 @@ class Relay:
             config,
             None if keys is None else lambda join: admit(keys, join, now=unix_time()),
             new_secret=_new_secret,
+            notify=self._notify,
         )
+        self.webhooks: WebhookSender | None = None
+        if config.webhook.url:
+            counts = self.hub.stats.webhooks
+            self.webhooks = WebhookSender(config.webhook, counts, unix_time=unix_time)
+        self.admin: AdminServer | None = None
+        if config.admin_port is not None:
+            may_manage = (
+                None if keys is None else lambda token: admin_scope(keys, token, now=unix_time())
+            )
+            self.admin = AdminServer(Admin(self.hub, may_manage), self._after_events)
 
         def may_upload(token: str, avatar: str) -> None:
             if keys is not None:
@@ -192,6 +207,15 @@ class Relay:
                 f"cannot listen on {config.host}:{config.port}: {error.strerror or error}; "
                 "choose another --port (0 takes a free one) or --host"
             ) from error
+        if self.webhooks is not None:
+            self.webhooks.start()
+        if self.admin is not None and config.admin_port is not None:
+            tls = None if self.certificate is None else self.certificate.context
+            try:
+                await self.admin.start(config.admin_host, config.admin_port, tls)
+            except ListenError:
+                await self.__aexit__(None, None, None)
+                raise
         self._watch_later()
         return self
 
@@ -202,6 +226,8 @@ class Relay:
         traceback: TracebackType | None,
     ) -> None:
         assert self._server is not None
+        if self.admin is not None:
+            await self.admin.stop()
         self._server.close(close_connections=False)
         self.hub.close_all(CloseCode.GOING_AWAY, "the relay is stopping", self._now())
         self._after_events()
@@ -211,6 +237,8 @@ class Relay:
             await self._cluster.stop()
         if self.store is not None:
             self.store.close()
+        if self.webhooks is not None:
+            await self.webhooks.stop(self.config.close_timeout_s)
         for handle in (self._timer, self._watching, self._release, self._soon):
             if handle is not None:
                 handle.cancel()
@@ -262,6 +290,10 @@ class Relay:
         """Cut every websocket without another word."""
         for waker in self._wakers.values():
             waker.websocket.transport.abort()
+
+    def _notify(self, notice: Notice) -> None:
+        if self.webhooks is not None:
+            self.webhooks.notify(notice)
 
     def _watch_later(self) -> None:
         loop = asyncio.get_running_loop()

@@ -87,6 +87,9 @@ class RelayStats:
     ``admission``, a join that its token did not allow; ``sockets`` that were cut at once, a
     ``request`` that grew too long before it was a websocket; ``extra_frames``, pings and
     fragments."""
+    webhooks: Counter[str] = field(default_factory=Counter)
+    """Events that were ``delivered``; attempts that ``failed``; events that were dropped, as
+    ``overflow`` or ``expired``."""
     closed: Counter[int] = field(default_factory=Counter)
     """Connections ended, by close code; 0 is any code that is not ours."""
     store: Counter[str] = field(default_factory=Counter)
@@ -130,6 +133,7 @@ class RelayStats:
             "limits_hit": dict(self.limits_hit),
             "closed": {str(code): count for code, count in sorted(self.closed.items())},
             "store": dict(self.store),
+            "webhooks": dict(self.webhooks),
             "resumes": dict(self.resumes),
             "reported_lost": self.reported_lost,
             "reported_concealed": self.reported_concealed,

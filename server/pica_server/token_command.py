@@ -21,7 +21,7 @@ class TokenOptions:
     """Add a key to the file, which is made if need be, instead of minting. The relay takes tokens
     of all keys in the file; remove an old one when its last token has expired."""
     room: str = "lobby"
-    """The room that the token opens."""
+    """The room that the token opens; with --admin, * for all rooms."""
     identity: str = ""
     """Who it is for: 1 to 64 of A-Z a-z 0-9 _ . - ; of two with one identity the newer stays."""
     name: str = ""
@@ -34,6 +34,8 @@ class TokenOptions:
     """Whether they may send a face."""
     subscribe: bool = True
     """Whether they get the faces of others."""
+    admin: bool = False
+    """Whether they may list, mute, remove and close, see ``pica room``."""
     avatars: tuple[str, ...] = ()
     """Ids of the avatars they may wear, see ``pica avatar info``; ``any`` for any."""
 
@@ -55,6 +57,7 @@ def token(options: TokenOptions) -> dict[str, Any]:
         name=options.name,
         may_publish=options.publish,
         may_subscribe=options.subscribe,
+        may_admin=options.admin,
         avatars=(ANY_AVATAR,) if options.avatars == ("any",) else options.avatars,
     )
     now = time.time()

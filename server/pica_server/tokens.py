@@ -26,6 +26,8 @@ from pica_server.errors import AdmissionError, KeyFileError
 ALGORITHM: Final = "HS256"
 AUDIENCE: Final = "pica-relay"
 ANY_AVATAR: Final = "*"
+ANY_ROOM: Final = "*"
+"""Of an admin's token; it lets nobody into a room."""
 LEEWAY_S: Final = 10.0
 """How far the clocks of minter and relay may differ (chosen)."""
 MIN_SECRET_BYTES: Final = 32
@@ -51,6 +53,8 @@ class Admission:
     may_subscribe: bool = True
     avatars: tuple[str, ...] = (ANY_AVATAR,)
     """Avatar ids they may wear; ``*`` is any."""
+    may_admin: bool = False
+    """Whether they may look at the room, mute, remove and close it, see ``admin``."""
 
 
 class KeyRing:
@@ -131,7 +135,7 @@ def mint(
 
     Args:
         keys: The newest signs.
-        room: Where it lets its owner in.
+        room: Where it lets its owner in; ``*`` is the rooms that an admin may manage, all of them.
         admission: As whom, and to do what.
         now: Seconds since 1970.
         lasts_s: From ``now`` until it ends.
@@ -140,7 +144,8 @@ def mint(
     Raises:
         ValueError: A field is out of its limits.
     """
-    check_token("room", room)
+    if room != ANY_ROOM or not admission.may_admin:
+        check_token("room", room)
     check_token("identity", admission.identity)
     check_text("name", admission.name, MAX_NAME_BYTES, required=bool(admission.name))
     if len(admission.avatars) > MAX_AVATARS:
@@ -163,6 +168,8 @@ def mint(
     }
     if admission.name:
         claims["name"] = admission.name
+    if admission.may_admin:
+        claims["admin"] = True
     key_id = keys.newest
     secret = keys.secret(key_id)
     assert secret is not None
@@ -201,6 +208,7 @@ def admit(keys: KeyRing, join: Join, *, now: float) -> Admission:
         may_publish=claims.get("publish") is True,
         may_subscribe=claims.get("subscribe") is True,
         avatars=tuple(avatars),
+        may_admin=claims.get("admin") is True,
     )
     if join.tracks and not admission.may_publish:
         raise AdmissionError("the token does not let you publish", CloseCode.FORBIDDEN)
@@ -227,6 +235,25 @@ def admit_upload(keys: KeyRing, token: str, avatar: str, *, now: float) -> None:
         raise AdmissionError("the token does not let you publish", CloseCode.FORBIDDEN)
     if not {avatar, ANY_AVATAR} & set(_avatars(claims)):
         raise AdmissionError("the token does not let you wear this", CloseCode.FORBIDDEN)
+
+
+def admin_scope(keys: KeyRing, token: str, *, now: float) -> str:
+    """Return the room that an admin's token is for, or ``ANY_ROOM``.
+
+    Args:
+        keys: Any of them may have signed.
+        token: What somebody shows.
+        now: Seconds since 1970.
+
+    Raises:
+        AdmissionError: ``UNAUTHORIZED`` without a token that is good now, ``FORBIDDEN`` for one
+            that is no admin's; the text does not quote it.
+    """
+    claims = _claims_that_hold(keys, token, now)
+    room = claims.get("room")
+    if claims.get("admin") is not True or not isinstance(room, str):
+        raise AdmissionError("the token does not let you manage rooms", CloseCode.FORBIDDEN)
+    return room
 
 
 def _claims_that_hold(keys: KeyRing, token: str, now: float) -> Mapping[str, Any]:

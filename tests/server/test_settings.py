@@ -8,7 +8,7 @@ import pytest
 import tyro
 
 from pica_server.commands import ENVIRONMENT_PREFIX, RelayOptions
-from pica_server.config import LimitsConfig, RelayConfig
+from pica_server.config import LimitsConfig, RelayConfig, WebhookConfig
 from pica_server.errors import ConfigurationError
 from pica_server.settings import (
     ELSEWHERE,
@@ -245,9 +245,10 @@ def test_secrets_are_not_printed() -> None:
 def test_every_setting_of_a_relay_has_a_place_in_file_and_environment() -> None:
     settings = settings_of(RelayOptions)
     names = {setting.name for setting in settings}
-    assert {f.name for f in fields(RelayConfig)} - {"limits", "store"} <= names
+    assert {f.name for f in fields(RelayConfig)} - {"limits", "store", "webhook"} <= names
     assert {f"limits.{f.name}" for f in fields(LimitsConfig)} <= names
     assert {f"store.{f.name}" for f in fields(StoreConfig)} <= names
+    assert {f"webhook.{f.name}" for f in fields(WebhookConfig)} <= names
     variables = {setting.variable(ENVIRONMENT_PREFIX) for setting in settings}
     assert len(variables) == len(settings)
     assert "PICA_RELAY_LIMITS_JOINS_PER_S" in variables

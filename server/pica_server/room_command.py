@@ -1,0 +1,190 @@
+"""``pica room``: look at the rooms of a relay that runs with --admin-port, and manage them."""
+
+import http.client
+import json
+import ssl
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+from urllib.parse import quote, urlsplit
+
+import tyro
+
+from pica_server.errors import AdminRequestError, ConfigurationError
+
+TIMEOUT_S: Final = 10.0
+MAX_ANSWER_BYTES: Final = 16_777_216
+
+Room = tyro.conf.Positional[str]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AdminOptions:
+    """Which relay, and the right to manage it."""
+
+    url: str = "http://127.0.0.1:8766"
+    """Address of the relay's admin port."""
+    token_file: Path | None = None
+    """File with an admin's token, from ``pica token --admin``; a relay without keys wants none."""
+    ca_file: Path | None = None
+    """File of certificates to trust besides those of the system, for https://."""
+
+    def __post_init__(self) -> None:
+        parts = urlsplit(self.url)
+        if parts.scheme not in ("http", "https") or not parts.hostname:
+            raise ConfigurationError(f"--url {self.url} is no address: write http://HOST:PORT")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RoomOptions(AdminOptions):
+    """One room."""
+
+    room: Room
+    """Name of the room."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RemoveOptions(RoomOptions):
+    """One peer of a room."""
+
+    peer: tyro.conf.Positional[str]
+    """Id of the peer, see ``pica room inspect``."""
+    bar: bool = False
+    """Also keep its identity out as long as the room lasts."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MuteOptions(RoomOptions):
+    """What a peer publishes."""
+
+    peer: tyro.conf.Positional[str]
+    """Id of the peer, see ``pica room inspect``."""
+    stream: int | None = None
+    """One stream of it alone; all of them by default."""
+
+
+def room_list(options: AdminOptions) -> dict[str, Any]:
+    """List the rooms of a relay.
+
+    Raises:
+        AdminRequestError: The relay cannot be reached, or says no.
+    """
+    answer = _ask(options, "GET", "rooms")
+    for room in answer["rooms"]:
+        away = f", {room['num_away']} away" if room["num_away"] else ""
+        muted = f", {room['num_muted']} muted" if room["num_muted"] else ""
+        print(
+            f"{room['room']}: {room['num_peers']} peers{away}, {room['num_streams']} streams{muted}"
+        )
+    return answer
+
+
+def room_inspect(options: RoomOptions) -> dict[str, Any]:
+    """Show who is in a room, and what they publish.
+
+    Raises:
+        AdminRequestError: As `room_list`.
+    """
+    answer = _ask(options, "GET", "rooms", options.room)
+    for peer in answer["peers"]:
+        state = " (away)" if peer["away"] else ""
+        identity = f" as {peer['identity']}" if peer["identity"] else ""
+        print(f"{peer['peer_id']}: {peer['name']}{identity}{state}")
+        for track in peer["tracks"]:
+            muted = ", muted" if track["muted"] else ""
+            print(f"  stream {track['stream']}: {track['kind']}{muted}")
+    return answer
+
+
+def room_close(options: RoomOptions) -> dict[str, Any]:
+    """Put everybody out of a room.
+
+    Raises:
+        AdminRequestError: As `room_list`.
+    """
+    answer = _ask(options, "DELETE", "rooms", options.room)
+    print(f"closed {options.room}: {answer['removed']} peers removed")
+    return answer
+
+
+def room_remove(options: RemoveOptions) -> dict[str, Any]:
+    """Put somebody out of a room.
+
+    Raises:
+        AdminRequestError: As `room_list`.
+    """
+    query = "?bar=true" if options.bar else ""
+    answer = _ask(options, "DELETE", "rooms", options.room, "peers", options.peer, query=query)
+    print(f"removed {options.peer} from {options.room}")
+    return answer
+
+
+def room_mute(options: MuteOptions) -> dict[str, Any]:
+    """Stop what somebody publishes; they and the others are told.
+
+    Raises:
+        AdminRequestError: As `room_list`.
+    """
+    return _mute(options, "PUT")
+
+
+def room_unmute(options: MuteOptions) -> dict[str, Any]:
+    """Let what somebody publishes go on.
+
+    Raises:
+        AdminRequestError: As `room_list`.
+    """
+    return _mute(options, "DELETE")
+
+
+def _mute(options: MuteOptions, method: str) -> dict[str, Any]:
+    if options.stream is None:
+        answer = _ask(options, method, "rooms", options.room, "peers", options.peer, "muted")
+    else:
+        stream = str(options.stream)
+        answer = _ask(options, method, "rooms", options.room, "streams", stream, "muted")
+    print(f"{'muted' if answer['muted'] else 'unmuted'} streams {answer['streams']}")
+    return answer
+
+
+def _ask(options: AdminOptions, method: str, *path: str, query: str = "") -> dict[str, Any]:
+    parts = urlsplit(options.url)
+    headers = {}
+    if options.token_file is not None:
+        try:
+            token = options.token_file.read_text(encoding="ascii").strip()
+        except (OSError, UnicodeDecodeError) as error:
+            what = error.strerror if isinstance(error, OSError) else "no token"
+            raise ConfigurationError(f"--token-file {options.token_file}: {what}") from error
+        headers["Authorization"] = f"Bearer {token}"
+    target = "/v1/" + "/".join(quote(part, safe="") for part in path) + query
+    connection = _connection(options, parts.hostname or "", parts.port)
+    try:
+        connection.request(method, target, headers=headers)
+        response = connection.getresponse()
+        answer = json.loads(response.read(MAX_ANSWER_BYTES))
+    except (OSError, http.client.HTTPException, ValueError) as error:
+        what = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        raise AdminRequestError(
+            f"no relay answers admins at {options.url} ({what}); start it with --admin-port"
+        ) from error
+    finally:
+        connection.close()
+    if not isinstance(answer, dict):
+        raise AdminRequestError(f"{options.url}: that is no relay's answer")
+    if response.status != 200:
+        raise AdminRequestError(f"{options.url}: {answer.get('error', response.status)}")
+    return answer
+
+
+def _connection(options: AdminOptions, host: str, port: int | None) -> http.client.HTTPConnection:
+    if not options.url.startswith("https:"):
+        return http.client.HTTPConnection(host, port, timeout=TIMEOUT_S)
+    context = ssl.create_default_context()
+    if options.ca_file is not None:
+        try:
+            context.load_verify_locations(options.ca_file)
+        except OSError as error:
+            what = error.strerror or "no certificates in it"
+            raise ConfigurationError(f"--ca-file {options.ca_file}: {what}") from error
+    return http.client.HTTPSConnection(host, port, timeout=TIMEOUT_S, context=context)
