@@ -1,12 +1,12 @@
 """The relay's shell: websockets on one side, the hub on the other, and nothing decided here.
 
-What a websocket receives is fed to the hub at once, see ``relay_socket``; after a turn of the event
-loop, whoever has got something is sent it, so frames that arrive in one turn leave in one message,
-under load also those of a few milliseconds, see ``coalescing``. While the kernel takes what is
-sent, that is all. Each websocket also has a reader, for the messages that do not come the short
-way, and a writer, which waits for a peer that reads slowly and sends the goodbye. A slow peer
-blocks nobody: what it has not taken yet stays in its outbox, where newer frames replace older ones.
-One timer serves all deadlines.
+What the websockets receive in one turn of the event loop is fed to the hub together, see
+``relay_socket``, and then whoever has got something is sent it, so frames that arrive in one turn
+leave in one message, under overload also those of a few milliseconds, see ``coalescing``. While the
+kernel takes what is sent, that is all. Each websocket also has a reader, for the messages that do
+not come the short way, and a writer, which waits for a peer that reads slowly and sends the
+goodbye. A slow peer blocks nobody: what it has not taken yet stays in its outbox, where newer
+frames replace older ones. One timer serves all deadlines.
 
 The buffers behind an outbox are kept small, because what they hold can be neither replaced nor
 withdrawn: one message in the transport and a bounded socket buffer in the kernel, of which unsent
@@ -18,7 +18,7 @@ import logging
 import secrets
 import socket
 import time
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Sequence
 from contextlib import suppress
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -137,9 +137,9 @@ class Relay:
         self._wakers: dict[Connection, _Waker] = {}
         self._timer: asyncio.TimerHandle | None = None
         self._timer_s: float | None = None
-        # Who was fed since the last look at who is ready, which is due soon.
+        # What was received in this turn of the loop, and when; the hub gets it soon.
+        self._inbox: list[tuple[Connection, bytes, float]] = []
         self._loop_time: Callable[[], float] = time.monotonic
-        self._fed: set[Connection] = set()
         self._soon: asyncio.Handle | None = None
         self._watch = LoopWatch()
         self._pages = StatusPages(self.hub, self._watch, config, self.store)
@@ -359,17 +359,12 @@ class Relay:
         _logger.log(level, "connection closed", extra=fields)
 
     def _on_message(self, connection: Connection, data: bytes) -> None:
-        """Feed the hub with a message that came the short way."""
-        # What a peer sends in one go, as after a stall, is passed on one by one: two of its frames
-        # must not replace each other although their receivers are not slow.
-        if connection in self._fed:
-            self._after_events()
-        self._fed.add(connection)
-        try:
-            self.hub.receive(connection, data, self._now())
-        except Exception:  # a fault of ours; it must not cost anybody else anything
-            _logger.exception("connection failed", extra={"connection": connection.serial})
-            self.hub.close(connection, CloseCode.INTERNAL_ERROR, "relay fault", self._now())
+        """Keep a message that came the short way until all sockets have been read in this turn.
+
+        First to read them all, then to decide, then to write: mixed, the network's code and ours
+        drive each other out of the processor's caches.
+        """
+        self._inbox.append((connection, data, self._loop_time()))
         self._after_turn_soon()
 
     def _after_turn_soon(self) -> None:
@@ -377,7 +372,22 @@ class Relay:
             self._soon = asyncio.get_running_loop().call_soon(self._after_turn)
 
     def _after_turn(self) -> None:
+        """Feed the hub with what has come in this turn."""
         self._soon = None
+        inbox, self._inbox = self._inbox, []
+        fed: set[Connection] = set()
+        for connection, data, now in inbox:
+            # What a peer sends in one go, as after a stall, is passed on one by one: two of its
+            # frames must not replace each other although their receivers are not slow.
+            if connection in fed:
+                self._after_events()
+                fed.clear()
+            fed.add(connection)
+            try:
+                self.hub.receive(connection, data, now)
+            except Exception:  # a fault of ours; it must not cost anybody else anything
+                _logger.exception("connection failed", extra={"connection": connection.serial})
+                self.hub.close(connection, CloseCode.INTERNAL_ERROR, "relay fault", now)
         self._after_events()
 
     async def _read(self, websocket: RelaySocket, connection: Connection) -> None:
@@ -418,16 +428,17 @@ class Relay:
 
     def _after_events(self) -> None:
         """Send to those who have got something, and set the timer to the next deadline."""
-        self._fed.clear()
         if self._cluster is not None:
             self._cluster.step()
         window_s = self.hub.coalescing_s
         due_s = self._now() + window_s
-        for connection in self.hub.take_ready():
-            if window_s == 0 or connection.is_urgent:
-                self._send(connection)
-            else:
-                self._held.join(connection, due_s)
+        ready = self.hub.take_ready()
+        if window_s > 0:
+            for connection in ready:
+                if not connection.is_urgent:
+                    self._held.join(connection, due_s)
+            ready = [connection for connection in ready if connection.is_urgent]
+        self._send_all(ready)
         if self._release is None:
             self._release_later()
         when = self.hub.next_timer()
@@ -438,26 +449,36 @@ class Relay:
             self._timer = None if when is None else loop.call_at(when, self._on_timer)
             self._timer_s = when
 
-    def _send(self, connection: Connection) -> None:
-        """Send all that waits, as far as the kernel takes it; leave the rest to the writer."""
-        # Once for every message that goes out: written for speed.
-        waker = self._wakers.get(connection)
-        if waker is None:
-            return
-        if waker.is_idle and connection.closed is None and waker.websocket.is_writable:
-            hub, now = self.hub, self._loop_time()
-            while (parcel := hub.take(connection, now)) is not None:
-                if not waker.websocket.write(parcel.data):
-                    waker.under_way = parcel
-                    break
-                hub.sent(connection, parcel, self._loop_time())
+    def _send_all(self, connections: Iterable[Connection]) -> None:
+        """Send what waits for some, as far as the kernel takes it; leave the rest to the writers.
+
+        First to take what goes out, then to write it, see `_on_message`.
+        """
+        hub, now = self.hub, self._loop_time()
+        taken: list[tuple[Connection, _Waker, Parcel]] = []
+        for connection in connections:
+            waker = self._wakers.get(connection)
+            if waker is None:
+                continue
+            if waker.is_idle and connection.closed is None and waker.websocket.is_writable:
+                parcel = hub.take(connection, now)
+                if parcel is not None:
+                    taken.append((connection, waker, parcel))
                 if not connection.outbox.is_waiting:
-                    return
+                    continue
+            waker.wake()
+            if connection.closed is not None:
+                waker.cut_after(self._close_timeout_s())
+        written: list[tuple[Connection, Parcel]] = []
+        for connection, waker, parcel in taken:
+            if waker.websocket.write(parcel.data):
+                written.append((connection, parcel))
             else:
-                return
-        waker.wake()
-        if connection.closed is not None:
-            waker.cut_after(self._close_timeout_s())
+                waker.under_way = parcel
+                waker.wake()
+        now = self._loop_time()
+        for connection, parcel in written:
+            hub.sent(connection, parcel, now)
 
     def _release_later(self) -> None:
         when = self._held.next_timer()
@@ -466,8 +487,7 @@ class Relay:
 
     def _release_due(self) -> None:
         """Let go those who have waited for company long enough."""
-        for connection in self._held.take_due(self._now()):
-            self._send(connection)
+        self._send_all(self._held.take_due(self._now()))
         self._release = None
         self._release_later()
 
