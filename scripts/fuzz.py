@@ -1,6 +1,6 @@
 """Throw damaged messages at everything that reads what strangers send, in this process.
 
-python scripts/fuzz.py --messages 1000000    some five minutes; --record keeps the figures
+python scripts/fuzz.py --messages 1000000       some ten minutes; --record keeps the figures
 python scripts/fuzz.py --seed 7 --round 1234 --messages 1     one round again
 
 Everything is either accepted or refused with a documented error; anything else ends the run with
@@ -26,7 +26,7 @@ from fuzzing.meter import Meter  # noqa: E402
 def main() -> None:
     """Read the command line, run, print the figures as JSON."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--messages", type=int, default=1_000_000, help="at least so many")
+    parser.add_argument("--messages", type=int, default=1_000_000, help="damaged ones, at least")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--round", type=int, default=0, help="where to begin")
     parser.add_argument("--no-memory", action="store_true", help="measure no memory: faster")
@@ -35,7 +35,7 @@ def main() -> None:
 
     def tell(number: int, meter: Meter) -> None:
         if number % 500 == 0:
-            print(f"round {number}: {meter.num_messages} messages", file=sys.stderr)
+            print(f"round {number}: {meter.num_damaged} damaged messages", file=sys.stderr)
 
     load_before = load_now()
     try:

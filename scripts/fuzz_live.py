@@ -1,6 +1,6 @@
 """Let strangers loose on a live relay: broken messages, websockets and HTTP, on many connections.
 
-python scripts/fuzz_live.py --messages 50000            some two minutes; --record keeps the figures
+python scripts/fuzz_live.py --messages 50000      some five minutes; --record keeps the figures
 
 It starts a relay on this machine, keeps up a call through it, and ends with figures, or with what
 the relay did that is not documented, or did to the call.
@@ -24,7 +24,7 @@ from fuzzing.live import LiveFailure, besiege  # noqa: E402
 def main() -> None:
     """Read the command line, run, print the figures as JSON."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--messages", type=int, default=50_000, help="at least so many")
+    parser.add_argument("--messages", type=int, default=50_000, help="damaged ones, at least")
     parser.add_argument("--strangers", type=int, default=8, help="at the same time")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--record", action="store_true", help="append to docs/results/fuzz.jsonl")

@@ -187,14 +187,16 @@ class Conversation:
     Attributes:
         protocol: Sub-protocol to ask for.
         pieces: What to write, one after the other.
-        num_messages: Messages in it that may be damaged.
+        num_damaged: Damaged messages and pieces of abuse in it.
+        num_whole: Good messages.
         is_whole: Whether all frames are whole and right, so that a goodbye can follow.
         codes: Codes of close frames in it, which the relay may send back.
     """
 
     protocol: str = "pica.1"
     pieces: list[bytes] = field(default_factory=list)
-    num_messages: int = 0
+    num_damaged: int = 0
+    num_whole: int = 0
     is_whole: bool = True
     codes: set[int] = field(default_factory=set)
 
@@ -209,9 +211,11 @@ def conversation(rng: random.Random) -> Conversation:
     messages += [media(rng, rng.randrange(1, 5)) for _ in range(rng.choice((0, 4)))]
     mutator = Mutator(rng, CORPUS)
     for message in messages:
-        if rng.random() < 0.25:
+        if rng.random() < 0.3:
             message = mutator.mutate(message)
-        talk.num_messages += 1
+            talk.num_damaged += 1
+        else:
+            talk.num_whole += 1
         if rng.random() < 0.06:
             _abuse(rng, talk)
         talk.pieces += _framed(rng, message)
@@ -226,8 +230,10 @@ def _upload(rng: random.Random) -> Conversation:
     talk = Conversation(protocol="pica.store.1")
     for _ in range(rng.choice((1, 2, 3))):
         data = rng.choice(corpus)
-        talk.pieces += _framed(rng, mutator.mutate(data) if rng.random() < 0.4 else data)
-        talk.num_messages += 1
+        is_damaged = rng.random() < 0.4
+        talk.pieces += _framed(rng, mutator.mutate(data) if is_damaged else data)
+        talk.num_damaged += is_damaged
+        talk.num_whole += not is_damaged
     return talk
 
 
@@ -253,7 +259,7 @@ def _framed(rng: random.Random, message: bytes) -> list[bytes]:
 
 def _abuse(rng: random.Random, talk: Conversation) -> None:
     """Add something that a websocket must not contain, or hardly ever does."""
-    talk.num_messages += 1
+    talk.num_damaged += 1
     match rng.randrange(15):
         case 0:
             talk.pieces.append(frame(b"x" * 10, mask=None))

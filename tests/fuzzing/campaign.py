@@ -34,11 +34,15 @@ TARGETS: Final[Mapping[str, Target]] = {
 }
 
 WEIGHTS: Final[Mapping[str, int]] = {
-    "codec": 4,
-    "frames": 2,
-    "server session": 16,
-    "client session": 16,
-    "hub": 4,
+    "codec": 16,
+    "frames": 8,
+    "server session": 64,
+    "client session": 64,
+    "hub": 6,
+    "tokens": 4,
+    "guard": 2,
+    "store messages": 4,
+    "cluster messages": 2,
 }
 """How often a target has its turn; a session is over after a few messages, so many are needed."""
 
@@ -61,7 +65,7 @@ def run(
     is_tracing: bool = True,
     tell: Callable[[int, Meter], None] = lambda number, meter: None,
 ) -> dict[str, Any]:
-    """Throw at least so many messages at all targets in turn.
+    """Throw at least so many damaged messages at all targets in turn.
 
     Args:
         num_messages: In all; the last round is finished.
@@ -84,7 +88,7 @@ def run(
         tracemalloc.start()
     try:
         number = first_round
-        while meter.num_messages < num_messages:
+        while meter.num_damaged < num_messages:
             meter.target = names[number % len(names)]
             try:
                 TARGETS[meter.target](random.Random(f"{seed}:{number}"), meter)
@@ -109,7 +113,8 @@ def run(
         kinds[kind] += count
         by_target.setdefault(target, {})[kind] = count
     return {
-        "messages": meter.num_messages,
+        "damaged": meter.num_damaged,
+        "whole": meter.num_whole,
         "rounds": number - first_round,
         "seed": seed,
         "first_round": first_round,

@@ -115,7 +115,8 @@ class Strangers:
     """Several tasks that connect again and again until enough has been sent.
 
     Attributes:
-        num_messages: Sent so far: messages, requests and pieces of abuse.
+        num_damaged: Sent so far: damaged messages, odd requests and pieces of abuse.
+        num_whole: Good messages in between.
         codes: Close codes that the relay has sent; 0: cut without one.
         statuses: HTTP answers.
         failures: What was not documented.
@@ -126,7 +127,8 @@ class Strangers:
         self._wanted = num_messages
         self._seed = seed
         self._known = documented_codes()
-        self.num_messages = 0
+        self.num_damaged = 0
+        self.num_whole = 0
         self.num_connections = 0
         self.codes: Counter[int] = Counter()
         self.statuses: Counter[int] = Counter()
@@ -135,7 +137,7 @@ class Strangers:
     async def run(self, worker: int) -> None:
         """Be one stranger after the other."""
         turn = 0
-        while self.num_messages < self._wanted and not self.failures:
+        while self.num_damaged < self._wanted and not self.failures:
             rng = random.Random(f"{self._seed}:{worker}:{turn}")
             where = f"(seed {self._seed}, worker {worker}, turn {turn})"
             try:
@@ -152,11 +154,12 @@ class Strangers:
         reader, writer = await asyncio.open_connection("127.0.0.1", self._port)
         try:
             if rng.random() < 0.25:
-                self.num_messages += 1
+                self.num_damaged += 1
                 await self._ask(rng, reader, writer)
             else:
                 talk = conversation(rng)
-                self.num_messages += talk.num_messages
+                self.num_damaged += talk.num_damaged
+                self.num_whole += talk.num_whole
                 await self._talk(rng, talk, reader, writer)
         except ConnectionError:
             self.codes[0] += 1
@@ -329,7 +332,8 @@ async def _besiege(
     if failures:
         raise LiveFailure("; ".join(failures))
     return {
-        "messages": strangers.num_messages,
+        "damaged": strangers.num_damaged,
+        "whole": strangers.num_whole,
         "connections": strangers.num_connections,
         "seed": seed,
         "seconds": round(took_s, 1),
@@ -345,10 +349,10 @@ async def _besiege(
 
 
 def besiege(num_messages: int, *, seed: int, num_workers: int = 8) -> dict[str, Any]:
-    """Let strangers send at least so many messages to a live relay.
+    """Let strangers send at least so many damaged messages to a live relay.
 
     Args:
-        num_messages: Messages of websockets, damaged or not, requests and pieces of abuse.
+        num_messages: Damaged messages, odd requests and pieces of abuse.
         seed: Of everything the strangers say; not of the order in which it comes.
         num_workers: Strangers at the same time.
 

@@ -19,7 +19,8 @@ class Meter:
     """What a run has seen so far.
 
     Attributes:
-        num_messages: Damaged messages given to anybody.
+        num_damaged: Damaged messages given to anybody.
+        num_whole: Good ones in between, and frames that were queued: they lead into other states.
         outcomes: What came of them: ``accepted``, or why they were refused, for each target.
         longest_s: Processor time of the slowest call, and ``longest_where``.
         largest_bytes: What the most costly call held at its worst, more than before it; and
@@ -27,7 +28,8 @@ class Meter:
     """
 
     def __init__(self) -> None:
-        self.num_messages = 0
+        self.num_damaged = 0
+        self.num_whole = 0
         self.outcomes: Counter[str] = Counter()
         self.longest_s = 0.0
         self.longest_where = ""
@@ -35,9 +37,12 @@ class Meter:
         self.largest_where = ""
         self.target = ""
 
-    def note(self, outcome: str) -> None:
+    def note(self, outcome: str, *, is_damaged: bool = True) -> None:
         """Count what came of one message."""
-        self.num_messages += 1
+        if is_damaged:
+            self.num_damaged += 1
+        else:
+            self.num_whole += 1
         self.outcomes[f"{self.target}: {outcome}"] += 1
 
     def call(self, function: Callable[..., T], *args: Any, **kwargs: Any) -> T:

@@ -100,7 +100,7 @@ def hub(rng: random.Random, meter: Meter) -> None:
         now += rng.choice((0.0, 0.0, 0.001, 0.02, 0.3))
         if len(hostile) < 8 and rng.random() < 0.3:
             connection = meter.call(relay.connect, now, rng.choice(("", "192.0.2.7")))
-            _note(connection, meter, was_open=True)
+            _note(connection, meter, was_open=True, is_damaged=False)
             hostile.append(connection)
             plans[connection] = _plan(rng, has_keys, secrets, stream=rng.randrange(1, 9))
         if hostile:
@@ -108,11 +108,12 @@ def hub(rng: random.Random, meter: Meter) -> None:
             plan = plans[connection]
             data = plan.pop(0) if plan else media(rng, rng.randrange(1, 9))
             # Whoever is not let in is not looked at for long: let half of them be.
-            if rng.random() < (0.15 if plan else 0.6):
+            is_damaged = rng.random() < (0.15 if plan else 0.6)
+            if is_damaged:
                 data = mutator.mutate(data)
             was_open = connection.closed is None
             meter.call(relay.receive, connection, data, now)
-            _note(connection, meter, was_open=was_open)
+            _note(connection, meter, was_open=was_open, is_damaged=is_damaged)
             if rng.random() < 0.03 or connection.closed is not None:
                 relay.disconnect(connection, rng.randrange(5000), "\x00", now)
                 hostile.remove(connection)
@@ -178,14 +179,10 @@ def _plan(rng: random.Random, has_keys: bool, secrets: list[str], stream: int) -
     return plan + to_relay(rng, room=room, stream=stream)[2:]
 
 
-def _note(connection: Connection, meter: Meter, *, was_open: bool) -> None:
+def _note(connection: Connection, meter: Meter, *, was_open: bool, is_damaged: bool) -> None:
     closed = connection.closed
-    if not was_open:
-        meter.note("ignored after the end")
-    elif closed is None or closed.is_remote:
-        meter.note("accepted")
-    else:
-        meter.note(refusal(closed.code))
+    outcome = "accepted" if closed is None or closed.is_remote else refusal(closed.code)
+    meter.note(outcome if was_open else "ignored after the end", is_damaged=is_damaged)
 
 
 def _token(identity: str, room: str = "lobby", **grants: Any) -> str:

@@ -108,12 +108,13 @@ def server_session(rng: random.Random, meter: Meter) -> None:
     for data in shuffled(rng, to_relay(rng) + [rng.choice(CORPUS) for _ in range(4)]):
         now += rng.choice((0.0, 0.0, 0.01, 1.0))
         # Few of them: after the first that is refused there is nothing left to see.
-        sent: bytes | str = mutator.mutate(data) if rng.random() < 0.2 else data
-        if rng.random() < 0.01:
+        is_damaged = rng.random() < 0.2
+        sent: bytes | str = mutator.mutate(data) if is_damaged else data
+        if is_damaged and rng.random() < 0.05:
             sent = data.decode("latin-1")
         before = session.state
         events = meter.call(session.receive_data, sent, now)
-        _note_session(session, meter, before)
+        _note_session(session, meter, before, is_damaged=is_damaged)
         if before is State.CLOSED:
             expect(not events, "events after the end:", events)
             break
@@ -138,9 +139,10 @@ def client_session(rng: random.Random, meter: Meter) -> None:
     for data in shuffled(rng, to_client(rng, tracks) + [rng.choice(CORPUS) for _ in range(4)]):
         now += rng.choice((0.0, 0.0, 0.01, 1.0))
         before = session.state
-        sent = mutator.mutate(data) if rng.random() < 0.2 else data
+        is_damaged = rng.random() < 0.2
+        sent = mutator.mutate(data) if is_damaged else data
         events = meter.call(session.receive_data, sent, now)
-        _note_session(session, meter, before)
+        _note_session(session, meter, before, is_damaged=is_damaged)
         if before is State.CLOSED:
             expect(not events, "events after the end:", events)
             break
@@ -169,7 +171,7 @@ def crowded_client(rng: random.Random, meter: Meter) -> None:
         meter.call(session.receive_data, encode_message(PeerAway(peer_id=f"y{number}")), 0.0)
         peer = Peer(peer_id=f"x{number}", name="X", tracks=(Track(kind="face", stream=number + 1),))
         meter.call(session.receive_data, encode_message(PeerJoined(peer=peer)), 0.0)
-        _note_session(session, meter, before)
+        _note_session(session, meter, before, is_damaged=False)
         many = max(len(session.peers), len(session.away))
         expect(many <= MAX_PEERS, "more peers than a room holds:", number)
 
@@ -209,7 +211,8 @@ def stream_queue(rng: random.Random, meter: Meter) -> None:
                 fate = meter.call(queue.put, frame, layer, is_keyframe, now)
                 given += 1
                 expect(isinstance(fate, Put), "no fate:", fate)
-                meter.note("accepted" if fate is Put.WAITS else f"refused {fate.name}")
+                outcome = "accepted" if fate is Put.WAITS else f"refused {fate.name}"
+                meter.note(outcome, is_damaged=False)
         bound = MAX_WAITING_BASE + MAX_WAITING_UPPER
         expect(len(queue) <= bound, "too many frames wait:", len(queue))
         num_bytes = queue.num_bytes
@@ -247,7 +250,8 @@ def ordered_queue(rng: random.Random, meter: Meter) -> None:
                 frame = b"\x00\x01" + number.to_bytes(2) + bytes(rng.choice((12, 40, 1196)))
                 fate = meter.call(queue.put, frame, rng.choice((0, 0, 1)), rng.random() < 0.5, now)
                 given += fate is Put.WAITS
-                meter.note("accepted" if fate is Put.WAITS else f"refused {fate.name}")
+                outcome = "accepted" if fate is Put.WAITS else f"refused {fate.name}"
+                meter.note(outcome, is_damaged=False)
         expect(len(queue) <= MAX_WAITING_FRAMES, "too many frames wait:", len(queue))
         is_fit = 0 <= queue.num_bytes <= ordered.MAX_WAITING_BYTES
         expect(is_fit, "too many bytes wait, or fewer than none:", queue.num_bytes)
@@ -255,14 +259,14 @@ def ordered_queue(rng: random.Random, meter: Meter) -> None:
     expect(given == got + unwanted + drops.total(), "frames are lost count of:", given, drops)
 
 
-def _note_session(session: ClientSession | ServerSession, meter: Meter, before: State) -> None:
+def _note_session(
+    session: ClientSession | ServerSession, meter: Meter, before: State, *, is_damaged: bool
+) -> None:
     closed = session.closed
-    if before is State.CLOSED:
-        meter.note("ignored after the end")
-    elif closed is None or closed.is_remote:
-        meter.note("accepted")
-    else:
-        meter.note(refusal(closed.code))
+    outcome = "accepted" if closed is None or closed.is_remote else refusal(closed.code)
+    meter.note(
+        "ignored after the end" if before is State.CLOSED else outcome, is_damaged=is_damaged
+    )
 
 
 def _check_last_words(session: ClientSession | ServerSession, said: list[bytes]) -> None:

@@ -46,6 +46,6 @@ def test_a_message_that_takes_much_memory_ends_the_run(monkeypatch: pytest.Monke
 def test_a_round_is_the_same_whatever_came_before_it() -> None:
     whole = run(3000, seed=5, is_tracing=False)
     begin = run(1000, seed=5, is_tracing=False)
-    rest = run(3000 - begin["messages"], seed=5, first_round=begin["rounds"], is_tracing=False)
+    rest = run(3000 - begin["damaged"], seed=5, first_round=begin["rounds"], is_tracing=False)
     assert begin["rounds"] + rest["rounds"] == whole["rounds"]
-    assert begin["messages"] + rest["messages"] == whole["messages"]
+    assert begin["damaged"] + rest["damaged"] == whole["damaged"]

@@ -14,7 +14,7 @@ if os.name == "nt":
 
 
 def test_a_live_relay_outlives_strangers_and_a_room_beside_them_loses_nothing() -> None:
-    figures = besiege(2500, seed=2500)
+    figures = besiege(1500, seed=1500)
     assert figures["healthy_lost"] == 0
     assert figures["healthy_frames"] > 0
     assert {str(int(CloseCode.MALFORMED)), str(int(CloseCode.PROTOCOL_ERROR))} <= set(
