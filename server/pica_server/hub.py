@@ -501,7 +501,7 @@ class Hub:
                 for outbox in outboxes + [link.outbox for link in room.links.values()]:
                     outbox.open_ordered(number, stream.deadline_s)
             bundle = room.shared.current
-            if bundle.is_full:
+            if bundle.is_full or bundle.carries(number):
                 bundle = room.shared.turn_over()
             for peer_id in receivers:
                 receiver = connections[peer_id]

@@ -55,6 +55,11 @@ class Bundle:
         """Of each frame of the base layer: stream, frame, and whether it is a keyframe."""
         return self._bases
 
+    def carries(self, stream: int) -> bool:
+        """Whether a frame of this stream waits here: the next one opens another bundle, so a reader
+        that lets `MAX_BUNDLES` wait has as many frames of a stream, and is thinned from there."""
+        return stream in self._streams
+
     @property
     def is_full(self) -> bool:
         """Whether no frame of the largest size fits any more."""
