@@ -1,7 +1,7 @@
 # Captures, training and export with software OpenGL (Mesa), not root. Build from the repository's root:
 #     docker build -f docker/train.Dockerfile -t pica-train .
 # With a GPU: `docker run --gpus all`, and the wheels of torch that the constraints file pins.
-#     docker run -v $PWD/runs:/work pica-train capture synth --out /work/capture
+#     docker run -v $PWD/runs:/runs pica-train capture synth --out /runs/capture
 FROM python:3.11.13-slim-bookworm
 RUN apt-get update \
     && apt-get install -y --no-install-recommends libegl1 libgl1 libegl-mesa0 libgl1-mesa-dri \
@@ -16,9 +16,9 @@ COPY client client
 RUN python -m venv /opt/pica \
     && /opt/pica/bin/pip install --no-cache-dir --constraint constraints.txt '.[train]' \
     && rm -rf /src/*
-RUN useradd --uid 10001 --create-home pica && mkdir /work && chown pica /work
+RUN useradd --uid 10001 --create-home pica && mkdir /runs && chown pica /runs
 ENV PATH=/opt/pica/bin:$PATH PYTHONUNBUFFERED=1
-WORKDIR /work
+WORKDIR /runs
 USER 10001
 ENTRYPOINT ["pica"]
 CMD ["train", "--help"]
