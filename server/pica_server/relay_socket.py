@@ -206,13 +206,20 @@ class RelaySocket(ServerConnection):
     def send_data(self) -> None:
         """Write what the library has to say in one go: a hundred pongs are one write, and one line
         in the log of asyncio if the socket has died."""
-        writes = self.protocol.writes
-        if self.transport.is_closing():
-            writes.clear()
-        elif len(writes) > 1:
-            # An empty one is the last, and means the end.
-            self.protocol.writes = [b"".join(writes), *([] if writes[-1] else [b""])]
-        super().send_data()
+        writes = self.protocol.data_to_send()
+        if not writes or self.transport.is_closing():
+            return
+        if data := b"".join(writes):
+            self.transport.write(data)
+        if writes[-1]:
+            return
+        # An empty one is the last, and means the end.
+        if self._has_written_all():
+            self.protocol.writes = [b""]
+            super().send_data()
+        else:
+            # Half-closing waits for the rest, and raises into the log if the peer goes till then.
+            self.transport.close()
 
     def process_event(self, event: Event) -> None:
         """Take a message, or a part of one, that the library has read."""

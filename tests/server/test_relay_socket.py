@@ -237,6 +237,27 @@ async def test_a_request_that_grows_and_grows_is_cut_before_it_is_large() -> Non
         assert transport.is_closing()
 
 
+class SlowTransport(DeadTransport):
+    """Of a socket whose other end reads nothing."""
+
+    is_closed = False
+
+    def is_closing(self) -> bool:
+        return self.is_closed
+
+    def get_write_buffer_size(self) -> int:
+        return 100 * self.num_writes
+
+    def can_write_eof(self) -> bool:
+        return True
+
+    def write_eof(self) -> None:
+        raise AssertionError("asyncio would raise later, where nobody hears it")
+
+    def close(self) -> None:
+        self.is_closed = True
+
+
 class QuietServer:
     """Serves nobody."""
 
@@ -247,13 +268,15 @@ class QuietServer:
         pass
 
 
-def open_relay_socket() -> tuple[RelaySocket, DeadTransport]:
+def open_relay_socket(
+    transport: DeadTransport | None = None,
+) -> tuple[RelaySocket, DeadTransport]:
     websocket = RelaySocket(ServerProtocol(state=State.OPEN), cast(Server, QuietServer()))
     websocket.guard = SocketGuard(handshakes=1, per_address=1)
     websocket.stats = RelayStats()
     websocket.handshake_timeout_s = 1.0
     websocket.request = Request("/", Headers())
-    transport = DeadTransport()
+    transport = transport or DeadTransport()
     websocket.connection_made(transport)
     websocket.note_opened()
     return websocket, transport
@@ -284,3 +307,11 @@ async def test_a_socket_that_has_ended_can_be_ended_again() -> None:
         transport.abort()
     websocket.transport.abort()
     assert not websocket.is_writable
+
+
+@in_virtual_time
+async def test_a_socket_that_still_has_to_send_is_closed_after_that_and_not_by_halves() -> None:
+    websocket, transport = open_relay_socket(SlowTransport())
+    websocket.data_received(websocket_bytes(b"", opcode=Opcode.CLOSE))
+    assert transport.num_writes == 1  # the answer
+    assert transport.is_closing()
