@@ -25,7 +25,8 @@ Level = Literal["debug", "info", "warning", "error"]
 OURS: Final = "pica_server"
 LINES_PER_S: Final = 20.0
 LINES_AT_ONCE: Final = 200.0
-"""Lines below a warning; those left out are counted in the next one (chosen: 2 kB a second)."""
+"""Lines below a warning, and of libraries; those left out are counted in the next one (chosen: 2 kB
+a second)."""
 MOST_FRAMES: Final = 12
 """Of a traceback, from its end."""
 
@@ -60,8 +61,8 @@ def logging_to(
 
 
 class LineLimit(logging.Filter):
-    """Leaves out lines below a level, and those below a warning when there are too many of them;
-    these are counted."""
+    """Leaves out lines below a level, and when there are too many of them those below a warning and
+    those of libraries; these are counted."""
 
     def __init__(self, clock: Callable[[], float], least: int = logging.INFO) -> None:
         super().__init__()
@@ -75,7 +76,9 @@ class LineLimit(logging.Filter):
         if not hasattr(record, "spoken"):
             if record.levelno < self._least:
                 return False
-            if record.levelno < logging.WARNING and not self._bucket.take(self._clock()):
+            # What a library warns of may be a stranger's doing too: asyncio does of dead sockets.
+            is_news = record.levelno >= logging.WARNING and _is_ours(record)
+            if not is_news and not self._bucket.take(self._clock()):
                 self._left_out += 1
                 return False
         if self._left_out:

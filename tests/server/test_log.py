@@ -122,6 +122,15 @@ def test_a_flood_of_lines_is_cut_and_counted_and_warnings_come_through() -> None
     assert "left_out" not in log.events[-1]
 
 
+def test_a_flood_of_warnings_of_a_library_is_cut_too() -> None:
+    with Logged() as log:
+        for _ in range(int(LINES_AT_ONCE) + 50):
+            THEIRS.warning("socket.send() raised exception.")
+        OURS.warning("something else")
+    assert len(log.lines) == LINES_AT_ONCE + 1
+    assert log.events[-1]["left_out"] == 50
+
+
 ROOM, NAME, OTHER_NAME = "room-of-requirement", "Hermione", "Ronald"
 PAYLOAD, WHISPERED = b"payload-of-a-face", b"whispered-key"
 FORWARDED = "203.0.113.77"
