@@ -529,7 +529,8 @@ class ServerSession(_Session):
             data = _binary(data)
             if data[0] == MEDIA_KIND:
                 media = Media(data, scan_frames(data))
-                self._advance(Media)
+                if self.state is not State.JOINED:  # where the table leads nowhere else
+                    self._advance(Media)
                 return [media]
             return self._receive_message(decode_message(data, self._max_bytes))
         except RemoteProtocolError as error:

@@ -137,7 +137,7 @@ class RelayConfig:
     replaced by newer frames. The kernel may round it up."""
     max_control_bytes: int = 262_144
     """Bytes of control messages that may wait for one peer before it is closed."""
-    coalesce_above_per_s: float = 60_000.0
+    coalesce_above_per_s: float = 80_000.0
     """Frames delivered a second, over all receivers, above which frames wait for others to share a
     message with; at four times as many they wait the longest. About what one core delivers one by
     one; below that, waiting makes latency worse and saves little (measured)."""

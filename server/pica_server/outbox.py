@@ -14,24 +14,15 @@ shares with others, see ``shared_frames``.
 import math
 from collections import Counter, deque
 from collections.abc import Sequence, Set
-from typing import NamedTuple
 
 from pica_protocol.frames import MEDIA_PREFIX, media_message
 from pica_protocol.limits import MAX_MEDIA_MESSAGE_BYTES
 from pica_protocol.ordered_queue import OrderedQueue
 from pica_protocol.stream_queue import Put, StreamQueue, Waiting
 from pica_server.errors import OutboxFullError
-from pica_server.shared_frames import MAX_BUNDLES, Bundle, SharedFrames
+from pica_server.shared_frames import MAX_BUNDLES, Bundle, Parcel, SharedFrames
 
 _WAITS = Put.WAITS
-
-
-class Parcel(NamedTuple):
-    """One websocket message on its way out."""
-
-    data: bytes
-    received_s: tuple[float, ...]
-    """When each of its frames came to the relay; empty for a control message."""
 
 
 class Outbox:
@@ -62,6 +53,8 @@ class Outbox:
         self.shared: SharedFrames | None = None
         self.flowing: Set[int] = frozenset()
         self.newest: Bundle | None = None
+        # While anything flows: the last one that has gone out.
+        self._last_taken: Bundle | None = None
         self._bundles: list[Bundle] = []
 
     @property
@@ -162,6 +155,8 @@ class Outbox:
     def forget_stream(self, stream: int) -> int:
         """Forget a stream that has ended; return how many of its frames waited."""
         self._unbundle()
+        if self.shared is not None:
+            self.shared.forget_stream(stream)
         self._line.pop(stream, None)
         self._ordered.pop(stream, None)
         queue = self._queues.pop(stream, None)
@@ -222,29 +217,32 @@ class Outbox:
         )
 
     def _take_bundles(self) -> Parcel:
-        """Take the bundles that wait; the queues stand as if their frames had gone through them."""
-        bundles, self._bundles, self.newest = self._bundles, [], None
-        flowing = self.flowing
-        for bundle in bundles:
-            for stream, frame, is_keyframe in bundle.bases:
-                if stream in flowing:
-                    queue = self._queues[stream]
-                    assert isinstance(queue, StreamQueue)
-                    queue.note_sent(frame, is_keyframe)
+        bundles = self._bundles
+        newest = self._last_taken = bundles[-1]
         shared = self.shared
         assert shared is not None
-        if shared.current is bundles[-1]:
+        if shared.current is newest:
             shared.turn_over()
+        self.newest = None
         if len(bundles) == 1:
-            return Parcel(*bundles[0].message(flowing))
-        parts = [bundle.message(flowing) for bundle in bundles]
-        data = MEDIA_PREFIX + b"".join([data[len(MEDIA_PREFIX) :] for data, _ in parts])
-        return Parcel(data, tuple([moment for _, moments in parts for moment in moments]))
+            bundles.clear()
+            return newest.parcel(self.flowing)
+        parcels = [bundle.parcel(self.flowing) for bundle in bundles]
+        bundles.clear()
+        data = MEDIA_PREFIX + b"".join([parcel.data[len(MEDIA_PREFIX) :] for parcel in parcels])
+        return Parcel(data, tuple([moment for _, moments in parcels for moment in moments]))
 
     def _unbundle(self) -> None:
-        """Put what waits in bundles into the queues; from now on every frame comes there."""
+        """Put what waits in bundles into the queues, and let these know what has gone out in
+        bundles; from now on every frame comes there."""
         flowing, self.flowing = self.flowing, frozenset()
         bundles, self._bundles, self.newest = self._bundles, [], None
+        last, self._last_taken = self._last_taken, None
+        if last is not None:
+            for stream, (frame, keyframe) in last.bases.items():
+                queue = self._queues.get(stream)
+                if stream in flowing and isinstance(queue, StreamQueue):
+                    queue.note_sent(frame, keyframe)
         for bundle in bundles:
             for stream, frame, layer, is_keyframe, received_s in bundle.frames:
                 if stream in flowing:
@@ -255,6 +253,7 @@ class Outbox:
         """Take those streams in bundles from now on that nothing stands in the way of."""
         if self.shared is None:
             return
+        self._unbundle()
         self.flowing = {
             stream
             for stream, queue in self._queues.items()

@@ -43,9 +43,9 @@ from pica_server.hub import Hub
 from pica_server.limits import SocketGuard
 from pica_server.loop_watch import PERIOD_S, LoopWatch
 from pica_server.notices import Notice
-from pica_server.outbox import Parcel
 from pica_server.proxies import is_in, networks
-from pica_server.relay_socket import RelaySocket
+from pica_server.relay_socket import RelaySocket, websocket_message
+from pica_server.shared_frames import Parcel
 from pica_server.status_pages import StatusPages
 from pica_server.store import open_store
 from pica_server.store_door import StoreDoor
@@ -454,6 +454,7 @@ class Relay:
 
         First to take what goes out, then to write it, see `_on_message`.
         """
+        # Once for every message that goes out: written for speed.
         hub, now = self.hub, self._loop_time()
         taken: list[tuple[Connection, _Waker, Parcel]] = []
         for connection in connections:
@@ -470,15 +471,16 @@ class Relay:
             if connection.closed is not None:
                 waker.cut_after(self._close_timeout_s())
         written: list[tuple[Connection, Parcel]] = []
+        last, framed = None, b""
         for connection, waker, parcel in taken:
-            if waker.websocket.write(parcel.data):
+            if parcel is not last:  # many get the very same
+                last, framed = parcel, websocket_message(parcel.data)
+            if waker.websocket.write(framed):
                 written.append((connection, parcel))
             else:
                 waker.under_way = parcel
                 waker.wake()
-        now = self._loop_time()
-        for connection, parcel in written:
-            hub.sent(connection, parcel, now)
+        hub.all_sent(written, self._loop_time())
 
     def _release_later(self) -> None:
         when = self._held.next_timer()

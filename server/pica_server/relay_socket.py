@@ -249,24 +249,29 @@ class RelaySocket(ServerConnection):
 
     @property
     def is_writable(self) -> bool:
-        """Whether `write` may be called: the kernel has taken all that was written before."""
-        return self.state is State.OPEN and self._has_written_all()
+        """Whether `write` may be called: the kernel has taken all that was written before, and the
+        last write has not failed. More of them before the loop tells us of the end would put a line
+        each into the log of asyncio."""
+        return self.protocol.state is State.OPEN and self._has_written_all()
 
-    def write(self, message: bytes) -> bool:
-        """Write a binary message; return whether the kernel took it whole. If not, ``drain``.
-
-        Also after a write that failed: more of them before the loop tells us of the end would put a
-        line each into the log of asyncio.
-        """
-        size = len(message)
-        if size < _SHORT_BYTES:
-            header = bytes((_WHOLE_BINARY, size))
-        elif size < 65_536:
-            header = bytes((_WHOLE_BINARY, _SHORT_BYTES)) + size.to_bytes(2, "big")
-        else:
-            header = bytes((_WHOLE_BINARY, _SHORT_BYTES + 1)) + size.to_bytes(8, "big")
-        self.transport.write(header + message)
+    def write(self, framed: bytes) -> bool:
+        """Write what `websocket_message` made; return whether the kernel took it whole. If not, or
+        if the socket has died of it, ``drain``."""
+        self.transport.write(framed)
         return self._has_written_all()
 
     def _has_written_all(self) -> bool:
-        return not (self.transport.get_write_buffer_size() or self.transport.is_closing())
+        transport = self.transport
+        return not transport.get_write_buffer_size() and not transport.is_closing()
+
+
+def websocket_message(message: bytes) -> bytes:
+    """Put a binary message into the form in which a server sends it."""
+    size = len(message)
+    if size < _SHORT_BYTES:
+        header = bytes((_WHOLE_BINARY, size))
+    elif size < 65_536:
+        header = bytes((_WHOLE_BINARY, _SHORT_BYTES)) + size.to_bytes(2, "big")
+    else:
+        header = bytes((_WHOLE_BINARY, _SHORT_BYTES + 1)) + size.to_bytes(8, "big")
+    return header + message

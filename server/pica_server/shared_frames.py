@@ -11,8 +11,8 @@ stream, it first moves the frames of its bundles into its own queues, and from t
 without bundles.
 """
 
-from collections.abc import Set
-from typing import Final
+from collections.abc import Mapping, Set
+from typing import Final, NamedTuple
 
 from pica_protocol.frames import media_message
 
@@ -25,22 +25,32 @@ MAX_BUNDLES: Final = 4
 _NONE: Final[frozenset[int]] = frozenset()
 
 
+class Parcel(NamedTuple):
+    """One websocket message on its way out."""
+
+    data: bytes
+    received_s: tuple[float, ...]
+    """When each of its frames came to the relay; empty for a control message."""
+
+
 class Bundle:
     """Frames that came in one after the other.
 
     Attributes:
         frames: Stream, frame, layer, whether it is a keyframe, and when it was received.
         num_bytes: Of all frames.
+        bases: By stream: the last frame of the base layer and the last keyframe that whoever takes
+            this bundle has got, in it or in one before; None where there was no keyframe.
     """
 
-    __slots__ = ("_bases", "_messages", "_streams", "frames", "num_bytes")
+    __slots__ = ("_parcels", "_streams", "bases", "frames", "num_bytes")
 
-    def __init__(self) -> None:
+    def __init__(self, bases: Mapping[int, tuple[bytes, bytes | None]]) -> None:
         self.frames: list[tuple[int, bytes, int, bool, float]] = []
         self.num_bytes = 0
+        self.bases = bases
         self._streams: set[int] = set()
-        self._bases: list[tuple[int, bytes, bool]] = []
-        self._messages: dict[frozenset[int], tuple[bytes, tuple[float, ...]]] = {}
+        self._parcels: dict[frozenset[int], Parcel] = {}
 
     def add(self, stream: int, frame: bytes, layer: int, is_keyframe: bool, now: float) -> None:
         """Take a frame; nobody has taken the bundle yet."""
@@ -48,12 +58,8 @@ class Bundle:
         self.num_bytes += len(frame)
         self._streams.add(stream)
         if layer == 0:
-            self._bases.append((stream, frame, is_keyframe))
-
-    @property
-    def bases(self) -> list[tuple[int, bytes, bool]]:
-        """Of each frame of the base layer: stream, frame, and whether it is a keyframe."""
-        return self._bases
+            _, keyframe = self.bases.get(stream, (b"", None))
+            self.bases = {**self.bases, stream: (frame, frame if is_keyframe else keyframe)}
 
     def carries(self, stream: int) -> bool:
         """Whether a frame of this stream waits here: the next one opens another bundle, so a reader
@@ -65,16 +71,16 @@ class Bundle:
         """Whether no frame of the largest size fits any more."""
         return len(self.frames) >= MAX_BUNDLE_FRAMES or self.num_bytes > MAX_BUNDLE_BYTES
 
-    def message(self, streams: Set[int]) -> tuple[bytes, tuple[float, ...]]:
-        """Return the media message of the frames of some streams, and when they were received.
+    def parcel(self, streams: Set[int]) -> Parcel:
+        """Return the media message of the frames of some streams.
 
         This ends the bundle: nothing may be added any more.
         """
         without = self._streams - streams
-        found = self._messages.get(frozenset(without) if without else _NONE)
+        found = self._parcels.get(frozenset(without) if without else _NONE)
         if found is None:
             chosen = [item for item in self.frames if item[0] not in without]
-            found = self._messages[frozenset(without)] = (
+            found = self._parcels[frozenset(without)] = Parcel(
                 media_message([item[1] for item in chosen]),
                 tuple([item[4] for item in chosen]),
             )
@@ -91,10 +97,16 @@ class SharedFrames:
     __slots__ = ("current",)
 
     def __init__(self) -> None:
-        self.current = Bundle()
+        self.current = Bundle({})
+
+    def forget_stream(self, stream: int) -> None:
+        """Forget a stream that has ended."""
+        self.turn_over()
+        bases = self.current.bases
+        self.current.bases = {key: value for key, value in bases.items() if key != stream}
 
     def turn_over(self) -> Bundle:
         """End the current bundle, if it has begun; return the one that is current then."""
         if self.current.frames:
-            self.current = Bundle()
+            self.current = Bundle(self.current.bases)
         return self.current

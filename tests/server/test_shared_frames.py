@@ -19,7 +19,7 @@ def encoded(stream: int, sequence: int) -> bytes:
 
 
 def bundle_of(*streams: int) -> Bundle:
-    bundle = Bundle()
+    bundle = Bundle({})
     for index, stream in enumerate(streams):
         bundle.add(stream, encoded(stream, index), 0, True, now=float(index))
     return bundle
@@ -27,15 +27,15 @@ def bundle_of(*streams: int) -> Bundle:
 
 def test_receivers_of_the_same_streams_are_given_the_very_same_message() -> None:
     bundle = bundle_of(1, 2)
-    message, moments = bundle.message({1, 2, 3})
+    message, moments = bundle.parcel({1, 2, 3})
     assert [frame.stream for frame in decode_media(message)] == [1, 2]
     assert moments == (0.0, 1.0)
-    assert bundle.message({1, 2})[0] is message
+    assert bundle.parcel({1, 2}).data is message
 
 
 def test_nobody_is_given_frames_of_a_stream_that_does_not_flow_to_them() -> None:
     bundle = bundle_of(1, 2, 1)
-    message, moments = bundle.message({2, 3})
+    message, moments = bundle.parcel({2, 3})
     assert [(frame.stream, frame.sequence) for frame in decode_media(message)] == [(2, 1)]
     assert moments == (1.0,)
 
