@@ -12,6 +12,7 @@ from pica_client.output import check_writable, say
 from pica_client.playout_config import PlayoutConfig, playout_with_floor
 from pica_client.signals import terminate_as_interrupt
 from pica_client.staging import StageConfig, choose_avatars
+from pica_core.avatar_file import Avatar
 from pica_core.latent_stream import DEFAULT_QUALITY
 
 
@@ -137,13 +138,7 @@ def bench_playout(options: BenchPlayoutOptions) -> dict[str, Any]:
         renders_per_s=options.renders_per_s,
         seed=options.seed,
     )
-    library = AvatarLibrary()
-    try:
-        (chosen, *_) = choose_avatars(options.avatar, library)
-        avatar = library.load(library.find(chosen))
-    finally:
-        library.close()
-    return run_bench_playout(config, avatar)
+    return run_bench_playout(config, _load_avatar(options.avatar))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -181,13 +176,7 @@ def bench_codec(options: BenchCodecOptions) -> dict[str, Any]:
     )
     if options.sheet is not None:
         check_writable(options.sheet)
-    library = AvatarLibrary()
-    try:
-        (chosen, *_) = choose_avatars(options.avatar, library)
-        avatar = library.load(library.find(chosen))
-    finally:
-        library.close()
-    result = run_codec_bench(config, avatar)
+    result = run_codec_bench(config, _load_avatar(options.avatar))
     for row in result["rows"]:
         loss = row["psnr_loss_db"]
         say(
@@ -196,3 +185,13 @@ def bench_codec(options: BenchCodecOptions) -> dict[str, Any]:
             + ("" if loss is None else f"  loss {loss:+.3f} dB")
         )
     return result
+
+
+def _load_avatar(name: str | None) -> Avatar:
+    """The avatar of a bench that needs one: by name or file, by default the first that ships."""
+    library = AvatarLibrary()
+    try:
+        (chosen, *_) = choose_avatars(name, library)
+        return library.load(library.find(chosen))
+    finally:
+        library.close()
