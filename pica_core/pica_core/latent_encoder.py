@@ -134,9 +134,10 @@ class LatentEncoder:
                 self.config.target_bps, profile.num_qualities, self.config.quality
             )
         self._sequence = -1
-        self._restart()
+        self.restart()
 
-    def _restart(self) -> None:
+    def restart(self) -> None:
+        """Begin with a keyframe at once: what was encoded before has not arrived anywhere."""
         self._phase = 0
         self._base: FrameState | None = None
         self._lower: FrameState | None = None  # newest frame below the top layer
@@ -145,10 +146,6 @@ class LatentEncoder:
         self._sent_us = 0
         self._keyframe_us: int | None = None
         self._is_keyframe_wanted = True
-
-    def restart(self) -> None:
-        """Begin with a keyframe at once: what was encoded before has not arrived anywhere."""
-        self._restart()
 
     def request_keyframe(self) -> None:
         """Make the next frame a keyframe, unless the last one was a moment ago: then soon."""
@@ -181,7 +178,7 @@ class LatentEncoder:
         """
         wanted = self._coefficients(latent, rotation, translation_m)
         base = self._base
-        is_quiet = base is not None and not self._residual(wanted, base, None).any()
+        is_quiet = base is not None and self._is_quiet(wanted, base)
         if not is_quiet:
             self._quiet_since_us = None
         if base is None or self._is_keyframe_due(now_us):
@@ -231,18 +228,18 @@ class LatentEncoder:
         np.clip(face, -MAX_COEFFICIENT // 2, MAX_COEFFICIENT // 2, out=face)
         return np.concatenate((face, units.astype(np.int64)))
 
+    def _is_quiet(self, wanted: IntArray, base: FrameState) -> bool:
+        """Whether a face looks as the last base frame does: a dead zone everywhere, or it would tip
+        at every rounding edge."""
+        steps = self.profile.steps[self._quality]
+        return not quantise(wanted - base.coefficients, steps, QUIET_ROUNDING).any()
+
     def _residual(
-        self, wanted: IntArray, reference: FrameState | None, kind: int | None, quality: int = -1
+        self, wanted: IntArray, reference: FrameState | None, kind: int, quality: int
     ) -> IntArray:
-        """Quantised difference from what a frame type predicts, or from the reference itself."""
-        quality = self._quality if quality < 0 else quality
-        if kind is not None:
-            expected = predict(self.profile, kind, reference)
-        else:
-            assert reference is not None
-            expected = reference.coefficients
-        rounding = QUIET_ROUNDING if kind is None else self._rounding[kind]
-        return quantise(wanted - expected, self.profile.steps[quality], rounding)
+        """Quantised difference from what a frame type predicts."""
+        expected = predict(self.profile, kind, reference)
+        return quantise(wanted - expected, self.profile.steps[quality], self._rounding[kind])
 
     @property
     def _quality(self) -> int:

@@ -168,7 +168,7 @@ def encode_frame(
             _write_residuals(ranges, values, tables, levels, 0, num_latent)
         if header & HAS_POSE:
             _write_residuals(ranges, values, tables, levels, num_latent, len(values))
-    state = _next_state(profile, quantised, kind, sequence, layer, quality, reference)
+    state = next_state(profile, quantised, kind, sequence, layer, quality, reference)
     return write_symbols(ranges), state
 
 
@@ -226,11 +226,11 @@ def decode_frame(
             _read_residuals(reader, values, tables, levels, num_latent, num_values)
     reader.finish()
     quantised = np.array(values, np.int64)
-    state = _next_state(profile, quantised, kind, sequence, layer, quality, reference)
+    state = next_state(profile, quantised, kind, sequence, layer, quality, reference)
     return state, bool(header & IS_STILL)
 
 
-def _next_state(
+def next_state(
     profile: StreamProfile,
     quantised: IntArray,
     kind: int,
@@ -239,6 +239,11 @@ def _next_state(
     quality: int,
     reference: FrameState | None,
 ) -> FrameState:
+    """What both ends know after a frame.
+
+    Raises:
+        LatentError: A coefficient is beyond what a frame may hold.
+    """
     values = predict(profile, kind, reference) + quantised * profile.steps[quality]
     if values.max() > MAX_COEFFICIENT or values.min() < -MAX_COEFFICIENT:
         raise LatentError(f"a coefficient is beyond the limit of {MAX_COEFFICIENT}")

@@ -33,6 +33,7 @@ from pica_core.stream_frames import (
     FrameState,
     frame_type,
     motion_levels,
+    next_state,
     predict,
     quantise,
 )
@@ -351,12 +352,9 @@ def _frames(
             reference = None
         kind = frame_type(layer, reference)
         expected = predict(profile, kind, reference)
-        steps = profile.steps[quality]
-        quantised = quantise(values - expected, steps, rounding[kind])
+        quantised = quantise(values - expected, profile.steps[quality], rounding[kind])
         yield kind, motion_levels(profile, quality, reference), quantised
-        found = expected + quantised * steps
-        motion = np.zeros_like(found) if reference is None else found - reference.coefficients
-        state = FrameState(number, layer, quality, found, motion)
+        state = next_state(profile, quantised, kind, number, layer, quality, reference)
         if layer == 0:
             base = state
         if layer < 2:
