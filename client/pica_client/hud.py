@@ -7,8 +7,8 @@ import textwrap
 from collections.abc import Mapping, Sequence
 
 from pica_client.faces import FaceState
-from pica_client.overlay import OverlayItem
 from pica_client.scene import Placement, label_anchor_px
+from pica_client.typesetting import OverlayItem
 from pica_core.camera import Camera
 
 MAX_NAME_LENGTH = 32

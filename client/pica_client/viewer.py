@@ -35,7 +35,6 @@ from pica_client.decoder import (
 from pica_client.errors import OptionError, ShaderError
 from pica_client.faces import FaceSource, FaceState
 from pica_client.hud import help_item, name_items, statistics_item
-from pica_client.overlay import OverlayItem
 from pica_client.recorder import Recorder, save_png
 from pica_client.renderer import DrawStats, Renderer, RenderOptions
 from pica_client.scene import (
@@ -46,6 +45,7 @@ from pica_client.scene import (
     view_direction,
 )
 from pica_client.stats import Samples, Summary
+from pica_client.typesetting import OverlayItem
 from pica_client.window import Window, WindowState
 from pica_core.avatar_file import Avatar
 from pica_core.camera import Camera

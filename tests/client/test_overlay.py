@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pica_client.faces import FaceState, FaceStatus
 from pica_client.hud import MAX_NAME_LENGTH, help_item, name_items, statistics_item
-from pica_client.overlay import MAX_LINES, set_text
 from pica_client.scene import Placement, ViewState, head_matrix, view_camera
+from pica_client.typesetting import (
+    MAX_LINES,
+    Lines,
+    OverlayItem,
+    Style,
+    item_rect_px,
+    item_size_px,
+    set_item,
+)
 
 pytestmark = pytest.mark.unit
 
@@ -22,7 +31,14 @@ def face(name: str = "Ada", status: FaceStatus = "live") -> FaceState:
     return FaceState(peer_id="p", name=name, avatar_id="0" * 64, latent=None, status=status)
 
 
-def words(item_lines: tuple[tuple[str, str], ...]) -> str:
+def set_text(lines: Lines, style: Style, size_px: int) -> npt.NDArray[np.uint8]:
+    item = OverlayItem(key="t", lines=tuple(lines), x_px=0, y_px=0, style=style, size_px=size_px)
+    image = set_item(item)
+    assert item_size_px(item) == (image.shape[1], image.shape[0])
+    return image
+
+
+def words(item_lines: Lines) -> str:
     return " ".join(part for line in item_lines for part in line if part)
 
 
@@ -54,6 +70,44 @@ def test_any_name_can_be_set(name: str) -> None:
 def test_more_lines_than_fit_are_cut() -> None:
     image = set_text([("line", "")] * 1000, "panel", 10)
     assert image.shape[0] <= MAX_LINES * 15 + 30
+
+
+@pytest.mark.parametrize("style", ["label", "panel", "table", "banner", "form"])
+def test_every_style_is_premultiplied_and_as_large_as_it_says(style: Style) -> None:
+    image = (
+        set_text([("one", "two"), ("three",), ()], style, 15)
+        if style != "form"
+        else (set_text([("title",), ("name", "Ada"), ("wrong",)], style, 15))
+    )
+    assert (image[..., :3] <= image[..., 3:]).all()
+    assert image[..., :3].max() > 200
+
+
+def test_a_table_has_as_much_room_as_its_columns_need() -> None:
+    narrow = set_text([("who", "ms"), ("Ada", "3")], "table", 15)
+    wide = set_text([("who", "ms", "kbit/s"), ("Ada", "3", "2")], "table", 15)
+    assert wide.shape[1] > narrow.shape[1] + 30
+    assert wide.shape[0] == narrow.shape[0]
+
+
+def test_a_field_shows_the_end_of_what_does_not_fit() -> None:
+    short = set_text([("title",), ("url", "ws://a")], "form", 15)
+    long = set_text([("title",), ("url", "ws://" + "a" * 100)], "form", 15)
+    assert short.shape == long.shape
+
+
+def test_an_item_at_the_edge_is_moved_onto_the_picture() -> None:
+    item = OverlayItem(key="t", lines=(("Ada",),), x_px=-50, y_px=9000)
+    left, top, right, bottom = item_rect_px(item, (320, 200))
+    assert (left, bottom) == (0, 200)
+    assert right > left
+    assert top < bottom
+
+
+def test_a_dot_is_coloured() -> None:
+    item = OverlayItem(key="t", lines=(("Ada",),), x_px=0, y_px=0, dot="alert", size_px=30)
+    image = set_item(item).astype(int)
+    assert ((image[..., 0] > 200) & (image[..., 1] < 120)).any()
 
 
 def test_a_name_stands_below_its_head() -> None:
