@@ -2,20 +2,25 @@
 
 A websocket message costs the relay and the network far more than the few bytes of a frame in it
 (about 13 microseconds of processor time on loopback, half of them the kernel's). Frames that arrive
-in one turn of the event loop share a message anyway, and the busier the loop, the longer its turns:
-that alone carried 90,000 deliveries a second on one core. Above a given load the first frame for a
-receiver opens a window, which grows with the load up to a longest one, and what comes in it goes
-out with that frame: latency, bounded, is given for capacity. Each receiver has its own window; one
-for all would make bursts of hundreds of messages, and windows that nothing has come in yet. Control
-never waits. Pure.
+in one turn of the event loop share a message anyway. When the loop's thread has hardly a moment
+left, the first frame for a receiver opens a window, and what comes in it goes out with that frame:
+latency, bounded, is given for capacity. The window grows while the thread stays that busy and
+shrinks when it is no longer, so it finds the machine's own limit; a number of frames a second would
+be right for one machine. Below, waiting makes latency worse and saves nothing that is needed. Each
+receiver has its own window; one for all would make bursts of hundreds of messages, and windows that
+nothing has come in yet. Control never waits. Pure.
 """
 
 from typing import Final, Generic, TypeVar
 
-MEASURED_S: Final = 0.25
-"""Over which the load is measured (chosen: eight frames of one face)."""
-
-
+CALM_RATIO: Final = 0.15
+"""So much less busy than where the window opens the thread must be for it to shrink (chosen: what a
+window saves is more than its last step)."""
+GROWTH: Final = 0.25
+"""Of the longest window: the step by which it grows where the thread has nothing left (chosen: the
+longest within a second)."""
+LEAST_S: Final = 0.0005
+"""A window that shrinks below this closes: event loops keep no better time."""
 SLACK_S: Final = 0.0005
 """So much too early somebody may leave the line, to be served in one go with others (chosen: half
 of what event loops promise)."""
@@ -54,28 +59,39 @@ class Coalescing:
 
     Attributes:
         window_s: How long a frame may wait now.
+        busy_ratio: How much of the last stretch of time the loop's thread worked.
     """
 
-    def __init__(self, above_per_s: float, longest_s: float, now: float) -> None:
+    def __init__(self, busy_above: float, longest_s: float) -> None:
         """Begin without any load.
 
         Args:
-            above_per_s: Deliveries a second up to which nothing waits; at four times as many the
-                window is at its longest.
+            busy_above: Part of the time, from 0 to below 1, that the loop's thread may work before
+                a window opens.
             longest_s: The longest window.
-            now: The time.
         """
         self.window_s = 0.0
-        self._above_per_s = above_per_s
+        self.busy_ratio = 0.0
+        self._busy_above = busy_above
         self._longest_s = longest_s
-        self._since_s = now
-        self._num = 0
+        self._since: tuple[float, float] | None = None
 
-    def note(self, num_deliveries: int, now: float) -> None:
-        """Count frames that are to be delivered, one for each receiver."""
-        self._num += num_deliveries
-        elapsed_s = now - self._since_s
-        if elapsed_s >= MEASURED_S:
-            excess = self._num / elapsed_s / self._above_per_s - 1
-            self.window_s = self._longest_s * min(max(excess / 3, 0.0), 1.0)
-            self._since_s, self._num = now, 0
+    def note(self, processor_s: float, now: float) -> None:
+        """Look how busy the loop's thread has been since the last time.
+
+        Called every quarter of a second; the steps are made for that.
+
+        Args:
+            processor_s: Processor time that it has used until now.
+            now: The time.
+        """
+        before, self._since = self._since, (processor_s, now)
+        if before is None or now <= before[1]:
+            return
+        self.busy_ratio = (processor_s - before[0]) / (now - before[1])
+        excess = (self.busy_ratio - self._busy_above) / (1 - self._busy_above)
+        if excess > 0:
+            grown_s = self.window_s + GROWTH * self._longest_s * min(excess, 1.0)
+            self.window_s = min(max(grown_s, LEAST_S), self._longest_s)
+        elif self.busy_ratio < self._busy_above - CALM_RATIO:
+            self.window_s = self.window_s * 0.75 if self.window_s * 0.75 >= LEAST_S else 0.0

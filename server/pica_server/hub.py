@@ -106,7 +106,7 @@ class Hub:
         self._rooms: dict[str, Room] = {}
         self._ready: dict[Connection, None] = {}
         self._ready_links: dict[NodeLink, None] = {}
-        self._coalescing: Coalescing | None = None  # begins with the first frame
+        self._coalescing = Coalescing(config.coalesce_above_busy, config.coalesce_longest_s)
         self._joins: TokenBucket | None = None  # full when the first one comes
         self._by_address: Counter[str] = Counter()  # bounded by the number of connections
         self._timers: list[tuple[float, int, Connection]] = []
@@ -150,7 +150,16 @@ class Hub:
     @property
     def coalescing_s(self) -> float:
         """How long frames may wait now for others to share a message with."""
-        return 0.0 if self._coalescing is None else self._coalescing.window_s
+        return self._coalescing.window_s
+
+    @property
+    def busy_ratio(self) -> float:
+        """How much of the time the event loop has worked lately, 0 to 1."""
+        return self._coalescing.busy_ratio
+
+    def note_load(self, processor_s: float, now: float) -> None:
+        """Note how much processor time the event loop has used until now; see `Coalescing`."""
+        self._coalescing.note(processor_s, now)
 
     def connect(self, now: float, address: str = "") -> Connection:
         """Take a new websocket; it is closed at once when there are too many.
@@ -317,25 +326,40 @@ class Hub:
             connection.sending_since = now
         return parcel
 
+    def is_sending(self, connection: Connection, now: float) -> None:
+        """Take note that a socket did not take a message at once; ``sent`` follows when it has."""
+        connection.sending_since = now
+
     def sent(self, connection: Connection, parcel: Parcel, now: float) -> None:
         """Take note that the socket took a message."""
-        self.all_sent([(connection, parcel)], now)
+        connection.sending_since = None
+        self.all_sent([parcel], now)
 
-    def all_sent(self, sent: Sequence[tuple[Connection, Parcel]], now: float) -> None:
+    def all_sent(self, parcels: Sequence[Parcel], now: float) -> None:
         """Take note that the sockets took these messages."""
         # Once for every message that goes out: written for speed.
-        record = self.stats.forwarding.record
-        num_bytes = num_frames = 0
-        for connection, (data, received_s) in sent:
-            connection.sending_since = None
+        num_bytes = num_frames = num_alike = 0
+        last: Parcel | None = None
+        for parcel in parcels:
+            data, received_s = parcel
             num_bytes += len(data)
             num_frames += len(received_s)
-            for moment_s in received_s:
-                record(now - moment_s)
+            if parcel is not last:  # many get the very same
+                if last is not None:
+                    self._record_forwarding(last, num_alike, now)
+                last, num_alike = parcel, 0
+            num_alike += 1
+        if last is not None:
+            self._record_forwarding(last, num_alike, now)
         stats = self.stats
-        stats.messages_out += len(sent)
+        stats.messages_out += len(parcels)
         stats.bytes_out += num_bytes
         stats.frames_out += num_frames
+
+    def _record_forwarding(self, parcel: Parcel, num_receivers: int, now: float) -> None:
+        record = self.stats.forwarding.record
+        for moment_s in parcel.received_s:
+            record(now - moment_s, num_receivers)
 
     def next_timer(self) -> float | None:
         """Return when ``handle_timer`` is due, or None."""
@@ -491,7 +515,6 @@ class Hub:
             now: The time.
             num_here: Of the publisher: 1 if it is connected here, else 0.
         """
-        num_deliveries = 0
         needed: dict[tuple[int, Put], None] = {}
         connections, ready, stats = self._connections, self._ready, self.stats
         for number, layer, flags, start, end in media.spans:
@@ -535,15 +558,9 @@ class Hub:
                     self._ready_links[link] = None
                     if wanted is not _WAITS:
                         needed[number, wanted] = None
-            num_deliveries += len(receivers)
             stats.frames_in += 1
             stats.frames_in_by_layer[layer] += 1
             stats.unwanted += len(room) - num_here - len(receivers)
-        if self._coalescing is None:
-            config = self._config
-            above_per_s, longest_s = config.coalesce_above_per_s, config.coalesce_longest_s
-            self._coalescing = Coalescing(above_per_s, longest_s, now)
-        self._coalescing.note(num_deliveries, now)
         for number, fate in needed:
             self.ask_for_keyframe(room, number, fate.value, now)
 

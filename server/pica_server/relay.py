@@ -81,12 +81,19 @@ class Relay:
         ClusterError: On entry, when the cluster cannot be joined.
     """
 
-    def __init__(self, config: RelayConfig, *, unix_time: Callable[[], float] = time.time) -> None:
+    def __init__(
+        self,
+        config: RelayConfig,
+        *,
+        unix_time: Callable[[], float] = time.time,
+        processor_time: Callable[[], float] = time.thread_time,
+    ) -> None:
         """Prepare to listen.
 
         Args:
             config: Where, and the limits.
             unix_time: The clock that tokens are checked against.
+            processor_time: What the event loop's thread has used of its core until now, seconds.
         """
         self.config = config
         keys: KeyRing | None = None if config.keys is None else load_keys(config.keys)
@@ -142,6 +149,7 @@ class Relay:
         self._loop_time: Callable[[], float] = time.monotonic
         self._soon: asyncio.Handle | None = None
         self._watch = LoopWatch()
+        self._processor_time = processor_time
         self._pages = StatusPages(self.hub, self._watch, config, self.store)
         self._watching: asyncio.TimerHandle | None = None
         self._held: WaitingLine[Connection] = WaitingLine()
@@ -301,6 +309,7 @@ class Relay:
 
         def look() -> None:
             self._watch.note(due_s, loop.time())
+            self.hub.note_load(self._processor_time(), loop.time())
             self._watch_later()
 
         self._watching = loop.call_at(due_s, look)
@@ -372,23 +381,31 @@ class Relay:
             self._soon = asyncio.get_running_loop().call_soon(self._after_turn)
 
     def _after_turn(self) -> None:
-        """Feed the hub with what has come in this turn."""
+        """Feed the hub with what has come in this turn.
+
+        What a peer sends in one go, as after a stall, is passed on one by one: two of its frames
+        must not replace each other although their receivers are not slow. So first goes the first
+        message of everybody, then the second: a relay that is late finds two of each, and frames of
+        different peers then still share their messages.
+        """
         self._soon = None
         inbox, self._inbox = self._inbox, []
-        fed: set[Connection] = set()
-        for connection, data, now in inbox:
-            # What a peer sends in one go, as after a stall, is passed on one by one: two of its
-            # frames must not replace each other although their receivers are not slow.
-            if connection in fed:
-                self._after_events()
-                fed.clear()
-            fed.add(connection)
-            try:
-                self.hub.receive(connection, data, now)
-            except Exception:  # a fault of ours; it must not cost anybody else anything
-                _logger.exception("connection failed", extra={"connection": connection.serial})
-                self.hub.close(connection, CloseCode.INTERNAL_ERROR, "relay fault", now)
-        self._after_events()
+        while inbox:
+            fed: set[Connection] = set()
+            later: list[tuple[Connection, bytes, float]] = []
+            for item in inbox:
+                connection, data, now = item
+                if connection in fed:
+                    later.append(item)
+                    continue
+                fed.add(connection)
+                try:
+                    self.hub.receive(connection, data, now)
+                except Exception:  # a fault of ours; it must not cost anybody else anything
+                    _logger.exception("connection failed", extra={"connection": connection.serial})
+                    self.hub.close(connection, CloseCode.INTERNAL_ERROR, "relay fault", now)
+            self._after_events(may_hold=not later)
+            inbox = later
 
     async def _read(self, websocket: RelaySocket, connection: Connection) -> None:
         """Feed the hub with what came the long way, and tell it how the websocket ended."""
@@ -426,14 +443,19 @@ class Relay:
         except ConnectionClosed:
             return
 
-    def _after_events(self) -> None:
-        """Send to those who have got something, and set the timer to the next deadline."""
+    def _after_events(self, *, may_hold: bool = True) -> None:
+        """Send to those who have got something, and set the timer to the next deadline.
+
+        Args:
+            may_hold: Frames may wait for company; not where another of the same publisher follows,
+                for too many that wait for one receiver would be thinned.
+        """
         if self._cluster is not None:
             self._cluster.step()
         window_s = self.hub.coalescing_s
         due_s = self._now() + window_s
         ready = self.hub.take_ready()
-        if window_s > 0:
+        if window_s > 0 and may_hold:
             for connection in ready:
                 if not connection.is_urgent:
                     self._held.join(connection, due_s)
@@ -455,14 +477,14 @@ class Relay:
         First to take what goes out, then to write it, see `_on_message`.
         """
         # Once for every message that goes out: written for speed.
-        hub, now = self.hub, self._loop_time()
+        wakers, now = self._wakers, self._loop_time()
         taken: list[tuple[Connection, _Waker, Parcel]] = []
         for connection in connections:
-            waker = self._wakers.get(connection)
+            waker = wakers.get(connection)
             if waker is None:
                 continue
             if waker.is_idle and connection.closed is None and waker.websocket.is_writable:
-                parcel = hub.take(connection, now)
+                parcel = connection.outbox.take(now)
                 if parcel is not None:
                     taken.append((connection, waker, parcel))
                 if not connection.outbox.is_waiting:
@@ -470,17 +492,18 @@ class Relay:
             waker.wake()
             if connection.closed is not None:
                 waker.cut_after(self._close_timeout_s())
-        written: list[tuple[Connection, Parcel]] = []
+        written: list[Parcel] = []
         last, framed = None, b""
         for connection, waker, parcel in taken:
             if parcel is not last:  # many get the very same
                 last, framed = parcel, websocket_message(parcel.data)
             if waker.websocket.write(framed):
-                written.append((connection, parcel))
+                written.append(parcel)
             else:
+                self.hub.is_sending(connection, now)
                 waker.under_way = parcel
                 waker.wake()
-        hub.all_sent(written, self._loop_time())
+        self.hub.all_sent(written, self._loop_time())
 
     def _release_later(self) -> None:
         when = self._held.next_timer()

@@ -252,13 +252,19 @@ class RelaySocket(ServerConnection):
         """Whether `write` may be called: the kernel has taken all that was written before, and the
         last write has not failed. More of them before the loop tells us of the end would put a line
         each into the log of asyncio."""
-        return self.protocol.state is State.OPEN and self._has_written_all()
+        transport = self.transport
+        return (
+            self.protocol.state is State.OPEN
+            and not transport.get_write_buffer_size()
+            and not transport.is_closing()
+        )
 
     def write(self, framed: bytes) -> bool:
         """Write what `websocket_message` made; return whether the kernel took it whole. If not, or
         if the socket has died of it, ``drain``."""
-        self.transport.write(framed)
-        return self._has_written_all()
+        transport = self.transport
+        transport.write(framed)
+        return not transport.get_write_buffer_size() and not transport.is_closing()
 
     def _has_written_all(self) -> bool:
         transport = self.transport

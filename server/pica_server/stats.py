@@ -21,11 +21,11 @@ class LatencyHistogram:
         self.sum_s = 0.0
         self._buckets = [0] * _NUM_BUCKETS
 
-    def record(self, latency_s: float) -> None:
-        """Count one latency; what lies outside 1 µs to 134 s goes to the nearest bucket."""
-        self._buckets[bisect_right(_BOUNDS_S, latency_s)] += 1
-        self.count += 1
-        self.sum_s += latency_s
+    def record(self, latency_s: float, times: int = 1) -> None:
+        """Count a latency so many times; one outside 1 µs to 134 s goes to the nearest bucket."""
+        self._buckets[bisect_right(_BOUNDS_S, latency_s)] += times
+        self.count += times
+        self.sum_s += latency_s * times
 
     def count_within(self, bound_s: float) -> int:
         """Return how many were at most ``bound_s``, to the width of a bucket."""

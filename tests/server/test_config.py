@@ -39,7 +39,7 @@ def test_what_is_no_origin_is_refused(origin: str) -> None:
         ("keyframe_interval_s", -0.1),
         ("send_buffer_bytes", 0),
         ("max_control_bytes", 1),
-        ("coalesce_above_per_s", 0.0),
+        ("coalesce_above_busy", 1.0),
         ("coalesce_longest_s", 1.0),
     ],
 )

@@ -392,14 +392,15 @@ async def test_two_frames_that_come_together_both_reach_a_reader_that_keeps_up()
 
 @in_virtual_time
 async def test_under_load_frames_share_messages_and_wait_no_longer_than_the_window() -> None:
-    async def messages_per_frame(above_per_s: float, phase_s: float) -> tuple[float, float]:
-        config = RelayConfig(coalesce_above_per_s=above_per_s, coalesce_longest_s=0.008)
+    async def messages_per_frame(busy_ratio: float, phase_s: float) -> tuple[float, float]:
+        config = RelayConfig(coalesce_above_busy=0.8, coalesce_longest_s=0.008)
         async with (
-            Relay(config) as relay,
+            Relay(config, processor_time=lambda: busy_ratio * now()) as relay,
             peer_in_room(URL, "Ada") as ada,
             peer_in_room(URL, "Bob") as bob,
             peer_in_room(URL, "Cyd", tracks=()) as cyd,
         ):
+            await asyncio.sleep(2.0)  # the window opens within a second
             start = now()
             for i in range(90):
                 for peer, offset_s in ((ada, 0.0), (bob, phase_s)):
@@ -410,19 +411,40 @@ async def test_under_load_frames_share_messages_and_wait_no_longer_than_the_wind
             stats = relay.stats()
             return stats["messages_out"] / stats["frames_out"], max(cyd.delays_s)
 
-    light, delay_s = await messages_per_frame(above_per_s=10_000, phase_s=0.004)
+    light, delay_s = await messages_per_frame(busy_ratio=0.5, phase_s=0.004)
     assert light > 1
     assert delay_s < 0.001
-    heavy, delay_s = await messages_per_frame(above_per_s=25, phase_s=0.004)
+    heavy, delay_s = await messages_per_frame(busy_ratio=1.0, phase_s=0.004)
     assert heavy < 0.85  # Cyd's share a message; Ada and Bob get one frame each as before
     assert delay_s < 0.0085
 
 
 @in_virtual_time
-async def test_control_does_not_wait_for_company() -> None:
-    config = RelayConfig(coalesce_above_per_s=1, coalesce_longest_s=0.1)
+async def test_what_comes_late_and_all_at_once_is_passed_on_whole_under_load_too() -> None:
+    config = RelayConfig(coalesce_above_busy=0.8, coalesce_longest_s=0.008)
     async with (
-        Relay(config),
+        Relay(config, processor_time=now),
+        peer_in_room(URL, "Ada") as ada,
+        peer_in_room(URL, "Bob", tracks=()) as bob,
+    ):
+        await asyncio.sleep(2.0)  # the window opens within a second
+        payloads = [bytes([index]) for index in range(12)]
+        messages: list[bytes] = []
+        for index, payload in enumerate(payloads):
+            captured_us, layer = round(now() * 1e6), index % 2
+            ada.session.send_frame(payload, captured_us, layer=layer, is_keyframe=index == 0)
+            messages += ada.session.messages_to_send(now())
+        for message in messages:
+            await ada.websocket.send(message)
+        await asyncio.sleep(0.05)
+        assert [frame.payload for _, frame in bob.arrivals] == payloads
+
+
+@in_virtual_time
+async def test_control_does_not_wait_for_company() -> None:
+    config = RelayConfig(coalesce_above_busy=0.8, coalesce_longest_s=0.1)
+    async with (
+        Relay(config, processor_time=now),
         peer_in_room(URL, "Ada") as ada,
         peer_in_room(URL, "Bob", tracks=()) as bob,
     ):
