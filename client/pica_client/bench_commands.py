@@ -138,7 +138,7 @@ def bench_playout(options: BenchPlayoutOptions) -> dict[str, Any]:
         renders_per_s=options.renders_per_s,
         seed=options.seed,
     )
-    return run_bench_playout(config, _load_avatar(options.avatar))
+    return run_bench_playout(config, load_bench_avatar(options.avatar))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -176,7 +176,7 @@ def bench_codec(options: BenchCodecOptions) -> dict[str, Any]:
     )
     if options.sheet is not None:
         check_writable(options.sheet)
-    result = run_codec_bench(config, _load_avatar(options.avatar))
+    result = run_codec_bench(config, load_bench_avatar(options.avatar))
     for row in result["rows"]:
         loss = row["psnr_loss_db"]
         say(
@@ -187,7 +187,7 @@ def bench_codec(options: BenchCodecOptions) -> dict[str, Any]:
     return result
 
 
-def _load_avatar(name: str | None) -> Avatar:
+def load_bench_avatar(name: str | None) -> Avatar:
     """The avatar of a bench that needs one: by name or file, by default the first that ships."""
     library = AvatarLibrary()
     try:
