@@ -6,6 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.avatar_file import Avatar, Manifest, spec_tensor_shapes
+from pica_core.level_tensors import error_tensors, exit_shapes, faces_name
+from pica_core.levels import default_errors, level_sizes
 from pica_core.spec import AvatarSpec
 
 FloatArray = npt.NDArray[np.float32]
@@ -75,6 +77,28 @@ def make_toy_avatar(
         model_card={"training": "none: random weights"},
     )
     return Avatar(manifest, tensors)
+
+
+def with_toy_levels(avatar: Avatar, *, seed: int = 8, errors: bool = True) -> Avatar:
+    """A toy avatar with exits of random weights, coarser grids as their meshes, and a guessed
+    table of errors."""
+    rng = np.random.default_rng(seed)
+    tensors = dict(avatar.tensors)
+    grid = round(len(tensors["mesh.vertex_uv"]) ** 0.5)
+    *exits, full = level_sizes(avatar.spec)
+    for level in exits:
+        for name, shape in exit_shapes(avatar.spec, level).items():
+            spread = np.sqrt(1.5 / np.prod(shape[1:])) if name.endswith("weight") else 0.05
+            tensors[name] = (rng.standard_normal(shape) * spread).astype(np.float32)
+        texel = (np.arange(level, dtype=np.float32) + 0.5) / level
+        tensors[f"level.{level}.geometry.mean"] = head_surface(*np.meshgrid(texel, texel))
+        kept = np.unique(np.linspace(0, grid - 1, max(3, grid * level // full)).round())
+        corner = kept.astype(np.int32)
+        index = (corner[:, None] * grid + corner).reshape(-1).astype(np.int32)
+        tensors[faces_name(level)] = index[grid_faces(len(corner), len(corner))]
+    if errors:
+        tensors |= error_tensors(default_errors((*exits, full)))
+    return Avatar(avatar.manifest, tensors)
 
 
 def _paint(

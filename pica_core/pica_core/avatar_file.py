@@ -21,6 +21,7 @@ Tensors, float32 in memory unless stated:
     mesh.faces            [F, 3] int32, counter-clockwise seen from outside
     encoder.{i}.weight .bias  52 ARKit shapes -> ... -> 256 latent values, LeakyReLU between
     stream.*              tables of the latent bitstream, integers (`stream_profile`); may be absent
+    level.*               levels of detail (`level_tensors`); may be absent
 
 In the file big maps may be smaller than in memory: fp16, or 8 or 16 bit integers q with value =
 offset + scale * q per last-axis channel, the two tables standing in the metadata key ``storage``.
@@ -34,7 +35,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -43,8 +44,18 @@ import safetensors.numpy
 
 from pica_core.arkit import NUM_ARKIT
 from pica_core.avatar_manifest import SCHEMA_VERSION, Manifest, manifest_from_json
+from pica_core.avatar_storage import (
+    DEFAULT_STORAGE,
+    MAX_MAGNITUDE,
+    Storage,
+    to_memory,
+    to_storage,
+)
 from pica_core.decoder_layers import decoder_layers
 from pica_core.errors import AvatarFileError, ProfileError
+from pica_core.level_tensors import PREFIX as LEVEL_PREFIX
+from pica_core.level_tensors import faces_name, is_faces, levels_of, read_errors, wanted_shapes
+from pica_core.levels import LevelErrors
 from pica_core.spec import NUM_LATENT, AvatarSpec
 from pica_core.stream_profile import PREFIX as STREAM_PREFIX
 from pica_core.stream_profile import StreamProfile, profile_shapes
@@ -60,7 +71,6 @@ __all__ = [
 ]
 
 Array = npt.NDArray[Any]
-Storage = Literal["f32", "f16", "u8", "u16"]
 
 MAX_FILE_BYTES = 64 * 2**20
 MAX_HEADER_BYTES = 256 * 2**10
@@ -68,24 +78,6 @@ MAX_VERTICES = 200_000
 MAX_FACES = 400_000
 MAX_ENCODER_LAYERS = 8
 MAX_ENCODER_WIDTH = 2048
-MAX_MAGNITUDE = 1e6
-"""Largest absolute value of any weight: trained ones are below 1e3; sums of products stay finite in
-float32."""
-
-DEFAULT_STORAGE: Mapping[str, Storage] = MappingProxyType(
-    {
-        "uv_encoding": "u8",
-        "u_encoding": "f16",
-        "v_encoding": "f16",
-        "geometry.mean": "u16",
-        "mesh.vertex_uv": "u16",
-    }
-)
-"""How `save_avatar` stores tensors; decoder and encoder weights are fp16, the two SIRENs float32.
-
-8 bits over the range of a channel are 0.004 of that range; 16 bits over a head are 5 micrometres
-and over a UV 1/64 of a texel, where fp16 would be 60 micrometres and half a texel.
-"""
 
 _FLOAT_TYPES = {"F32", "F16"}
 _AFFINE_TYPES = {"U8", "U16"}
@@ -103,6 +95,30 @@ class Avatar:
     def spec(self) -> AvatarSpec:
         """Sizes of the model."""
         return self.manifest.spec
+
+    @property
+    def levels(self) -> tuple[int, ...]:
+        """Map sizes that it can be decoded to, ascending; ends with `spec.map_size`."""
+        return levels_of(self.spec, self.tensors)
+
+    def level_faces(self, level: int) -> npt.NDArray[np.int32]:
+        """Triangles to draw at a level, int32 ``[F, 3]``; the full mesh where it has no coarser.
+
+        Raises:
+            ValueError: The avatar does not have this level.
+        """
+        if level not in self.levels:
+            known = ", ".join(map(str, self.levels))
+            raise ValueError(f"level is {level}; this avatar has {known}")
+        faces: npt.NDArray[np.int32] = self.tensors.get(
+            faces_name(level), self.tensors["mesh.faces"]
+        )
+        return faces
+
+    @property
+    def level_errors(self) -> LevelErrors | None:
+        """The measured error of its levels; None if it was never measured (`default_errors`)."""
+        return read_errors(self.spec, self.tensors)
 
     def stream_profile(self) -> StreamProfile | None:
         """The tables of its latent stream; None if it has none and only the plain format can be."""
@@ -141,7 +157,11 @@ def avatar_id(source: Path | str | bytes) -> str:
 
 
 def save_avatar(
-    path: Path | str, avatar: Avatar, storage: Mapping[str, Storage] = DEFAULT_STORAGE
+    path: Path | str,
+    avatar: Avatar,
+    storage: Mapping[str, Storage] = DEFAULT_STORAGE,
+    *,
+    like: Path | str | bytes | None = None,
 ) -> None:
     """Write an avatar file, after the same checks as when one is read.
 
@@ -149,7 +169,9 @@ def save_avatar(
         path: Where to; replaced if it exists.
         avatar: Manifest and tensors in their in-memory form.
         storage: How to store a tensor, by name. Unnamed ones: fp16 for decoders and expression
-        encoder, else float32.
+            encoder, else float32.
+        like: An avatar file that this avatar was made from. Tensors that have not changed are
+            stored as they stand there; rounding them anew could move their last bits.
 
     Raises:
         AvatarFileError: The avatar is not one that `load_avatar` would accept, or the file cannot
@@ -159,23 +181,15 @@ def save_avatar(
     # Row after row: safetensors writes the memory of an array as it lies there.
     tensors = {name: np.ascontiguousarray(array) for name, array in avatar.tensors.items()}
     _check_tensors(where, avatar.spec, tensors)
+    kept = _stored_as_they_stand(like, tensors) if like is not None else {}
     stored: dict[str, Array] = {}
     affine: dict[str, Any] = {}
     for name, array in tensors.items():
-        if name.startswith(STREAM_PREFIX):
-            stored[name] = array
-            continue
-        if name == "mesh.faces":
-            fits = len(tensors["mesh.vertex_uv"]) <= 2**16
-            stored[name] = array.astype(np.uint16 if fits else np.int32)
-            continue
-        small = name.startswith(("geometry.", "expression.", "encoder."))
-        kind = storage.get(name, "f16" if small else "f32")
-        if kind in ("u8", "u16"):
-            stored[name], affine[name] = _to_affine(array, np.uint8 if kind == "u8" else np.uint16)
-        else:
-            stored[name] = array.astype(np.float32 if kind == "f32" else np.float16)
-        stored[name] = np.ascontiguousarray(stored[name])
+        num_vertices = len(tensors["mesh.vertex_uv"])
+        small, table = kept.get(name) or to_storage(name, array, num_vertices, storage.get(name))
+        stored[name] = np.ascontiguousarray(small)
+        if table is not None:
+            affine[name] = table
     metadata = {
         "pica": json.dumps(avatar.manifest.to_json(), allow_nan=False),
         "storage": json.dumps(affine, allow_nan=False),
@@ -217,12 +231,28 @@ def load_avatar(source: Path | str | bytes, name: str | None = None) -> Avatar:
             f"{where}: cut or damaged, not valid safetensors ({error}); get the file again"
         ) from error
     tensors = {
-        key: _to_memory(where, key, stored[key], shapes[key], affine) for key in sorted(shapes)
+        key: to_memory(where, key, stored[key], shapes[key], affine) for key in sorted(shapes)
     }
     _check_tensors(where, manifest.spec, tensors)
     for array in tensors.values():
         array.flags.writeable = False
     return Avatar(manifest, MappingProxyType(tensors))
+
+
+def _stored_as_they_stand(
+    source: Path | str | bytes, tensors: Mapping[str, Array]
+) -> dict[str, tuple[Array, dict[str, Any] | None]]:
+    """What a file stores of those tensors that it has just so, and their tables."""
+    data = source if isinstance(source, bytes) else _read(Path(source))
+    before = load_avatar(data, None if isinstance(source, bytes) else str(source)).tensors
+    stored = safetensors.numpy.load(data)
+    metadata = _read_header("avatar", data)["__metadata__"]
+    affine = json.loads(metadata.get("storage", "{}"))
+    return {
+        name: (stored[name], affine.get(name))
+        for name, array in tensors.items()
+        if name in before and np.array_equal(before[name], array)
+    }
 
 
 def _read(path: Path) -> bytes:
@@ -290,7 +320,7 @@ def _check_header(
         types[name] = str(entry.get("dtype"))
     _check_shapes(where, spec, shapes)
     for name, stored in types.items():
-        allowed = {"I32", "U16"} if name == "mesh.faces" else _FLOAT_TYPES | _AFFINE_TYPES
+        allowed = {"I32", "U16"} if is_faces(name) else _FLOAT_TYPES | _AFFINE_TYPES
         if name.startswith(STREAM_PREFIX):
             allowed = _STREAM_TYPES
         if stored not in allowed:
@@ -328,6 +358,7 @@ def _check_shapes(where: str, spec: AvatarSpec, shapes: Mapping[str, tuple[int, 
         if name in shapes and rows > limit:
             raise AvatarFileError(f"{where}: tensor {name} has {rows} rows; the limit is {limit}")
         wanted[name] = (rows, columns)
+    wanted |= wanted_shapes(where, spec, shapes, MAX_FACES)
     stream = {
         name.removeprefix(STREAM_PREFIX): shape
         for name, shape in shapes.items()
@@ -358,12 +389,12 @@ def _check_tensors(where: str, spec: AvatarSpec, tensors: Mapping[str, Array]) -
     for name, array in tensors.items():
         if name.startswith(STREAM_PREFIX):
             continue
-        wanted = np.int32 if name == "mesh.faces" else np.float32
+        wanted = np.int32 if is_faces(name) else np.float32
         if array.dtype != wanted:
             raise AvatarFileError(
                 f"{where}: tensor {name} is {array.dtype}; {np.dtype(wanted)} is needed"
             )
-        if name == "mesh.faces":
+        if is_faces(name):
             continue
         # One pass: NaN fails both comparisons' negation.
         if not (array.min() >= -MAX_MAGNITUDE and array.max() <= MAX_MAGNITUDE):
@@ -375,12 +406,17 @@ def _check_tensors(where: str, spec: AvatarSpec, tensors: Mapping[str, Array]) -
         raise AvatarFileError(
             f"{where}: tensor mesh.vertex_uv spans {uv.min():g} to {uv.max():g}; 0 to 1 is allowed"
         )
-    faces = tensors["mesh.faces"]
-    if faces.min() < 0 or faces.max() >= len(uv):
-        raise AvatarFileError(
-            f"{where}: tensor mesh.faces names vertices {faces.min()} to {faces.max()}; "
-            f"allowed are 0 to {len(uv) - 1}"
-        )
+    for name in filter(is_faces, tensors):
+        faces = tensors[name]
+        if faces.min() < 0 or faces.max() >= len(uv):
+            raise AvatarFileError(
+                f"{where}: tensor {name} names vertices {faces.min()} to {faces.max()}; "
+                f"allowed are 0 to {len(uv) - 1}"
+            )
+    try:
+        read_errors(spec, tensors)
+    except ValueError as error:
+        raise AvatarFileError(f"{where}: {LEVEL_PREFIX}{error}") from error
 
 
 def _with_ordered_metadata(data: bytes) -> bytes:
@@ -394,40 +430,3 @@ def _with_ordered_metadata(data: bytes) -> bytes:
     text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
     text += b" " * (-len(text) % 8)  # as the format wants it: tensors begin at a multiple of 8
     return len(text).to_bytes(8, "little") + text + data[8 + length :]
-
-
-def _to_affine(array: Array, dtype: type[np.unsignedinteger[Any]]) -> tuple[Array, dict[str, Any]]:
-    levels = int(np.iinfo(dtype).max)
-    flat = array.reshape(-1, array.shape[-1]).astype(np.float64)
-    low, high = flat.min(axis=0), flat.max(axis=0)
-    scale = np.where(high > low, (high - low) / levels, 1.0)
-    codes = np.rint((flat - low) / scale).astype(dtype).reshape(array.shape)
-    return codes, {"scale": scale.tolist(), "offset": low.tolist()}
-
-
-def _to_memory(where: str, name: str, stored: Array, shape: tuple[int, ...], affine: Any) -> Array:
-    if name == "mesh.faces":
-        return stored.astype(np.int32)
-    if name.startswith(STREAM_PREFIX):
-        return stored
-    if stored.dtype.kind == "f":
-        return stored.astype(np.float32)
-    entry = affine.get(name) if isinstance(affine, dict) else None
-    channels: list[Array] = []
-    for key in ("scale", "offset"):
-        values = entry.get(key) if isinstance(entry, dict) else None
-        proper = (
-            isinstance(values, list)
-            and len(values) == shape[-1]
-            and all(type(v) in (int, float) and abs(v) <= MAX_MAGNITUDE for v in values)
-        )
-        if not proper:
-            raise AvatarFileError(
-                f"{where}: storage.{name}.{key} must be {shape[-1]} finite numbers "
-                f"up to {MAX_MAGNITUDE:g}"
-            )
-        channels.append(np.asarray(values, np.float32))
-    memory: Array = channels[1] + channels[0] * stored.astype(np.float32)
-    if name == "mesh.vertex_uv":  # the rounding of offset + scale * q may step over the edge
-        np.clip(memory, 0, 1, out=memory)
-    return memory

@@ -83,8 +83,10 @@ def _describe(path: Path, avatar: Avatar) -> dict[str, Any]:
         "variant": manifest.variant,
         "block": spec.block,
         "map_size": spec.map_size,
+        "levels": list(avatar.levels),
         "vertices": len(avatar.tensors["mesh.vertex_uv"]),
         "faces": len(avatar.tensors["mesh.faces"]),
+        "level_faces": [len(avatar.level_faces(level)) for level in avatar.levels],
         "pixel_decoder": count_parameters(avatar.tensors, "pixel"),
         "decoders": sum(
             int(np.prod(shape))

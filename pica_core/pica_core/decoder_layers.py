@@ -84,6 +84,35 @@ def decoder_layers(spec: AvatarSpec, decoder: str) -> list[Layer]:
     return layers
 
 
+def trunk_layers(spec: AvatarSpec, decoder: str, level: int) -> list[Layer]:
+    """The layers of a decoder up to an early exit: those that lead to maps of `level` rows.
+
+    The last one is the LeakyReLU after the block that makes them.
+
+    Raises:
+        ValueError: No block but the last makes maps of that size.
+    """
+    name = f"{decoder}.{_block_of(spec, level)}.out"
+    layers = decoder_layers(spec, decoder)
+    return layers[: [layer.name for layer in layers].index(name) + 1]
+
+
+def trunk_channels(spec: AvatarSpec, level: int) -> int:
+    """Channels that an early exit at `level` rows finds, the same in both decoders.
+
+    Raises:
+        ValueError: No block but the last makes maps of that size.
+    """
+    return spec.hidden_channels[_block_of(spec, level)]
+
+
+def _block_of(spec: AvatarSpec, level: int) -> int:
+    sizes = [LATENT_SIZE << (index + 1) for index in range(len(spec.hidden_channels))]
+    if level not in sizes:
+        raise ValueError(f"level is {level}; trunks can be left at {', '.join(map(str, sizes))}")
+    return sizes.index(level)
+
+
 def _block(block: str, prefix: str, c_in: int, c_out: int, size: int) -> list[Layer]:
     if block == "B":
         return [

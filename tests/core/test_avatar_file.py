@@ -109,6 +109,19 @@ def test_saving_the_same_avatar_again_gives_the_same_identity(tmp_path: Path) ->
     assert len(identities) == 1
 
 
+def test_what_did_not_change_is_stored_as_it_stood(tmp_path: Path, toy_bytes: bytes) -> None:
+    loaded = load_avatar(toy_bytes)
+    added = {**loaded.tensors, "pixel.0.bias": loaded.tensors["pixel.0.bias"] + np.float32(1)}
+    save_avatar(tmp_path / "b.pica", Avatar(loaded.manifest, added), like=toy_bytes)
+    before = safetensors.numpy.load(toy_bytes)
+    after = safetensors.numpy.load((tmp_path / "b.pica").read_bytes())
+    changed = {name for name in before if before[name].tobytes() != after[name].tobytes()}
+    assert changed == {"pixel.0.bias"}
+    again = load_avatar(tmp_path / "b.pica")
+    for name in sorted(set(TOY.tensors) - changed):
+        np.testing.assert_array_equal(again.tensors[name], loaded.tensors[name], err_msg=name)
+
+
 @pytest.mark.parametrize("block", ["B", "H2", "C"])
 def test_the_spec_fixes_every_tensor_of_every_block(block: str) -> None:
     shapes = spec_tensor_shapes(AvatarSpec(block=block))

@@ -1,0 +1,135 @@
+"""The tensors that levels of detail have in an avatar file: names, shapes, checks.
+
+All of them may be absent; float32 in memory unless stated. S is a level below the full one, C the
+channels of the trunk there.
+
+    level.{S}.geometry.weight    [3, C, 3, 3]
+    level.{S}.geometry.mean      [S, S, 3] metres
+    level.{S}.expression.weight  [4, C, 3, 3]
+    level.{S}.expression.bias    [4, S, S]
+    level.{S}.faces              [F, 3] int32, over mesh.vertex_uv; mesh.faces serves where it lacks
+    level.head_px                [K] heights of the head on screen, pixels, ascending
+    level.errors                 [L, 2, K] MSE by level (ascending, the full one last), shading rate
+                                 1 and 2, and height
+    level.sensitivity            [2] MSE per squared radian of view, per squared unit of the latent
+
+A level is there as a whole or not at all, and so is the table of errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.decoder_layers import trunk_channels
+from pica_core.errors import AvatarFileError
+from pica_core.levels import SHADING_RATES, LevelErrors, level_sizes
+from pica_core.spec import POSITION_CHANNELS, AvatarSpec
+
+Array = npt.NDArray[Any]
+
+PREFIX = "level."
+MAX_HEIGHTS = 64
+"""Entries of an error table along the height of the head."""
+_TABLE = ("head_px", "errors", "sensitivity")
+
+
+def is_faces(name: str) -> bool:
+    """Whether a tensor of an avatar holds triangles."""
+    return name == "mesh.faces" or (name.startswith(PREFIX) and name.endswith(".faces"))
+
+
+def faces_name(level: int) -> str:
+    """Name of a level's own triangles."""
+    return f"{PREFIX}{level}.faces"
+
+
+def exit_shapes(spec: AvatarSpec, level: int) -> dict[str, tuple[int, ...]]:
+    """Name and shape of the tensors that make an exit, its mesh excepted."""
+    channels, prefix = trunk_channels(spec, level), f"{PREFIX}{level}"
+    codes = spec.expression_channels
+    return {
+        f"{prefix}.geometry.weight": (POSITION_CHANNELS, channels, 3, 3),
+        f"{prefix}.geometry.mean": (level, level, POSITION_CHANNELS),
+        f"{prefix}.expression.weight": (codes, channels, 3, 3),
+        f"{prefix}.expression.bias": (codes, level, level),
+    }
+
+
+def levels_of(spec: AvatarSpec, names: Iterable[str]) -> tuple[int, ...]:
+    """The levels of an avatar with tensors of these names, ascending; the full one is the last."""
+    there = set(names)
+    exits = level_sizes(spec)[:-1]
+    found = (size for size in exits if there.intersection(exit_shapes(spec, size)))
+    return (*found, spec.map_size)
+
+
+def wanted_shapes(
+    where: str, spec: AvatarSpec, shapes: Mapping[str, tuple[int, ...]], max_faces: int
+) -> dict[str, tuple[int, ...]]:
+    """Shapes that the ``level.*`` tensors of a file must have, judged by which of them it has.
+
+    Args:
+        where: Name of the file, for messages.
+        spec: Sizes of the avatar.
+        shapes: Of every tensor of the file.
+        max_faces: Most triangles of a mesh.
+
+    Raises:
+        AvatarFileError: A number of triangles or heights is out of its limits. Names that nobody
+            knows are left to the caller, who compares names.
+    """
+    levels = levels_of(spec, shapes)
+    wanted: dict[str, tuple[int, ...]] = {}
+    for size in level_sizes(spec)[:-1]:
+        faces = faces_name(size)
+        if size in levels or faces in shapes:
+            wanted |= exit_shapes(spec, size)
+        if faces in shapes:
+            wanted[faces] = (_rows(where, faces, shapes[faces], max_faces), 3)
+    table = {name: PREFIX + name for name in _TABLE}
+    if shapes.keys() & table.values():
+        name = table["head_px"]
+        heights = _rows(where, name, shapes.get(name, (1,)), MAX_HEIGHTS)
+        wanted[name] = (heights,)
+        wanted[table["errors"]] = (len(levels), len(SHADING_RATES), heights)
+        wanted[table["sensitivity"]] = (2,)
+    return wanted
+
+
+def _rows(where: str, name: str, shape: tuple[int, ...], limit: int) -> int:
+    rows = shape[0] if shape else 0
+    if not 1 <= rows <= limit:
+        raise AvatarFileError(f"{where}: tensor {name} has {rows} rows; allowed are 1 to {limit}")
+    return rows
+
+
+def read_errors(spec: AvatarSpec, tensors: Mapping[str, Array]) -> LevelErrors | None:
+    """The table of errors in an avatar's tensors; None if it has none.
+
+    Raises:
+        ValueError: Heights not above 0 and ascending, or an error below 0 or not finite.
+    """
+    if PREFIX + "errors" not in tensors:
+        return None
+    view, latent = (float(value) for value in tensors[PREFIX + "sensitivity"])
+    return LevelErrors(
+        levels=levels_of(spec, tensors),
+        head_px=tensors[PREFIX + "head_px"],
+        mse=tensors[PREFIX + "errors"],
+        view_mse_per_rad2=view,
+        latent_mse_per_unit2=latent,
+    )
+
+
+def error_tensors(errors: LevelErrors) -> dict[str, Array]:
+    """The tensors that hold a table; `read_errors` reads them back."""
+    sensitivity = [errors.view_mse_per_rad2, errors.latent_mse_per_unit2]
+    return {
+        PREFIX + "head_px": np.asarray(errors.head_px, np.float32),
+        PREFIX + "errors": np.asarray(errors.mse, np.float32),
+        PREFIX + "sensitivity": np.array(sensitivity, np.float32),
+    }
