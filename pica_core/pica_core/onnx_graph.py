@@ -1,15 +1,15 @@
-"""Avatar -> ONNX graphs, built here from checked numbers and never read from a file.
+"""Avatar -> ONNX graph of its decoders, built here from checked numbers and never read from a file.
 
-Two graphs, both at opset 17:
+    decoder_graph(avatar)                       latent [1, 8, 8, 4], view_direction [1, 3]
+                                                -> position_map [S, S, 3] metres,
+                                                   expression_map [S, S, 4]
+    decoder_graph(avatar, level=64)             the same, left at an early exit
+    decoder_graph(avatar, parts="expression")   one map alone; "geometry" needs no view_direction
 
-    decoder_graph(avatar)        latent [1, 8, 8, 4], view_direction [1, 3]
-                                 -> position_map [S, S, 3] metres, expression_map [S, S, 4]
-    pixel_decoder_graph(avatar)  expression [N, 4], xyz_m [N, 3], uv [N, 2] -> rgb [N, 3]
-
-The decoders are the layers of `decoder_layers`, one chain each, in one graph. `plain=True` writes
-them as they stand. The default graph computes the same function, rearranged for ONNX Runtime's CPU
-kernels; each step was measured on one thread of an AVX-512 machine (block C: 2.6 ms plain, 1.0 ms
-rearranged; B and H2 gain nothing):
+The decoders are the layers of `decoder_layers`, one chain each, in one graph at opset 17.
+`plain=True` writes them as they stand. The default graph computes the same function, rearranged for
+ONNX Runtime's CPU kernels; each step was measured on one thread of an AVX-512 machine (block C: 2.6
+ms plain, 1.0 ms rearranged; B and H2 gain nothing):
 
 - *Expand + pixel shuffle = transposed convolution 2x2, stride 2.* DepthToSpace moves single floats
   and took 40 % of the time; the transposed convolution writes the shuffled result at once (8
@@ -25,120 +25,121 @@ rearranged; B and H2 gain nothing):
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-import onnx
-from onnx import TensorProto, helper, numpy_helper
 
 from pica_core.avatar_file import Avatar
-from pica_core.decoder_layers import Layer, decoder_layers
-from pica_core.spec import (
-    LATENT_SHAPE,
-    LATENT_SIZE,
-    LEAKY_SLOPE,
-    RGB_CHANNELS,
-    VIEW_CHANNELS,
-)
+from pica_core.decoder_layers import Layer, decoder_layers, trunk_layers
+from pica_core.graph_builder import GraphBuilder, Shape
+from pica_core.spec import LATENT_SHAPE, LATENT_SIZE, LEAKY_SLOPE, VIEW_CHANNELS
 
-OPSET = 17
-"""Newer operator sets lack ONNX Runtime's fused CPU kernels for some of what we use."""
-IR_VERSION = 8
 TURN_CONVOLUTION_SIZE = 64
 """From this many rows on a narrowing 3x3 convolution is written as a transposed one."""
 
 Array = npt.NDArray[Any]
+Parts = Literal["both", "expression", "geometry"]
 
 
-@dataclass(slots=True)
-class _Graph:
-    """Nodes and initialisers under construction. Values are named by the node that makes them."""
-
-    nodes: list[onnx.NodeProto] = field(default_factory=list)
-    initialisers: list[onnx.TensorProto] = field(default_factory=list)
-
-    def constant(self, array: npt.ArrayLike) -> str:
-        name = f"constant_{len(self.initialisers)}"
-        values = np.ascontiguousarray(array)
-        self.initialisers.append(numpy_helper.from_array(values, name))
-        return name
-
-    def floats(self, array: npt.ArrayLike) -> str:
-        return self.constant(np.asarray(array, np.float32))
-
-    def sizes(self, *sizes: int) -> str:
-        return self.constant(np.array(sizes, np.int64))
-
-    def add(self, operator: str, *inputs: str, output: str | None = None, **attributes: Any) -> str:
-        name = f"{operator}_{len(self.nodes)}"
-        made = output or f"{name}_out"
-        self.nodes.append(helper.make_node(operator, inputs, [made], name=name, **attributes))
-        return made
-
-    def serialise(
-        self, inputs: dict[str, list[int | str]], outputs: dict[str, list[int | str]]
-    ) -> bytes:
-        def infos(shapes: dict[str, list[int | str]]) -> list[onnx.ValueInfoProto]:
-            return [
-                helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)
-                for name, shape in shapes.items()
-            ]
-
-        graph = helper.make_graph(
-            self.nodes, "pica", infos(inputs), infos(outputs), self.initialisers
-        )
-        model = helper.make_model(
-            graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION
-        )
-        serialised: bytes = model.SerializeToString()
-        return serialised
-
-
-def decoder_graph(avatar: Avatar, *, plain: bool = False) -> bytes:
-    """The two per-object decoders as one ONNX model.
+def decoder_graph(
+    avatar: Avatar, *, level: int | None = None, parts: Parts = "both", plain: bool = False
+) -> bytes:
+    """The per-object decoders as one ONNX model.
 
     Args:
         avatar: Checked avatar of any block.
+        level: One of `avatar.levels`; None for the full one.
+        parts: Which maps to make.
         plain: Write the layers as they stand, one operator each; the judge of the rearranged graph.
 
     Returns:
         Serialised model; inputs and outputs as in the module's text, float32, channel-last.
+
+    Raises:
+        ValueError: The avatar does not have this level.
     """
-    graph = _Graph()
+    size = avatar.spec.map_size if level is None else level
+    if size not in avatar.levels:
+        known = ", ".join(map(str, avatar.levels))
+        raise ValueError(f"level is {size}; this avatar has {known}")
+    graph = GraphBuilder()
     grid = graph.add("Transpose", "latent", perm=[0, 3, 1, 2])
-    view = graph.add("Reshape", "view_direction", graph.sizes(1, VIEW_CHANNELS, 1, 1))
-    tiled = graph.add("Expand", view, graph.sizes(1, VIEW_CHANNELS, LATENT_SIZE, LATENT_SIZE))
-    inputs = {"geometry": grid, "expression": graph.add("Concat", grid, tiled, axis=1)}
-    size = avatar.spec.map_size
-    tensors = {name: np.asarray(array) for name, array in avatar.tensors.items()}
-    if not plain:
-        _fold_position_scale(avatar, tensors)
-    for decoder, value in inputs.items():
-        layers = decoder_layers(avatar.spec, decoder)
-        arrange = _plain if plain else _fast
-        value = arrange(graph, layers, tensors, value)
-        channels = layers[-1].out_channels
-        last = graph.add("Transpose", value, perm=[0, 2, 3, 1])
-        shape = graph.sizes(size, size, channels)
-        if decoder == "expression":
-            graph.add("Reshape", last, shape, output="expression_map")
-            continue
-        flat = graph.add("Reshape", last, shape)
+    inputs: dict[str, Shape] = {"latent": [1, *LATENT_SHAPE]}
+    outputs: dict[str, Shape] = {}
+    arrange = _plain if plain else _fast
+    if parts != "expression":
+        layers, tensors = _geometry(avatar, size, fold=not plain)
+        value = arrange(graph, layers, tensors, grid)
+        value = _channel_last(graph, value, size, layers[-1].out_channels)
         if plain:
-            flat = graph.add("Mul", flat, graph.floats(avatar.manifest.position_scale_m))
-        graph.add("Add", flat, graph.floats(tensors["geometry.mean"]), output="position_map")
-    return graph.serialise(
-        {"latent": [1, *LATENT_SHAPE], "view_direction": [1, VIEW_CHANNELS]},
-        {
-            "position_map": [size, size, 3],
-            "expression_map": [size, size, avatar.spec.expression_channels],
-        },
-    )
+            value = graph.add("Mul", value, graph.floats(avatar.manifest.position_scale_m))
+        graph.add("Add", value, graph.floats(tensors["mean"]), output="position_map")
+        outputs["position_map"] = [size, size, layers[-1].out_channels]
+    if parts != "geometry":
+        inputs["view_direction"] = [1, VIEW_CHANNELS]
+        view = graph.add("Reshape", "view_direction", graph.sizes(1, VIEW_CHANNELS, 1, 1))
+        tiled = graph.add("Expand", view, graph.sizes(1, VIEW_CHANNELS, LATENT_SIZE, LATENT_SIZE))
+        layers, tensors = _expression(avatar, size)
+        value = arrange(graph, layers, tensors, graph.add("Concat", grid, tiled, axis=1))
+        channels = layers[-1].out_channels
+        _channel_last(graph, value, size, channels, output="expression_map")
+        outputs["expression_map"] = [size, size, channels]
+    return graph.serialise(inputs, outputs)
 
 
-def _plain(graph: _Graph, layers: list[Layer], tensors: dict[str, Array], value: str) -> str:
+def _geometry(avatar: Avatar, size: int, *, fold: bool) -> tuple[list[Layer], dict[str, Array]]:
+    """Layers of the geometry decoder at a level; its tensors, with the map's ``mean``.
+
+    With `fold` the scale is in the last weights and the bias of the last layer in the mean.
+    """
+    tensors = dict(avatar.tensors)
+    if size == avatar.spec.map_size:
+        layers = decoder_layers(avatar.spec, "geometry")
+        tensors["mean"] = tensors["geometry.mean"]
+    else:
+        layers = [*trunk_layers(avatar.spec, "geometry", size), _exit(avatar, "geometry", size)]
+        tensors["mean"] = tensors[f"level.{size}.geometry.mean"]
+    if not fold:
+        return layers, tensors
+    last = [layer for layer in layers if layer.tensor_shapes()][-1]
+    scale = np.float64(avatar.manifest.position_scale_m)
+    tensors[f"{last.name}.weight"] = tensors[f"{last.name}.weight"] * scale
+    if last.has_bias:
+        bias = f"{last.name}.bias"
+        offset = tensors[bias] * scale
+        tensors[bias] = np.zeros_like(tensors[bias])
+        if last.kind == "conv1":  # four phases per channel, as `_expand_and_shuffle` says
+            phases = offset.reshape(-1, 2, 2).transpose(1, 2, 0)
+            offset = np.tile(phases, (size // 2, size // 2, 1))
+        tensors["mean"] = tensors["mean"].astype(np.float64) + offset
+    return layers, tensors
+
+
+def _expression(avatar: Avatar, size: int) -> tuple[list[Layer], dict[str, Array]]:
+    """Layers of the expression decoder at a level, and its tensors."""
+    tensors = dict(avatar.tensors)
+    if size == avatar.spec.map_size:
+        return decoder_layers(avatar.spec, "expression"), tensors
+    last = _exit(avatar, "expression", size)
+    bias = Layer("untied_bias", f"{last.name}.untied", last.out_channels, last.out_channels, size)
+    tensors[f"{bias.name}.weight"] = tensors[f"{last.name}.bias"]
+    return [*trunk_layers(avatar.spec, "expression", size), last, bias], tensors
+
+
+def _exit(avatar: Avatar, decoder: str, size: int) -> Layer:
+    out_channels, in_channels = avatar.tensors[f"level.{size}.{decoder}.weight"].shape[:2]
+    return Layer("conv3", f"level.{size}.{decoder}", in_channels, out_channels, size)
+
+
+def _channel_last(
+    graph: GraphBuilder, value: str, size: int, channels: int, output: str | None = None
+) -> str:
+    last = graph.add("Transpose", value, perm=[0, 2, 3, 1])
+    return graph.add("Reshape", last, graph.sizes(size, size, channels), output=output)
+
+
+def _plain(graph: GraphBuilder, layers: list[Layer], tensors: dict[str, Array], value: str) -> str:
     for layer in layers:
         weights = [graph.floats(tensors[name]) for name in layer.tensor_shapes()]
         match layer.kind:
@@ -156,7 +157,7 @@ def _plain(graph: _Graph, layers: list[Layer], tensors: dict[str, Array], value:
     return value
 
 
-def _fast(graph: _Graph, layers: list[Layer], tensors: dict[str, Array], value: str) -> str:
+def _fast(graph: GraphBuilder, layers: list[Layer], tensors: dict[str, Array], value: str) -> str:
     for layer, following in zip(layers, [*layers[1:], None], strict=True):
         weights = [tensors[name] for name in layer.tensor_shapes()]
         match layer.kind:
@@ -175,7 +176,7 @@ def _fast(graph: _Graph, layers: list[Layer], tensors: dict[str, Array], value: 
     return value
 
 
-def _expand_and_shuffle(graph: _Graph, layer: Layer, weights: list[Array], value: str) -> str:
+def _expand_and_shuffle(graph: GraphBuilder, layer: Layer, weights: list[Array], value: str) -> str:
     """``conv1`` to 4c channels and the pixel shuffle after it, as one transposed convolution."""
     c_in, c_out = layer.in_channels, layer.out_channels // 4
     # Channel 4c + 2y + x of the expand lands on row y, column x of output channel c.
@@ -186,72 +187,3 @@ def _expand_and_shuffle(graph: _Graph, layer: Layer, weights: list[Array], value
         value = graph.add("Concat", value, ones, axis=1)
         kernel = np.concatenate([kernel, bias])
     return graph.add("ConvTranspose", value, graph.floats(kernel), strides=[2, 2])
-
-
-def _fold_position_scale(avatar: Avatar, tensors: dict[str, Array]) -> None:
-    """Move the geometry's scale into its last layer, and that layer's bias into the mean."""
-    layers = [layer for layer in decoder_layers(avatar.spec, "geometry") if layer.tensor_shapes()]
-    weight, bias = f"{layers[-1].name}.weight", f"{layers[-1].name}.bias"
-    scale = np.float64(avatar.manifest.position_scale_m)
-    tensors[weight] = tensors[weight] * scale
-    offset = tensors[bias] * scale
-    tensors[bias] = np.zeros_like(tensors[bias])
-    mean = tensors["geometry.mean"].astype(np.float64)
-    if avatar.spec.block == "C":  # four phases per channel, as `_expand_and_shuffle` says
-        phases = offset.reshape(-1, 2, 2).transpose(1, 2, 0)
-        half = avatar.spec.map_size // 2
-        mean = mean + np.tile(phases, (half, half, 1))
-    else:
-        mean = mean + offset
-    tensors["geometry.mean"] = mean
-
-
-def pixel_decoder_graph(avatar: Avatar) -> bytes:
-    """The pixel decoder with its encodings as an ONNX model, for judging; the GPU runs it as GLSL.
-
-    Returns:
-        Serialised model over N pixels; inputs as for `pixel_reference.decode_pixels`, output
-        ``rgb`` ``[N, 3]``.
-    """
-    graph, spec, tensors = _Graph(), avatar.spec, avatar.tensors
-    minus_one_to_one = graph.add(
-        "Sub", graph.add("Mul", "uv", graph.floats(2.0)), graph.floats(1.0)
-    )
-    u = graph.add("Gather", minus_one_to_one, graph.constant(np.int64(0)), axis=1)
-    v = graph.add("Gather", minus_one_to_one, graph.constant(np.int64(1)), axis=1)
-    zero = graph.add("Mul", u, graph.floats(0.0))
-
-    def sample(texture: Array, x: str, y: str) -> str:
-        """``[H, W, C]`` at N places -> ``[N, C]``; GridSample's default has our texel centres."""
-        column = [graph.add("Reshape", value, graph.sizes(1, -1, 1, 1)) for value in (x, y)]
-        grid = graph.add("Concat", *column, axis=3)
-        image = graph.floats(texture.transpose(2, 0, 1)[None])
-        found = graph.add("GridSample", image, grid, padding_mode="border", align_corners=0)
-        rows = graph.add("Transpose", found, perm=[0, 2, 3, 1])
-        return graph.add("Reshape", rows, graph.sizes(-1, texture.shape[2]))
-
-    def siren(prefix: str, num_layers: int, value: str, *, last_is_linear: bool) -> str:
-        for index in range(num_layers):
-            weight, bias = (tensors[f"{prefix}.{index}.{part}"] for part in ("weight", "bias"))
-            value = graph.add("Gemm", value, graph.floats(weight), graph.floats(bias), transB=1)
-            if index + 1 < num_layers or not last_is_linear:
-                value = graph.add("Sin", value)
-        return value
-
-    x = siren("xyz", len(spec.xyz_channels), "xyz_m", last_is_linear=False)
-    surface = [
-        sample(tensors["uv_encoding"], u, v),
-        sample(tensors["u_encoding"][None], u, zero),
-        sample(tensors["v_encoding"][None], v, zero),
-    ]
-    p = graph.add("Concat", "expression", x, *surface, axis=1)
-    rgb = siren("pixel", len(spec.pixel_channels), p, last_is_linear=True)
-    graph.add("Identity", rgb, output="rgb")
-    return graph.serialise(
-        {
-            "expression": ["N", spec.expression_channels],
-            "xyz_m": ["N", 3],
-            "uv": ["N", 2],
-        },
-        {"rgb": ["N", RGB_CHANNELS]},
-    )

@@ -13,7 +13,8 @@ import torch
 
 from pica_core.avatar_file import Avatar, Manifest
 from pica_core.model.avatar import PixelCodecAvatar, Surface
-from pica_core.onnx_graph import decoder_graph, pixel_decoder_graph
+from pica_core.onnx_graph import decoder_graph
+from pica_core.pixel_graph import pixel_decoder_graph
 from pica_core.pixel_reference import count_parameters, decode_pixels, sample_bilinear
 from pica_core.spec import BLOCKS, AvatarSpec
 from pica_core.train.export import avatar_tensors

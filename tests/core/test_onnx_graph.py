@@ -13,11 +13,12 @@ import pytest
 
 import tolerances
 from pica_core.avatar_file import Avatar
-from pica_core.decoder_layers import decoder_layers
-from pica_core.onnx_graph import decoder_graph, pixel_decoder_graph
+from pica_core.decoder_reference import decode_expression_map, decode_position_map
+from pica_core.onnx_graph import Parts, decoder_graph
+from pica_core.pixel_graph import pixel_decoder_graph
 from pica_core.pixel_reference import decode_pixels
-from pica_core.spec import BLOCKS, LEAKY_SLOPE, AvatarSpec
-from toy import make_toy_avatar
+from pica_core.spec import BLOCKS, AvatarSpec
+from toy import make_toy_avatar, with_toy_levels
 
 pytestmark = pytest.mark.unit
 
@@ -26,9 +27,8 @@ Array = npt.NDArray[Any]
 
 @functools.cache
 def toy(block: str) -> Avatar:
-    return make_toy_avatar(
-        spec=AvatarSpec(block=block, uv_encoding_size=16, axis_encoding_size=20), grid=4
-    )
+    spec = AvatarSpec(block=block, uv_encoding_size=16, axis_encoding_size=20)
+    return with_toy_levels(make_toy_avatar(spec=spec, grid=4))
 
 
 def run(model: bytes, **inputs: Array) -> list[Array]:
@@ -50,60 +50,11 @@ def some_inputs(seed: int = 1) -> dict[str, Array]:
     }
 
 
-def convolve(image: Array, weight: Array) -> Array:
-    """3x3 or 1x1 convolution of ``[C, H, W]`` with zero padding, float64, written for reading."""
-    _, rows, columns = image.shape
-    edge = weight.shape[2] // 2
-    padded = np.pad(image, ((0, 0), (edge, edge), (edge, edge)))
-    total = np.zeros((weight.shape[0], rows, columns))
-    for y in range(weight.shape[2]):
-        for x in range(weight.shape[3]):
-            shifted = padded[:, y : y + rows, x : x + columns]
-            total += np.tensordot(weight[:, :, y, x].astype(np.float64), shifted, axes=1)
-    return total
-
-
-def deconvolve(image: Array, weight: Array) -> Array:
-    """Transposed convolution 4x4, stride 2, padding 1: every input spreads over 4x4 outputs."""
-    _, rows, columns = image.shape
-    spread = np.zeros((weight.shape[1], 2 * rows + 2, 2 * columns + 2))
-    for y in range(4):
-        for x in range(4):
-            part = np.tensordot(weight[:, :, y, x].T.astype(np.float64), image, axes=1)
-            spread[:, y : y + 2 * rows : 2, x : x + 2 * columns : 2] += part
-    return spread[:, 1:-1, 1:-1]
-
-
-def interpret(avatar: Avatar, decoder: str, grid: Array) -> Array:
-    """Run a decoder's layers in float64."""
-    value = grid
-    for layer in decoder_layers(avatar.spec, decoder):
-        weights = [avatar.tensors[name] for name in layer.tensor_shapes()]
-        match layer.kind:
-            case "conv3" | "conv1":
-                value = convolve(value, weights[0])
-            case "deconv4":
-                value = deconvolve(value, weights[0])
-            case "untied_bias":
-                value = value + weights[0]
-            case "leaky_relu":
-                value = np.where(value > 0, value, LEAKY_SLOPE * value)
-            case "pixel_shuffle":
-                phases = value.reshape(-1, 2, 2, *value.shape[1:]).transpose(0, 3, 1, 4, 2)
-                value = phases.reshape(layer.out_channels, layer.size, layer.size)
-        if layer.has_bias:
-            value = value + weights[1][:, None, None]
-        assert value.shape == (layer.out_channels, layer.size, layer.size)
-    return value
-
-
-def decode_in_numpy(avatar: Avatar, latent: Array, view_direction: Array) -> tuple[Array, Array]:
-    grid = latent[0].transpose(2, 0, 1)
-    view = np.tile(view_direction[0][:, None, None], (1, 8, 8))
-    geometry = interpret(avatar, "geometry", grid).transpose(1, 2, 0)
-    expression = interpret(avatar, "expression", np.concatenate([grid, view]))
-    mean = avatar.tensors["geometry.mean"]
-    return mean + avatar.manifest.position_scale_m * geometry, expression.transpose(1, 2, 0)
+def decode_in_numpy(
+    avatar: Avatar, latent: Array, view_direction: Array, level: int | None = None
+) -> tuple[Array, Array]:
+    position_map = decode_position_map(avatar, latent[0], level)
+    return position_map, decode_expression_map(avatar, latent[0], view_direction[0], level)
 
 
 @pytest.mark.parametrize("plain", [True, False], ids=["plain", "rearranged"])
@@ -116,6 +67,40 @@ def test_the_decoder_graph_agrees_with_its_layers_run_in_numpy(block: str, plain
     assert expression_map.shape == (256, 256, 4)
     assert np.abs(position_map - positions).max() < tolerances.MAP_ONNX_M
     assert np.abs(expression_map - expressions).max() < tolerances.EXPRESSION_ONNX
+
+
+@pytest.mark.parametrize("plain", [True, False], ids=["plain", "rearranged"])
+@pytest.mark.parametrize("level", [64, 128])
+@pytest.mark.parametrize("block", BLOCKS)
+def test_an_early_exit_agrees_with_its_layers_run_in_numpy(
+    block: str, level: int, plain: bool
+) -> None:
+    avatar, inputs = toy(block), some_inputs()
+    position_map, expression_map = run(decoder_graph(avatar, level=level, plain=plain), **inputs)
+    positions, expressions = decode_in_numpy(avatar, **inputs, level=level)
+    assert position_map.shape == (level, level, 3)
+    assert expression_map.shape == (level, level, 4)
+    assert np.abs(position_map - positions).max() < tolerances.MAP_ONNX_M
+    assert np.abs(expression_map - expressions).max() < tolerances.EXPRESSION_ONNX
+
+
+@pytest.mark.parametrize("plain", [True, False], ids=["plain", "rearranged"])
+@pytest.mark.parametrize("level", [64, 128, 256])
+@pytest.mark.parametrize("block", BLOCKS)
+def test_one_map_alone_is_nearly_the_one_of_both(block: str, level: int, plain: bool) -> None:
+    avatar, inputs = toy(block), some_inputs()
+    both = run(decoder_graph(avatar, level=level, plain=plain), **inputs)
+    alone: dict[Parts, Array] = {}
+    for parts, names in (("geometry", ["latent"]), ("expression", [*inputs])):
+        graph = decoder_graph(avatar, level=level, parts=parts, plain=plain)
+        (alone[parts],) = run(graph, **{name: inputs[name] for name in names})
+    assert np.abs(alone["geometry"] - both[0]).max() < tolerances.MAP_ONNX_M
+    assert np.abs(alone["expression"] - both[1]).max() < tolerances.EXPRESSION_ONNX
+
+
+def test_a_level_that_the_avatar_lacks_has_no_graph() -> None:
+    with pytest.raises(ValueError, match="level is 32; this avatar has 64, 128, 256"):
+        decoder_graph(toy("C"), level=32)
 
 
 @pytest.mark.parametrize("block", BLOCKS)

@@ -1,0 +1,68 @@
+"""The pixel decoder as an ONNX graph, for judging; the GPU runs it as GLSL.
+
+pixel_decoder_graph(avatar)  expression [N, 4], xyz_m [N, 3], uv [N, 2] -> rgb [N, 3]
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.avatar_file import Avatar
+from pica_core.graph_builder import GraphBuilder
+from pica_core.spec import RGB_CHANNELS
+
+Array = npt.NDArray[Any]
+
+
+def pixel_decoder_graph(avatar: Avatar) -> bytes:
+    """The pixel decoder with its encodings as an ONNX model.
+
+    Returns:
+        Serialised model over N pixels; inputs as for `pixel_reference.decode_pixels`, output
+        ``rgb`` ``[N, 3]``.
+    """
+    graph, spec, tensors = GraphBuilder(), avatar.spec, avatar.tensors
+    minus_one_to_one = graph.add(
+        "Sub", graph.add("Mul", "uv", graph.floats(2.0)), graph.floats(1.0)
+    )
+    u = graph.add("Gather", minus_one_to_one, graph.constant(np.int64(0)), axis=1)
+    v = graph.add("Gather", minus_one_to_one, graph.constant(np.int64(1)), axis=1)
+    zero = graph.add("Mul", u, graph.floats(0.0))
+
+    def sample(texture: Array, x: str, y: str) -> str:
+        """``[H, W, C]`` at N places -> ``[N, C]``; GridSample's default has our texel centres."""
+        column = [graph.add("Reshape", value, graph.sizes(1, -1, 1, 1)) for value in (x, y)]
+        grid = graph.add("Concat", *column, axis=3)
+        image = graph.floats(texture.transpose(2, 0, 1)[None])
+        found = graph.add("GridSample", image, grid, padding_mode="border", align_corners=0)
+        rows = graph.add("Transpose", found, perm=[0, 2, 3, 1])
+        return graph.add("Reshape", rows, graph.sizes(-1, texture.shape[2]))
+
+    def siren(prefix: str, num_layers: int, value: str, *, last_is_linear: bool) -> str:
+        for index in range(num_layers):
+            weight, bias = (tensors[f"{prefix}.{index}.{part}"] for part in ("weight", "bias"))
+            value = graph.add("Gemm", value, graph.floats(weight), graph.floats(bias), transB=1)
+            if index + 1 < num_layers or not last_is_linear:
+                value = graph.add("Sin", value)
+        return value
+
+    x = siren("xyz", len(spec.xyz_channels), "xyz_m", last_is_linear=False)
+    surface = [
+        sample(tensors["uv_encoding"], u, v),
+        sample(tensors["u_encoding"][None], u, zero),
+        sample(tensors["v_encoding"][None], v, zero),
+    ]
+    p = graph.add("Concat", "expression", x, *surface, axis=1)
+    rgb = siren("pixel", len(spec.pixel_channels), p, last_is_linear=True)
+    graph.add("Identity", rgb, output="rgb")
+    return graph.serialise(
+        {
+            "expression": ["N", spec.expression_channels],
+            "xyz_m": ["N", 3],
+            "uv": ["N", 2],
+        },
+        {"rgb": ["N", RGB_CHANNELS]},
+    )
