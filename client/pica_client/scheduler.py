@@ -1,0 +1,414 @@
+"""What every avatar gets in a frame: decode level, shading rate, layer of its stream. Pure.
+
+    scheduler = Scheduler()
+    plan = scheduler.plan(views, budget_s=0.008, now=now)
+    plan.choices["ada"].level, .decode, .shading_rate, .wanted_layer
+
+Theory of operation. What counts is the squared error over the display: the MSE of a head times the
+pixels of it that can be seen. Of each head the scheduler knows what each choice leaves
+(`error_model`) and what it costs on this machine (`cost_model`). Two ladders lead up from the least
+that a head can get:
+
+    decode    keep the maps; make a fresh expression map (the view has turned); decode both maps at
+              one of the levels (the face has moved)
+    shading   every second pixel in both directions; every pixel
+
+The budget buys the rungs that save most error per millisecond (`detail_ladder`). What follows, and
+what the tests hold it to:
+
+- The floor is the cheapest choice of everybody. Whenever that fits, the budget is kept.
+- More budget never means more error: a rung that newly fits is worth more per millisecond than all
+  that had been taken in its place.
+- The order of heads does not matter: ties go to the nearer, then by name.
+- A nearer head never gets less than a farther one that moves as much: when its rung does not fit,
+  those of the same height are closed to all that it outranks.
+- Who cannot be seen costs nothing: no decode, no pixel, and after a while no stream.
+
+Nobody starves: maps whose error can be seen are not kept longer than `max_age_s`; the oldest are
+decoded anew at the lowest level, some each frame, whatever the budget says.
+
+Levels do not flap: how much detail a head can use follows its size down late and with a margin, and
+after a level that the budget took away the next try waits, longer each time.
+
+Where it ends: errors of level, shading and age are added, which bounds their sum from above;
+decoding counts as if it stood in line with drawing, though both run side by side.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from pica_client.cost_model import CostModel
+from pica_client.detail_ladder import COARSE, FINE, Climber, Decode, Rung, climb, hull
+from pica_client.error_model import ErrorModel
+from pica_client.scheduler_config import SchedulerOptions
+from pica_protocol.limits import MAX_LAYER
+
+__all__ = ["Choice", "HeadView", "Plan", "Scheduler", "SchedulerOptions"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class HeadView:
+    """One head as it stands before the cameras, and what has been decoded of it."""
+
+    slot: str
+    errors: ErrorModel
+    """Of its avatar; its levels are what can be chosen."""
+    num_triangles: tuple[int, ...]
+    """Of the mesh of each level."""
+    is_visible: bool
+    visible_px: float = 0.0
+    """Pixels that can be seen, in the eye that sees most."""
+    head_px: float = 0.0
+    """Height on the screen."""
+    hidden_ratio: float = 0.0
+    """Share that nearer heads hide."""
+    distance_m: float = 1.0
+    """Says who is nearer where pixels do not."""
+    drawn_px: float | None = None
+    """Pixels to shade in all eyes together; None is `visible_px`."""
+    num_views: int = 1
+    """Eyes that draw it; it is decoded once for all."""
+    held_level: int | None = None
+    """Level of the maps that were made last, or are being made; None before the first."""
+    latent_change: float = 0.0
+    """Root mean square over the 256 numbers, between the latent of now and that of these maps."""
+    view_turn_rad: float = 0.0
+    """How far the view has turned since their expression map."""
+    age_s: float = math.inf
+    """Since they were asked for."""
+    speed_px_s: float = 0.0
+    """Of its middle over the screen."""
+    is_stale: bool = False
+    """Whether its stream has fallen silent, so that it is drawn faded."""
+    model: str = ""
+    """What names its costs in the cost model."""
+
+    def __post_init__(self) -> None:
+        numbers = (
+            *(self.visible_px, self.head_px, self.hidden_ratio, self.latent_change),
+            *(self.view_turn_rad, self.speed_px_s, self.drawn_px or 0.0),
+        )
+        if not (min(numbers) >= 0 and sum(numbers) < math.inf):
+            raise ValueError(f"head {self.slot}: {numbers} must be finite and at least 0")
+        if len(self.num_triangles) != len(self.errors.levels):
+            raise ValueError(f"head {self.slot}: {len(self.num_triangles)} meshes for its levels")
+        if self.held_level is not None and self.held_level not in self.errors.levels:
+            raise ValueError(f"head {self.slot}: holds level {self.held_level}, which it lacks")
+
+    @property
+    def has_maps(self) -> bool:
+        """Whether something of it can be drawn."""
+        return self.held_level is not None
+
+
+class Choice(NamedTuple):
+    """What one avatar gets in this frame."""
+
+    level: int
+    """Of the maps that are drawn once this frame's decode is there."""
+    decode: Decode
+    """What to decode now, at `level`; "expression" with the latent of the maps that are there."""
+    shading_rate: int
+    mesh_level: int
+    """Of the triangles: that of the maps, or coarser if the head cannot use it."""
+    wanted_layer: int | None
+    """Highest layer of its stream to ask for; None is no stream at all."""
+    error: float
+    """Expected MSE over its visible pixels, against the full model with supersampling."""
+    cost_s: float
+    """Its share of the plan's cost."""
+    is_limited: bool
+    """Whether the budget kept something from it that could be seen."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Plan:
+    """What everybody gets in this frame."""
+
+    choices: Mapping[str, Choice]
+    """By slot."""
+    budget_s: float
+    cost_s: float
+    """Of decodes, uploads and drawing, as the cost model expects it."""
+    floor_s: float
+    """Of the least that everybody gets; if that is above the budget, it is all there is."""
+    error: float
+    """Mean squared error over all pixels of heads that can be seen."""
+    num_steps: int
+    """Rungs looked at: what planning itself costs."""
+
+    @property
+    def limited(self) -> tuple[str, ...]:
+        """Slots from which the budget kept something that could be seen."""
+        return tuple(slot for slot, choice in self.choices.items() if choice.is_limited)
+
+
+@dataclass(slots=True, eq=False)
+class _Memory:
+    """What is remembered of one head from frame to frame."""
+
+    seen_s: float
+    """When it could last be seen."""
+    cap: int = 0
+    """Place of the finest level that it can use."""
+    small_since_s: float = math.inf
+    level: int = -1
+    """Place of the level planned last; -1 before the first."""
+    shading_rate: int = COARSE
+    level_pause: _Pause = field(default_factory=lambda: _Pause())
+    shading_pause: _Pause = field(default_factory=lambda: _Pause())
+
+
+@dataclass(slots=True, eq=False)
+class _Pause:
+    """After the budget took something away: how long it is not tried again."""
+
+    begin_s: float = -math.inf
+    length_s: float = 0.0
+
+    def lasts(self, now: float) -> bool:
+        return now - self.begin_s < self.length_s
+
+    def begin(self, now: float, options: SchedulerOptions) -> None:
+        is_again = now - self.begin_s < options.max_retry_s
+        self.length_s = min(2 * self.length_s, options.max_retry_s) if is_again else options.retry_s
+        self.begin_s = now
+
+
+@dataclass(slots=True, eq=False)
+class _Head:
+    """A visible head while a plan is made."""
+
+    view: HeadView
+    memory: _Memory
+    weight: float
+    """Of its MSE."""
+    extra: list[float]
+    """See `ErrorModel.extra`, what motion hides taken off."""
+    climber: Climber
+    draw_s: float = 0.0
+    """Of its pixels at the coarsest shading."""
+
+
+class Scheduler:
+    """Plans frame after frame; see the module for how.
+
+    Attributes:
+        costs: What things cost here; the owner tells it what it measures.
+    """
+
+    def __init__(
+        self, options: SchedulerOptions | None = None, costs: CostModel | None = None
+    ) -> None:
+        self.options = options or SchedulerOptions()
+        self.costs = costs or CostModel()
+        self._memories: dict[str, _Memory] = {}
+        self._now = -math.inf
+
+    def plan(self, heads: Sequence[HeadView], budget_s: float, now: float) -> Plan:
+        """Say what everybody gets in the frame that begins now.
+
+        Args:
+            heads: Everybody in the call, in any order; slots are unique.
+            budget_s: What decodes, uploads and drawing of this frame may take, seconds.
+            now: The time.
+        """
+        frame_s = max(now - self._now, 0.0)
+        self._now = now
+        memories = {
+            view.slot: self._memories.get(view.slot) or _Memory(seen_s=now) for view in heads
+        }
+        self._memories = memories
+        seen = sorted((view for view in heads if view.is_visible), key=_nearness)
+        overdue = self._overdue(seen, frame_s)
+        ranked = [self._head(view, memories[view.slot], view.slot in overdue, now) for view in seen]
+        floor_s = self.costs.draw.frame_s if ranked else 0.0
+        for head in ranked:
+            floor_s += head.climber.rung.cost_s + head.draw_s
+        spent_s, num_steps = climb([head.climber for head in ranked], budget_s - floor_s)
+        choices = {view.slot: self._unseen(view, now) for view in heads if not view.is_visible}
+        error = weight = 0.0
+        for head in ranked:
+            choice = self._choice(head, now)
+            choices[head.view.slot] = choice
+            error += choice.error * head.view.visible_px
+            weight += head.view.visible_px
+        return Plan(
+            choices=choices,
+            budget_s=budget_s,
+            cost_s=floor_s + spent_s,
+            floor_s=floor_s,
+            error=error / weight if weight > 0 else 0.0,
+            num_steps=num_steps,
+        )
+
+    def _overdue(self, seen: Sequence[HeadView], frame_s: float) -> set[str]:
+        """Who is decoded in this frame whatever the budget: the oldest, some each frame."""
+        options = self.options
+        waiting = [
+            view
+            for view in seen
+            if not view.has_maps
+            or (view.age_s >= options.max_age_s / 2 and _age_mse(view) > options.floor_mse)
+        ]
+        if not waiting:
+            return set()
+        # Whoever comes of half the age is served within the other half.
+        share = min(max(2 * frame_s / options.max_age_s, 0.0), 1.0)
+        quota = max(math.ceil(len(seen) * share), 1)
+        waiting.sort(key=lambda view: (view.has_maps, -view.age_s, *_nearness(view)))
+        return {
+            view.slot
+            for place, view in enumerate(waiting)
+            if place < quota or view.age_s >= options.max_age_s
+        }
+
+    def _head(self, view: HeadView, memory: _Memory, is_overdue: bool, now: float) -> _Head:
+        options, costs = self.options, self.costs
+        extra = view.errors.extra(view.head_px)
+        if view.speed_px_s > 0:
+            blur = 1 + (view.speed_px_s / options.blur_px_s) ** 2
+            extra = [mse / blur for mse in extra[:-1]] + extra[-1:]
+        weight = view.visible_px * (options.stale_weight if view.is_stale else 1.0)
+        self._note_size(memory, extra, now)
+        top = memory.cap
+        if memory.level >= 0 and memory.level_pause.lasts(now):
+            top = min(top, memory.level)
+        pixels = view.visible_px if view.drawn_px is None else view.drawn_px
+        fine_s = costs.draw.pixel_s * pixels
+        climber = Climber(
+            slot=view.slot,
+            standing=(
+                *(view.head_px, weight, -view.distance_m, view.latent_change),
+                *(view.view_turn_rad, view.age_s, -view.speed_px_s),
+            ),
+            ladder=hull(self._rungs(view, memory.cap, weight, extra, top, is_overdue)),
+            is_limited=top < memory.cap,
+        )
+        if not options.half_shading:
+            climber.shading_rate, climber.is_shading_closed = FINE, True
+            return _Head(view, memory, weight, extra, climber, fine_s)
+        is_paused = memory.shading_rate == COARSE and memory.shading_pause.lasts(now)
+        climber.is_limited |= is_paused
+        climber.is_shading_closed = is_paused or extra[-2] <= options.floor_mse
+        climber.coarse_error = weight * extra[-2]
+        climber.fine_cost_s = (1 - options.half_share) * fine_s
+        return _Head(view, memory, weight, extra, climber, options.half_share * fine_s)
+
+    def _note_size(self, memory: _Memory, extra: list[float], now: float) -> None:
+        """Follow how fine a level the head can use: up at once, down late."""
+        options = self.options
+        num_levels = len(extra) - 2
+        memory.seen_s = now
+        needed = next(i for i in range(num_levels) if extra[i] <= options.floor_mse)
+        limit = options.margin * options.floor_mse
+        clearly = next(i for i in range(num_levels) if extra[i] <= limit)
+        if memory.level < 0 or needed >= memory.cap:
+            memory.cap, memory.small_since_s = max(needed, 0), math.inf
+        elif clearly >= memory.cap:
+            memory.small_since_s = math.inf
+        elif memory.small_since_s == math.inf:
+            memory.small_since_s = now
+        elif now - memory.small_since_s >= options.lower_after_s:
+            memory.cap, memory.small_since_s = clearly, math.inf
+
+    def _rungs(
+        self,
+        view: HeadView,
+        cap: int,
+        weight: float,
+        extra: Sequence[float],
+        top: int,
+        is_overdue: bool,
+    ) -> list[Rung]:
+        """What can be done with a head's maps; at least one thing.
+
+        Args:
+            view: Which.
+            cap: Place of the finest level that it can use.
+            weight: Of its MSE.
+            extra: See `ErrorModel.extra`.
+            top: Place of the finest level that may be decoded now.
+            is_overdue: Whether something must be.
+        """
+        options = self.options
+        levels = view.errors.levels
+        held = -1 if view.held_level is None else levels.index(view.held_level)
+        age_mse = _age_mse(view)
+        latent_mse = view.errors.latent_mse_per_unit2 * view.latent_change * view.latent_change
+        is_worth_it = age_mse > options.stale_floor_mse or (
+            age_mse > 0 and view.age_s >= options.settle_s
+        )
+        decode_s = self.costs.decode_s
+        triangle_s = self.costs.draw.triangle_s * view.num_views
+        num_triangles, model = view.num_triangles, view.model
+        rungs = []
+        if held >= 0:
+            drawn_s = triangle_s * num_triangles[min(held, cap)]
+            if not is_overdue:
+                error = weight * (extra[held] + age_mse)
+                rungs.append(Rung(drawn_s, error, (held, 0), held, "none"))
+            is_turned = view.view_turn_rad > 0 and is_worth_it
+            if is_turned and (latent_mse <= options.floor_mse or not is_overdue):
+                cost_s = drawn_s + decode_s(model, levels[held], "expression")
+                error = weight * (extra[held] + latent_mse)
+                rungs.append(Rung(cost_s, error, (held, 1), held, "expression"))
+        is_moved = view.latent_change > 0 and is_worth_it
+        for place in range(0 if is_overdue or is_moved else held + 1, top + 1):
+            cost_s = triangle_s * num_triangles[place] + decode_s(model, levels[place], "both")
+            rungs.append(Rung(cost_s, weight * extra[place], (place, 2), place, "both"))
+        return rungs
+
+    def _choice(self, head: _Head, now: float) -> Choice:
+        view, memory, climber, options = head.view, head.memory, head.climber, self.options
+        rung, levels = climber.rung, view.errors.levels
+        if climber.is_limited and rung.place < min(memory.level, memory.cap):
+            memory.level_pause.begin(now, options)
+        if climber.is_limited and climber.shading_rate > memory.shading_rate:
+            memory.shading_pause.begin(now, options)
+        memory.level, memory.shading_rate = rung.place, climber.shading_rate
+        is_fine = climber.shading_rate == FINE
+        error = rung.error / head.weight if head.weight > 0 else 0.0
+        return Choice(
+            level=levels[rung.place],
+            decode=rung.decode,
+            shading_rate=climber.shading_rate,
+            mesh_level=levels[min(rung.place, memory.cap)],
+            wanted_layer=self._layer(view),
+            error=error + (0.0 if is_fine else head.extra[-2]) + head.extra[-1],
+            cost_s=rung.cost_s + head.draw_s + (climber.fine_cost_s if is_fine else 0.0),
+            is_limited=climber.is_limited,
+        )
+
+    def _unseen(self, view: HeadView, now: float) -> Choice:
+        memory = self._memories[view.slot]
+        is_wanted = now - memory.seen_s < self.options.wish_hold_s
+        level = view.errors.levels[0] if view.held_level is None else view.held_level
+        coarse = COARSE if self.options.half_shading else FINE
+        layer = MAX_LAYER if is_wanted else None
+        return Choice(level, "none", coarse, level, layer, 0.0, 0.0, False)
+
+    def _layer(self, view: HeadView) -> int:
+        height = view.head_px * math.sqrt(max(1 - view.hidden_ratio, 0.0))
+        for layer, below_px in enumerate(self.options.layer_px):
+            if height < below_px:
+                return layer
+        return MAX_LAYER
+
+
+def _age_mse(view: HeadView) -> float:
+    """What keeping the maps costs."""
+    errors, change, turn_rad = view.errors, view.latent_change, view.view_turn_rad
+    return (
+        errors.latent_mse_per_unit2 * change * change
+        + errors.view_mse_per_rad2 * turn_rad * turn_rad
+    )
+
+
+def _nearness(view: HeadView) -> tuple[float, float, float, str]:
+    """Sorts near heads first; the order of who comes in does not matter."""
+    return (-view.head_px, -view.visible_px, view.distance_m, view.slot)

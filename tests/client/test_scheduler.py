@@ -1,0 +1,534 @@
+"""The scheduler's promises: budget, order, nearness, nobody starved, nothing for the unseen."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pica_client.cost_model import CostModel, ExpectedCosts
+from pica_client.detail_ladder import Climber, Rung, climb, hull
+from pica_client.error_model import ErrorModel
+from pica_client.errors import OptionError
+from pica_client.scheduler import Choice, HeadView, Plan, Scheduler, SchedulerOptions
+from pica_core.levels import LevelErrors, default_errors
+from pica_protocol.limits import MAX_LAYER
+
+pytestmark = pytest.mark.unit
+
+LEVELS = (64, 128, 256)
+ERRORS = ErrorModel(default_errors(LEVELS))
+TRIANGLES = (4_000, 16_000, 50_000)
+FRAME_S = 1 / 30
+AMPLE_S = 10.0
+RANK = {"none": 0, "expression": 1, "both": 2}
+
+
+def view(slot: str = "ada", head_px: float = 300.0, **changes: object) -> HeadView:
+    """A talking head of this height, decoded one frame ago."""
+    given: dict[str, object] = {
+        "slot": slot,
+        "errors": ERRORS,
+        "num_triangles": TRIANGLES,
+        "is_visible": True,
+        "visible_px": 0.6 * head_px * head_px,
+        "head_px": head_px,
+        "distance_m": 300 / max(head_px, 1e-3),
+        "held_level": 256,
+        "latent_change": 0.3,
+        "view_turn_rad": 0.01,
+        "age_s": FRAME_S,
+    }
+    return HeadView(**(given | changes))  # type: ignore[arg-type]
+
+
+def unseen(slot: str = "ada") -> HeadView:
+    return view(slot, is_visible=False, visible_px=0.0, head_px=0.0)
+
+
+def plan(*heads: HeadView, budget_s: float = AMPLE_S, scheduler: Scheduler | None = None) -> Plan:
+    return (scheduler or Scheduler()).plan(heads, budget_s, now=100.0)
+
+
+def choose(head: HeadView, budget_s: float = AMPLE_S) -> Choice:
+    return plan(head, budget_s=budget_s).choices[head.slot]
+
+
+# What a single head gets
+
+
+def test_a_near_talking_head_gets_everything_while_there_is_time() -> None:
+    choice = choose(view(head_px=900))
+    assert (choice.level, choice.decode, choice.shading_rate) == (256, "both", 1)
+    assert choice.wanted_layer == MAX_LAYER
+    assert not choice.is_limited
+    assert choice.error == pytest.approx(5.0)  # the full level's own, from the table
+
+
+def test_a_head_gets_no_more_detail_than_can_be_seen() -> None:
+    measured = LevelErrors(
+        levels=LEVELS,
+        head_px=np.array([32, 128, 512], np.float32),
+        mse=np.array(
+            [
+                [[2.5, 9, 60], [4, 12, 70]],
+                [[2.1, 2.6, 20], [2.5, 5, 30]],
+                [[2, 2, 2], [2.2, 4, 12]],
+            ],
+            np.float32,
+        ),
+        view_mse_per_rad2=100,
+        latent_mse_per_unit2=100,
+    )
+    errors = ErrorModel(measured)
+    levels = [
+        choose(view(head_px=px, errors=errors, held_level=None)).level for px in (30, 128, 500)
+    ]
+    assert levels == [64, 128, 256]
+    assert choose(view(head_px=20, errors=errors)).shading_rate == 1  # others are coarser nearby
+    flat = replace(measured, mse=np.repeat(measured.mse[:, :1], 2, axis=1))
+    assert choose(view(head_px=30, errors=ErrorModel(flat))).shading_rate == 2
+
+
+def test_a_head_that_rests_is_not_decoded_again() -> None:
+    choice = choose(view(latent_change=0.0, view_turn_rad=0.0))
+    assert (choice.decode, choice.level) == ("none", 256)
+
+
+def test_a_difference_too_small_to_see_is_mended_once_the_face_rests() -> None:
+    moving = view(latent_change=0.02, view_turn_rad=0.0)
+    assert choose(moving).decode == "none"
+    assert choose(replace(moving, age_s=0.3)).decode == "both"
+
+
+def test_a_view_that_turns_costs_the_expression_map_alone() -> None:
+    choice = choose(view(latent_change=0.0, view_turn_rad=0.2))
+    assert (choice.decode, choice.level) == ("expression", 256)
+    assert choose(view(latent_change=0.0, view_turn_rad=0.01)).decode == "none"
+
+
+def test_a_head_without_maps_is_decoded_at_once_even_without_a_budget() -> None:
+    choice = choose(view(held_level=None, age_s=math.inf), budget_s=0.0)
+    assert (choice.decode, choice.level, choice.shading_rate) == ("both", 64, 2)
+    assert choice.is_limited
+
+
+def test_maps_finer_than_can_be_seen_are_kept_but_drawn_with_a_coarser_mesh() -> None:
+    small = view(head_px=16, latent_change=0.0, view_turn_rad=0.0, errors=_gentle())
+    choice = choose(small)
+    assert (choice.decode, choice.level, choice.mesh_level) == ("none", 256, 64)
+
+
+def test_fast_motion_hides_detail_and_not_age() -> None:
+    still, fast = (choose(view(speed_px_s=speed), 0.0085) for speed in (0.0, 9000.0))
+    assert still.is_limited
+    assert still.error > fast.error
+    assert choose(view(speed_px_s=6000.0, age_s=1.0), 0.0).decode == "both"
+
+
+def _gentle() -> ErrorModel:
+    """Errors that vanish for small heads, as measured ones do."""
+    table = default_errors(LEVELS)
+    share = np.clip((table.head_px - 16) / 100, 0, 1)
+    mse = (5 + (table.mse - 5) * share).astype(np.float32)
+    return ErrorModel(replace(table, mse=mse))
+
+
+# Time
+
+
+def run(
+    scheduler: Scheduler,
+    heads: Sequence[HeadView],
+    budget_s: float,
+    seconds: float,
+    *,
+    frame_s: float = FRAME_S,
+    latent_speed: float = 6.0,
+    begin_s: float = 0.0,
+) -> list[tuple[float, Plan]]:
+    """A scene in which what is chosen is decoded, and what is not grows older."""
+    decoded_s = {head.slot: begin_s for head in heads}
+    held = {head.slot: head.held_level for head in heads}
+    plans = []
+    for frame in range(round(seconds / frame_s)):
+        now = begin_s + (frame + 1) * frame_s
+        seen = [
+            replace(
+                head,
+                held_level=held[head.slot],
+                age_s=now - decoded_s[head.slot],
+                latent_change=latent_speed * (now - decoded_s[head.slot]),
+            )
+            for head in heads
+        ]
+        made = scheduler.plan(seen, budget_s, now)
+        for slot, choice in made.choices.items():
+            if choice.decode == "both":
+                decoded_s[slot], held[slot] = now, choice.level
+        plans.append((now, made))
+    return plans
+
+
+@pytest.mark.parametrize("frame_s", [1 / 30, 1 / 72, 1 / 240])
+def test_nobody_s_maps_grow_old_whatever_the_budget(frame_s: float) -> None:
+    heads = [view(f"h{i}", head_px=400 / (i + 1)) for i in range(6)]
+    last = dict.fromkeys((head.slot for head in heads), 0.0)
+    worst = 0.0
+    for now, made in run(Scheduler(), heads, 0.0, 4.0, frame_s=frame_s):
+        for slot, choice in made.choices.items():
+            if choice.decode == "both":
+                last[slot] = now
+            worst = max(worst, now - last[slot])
+    assert worst <= SchedulerOptions().max_age_s + frame_s + 1e-9
+
+
+def test_with_a_small_budget_heads_take_turns_and_not_all_in_one_frame() -> None:
+    heads = [view(f"h{i}", head_px=200) for i in range(8)]
+    plans = run(Scheduler(), heads, 0.0, 4.0)[30:]
+    decodes = [sum(c.decode != "none" for c in made.choices.values()) for _, made in plans]
+    assert max(decodes) <= 4
+
+
+@pytest.mark.parametrize("hertz", [72, 200, 240])
+def test_a_fast_display_or_a_fast_tracker_stays_within_the_budget(hertz: int) -> None:
+    heads = [view(f"h{i}", head_px=250) for i in range(5)]
+    budget_s = 0.018
+    for _, made in run(Scheduler(), heads, budget_s, 2.0, frame_s=1 / hertz)[5:]:
+        assert made.cost_s <= max(budget_s, made.floor_s) + 1e-12
+
+
+def test_levels_do_not_flap_when_a_head_sways_at_the_edge_of_a_level() -> None:
+    errors, scheduler = _gentle(), Scheduler()
+    edges = [px for px in range(17, 300) if _needed(errors, px) != _needed(errors, px + 1)]
+    changes = 0
+    before = None
+    for frame in range(300):
+        sway = edges[0] + 0.5 + 3 * math.sin(frame)
+        head = view(head_px=sway, errors=errors, latent_change=0.5, held_level=before or 64)
+        level = scheduler.plan([head], AMPLE_S, frame * FRAME_S).choices["ada"].level
+        changes += before is not None and level != before
+        before = level
+    assert changes <= 1
+
+
+def _needed(errors: ErrorModel, px: float) -> int:
+    return next(i for i, mse in enumerate(errors.extra(px)) if mse <= 1)
+
+
+def test_levels_do_not_flap_when_the_budget_is_on_the_edge() -> None:
+    scheduler = Scheduler()
+    head = view(head_px=500)
+    full = choose(head).cost_s + ExpectedCosts().draw.frame_s
+    levels = []
+    for frame in range(900):
+        budget_s = full + 1e-4 * (1 if frame % 2 else -1)
+        levels.append(scheduler.plan([head], budget_s, frame * FRAME_S).choices["ada"].level)
+    changes = [t for t, (a, b) in enumerate(itertools.pairwise(levels)) if a != b]
+    assert len(changes) <= 14  # up and down again at pauses of 0.5, 1, 2, 4, 8 s
+    assert len([t for t in changes if t > 450]) <= 6
+
+
+def test_a_head_that_leaves_is_wanted_a_while_longer_and_then_not_at_all() -> None:
+    scheduler = Scheduler()
+    wanted = []
+    for frame in range(90):
+        head = view() if frame < 10 else unseen()
+        made = scheduler.plan([head], AMPLE_S, frame * FRAME_S)
+        wanted.append(made.choices["ada"].wanted_layer)
+    hold_s = SchedulerOptions().wish_hold_s
+    last = max(i for i, layer in enumerate(wanted) if layer is not None)
+    assert (last - 9) * FRAME_S == pytest.approx(hold_s, abs=1.5 * FRAME_S)
+    assert scheduler.plan([view()], AMPLE_S, 3.1).choices["ada"].wanted_layer == MAX_LAYER
+
+
+def test_a_head_that_comes_back_is_decoded_in_the_same_frame() -> None:
+    scheduler = Scheduler()
+    for frame in range(90):
+        scheduler.plan([unseen(), view("ben")], 0.001, frame * FRAME_S)
+    back = view(age_s=3.0, latent_change=2.0)
+    assert scheduler.plan([back, view("ben")], 0.001, 3.0).choices["ada"].decode == "both"
+
+
+def test_a_small_or_mostly_hidden_head_wants_fewer_layers() -> None:
+    layers = [choose(view(head_px=px)).wanted_layer for px in (5, 20, 200)]
+    assert layers == [0, 1, MAX_LAYER]
+    assert choose(view(head_px=60, hidden_ratio=0.9)).wanted_layer == 1
+
+
+def test_two_eyes_decode_once_and_draw_twice() -> None:
+    one, two = view(), view(num_views=2, drawn_px=2 * view().visible_px)
+    costs = CostModel()
+    decode_s = costs.decode_s("", 256, "both")
+    cost_of_one, cost_of_two = choose(one).cost_s, choose(two).cost_s
+    assert cost_of_two - decode_s == pytest.approx(2 * (cost_of_one - decode_s))
+
+
+def test_who_faded_because_the_stream_fell_silent_comes_last() -> None:
+    live, stale = view("live"), view("stale", is_stale=True)
+    budget_s = plan(live, stale).cost_s * 0.7
+    made = plan(live, stale, budget_s=budget_s)
+    assert _amount(made.choices["live"]) > _amount(made.choices["stale"])
+
+
+def test_the_plan_says_from_whom_the_budget_kept_something() -> None:
+    near, far = view("near", head_px=600), view("far", head_px=60)
+    made = plan(near, far, budget_s=0.008)
+    assert made.limited
+    assert all(made.choices[slot].is_limited for slot in made.limited)
+    assert plan(near, far).limited == ()
+
+
+def _amount(choice: Choice) -> tuple[int, int, int]:
+    return (choice.level, RANK[choice.decode], -choice.shading_rate)
+
+
+# Properties
+
+
+@st.composite
+def head_views(draw: st.DrawFn, slot: str = "ada") -> HeadView:
+    """Any head that can be."""
+    is_visible = draw(st.booleans()) or draw(st.booleans())
+    head_px = draw(st.floats(0.5, 2000))
+    return view(
+        slot,
+        head_px=head_px if is_visible else 0.0,
+        errors=draw(st.sampled_from([ERRORS, _gentle()])),
+        is_visible=is_visible,
+        visible_px=head_px**2 * draw(st.floats(0.05, 0.7)) if is_visible else 0.0,
+        hidden_ratio=draw(st.floats(0, 0.97)),
+        held_level=draw(st.sampled_from([None, *LEVELS])),
+        latent_change=draw(st.one_of(st.just(0.0), st.floats(0, 3))),
+        view_turn_rad=draw(st.one_of(st.just(0.0), st.floats(0, 1))),
+        age_s=draw(st.floats(0, 1)),
+        speed_px_s=draw(st.one_of(st.just(0.0), st.floats(0, 5000))),
+        is_stale=draw(st.booleans()),
+    )
+
+
+@st.composite
+def scenes(draw: st.DrawFn) -> list[HeadView]:
+    return [draw(head_views(slot=f"h{i}")) for i in range(draw(st.integers(1, 6)))]
+
+
+budgets = st.floats(0, 0.08)
+
+
+@given(scenes(), budgets)
+def test_the_budget_is_kept_whenever_the_floor_fits(heads: list[HeadView], budget_s: float) -> None:
+    made = plan(*heads, budget_s=budget_s)
+    assert made.floor_s <= made.cost_s
+    assert made.cost_s <= max(budget_s, made.floor_s) + 1e-12
+    frame_s = ExpectedCosts().draw.frame_s if any(h.is_visible for h in heads) else 0.0
+    shares = sum(choice.cost_s for choice in made.choices.values())
+    assert shares + frame_s == pytest.approx(made.cost_s)
+
+
+@given(scenes(), budgets, st.randoms(use_true_random=False))
+def test_the_plan_does_not_depend_on_the_order_of_heads(
+    heads: list[HeadView], budget_s: float, random: object
+) -> None:
+    shuffled = list(heads)
+    random.shuffle(shuffled)  # type: ignore[attr-defined]
+    one, other = plan(*heads, budget_s=budget_s), plan(*shuffled, budget_s=budget_s)
+    assert dict(one.choices) == dict(other.choices)
+    assert (one.cost_s, one.error) == (other.cost_s, other.error)
+
+
+@given(scenes(), budgets, budgets)
+def test_more_budget_never_means_more_error(
+    heads: list[HeadView], budget_s: float, more_s: float
+) -> None:
+    small, large = plan(*heads, budget_s=budget_s), plan(*heads, budget_s=budget_s + more_s)
+    same_weights = [replace(head, is_stale=False) for head in heads]
+    if any(head.is_stale for head in heads):  # a faded head's error counts less than it is
+        small = plan(*same_weights, budget_s=budget_s)
+        large = plan(*same_weights, budget_s=budget_s + more_s)
+    assert large.error <= small.error * (1 + 1e-9) + 1e-9
+
+
+@given(
+    head_views(slot="far"),
+    st.floats(1.001, 8),
+    st.lists(head_views(slot="third"), max_size=1),
+    budgets,
+)
+def test_nearer_never_gets_less_than_farther_at_equal_motion(
+    far: HeadView, factor: float, others: list[HeadView], budget_s: float
+) -> None:
+    near = replace(
+        far,
+        slot="near",
+        head_px=far.head_px * factor,
+        visible_px=far.visible_px * factor**2,
+        distance_m=far.distance_m / factor,
+    )
+    choices = plan(far, near, *others, budget_s=budget_s).choices
+    near_choice, far_choice = choices["near"], choices["far"]
+    assert near_choice.level >= far_choice.level
+    assert near_choice.shading_rate <= far_choice.shading_rate
+    if near_choice.level == far_choice.level:
+        assert RANK[near_choice.decode] >= RANK[far_choice.decode]
+    layers = [-1 if c.wanted_layer is None else c.wanted_layer for c in (near_choice, far_choice)]
+    assert layers[0] >= layers[1]
+
+
+@given(scenes(), head_views(slot="gone"), budgets)
+def test_an_unseen_head_costs_nothing_and_takes_nothing_from_the_others(
+    heads: list[HeadView], gone: HeadView, budget_s: float
+) -> None:
+    gone = replace(gone, is_visible=False, visible_px=0.0, head_px=0.0)
+    alone, together = plan(*heads, budget_s=budget_s), plan(*heads, gone, budget_s=budget_s)
+    choice = together.choices["gone"]
+    assert (choice.decode, choice.cost_s, choice.error) == ("none", 0.0, 0.0)
+    assert {slot: together.choices[slot] for slot in alone.choices} == dict(alone.choices)
+
+
+@given(scenes())
+def test_the_work_of_a_plan_is_bounded_by_its_heads(heads: list[HeadView]) -> None:
+    # Per head: an expression map, three levels, fine shading.
+    assert plan(*heads).num_steps <= 5 * len(heads)
+
+
+ladders = st.lists(
+    st.tuples(st.floats(0.1, 10), st.floats(0, 100), st.integers(0, 2)), min_size=1, max_size=4
+)
+
+
+@given(st.lists(ladders, min_size=1, max_size=4), st.floats(0, 30))
+def test_greedy_is_less_than_one_rung_from_the_best_that_exhaustive_search_finds(
+    shapes: list[list[tuple[float, float, int]]], left_s: float
+) -> None:
+    choices = [
+        [
+            Rung(cost, error, (place, 2), place, "both")
+            for place, (cost, error, _) in enumerate(shape)
+        ]
+        for shape in shapes
+    ]
+    climbers = [
+        Climber(
+            slot=str(index),
+            # Nobody outranks anybody: the best under that rule is another problem.
+            standing=(float(-index), float(index)),
+            ladder=hull(list(rungs)),
+            is_shading_closed=True,
+        )
+        for index, rungs in enumerate(choices)
+    ]
+    floor_s = sum(climber.rung.cost_s for climber in climbers)
+    before = sum(climber.rung.error for climber in climbers)
+    spent_s, _ = climb(climbers, left_s)
+    found = sum(climber.rung.error for climber in climbers)
+    assert spent_s <= left_s + 1e-9
+    best = min(
+        sum(rung.error for rung in picks)
+        for picks in itertools.product(*choices)
+        if sum(rung.cost_s for rung in picks) <= floor_s + left_s
+    )
+    largest = max(
+        (
+            low.error - high.error
+            for climber in climbers
+            for low, high in itertools.pairwise(climber.ladder)
+        ),
+        default=0.0,
+    )
+    assert best - 1e-6 <= found <= best + largest + 1e-6
+    assert found <= before
+
+
+def test_against_exhaustive_search_most_of_what_a_budget_can_save_is_saved() -> None:
+    """The search may give a farther head more than a nearer one, the plan may not."""
+    rng = np.random.default_rng(3)
+    shares = []
+    for _ in range(12):
+        heads = [
+            view(
+                f"h{i}",
+                head_px=float(rng.uniform(60, 500)),
+                latent_change=float(rng.uniform(0.05, 0.6)),
+            )
+            for i in range(4)
+        ]
+        floor, ample = plan(*heads, budget_s=0.0), plan(*heads)
+        for share in (0.2, 0.4, 0.6, 0.8):
+            budget_s = floor.cost_s + share * (ample.cost_s - floor.cost_s)
+            saved = _squared(heads, floor) - _squared(heads, plan(*heads, budget_s=budget_s))
+            shares.append(saved / (_squared(heads, floor) - _best(heads, budget_s)))
+    assert max(shares) <= 1 + 1e-9
+    assert np.mean(shares) >= 0.93
+    assert min(shares) >= 0.6
+
+
+def _squared(heads: Sequence[HeadView], made: Plan) -> float:
+    return sum(made.choices[head.slot].error * head.visible_px for head in heads)
+
+
+def _best(heads: Sequence[HeadView], budget_s: float) -> float:
+    """The least squared error of any combination of what single heads can have."""
+    options = []
+    for head in heads:
+        costs = CostModel()
+        extra = head.errors.extra(head.head_px)
+        age = head.errors.latent_mse_per_unit2 * head.latent_change**2
+        age += head.errors.view_mse_per_rad2 * head.view_turn_rad**2
+        found = [(0.0, extra[2] + age, 2)]
+        found += [(costs.decode_s("", LEVELS[i], "both"), extra[i], i) for i in range(3)]
+        turned = head.errors.latent_mse_per_unit2 * head.latent_change**2
+        found.append((costs.decode_s("", 256, "expression"), extra[2] + turned, 2))
+        pixel_s = costs.draw.pixel_s * head.visible_px
+        options.append(
+            [
+                (
+                    decode_s + costs.draw.triangle_s * TRIANGLES[level] + share * pixel_s,
+                    (mse + half + extra[-1]) * head.visible_px,
+                )
+                for decode_s, mse, level in found
+                for share, half in ((1.0, 0.0), (SchedulerOptions().half_share, extra[-2]))
+            ]
+        )
+    left_s = budget_s - ExpectedCosts().draw.frame_s
+    return min(
+        sum(error for _, error in picks)
+        for picks in itertools.product(*options)
+        if sum(cost_s for cost_s, _ in picks) <= left_s
+    )
+
+
+# Bad input
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"visible_px": math.nan},
+        {"head_px": -1.0},
+        {"latent_change": math.inf},
+        {"num_triangles": (1, 2)},
+        {"held_level": 100},
+    ],
+)
+def test_a_head_that_cannot_be_is_refused(changes: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match="head ada"):
+        view(**changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "changes", [{"max_age_s": 0.0}, {"margin": 2.0}, {"layer_px": (9.0, 3.0)}, {"half_share": -1}]
+)
+def test_options_that_make_no_sense_are_refused(changes: dict[str, object]) -> None:
+    with pytest.raises(OptionError, match=next(iter(changes))):
+        SchedulerOptions(**changes)  # type: ignore[arg-type]
+
+
+def test_nobody_there_costs_nothing() -> None:
+    made = plan()
+    assert (made.cost_s, made.error, dict(made.choices)) == (0.0, 0.0, {})
