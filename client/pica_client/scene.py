@@ -1,73 +1,60 @@
-"""Who sits where, and from where one looks: pure geometry, no GPU.
+"""Heads on their seats, and where on the picture they are: pure geometry, no GPU.
 
-World: metres, +y up. The viewer of a call sits on the +z side and looks towards -z; the middle seat
-is the origin. Seats lie on an arc around the viewer, everybody facing them, in order from left to
-right.
+World: metres, +y up; `seats` says who sits where.
 
-    seats = arrange_seats(len(faces))
-    placement = Placement(slot=..., world_from_head=head_matrix(seats[0], rotation, translation_m))
-    camera = view_camera(ViewState(), len(faces), width, height)
+    plan = plan_seats("line", len(faces), width / height)
+    placement = Placement(
+        slot=..., world_from_head=head_matrix(plan.seats[0], rotation, translation_m)
+    )
+    camera = plan_camera(plan, ViewState(), width, height)
     direction = view_direction(placement.world_from_head, camera.centre_m)
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.camera import Camera, look_at
+from pica_client.seats import (
+    HEAD_HALF_HEIGHT_M,
+    HEAD_HALF_WIDTH_M,
+    SeatPlan,
+    ViewState,
+    plan_camera,
+    plan_seats,
+)
+from pica_core.camera import Camera
 
 FloatArray = npt.NDArray[np.float32]
 Float64Array = npt.NDArray[np.float64]
+Rect = tuple[float, float, float, float]
 
-SEAT_SPACING_M = 0.25
-"""Along the arc, between neighbours: the paper's row of five."""
-SEAT_RADIUS_M = 1.1
-"""From the viewer to each seat: where people sit when they talk (chosen; 0.7 to 1.2 m is usual)."""
-VERTICAL_FOV = math.radians(32)
-"""Of the viewer's camera (chosen: little perspective distortion at the outer seats)."""
-HEAD_HALF_WIDTH_M = 0.115
-HEAD_HALF_HEIGHT_M = 0.165
-"""What is framed around each seat: a head with room for its movements."""
-FRAME_FILL = 0.88
-"""Part of the image that the framed heads may fill."""
-LABEL_FILL = 0.14
-"""Part of the image height kept free below the heads, for names."""
+__all__ = [
+    "FAR_M",
+    "NEAR_M",
+    "Placement",
+    "Rect",
+    "ViewState",
+    "arrange_seats",
+    "clip_from_head",
+    "head_matrix",
+    "head_rect_px",
+    "label_anchor_px",
+    "overlap",
+    "pick_head",
+    "rotation_matrix",
+    "screen_rect",
+    "seat_rects_px",
+    "view_camera",
+    "view_direction",
+]
+
 NEAR_M = 0.02
 FAR_M = 20.0
-
-MAX_PITCH = math.radians(80)
-MIN_ZOOM, MAX_ZOOM = 0.25, 12.0
-ORBIT_PER_PIXEL = 0.005
-"""Radians (chosen: half a turn is a drag over 630 pixels)."""
-ZOOM_PER_STEP = 1.1
-"""Distance ratio of one notch of the wheel."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ViewState:
-    """What the user has done to the view. Angles in radians, about the middle seat."""
-
-    yaw: float = 0.0
-    """Positive moves the camera to the right, +x."""
-    pitch: float = 0.0
-    """Positive moves the camera up."""
-    zoom: float = 1.0
-    """The camera's distance is the framing distance divided by this."""
-
-    def orbited(self, right_px: float, down_px: float) -> ViewState:
-        """The view after dragging the scene by so many pixels."""
-        pitch = self.pitch + down_px * ORBIT_PER_PIXEL
-        yaw = math.remainder(self.yaw - right_px * ORBIT_PER_PIXEL, 2 * math.pi)
-        return replace(self, yaw=yaw, pitch=min(max(pitch, -MAX_PITCH), MAX_PITCH))
-
-    def zoomed(self, steps: float) -> ViewState:
-        """The view after turning the wheel; positive comes closer."""
-        zoom = self.zoom * ZOOM_PER_STEP ** min(max(steps, -50.0), 50.0)
-        return replace(self, zoom=min(max(zoom, MIN_ZOOM), MAX_ZOOM))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -83,26 +70,8 @@ class Placement:
 
 
 def arrange_seats(count: int) -> list[Float64Array]:
-    """Seat frames, left to right as the viewer sees them.
-
-    Returns:
-        World-from-seat matrices, float64 ``[4, 4]``: +z of each seat points at the viewer, +y up.
-    """
-    seats = []
-    for index in range(count):
-        angle = (index - (count - 1) / 2) * SEAT_SPACING_M / SEAT_RADIUS_M
-        sine, cosine = math.sin(angle), math.cos(angle)
-        seats.append(
-            np.array(
-                [
-                    [cosine, 0, -sine, SEAT_RADIUS_M * sine],
-                    [0, 1, 0, 0],
-                    [sine, 0, cosine, SEAT_RADIUS_M * (1 - cosine)],
-                    [0, 0, 0, 1],
-                ]
-            )
-        )
-    return seats
+    """Seat frames on the arc around the viewer, left to right: see `seats.plan_seats`."""
+    return list(plan_seats("arc", count, 1.0).seats)
 
 
 def rotation_matrix(rotation: npt.ArrayLike) -> Float64Array:
@@ -146,40 +115,9 @@ def view_direction(world_from_head: FloatArray, camera_centre_m: npt.ArrayLike) 
     return direction
 
 
-def framing_distance_m(count: int, aspect: float) -> float:
-    """How far before the middle seat the camera sees all seats, names included."""
-    tangent = math.tan(VERTICAL_FOV / 2)
-    half_height = tangent * (FRAME_FILL - LABEL_FILL)
-    distance = 0.0
-    for seat in arrange_seats(max(count, 1)):
-        x, z = abs(float(seat[0, 3])), float(seat[2, 3])
-        wide = (x + HEAD_HALF_WIDTH_M) / (tangent * aspect * FRAME_FILL)
-        distance = max(distance, z + max(wide, HEAD_HALF_HEIGHT_M / half_height))
-    return distance
-
-
 def view_camera(view: ViewState, count: int, width: int, height: int) -> Camera:
-    """The viewer's camera: frames `count` seats, then orbits and zooms as the user wants.
-
-    It looks a little below the heads' middle, so that the names have room.
-    """
-    distance = framing_distance_m(count, width / height) / view.zoom
-    focus = np.array([0.0, -distance * math.tan(VERTICAL_FOV / 2) * LABEL_FILL / 2, 0.0])
-    direction = np.array(
-        [
-            math.sin(view.yaw) * math.cos(view.pitch),
-            math.sin(view.pitch),
-            math.cos(view.yaw) * math.cos(view.pitch),
-        ]
-    )
-    return look_at(
-        name="viewer",
-        centre_m=focus + distance * direction,
-        target_m=focus,
-        vertical_fov=VERTICAL_FOV,
-        width=width,
-        height=height,
-    )
+    """The camera that shows `count` seats on the arc, moved as the user wants."""
+    return plan_camera(plan_seats("arc", count, width / height), view, width, height)
 
 
 def clip_from_head(camera: Camera, world_from_head: FloatArray) -> FloatArray:
@@ -217,6 +155,56 @@ def screen_rect(
     if left >= right or bottom >= top:
         return None
     return (left, bottom, right, top)
+
+
+def head_rect_px(camera: Camera, world_from_head: npt.ArrayLike) -> Rect | None:
+    """The part of the picture that a head and its movements may cover.
+
+    Args:
+        camera: The viewer's.
+        world_from_head: Of the head, or of its seat, ``[4, 4]``.
+
+    Returns:
+        Left, top, right and bottom in image pixels, y down; None if it is not before the camera.
+    """
+    centre = np.asarray(world_from_head, np.float64)[:3, 3]
+    right, down = camera.rotation[0], camera.rotation[1]
+    reach = np.outer([-1, 1], HEAD_HALF_WIDTH_M * right + HEAD_HALF_HEIGHT_M * down)
+    pixels, depth = camera.project(centre + reach)
+    if (depth <= NEAR_M).any():
+        return None
+    (left, top), (right_px, bottom) = pixels.tolist()
+    return left, top, right_px, bottom
+
+
+def seat_rects_px(plan: SeatPlan, size: tuple[int, int]) -> list[Rect]:
+    """Where on a picture the heads of a plan may be, as long as nobody has moved the view."""
+    camera = plan_camera(plan, ViewState(), *size)
+    found = (head_rect_px(camera, seat) for seat in plan.seats)
+    return [rect for rect in found if rect is not None]
+
+
+def overlap(first: Rect, second: Rect) -> bool:
+    """Whether two rectangles (left, top, right, bottom) have a part in common."""
+    return (
+        first[0] < second[2]
+        and second[0] < first[2]
+        and first[1] < second[3]
+        and second[1] < first[3]
+    )
+
+
+def pick_head(
+    placements: Sequence[Placement], camera: Camera, x_px: float, y_px: float
+) -> str | None:
+    """The slot of the nearest head at a place of the picture; None where there is none."""
+    found: list[tuple[float, str]] = []
+    for placement in placements:
+        rect = head_rect_px(camera, placement.world_from_head)
+        if rect is not None and rect[0] <= x_px <= rect[2] and rect[1] <= y_px <= rect[3]:
+            away = placement.world_from_head[:3, 3].astype(np.float64) - camera.centre_m
+            found.append((float(np.linalg.norm(away)), placement.slot))
+    return min(found)[1] if found else None
 
 
 def label_anchor_px(camera: Camera, world_from_head: FloatArray) -> tuple[float, float] | None:

@@ -173,7 +173,8 @@ def set_item(item: OverlayItem) -> npt.NDArray[np.uint8]:
 
 def _arrange(item: OverlayItem) -> _Plate:
     rows = [
-        tuple(_printable(text) for text in line[:MAX_COLUMNS]) for line in item.lines[:MAX_LINES]
+        tuple(_printable(text) for text in line[:MAX_COLUMNS]) or ("",)
+        for line in item.lines[:MAX_LINES]
     ]
     match item.style:
         case "panel":
@@ -281,7 +282,8 @@ def _table(rows: list[tuple[str, ...]], size_px: int) -> _Plate:
 def _form(rows: list[tuple[str, ...]], item: OverlayItem) -> _Plate:
     """Labels with input fields; a line of one text stands alone, the first of them as title."""
     size_px = item.size_px
-    pad, leading, field_px = round(1.6 * size_px), round(2.1 * size_px), _FORM_VALUE_EMS * size_px
+    pad, leading = _form_measures(size_px)
+    field_px = _FORM_VALUE_EMS * size_px
     labels = [_font(row[0], size_px).getlength(row[0]) for row in rows if len(row) > 1]
     left_px = math.ceil(max(labels, default=0.0)) + size_px
     width = 2 * pad + left_px + field_px
@@ -311,6 +313,17 @@ def _form(rows: list[tuple[str, ...]], item: OverlayItem) -> _Plate:
         shown = _end_within(row[1], value, field_px - size_px, keep_end=True)
         texts.append(_Text(shown, value, left + 0.5 * size_px, y, "lm", _INK))
     return _Plate(width, leading * len(rows) + 2 * pad, texts, 235, fields=tuple(fields))
+
+
+def form_line_at(item: OverlayItem, y_px: float) -> int:
+    """Which line of a form is at a height of the picture; it may be none that there is."""
+    pad, leading = _form_measures(item.size_px)
+    return math.floor((y_px - round(item.y_px) - pad) / leading)
+
+
+def _form_measures(size_px: int) -> tuple[int, int]:
+    """Space around a form, and from line to line."""
+    return round(1.6 * size_px), round(2.1 * size_px)
 
 
 def _end_within(text: str, font: Font, width_px: float, *, keep_end: bool) -> str:

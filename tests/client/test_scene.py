@@ -10,22 +10,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pica_client.scene import (
-    MAX_PITCH,
-    MAX_ZOOM,
-    MIN_ZOOM,
     NEAR_M,
-    SEAT_RADIUS_M,
-    SEAT_SPACING_M,
+    Placement,
     ViewState,
     arrange_seats,
     clip_from_head,
     head_matrix,
+    head_rect_px,
     label_anchor_px,
+    pick_head,
     rotation_matrix,
     screen_rect,
     view_camera,
     view_direction,
 )
+from pica_client.seats import MAX_PITCH, MAX_ZOOM, MIN_ZOOM, SEAT_RADIUS_M, SEAT_SPACING_M
 
 pytestmark = pytest.mark.unit
 
@@ -185,3 +184,28 @@ def test_a_name_stands_below_its_head_and_not_behind_the_camera() -> None:
     assert 270 < anchor[1] < 540
     behind = head_matrix(np.eye(4), [0, 0, 0], camera.centre_m + np.array([0, 0, NEAR_M]))
     assert label_anchor_px(camera, behind) is None
+
+
+def test_a_click_finds_the_head_under_it_and_the_nearer_of_two() -> None:
+    camera = view_camera(ViewState(), 2, 960, 540)
+    left, right = (
+        Placement(slot=name, world_from_head=seat.astype(np.float32))
+        for name, seat in zip(("left", "right"), arrange_seats(2), strict=True)
+    )
+    behind = Placement(
+        slot="behind", world_from_head=head_matrix(arrange_seats(2)[0], [0, 0, 0], [0, 0, -0.5])
+    )
+    rect = head_rect_px(camera, left.world_from_head)
+    assert rect is not None
+    x, y = (rect[0] + rect[2]) / 2, (rect[1] + rect[3]) / 2
+    assert pick_head([right, behind, left], camera, x, y) == "left"
+    assert pick_head([left, right], camera, 960 - x, y) == "right"
+    assert pick_head([left, right], camera, 5, 5) is None
+
+
+def test_a_head_behind_the_camera_covers_nothing_and_cannot_be_clicked() -> None:
+    camera = view_camera(ViewState(), 1, 960, 540)
+    behind = head_matrix(np.eye(4), [0, 0, 0], camera.centre_m + np.array([0, 0, NEAR_M]))
+    assert head_rect_px(camera, behind) is None
+    placement = Placement(slot="p", world_from_head=behind)
+    assert pick_head([placement], camera, 480, 270) is None
