@@ -1,0 +1,151 @@
+"""How good a connection is, for people who do not read numbers: good, fair, poor. Pure.
+
+Nobody is to be warned of a hiccup, and no warning is to flicker: a level must be wrong for a while
+before it changes, and longer for the better than for the worse.
+
+    meter = QualityMeter()
+    quality = meter.receive(health, now)        # twice a second, say
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+Quality = Literal["unknown", "good", "fair", "poor"]
+
+WINDOW_S = 4.0
+"""What is judged: the last so many seconds (chosen: some 120 frames, so that one is no percent)."""
+WORSE_AFTER_S = 1.5
+BETTER_AFTER_S = 5.0
+"""How long another level must have been the right one before it is believed."""
+MAX_SAMPLES = 64
+"""Kept of a window; drops the oldest."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StreamHealth:
+    """How a stream stands; counters since it began."""
+
+    received: int = 0
+    """Frames that came."""
+    lost: int = 0
+    """Frames that did not."""
+    late: int = 0
+    """Frames that came when a newer one was shown already."""
+    shown: int = 0
+    """Display times."""
+    concealed: int = 0
+    """Of them, those without a fresh face."""
+    age_s: float = 0.0
+    """How old the shown face is."""
+    payload_bytes: int = 0
+    delay_s: float = 0.0
+    """What it waits in the playout buffer."""
+    is_paused: bool = False
+    """Whether nothing is to be expected: its sender is away or muted."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class QualityLimits:
+    """From where on a connection is not good any more."""
+
+    lost_ratio: float
+    """Frames that were lost or late, of all."""
+    concealed_ratio: float
+    """Display times without a fresh face, of all."""
+    age_s: float
+
+    def are_exceeded(self, lost_ratio: float, concealed_ratio: float, age_s: float) -> bool:
+        """Whether any of the figures is at or above its limit."""
+        return (
+            lost_ratio >= self.lost_ratio
+            or concealed_ratio >= self.concealed_ratio
+            or age_s >= self.age_s
+        )
+
+
+FAIR = QualityLimits(lost_ratio=0.03, concealed_ratio=0.05, age_s=0.25)
+"""Seen by those who look for it (chosen: the delay beyond which G.114 calls talk affected is 0.15 s
+one way, and the face is a part of it)."""
+POOR = QualityLimits(lost_ratio=0.12, concealed_ratio=0.2, age_s=0.5)
+"""Seen by everybody: the face stands still a fifth of the time (chosen)."""
+
+_RANK: dict[Quality, int] = {"unknown": 0, "good": 1, "fair": 2, "poor": 3}
+
+
+def judge(before: StreamHealth, after: StreamHealth) -> Quality:
+    """What a stream was like between two moments; unknown when nothing came or was shown."""
+    received, shown = after.received - before.received, after.shown - before.shown
+    lost = max(after.lost - before.lost, 0) + max(after.late - before.late, 0)
+    if received + lost <= 0 or shown <= 0:
+        return "unknown"
+    figures = (
+        lost / (received + lost),
+        max(after.concealed - before.concealed, 0) / shown,
+        after.age_s,
+    )
+    if POOR.are_exceeded(*figures):
+        return "poor"
+    return "fair" if FAIR.are_exceeded(*figures) else "good"
+
+
+class QualityMeter:
+    """Judges one stream; keeps a bounded window of what it was told."""
+
+    def __init__(self) -> None:
+        self._samples: deque[tuple[float, StreamHealth]] = deque(maxlen=MAX_SAMPLES)
+        self._level: Quality = "unknown"
+        self._differs_since_s: float | None = None
+        self._is_worse = False
+
+    @property
+    def level(self) -> Quality:
+        """What is shown."""
+        return self._level
+
+    def receive(self, health: StreamHealth, now: float) -> Quality:
+        """Take how the stream stands at `now`, seconds, and say what to show."""
+        if health.is_paused:
+            self._samples.clear()
+            self._level, self._differs_since_s = "unknown", None
+            return self._level
+        if self._samples and health.received < self._samples[-1][1].received:
+            self._samples.clear()  # the stream began anew
+        self._samples.append((now, health))
+        while len(self._samples) > 2 and now - self._samples[1][0] >= WINDOW_S:
+            self._samples.popleft()
+        found = judge(self._samples[0][1], health)
+        if found == "unknown" or found == self._level:
+            self._differs_since_s = None  # a stream that is silent is as good as it was
+            return self._level
+        is_worse = _RANK[found] > _RANK[self._level]
+        if self._differs_since_s is None or is_worse != self._is_worse:
+            self._differs_since_s, self._is_worse = now, is_worse
+        patience_s = WORSE_AFTER_S if is_worse else BETTER_AFTER_S
+        if self._level == "unknown" or now - self._differs_since_s >= patience_s:
+            self._level, self._differs_since_s = found, None
+        return self._level
+
+
+def own_quality(peers: Sequence[Quality], *, replaced_ratio: float | None = None) -> Quality:
+    """How good one's own connection is.
+
+    When most of several streams are poor at once, what they share is this end. What cannot be sent
+    in time says it, too.
+
+    Args:
+        peers: Of the others' streams.
+        replaced_ratio: Share of our own frames that the network did not take in time; None when we
+            send nothing.
+    """
+    known = [quality for quality in peers if quality != "unknown"]
+    if replaced_ratio is not None and replaced_ratio >= POOR.lost_ratio:
+        return "poor"
+    if len(known) >= 2 and 2 * known.count("poor") > len(known):
+        return "poor"
+    if not known:
+        return "unknown" if replaced_ratio is None else "good"
+    return "good"
