@@ -17,10 +17,12 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 from pica_client.avatars import AvatarStore
+from pica_client.connection_quality import StreamHealth
 from pica_client.errors import OptionError
 from pica_client.faces import FaceState, FaceStatus
-from pica_client.playout import Playout, PlayoutConfig, PlayoutReport, TimedSample
-from pica_client.sender import FACE_TRACK
+from pica_client.playout import PlayedFace, Playout, PlayoutConfig, PlayoutReport, TimedSample
+from pica_client.publisher import FACE_KEY, FACE_TRACK
+from pica_client.wishes import Told, WishConfig, Wishes
 from pica_core.avatar_file import Avatar
 from pica_core.errors import AvatarFileError, LatentError, ProfileError
 from pica_core.latent_sample import DecodedFrame
@@ -46,6 +48,8 @@ KEYFRAME_REQUEST_INTERVAL_S = 0.5
 CATCH_UP_S = 0.02
 """Whoever comes late gets the frames since the last keyframe at once, to decode from. They are old;
 only the newest is shown, or the playout would take them for a network that delays."""
+FACE_NOTES = {"muted": "face is off", "frozen": "face is frozen"}
+"""Why a face stands still, by what its owner says under `FACE_KEY`."""
 MAX_DEPARTED = 64
 """Peers remembered for the statistics after they left; drops the oldest."""
 MAX_SHOWN = 100_000
@@ -57,6 +61,7 @@ class CallConfig:
     """How a receiver plays."""
 
     playout: PlayoutConfig = field(default_factory=PlayoutConfig)
+    wishes: WishConfig = field(default_factory=WishConfig)
     stale_after_s: float = 2.0
     """A face without a frame for this long is shown as stale."""
 
@@ -112,7 +117,10 @@ class _Seat:
         self.is_behind = True
         self.catching_up_until_s = -math.inf
         self.catch_up: tuple[DecodedFrame, float] | None = None
+        self.is_paused = self.is_resuming = False
+        self.played: PlayedFace | None = None
         self.last_arrival_s: float | None = None
+        self.payload_bytes = 0
         self.window = _Window()
         self.reported = PlayoutReport()
 
@@ -138,14 +146,39 @@ class _Seat:
             return self.trouble
         if self.is_muted:
             return "muted by an admin"
-        return "connection lost" if self.is_away else ""
+        if self.is_away:
+            return "connection lost"
+        return FACE_NOTES.get(self._face_mode, "")
+
+    @property
+    def says_muted(self) -> bool:
+        """Whether its owner has said that nothing is sent."""
+        return self._face_mode == "muted"
+
+    @property
+    def _face_mode(self) -> str:
+        return dict(self.peer.metadata).get(FACE_KEY, "")
 
     def settle(self) -> None:
         """Show the newest of the frames that brought a latecomer up to date."""
         if self.catch_up is not None:
             frame, arrived_s = self.catch_up
             self.catch_up = None
-            self.playout.receive_frame(frame.sequence, frame.captured_us, frame.sample, arrived_s)
+            receive = self.playout.restart if self.is_resuming else self.playout.receive_frame
+            receive(frame.sequence, frame.captured_us, frame.sample, arrived_s)
+
+    def pause(self) -> None:
+        """Note that the relay was told to send nothing: the face stands still on purpose."""
+        self.settle()
+        self.is_paused, self.is_resuming = True, False
+
+    def resume(self, now: float) -> None:
+        """Note that the relay was told to send again: what it kept comes first, all at once."""
+        if self.is_paused:
+            self.is_paused, self.is_resuming, self.is_behind = False, True, True
+            self.catching_up_until_s = -math.inf
+            if self.last_arrival_s is not None:
+                self.last_arrival_s = now
 
     def begin_window(self) -> None:
         self.window = _Window(before=self.playout.report())
@@ -177,6 +210,7 @@ class Call:
         self._by_stream: dict[int, _Seat] = {}
         self._departed: deque[_Seat] = deque(maxlen=MAX_DEPARTED)
         self._window_begin_s: float | None = None
+        self._wishes = Wishes(self.config.wishes)
 
     # The network's side
 
@@ -193,6 +227,8 @@ class Call:
                             self._remove(peer_id)
                         seat.is_behind = True
                         seat.is_away = seat.is_muted = False  # we are told again if it is so
+                        seat.resume(now)
+                    self._wishes.begin(now)
                     for peer in peers:
                         self._add(peer)
                 case PeerJoined(peer=peer):
@@ -235,14 +271,50 @@ class Call:
         with self._lock:
             streams = []
             for stream, seat in self._by_stream.items():
-                needs = seat.decoder is not None and seat.decoder.needs_keyframe
+                decoder = None if seat.is_paused else seat.decoder
+                needs = decoder is not None and decoder.needs_keyframe
                 if needs and now - seat.keyframe_asked_s >= KEYFRAME_REQUEST_INTERVAL_S:
                     seat.keyframe_asked_s = now
                     seat.window.keyframe_requests += 1
                     streams.append(stream)
             return streams
 
+    def take_wishes(self, now: float) -> list[Told]:
+        """What the relay is to be told now of the layers we want; see `wishes`."""
+        with self._lock:
+            told = self._wishes.due(now)
+            for stream, layer, is_resumption in told:
+                seat = self._by_stream.get(stream)
+                if seat is not None and layer is None:
+                    seat.pause()
+                elif seat is not None and is_resumption:
+                    seat.resume(now)
+            return told
+
+    def note_untold(self, stream: int, now: float) -> None:
+        """Note that the relay could not be told the last wish for a stream."""
+        with self._lock:
+            self._wishes.note_untold(stream, now)
+            seat = self._by_stream.get(stream)
+            if seat is not None and self._wishes.wants(stream):
+                seat.resume(now)
+
+    def next_wish_timer(self) -> float | None:
+        """When `take_wishes` will have something, if nobody wishes anything else."""
+        with self._lock:
+            return self._wishes.next_timer()
+
     # The display's side
+
+    def wish(self, peer_id: str, layer: int | None, now: float) -> bool:
+        """Say how much of a peer's stream is worth having now; None is nothing at all.
+
+        Returns:
+            Whether `take_wishes` or `next_wish_timer` may say something new.
+        """
+        with self._lock:
+            seat = self._seats.get(peer_id)
+            return seat is not None and self._wishes.wish(seat.track.stream, layer, now)
 
     def faces(self, now: float) -> list[FaceState]:
         """See `FaceSource.faces`."""
@@ -297,6 +369,11 @@ class Call:
         """Name by peer id of everybody with a face."""
         with self._lock:
             return {peer_id: seat.peer.name for peer_id, seat in self._seats.items()}
+
+    def health(self) -> dict[str, StreamHealth]:
+        """How the stream of each peer with a face stands, by peer id; counters since it began."""
+        with self._lock:
+            return {peer_id: _health(seat) for peer_id, seat in self._seats.items()}
 
     def begin_window(self, now: float) -> None:
         """Let the statistics begin here: what came before was warming up."""
@@ -374,6 +451,7 @@ class Call:
         seat = self._seats.pop(peer_id, None)
         if seat is not None:
             self._by_stream.pop(seat.track.stream, None)
+            self._wishes.forget(seat.track.stream)
             self._departed.append(seat)
 
     def _receive_frame(self, frame: Frame, now: float) -> None:
@@ -391,12 +469,15 @@ class Call:
         except LatentError:
             self.errors += 1
             return
-        if seat.is_behind:
+        if seat.is_behind and decoded:
             seat.is_behind = False
             seat.catching_up_until_s = now + CATCH_UP_S
         for each in decoded:
-            if seat.catch_up is not None and now > seat.catching_up_until_s:
+            if now > seat.catching_up_until_s:
                 seat.settle()
+                seat.is_resuming = False
+            if seat.is_paused:
+                continue  # it was on its way when we said that we want nothing
             if now <= seat.catching_up_until_s:
                 seat.catch_up = (each, now)
             else:
@@ -407,6 +488,7 @@ class Call:
         seat.last_arrival_s = now
         seat.window.received += 1
         seat.window.payload_bytes += len(frame.payload)
+        seat.payload_bytes += len(frame.payload)
 
     def _open_decoder(self, seat: _Seat) -> bool:
         """Make the decoder of a stream, if its avatar is there and of the sender's version."""
@@ -430,7 +512,10 @@ class Call:
 
     def _face(self, seat: _Seat, now: float) -> FaceState:
         seat.settle()
-        played = seat.playout.sample_at(now)
+        # While the stream is stopped on purpose the face stands still, and nothing is concealed.
+        is_stopped = seat.is_paused or (seat.is_resuming and seat.is_behind)
+        played = seat.played if is_stopped else seat.playout.sample_at(now)
+        seat.played = played
         if played is None:
             return FaceState(
                 peer_id=seat.peer.peer_id,
@@ -440,20 +525,17 @@ class Call:
                 status="waiting",
                 note=seat.note or self._avatars.note(seat.track.avatar),
             )
-        status: FaceStatus = "concealed" if played.is_concealed else "live"
-        if seat.last_arrival_s is not None and now - seat.last_arrival_s > (
-            self.config.stale_after_s
-        ):
+        is_held = is_stopped or played.is_concealed
+        status: FaceStatus = "concealed" if is_held else "live"
+        silent_s = 0.0 if seat.last_arrival_s is None else now - seat.last_arrival_s
+        if silent_s > self.config.stale_after_s and not seat.is_paused:
             status = "stale"
         newest = played.newest
-        self._shown.append(
-            Shown(
-                seat.peer.name,
-                played.captured_us,
-                newest.captured_us,
-                round(newest.arrived_s * 1e6),
+        if not is_stopped:
+            arrived_us = round(newest.arrived_s * 1e6)
+            self._shown.append(
+                Shown(seat.peer.name, played.captured_us, newest.captured_us, arrived_us)
             )
-        )
         return FaceState(
             peer_id=seat.peer.peer_id,
             name=seat.peer.name,
@@ -465,3 +547,18 @@ class Call:
             status=status,
             note=seat.note,
         )
+
+
+def _health(seat: _Seat) -> StreamHealth:
+    report = seat.playout.report()
+    return StreamHealth(
+        received=report.received,
+        lost=report.lost,
+        late=report.late,
+        shown=report.shown,
+        concealed=report.concealed,
+        age_s=report.age_s,
+        payload_bytes=seat.payload_bytes,
+        delay_s=report.delay_s,
+        is_paused=seat.is_away or seat.is_muted or seat.says_muted,
+    )

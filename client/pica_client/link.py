@@ -62,6 +62,8 @@ class LinkConfig:
     token_file: Path | None = None
     """File with the token that the relay wants, from `pica token`; read anew for every join, so
     that a fresh one can be put there."""
+    token: str = field(default="", repr=False)
+    """The token itself, instead of a file; a secret."""
     ca_file: Path | None = None
     """With wss://, trust the certificates of this PEM file instead of the system's."""
     backoff: BackoffConfig = field(default_factory=BackoffConfig)
@@ -78,9 +80,12 @@ class LinkConfig:
             raise OptionError(f"ca-file says whom to trust with wss://; url is {self.url}")
         if self.short_tags and self.secret_file is None:
             raise OptionError("short-tags says how to encrypt; it needs a secret-file")
+        if self.token and self.token_file is not None:
+            raise OptionError("token and token-file say the same thing; give one of them")
         try:
             check_token("room", self.room)
             check_text("name", self.name, 64, required=True)
+            check_pass("token", self.token)
         except ValueError as error:
             raise OptionError(str(error)) from error
 
@@ -281,7 +286,7 @@ class Link:
         give_up_s = None if limit_s is None else loop.time() + limit_s
         trouble = "it does not let us in"
         while not self._is_leaving:
-            token = read_token(self.config.token_file)
+            token = self.config.token or read_token(self.config.token_file)
             before_first = self.counters.connects == 0
             joined_s = None
             try:

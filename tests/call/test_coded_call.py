@@ -22,7 +22,7 @@ import numpy.typing as npt
 import pytest
 
 from pica_client import call as call_module
-from pica_client import sender as sender_module
+from pica_client import publisher as publisher_module
 from pica_client.avatars import LoadedAvatars
 from pica_client.call import Call
 from pica_client.faces import FaceState
@@ -127,7 +127,7 @@ def witness() -> Iterator[Witness]:
         return WatchedDecoder(stream_ends.open_decoder(avatar, name), watching)
 
     with (
-        mock.patch.object(sender_module, "open_encoder", open_encoder),
+        mock.patch.object(publisher_module, "open_encoder", open_encoder),
         mock.patch.object(call_module, "open_decoder", open_decoder),
     ):
         yield watching

@@ -1,0 +1,151 @@
+"""One's own face beside a call: over the same link, frozen, muted, and the others are told why.
+
+On the virtual clock, through the real relay.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from pica_client.avatars import LoadedAvatars
+from pica_client.call import Call
+from pica_client.call_monitor import CallMonitor
+from pica_client.call_status import CallStatus
+from pica_client.faces import FaceState
+from pica_client.link import LinkConfig
+from pica_client.publisher import FaceMode, Publisher, SenderConfig
+from pica_client.receiver import Receiver
+from pica_client.sources import open_source
+from pica_server.config import RelayConfig
+from pica_server.relay import Relay
+from simnet.clock import current_network, in_virtual_time
+from toy import make_toy_avatar
+
+pytestmark = pytest.mark.call
+
+AVATAR_ID = "5" * 64
+AVATAR = make_toy_avatar()
+
+
+class Person:
+    """Somebody in the call, who looks at it twenty times a second."""
+
+    def __init__(self, url: str, name: str, *, sends: bool = False) -> None:
+        port = url.rpartition(":")[2]
+        self.publisher = None
+        if sends:
+            source = open_source("performance:talk")
+            self.publisher = Publisher(SenderConfig(), source, AVATAR, AVATAR_ID)
+        self.receiver = Receiver(
+            LinkConfig(url=f"ws://{name}:{port}", room="kitchen", name=name),
+            Call(LoadedAvatars({AVATAR_ID: AVATAR})),
+            publisher=self.publisher,
+            rng=random.Random(1),
+        )
+        self.monitor = CallMonitor(self.receiver)
+        self.seen: list[FaceState] = []
+        self.status = CallStatus()
+
+    async def look(self, seconds: float) -> None:
+        loop = asyncio.get_running_loop()
+        for index in range(round(seconds * 20)):
+            await asyncio.sleep(0.05)
+            self.seen += self.receiver.call.faces(loop.time())
+            if index % 10 == 0:
+                self.status = self.monitor.status(loop.time())
+
+    def motion(self) -> float:
+        """Largest step of a number of the latent over the last second."""
+        latents = [face.latent for face in self.seen[-20:] if face.latent is not None]
+        return max(
+            (float(np.abs(after - before).max()) for before, after in pairwise(latents)),
+            default=0.0,
+        )
+
+
+def set_mode(person: Person, mode: FaceMode) -> None:
+    assert person.publisher is not None
+    person.publisher.set_mode(mode)
+
+
+@in_virtual_time
+async def test_a_face_is_sent_frozen_muted_and_let_go_on_over_the_link_of_the_call() -> None:
+    async with Relay(RelayConfig(port=0)) as relay:
+        ada, ben = Person(relay.url, "ada", sends=True), Person(relay.url, "ben")
+        async with asyncio.TaskGroup() as tasks:
+            for person in (ada, ben):
+                tasks.create_task(person.receiver.run())
+            await ben.look(4)
+            assert [face.name for face in ben.seen[-1:]] == ["ada"]
+            assert ben.motion() > 0.05
+            assert ada.receiver.call.faces(4.0) == []  # nobody is sent their own face
+
+            set_mode(ada, "frozen")
+            await ben.look(4)
+            assert ben.motion() < 1e-3
+            assert ben.seen[-1].note == "face is frozen"
+            assert ben.seen[-1].status == "live"
+
+            set_mode(ada, "muted")
+            await ben.look(4)
+            assert ben.seen[-1].status == "stale"
+            assert ben.seen[-1].note == "face is off"
+            assert ben.status.peers[ben.seen[-1].peer_id].quality != "poor"
+
+            set_mode(ada, "sent")
+            await ben.look(2)
+            assert ben.seen[-1].status == "live"
+            assert ben.seen[-1].note == ""
+            assert ben.motion() > 0.05
+            for person in (ada, ben):
+                person.receiver.stop()
+        sent = ada.receiver.stats(14.0)["sent"]
+        assert sent["without_face"] > 80
+
+
+@in_virtual_time
+async def test_somebody_who_comes_later_is_told_of_a_muted_face_too() -> None:
+    async with Relay(RelayConfig(port=0)) as relay:
+        ada, ben = Person(relay.url, "ada", sends=True), Person(relay.url, "ben")
+        set_mode(ada, "muted")
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(ada.receiver.run())
+            await asyncio.sleep(2)
+            tasks.create_task(ben.receiver.run())
+            await ben.look(1)
+            assert ben.seen[-1].note == "face is off"
+            for person in (ada, ben):
+                person.receiver.stop()
+
+
+@in_virtual_time
+async def test_how_the_call_stands_follows_the_network() -> None:
+    async with Relay(RelayConfig(port=0)) as relay:
+        ada, ben = Person(relay.url, "ada", sends=True), Person(relay.url, "ben")
+        async with asyncio.TaskGroup() as tasks:
+            for person in (ada, ben):
+                tasks.create_task(person.receiver.run())
+            await ben.look(8)
+            (peer,) = ben.status.peers.values()
+            assert peer.quality == "good"
+            assert peer.payload_bps is not None
+            assert 1000 < peer.payload_bps < 200_000
+            assert ben.status.is_connected
+
+            for _ in range(8):
+                current_network().stall("ben", 0.8)
+                await ben.look(1)
+            (peer,) = ben.status.peers.values()
+            assert peer.quality == "poor"
+            for person in (ada, ben):
+                person.receiver.stop()
+        await asyncio.sleep(0.1)
+        before = ben.monitor.status(20.0)
+        after = ben.monitor.status(23.0)
+        assert not after.is_connected
+        assert after.away_s - before.away_s == pytest.approx(3.0)
