@@ -1,27 +1,23 @@
-"""Latent -> position map and expression map, off the drawing thread.
+"""Latent -> position map and expression map, by ONNX Runtime.
 
-`OnnxDecoder` decodes one avatar with ONNX Runtime. `DecodePool` owns the decoders of a call and
-runs them on worker threads (ONNX Runtime releases the interpreter lock while it computes), newest
-request first out:
+    decoder = OnnxDecoder(avatar, OnnxOptions(threads=1))
+    maps = decoder.decode(latent, view_direction)                       # both maps, full size
+    maps = decoder.decode(latent, view_direction, 64, "expression")     # one, a quarter the size
 
-    pool = DecodePool(DecodePoolOptions(), OnnxDecoder)
-    pool.add("peer-1", avatar)
-    pool.submit("peer-1", DecodeRequest(latent=..., view_direction=..., captured_us=...))
-    for result in pool.take_results():            # newest per slot; called once per drawn frame
-        result.maps, result.error, result.decode_s
-    pool.close()
+An avatar is decoded to one of its levels, both maps or the expression map alone. Each of these is a
+session of its own, built when it is first needed: a graph holds just what its outputs need.
+`decode_pool` runs decoders off the drawing thread.
 
-Bounded by construction: a slot holds one waiting request and one finished result; a newer one
-replaces an older one that nobody has taken, and the replaced requests are counted.
+Who computes is a setting: an execution provider by its name, with options that go to it as they
+are. ONNX Runtime itself falls back to the CPU when a provider does not load; here that is an error,
+for whoever asked for a GPU wants to know.
 """
 
 from __future__ import annotations
 
-import threading
-import time
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol, Self
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +28,7 @@ from pica_core.avatar_file import Avatar
 from pica_core.onnx_graph import decoder_graph
 
 FloatArray = npt.NDArray[np.float32]
+Parts = Literal["both", "expression"]
 
 CPU_PROVIDER = "CPUExecutionProvider"
 
@@ -40,18 +37,40 @@ CPU_PROVIDER = "CPUExecutionProvider"
 class DecodedMaps:
     """What a decoder makes of one latent."""
 
-    position_map: FloatArray
-    """Head-frame metres, float32 ``[256, 256, 3]``, C-contiguous."""
+    position_map: FloatArray | None
+    """Head-frame metres, float32 ``[S, S, 3]``, C-contiguous; None if it was not asked for."""
     expression_map: FloatArray
-    """float32 ``[256, 256, 4]``, C-contiguous."""
+    """float32 ``[S, S, 4]``, C-contiguous."""
+    level: int = 0
+    """S, texels per side of what was decoded."""
 
 
 class ObjectDecoder(Protocol):
     """The per-object half of an avatar."""
 
-    def decode(self, latent: FloatArray, view_direction: FloatArray) -> DecodedMaps:
-        """Decode one latent ``[8, 8, 4]`` as seen along the unit vector `view_direction`
-        ``[3]``."""
+    def prepare(self, level: int | None = None, parts: Parts = "both") -> None:
+        """Get ready for such decodes; may take long, once.
+
+        Raises:
+            OptionError: They cannot be had here.
+        """
+        ...
+
+    def decode(
+        self,
+        latent: FloatArray,
+        view_direction: FloatArray,
+        level: int | None = None,
+        parts: Parts = "both",
+    ) -> DecodedMaps:
+        """Decode one latent ``[8, 8, 4]`` as seen along the unit vector `view_direction` ``[3]``.
+
+        Args:
+            latent: What to decode.
+            view_direction: From where it is looked at.
+            level: Size of the maps; None is the full one.
+            parts: Which of them.
+        """
         ...
 
 
@@ -64,17 +83,73 @@ class OnnxOptions:
     thread makes block C slower, its layers are too small)."""
     provider: str = CPU_PROVIDER
     """ONNX Runtime execution provider, by its own name."""
+    provider_options: Mapping[str, str] = field(default_factory=dict)
+    """Options of the provider, handed on as they are."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.threads <= 64:
             raise OptionError(f"threads is {self.threads}; allowed are 1 to 64")
 
+    @classmethod
+    def for_provider(cls, text: str, threads: int = 1) -> OnnxOptions:
+        """Read a provider as people write it: ``NAME`` or ``NAME:key=value,key=value``.
 
-class OnnxDecoder:
-    """One avatar's decoders in one ONNX Runtime session.
+        Raises:
+            OptionError: What follows the colon is not of that form.
+        """
+        name, _, rest = text.partition(":")
+        pairs = [pair.partition("=") for pair in rest.split(",") if pair]
+        if not name or not all(key and sign for key, sign, _ in pairs):
+            raise OptionError(f"provider {text!r}; write NAME or NAME:key=value,key=value")
+        options = {key: value for key, _, value in pairs}
+        return cls(threads=threads, provider=name, provider_options=options)
+
+
+def open_session(graph: bytes, options: OnnxOptions) -> Any:
+    """An ONNX Runtime session that runs on the chosen provider.
 
     Args:
-        avatar: Checked avatar; the graph is built here.
+        graph: Serialised model.
+        options: Threads and provider.
+
+    Returns:
+        The ``onnxruntime.InferenceSession``.
+
+    Raises:
+        OptionError: The provider is not in this build of ONNX Runtime, does not load, or does not
+            take its options or the graph.
+    """
+    available = onnxruntime.get_available_providers()
+    if options.provider not in available:
+        raise OptionError(
+            f"provider {options.provider} is not in this ONNX Runtime; "
+            f"available are {', '.join(available)}"
+        )
+    settings = onnxruntime.SessionOptions()
+    settings.intra_op_num_threads = options.threads
+    settings.inter_op_num_threads = 1
+    # Threads that spin between two decodes would take the cores from the rasteriser.
+    settings.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    settings.log_severity_level = 3
+    providers = [(options.provider, dict(options.provider_options))]
+    try:
+        session = onnxruntime.InferenceSession(graph, settings, providers=providers)
+    except Exception as error:  # providers raise whatever their library raises
+        raise OptionError(f"provider {options.provider} does not start: {error}") from error
+    running = session.get_providers()
+    if not running or running[0] != options.provider:
+        raise OptionError(
+            f"provider {options.provider} does not load here; ONNX Runtime would take "
+            f"{', '.join(running) or 'none'} instead"
+        )
+    return session
+
+
+class OnnxDecoder:
+    """One avatar's decoders.
+
+    Args:
+        avatar: Checked avatar; the graphs are built here.
         options: Threads and provider.
 
     Raises:
@@ -82,239 +157,38 @@ class OnnxDecoder:
     """
 
     def __init__(self, avatar: Avatar, options: OnnxOptions | None = None) -> None:
-        chosen = options or OnnxOptions()
-        available = onnxruntime.get_available_providers()
-        if chosen.provider not in available:
-            raise OptionError(
-                f"provider {chosen.provider} is not in this ONNX Runtime; "
-                f"available are {', '.join(available)}"
-            )
-        settings = onnxruntime.SessionOptions()
-        settings.intra_op_num_threads = chosen.threads
-        settings.inter_op_num_threads = 1
-        # Threads that spin between two decodes would take the cores from the rasteriser.
-        settings.add_session_config_entry("session.intra_op.allow_spinning", "0")
-        settings.log_severity_level = 3
-        try:
-            self._session = onnxruntime.InferenceSession(
-                decoder_graph(avatar), settings, providers=[chosen.provider]
-            )
-        except Exception as error:  # providers raise whatever their library raises
-            raise OptionError(f"provider {chosen.provider} does not start: {error}") from error
-        self._outputs = ["position_map", "expression_map"]
+        self._avatar = avatar
+        self._options = options or OnnxOptions()
+        self._sessions: dict[tuple[int, Parts], Any] = {}  # at most two per level
+        self.prepare()
 
-    def decode(self, latent: FloatArray, view_direction: FloatArray) -> DecodedMaps:
-        """Decode one latent; see `ObjectDecoder`."""
-        feeds = {"latent": latent[None], "view_direction": view_direction[None]}
-        position_map, expression_map = self._session.run(self._outputs, feeds)
-        return DecodedMaps(position_map, expression_map)
+    def prepare(self, level: int | None = None, parts: Parts = "both") -> None:
+        """Build the session of a level if it is not there; see `ObjectDecoder`."""
+        self._session(level, parts)
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DecodeRequest:
-    """One latent to decode."""
-
-    latent: FloatArray
-    """float32 ``[8, 8, 4]``."""
-    view_direction: FloatArray
-    """Camera centre seen from the head, unit length, head frame. float32 ``[3]``."""
-    captured_us: int
-    """Sender's clock at the newest sample in the latent; handed through."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DecodeResult:
-    """What became of a request, or of an avatar. Times are seconds of the pool's clock."""
-
-    slot: str
-    maps: DecodedMaps | None
-    """None after an error."""
-    error: str | None
-    """Why this avatar cannot be decoded; it stays broken until it is added again."""
-    captured_us: int = 0
-    submitted_s: float = 0.0
-    started_s: float = 0.0
-    finished_s: float = 0.0
-
-    @property
-    def decode_s(self) -> float:
-        """Seconds of computing."""
-        return self.finished_s - self.started_s
-
-    @property
-    def waited_s(self) -> float:
-        """Seconds from submission until a worker took it."""
-        return self.started_s - self.submitted_s
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class DecodePoolOptions:
-    """How a call's avatars are decoded."""
-
-    workers: int = 1
-    """Worker threads. One keeps up with five avatars at 30 latents a second (5 x 30 x 1 ms)."""
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.workers <= 64:
-            raise OptionError(f"workers is {self.workers}; allowed are 1 to 64")
-
-
-@dataclass(slots=True, eq=False)
-class _Slot:
-    """One avatar of the pool; guarded by the pool's lock."""
-
-    avatar: Avatar
-    decoder: ObjectDecoder | None = None
-    broken: bool = False
-    busy: bool = False
-    request: DecodeRequest | None = None
-    submitted_s: float = 0.0
-    result: DecodeResult | None = None
-
-
-class DecodePool:
-    """Decodes the newest latent of every avatar on worker threads.
-
-    Args:
-        options: Number of workers.
-        make_decoder: Builds the decoder of an avatar; runs on a worker, for it may take long.
-        clock: Seconds, monotonic.
-
-    An exception of a decoder breaks its own slot alone: it comes back as `DecodeResult.error`.
-    """
-
-    def __init__(
+    def decode(
         self,
-        options: DecodePoolOptions,
-        make_decoder: Callable[[Avatar], ObjectDecoder],
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._make_decoder = make_decoder
-        self._clock = clock
-        self._slots: dict[str, _Slot] = {}
-        self._order: list[str] = []
-        self._closed = False
-        self._num_replaced = 0
-        self._changed = threading.Condition()
-        self._workers = [
-            threading.Thread(target=self._work, name=f"decode-{index}", daemon=True)
-            for index in range(options.workers)
-        ]
-        for worker in self._workers:
-            worker.start()
+        latent: FloatArray,
+        view_direction: FloatArray,
+        level: int | None = None,
+        parts: Parts = "both",
+    ) -> DecodedMaps:
+        """Decode one latent; see `ObjectDecoder`."""
+        session = self._session(level, parts)
+        feeds = {"latent": latent[None], "view_direction": view_direction[None]}
+        if parts == "expression":
+            (expression_map,) = session.run(["expression_map"], feeds)
+            return DecodedMaps(None, expression_map, len(expression_map))
+        position_map, expression_map = session.run(["position_map", "expression_map"], feeds)
+        return DecodedMaps(position_map, expression_map, len(expression_map))
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    @property
-    def num_replaced(self) -> int:
-        """Requests that a newer one replaced before a worker took them."""
-        with self._changed:
-            return self._num_replaced
-
-    def add(self, slot: str, avatar: Avatar) -> None:
-        """Prepare a slot for an avatar; replaces what was there. Its decoder is built on a
-        worker."""
-        with self._changed:
-            self._slots[slot] = _Slot(avatar)
-            self._enqueue(slot)
-
-    def remove(self, slot: str) -> None:
-        """Forget a slot; an unknown one is no error. A decode under way is dropped when it ends."""
-        with self._changed:
-            self._slots.pop(slot, None)
-
-    def submit(self, slot: str, request: DecodeRequest) -> None:
-        """Ask for a decode; replaces a request that still waits. Broken or unknown slots ignore
-        it."""
-        with self._changed:
-            entry = self._slots.get(slot)
-            if entry is None or entry.broken:
-                return
-            if entry.request is not None:
-                self._num_replaced += 1
-            entry.request = request
-            entry.submitted_s = self._clock()
-            self._enqueue(slot)
-
-    def take_results(self) -> list[DecodeResult]:
-        """The newest result of every slot since the last call."""
-        with self._changed:
-            found = [entry.result for entry in self._slots.values() if entry.result is not None]
-            for entry in self._slots.values():
-                entry.result = None
-        return found
-
-    def wait_idle(self, timeout_s: float) -> bool:
-        """Wait until nothing is waiting or under way; False when the time runs out first."""
-
-        def idle() -> bool:
-            return not self._order and not any(entry.busy for entry in self._slots.values())
-
-        with self._changed:
-            return self._changed.wait_for(idle, timeout_s)
-
-    def close(self) -> None:
-        """Stop the workers and wait for them; what waits is dropped."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
-        for worker in self._workers:
-            worker.join()
-
-    def _enqueue(self, slot: str) -> None:
-        if slot not in self._order:  # at most one entry per slot: this is what bounds the queue
-            self._order.append(slot)
-            self._changed.notify()
-
-    def _next_slot(self) -> str | None:
-        """The longest waiting slot that no other worker is busy with; under the lock."""
-        for slot in self._order:
-            entry = self._slots.get(slot)
-            if entry is None or not entry.busy:
-                self._order.remove(slot)
-                return slot
-        return None
-
-    def _work(self) -> None:
-        while True:
-            with self._changed:
-                slot = None
-                while not self._closed and (slot := self._next_slot()) is None:
-                    self._changed.wait()
-                if self._closed or slot is None:
-                    return
-                entry = self._slots.get(slot)
-                if entry is None:
-                    continue
-                entry.busy = True
-                request, entry.request = entry.request, None
-                submitted_s = entry.submitted_s
-            result = self._run(slot, entry, request, submitted_s)
-            with self._changed:
-                entry.busy = False
-                if result is not None:
-                    entry.result = result
-                self._changed.notify_all()
-
-    def _run(
-        self, slot: str, entry: _Slot, request: DecodeRequest | None, submitted_s: float
-    ) -> DecodeResult | None:
-        """Build the decoder if need be, and decode. Only this worker touches the entry's
-        decoder."""
-        try:
-            if entry.decoder is None:
-                entry.decoder = self._make_decoder(entry.avatar)
-            if request is None:
-                return None
-            started_s = self._clock()
-            maps = entry.decoder.decode(request.latent, request.view_direction)
-            return DecodeResult(
-                slot, maps, None, request.captured_us, submitted_s, started_s, self._clock()
-            )
-        except Exception as error:  # one avatar's failure must not end the worker of all
-            entry.broken = True
-            return DecodeResult(slot, None, " ".join(str(error).split())[:300])
+    def _session(self, level: int | None, parts: Parts) -> Any:
+        size = self._avatar.spec.map_size if level is None else level
+        session = self._sessions.get((size, parts))
+        if session is None:
+            if size not in self._avatar.levels:
+                known = ", ".join(map(str, self._avatar.levels))
+                raise OptionError(f"level is {size}; this avatar has {known}")
+            graph = decoder_graph(self._avatar, level=size, parts=parts)
+            session = self._sessions[size, parts] = open_session(graph, self._options)
+        return session

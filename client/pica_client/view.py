@@ -14,7 +14,7 @@ from pica_client.avatar_cache import AvatarCache
 from pica_client.avatar_fetch import AvatarFetcher
 from pica_client.avatars import AvatarLibrary
 from pica_client.call import Call, CallConfig
-from pica_client.decoder import DecodeResult
+from pica_client.decode_pool import DecodeResult
 from pica_client.dial import trusting
 from pica_client.errors import OptionError, RelayUnreachableError
 from pica_client.link import LinkConfig

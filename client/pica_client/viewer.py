@@ -24,14 +24,8 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from pica_client.decoder import (
-    DecodePool,
-    DecodePoolOptions,
-    DecodeRequest,
-    DecodeResult,
-    OnnxDecoder,
-    OnnxOptions,
-)
+from pica_client.decode_pool import DecodePool, DecodePoolOptions, DecodeRequest, DecodeResult
+from pica_client.decoder import OnnxDecoder, OnnxOptions
 from pica_client.errors import OptionError, ShaderError
 from pica_client.faces import FaceSource, FaceState
 from pica_client.hud import help_item, name_items, statistics_item

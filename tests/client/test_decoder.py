@@ -3,61 +3,80 @@
 from __future__ import annotations
 
 import threading
+from typing import Any
 
 import numpy as np
+import onnxruntime
 import pytest
 
+from pica_client.decode_pool import DecodePool, DecodePoolOptions, DecodeRequest
 from pica_client.decoder import (
+    CPU_PROVIDER,
     DecodedMaps,
-    DecodePool,
-    DecodePoolOptions,
-    DecodeRequest,
     OnnxDecoder,
     OnnxOptions,
+    Parts,
 )
 from pica_client.errors import OptionError
 from pica_core.avatar_file import Avatar
+from pica_core.decoder_reference import decode_expression_map
 from pica_core.spec import AvatarSpec
-from toy import make_toy_avatar
+from toy import make_toy_avatar, with_toy_levels
 
 pytestmark = pytest.mark.unit
 
 TOY = make_toy_avatar(spec=AvatarSpec(uv_encoding_size=16, axis_encoding_size=20), grid=4)
+LEVELLED = with_toy_levels(TOY)
+LEVELS = LEVELLED.levels
 AHEAD = np.array([0, 0, 1], np.float32)
 PATIENCE_S = 20.0
 
 
-def request(value: float, captured_us: int = 0) -> DecodeRequest:
-    return DecodeRequest(np.full((8, 8, 4), value, np.float32), AHEAD, captured_us)
-
-
-class Gate:
-    """A decoder that waits until the test opens it, and notes what it decoded."""
-
-    def __init__(self, avatar: Avatar) -> None:
-        self.opened = threading.Event()
-        self.entered = threading.Event()
-        self.decoded: list[float] = []
-
-    def decode(self, latent: np.ndarray, view_direction: np.ndarray) -> DecodedMaps:
-        self.entered.set()
-        assert self.opened.wait(PATIENCE_S)
-        self.decoded.append(float(latent[0, 0, 0]))
-        return DecodedMaps(latent, latent)
-
-
-class Broken:
-    """A decoder that fails."""
-
-    def decode(self, latent: np.ndarray, view_direction: np.ndarray) -> DecodedMaps:
-        raise RuntimeError("the driver\nwent away")
+def request(
+    value: float, captured_us: int = 0, level: int | None = None, parts: Parts = "both"
+) -> DecodeRequest:
+    latent = np.full((8, 8, 4), value, np.float32)
+    return DecodeRequest(latent, AHEAD, captured_us, level, parts)
 
 
 class Echo:
     """A decoder that hands its latent back."""
 
-    def decode(self, latent: np.ndarray, view_direction: np.ndarray) -> DecodedMaps:
-        return DecodedMaps(latent, latent)
+    def prepare(self, level: int | None = None, parts: Parts = "both") -> None:
+        pass
+
+    def decode(
+        self,
+        latent: np.ndarray,
+        view_direction: np.ndarray,
+        level: int | None = None,
+        parts: Parts = "both",
+    ) -> DecodedMaps:
+        return DecodedMaps(latent if parts == "both" else None, latent, level or 256)
+
+
+class Gate(Echo):
+    """A decoder that waits until the test opens it, and notes what it decoded."""
+
+    def __init__(self) -> None:
+        self.opened = threading.Event()
+        self.entered = threading.Event()
+        self.decoded: list[float] = []
+        self.parts: list[Parts] = []
+
+    def decode(self, latent: np.ndarray, *arguments: Any) -> DecodedMaps:
+        self.entered.set()
+        assert self.opened.wait(PATIENCE_S)
+        self.decoded.append(float(latent[0, 0, 0]))
+        self.parts.append(arguments[-1])
+        return super().decode(latent, *arguments)
+
+
+class Broken(Echo):
+    """A decoder that fails."""
+
+    def decode(self, latent: np.ndarray, *arguments: Any) -> DecodedMaps:
+        raise RuntimeError("the driver\nwent away")
 
 
 def test_a_decoder_turns_a_latent_into_two_maps() -> None:
@@ -68,9 +87,67 @@ def test_a_decoder_turns_a_latent_into_two_maps() -> None:
     assert maps.expression_map.dtype == np.float32
 
 
+@pytest.mark.parametrize("level", LEVELS)
+def test_every_level_is_decoded_to_maps_of_its_size(level: int) -> None:
+    decoder = OnnxDecoder(LEVELLED)
+    latent = np.random.default_rng(level).standard_normal((8, 8, 4)).astype(np.float32)
+    maps = decoder.decode(latent, AHEAD, level)
+    assert maps.position_map is not None
+    assert maps.position_map.shape == (level, level, 3)
+    assert maps.expression_map.shape == (level, level, 4)
+    assert maps.level == level
+    alone = decoder.decode(latent, AHEAD, level, "expression")
+    assert alone.position_map is None
+    np.testing.assert_allclose(alone.expression_map, maps.expression_map, atol=1e-5)
+
+
+def test_a_level_that_the_avatar_lacks_is_named_with_those_that_it_has() -> None:
+    with pytest.raises(OptionError, match=r"level is 100; this avatar has .*256"):
+        OnnxDecoder(TOY).decode(np.zeros((8, 8, 4), np.float32), AHEAD, 100)
+
+
+def test_a_decoder_follows_the_reference_that_judges_all_others() -> None:
+    latent = np.random.default_rng(1).standard_normal((8, 8, 4)).astype(np.float32)
+    maps = OnnxDecoder(TOY).decode(latent, AHEAD)
+    reference = decode_expression_map(TOY, latent, (0.0, 0.0, 1.0))
+    scale = float(np.abs(reference).max())
+    np.testing.assert_allclose(maps.expression_map, reference, atol=1e-4 * scale)
+
+
 def test_a_provider_that_is_not_there_is_named_with_those_that_are() -> None:
     with pytest.raises(OptionError, match=r"NoSuchProvider is not .* available are .*CPU"):
         OnnxDecoder(TOY, OnnxOptions(provider="NoSuchProvider"))
+
+
+def test_a_provider_that_does_not_load_is_an_error_and_no_other_takes_its_place(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    listed = [*onnxruntime.get_available_providers(), "CUDAExecutionProvider"]
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: listed)
+    options = OnnxOptions(provider="CUDAExecutionProvider")
+    with pytest.raises(OptionError, match=r"CUDAExecutionProvider does not (load|start)"):
+        OnnxDecoder(TOY, options)
+
+
+def test_options_go_to_the_provider_as_they_are() -> None:
+    maps = OnnxDecoder(TOY, OnnxOptions(provider_options={"use_arena": "1"})).decode(
+        np.zeros((8, 8, 4), np.float32), AHEAD
+    )
+    assert maps.level == 256
+
+
+def test_a_provider_is_read_as_people_write_it() -> None:
+    options = OnnxOptions.for_provider("CUDAExecutionProvider:device_id=1,arena=x=y", threads=2)
+    assert options.provider == "CUDAExecutionProvider"
+    assert options.provider_options == {"device_id": "1", "arena": "x=y"}
+    assert options.threads == 2
+    assert OnnxOptions.for_provider(CPU_PROVIDER) == OnnxOptions()
+
+
+@pytest.mark.parametrize("text", ["", ":a=1", "X:a", "X:=1"])
+def test_a_provider_written_otherwise_is_refused(text: str) -> None:
+    with pytest.raises(OptionError, match="write NAME or NAME:key=value"):
+        OnnxOptions.for_provider(text)
 
 
 @pytest.mark.parametrize("options", [OnnxOptions, DecodePoolOptions])
@@ -106,7 +183,7 @@ def test_a_result_is_handed_out_once() -> None:
 
 
 def test_while_a_decode_runs_only_the_newest_request_waits() -> None:
-    gate = Gate(TOY)
+    gate = Gate()
     with DecodePool(DecodePoolOptions(), lambda avatar: gate) as pool:
         pool.add("a", TOY)
         pool.submit("a", request(1))
@@ -119,8 +196,67 @@ def test_while_a_decode_runs_only_the_newest_request_waits() -> None:
         assert pool.num_replaced == 2
 
 
+def test_a_request_for_one_map_does_not_cancel_one_for_both() -> None:
+    gate = Gate()
+    with DecodePool(DecodePoolOptions(), lambda avatar: gate) as pool:
+        pool.add("a", TOY)
+        pool.submit("a", request(1, parts="expression"))
+        assert gate.entered.wait(PATIENCE_S)
+        pool.submit("a", request(2, parts="both"))
+        pool.submit("a", request(3, parts="expression"))
+        gate.opened.set()
+        assert pool.wait_idle(PATIENCE_S)
+    assert gate.decoded == [1, 3]
+    assert gate.parts == ["expression", "both"]
+
+
+def test_a_result_of_one_map_keeps_the_other_that_nobody_has_taken_yet() -> None:
+    with DecodePool(DecodePoolOptions(), lambda avatar: Echo()) as pool:
+        pool.add("a", TOY)
+        pool.submit("a", request(1, captured_us=1))
+        assert pool.wait_idle(PATIENCE_S)
+        pool.submit("a", request(2, captured_us=2, parts="expression"))
+        assert pool.wait_idle(PATIENCE_S)
+        (result,) = pool.take_results()
+        pool.submit("a", request(3, captured_us=3, parts="expression"))
+        assert pool.wait_idle(PATIENCE_S)
+        (later,) = pool.take_results()
+    assert result.maps is not None
+    assert result.maps.position_map is not None
+    assert (result.maps.position_map[0, 0, 0], result.maps.expression_map[0, 0, 0]) == (1, 2)
+    assert (result.captured_us, result.parts) == (2, "expression")
+    assert later.maps is not None
+    assert later.maps.position_map is None
+
+
+def test_a_request_is_decoded_at_its_level() -> None:
+    with DecodePool(DecodePoolOptions(), OnnxDecoder) as pool:
+        pool.add("a", LEVELLED)
+        pool.submit("a", request(1, level=64))
+        assert pool.wait_idle(PATIENCE_S)
+        (result,) = pool.take_results()
+    assert result.maps is not None
+    assert (result.level, len(result.maps.expression_map)) == (64, 64)
+
+
+def test_building_a_session_does_not_count_as_decoding() -> None:
+    times = iter(range(1000))
+
+    class Slow(Echo):
+        def prepare(self, level: int | None = None, parts: Parts = "both") -> None:
+            for _ in range(100):
+                next(times)
+
+    with DecodePool(DecodePoolOptions(), lambda avatar: Slow(), lambda: next(times)) as pool:
+        pool.add("a", TOY)
+        pool.submit("a", request(1))
+        assert pool.wait_idle(PATIENCE_S)
+        (result,) = pool.take_results()
+    assert result.decode_s == 1
+
+
 def test_one_avatar_is_never_decoded_by_two_workers_at_once() -> None:
-    gate = Gate(TOY)
+    gate = Gate()
     with DecodePool(DecodePoolOptions(workers=4), lambda avatar: gate) as pool:
         pool.add("a", TOY)
         pool.submit("a", request(1))
@@ -164,7 +300,7 @@ def test_an_avatar_whose_decoder_cannot_be_built_is_reported_without_a_request()
 
 
 def test_a_removed_avatar_leaves_nothing_behind() -> None:
-    gate = Gate(TOY)
+    gate = Gate()
     with DecodePool(DecodePoolOptions(), lambda avatar: gate) as pool:
         pool.add("a", TOY)
         pool.submit("a", request(1))

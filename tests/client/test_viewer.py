@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pica_client.decoder import DecodeResult
+from pica_client.decode_pool import DecodeResult
 from pica_client.errors import OptionError
 from pica_client.faces import FaceState
 from pica_client.thumbnail import draw_thumbnail
