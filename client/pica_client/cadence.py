@@ -68,6 +68,12 @@ class Cadence:
             self._unjudged.insert(place, seen)
         self._judge()
 
+    def pause(self) -> None:
+        """Note that the stream is stopped on purpose: what follows the last frame is no gap."""
+        for frames in (self._recent, self._unjudged):
+            if frames:
+                frames[-1] = frames[-1]._replace(is_still=True)
+
     def num_missing(self, before_s: float, after_s: float, interval_s: float | None = None) -> int:
         """Frames that the interval would have put between two others."""
         interval_s = self.interval_s if interval_s is None else interval_s

@@ -144,6 +144,10 @@ class Correction:
             return
         self._offset, self._left_s = offset, self._seconds
 
+    def end(self) -> None:
+        """Show the true face at once."""
+        self._offset = None
+
     def corrected(self, true: LatentSample, elapsed_s: float) -> LatentSample:
         """The face to show instead of the true one, some time after the last."""
         offset = self._offset

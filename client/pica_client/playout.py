@@ -1,6 +1,7 @@
 """From frames as the network delivers them to a face at display time. Pure: `now` is an argument.
 
     receive_frame(..., now)  a frame arrived
+    restart(..., now)        a frame arrived after the stream was stopped on purpose
     sample_at(now)           the face now, for a display of any rate
     due_frames(now)          or instead: every frame once, when it is due (benches decode each)
     next_timer()             when the next frame becomes due
@@ -138,14 +139,9 @@ class Playout:
         self.config = config = config or PlayoutConfig()
         self._received = self._late = self._duplicates = self._misplaced = self._num_cut = 0
         self._num_shown = self._concealed = 0
-        self._time = SenderTime()
+        self._time, self._timeline = SenderTime(), self._new_timeline()
         self._jitter = JitterEstimate(quantile=config.jitter_quantile, window_s=config.window_s)
         self._cadence = Cadence()
-        self._timeline = Timeline(
-            max_frames=config.max_frames,
-            max_gap_s=config.max_gap_s,
-            coast_s=config.extrapolate_s,
-        )
         self._media = MediaClock(faster=config.faster, slower=config.slower, leap_s=config.leap_s)
         self._correction = Correction(seconds=config.blend_s, limit=config.correction_limit)
         self._shown: LatentSample | None = None  # the last face of `sample_at`
@@ -165,6 +161,27 @@ class Playout:
             self._num_cut += self._timeline.cut(frames[0].media_s)
         for frame in frames:
             self._place(frame)
+
+    def restart(self, sequence: int, captured_us: int, sample: LatentSample, now: float) -> None:
+        """Take the newest frame of a stream that we had stopped on purpose, and show it at once.
+
+        Nothing is moved to it from what was shown before, and what was kept for us on the way says
+        nothing about the network: neither jitter nor loss is learned from it.
+        """
+        self._received += 1
+        self._cadence.pause()
+        frames = self._time.receive(sequence, captured_us, sample, now)
+        if not frames or any(self._timeline.insert(frame) != "new" for frame in frames):
+            # So much went by that its numbers do not go on from ours.
+            self._time, self._timeline = SenderTime(), self._new_timeline()
+            frames = self._time.receive(sequence, captured_us, sample, now)
+            for frame in frames:
+                self._timeline.insert(frame)
+        self._timeline.restart()
+        for frame in frames:
+            self._cadence.receive(frame.number, frame.media_s, is_still=frame.sample.is_still)
+        self._correction.end()
+        self._shown, self._is_path_new = None, False
 
     def sample_at(self, now: float) -> PlayedFace | None:
         """The face to show at `now`, or None before the first frame is due."""
@@ -257,6 +274,14 @@ class Playout:
         transit_s = clock.receive(frame.media_s, frame.arrived_s)
         self._jitter.receive(frame.arrived_s, frame.media_s, transit_s, clock)
         self._cadence.receive(frame.number, frame.media_s, is_still=frame.sample.is_still)
+
+    def _new_timeline(self) -> Timeline:
+        config = self.config
+        return Timeline(
+            max_frames=config.max_frames,
+            max_gap_s=config.max_gap_s,
+            coast_s=config.extrapolate_s,
+        )
 
     def _floor_s(self, *, is_displayed: bool) -> float:
         """What is waited at least, jitter aside."""

@@ -1,6 +1,7 @@
 """The frames of a stream in order, and the path that a face takes through them. Pure.
 
     insert(frame)            keep it, unless its time is over or it is there already
+    restart()                only the newest stays, and counts as shown
     release(media_s)         what is captured by then counts as shown
     face_at(media_s)         where the face is then, as far as the frames tell
 
@@ -98,6 +99,11 @@ class Timeline:
         num_dropped = len(self._frames) - place
         del self._frames[place:]
         return num_dropped
+
+    def restart(self) -> None:
+        """Begin with the newest frame, which counts as shown; drop all others."""
+        del self._frames[:-1]
+        self._num_shown = len(self._frames)
 
     def release(self, media_s: float) -> None:
         """Count all frames captured up to then as shown."""
