@@ -6,7 +6,8 @@
 
 An avatar is decoded to one of its levels, both maps or the expression map alone. Each of these is a
 session of its own, built when it is first needed: a graph holds just what its outputs need.
-`decode_pool` runs decoders off the drawing thread.
+`decode_pool` runs decoders off the drawing thread; `BaselineDecoder` is the paper's baseline, for
+comparison.
 
 Who computes is a setting: an execution provider by its name, with options that go to it as they
 are. ONNX Runtime itself falls back to the CPU when a provider does not load; here that is an error,
@@ -25,6 +26,8 @@ import onnxruntime
 
 from pica_client.errors import OptionError
 from pica_core.avatar_file import Avatar
+from pica_core.baseline import BaselineAvatar
+from pica_core.baseline_graph import baseline_graph
 from pica_core.onnx_graph import decoder_graph
 
 FloatArray = npt.NDArray[np.float32]
@@ -192,3 +195,34 @@ class OnnxDecoder:
             graph = decoder_graph(self._avatar, level=size, parts=parts)
             session = self._sessions[size, parts] = open_session(graph, self._options)
         return session
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DecodedBaseline:
+    """What the baseline makes of one latent."""
+
+    vertices_m: FloatArray
+    """Head-frame metres, float32 ``[V, 3]``."""
+    texture: FloatArray
+    """RGB, 1.0 is white, row 0 is v = 0. float32 ``[T, T, 3]``."""
+
+
+class BaselineDecoder:
+    """The paper's baseline: one network for vertices and the whole texture.
+
+    Args:
+        avatar: Whose.
+        options: Threads and provider.
+
+    Raises:
+        OptionError: As `OnnxDecoder`.
+    """
+
+    def __init__(self, avatar: BaselineAvatar, options: OnnxOptions | None = None) -> None:
+        self._session = open_session(baseline_graph(avatar), options or OnnxOptions())
+
+    def decode(self, latent: FloatArray, view_direction: FloatArray) -> DecodedBaseline:
+        """Decode one latent of 256 numbers in any shape, as seen along `view_direction` ``[3]``."""
+        feeds = {"latent": latent.reshape(1, -1), "view_direction": view_direction[None]}
+        vertices_m, texture = self._session.run(["vertices", "texture"], feeds)
+        return DecodedBaseline(vertices_m, texture)

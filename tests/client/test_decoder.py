@@ -12,6 +12,7 @@ import pytest
 from pica_client.decode_pool import DecodePool, DecodePoolOptions, DecodeRequest
 from pica_client.decoder import (
     CPU_PROVIDER,
+    BaselineDecoder,
     DecodedMaps,
     OnnxDecoder,
     OnnxOptions,
@@ -19,6 +20,7 @@ from pica_client.decoder import (
 )
 from pica_client.errors import OptionError
 from pica_core.avatar_file import Avatar
+from pica_core.baseline import baseline_like
 from pica_core.decoder_reference import decode_expression_map
 from pica_core.spec import AvatarSpec
 from toy import make_toy_avatar, with_toy_levels
@@ -319,3 +321,11 @@ def test_closing_drops_what_waits_and_ends_the_threads() -> None:
     pool.add("a", TOY)
     pool.close()
     assert threading.active_count() == before
+
+
+def test_the_baseline_decodes_vertices_and_a_texture() -> None:
+    baseline = baseline_like(TOY)
+    latent = np.zeros((8, 8, 4), np.float32)
+    decoded = BaselineDecoder(baseline).decode(latent, AHEAD)
+    assert decoded.vertices_m.shape == (baseline.spec.num_vertices, 3)
+    assert decoded.texture.shape == (1024, 1024, 3)
