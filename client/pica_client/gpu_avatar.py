@@ -1,5 +1,5 @@
-"""What the GPU holds of an avatar: its mesh, encodings and program; and of the head that stands in
-for one."""
+"""What the GPU holds of an avatar: its meshes, encodings and program; and of the head that stands
+in for one."""
 
 from __future__ import annotations
 
@@ -10,76 +10,54 @@ import moderngl
 import numpy as np
 import numpy.typing as npt
 
-from pica_client.errors import ShaderError
-from pica_client.shader_source import AXIS_ROW, ShaderSource, compose
+from pica_client.gpu_program import (
+    UNIT_POSITION,
+    UNIT_U_ENCODING,
+    UNIT_UV_ENCODING,
+    UNIT_V_ENCODING,
+    build_program,
+    set_values,
+)
+from pica_client.shader_source import AXIS_ROW, compose
 from pica_client.shader_weights import pack_weights, siren_source
 from pica_core.avatar_file import Avatar
-from pica_core.gl import link_program
 from pica_core.mesh import order_faces
-from pica_core.spec import AvatarSpec
 
 FloatArray = npt.NDArray[np.float32]
-WeightsPlace = Literal["block", "constants"]
+WeightsPlace = Literal["block", "constants", "turns"]
 
 ENCODING_OF_VARIANT = {"full": "encoding_full.glsl"}
 """The shader file with a variant's surface encoding."""
-
-UNIT_VISIBLE_XYZ, UNIT_VISIBLE_UV, UNIT_POSITION, UNIT_EXPRESSION = 0, 1, 2, 3
-UNIT_UV_ENCODING, UNIT_U_ENCODING, UNIT_V_ENCODING = 4, 5, 6
-_UNITS = {
-    "visible_xyz": UNIT_VISIBLE_XYZ,
-    "visible_uv": UNIT_VISIBLE_UV,
-    "position_map": UNIT_POSITION,
-    "expression_map": UNIT_EXPRESSION,
-    "uv_encoding": UNIT_UV_ENCODING,
-    "u_encoding": UNIT_U_ENCODING,
-    "v_encoding": UNIT_V_ENCODING,
-}
+BOUNDS_MARGIN_M = 0.01
+"""Positions may leave the bounds of the file by this much; the rest is cut off."""
 
 PLACEHOLDER_RADII_M = (0.078, 0.115, 0.095)
 _PLACEHOLDER_GRID = 33
 
 
-def build_program(
-    context: moderngl.Context, vertex: ShaderSource, fragment: ShaderSource
-) -> moderngl.Program:
-    """Compile and link; sampler units of known names are set.
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """The triangles of one level."""
 
-    Raises:
-        ShaderError: The driver refuses; its message names our files and lines.
-    """
-    try:
-        program = link_program(context, vertex=vertex.text, fragment=fragment.text)
-    except moderngl.Error as error:
-        at_fault = vertex if "vertex_shader" in str(error) else fragment
-        raise ShaderError(f"the driver refuses a shader: {at_fault.explain(str(error))}") from error
-    for name, unit in _UNITS.items():
-        if name in program:
-            program[name] = unit
-    return program
+    vertices: moderngl.VertexArray
+    num_triangles: int
 
 
-def set_matrix(program: moderngl.Program, name: str, matrix: FloatArray) -> None:
-    """Set a mat4 uniform from a matrix for column vectors."""
-    member: Any = program[name]
-    member.write(np.ascontiguousarray(matrix.T, np.float32).tobytes())
-
-
-@dataclass(slots=True, eq=False)
-class Shared:
-    """What all seats with the same avatar share. Created by `upload_avatar` and
+@dataclass(frozen=True, slots=True, eq=False)
+class Body:
+    """What all seats with the same avatar share. Made by `upload_avatar` and
     `upload_placeholder`."""
 
-    mesh: moderngl.VertexArray
-    num_triangles: int
+    meshes: dict[int, Mesh]
+    """By level, ascending; a placeholder has one."""
     shade: moderngl.Program
     shade_rect: moderngl.VertexArray
     textures: dict[int, moderngl.Texture]
     """By texture unit."""
     weights: moderngl.Buffer | None
     """Bound to uniform block 0; None if the program holds them as constants."""
-    low_m: tuple[float, float, float]
-    high_m: tuple[float, float, float]
+    low_m: tuple[float, ...]
+    high_m: tuple[float, ...]
 
     def bind(self) -> None:
         """Make its textures and weights current."""
@@ -94,59 +72,63 @@ def upload_avatar(
     mesh_program: moderngl.Program,
     avatar: Avatar,
     weights_place: WeightsPlace,
-) -> Shared:
+    *,
+    filtered: bool = True,
+) -> Body:
     """Put everything of an avatar but its two decoded maps on the GPU.
 
     Raises:
         ShaderError: Sizes that the shader does not hold, or a driver that refuses it.
     """
     tensors, manifest = avatar.tensors, avatar.manifest
-    program = decoder_program(context, avatar, weights_place)
-    encoding = np.ascontiguousarray(tensors["uv_encoding"], np.float16)
-    uv_encoding = context.texture(
-        encoding.shape[1::-1], encoding.shape[2], encoding.tobytes(), dtype="f2", alignment=1
-    )
-    _clamp(uv_encoding, moderngl.LINEAR)
-    textures = {UNIT_UV_ENCODING: uv_encoding}
+    program = decoder_program(context, avatar, weights_place, filtered=filtered)
+    textures = {UNIT_UV_ENCODING: _encoding_texture(context, tensors["uv_encoding"], filtered)}
     for unit, name in ((UNIT_U_ENCODING, "u_encoding"), (UNIT_V_ENCODING, "v_encoding")):
         textures[unit] = _axis_texture(context, tensors[name])
     weights = None
     if weights_place == "block":
         weights = context.buffer(pack_weights(avatar.spec, tensors))
-    # Neighbours together: in the order of a shuffled file five heads take half as long again to
-    # draw.
-    faces = order_faces(tensors["mesh.faces"], tensors["mesh.vertex_uv"])
-    return Shared(
-        mesh=_mesh(context, mesh_program, tensors["mesh.vertex_uv"], faces),
-        num_triangles=len(tensors["mesh.faces"]),
+    vertex_uv = tensors["mesh.vertex_uv"]
+    return Body(
+        meshes={
+            level: upload_mesh(context, mesh_program, vertex_uv, avatar.level_faces(level))
+            for level in avatar.levels
+        },
         shade=program,
         shade_rect=context.vertex_array(program, []),
         textures=textures,
         weights=weights,
-        low_m=manifest.bounds_min_m,
-        high_m=manifest.bounds_max_m,
+        low_m=tuple(value - BOUNDS_MARGIN_M for value in manifest.bounds_min_m),
+        high_m=tuple(value + BOUNDS_MARGIN_M for value in manifest.bounds_max_m),
     )
 
 
 def decoder_program(
-    context: moderngl.Context, avatar: Avatar, weights_place: WeightsPlace
+    context: moderngl.Context,
+    avatar: Avatar,
+    weights_place: WeightsPlace,
+    *,
+    filtered: bool = True,
 ) -> moderngl.Program:
     """The program of the second pass for an avatar."""
-    baked = avatar.tensors if weights_place == "constants" else None
+    baked = None if weights_place == "block" else avatar.tensors
+    sine: Literal["builtin", "polynomial"] = "builtin"
+    if weights_place == "turns":
+        sine = "polynomial"
     fragment = compose(
         "pixel_decoder.frag",
         avatar.spec,
         choices={"ENCODING": ENCODING_OF_VARIANT[avatar.manifest.variant]},
-        generated={"SIREN": siren_source(avatar.spec, baked)},
+        generated={"SIREN": siren_source(avatar.spec, baked, sine)},
+        defines={"FILTERED": ""} if filtered else {},
     )
     return build_program(context, compose("rect.vert"), fragment)
 
 
-def upload_placeholder(context: moderngl.Context, mesh_program: moderngl.Program) -> Shared:
+def upload_placeholder(context: moderngl.Context, mesh_program: moderngl.Program) -> Body:
     """The head that stands in for an avatar that is not there or cannot be used."""
     program = build_program(context, compose("rect.vert"), compose("placeholder.frag"))
-    radii: Any = program["radii_m"]
-    radii.value = PLACEHOLDER_RADII_M
+    set_values(program, radii_m=PLACEHOLDER_RADII_M)
     count = _PLACEHOLDER_GRID
     corner = np.arange(count * count, dtype=np.int32).reshape(count, count)
     a, b, c, d = corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]
@@ -154,37 +136,34 @@ def upload_placeholder(context: moderngl.Context, mesh_program: moderngl.Program
     # Texel centres, so that the mesh closes exactly on the map's border texels.
     texel = (np.arange(count, dtype=np.float32) + 0.5) / count
     vertex_uv = np.stack(np.meshgrid(texel, texel), axis=-1).reshape(-1, 2)
-    low_x, low_y, low_z = (-radius for radius in PLACEHOLDER_RADII_M)
-    return Shared(
-        mesh=_mesh(context, mesh_program, vertex_uv, faces),
-        num_triangles=len(faces),
+    ellipsoid = context.texture((count, count), 3, _ellipsoid(count).tobytes(), dtype="f4")
+    _clamp(ellipsoid, moderngl.NEAREST)
+    return Body(
+        meshes={count: upload_mesh(context, mesh_program, vertex_uv, faces)},
         shade=program,
         shade_rect=context.vertex_array(program, []),
-        textures={UNIT_POSITION: position_texture(context, _ellipsoid(count))},
+        textures={UNIT_POSITION: ellipsoid},
         weights=None,
-        low_m=(low_x, low_y, low_z),
+        low_m=tuple(-radius for radius in PLACEHOLDER_RADII_M),
         high_m=PLACEHOLDER_RADII_M,
     )
 
 
-def position_texture(context: moderngl.Context, position_map: FloatArray) -> moderngl.Texture:
-    """A texture for a position map ``[S, S, 3]``; 32-bit floats, looked up by texelFetch."""
-    size = position_map.shape[1::-1]
-    texture = context.texture(size, 3, position_map.tobytes(), dtype="f4")
-    _clamp(texture, moderngl.NEAREST)
-    return texture
-
-
-def expression_texture(context: moderngl.Context, spec: AvatarSpec) -> moderngl.Texture:
-    """An empty texture for expression maps of a spec.
-
-    32-bit floats: converting a map to 16 bits on the CPU takes 0.4 ms, uploading it as it is 0.02
-    ms (llvmpipe).
-    """
-    size = (spec.map_size, spec.map_size)
-    texture = context.texture(size, spec.expression_channels, dtype="f4")
-    _clamp(texture, moderngl.LINEAR)
-    return texture
+def upload_mesh(
+    context: moderngl.Context,
+    program: moderngl.Program,
+    vertex_uv: npt.NDArray[Any],
+    faces: npt.NDArray[Any],
+) -> Mesh:
+    """The triangles of one level, with the vertices that they use and no others."""
+    # Neighbours together: in the order of a shuffled file five heads take half as long again to
+    # draw.
+    ordered = order_faces(faces, vertex_uv)
+    used, renumbered = np.unique(ordered, return_inverse=True)
+    corners = context.buffer(np.ascontiguousarray(vertex_uv[used], np.float32).tobytes())
+    indices = context.buffer(np.ascontiguousarray(renumbered, np.int32).tobytes())
+    vertices = context.vertex_array(program, [(corners, "2f", "vertex_uv")], index_buffer=indices)
+    return Mesh(vertices, len(faces))
 
 
 def _ellipsoid(count: int) -> FloatArray:
@@ -198,32 +177,44 @@ def _ellipsoid(count: int) -> FloatArray:
     return ellipsoid
 
 
-def _mesh(
-    context: moderngl.Context,
-    program: moderngl.Program,
-    vertex_uv: npt.NDArray[Any],
-    faces: npt.NDArray[Any],
-) -> moderngl.VertexArray:
-    return context.vertex_array(
-        program,
-        [
-            (
-                context.buffer(np.ascontiguousarray(vertex_uv, np.float32).tobytes()),
-                "2f",
-                "vertex_uv",
-            )
-        ],
-        index_buffer=context.buffer(np.ascontiguousarray(faces, np.int32).tobytes()),
+def _encoding_texture(
+    context: moderngl.Context, encoding: npt.NDArray[Any], filtered: bool
+) -> moderngl.Texture:
+    """m_uv ``[T, T, C]`` in 16-bit floats, with its mip levels."""
+    half = np.ascontiguousarray(encoding, np.float16)
+    texture = context.texture(
+        half.shape[1::-1], half.shape[2], half.tobytes(), dtype="f2", alignment=1
     )
+    _clamp(texture, moderngl.LINEAR)
+    if filtered:
+        texture.build_mipmaps()
+        texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+    return texture
+
+
+def axis_sums(table: npt.NDArray[Any]) -> FloatArray:
+    """What `axis_table.glsl` reads: the sum of the entries before each one, and that entry.
+
+    Args:
+        table: ``[L, C]``, C at most 2.
+
+    Returns:
+        float32 ``[L, 4]``: sums in the first two, entries in the last two.
+    """
+    count, channels = table.shape
+    folded = np.zeros((count, 4), np.float32)
+    exact = table.astype(np.float64)
+    folded[:, :channels] = np.cumsum(exact, axis=0) - exact
+    folded[:, 2 : 2 + channels] = table
+    return folded
 
 
 def _axis_texture(context: moderngl.Context, table: npt.NDArray[Any]) -> moderngl.Texture:
     """Fold a table ``[L, C]`` into rows of `AXIS_ROW` texels, 32-bit floats."""
-    count, channels = table.shape
-    rows = -(-count // AXIS_ROW)
-    folded = np.zeros((rows * AXIS_ROW, channels), np.float32)
-    folded[:count] = table
-    texture = context.texture((AXIS_ROW, rows), channels, folded.tobytes(), dtype="f4")
+    rows = -(-len(table) // AXIS_ROW)
+    folded = np.zeros((rows * AXIS_ROW, 4), np.float32)
+    folded[: len(table)] = axis_sums(table)
+    texture = context.texture((AXIS_ROW, rows), 4, folded.tobytes(), dtype="f4")
     _clamp(texture, moderngl.NEAREST)
     return texture
 

@@ -67,6 +67,12 @@ class Placement:
     """Head frame to world, float32 ``[4, 4]`` for column vectors."""
     fade: float = 0.0
     """0 is as it is, 1 has faded into the room: for stale faces."""
+    shading_rate: int = 1
+    """1 decodes every pixel, 2 every second one of every second row; the others are filled in."""
+    mesh_level: int | None = None
+    """Level of the mesh; None for that of the position map that came last."""
+    blend: float = 1.0
+    """1 shows the maps that came last; below, those of the level before shine through."""
 
 
 def arrange_seats(count: int) -> list[Float64Array]:

@@ -19,6 +19,7 @@ name. A file is included once; naming one that does not exist is an error, as is
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -37,7 +38,8 @@ LINES_PER_FILE = 10_000
 MAX_ERRORS = 4
 """How many of a driver's complaints are told; the first is the cause, the others follow from it."""
 AXIS_ROW = 1024
-"""Entries per texture row of the per-axis encodings: the narrowest largest texture of GL 3.3."""
+"""Entries per texture row of the per-axis encodings: the narrowest largest texture of GL 3.3. A
+power of two: the shader takes remainders by its bits."""
 
 _INCLUDE = re.compile(r'\s*#include\s+(?:"(?P<file>[^"]*)"|(?P<choice>\w+))\s*(?://.*)?$')
 _PRECISION = "precision highp float;\nprecision highp int;\nprecision highp sampler2D;\n"
@@ -107,7 +109,11 @@ def compose(
 
 def size_header(spec: AvatarSpec) -> dict[str, str]:
     """The macros that a spec turns into."""
-    return {"AXIS_SIZE": str(spec.axis_encoding_size), "AXIS_ROW": str(AXIS_ROW)}
+    return {
+        "AXIS_SIZE": str(spec.axis_encoding_size),
+        "AXIS_ROW": str(AXIS_ROW),
+        "LOG2_UV_SIZE": f"{math.log2(spec.uv_encoding_size):.6f}",
+    }
 
 
 class _Composer:

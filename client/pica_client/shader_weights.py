@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -25,10 +25,16 @@ from pica_client.errors import ShaderError
 from pica_core.spec import AvatarSpec
 
 Array = npt.NDArray[Any]
+Sine = Literal["builtin", "polynomial"]
 
 VECTOR = 4
 PIXEL_INPUT_VECTORS = 4
 """Vectors of four that the shader's encodings fill: see above."""
+
+
+SINE_COEFFICIENTS = (6.283164044063381, -41.33714233439381, 81.34076751798747, -70.99341896675098)
+"""sin(2 pi s) over a quarter turn either way as an odd polynomial of s: the one whose largest
+error, 6e-7, is least (weighted least squares, the weights grown where the error is)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +125,9 @@ def pack_weights(spec: AvatarSpec, tensors: Mapping[str, Array]) -> bytes:
     return matrices.tobytes() + biases.tobytes()
 
 
-def siren_source(spec: AvatarSpec, tensors: Mapping[str, Array] | None = None) -> str:
+def siren_source(
+    spec: AvatarSpec, tensors: Mapping[str, Array] | None = None, sine: Sine = "builtin"
+) -> str:
     """GLSL of both networks, layer by layer, without loops or arrays.
 
     Straight-line code, because software rasterisers neither unroll loops over arrays nor fold
@@ -131,7 +139,14 @@ def siren_source(spec: AvatarSpec, tensors: Mapping[str, Array] | None = None) -
         tensors: An avatar's weights, to write them as constants: a program for this avatar alone.
             Numbers have nine digits, which names a float32 exactly. None reads them from the block
             that `pack_weights` fills.
+        sine: "polynomial" computes sines from a triangle wave and four coefficients, for machines
+            without a circuit for them; the weights, which must be constants, are written in turns
+            instead of radians. Error 6e-7.
     """
+    if sine == "polynomial":
+        if tensors is None:
+            raise ShaderError("weights in a block are in radians; write them as constants")
+        tensors = _in_turns(spec, tensors)
     num_matrices, num_biases = block_sizes(spec)
     if tensors is None:
         lines = [
@@ -148,6 +163,10 @@ def siren_source(spec: AvatarSpec, tensors: Mapping[str, Array] | None = None) -
         split = num_matrices * VECTOR * VECTOR
         matrices = [_constant("mat4", row) for row in floats[:split].reshape(-1, VECTOR * VECTOR)]
         biases = [_constant("vec4", row) for row in floats[split:].reshape(-1, VECTOR)]
+    sine_name = "sin"
+    if sine == "polynomial":
+        sine_name = "sine_of_turns"
+        lines += _sine_lines(sine_name)
     blocks = layer_blocks(spec)
     inputs = [f"p{index}" for index in range(PIXEL_INPUT_VECTORS)]
     for prefix, head, values in (
@@ -168,12 +187,34 @@ def siren_source(spec: AvatarSpec, tensors: Mapping[str, Array] | None = None) -
                 ]
                 total = " + ".join([biases[block.bias + out], *terms])
                 is_last = block is blocks[-1]
-                lines.append(f"    vec4 {name} = {total if is_last else f'sin({total})'};")
+                lines.append(f"    vec4 {name} = {total if is_last else f'{sine_name}({total})'};")
                 outputs.append(name)
             values = outputs
         lines.append(f"    return {values[0]}{'.rgb' if prefix == 'pixel' else ''};")
         lines.append("}")
     return "\n".join(lines)
+
+
+def _in_turns(spec: AvatarSpec, tensors: Mapping[str, Array]) -> dict[str, Array]:
+    """Weights whose sums are quarter turns ahead, in turns: what `_sine_lines` takes."""
+    turned = dict(tensors)
+    for block in layer_blocks(spec)[:-1]:
+        weight, bias = f"{block.name}.weight", f"{block.name}.bias"
+        turned[weight] = tensors[weight].astype(np.float64) / (2 * np.pi)
+        turned[bias] = tensors[bias].astype(np.float64) / (2 * np.pi) + 0.25
+    return turned
+
+
+def _sine_lines(name: str) -> list[str]:
+    """GLSL of sin(2 pi (t - 1/4)): a triangle wave carries the phase, a polynomial rounds it."""
+    a, b, c, d = (f"{value:.8e}" for value in SINE_COEFFICIENTS)
+    return [
+        f"vec4 {name}(vec4 turns) {{",
+        "    vec4 s = 0.25 - abs(fract(turns) - 0.5);",
+        "    vec4 q = s * s;",
+        f"    return s * ({a} + q * ({b} + q * ({c} + q * {d})));",
+        "}",
+    ]
 
 
 def _constant(kind: str, values: Array) -> str:

@@ -15,7 +15,7 @@ from PIL import Image
 import tolerances
 from pica_client.decoder import OnnxDecoder
 from pica_client.errors import OptionError, ShaderError
-from pica_client.gpu_avatar import build_program
+from pica_client.gpu_program import build_program
 from pica_client.overlay import OverlayItem
 from pica_client.renderer import Renderer, RenderOptions
 from pica_client.scene import (
@@ -101,11 +101,15 @@ def colours_by_numpy(renderer: Renderer, avatar: Avatar) -> tuple[np.ndarray, np
     return np.clip(rgb, 0, 1) * 255, covered
 
 
-@pytest.mark.parametrize("weights", ["block", "constants"])
+@pytest.mark.parametrize("weights", ["block", "constants", "turns"])
 def test_every_pixel_has_the_colour_that_numpy_computes(
     context: moderngl.Context, weights: str
 ) -> None:
-    options = RenderOptions(weights=weights, smooth_edges=False)  # type: ignore[arg-type]
+    options = RenderOptions(
+        weights=weights,  # type: ignore[arg-type]
+        smooth_edges=False,
+        filter_encodings=False,
+    )
     renderer = renderer_with(context, TOY, options=options)
     renderer.draw([still("p0")], camera_at(0.1, 0.05, 0.7))
     wanted, covered = colours_by_numpy(renderer, TOY)
@@ -228,7 +232,7 @@ def test_a_slot_that_left_is_drawn_no_more(context: moderngl.Context) -> None:
 
 def test_maps_of_another_size_are_refused(context: moderngl.Context) -> None:
     renderer = renderer_with(context, TOY)
-    with pytest.raises(ShapeError, match=r"float32 \(256, 256, 3\) is needed"):
+    with pytest.raises(ShapeError, match=r"float32 \(S, S, 3\) is needed, S one of 256"):
         renderer.update_maps(
             "p0", np.zeros((128, 128, 3), np.float32), np.zeros((256, 256, 4), np.float32)
         )
@@ -319,6 +323,8 @@ def test_a_shader_that_the_driver_refuses_is_named(context: moderngl.Context) ->
         ("mesh.vert", "surface.frag"),
         ("rect.vert", "pixel_decoder.frag"),
         ("rect.vert", "placeholder.frag"),
+        ("rect.vert", "resolve.frag"),
+        ("textured.vert", "textured.frag"),
         ("rect.vert", "smooth_edges.frag"),
         ("rect.vert", "background.frag"),
         ("rect.vert", "overlay.frag"),
@@ -336,6 +342,7 @@ def test_the_browsers_dialect_compiles(
             dialect="300 es",
             choices={"ENCODING": "encoding_full.glsl"},
             generated={"SIREN": siren_source(TOY.spec)},
+            defines={"FILTERED": ""},
         )
         for name in (vertex, fragment)
     ]

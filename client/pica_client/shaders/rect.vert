@@ -6,5 +6,6 @@ out vec2 place; // 0..1 within the rectangle, from its lower left
 
 void main() {
     place = vec2(gl_VertexID & 1, gl_VertexID >> 1);
-    gl_Position = vec4(mix(rect.xy, rect.zw, place), 0.0, 1.0);
+    // At the far plane: a depth test for "behind something" finds the pixels that heads cover.
+    gl_Position = vec4(mix(rect.xy, rect.zw, place), 1.0, 1.0);
 }

@@ -10,12 +10,10 @@ layout(location = 0) out vec4 colour;
 const float CONTRAST = 0.06; // smallest difference that shows as a stair
 const float REACH = 6.0; // pixels along the edge, at most
 
-float brightness(vec3 rgb) {
-    return dot(rgb, vec3(0.299, 0.587, 0.114));
-}
+#include "brightness.glsl"
 
 float brightness_at(ivec2 pixel) {
-    return brightness(texelFetch(image, clamp(pixel, ivec2(0), textureSize(image, 0) - 1), 0).rgb);
+    return texelFetch(image, clamp(pixel, ivec2(0), textureSize(image, 0) - 1), 0).a;
 }
 
 void main() {

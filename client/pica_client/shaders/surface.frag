@@ -6,10 +6,15 @@ in vec3 surface_xyz_m;
 
 uniform float slot; // 1, 2, ...; 0 is nobody
 
-layout(location = 0) out vec4 xyz_and_slot;
+layout(location = 0) out vec4 xyz_and_owner;
 layout(location = 1) out vec2 uv;
 
+#include "footprint.glsl"
+
 void main() {
-    xyz_and_slot = vec4(surface_xyz_m, slot);
+    // Derivatives are right here, within a triangle; between neighbours of the second pass there
+    // may lie a silhouette or a seam of the UVs.
+    float footprint = pack_footprint(dFdx(surface_uv), dFdy(surface_uv));
+    xyz_and_owner = vec4(surface_xyz_m, slot + footprint);
     uv = surface_uv;
 }

@@ -1,0 +1,217 @@
+"""Which heads a frame draws, where and with what: from placements and cameras to what the passes
+take, and from there to counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from pica_client.draw_passes import DecodedHead, PaintedHead, Place
+from pica_client.gpu_avatar import Body
+from pica_client.gpu_maps import MapSeries
+from pica_client.gpu_program import UNIT_POSITION
+from pica_client.gpu_textured import TexturedHead
+from pica_client.render_targets import PixelRect, rect_in_view
+from pica_client.scene import Placement, clip_from_head, screen_rect
+from pica_core.avatar_file import Avatar
+from pica_core.camera import Camera
+
+MAX_HEADS = 255
+"""Of one frame, both eyes together; further ones are left out. A head's number fits 8 bits."""
+FADED = (0.16, 0.18, 0.21)
+"""Colour that stale heads fade to: the room's wall."""
+MAX_FADE = 0.75
+"""A head that has faded completely can still be made out."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HeadStats:
+    """What one head of one view took."""
+
+    slot: str
+    level: int
+    """Of the mesh that was drawn; 0 for a placeholder or a textured head."""
+    num_triangles: int
+    shading_rate: int
+    shaded_pixels: int | None
+    """Pixels that were coloured; None unless asked for. For a rate of 2 those that were decoded;
+    textured heads colour a pixel again where they overlap themselves."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DrawStats:
+    """What one frame drew; counts, not times."""
+
+    num_avatars: int
+    """Avatars on the screen with decoded maps."""
+    num_placeholders: int
+    num_triangles: int
+    num_draw_calls: int
+    shaded_pixels: int | None
+    """Pixels that pixel decoders coloured; None unless asked for."""
+    heads: tuple[HeadStats, ...]
+    """Of the heads that are on the screen; an avatar that both eyes see is there twice."""
+
+
+@dataclass(slots=True, eq=False)
+class RenderSlot:
+    """What a renderer keeps under one name: an avatar, a textured head, or nothing yet."""
+
+    avatar: Avatar | None = None
+    body: Body | None = None
+    position: MapSeries | None = None
+    expression: MapSeries | None = None
+    textured: TexturedHead | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """A camera and the part of the image that it fills."""
+
+    camera: Camera
+    rect: PixelRect
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawList:
+    """The heads of one frame that are on the screen."""
+
+    decoded: list[DecodedHead] = field(default_factory=list)
+    painted: list[PaintedHead] = field(default_factory=list)
+
+    @property
+    def places(self) -> list[Place]:
+        """Of all of them."""
+        return [head.place for head in self.decoded] + [head.place for head in self.painted]
+
+
+def list_heads(
+    slots: Mapping[str, RenderSlot],
+    placements: Sequence[Placement],
+    views: Sequence[View],
+    placeholder: Body,
+) -> DrawList:
+    """Find what is on the screen, in the order of views and placements; unknown slots are left
+    out."""
+    listed = DrawList()
+    for view in views:
+        for placement in placements:
+            entry = slots.get(placement.slot)
+            number = len(listed.decoded) + 1
+            if entry is None or number > MAX_HEADS:
+                continue
+            head = _arrange(entry, placeholder, placement, view, number)
+            if isinstance(head, DecodedHead):
+                listed.decoded.append(head)
+            elif head is not None:
+                listed.painted.append(head)
+    return listed
+
+
+def count_draws(
+    listed: DrawList,
+    counts: Sequence[int | None],
+    painted_counts: Sequence[int | None],
+    *,
+    is_smooth: bool,
+    num_overlays: int,
+) -> DrawStats:
+    """What a frame drew.
+
+    Args:
+        listed: The heads.
+        counts: Coloured pixels of each decoded head.
+        painted_counts: Of each textured one.
+        is_smooth: Edges were smoothed.
+        num_overlays: Texts on top.
+    """
+    heads = [
+        HeadStats(
+            slot=head.slot,
+            level=head.level,
+            num_triangles=head.mesh.num_triangles,
+            shading_rate=head.stride,
+            shaded_pixels=count,
+        )
+        for head, count in zip(listed.decoded, counts, strict=True)
+    ]
+    heads += [
+        HeadStats(
+            slot=head.slot,
+            level=0,
+            num_triangles=head.head.num_triangles,
+            shading_rate=1,
+            shaded_pixels=count,
+        )
+        for head, count in zip(listed.painted, painted_counts, strict=True)
+    ]
+    num_placeholders = sum(head.expression is None for head in listed.decoded)
+    num_coarse = sum(head.stride > 1 for head in listed.decoded)
+    counted = [count for count in counts if count is not None]
+    return DrawStats(
+        num_avatars=len(heads) - num_placeholders,
+        num_placeholders=num_placeholders,
+        num_triangles=sum(head.num_triangles for head in heads),
+        num_draw_calls=(2 + is_smooth) * len(listed.decoded)
+        + num_coarse
+        + (1 + is_smooth) * len(listed.painted)
+        + num_overlays,
+        shaded_pixels=sum(counted) if len(counted) == len(counts) else None,
+        heads=tuple(heads),
+    )
+
+
+def _arrange(
+    entry: RenderSlot, placeholder: Body, placement: Placement, view: View, number: int
+) -> DecodedHead | PaintedHead | None:
+    """One head in one view; None if it is not on the screen."""
+    textured = entry.textured if entry.textured and entry.textured.has_maps else None
+    position, expression = entry.position, entry.expression
+    has_maps = position and expression and position.level and expression.level
+    body = entry.body if entry.body and has_maps else placeholder
+    matrix = clip_from_head(view.camera, placement.world_from_head)
+    bounds = textured or body
+    covered = screen_rect(matrix, bounds.low_m, bounds.high_m)
+    if covered is None:
+        return None
+    place = Place(
+        matrix=matrix,
+        view=view.rect,
+        rect=rect_in_view(covered, view.rect),
+        tint=(*FADED, min(max(placement.fade, 0.0), 1.0) * MAX_FADE),
+    )
+    if textured is not None:
+        return PaintedHead(slot=placement.slot, place=place, head=textured)
+    if position is None or expression is None or not has_maps:
+        mesh = next(iter(body.meshes.values()))
+        shape = body.textures[UNIT_POSITION]
+        return DecodedHead(
+            slot=placement.slot,
+            place=place,
+            number=number,
+            body=body,
+            level=0,
+            mesh=mesh,
+            position=(shape, shape),
+            expression=None,
+            blend=1.0,
+            stride=1,
+        )
+    blend = min(max(placement.blend, 0.0), 1.0)
+    level = placement.mesh_level
+    if level not in body.meshes:
+        # While two levels are mixed, the finer mesh shows both.
+        level = max(position.level, position.level_before if blend < 1 else 0)
+    return DecodedHead(
+        slot=placement.slot,
+        place=place,
+        number=number,
+        body=body,
+        level=level,
+        mesh=body.meshes[level],
+        position=(position.newest, position.before),
+        expression=(expression.newest, expression.before),
+        blend=blend,
+        stride=2 if placement.shading_rate > 1 else 1,
+    )

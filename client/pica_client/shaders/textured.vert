@@ -1,0 +1,17 @@
+// One vertex of a baseline avatar: decoded as it is, no map between.
+
+in vec3 vertex_xyz_m;
+in vec2 vertex_uv;
+
+uniform mat4 clip_from_head;
+uniform vec3 low_m;
+uniform vec3 high_m;
+
+out vec2 surface_uv;
+
+#include "bounded.glsl"
+
+void main() {
+    surface_uv = vertex_uv;
+    gl_Position = clip_from_head * vec4(bounded(vertex_xyz_m, low_m, high_m), 1.0);
+}
