@@ -64,6 +64,10 @@ streams fall behind and are cut."""
 _UNSENT_LIMIT_BYTES = 2048
 """Of the kernel's buffer (chosen: about thirty frames)."""
 
+_MOST_AT_ONCE = 8
+"""Messages of one peer that are passed on in one turn of the loop (chosen: a quarter of a second of
+a face that came late)."""
+
 _logger = logging.getLogger(__name__)
 # What strangers do to a public port (bad HTTP, cut handshakes) is no error of ours and no news.
 _websockets_logger = logging.getLogger(f"{__name__}.websockets")
@@ -146,6 +150,8 @@ class Relay:
         self._timer_s: float | None = None
         # What was received in this turn of the loop, and when; the hub gets it soon.
         self._inbox: list[tuple[Connection, bytes, float]] = []
+        # Who sent so much of it that no more is read of them for now; as many as connections.
+        self._unread: dict[Connection, asyncio.Transport] = {}
         self._loop_time: Callable[[], float] = time.monotonic
         self._soon: asyncio.Handle | None = None
         self._watch = LoopWatch()
@@ -386,11 +392,14 @@ class Relay:
         What a peer sends in one go, as after a stall, is passed on one by one: two of its frames
         must not replace each other although their receivers are not slow. So first goes the first
         message of everybody, then the second: a relay that is late finds two of each, and frames of
-        different peers then still share their messages.
+        different peers then still share their messages. Who sends more than `_MOST_AT_ONCE` waits
+        for the next turn with the rest, and is not read meanwhile: a flood costs its own peer time.
         """
         self._soon = None
         inbox, self._inbox = self._inbox, []
-        while inbox:
+        for _ in range(_MOST_AT_ONCE):
+            if not inbox:
+                break
             fed: set[Connection] = set()
             later: list[tuple[Connection, bytes, float]] = []
             for item in inbox:
@@ -406,6 +415,22 @@ class Relay:
                     self.hub.close(connection, CloseCode.INTERNAL_ERROR, "relay fault", now)
             self._after_events(may_hold=not later)
             inbox = later
+        if inbox or self._unread:
+            self._read_later(inbox)
+
+    def _read_later(self, rest: list[tuple[Connection, bytes, float]]) -> None:
+        """Keep what is left of a turn for the next one, and read no more of those who sent it."""
+        waiting = {connection for connection, _, _ in rest}
+        for connection in [each for each in self._unread if each not in waiting]:
+            self._unread.pop(connection).resume_reading()
+        for connection in waiting:
+            waker = self._wakers.get(connection)
+            if waker is not None and connection not in self._unread:
+                transport = self._unread[connection] = waker.websocket.transport
+                transport.pause_reading()
+        if rest:
+            self._inbox = rest
+            self._after_turn_soon()
 
     async def _read(self, websocket: RelaySocket, connection: Connection) -> None:
         """Feed the hub with what came the long way, and tell it how the websocket ended."""

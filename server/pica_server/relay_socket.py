@@ -88,6 +88,12 @@ class _GoneTransport(asyncio.Transport):
         """Return that nothing waits."""
         return 0
 
+    def pause_reading(self) -> None:
+        """Do nothing more."""
+
+    def resume_reading(self) -> None:
+        """Do nothing more."""
+
 
 class RelaySocket(ServerConnection):
     """A websocket that is counted from its first moment, and cut at once if it is one too many.
