@@ -120,14 +120,14 @@ class Admin:
                 _allow(method, "GET", "DELETE")
                 if method == "GET":
                     return _ok(self._details(room))
-                return _ok({"room": name, "removed": hub.close_room(name, now)})
+                return _ok({"room": name, "removed": hub.moderation.close_room(name, now)})
             case ("peers", peer_id):
                 _allow(method, "GET", "DELETE")
                 peer = _peer(room, peer_id)
                 if method == "GET":
                     return _ok(self._peer_details(room, peer))
                 bar = query.get("bar", ["false"])[-1] == "true"
-                hub.remove(name, peer_id, bar=bar, now=now)
+                hub.moderation.remove(name, peer_id, bar=bar, now=now)
                 return _ok({"room": name, "peer_id": peer_id, "removed": True, "barred": bar})
             case ("peers", peer_id, "muted"):
                 streams = [track.stream for track in _peer(room, peer_id).tracks]
@@ -142,7 +142,7 @@ class Admin:
         _allow(method, "PUT", "DELETE")
         is_muted = method == "PUT"
         for number in streams:
-            self._hub.mute(room.name, number, is_muted=is_muted, now=now)
+            self._hub.moderation.mute(room.name, number, is_muted=is_muted, now=now)
         return _ok({"room": room.name, "streams": streams, "muted": is_muted})
 
     def _details(self, room: Room) -> dict[str, Any]:

@@ -114,8 +114,7 @@ class Cluster:
         except BaseException:
             await self._client.close()
             raise
-        self._hub.prefix = f"{self._run}-"
-        self._hub.neighbours = self.node
+        self._hub.meet(self.node, f"{self._run}-")
         self._must_renew.set()  # all who are there hear of this node
         loops = [self._renew(), self._tick(), self._tell(), self._send_media()]
         loops += [self._work() for _ in range(_NUM_WORKERS)]
@@ -145,7 +144,7 @@ class Cluster:
                 self._told.append(command)
         if self._told:
             self._has_told.set()
-        if self._hub.has_ready_links and self._media_timer is None:
+        if self._hub.forwarding.has_ready_links and self._media_timer is None:
             loop = asyncio.get_running_loop()
             window_s = self._hub.coalescing_s
             if window_s == 0:
@@ -374,7 +373,7 @@ class Cluster:
                         break
             except (nats.errors.Error, TimeoutError, OSError):
                 self._hub.stats.cluster["unsent"] += 1
-            if self._hub.has_ready_links:  # NATS is slow: not a turn later, but soon
+            if self._hub.forwarding.has_ready_links:  # NATS is slow: not a turn later, but soon
                 await asyncio.sleep(0.005)
                 self._has_media.set()
 

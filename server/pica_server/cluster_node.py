@@ -306,12 +306,12 @@ class ClusterNode:
                 self._follow(shared, room, message, now)
             case Ask(stream=stream, why=why):
                 if not room.is_remote(stream):
-                    self._hub.ask_for_keyframe(room, stream, why, now)
+                    self._hub.forwarding.ask_for_keyframe(room, stream, why, now)
             case Order():
                 self._obey(room, message, now)
             case Passed(sender=sender, whisper=whisper):
                 if room.node_of(sender):
-                    self._hub.pass_whisper(room, sender, whisper, now)
+                    self._hub.forwarding.pass_whisper(room, sender, whisper, now)
 
     def receive_media(self, key: str, data: bytes, now: float) -> None:
         """Take frames from another node."""
@@ -333,7 +333,7 @@ class ClusterNode:
             return
         known = [span for span in spans if room.is_remote(span.stream)]
         self._stats.cluster["frames_in"] += len(known)
-        self._hub.deliver(room, Media(message, known), now, num_here=0)
+        self._hub.forwarding.deliver(room, Media(message, known), now, num_here=0)
 
     # What must be done.
 
@@ -392,13 +392,13 @@ class ClusterNode:
 
         What is not taken stays, and is thinned like a slow reader's.
         """
-        for link in self._hub.ready_links():
+        for link in self._hub.forwarding.ready_links():
             while (taken := link.take(now)) is not None:
                 data, num_frames = taken
                 self._stats.cluster["frames_out"] += num_frames
                 self._stats.cluster["media_out"] += 1
                 yield link.slot, link.room_key, data
-            self._hub.done_with(link)
+            self._hub.forwarding.done_with(link)
 
     def _handle(self, shared: SharedRoom, event: RoomEvent, now: float) -> None:
         match event:
@@ -408,25 +408,29 @@ class ClusterNode:
                     shared.leave(peer.peer_id, "left")
                     self._dirty[shared.key] = None
                 else:
-                    self._hub.enter(place.connection, shared.name, peer, place.admission, now)
+                    self._hub.membership.enter(
+                        place.connection, shared.name, peer, place.admission, now
+                    )
             case Refused(peer_id=peer_id, is_barred=is_barred):
                 place = self._places.get(peer_id)
                 if place is not None and is_barred:
-                    self._hub.refuse_barred(place.connection, now)
+                    self._hub.membership.refuse_barred(place.connection, now)
                 elif place is not None:
-                    self._hub.refuse(place.connection, shared.name, now)
+                    self._hub.membership.refuse(place.connection, shared.name, now)
             case Replaced(peer_id=peer_id):
                 place = self._places.get(peer_id)
                 if place is not None:
                     reason = "you have joined again from elsewhere"
                     self._hub.close(place.connection, CloseCode.REPLACED, reason, now)
             case Arrived(member=member):
-                self._hub.arrive(shared.name, member.node, member.peer, now)
-                self._hub.follow(shared.name, Member(member.node, member.peer), member, now)
+                self._hub.membership.arrive(shared.name, member.node, member.peer, now)
+                self._hub.membership.follow(
+                    shared.name, Member(member.node, member.peer), member, now
+                )
             case Changed(before=before, member=member):
-                self._hub.follow(shared.name, before, member, now)
+                self._hub.membership.follow(shared.name, before, member, now)
             case Departed(peer_id=peer_id, reason=reason):
-                self._hub.depart(shared.name, peer_id, reason, now)
+                self._hub.membership.depart(shared.name, peer_id, reason, now)
             case Heard(node=node):
                 self.liveness.receive_beat(node, now)
 
@@ -436,7 +440,7 @@ class ClusterNode:
         nodes = shared.nodes
         if room is not None:
             for node in [n for n in room.links if n not in nodes]:
-                self._hub.drop_link(room, node)
+                self._hub.forwarding.drop_link(room, node)
         if room is None or not nodes:
             self._exchanges.pop(shared.key, None)
             return
@@ -475,20 +479,20 @@ class ClusterNode:
             link.restart(interest.epoch)
         for number, _ in list(room.streams):
             if not room.is_remote(number) and link.want(number, interest.layers.get(number)):
-                self._hub.resume_link(room, link, number, now)
+                self._hub.forwarding.resume_link(room, link, number, now)
 
     def _obey(self, room: Room, order: Order, now: float) -> None:
         """Do what an admin wants who has asked another node."""
         match order.what:
             case "close":
-                self._hub.close_room(room.name, now, everywhere=False)
+                self._hub.moderation.close_room(room.name, now, everywhere=False)
             case "mute" | "unmute" if order.target.isdigit():
                 number, is_muted = int(order.target), order.what == "mute"
                 if room.stream(number) is not None and not room.is_remote(number):
-                    self._hub.mute(room.name, number, is_muted=is_muted, now=now)
+                    self._hub.moderation.mute(room.name, number, is_muted=is_muted, now=now)
             case "remove" | "bar" if order.target in room and not room.node_of(order.target):
                 is_bar = order.what == "bar"
-                self._hub.remove(room.name, order.target, bar=is_bar, now=now)
+                self._hub.moderation.remove(room.name, order.target, bar=is_bar, now=now)
 
     def _look(self, now: float) -> None:
         """See who lives, and what this node is; bring rooms up to date that depend on it."""

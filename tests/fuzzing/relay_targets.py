@@ -155,11 +155,15 @@ def _administer(rng: random.Random, relay: Hub, now: float) -> None:
     peers = [peer.peer_id for room in relay.rooms if room.name == "attic" for peer in room.peers]
     match rng.randrange(4):
         case 0:
-            relay.close_room("attic", now)
+            relay.moderation.close_room("attic", now)
         case 1:
-            relay.remove("attic", rng.choice([*peers, "p1"]), bar=rng.random() < 0.5, now=now)
+            relay.moderation.remove(
+                "attic", rng.choice([*peers, "p1"]), bar=rng.random() < 0.5, now=now
+            )
         case _:
-            relay.mute("attic", rng.randrange(1, 9), is_muted=rng.random() < 0.5, now=now)
+            relay.moderation.mute(
+                "attic", rng.randrange(1, 9), is_muted=rng.random() < 0.5, now=now
+            )
 
 
 def _plan(rng: random.Random, has_keys: bool, secrets: list[str], stream: int) -> list[bytes]:

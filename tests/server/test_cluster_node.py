@@ -51,7 +51,7 @@ class Nodes:
             admit = (lambda join: Admission(identity=join.name)) if with_identities else None
             hub = Hub(config, admit, new_secret=counting_secrets())
             node = ClusterNode(hub, NodeId(slot, "a1"), capacity, 0.0)
-            hub.neighbours, hub.prefix = node, f"n{slot}-"
+            hub.meet(node, f"n{slot}-")
             self.hubs.append(hub)
             self.nodes.append(node)
 
@@ -198,26 +198,26 @@ def test_a_peer_that_is_away_and_comes_back_is_so_on_all_nodes() -> None:
 def test_an_admin_mutes_removes_and_closes_from_any_node() -> None:
     nodes = Nodes(2, with_identities=True)
     ada, bob, cleo = nodes.join(0, "Ada"), nodes.join(1, "Bob"), nodes.join(1, "Cleo")
-    assert nodes.hubs[1].mute("lobby", ada.stream, is_muted=True, now=0.0)
+    assert nodes.hubs[1].moderation.mute("lobby", ada.stream, is_muted=True, now=0.0)
     nodes.pump(0.0)
     for each in (ada, bob):
         assert told(each, StreamMuted) == [StreamMuted(stream=ada.stream, is_muted=True)]
     ada.send_frame(b"x", 0.0)
     nodes.pump(0.0)
     assert told(bob, Frame) == []
-    assert nodes.hubs[1].mute("lobby", ada.stream, is_muted=False, now=0.0)
+    assert nodes.hubs[1].moderation.mute("lobby", ada.stream, is_muted=False, now=0.0)
     nodes.pump(0.0)
     for each in (ada, bob):
         assert told(each, StreamMuted) == [StreamMuted(stream=ada.stream, is_muted=False)]
     ada.send_frame(b"y", 0.0)
     nodes.pump(0.0)
     assert [frame.payload for frame in told(bob, Frame)] == [b"y"]
-    assert nodes.hubs[0].remove("lobby", cleo.peer_id, bar=True, now=0.0)
+    assert nodes.hubs[0].moderation.remove("lobby", cleo.peer_id, bar=True, now=0.0)
     nodes.pump(0.0)
     assert cleo.closed_code == CloseCode.REMOVED
     for slot in (0, 1):
         assert nodes.join(slot, "Cleo").closed_code == CloseCode.FORBIDDEN
-    assert nodes.hubs[0].close_room("lobby", 0.0) == 1
+    assert nodes.hubs[0].moderation.close_room("lobby", 0.0) == 1
     nodes.pump(0.0)
     assert (ada.closed_code, bob.closed_code) == (CloseCode.ROOM_CLOSED, CloseCode.ROOM_CLOSED)
     assert nodes.join(1, "Cleo").closed_code is None, "a bar lasts as long as the room"
