@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from pica_client.call_status import CallStatus, PeerStatus
 from pica_client.connection_quality import QualityMeter, StreamHealth, own_quality
 from pica_client.receiver import Receiver
@@ -49,7 +51,7 @@ class CallMonitor:
             ),
             is_muted_by_admin=publisher is not None and publisher.is_muted_by_admin,
             peers=peers,
-            summary=self._summary(now),
+            summary=self._summary(now, peers),
         )
 
     def _replaced_ratio(self) -> float | None:
@@ -62,9 +64,9 @@ class CallMonitor:
         self._uplink_before = (sent, replaced)
         return (replaced - replaced_before) / max(sent - sent_before, 1)
 
-    def _summary(self, now: float) -> tuple[tuple[str, str], ...]:
+    def _summary(self, now: float, peers: Mapping[str, PeerStatus]) -> tuple[tuple[str, str], ...]:
         stats = self._receiver.stats(now)
-        bits = sum(peer["payload_bps"] or 0 for peer in stats["peers"]) / 1e3
+        bits = sum(peer.payload_bps or 0.0 for peer in peers.values()) / 1e3
         delay_ms = max((peer["playout_delay_ms"] for peer in stats["peers"]), default=0.0)
         refused = sum(peer["refused"] for peer in stats["peers"])
         return (

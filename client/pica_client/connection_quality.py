@@ -73,6 +73,10 @@ one way, and the face is a part of it)."""
 POOR = QualityLimits(lost_ratio=0.12, concealed_ratio=0.2, age_s=0.5)
 """Seen by everybody: the face stands still a fifth of the time (chosen)."""
 
+MIN_SHOWN = 16
+"""Display times from which on their share without a fresh face says something of the connection,
+and not of a machine that draws seldom."""
+
 _RANK: dict[Quality, int] = {"unknown": 0, "good": 1, "fair": 2, "poor": 3}
 
 
@@ -82,11 +86,8 @@ def judge(before: StreamHealth, after: StreamHealth) -> Quality:
     lost = max(after.lost - before.lost, 0) + max(after.late - before.late, 0)
     if received + lost <= 0 or shown <= 0:
         return "unknown"
-    figures = (
-        lost / (received + lost),
-        max(after.concealed - before.concealed, 0) / shown,
-        after.age_s,
-    )
+    concealed = max(after.concealed - before.concealed, 0) if shown >= MIN_SHOWN else 0
+    figures = (lost / (received + lost), concealed / shown, after.age_s)
     if POOR.are_exceeded(*figures):
         return "poor"
     return "fair" if FAIR.are_exceeded(*figures) else "good"

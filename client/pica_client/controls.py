@@ -206,7 +206,7 @@ def help_lines(own_face: OwnFace = "none") -> tuple[tuple[str, str], ...]:
     pointer = [
         ("drag, arrows", "look around"),
         ("wheel", "come closer, go back"),
-        (f"click, 1 – {MAX_PINNED_BY_KEY}", "pin a participant, or not"),
+        (f"click, 1 to {MAX_PINNED_BY_KEY}", "pin a participant, or not"),
     ]
     return (("Keys", ""), *pointer, *keys)
 

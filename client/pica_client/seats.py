@@ -55,11 +55,16 @@ GRID_FROM = 4
 """With fewer people a grid is one row."""
 MAX_GRID_HEIGHT_M = 8.0
 """So many rows that no room is left for their names stand closer."""
-STRIP_COLUMN_SHARE = 0.19
+MAX_GRID_SPACING_M = 0.42
+"""Where the picture is wide enough, columns stand further apart, so that names have room."""
+STRIP_COLUMN_SHARE = 0.17
 """Part of the picture's longer side for each column of those who are not pinned."""
-STRIP_PER_COLUMN = 4
+STRIP_PER_COLUMN = 2
+STRIP_PER_ROW = 3
 STRIP_HEAD_SHARE = 0.26
 """Height of their heads, as part of the picture's height, at most."""
+MAX_STRIP_SHARE = 0.4
+"""Of what is there, at most: the rest is for whoever is pinned."""
 MAX_FREE = 0.5
 
 MAX_PITCH = math.radians(80)
@@ -230,10 +235,13 @@ def _grid(count: int, frame: _Frame) -> Arrangement:
     )
     rows = math.ceil(count / columns)
     pitch_m = 2 * HEAD_HALF_HEIGHT_M + LABEL_SHARE * min(height_m, MAX_GRID_HEIGHT_M)
+    width_m = height_m * (frame.right - frame.left) / (2 * math.tan(VERTICAL_FOV / 2))
+    room_m = (width_m - 2 * HEAD_HALF_WIDTH_M) / max(columns - 1, 1)
+    spacing_m = min(max(room_m, SEAT_SPACING_M), MAX_GRID_SPACING_M)
     places = np.zeros((count, 3))
     for row in range(rows):
         first, last = row * columns, min((row + 1) * columns, count)
-        places[first:last, 0] = _centred(last - first) * SEAT_SPACING_M
+        places[first:last, 0] = _centred(last - first) * spacing_m
         places[first:last, 1] = ((rows - 1) / 2 - row) * pitch_m
     return places, 0.0, None
 
@@ -260,12 +268,14 @@ def _plan_pinned(count: int, pinned: int, aspect: float, frame: _Frame) -> SeatP
     """One in front, the others in a strip at the right, or below on a picture that is higher than
     wide: as far away as makes them fit."""
     others = [index for index in range(count) if index != pinned]
-    lines = math.ceil(len(others) / STRIP_PER_COLUMN)
     tangent = math.tan(VERTICAL_FOV / 2)
     is_wide = aspect >= 1
+    lines = math.ceil(len(others) / (STRIP_PER_COLUMN if is_wide else STRIP_PER_ROW))
     longer = 2 * tangent * (aspect if is_wide else 1.0)
-    strip = min(lines * STRIP_COLUMN_SHARE, 0.6) * longer
-    edge = frame.right - strip if is_wide else frame.bottom + strip
+    floor = frame.bottom - _label(tangent)
+    most = frame.right - frame.left if is_wide else frame.top - floor
+    strip = min(lines * STRIP_COLUMN_SHARE * longer, MAX_STRIP_SHARE * most)
+    edge = frame.right - strip if is_wide else floor + strip
     main = replace(frame, right=edge) if is_wide else replace(frame, bottom=edge + _label(tangent))
     camera_m, target_m = _framing(np.zeros((1, 3)), 0.0, main)
     seats = [_seat(np.zeros(3), camera_m)] * count
@@ -275,7 +285,7 @@ def _plan_pinned(count: int, pinned: int, aspect: float, frame: _Frame) -> SeatP
         in_line = min(per_line, len(others) - line * per_line)
         across, along = (line + 0.5) / lines, (place + 0.5) / in_line
         if is_wide:
-            cell = (strip / lines, (frame.top - frame.bottom + _label(tangent)) / in_line)
+            cell = (strip / lines, (frame.top - floor) / in_line)
             x = edge + across * strip
             y = frame.top - along * in_line * cell[1]
         else:

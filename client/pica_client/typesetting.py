@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal
@@ -28,8 +29,18 @@ MAX_LINES = 40
 MAX_COLUMNS = 16
 MAX_CHARACTERS = 120
 """Per text; longer ones are cut, so no name can fill the screen or the memory."""
-FALLBACK_FONT = "DejaVuSans.ttf"
-"""For names beyond Latin script, where the machine has it; Pillow's own font is Latin."""
+FALLBACK_FONTS = (
+    "DejaVuSans.ttf",
+    "NotoSans-Regular.ttf",
+    "segoeui.ttf",
+    "Arial Unicode.ttf",
+    "arial.ttf",
+    "Arial.ttf",
+    "LiberationSans-Regular.ttf",
+)
+"""For what Pillow's own font lacks, which is all but ASCII and a few signs: the first of these that
+the machine has."""
+OWN_SIGNS = frozenset("…·°±´©«»")
 
 _INK = (240, 242, 245)
 _FAINT = (165, 174, 186)
@@ -351,15 +362,14 @@ def _printable(text: str) -> str:
 
 
 def _font(text: str, size_px: int) -> Font:
-    is_latin = all(ord(char) < 0x250 or char in "–—…·×" for char in text)
-    return _load_font(is_latin, size_px)
+    is_own = all(char.isascii() or char in OWN_SIGNS for char in text)
+    return _load_font(is_own, size_px)
 
 
 @lru_cache(maxsize=32)
-def _load_font(is_latin: bool, size_px: int) -> Font:
-    if not is_latin:
-        try:
-            return ImageFont.truetype(FALLBACK_FONT, size_px)
-        except OSError:
-            pass  # the machine has no such font: boxes instead of letters, but a name all the same
+def _load_font(is_own: bool, size_px: int) -> Font:
+    for name in () if is_own else FALLBACK_FONTS:
+        with suppress(OSError):
+            return ImageFont.truetype(name, size_px)
+    # The machine has none of them: boxes instead of letters, but a name all the same.
     return ImageFont.load_default(size_px)

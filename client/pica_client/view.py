@@ -6,7 +6,7 @@ import json
 import sys
 import time
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +14,17 @@ from pica_client.avatar_cache import AvatarCache
 from pica_client.avatar_fetch import AvatarFetcher
 from pica_client.avatars import AvatarLibrary
 from pica_client.call import Call, CallConfig
+from pica_client.call_monitor import CallMonitor
+from pica_client.controls import CloseWanted, ControlState, OwnFace
 from pica_client.decode_pool import DecodeResult
 from pica_client.dial import trusting
 from pica_client.errors import OptionError, RelayUnreachableError
 from pica_client.link import LinkConfig
 from pica_client.output import check_writable, make_folder, writing
+from pica_client.publisher import Publisher
 from pica_client.receiver import Receiver
 from pica_client.viewer import Viewer, ViewerOptions
+from pica_client.window import Window
 from pica_protocol.limits import MAX_PEERS
 
 MAX_LOGGED_DECODES = 100_000
@@ -64,10 +68,28 @@ class ViewConfig:
 
 
 class View:
-    """Runs a receiver and its viewer; `stop` may come from a signal handler."""
+    """Runs a receiver and its viewer; `stop` may come from a signal handler.
 
-    def __init__(self, config: ViewConfig, library: AvatarLibrary) -> None:
+    Attributes:
+        last_controls: How the user left the view; None before it was shown.
+        last_window_size: And the window, in the screen's units; None without one.
+    """
+
+    def __init__(
+        self,
+        config: ViewConfig,
+        library: AvatarLibrary,
+        *,
+        publisher: Publisher | None = None,
+        window: Window | None = None,
+    ) -> None:
         """Check what can be checked before anybody is there.
+
+        Args:
+            config: What to show, and how.
+            library: The avatars of this machine.
+            publisher: Sends a face as well.
+            window: To show it in, which stays open; by default a new one.
 
         Raises:
             OptionError: A file or folder that is to be written cannot be.
@@ -81,7 +103,11 @@ class View:
         self._fetcher = self._make_fetcher(library) if config.fetch else None
         avatars = self._fetcher or library
         self._call = Call(avatars, config.call, log_shown=config.frame_log is not None)
-        self._receiver = Receiver(config.link, self._call)
+        self._publisher = publisher
+        self._window = window
+        self._receiver = Receiver(config.link, self._call, publisher=publisher)
+        self.last_controls: ControlState | None = None
+        self.last_window_size: tuple[int, int] | None = None
         self._is_stopping = False
         # Drops its oldest when full.
         self._decodes: deque[tuple[str, DecodeResult]] = deque(maxlen=MAX_LOGGED_DECODES)
@@ -113,9 +139,11 @@ class View:
             self._wait_for_peers()
             with Viewer(
                 self._call,
-                config.viewer,
-                statistics=self._panel_lines,
+                replace(config.viewer, sends_face=self._publisher is not None),
+                status=CallMonitor(self._receiver).status,
                 on_decoded=self._note_decode if config.frame_log is not None else None,
+                on_own_face=self._set_own_face,
+                window=self._window,
             ) as viewer:
                 viewer.prepare()
                 begin_s = time.monotonic()
@@ -126,6 +154,8 @@ class View:
                 problems = list(viewer.problems.values())
                 if config.png is not None and drawn["frames_rendered"]:
                     viewer.save_image(config.png)
+                self.last_controls = viewer.controls.state
+                self.last_window_size = viewer.windowed_size
         for problem in problems:
             print(problem, file=sys.stderr)
         if config.frame_log is not None:
@@ -157,6 +187,10 @@ class View:
             self._receiver.check()
             if self._receiver.is_connected and self._call.num_live >= config.expect:
                 return
+            if self._window is not None and any(
+                isinstance(event, CloseWanted) for event in self._window.poll()
+            ):
+                self._is_stopping = True
             if config.expect and time.monotonic() > deadline:
                 raise RelayUnreachableError(
                     f"{self._call.num_live} of {config.expect} expected peers were seen within "
@@ -190,27 +224,9 @@ class View:
             index += 1
             viewer.save_image(config.png_folder / f"frame-{index:05d}.png")
 
-    def _panel_lines(self) -> list[tuple[str, str]]:
-        """The network's lines of the statistics panel."""
-        stats = self._receiver.stats(time.monotonic())
-        seconds = stats["seconds"] or 0.0
-        lines = [("relay", "connected" if self._receiver.is_connected else "away, trying")]
-        if seconds:
-            latents = sum(peer["latents_per_s"] for peer in stats["peers"])
-            kilobits = sum(peer["payload_bps"] for peer in stats["peers"]) / 1e3
-            lines += [("latents", f"{latents:.0f} /s"), ("payload", f"{kilobits:.0f} kbit/s")]
-        peers = stats["peers"]
-        delay_ms = max((peer["playout_delay_ms"] for peer in peers), default=0.0)
-        age_ms = max((peer["age_ms"] for peer in peers), default=0.0)
-        refused, restarts = (sum(peer[key] for peer in peers) for key in ("refused", "restarts"))
-        return [
-            *lines,
-            ("playout delay", f"{delay_ms:.0f} ms, age {age_ms:.0f} ms"),
-            ("lost", str(stats["dropped"])),
-            ("concealed", str(stats["concealed"])),
-            ("refused", f"{refused}, {restarts} restarts"),
-            ("errors", str(stats["errors"])),
-        ]
+    def _set_own_face(self, wanted: OwnFace) -> None:
+        if self._publisher is not None and wanted != "none":
+            self._publisher.set_mode(wanted)
 
     def _note_decode(self, result: DecodeResult) -> None:
         name = self._call.names().get(result.slot)

@@ -1,66 +1,44 @@
-"""The drawing half of a receiver: faces in, decoded and drawn frames out. The loop that owns the GL
-thread.
+"""The drawing half of a receiver: faces in, drawn frames out. The loop that owns the GL thread.
 
     with Viewer(source, ViewerOptions(headless=True, record=Path("call.mp4"))) as viewer:
         viewer.run(seconds=20.0)
         print(viewer.report())
 
-Each frame: ask the source for the faces, hand changed latents to the decode pool, upload what has
-been decoded meanwhile, draw, show or record. Decoding runs beside drawing, so a frame shows the
-latents of the frame before it. A peer whose avatar is missing or broken sits there as a placeholder
-with the reason under the name; the others do not notice.
+Each frame: take what the user did, let `face_stage` arrange and decode the faces, draw them, put
+the texts of `hud_frame` over them, show or record.
 """
 
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
-import numpy as np
-import numpy.typing as npt
-
-from pica_client.decode_pool import DecodePool, DecodePoolOptions, DecodeRequest, DecodeResult
+from pica_client.call_status import CallStatus
+from pica_client.controls import Controls, ControlState, InputEvent, Order, OwnFace
+from pica_client.decode_pool import DecodePool, DecodePoolOptions, DecodeResult
 from pica_client.decoder import OnnxDecoder, OnnxOptions
-from pica_client.errors import OptionError, ShaderError
-from pica_client.faces import FaceSource, FaceState
-from pica_client.hud import help_item, name_items, statistics_item
+from pica_client.errors import ClientError, OptionError
+from pica_client.face_stage import FaceStage, Meter, SeatWish, StageScene
+from pica_client.faces import FaceSource
+from pica_client.hud_frame import HudFrame
+from pica_client.keepsakes import Keepsakes
 from pica_client.recorder import Recorder, save_png
 from pica_client.renderer import DrawStats, Renderer, RenderOptions
-from pica_client.scene import (
-    Placement,
-    arrange_seats,
-    head_matrix,
-    view_camera,
-    view_direction,
-)
-from pica_client.stats import Samples, Summary
-from pica_client.typesetting import OverlayItem
-from pica_client.window import Window, WindowState
+from pica_client.scene import pick_head
+from pica_client.seats import Layout
+from pica_client.window import Window
 from pica_core.avatar_file import Avatar
-from pica_core.camera import Camera
-from pica_core.errors import AvatarFileError
 from pica_core.gl import create_context
 
-FloatArray = npt.NDArray[np.float32]
-StatisticsLines = Callable[[], list[tuple[str, str]]]
+StatusSource = Callable[[float], CallStatus]
 
-VIEW_CHANGE = 0.01
-"""Radians by which a head's view must turn before an unchanged latent is decoded again (chosen: the
-view-dependent part of a colour changes by less than one step of 255 over it)."""
-FADE_OF_STATUS = {"waiting": 0.6, "stale": 0.8, "away": 0.4}
-PANEL_PERIOD_S = 0.5
-"""How often the statistics panel changes: readable, and a text costs 2 ms to set."""
-RECENT_SAMPLES = 60
-"""What the panel's figures are made of."""
 PREPARE_TIMEOUT_S = 5.0
 """How long the first picture waits for five avatars to be loaded; here they take half a second."""
 PREPARE_POLL_S = 0.01
-MEASURED = ("decode", "decode_wait", "upload", "draw", "latency")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -72,11 +50,17 @@ class ViewerOptions:
     headless: bool = False
     """Draw without a window."""
     record: Path | None = None
-    """MP4 file to record into."""
+    """MP4 file to record into from the start."""
+    keep_in: Path = Path(".")
+    """Folder for the pictures and recordings that the user asks for meanwhile."""
     max_fps: float = 30.0
     """Frames are drawn no more often than this; in a window the display limits too."""
+    layout: Layout = "arc"
+    """How people sit at first; see `seats`."""
     show_statistics: bool = False
-    """Show the statistics panel from the start."""
+    """Show the statistics from the start."""
+    sends_face: bool = False
+    """Whether the user's own face is sent: then there are keys to mute and to freeze it."""
     title: str = "PiCA Telepresence"
     render: RenderOptions = field(default_factory=RenderOptions)
     decode: DecodePoolOptions = field(default_factory=DecodePoolOptions)
@@ -87,31 +71,17 @@ class ViewerOptions:
             raise OptionError(f"max_fps is {self.max_fps:g}; allowed are 1 to 1000")
 
 
-@dataclass(slots=True, eq=False)
-class _Seat:
-    """What the viewer keeps of one peer."""
-
-    avatar_id: str
-    avatar: Avatar | None = None
-    problem: str = ""
-    """Why there is a placeholder instead of the avatar."""
-    latent: FloatArray | None = None
-    """Submitted last."""
-    view: FloatArray | None = None
-    captured_us: int = 0
-    """Of the newest sample that was decoded."""
-    num_decoded: int = 0
-
-
 class Viewer:
     """Shows the faces of a source in a window or off the screen.
 
     Args:
         source: Who is there.
         options: See `ViewerOptions`.
-        statistics: Further lines for the statistics panel, as (name, value); asked twice a second.
+        status: How the call stands, at a time of `clock`; asked twice a second.
         on_decoded: Told of every decode that reached the GPU, on the drawing thread; its slot is
             the peer id.
+        on_own_face: Told when the user mutes or freezes their own face, or lets it go on.
+        window: To show it in, which stays open afterwards; by default a new one.
         clock: Seconds, monotonic; the same clock that stamps `FaceState.captured_us` when sender
             and receiver share a machine (then `report` holds the latency from sample to decoded
             maps; otherwise it means nothing).
@@ -127,42 +97,54 @@ class Viewer:
         source: FaceSource,
         options: ViewerOptions | None = None,
         *,
-        statistics: StatisticsLines | None = None,
+        status: StatusSource = lambda now: CallStatus(),
         on_decoded: Callable[[DecodeResult], None] | None = None,
+        on_own_face: Callable[[OwnFace], None] | None = None,
+        window: Window | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.options = options or ViewerOptions()
-        self._source = source
-        self._statistics = statistics
-        self._on_decoded = on_decoded
         self._clock = clock
-        self._seats: dict[str, _Seat] = {}
-        self._state = WindowState(show_statistics=self.options.show_statistics)
-        self._samples = {name: Samples() for name in MEASURED}
-        self._recent = {name: Samples(RECENT_SAMPLES) for name in MEASURED}
-        self._frame_times: deque[float] = deque(maxlen=RECENT_SAMPLES)
+        self._on_own_face = on_own_face
+        self.controls = Controls(
+            ControlState(
+                layout=self.options.layout,
+                show_statistics=self.options.show_statistics,
+                own_face="sent" if self.options.sends_face else "none",
+            )
+        )
+        self._meter = Meter()
+        self._hud = HudFrame(self._meter, status)
         self._num_frames = 0
-        self._num_errors = 0
-        self._peers_seen: set[str] = set()
-        self._panel: tuple[float, tuple[tuple[str, str], ...]] = (-1.0, ())
+        self._scene: StageScene | None = None
         self.last_draw: DrawStats | None = None
         with ExitStack() as stack:
-            self._window: Window | None = None
+            self._window = window
             if self.options.headless:
                 context = create_context()
                 stack.callback(context.release)
             else:
-                self._window = stack.enter_context(
-                    Window(self.options.title, self.options.size, self._state)
-                )
+                if self._window is None:
+                    self._window = stack.enter_context(
+                        Window(self.options.title, self.options.size)
+                    )
                 context = self._window.context
             size = self._window.size_px if self._window else self.options.size
             self._renderer = Renderer(context, size, self.options.render)
             self._recorder = None
             if self.options.record is not None:
                 self._recorder = stack.enter_context(Recorder(self.options.record, size))
+            self._keepsakes = stack.enter_context(Keepsakes(self.options.keep_in))
             self._pool = stack.enter_context(
                 DecodePool(self.options.decode, self._make_decoder, self._clock)
+            )
+            self._stage = FaceStage(
+                source,
+                self._renderer,
+                self._pool,
+                meter=self._meter,
+                on_decoded=on_decoded,
+                clock=clock,
             )
             self._resources = stack.pop_all()
         self._started_s = self._clock()
@@ -174,7 +156,7 @@ class Viewer:
         self.close()
 
     def close(self) -> None:
-        """Stop decoding, finish the recording, close the window."""
+        """Stop decoding, finish the recordings, close the window if it is the viewer's own."""
         self._resources.close()
 
     def run(
@@ -203,42 +185,61 @@ class Viewer:
         """
         deadline_s = self._clock() + timeout_s
         while (now := self._clock()) < deadline_s:
-            faces, placements, camera = self._arrange(now)
-            self._collect_decoded()
-            waiting = [self._seats[face.peer_id] for face in faces if face.latent is not None]
-            if all(seat.num_decoded or seat.problem for seat in waiting):
-                self._renderer.draw(placements, camera, [])
+            scene = self._arrange(now)
+            self._stage.decide(scene)
+            self._stage.collect()
+            if self._stage.is_ready(scene):
+                self._renderer.draw(scene.placements, scene.camera, [])
                 break
             time.sleep(PREPARE_POLL_S)
-        for samples in (*self._samples.values(), *self._recent.values()):
-            samples.clear()
+        self._meter.clear()
         self._started_s = self._clock()
+
+    def receive(self, event: InputEvent) -> None:
+        """Take something that the user did, as from the window."""
+        faces = [] if self._scene is None else self._scene.faces
+        before = self.controls.state.own_face
+        self.controls.receive(event, peers=[face.peer_id for face in faces], pick=self._pick)
+        wanted = self.controls.state.own_face
+        if wanted != before and self._on_own_face is not None:
+            self._on_own_face(wanted)
 
     def step(self, now: float) -> bool:
         """Draw one frame; False once the user wants to leave."""
         if self._window is not None:
-            self._state = self._window.poll()
-            if self._state.wants_close:
-                return False
+            for event in self._window.poll():
+                self.receive(event)
             self._renderer.resize(self._window.size_px)
-        faces, placements, camera = self._arrange(now)
-        self._collect_decoded()
-        begin_s = self._clock()
-        self.last_draw = self._renderer.draw(
-            placements, camera, self._overlays(faces, placements, camera, now)
+        if self.controls.state.wants_close:
+            return False
+        scene = self._scene = self._arrange(now)
+        self.controls.forget_absent([face.peer_id for face in scene.faces])
+        self._stage.decide(scene)
+        self._stage.collect()
+        items = self._hud.items(
+            now,
+            scene,
+            self._stage,
+            self.controls.state,
+            self._renderer.size,
+            is_recording=self._keepsakes.is_recording,
         )
+        begin_s = self._clock()
+        self.last_draw = self._renderer.draw(scene.placements, scene.camera, items)
         image = None
         if self._window is None:
             image = self._renderer.read_image()  # waits for the GPU: the draw time is a true one
-        self._measure("draw", self._clock() - begin_s)
-        if self._recorder is not None:
-            if image is None:
-                image = self._renderer.read_image()
-            self._recorder.write(image, now - self._started_s)
+        self._meter.add("draw", self._clock() - begin_s)
+        if self._recorder is not None or self._keepsakes.is_recording:
+            shown = self._renderer.read_image() if image is None else image
+            if self._recorder is not None:
+                self._recorder.write(shown, now - self._started_s)
+            self._keep(lambda: self._keepsakes.write(shown, now))
         if self._window is not None:
             self._window.show(self._renderer)
+        for order in self.controls.take_orders():
+            self._obey(order, now)
         self._num_frames += 1
-        self._frame_times.append(now)
         return True
 
     def wait_decoded(self, timeout_s: float) -> bool:
@@ -257,146 +258,60 @@ class Viewer:
     @property
     def problems(self) -> dict[str, str]:
         """Why peers are drawn as placeholders, by peer id."""
-        return {peer_id: seat.problem for peer_id, seat in self._seats.items() if seat.problem}
+        return self._stage.problems
+
+    @property
+    def windowed_size(self) -> tuple[int, int] | None:
+        """Columns and rows of the window, in the screen's units; None without one."""
+        return None if self._window is None else self._window.windowed_size
 
     def report(self) -> dict[str, Any]:
         """What was drawn so far; durations in milliseconds."""
         elapsed_s = self._clock() - self._started_s
-        summaries: dict[str, Summary] = {
-            f"{name}_ms": samples.summary_ms() for name, samples in self._samples.items()
-        }
         return {
             "frames_rendered": self._num_frames,
             "render_fps": round(self._num_frames / elapsed_s, 2) if elapsed_s > 0 else 0.0,
-            "rendered_peers": len(self._peers_seen),
-            "decodes": {peer_id: seat.num_decoded for peer_id, seat in self._seats.items()},
+            "rendered_peers": self._stage.num_seen,
+            "decodes": self._stage.num_decoded(),
             "decodes_replaced": self._pool.num_replaced,
-            "errors": self._num_errors,
+            "errors": self._stage.num_errors,
             "gl_renderer": self.gl_renderer,
             "triangles": self.last_draw.num_triangles if self.last_draw else 0,
             "draw_calls": self.last_draw.num_draw_calls if self.last_draw else 0,
-            **summaries,
+            **self._meter.summaries(),
         }
 
     def _make_decoder(self, avatar: Avatar) -> OnnxDecoder:
         return OnnxDecoder(avatar, self.options.onnx)
 
-    def _arrange(self, now: float) -> tuple[list[FaceState], list[Placement], Camera]:
-        """Who is here, where each sits, and from where they are seen; their latents go off."""
-        faces = self._source.faces(now)
-        camera = view_camera(self._state.view, len(faces), *self._renderer.size)
-        self._forget_absent(faces)
-        seats = arrange_seats(len(faces))
-        placements = [
-            self._place(face, seat, camera) for face, seat in zip(faces, seats, strict=True)
-        ]
-        return faces, placements, camera
-
-    def _forget_absent(self, faces: list[FaceState]) -> None:
-        present = {face.peer_id for face in faces}
-        for peer_id in [peer_id for peer_id in self._seats if peer_id not in present]:
-            del self._seats[peer_id]
-            self._pool.remove(peer_id)
-            self._renderer.remove(peer_id)
-
-    def _place(self, face: FaceState, seat: npt.NDArray[np.float64], camera: Camera) -> Placement:
-        """Where a face is; on the way, its avatar is prepared and its latent submitted."""
-        entry = self._seats.get(face.peer_id)
-        if entry is None or entry.avatar_id != face.avatar_id:
-            entry = self._seats[face.peer_id] = _Seat(face.avatar_id)
-            self._pool.remove(face.peer_id)
-            self._renderer.add_placeholder(face.peer_id)
-        if entry.avatar is None and not entry.problem:
-            self._prepare(face.peer_id, entry)
-        matrix = head_matrix(seat, face.rotation, face.translation_m)
-        if face.latent is not None and entry.avatar is not None:
-            self._submit(face, entry, face.latent, view_direction(matrix, camera.centre_m))
-        return Placement(
-            slot=face.peer_id, world_from_head=matrix, fade=FADE_OF_STATUS.get(face.status, 0.0)
+    def _arrange(self, now: float) -> StageScene:
+        state = self.controls.state
+        wish = SeatWish(
+            layout=state.layout, view=state.view, pinned=state.pinned, free=self._hud.free
         )
+        return self._stage.arrange(now, wish)
 
-    def _prepare(self, peer_id: str, entry: _Seat) -> None:
+    def _pick(self, x_px: float, y_px: float) -> str | None:
+        if self._scene is None:
+            return None
+        return pick_head(self._scene.placements, self._scene.camera, x_px, y_px)
+
+    def _obey(self, order: Order, now: float) -> None:
+        """Do once what the user asked for."""
+        match order:
+            case Order.SCREENSHOT:
+                self._keep(lambda: self._keepsakes.save_picture(self._renderer.read_image()))
+            case Order.TOGGLE_RECORDING:
+                self._keep(lambda: self._keepsakes.toggle_recording(self._renderer.size, now))
+            case Order.TOGGLE_FULL_SCREEN:
+                if self._window is not None:
+                    self._window.toggle_full_screen()
+
+    def _keep(self, action: Callable[[], str]) -> None:
+        """Say what came of something that the user wants to keep; a full disk ends no call."""
         try:
-            avatar = self._source.avatar(entry.avatar_id)
-            if avatar is None:
-                return
-            self._renderer.add_avatar(peer_id, avatar)
-        except (AvatarFileError, ShaderError) as error:
-            self._give_up(entry, str(error))
-            return
-        entry.avatar = avatar
-        self._pool.add(peer_id, avatar)
-
-    def _submit(
-        self, face: FaceState, entry: _Seat, latent: FloatArray, direction: FloatArray
-    ) -> None:
-        is_turned = entry.view is None or float(np.dot(entry.view, direction)) < np.cos(VIEW_CHANGE)
-        is_same = entry.latent is not None and np.array_equal(entry.latent, latent)
-        if is_same and not is_turned:
-            return
-        entry.latent, entry.view = latent, direction
-        self._pool.submit(face.peer_id, DecodeRequest(latent, direction, face.captured_us))
-
-    def _collect_decoded(self) -> None:
-        for result in self._pool.take_results():
-            entry = self._seats.get(result.slot)
-            if entry is None:
-                continue
-            if result.maps is None:
-                self._renderer.add_placeholder(result.slot)
-                self._give_up(entry, result.error or "cannot be decoded")
-                continue
-            begin_s = self._clock()
-            self._renderer.update_maps(
-                result.slot, result.maps.position_map, result.maps.expression_map
-            )
-            self._measure("upload", self._clock() - begin_s)
-            self._measure("decode", result.decode_s)
-            self._measure("decode_wait", result.waited_s)
-            if result.captured_us > entry.captured_us:  # a newly shown sample, not a turned view
-                entry.captured_us = result.captured_us
-                self._measure("latency", result.finished_s - result.captured_us * 1e-6)
-            entry.num_decoded += 1
-            self._peers_seen.add(result.slot)
-            if self._on_decoded is not None:
-                self._on_decoded(result)
-
-    def _give_up(self, entry: _Seat, problem: str) -> None:
-        entry.problem = problem
-        self._num_errors += 1
-
-    def _overlays(
-        self, faces: list[FaceState], placements: list[Placement], camera: Camera, now: float
-    ) -> list[OverlayItem]:
-        size = self._renderer.size
-        items = name_items(faces, placements, camera, self.problems)
-        if self._state.show_statistics:
-            items.append(statistics_item(self._panel_lines(len(faces), now), size))
-        if self._state.show_help:
-            items.append(help_item(size))
-        return items
-
-    def _panel_lines(self, num_faces: int, now: float) -> tuple[tuple[str, str], ...]:
-        shown_s, lines = self._panel
-        if lines and now - shown_s < PANEL_PERIOD_S:
-            return lines
-        times = self._frame_times
-        span_s = times[-1] - times[0] if len(times) > 1 else 0.0
-        fps = (len(times) - 1) / span_s if span_s > 0 else 0.0
-        found = [("Statistics", ""), ("peers", str(num_faces)), ("drawing", f"{fps:.1f} fps")]
-        for name, title, rank in (
-            ("draw", "draw", "p50"),
-            ("decode", "decode", "p50"),
-            ("latency", "latency p95", "p95"),
-        ):
-            percentile = self._recent[name].summary_ms()[rank]
-            if percentile is not None:
-                found.append((title, f"{percentile:.1f} ms"))
-        if self._statistics is not None:
-            found += self._statistics()
-        self._panel = (now, tuple(found))
-        return self._panel[1]
-
-    def _measure(self, name: str, duration_s: float) -> None:
-        self._samples[name].add(duration_s)
-        self._recent[name].add(duration_s)
+            notice = action()
+        except (ClientError, ModuleNotFoundError) as error:
+            notice = str(error)
+        if notice:
+            self._hud.notice(notice, self._clock())

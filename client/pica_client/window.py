@@ -1,11 +1,12 @@
-"""A window to look at a call: orbit by dragging, zoom by the wheel, and a few keys. Thin, over
-glfw.
+"""A window to show a call in: what the user does in it comes out as events. Thin, over glfw.
 
     with Window("PiCA", (960, 540)) as window:
         renderer = Renderer(window.context, window.size_px)
-        while not (state := window.poll()).wants_close:
+        while True:
+            for event in window.poll():
+                controls.receive(event)
             renderer.resize(window.size_px)
-            ...draw with state.view...
+            ...draw...
             window.show(renderer)
 
 One window per process; everything on the thread that made it.
@@ -13,27 +14,56 @@ One window per process; everything on the thread that made it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import glfw
 import moderngl
 
+from pica_client.controls import (
+    CloseWanted,
+    InputEvent,
+    KeyPressed,
+    MouseMoved,
+    MousePressed,
+    MouseReleased,
+    Scrolled,
+    TextTyped,
+)
 from pica_client.display import has_display
-from pica_client.renderer import Renderer
-from pica_client.scene import ViewState
 from pica_core.errors import GraphicsError
 from pica_core.gl import GL_VERSION
 
+MAX_EVENTS = 1000
+"""Between two polls; what comes beyond is dropped."""
+MAX_PASTED = 4096
+"""Characters taken from the clipboard at once."""
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class WindowState:
-    """What the user wants, after the last `Window.poll`."""
+KEY_NAMES: dict[int, str] = {
+    **{getattr(glfw, f"KEY_{letter}"): letter for letter in "ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789"},
+    **{getattr(glfw, f"KEY_KP_{digit}"): digit for digit in "0123456789"},
+    **{getattr(glfw, f"KEY_F{number}"): f"F{number}" for number in range(1, 13)},
+    glfw.KEY_ESCAPE: "Escape",
+    glfw.KEY_ENTER: "Enter",
+    glfw.KEY_KP_ENTER: "Enter",
+    glfw.KEY_TAB: "Tab",
+    glfw.KEY_BACKSPACE: "Backspace",
+    glfw.KEY_LEFT: "Left",
+    glfw.KEY_RIGHT: "Right",
+    glfw.KEY_UP: "Up",
+    glfw.KEY_DOWN: "Down",
+    glfw.KEY_EQUAL: "=",
+    glfw.KEY_KP_ADD: "+",
+    glfw.KEY_MINUS: "-",
+    glfw.KEY_KP_SUBTRACT: "-",
+}
 
-    view: ViewState = field(default_factory=ViewState)
-    show_statistics: bool = False
-    show_help: bool = False
-    wants_close: bool = False
+
+class Presenter(Protocol):
+    """What can put an image into a window's framebuffer."""
+
+    def present(self, target: moderngl.Framebuffer) -> None:
+        """Copy the last frame there."""
+        ...
 
 
 class Window:
@@ -42,24 +72,15 @@ class Window:
     Args:
         title: Of the window.
         size: Wished columns and rows, in the screen's units.
-        state: What to start with.
         vertical_sync: Wait for the display in `show`.
 
     Raises:
         GraphicsError: No display, or no context on it; names the fix.
     """
 
-    def __init__(
-        self,
-        title: str,
-        size: tuple[int, int],
-        state: WindowState | None = None,
-        *,
-        vertical_sync: bool = True,
-    ) -> None:
-        self._state = state or WindowState()
+    def __init__(self, title: str, size: tuple[int, int], *, vertical_sync: bool = True) -> None:
+        self._events: list[InputEvent] = []
         self._complaint = ""
-        self._drag_from: tuple[float, float] | None = None
         self._windowed: tuple[int, int, int, int] | None = None
         glfw.set_error_callback(self._note_error)
         if not glfw.init():
@@ -87,6 +108,7 @@ class Window:
             ) from error
         self.context.gc_mode = "context_gc"
         glfw.set_key_callback(self._window, self._on_key)
+        glfw.set_char_callback(self._window, self._on_character)
         glfw.set_scroll_callback(self._window, self._on_scroll)
         glfw.set_mouse_button_callback(self._window, self._on_button)
         glfw.set_cursor_pos_callback(self._window, self._on_move)
@@ -103,17 +125,32 @@ class Window:
         width, height = glfw.get_framebuffer_size(self._window)
         return max(width, 1), max(height, 1)
 
-    def poll(self) -> WindowState:
-        """Handle what happened since the last call. Does not wait."""
-        glfw.poll_events()
-        if glfw.window_should_close(self._window):
-            self._state = replace(self._state, wants_close=True)
-        return self._state
+    @property
+    def windowed_size(self) -> tuple[int, int] | None:
+        """Columns and rows in the screen's units; None in full screen and while minimised."""
+        if self._windowed is not None or not self._window:
+            return None
+        width, height = glfw.get_window_size(self._window)
+        return (width, height) if width > 0 and height > 0 else None
 
-    def show(self, renderer: Renderer) -> None:
+    def poll(self) -> list[InputEvent]:
+        """What the user did since the last call, in order. Does not wait."""
+        glfw.poll_events()
+        events, self._events = self._events, []
+        if glfw.window_should_close(self._window):
+            events.append(CloseWanted())
+        return events
+
+    def show(self, renderer: Presenter) -> None:
         """Put the renderer's image on the screen; waits for the display if that was asked for."""
         renderer.present(self.context.screen)
         glfw.swap_buffers(self._window)
+
+    def clipboard(self) -> str:
+        """The text in the clipboard; empty when there is none."""
+        content = glfw.get_clipboard_string(self._window)
+        text = content.decode(errors="replace") if isinstance(content, bytes) else content
+        return (text or "")[:MAX_PASTED]
 
     def close(self) -> None:
         """Close the window and give the display back. Once is enough, twice is harmless."""
@@ -122,29 +159,8 @@ class Window:
             self._window = None
             glfw.terminate()
 
-    def _note_error(self, code: int, message: bytes | str) -> None:
-        text = message.decode(errors="replace") if isinstance(message, bytes) else message
-        self._complaint = f"glfw {code:#x}: {text}"
-
-    def _reason(self) -> str:
-        return self._complaint or "glfw gives no reason"
-
-    def _on_key(self, _window: Any, key: int, _code: int, action: int, _mods: int) -> None:
-        if action != glfw.PRESS:
-            return
-        state = self._state
-        if key in (glfw.KEY_ESCAPE, glfw.KEY_Q):
-            self._state = replace(state, wants_close=True)
-        elif key == glfw.KEY_S:
-            self._state = replace(state, show_statistics=not state.show_statistics)
-        elif key == glfw.KEY_H:
-            self._state = replace(state, show_help=not state.show_help)
-        elif key == glfw.KEY_R:
-            self._state = replace(state, view=ViewState())
-        elif key == glfw.KEY_F11:
-            self._toggle_fullscreen()
-
-    def _toggle_fullscreen(self) -> None:
+    def toggle_full_screen(self) -> None:
+        """Fill the first monitor, or go back to where the window was."""
         if self._windowed is not None:
             left, top, width, height = self._windowed
             no_monitor: Any = None
@@ -160,20 +176,54 @@ class Window:
             self._window, monitor, 0, 0, mode.size.width, mode.size.height, mode.refresh_rate
         )
 
-    def _on_scroll(self, _window: Any, _right: float, up: float) -> None:
-        self._state = replace(self._state, view=self._state.view.zoomed(up))
+    def _note_error(self, code: int, message: bytes | str) -> None:
+        text = message.decode(errors="replace") if isinstance(message, bytes) else message
+        self._complaint = f"glfw {code:#x}: {text}"
 
-    def _on_button(self, window: Any, button: int, action: int, _mods: int) -> None:
+    def _reason(self) -> str:
+        return self._complaint or "glfw gives no reason"
+
+    def _note(self, event: InputEvent) -> None:
+        if len(self._events) < MAX_EVENTS:
+            self._events.append(event)
+
+    def _on_key(self, _window: Any, key: int, _code: int, action: int, modifiers: int) -> None:
+        name = KEY_NAMES.get(key)
+        if name is None or action == glfw.RELEASE:
+            return
+        self._note(
+            KeyPressed(
+                name,
+                is_repeat=action == glfw.REPEAT,
+                has_control=bool(modifiers & (glfw.MOD_CONTROL | glfw.MOD_SUPER)),
+                has_shift=bool(modifiers & glfw.MOD_SHIFT),
+            )
+        )
+
+    def _on_character(self, _window: Any, code_point: int) -> None:
+        self._note(TextTyped(chr(code_point)))
+
+    def _on_scroll(self, _window: Any, _right: float, up: float) -> None:
+        self._note(Scrolled(up))
+
+    def _on_button(self, window: Any, button: int, action: int, _modifiers: int) -> None:
         if button == glfw.MOUSE_BUTTON_LEFT:
-            pressed = action == glfw.PRESS
-            self._drag_from = glfw.get_cursor_pos(window) if pressed else None
+            place = self._in_pixels(*glfw.get_cursor_pos(window))
+            is_pressed = action == glfw.PRESS
+            self._note(MousePressed(*place) if is_pressed else MouseReleased(*place))
 
     def _on_move(self, _window: Any, x: float, y: float) -> None:
-        if self._drag_from is None:
-            return
-        right, down = x - self._drag_from[0], y - self._drag_from[1]
-        self._drag_from = (x, y)
-        self._state = replace(self._state, view=self._state.view.orbited(right, down))
+        event = MouseMoved(*self._in_pixels(x, y))
+        if self._events and isinstance(self._events[-1], MouseMoved):
+            self._events[-1] = event  # fast mice move often; only the last place counts
+        else:
+            self._note(event)
+
+    def _in_pixels(self, x: float, y: float) -> tuple[float, float]:
+        """From the screen's units, in which pointers are, to pixels of the picture."""
+        width, height = glfw.get_window_size(self._window)
+        columns, rows = self.size_px
+        return x * columns / max(width, 1), y * rows / max(height, 1)
 
 
 def _display_advice() -> str:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import ImageFont
 
+from pica_client.call_status import CallStatus
 from pica_client.faces import FaceState, FaceStatus
-from pica_client.hud import MAX_NAME_LENGTH, help_item, name_items, statistics_item
-from pica_client.scene import Placement, ViewState, head_matrix, view_camera
+from pica_client.hud import MAX_NAME_LENGTH, banner_items, help_item, name_items, own_items
+from pica_client.scene import Placement, ViewState, head_matrix, overlap, view_camera
 from pica_client.typesetting import (
+    FALLBACK_FONTS,
     MAX_LINES,
     Lines,
     OverlayItem,
@@ -104,6 +109,21 @@ def test_an_item_at_the_edge_is_moved_onto_the_picture() -> None:
     assert top < bottom
 
 
+def test_letters_with_accents_are_not_drawn_as_boxes() -> None:
+    if not _has_fallback():
+        pytest.skip("no font of the list is on this machine")
+    drawn = {set_text((("Zo" + letter,),), "label", 24).tobytes() for letter in "ëéñł"}
+    assert len(drawn) == 4  # the box of a missing letter is the same for all
+
+
+def _has_fallback() -> bool:
+    for name in FALLBACK_FONTS:
+        with suppress(OSError):
+            ImageFont.truetype(name, 20)
+            return True
+    return False
+
+
 def test_a_dot_is_coloured() -> None:
     item = OverlayItem(key="t", lines=(("Ada",),), x_px=0, y_px=0, dot="alert", size_px=30)
     image = set_item(item).astype(int)
@@ -149,12 +169,71 @@ def test_a_head_behind_the_camera_has_no_name_on_the_screen() -> None:
     assert name_items([face()], [behind], CAMERA, {}) == []
 
 
-def test_statistics_stand_on_the_left_and_keys_on_the_right() -> None:
-    left, right = statistics_item((("peers", "5"),), (960, 540)), help_item((960, 540))
-    assert left.x_px < 100
-    assert right.x_px > 900
-    assert right.is_right_aligned
-    assert "statistics" in words(right.lines)
+def test_the_keys_stand_on_the_right() -> None:
+    item = help_item((960, 540))
+    assert item.x_px > 900
+    assert item.is_right_aligned
+    assert "statistics" in words(item.lines)
+
+
+def test_keys_for_ones_own_face_are_shown_to_those_who_send_one() -> None:
+    assert "mute own face" not in words(help_item((960, 540)).lines)
+    assert "mute own face" in words(help_item((960, 540), "sent").lines)
+
+
+def test_only_a_poor_connection_is_worth_a_word() -> None:
+    (fair,) = name_items([face()], [SEATED], CAMERA, {}, quality={"p": "fair"})
+    (poor,) = name_items([face()], [SEATED], CAMERA, {}, quality={"p": "poor"})
+    assert (len(fair.lines), fair.dot) == (1, None)
+    assert poor.lines[1:] == (("", "poor connection"),)
+    assert poor.dot == "alert"
+
+
+def test_who_speaks_has_a_green_dot() -> None:
+    (item,) = name_items([face()], [SEATED], CAMERA, {}, speaking={"p"})
+    assert item.dot == "good"
+
+
+def test_a_lost_connection_is_announced_once_it_lasts() -> None:
+    size = (960, 540)
+    assert banner_items(CallStatus(is_connected=False, away_s=0.4), "none", "", size) == []
+    (item,) = banner_items(CallStatus(is_connected=False, away_s=7.0), "none", "saved", size)
+    assert "Connection lost" in words(item.lines)
+    assert "7 s" in words(item.lines)
+
+
+def test_a_notice_and_a_poor_connection_of_ones_own_are_banners() -> None:
+    size = (960, 540)
+    (notice,) = banner_items(CallStatus(), "none", "Saved picture-0001.png", size)
+    (poor,) = banner_items(CallStatus(own_quality="poor"), "none", "", size)
+    assert words(notice.lines) == "Saved picture-0001.png"
+    assert "poor" in words(poor.lines)
+    assert banner_items(CallStatus(own_quality="good"), "none", "", size) == []
+
+
+def test_a_banner_keeps_out_of_the_way_of_a_panel_at_the_upper_edge() -> None:
+    size = (1280, 720)
+    for panel in ((16.0, 16.0, 756.0, 180.0), (524.0, 16.0, 1264.0, 180.0)):
+        (item,) = banner_items(CallStatus(own_quality="poor"), "none", "", size, taken=panel)
+        assert not overlap(item_rect_px(item, size), panel)
+    below = (16.0, 500.0, 756.0, 700.0)
+    (item,) = banner_items(CallStatus(own_quality="poor"), "none", "", size, taken=below)
+    assert item.x_px == 640
+
+
+def test_without_a_connection_ones_own_face_is_not_sent() -> None:
+    (item,) = own_items("sent", False, (960, 540), is_connected=False)
+    assert "not sent" in words(item.lines)
+
+
+def test_what_becomes_of_ones_own_face_stands_in_the_corner() -> None:
+    size = (960, 540)
+    assert own_items("none", False, size) == []
+    texts = [words(own_items(state, False, size)[0].lines) for state in ("sent", "frozen", "muted")]
+    assert len(set(texts)) == 3
+    own, recording = own_items("muted", True, size)
+    assert own.dot == recording.dot == "alert"
+    assert item_rect_px(own, size)[2] < item_rect_px(recording, size)[0]
 
 
 def test_type_grows_with_the_picture() -> None:

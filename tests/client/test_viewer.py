@@ -5,15 +5,20 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from PIL import Image
 
+from pica_client.call_status import CallStatus
+from pica_client.controls import KeyPressed, MousePressed, MouseReleased, OwnFace
 from pica_client.decode_pool import DecodeResult
 from pica_client.errors import OptionError
-from pica_client.faces import FaceState
+from pica_client.faces import FaceState, FaceStatus
 from pica_client.thumbnail import draw_thumbnail
 from pica_client.viewer import Viewer, ViewerOptions
 from pica_client.window import Window
@@ -39,6 +44,7 @@ class Faces:
         self.avatars: dict[str, Avatar | None] = {"toy": TOY, "late": None}
         self.avatar_of = dict.fromkeys(peers, "toy")
         self.without_latent: set[str] = set()
+        self.status: FaceStatus = "live"
 
     def faces(self, now: float) -> list[FaceState]:
         return [
@@ -48,7 +54,7 @@ class Faces:
                 avatar_id=self.avatar_of[peer],
                 latent=None if peer in self.without_latent else self.latent,
                 captured_us=self.captured_us,
-                status="waiting" if peer in self.without_latent else "live",
+                status="waiting" if peer in self.without_latent else self.status,
             )
             for peer in self.present
         ]
@@ -64,6 +70,14 @@ def step_until_decoded(viewer: Viewer, now: float = 1.0) -> None:
     viewer.step(now)
     assert viewer.wait_decoded(PATIENCE_S)
     viewer.step(now + 0.033)
+
+
+def read(viewer: Viewer) -> npt.NDArray[np.uint8]:
+    """The last picture, uint8 ``[H, W, 3]``."""
+    with TemporaryDirectory() as folder:
+        viewer.save_image(Path(folder) / "frame.png")
+        with Image.open(Path(folder) / "frame.png") as image:
+            return np.asarray(image)
 
 
 @pytest.fixture
@@ -176,17 +190,112 @@ def test_whoever_asks_is_told_of_each_decode() -> None:
     assert told[0].captured_us == 1
 
 
-def test_statistics_of_the_call_are_asked_for_when_shown() -> None:
-    asked: list[int] = []
+def test_how_the_call_stands_is_asked_for_twice_a_second_and_not_per_frame() -> None:
+    asked: list[float] = []
 
-    def lines() -> list[tuple[str, str]]:
-        asked.append(1)
-        return [("bitrate", "65 kbit/s")]
+    def status(now: float) -> CallStatus:
+        asked.append(now)
+        return CallStatus(summary=(("in", "65 kbit/s"),))
 
-    with Viewer(Faces("ada"), replace(SMALL, show_statistics=True), statistics=lines) as viewer:
+    with Viewer(Faces("ada"), replace(SMALL, show_statistics=True), status=status) as viewer:
         for step in range(10):
             viewer.step(1.0 + 0.1 * step)
-    assert len(asked) == 2  # twice a second, not per frame
+    assert asked == [1.0, 1.5]
+
+
+def test_a_key_changes_how_people_sit_and_the_picture_with_it(two: tuple[Faces, Viewer]) -> None:
+    _, viewer = two
+    step_until_decoded(viewer)
+    before = read(viewer)
+    viewer.receive(KeyPressed("L"))
+    step_until_decoded(viewer, 2.0)
+    assert viewer.controls.state.layout != "arc"
+    assert np.abs(read(viewer).astype(int) - before).max() > 30
+
+
+def test_a_click_on_a_head_brings_it_forward(two: tuple[Faces, Viewer]) -> None:
+    _, viewer = two
+    step_until_decoded(viewer)
+    viewer.receive(MousePressed(115, 45))
+    viewer.receive(MouseReleased(115, 45))
+    assert viewer.controls.state.pinned == "grace"
+    step_until_decoded(viewer, 2.0)
+
+
+def test_the_statistics_and_the_help_are_drawn_over_the_picture() -> None:
+    with Viewer(Faces("ada"), replace(SMALL, size=(640, 360)), clock=lambda: 5.0) as viewer:
+        step_until_decoded(viewer)
+        plain = read(viewer)
+        viewer.receive(KeyPressed("H"))
+        viewer.step(3.0)
+        helped = read(viewer)
+        viewer.receive(KeyPressed("S"))
+        viewer.step(4.0)
+        viewer.step(4.1)
+        both = read(viewer)
+    assert (plain != helped).any(axis=2)[:, 400:].mean() > 0.1
+    assert (helped != both).any(axis=2)[:, :400].mean() > 0.05
+
+
+def test_pictures_and_recordings_are_made_by_key(tmp_path: Path) -> None:
+    pytest.importorskip("av")
+    options = replace(SMALL, keep_in=tmp_path / "kept")
+    with Viewer(Faces("ada"), options, clock=lambda: 5.0) as viewer:
+        for now, keys in ((1.0, "P"), (1.1, "V"), (1.2, ""), (1.3, "V"), (1.4, "P")):
+            for key in keys:
+                viewer.receive(KeyPressed(key))
+            viewer.step(now)
+    names = sorted(path.name for path in (tmp_path / "kept").iterdir())
+    assert names == ["picture-0001.png", "picture-0002.png", "recording-0001.mp4"]
+
+
+def test_a_folder_that_cannot_be_written_is_said_and_ends_nothing(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    options = replace(SMALL, size=(320, 180), keep_in=tmp_path / "file")
+    with Viewer(Faces("ada"), options, clock=lambda: 5.0) as viewer:
+        viewer.step(1.0)
+        before = read(viewer)
+        viewer.receive(KeyPressed("P"))
+        assert viewer.step(1.1)
+        assert viewer.step(1.2)
+        assert (read(viewer) != before)[:40].any()
+
+
+def test_a_face_that_goes_stale_fades_and_does_not_blink(two: tuple[Faces, Viewer]) -> None:
+    source, viewer = two
+    step_until_decoded(viewer)
+    bright = [read(viewer)]
+    source.status = "stale"
+    for step in range(12):
+        viewer.step(2.0 + 0.05 * step)
+        bright.append(read(viewer))
+    steps = [
+        np.abs(after[20:70].astype(int) - before[20:70]).max()
+        for before, after in pairwise(bright[2:])
+    ]
+    whole = np.abs(bright[-1][20:70].astype(int) - bright[0][20:70]).max()
+    assert whole > 40
+    assert max(steps) < 0.5 * whole
+
+
+def test_muting_ones_own_face_is_told_and_shown() -> None:
+    told: list[OwnFace] = []
+    options = replace(SMALL, sends_face=True, size=(640, 360))
+    with Viewer(Faces(), options, on_own_face=told.append, clock=lambda: 5.0) as viewer:
+        viewer.step(1.0)
+        before = read(viewer)
+        viewer.receive(KeyPressed("M"))
+        viewer.step(1.1)
+        assert (read(viewer) != before)[300:, :320].any()
+        viewer.receive(KeyPressed("M"))
+    assert told == ["muted", "sent"]
+
+
+def test_leaving_by_key_ends_the_loop(two: tuple[Faces, Viewer]) -> None:
+    _, viewer = two
+    assert viewer.step(1.0)
+    viewer.receive(KeyPressed("Q"))
+    assert not viewer.step(1.1)
 
 
 def test_a_call_is_recorded_and_a_frame_saved(tmp_path: Path) -> None:
