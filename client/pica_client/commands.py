@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,6 +20,7 @@ from pica_client.errors import OptionError
 from pica_client.link import LinkConfig
 from pica_client.output import check_writable, say, writing
 from pica_client.playout_config import PlayoutConfig, playout_with_floor
+from pica_client.seats import Layout
 from pica_client.sender import Sender, SenderConfig
 from pica_client.signals import on_stop_signal, terminate_as_interrupt
 from pica_client.sources import open_source
@@ -138,14 +139,22 @@ def send(options: SendOptions) -> dict[str, Any]:
 class ViewOptions:
     """Options of ``pica view``."""
 
-    url: str = "ws://127.0.0.1:8765"
-    """Address of the relay, ws:// or wss://."""
-    room: str = "lobby"
-    """Room to look into."""
-    name: str = "viewer"
+    url: str | None = None
+    """Address of the relay, ws:// or wss://. Without one, and with a display, a form asks; off the
+    screen it is ws://127.0.0.1:8765."""
+    room: str | None = None
+    """Room to look into; lobby by default."""
+    name: str | None = None
     """Our own name."""
-    size: str = "960x540"
-    """Columns x rows of the window or picture."""
+    send: str | None = None
+    """Send one's own face as well: a source as in pica send, such as performance:talk. M mutes it,
+    F freezes it."""
+    own_avatar: str | None = None
+    """Avatar of one's own face: a shipped one by its name, or a .pica file."""
+    layout: Layout | None = None
+    """How people sit: line, arc, table or grid; L goes through them. By default as it was left."""
+    size: str | None = None
+    """Columns x rows of the window or picture; by default as the window was left, or 960x540."""
     headless: bool = False
     """Draw without a window."""
     record: Path | None = None
@@ -166,7 +175,11 @@ class ViewOptions:
     expect: int = 0
     """Begin to draw once so many peers are seen."""
     statistics: bool = False
-    """Show the statistics panel from the start; S toggles it, H shows all keys."""
+    """Show the statistics from the start; S toggles them, H shows all keys."""
+    keep_in: Path | None = None
+    """Folder for the pictures and recordings made by key, instead of the one used last."""
+    preferences: bool = True
+    """Begin as the last call in a window ended, and remember how this one ends."""
     max_fps: float = 30.0
     """Draw at most so many images a second."""
     playout_floor_ms: float = field(default=PlayoutConfig().floor_s * 1e3)
@@ -191,26 +204,40 @@ def view(options: ViewOptions) -> dict[str, Any]:
     Comes back by itself when the relay goes away and returns.
     """
     from pica_client.call import CallConfig
-    from pica_client.view import View, ViewConfig
+    from pica_client.join_form import JoinForm
+    from pica_client.preferences import Preferences, PreferencesFile
+    from pica_client.view import ViewConfig
+    from pica_client.view_session import (
+        Destination,
+        ask_and_look,
+        keep_folder,
+        look,
+        make_publisher,
+    )
     from pica_client.viewer import ViewerOptions
 
+    kept = PreferencesFile() if options.preferences and not options.headless else None
+    preferences = Preferences() if kept is None else kept.load()
+    going = Destination(url=options.url, room=options.room, name=options.name)
+    base = LinkConfig(
+        connect_timeout_s=None if options.wait else CONNECT_TIMEOUT_S,
+        secret_file=options.secret_file,
+        token_file=options.token_file,
+    )
+    asks = not options.headless and options.url is None and has_display()
+    # Until the form is filled the address is not known to be wss://.
+    link = base if asks else replace(going.link(base), ca_file=options.ca_file)
     config = ViewConfig(
-        link=LinkConfig(
-            url=options.url,
-            room=options.room,
-            name=options.name,
-            connect_timeout_s=None if options.wait else CONNECT_TIMEOUT_S,
-            secret_file=options.secret_file,
-            token_file=options.token_file,
-            ca_file=options.ca_file,
-        ),
+        link=link,
         call=CallConfig(playout=playout_with_floor(options.playout_floor_ms)),
         viewer=ViewerOptions(
-            size=_size(options.size),
+            size=preferences.window_size if options.size is None else _size(options.size),
             headless=options.headless,
             record=options.record,
+            keep_in=keep_folder(options.keep_in, preferences),
             max_fps=options.max_fps,
-            show_statistics=options.statistics,
+            layout=options.layout or preferences.layout,
+            show_statistics=options.statistics or preferences.show_statistics,
         ),
         seconds=options.seconds,
         expect=options.expect,
@@ -225,10 +252,14 @@ def view(options: ViewOptions) -> dict[str, Any]:
         for name in (options.avatar or "").split(","):
             if name:
                 library.load(library.find(name))
-        looking = View(config, library)
-        say(f"looking into room {options.room} at {options.url}")
-        with on_stop_signal(looking.stop):
-            result = looking.run()
+        publisher = None
+        if options.send is not None:
+            publisher = make_publisher(options.send, options.own_avatar, library)
+        if asks:
+            form = JoinForm(going.fields(preferences), base=base, ca_file=options.ca_file)
+            result = ask_and_look(config, library, publisher, on_stop_signal, kept=kept, form=form)
+        else:
+            result = look(config, library, publisher, on_stop_signal, kept=kept)
     finally:
         library.close()
     say(f"drew {result['frames_rendered']} images at {result['render_fps']} a second")

@@ -87,7 +87,9 @@ def _view_arguments(config: DemoConfig, stage: Stage, log: Path) -> list[str]:
     if config.stage.avatar is not None:
         arguments += ["--avatar", config.stage.avatar]
     arguments += stage.secret_arguments
-    return [*arguments, "--headless" if config.is_headless else "--statistics"]
+    if config.is_headless:
+        return [*arguments, "--headless"]
+    return [*arguments, "--statistics", "--no-preferences"]
 
 
 def _watch(config: DemoConfig, stage: Stage, viewer: Child) -> None:

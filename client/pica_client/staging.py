@@ -65,7 +65,8 @@ class Stage:
     """The processes of a call. Start it inside a `Children` block, which ends them.
 
     Attributes:
-        url: Where the relay listens.
+        relay: Its process.
+        url: Where it listens.
         senders: Their processes, by name.
         secret_arguments: What senders and viewers are told of the secret, if there is one.
         names: The senders, in order.
@@ -89,7 +90,7 @@ class Stage:
         ]
         self._children = children
         self.secret_arguments = _make_secret(children) if config.is_encrypted else []
-        _, self.url = children.start_relay()
+        self.relay, self.url = children.start_relay()
         self.senders: dict[str, Child] = {}
         for index, (name, source) in enumerate(zip(self.names, sources, strict=True)):
             self.senders[name] = children.start(
