@@ -182,6 +182,8 @@ class ViewOptions:
     """Begin as the last call in a window ended, and remember how this one ends."""
     max_fps: float = 30.0
     """Draw at most so many images a second."""
+    stereo: bool = False
+    """Draw for two eyes, side by side."""
     playout_floor_ms: float = field(default=PlayoutConfig().floor_s * 1e3)
     """Least playout delay, milliseconds; 33 makes 30 frames a second smooth on a fast display."""
     frame_log: Path | None = None
@@ -206,6 +208,7 @@ def view(options: ViewOptions) -> dict[str, Any]:
     from pica_client.call import CallConfig
     from pica_client.join_form import JoinForm
     from pica_client.preferences import Preferences, PreferencesFile
+    from pica_client.stereo import EYE_DISTANCE_M
     from pica_client.view import ViewConfig
     from pica_client.view_session import (
         Destination,
@@ -237,6 +240,7 @@ def view(options: ViewOptions) -> dict[str, Any]:
             keep_in=keep_folder(options.keep_in, preferences),
             max_fps=options.max_fps,
             layout=options.layout or preferences.layout,
+            eye_distance_m=EYE_DISTANCE_M if options.stereo else 0.0,
             show_statistics=options.statistics or preferences.show_statistics,
         ),
         seconds=options.seconds,

@@ -3,7 +3,7 @@
 Between a source of faces, a pool of decoders and a renderer; knows no window and no loop:
 
     stage = FaceStage(source, renderer, pool)
-    scene = stage.arrange(now, SeatWish(...))   # who is here, on which seat, seen from where
+    scene = stage.arrange(now, SeatWish(...), renderer.size)    # who sits where, seen from where
     stage.decide(scene)                         # what is decoded this frame
     stage.collect()                             # what has been decoded goes to the GPU
     renderer.draw(scene.placements, scene.camera)
@@ -150,11 +150,12 @@ class FaceStage:
         self._seen: set[str] = set()
         self._faded_s: float | None = None
 
-    def arrange(self, now: float, wish: SeatWish) -> StageScene:
-        """Who is here, where each sits, and from where they are seen; avatars are made ready."""
+    def arrange(self, now: float, wish: SeatWish, size: tuple[int, int]) -> StageScene:
+        """Who is here, where each sits, and from where they are seen, on a picture of this size;
+        avatars are made ready."""
         faces = self._source.faces(now)
         self._forget_absent(faces)
-        width, height = self._renderer.size
+        width, height = size
         peers = [face.peer_id for face in faces]
         plan = plan_seats(
             wish.layout,

@@ -73,14 +73,7 @@ class HudFrame:
         if is_due:
             self._asked_s = now
             self._status = self._ask_status(now)
-        items = name_items(
-            scene.faces,
-            scene.placements,
-            scene.camera,
-            stage.problems,
-            speaking=stage.speaking(now),
-            quality={peer_id: peer.quality for peer_id, peer in self._status.peers.items()},
-        )
+        items = self.names(now, scene, stage)
         if not state.show_statistics:
             self._statistics, self.free = [], FreeShares()
         else:
@@ -98,6 +91,17 @@ class HudFrame:
         if state.show_help:
             items.append(help_item(size, state.own_face))
         return items
+
+    def names(self, now: float, scene: StageScene, stage: FaceStage) -> list[OverlayItem]:
+        """The names of a scene, as its camera sees them; all else is the same for two eyes."""
+        return name_items(
+            scene.faces,
+            scene.placements,
+            scene.camera,
+            stage.problems,
+            speaking=stage.speaking(now),
+            quality={peer_id: peer.quality for peer_id, peer in self._status.peers.items()},
+        )
 
     def _set_statistics(
         self, now: float, scene: StageScene, stage: FaceStage, size: tuple[int, int]

@@ -13,9 +13,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
+
+import numpy as np
 
 from pica_client.call_status import CallStatus
 from pica_client.controls import Controls, ControlState, InputEvent, Order, OwnFace
@@ -30,6 +32,8 @@ from pica_client.recorder import Recorder, save_png
 from pica_client.renderer import DrawStats, Renderer, RenderOptions
 from pica_client.scene import pick_head
 from pica_client.seats import Layout
+from pica_client.stereo import MAX_EYE_DISTANCE_M, side_by_side, stereo_cameras
+from pica_client.typesetting import OverlayItem
 from pica_client.window import Window
 from pica_core.avatar_file import Avatar
 from pica_core.gl import create_context
@@ -59,6 +63,8 @@ class ViewerOptions:
     """How people sit at first; see `seats`."""
     show_statistics: bool = False
     """Show the statistics from the start."""
+    eye_distance_m: float = 0.0
+    """Above 0 the picture is side by side for two eyes so far apart, metres."""
     sends_face: bool = False
     """Whether the user's own face is sent: then there are keys to mute and to freeze it."""
     title: str = "PiCA Telepresence"
@@ -69,6 +75,10 @@ class ViewerOptions:
     def __post_init__(self) -> None:
         if not 1 <= self.max_fps <= 1000:
             raise OptionError(f"max_fps is {self.max_fps:g}; allowed are 1 to 1000")
+        if not 0 <= self.eye_distance_m <= MAX_EYE_DISTANCE_M:
+            raise OptionError(
+                f"eye_distance_m is {self.eye_distance_m:g}; 0 to {MAX_EYE_DISTANCE_M:g} is allowed"
+            )
 
 
 class Viewer:
@@ -221,11 +231,11 @@ class Viewer:
             scene,
             self._stage,
             self.controls.state,
-            self._renderer.size,
+            self._eye_size,
             is_recording=self._keepsakes.is_recording,
         )
         begin_s = self._clock()
-        self.last_draw = self._renderer.draw(scene.placements, scene.camera, items)
+        self.last_draw = self._draw(now, scene, items)
         image = None
         if self._window is None:
             image = self._renderer.read_image()  # waits for the GPU: the draw time is a true one
@@ -289,11 +299,31 @@ class Viewer:
         wish = SeatWish(
             layout=state.layout, view=state.view, pinned=state.pinned, free=self._hud.free
         )
-        return self._stage.arrange(now, wish)
+        return self._stage.arrange(now, wish, self._eye_size)
+
+    @property
+    def _eye_size(self) -> tuple[int, int]:
+        """Columns and rows of the picture, or of each eye's."""
+        width, height = self._renderer.size
+        return (max(width // 2, 1), height) if self.options.eye_distance_m > 0 else (width, height)
+
+    def _draw(self, now: float, scene: StageScene, items: list[OverlayItem]) -> DrawStats:
+        """Draw a scene for one eye, or for two."""
+        if not self.options.eye_distance_m > 0:
+            return self._renderer.draw(scene.placements, scene.camera, items)
+        away_m = float(np.linalg.norm(scene.plan.target_m - scene.camera.centre_m))
+        eyes = stereo_cameras(scene.camera, self.options.eye_distance_m, away_m)
+        left, right = (
+            self._hud.names(now, replace(scene, camera=eye), self._stage) for eye in eyes
+        )
+        both = [item for item in items if not item.key.startswith("name:")]
+        texts = side_by_side([*left, *both], [*right, *both], self._eye_size)
+        return self._renderer.draw_stereo(scene.placements, eyes, texts)
 
     def _pick(self, x_px: float, y_px: float) -> str | None:
         if self._scene is None:
             return None
+        x_px %= self._eye_size[0]  # both halves show the same people
         return pick_head(self._scene.placements, self._scene.camera, x_px, y_px)
 
     def _obey(self, order: Order, now: float) -> None:

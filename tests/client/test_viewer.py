@@ -291,6 +291,23 @@ def test_muting_ones_own_face_is_told_and_shown() -> None:
     assert told == ["muted", "sent"]
 
 
+def test_two_eyes_see_the_same_people_from_two_places_with_one_decode() -> None:
+    options = replace(SMALL, size=(320, 120), eye_distance_m=0.1)
+    source = Faces("ada")
+    with Viewer(source, options, clock=lambda: 5.0) as viewer:
+        step_until_decoded(viewer)
+        left, right = np.split(read(viewer).astype(int), 2, axis=1)
+        assert viewer.report()["decodes"] == {"ada": 1}
+        viewer.receive(MousePressed(240, 50))
+        viewer.receive(MouseReleased(240, 50))
+        assert viewer.controls.state.pinned == "ada"
+    for eye in (left, right):
+        assert (
+            np.abs(eye[40:70, 70:90].mean(axis=(0, 1)) - eye[:5, :5].mean(axis=(0, 1))).max() > 30
+        )
+    assert np.abs(left - right).max() > 30
+
+
 def test_leaving_by_key_ends_the_loop(two: tuple[Faces, Viewer]) -> None:
     _, viewer = two
     assert viewer.step(1.0)
