@@ -36,6 +36,12 @@ def avatar(tmp_path: Path) -> str:
         (["send", "--source", "csv:none.csv"], "none.csv: cannot be read"),
         (["send", "--avatar", "nobody"], "avatar 'nobody' is unknown"),
         (["send", "--avatar", "none.pica"], "none.pica: cannot be read"),
+        (["view", "--url", "http://x"], "url 'http://x' is no relay address"),
+        (["view", "--url", "ws://x", "--send", "camera"], "source 'camera' is unknown"),
+        (
+            ["view", "--url", "ws://x", "--send", "performance:talk", "--own-avatar", "nobody"],
+            "avatar 'nobody' is unknown",
+        ),
         (["view", "--size", "big"], "size is 'big'; write COLUMNSxROWS"),
         (["view", "--size", "9x9"], "size is 9x9; 16 to 8192"),
         (["view", "--avatar-folder", "nowhere"], "avatar folder nowhere is not there"),

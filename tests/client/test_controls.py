@@ -22,6 +22,7 @@ from pica_client.controls import (
     help_lines,
 )
 from pica_client.seats import LAYOUTS, ViewState
+from pica_client.window import KEY_NAMES
 
 pytestmark = pytest.mark.unit
 
@@ -44,6 +45,15 @@ def test_every_key_has_one_meaning() -> None:
     keys = [key for binding in BINDINGS for key in binding.keys]
     assert len(keys) == len(set(keys))
     assert not {str(number) for number in range(1, 10)} & set(keys)  # these pin
+
+
+def test_the_window_knows_every_key_that_means_something() -> None:
+    known = set(KEY_NAMES.values())
+    for binding in BINDINGS:
+        # A key may have two names; one of them is on every keyboard.
+        assert set(binding.keys) & known, binding.keys
+    assert {"Enter", "Tab", "Backspace", "Escape", "Up", "Down", "U", "V"} <= known
+    assert {str(number) for number in range(10)} <= known
 
 
 def test_every_binding_does_something() -> None:

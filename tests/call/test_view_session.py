@@ -1,0 +1,173 @@
+"""`pica view` around one stay in a room: the form in a window, what the relay says, preferences.
+
+The window is one without a screen: a GL context and the events that the test has the user do.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import pytest
+
+from pica_client.avatars import AvatarLibrary
+from pica_client.controls import InputEvent, KeyPressed, TextTyped
+from pica_client.join_dialog import ask_where
+from pica_client.join_form import Fields, JoinForm
+from pica_client.link import LinkConfig
+from pica_client.preferences import Preferences, PreferencesFile
+from pica_client.processes import Children
+from pica_client.view import ViewConfig
+from pica_client.view_session import Destination, ask_and_look, look
+from pica_client.viewer import ViewerOptions
+from pica_core.gl import create_context
+
+pytestmark = pytest.mark.call
+
+NOBODY = "ws://127.0.0.1:9"
+SIZE = (640, 360)
+
+
+class ScreenlessWindow:
+    """Stands in for `window.Window`: the user does one thing a frame."""
+
+    happened: list[InputEvent]
+
+    def __init__(self, title: str, size: tuple[int, int]) -> None:
+        self.context = create_context()
+        self.size_px = self.windowed_size = size
+        self.shown: list[np.ndarray] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.context.release()
+
+    def poll(self) -> list[InputEvent]:
+        return [self.happened.pop(0)] if self.happened else []
+
+    def show(self, renderer: Any) -> None:
+        self.shown.append(renderer.read_image())
+
+    def clipboard(self) -> str:
+        return "pasted"
+
+
+@pytest.fixture
+def window_of(monkeypatch: pytest.MonkeyPatch) -> Callable[[list[InputEvent]], None]:
+    def prepare(happened: list[InputEvent]) -> None:
+        monkeypatch.setattr(ScreenlessWindow, "happened", list(happened), raising=False)
+        monkeypatch.setattr("pica_client.window.Window", ScreenlessWindow)
+
+    return prepare
+
+
+@contextlib.contextmanager
+def without_signals(stop: Callable[[], object]) -> Iterator[None]:
+    yield
+
+
+@pytest.fixture
+def library() -> Iterator[AvatarLibrary]:
+    found = AvatarLibrary(shipped=[])
+    yield found
+    found.close()
+
+
+@pytest.fixture(scope="module")
+def relay_url() -> Iterator[str]:
+    with Children() as children:
+        _, url = children.start_relay()
+        yield url
+
+
+def config(url: str, *, headless: bool = False) -> ViewConfig:
+    return ViewConfig(
+        link=LinkConfig(url=url, connect_timeout_s=1.0),
+        viewer=ViewerOptions(size=SIZE, headless=headless, layout="grid", keep_in=Path("kept")),
+        seconds=0.4,
+    )
+
+
+def test_the_form_is_drawn_typed_into_and_pasted_into() -> None:
+    window = ScreenlessWindow("t", SIZE)
+    window.happened = [
+        TextTyped("A"),
+        KeyPressed("Tab"),
+        KeyPressed("V", has_control=True),
+        KeyPressed("Enter"),
+    ]
+    with window:
+        link = ask_where(window, JoinForm(Fields(url=NOBODY, room="r")))  # type: ignore[arg-type]
+    assert link is not None
+    assert (link.name, link.token) == ("A", "pasted")
+    assert (window.shown[0] != window.shown[2]).any()
+
+
+def test_one_can_leave_at_the_form(
+    window_of: Callable[[list[InputEvent]], None], library: AvatarLibrary
+) -> None:
+    window_of([KeyPressed("Escape")])
+    result = ask_and_look(
+        config(NOBODY), library, None, without_signals, form=JoinForm(Fields(url=NOBODY))
+    )
+    assert result["frames_rendered"] == 0
+
+
+def test_a_relay_that_is_not_there_is_said_in_the_form(
+    window_of: Callable[[list[InputEvent]], None], library: AvatarLibrary
+) -> None:
+    window_of([KeyPressed("Enter")])
+    base = LinkConfig(connect_timeout_s=0.3)
+    form = JoinForm(Fields(url=NOBODY, room="lobby", name="Ada"), base=base)
+    refusals: list[str] = []
+
+    def refuse(reason: str) -> None:
+        refusals.append(reason)
+        form.outcome = "leave"
+
+    form.refuse = refuse  # type: ignore[method-assign]
+    ask_and_look(config(NOBODY), library, None, without_signals, form=form)
+    assert len(refusals) == 1
+    assert f"no relay answers at {NOBODY}" in refusals[0]
+
+
+def test_who_joins_by_the_form_is_in_the_call_and_found_again_next_time(
+    window_of: Callable[[list[InputEvent]], None],
+    library: AvatarLibrary,
+    relay_url: str,
+    tmp_path: Path,
+) -> None:
+    window_of([KeyPressed("Enter")])
+    kept = PreferencesFile(tmp_path)
+    form = JoinForm(Fields(url=relay_url, room="standup", name="Ada", token="a-secret"))
+    result = ask_and_look(config(NOBODY), library, None, without_signals, form=form, kept=kept)
+    assert result["frames_rendered"] > 0
+    found = kept.load()
+    assert (found.url, found.room, found.name, found.layout) == (
+        relay_url,
+        "standup",
+        "Ada",
+        "grid",
+    )
+    assert "a-secret" not in kept.path.read_text()
+    assert Destination().fields(found) == Fields(url=relay_url, room="standup", name="Ada")
+
+
+def test_an_address_on_the_command_line_needs_no_form(
+    library: AvatarLibrary, relay_url: str, tmp_path: Path
+) -> None:
+    kept = PreferencesFile(tmp_path)
+    result = look(config(relay_url, headless=True), library, None, without_signals, kept=kept)
+    assert result["frames_rendered"] > 0
+    assert kept.load().url == relay_url
+
+
+def test_what_the_command_line_says_comes_before_what_was_kept() -> None:
+    kept = Preferences(url="ws://old", room="old", name="Old")
+    assert Destination(room="new").fields(kept) == Fields(url="ws://old", room="new", name="Old")
+    assert Destination(room="new").link(LinkConfig()).room == "new"
