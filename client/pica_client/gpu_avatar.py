@@ -18,7 +18,7 @@ from pica_client.gpu_program import (
     build_program,
     set_values,
 )
-from pica_client.shader_source import AXIS_ROW, compose
+from pica_client.shader_source import AXIS_ROW, axis_levels, compose
 from pica_client.shader_weights import pack_weights, siren_source
 from pica_core.avatar_file import Avatar
 from pica_core.mesh import order_faces
@@ -192,28 +192,37 @@ def _encoding_texture(
     return texture
 
 
-def axis_sums(table: npt.NDArray[Any]) -> FloatArray:
-    """What `axis_table.glsl` reads: the sum of the entries before each one, and that entry.
+def axis_table(table: npt.NDArray[Any]) -> FloatArray:
+    """What `axis_table.glsl` reads: all levels of a table, one after another.
 
     Args:
         table: ``[L, C]``, C at most 2.
 
     Returns:
-        float32 ``[L, 4]``: sums in the first two, entries in the last two.
+        float32 ``[2 S, 4]``, S the power of two from L on: an entry in the first two, the way to
+        the next one in the last two. Level k begins at 2 S - (2 S >> k); each of its entries is the
+        mean of 2^k of the table's, the last one of those that are left.
     """
     count, channels = table.shape
-    folded = np.zeros((count, 4), np.float32)
-    exact = table.astype(np.float64)
-    folded[:, :channels] = np.cumsum(exact, axis=0) - exact
-    folded[:, 2 : 2 + channels] = table
-    return folded
+    num_levels = axis_levels(count)
+    total = 1 << num_levels
+    found = np.zeros((total, 4), np.float32)
+    sums = np.concatenate([np.zeros((1, channels)), np.cumsum(table, axis=0, dtype=np.float64)])
+    for level in range(num_levels):
+        edges = np.minimum(np.arange(0, count + (1 << level), 1 << level), count)
+        means = np.diff(sums[edges], axis=0) / np.diff(edges)[:, None]
+        start = total - (total >> level)
+        found[start : start + len(means), :channels] = means
+        found[start : start + len(means) - 1, 2 : 2 + channels] = np.diff(means, axis=0)
+    return found
 
 
 def _axis_texture(context: moderngl.Context, table: npt.NDArray[Any]) -> moderngl.Texture:
-    """Fold a table ``[L, C]`` into rows of `AXIS_ROW` texels, 32-bit floats."""
-    rows = -(-len(table) // AXIS_ROW)
+    """A table ``[L, C]`` and its levels, folded into rows of `AXIS_ROW` texels, 32-bit floats."""
+    texels = axis_table(table)
+    rows = -(-len(texels) // AXIS_ROW)
     folded = np.zeros((rows * AXIS_ROW, 4), np.float32)
-    folded[: len(table)] = axis_sums(table)
+    folded[: len(texels)] = texels
     texture = context.texture((AXIS_ROW, rows), 4, folded.tobytes(), dtype="f4")
     _clamp(texture, moderngl.NEAREST)
     return texture

@@ -25,6 +25,8 @@ class RenderTargets:
     visible: dict[int, moderngl.Texture]
     """What the surface pass writes, by texture unit."""
     surface: moderngl.Framebuffer
+    depth: moderngl.Framebuffer
+    """The depth of the surface pass alone."""
     shaded_image: moderngl.Texture
     shaded: moderngl.Framebuffer
     textured: moderngl.Framebuffer
@@ -55,6 +57,7 @@ def make_targets(context: moderngl.Context, size: tuple[int, int]) -> RenderTarg
         size=size,
         visible=visible,
         surface=context.framebuffer(list(visible.values()), depth),
+        depth=context.framebuffer([], depth),
         shaded_image=shaded_image,
         shaded=context.framebuffer([shaded_image]),
         textured=context.framebuffer([shaded_image], depth),

@@ -269,7 +269,12 @@ class Renderer:
         steps = np.frombuffer(visible[UNIT_VISIBLE_UV].read(), np.uint16)
         uv = steps.astype(np.float32) / np.float32(65535)
         xyz = xyz.reshape(height, width, 4)[::-1]
-        return xyz[..., :3], uv.reshape(height, width, 2)[::-1], xyz[..., 3].astype(np.int32) - 1
+        depth = np.frombuffer(
+            self._targets.depth.read(components=1, attachment=-1, dtype="f4"), np.float32
+        )
+        is_covered = depth.reshape(height, width)[::-1] < 1
+        heads = np.where(is_covered, xyz[..., 3].astype(np.int32) - 1, -1)
+        return xyz[..., :3], uv.reshape(height, width, 2)[::-1], heads
 
     def present(self, target: moderngl.Framebuffer) -> None:
         """Copy the last frame to a window's framebuffer of the same size."""
@@ -308,7 +313,9 @@ class Renderer:
             self._views = rects
             passes.draw_room(targets, rects)
         heads = list_heads(self._slots, placements, views, passes.placeholder)
-        passes.surfaces(targets, heads.decoded)
+        # With both kinds of heads depth does not tell whose a pixel is.
+        has_both = bool(heads.decoded and heads.painted)
+        passes.surfaces(targets, heads.decoded, clear=has_both)
         counts = passes.shade(targets, heads.decoded, count=count_pixels)
         painted_counts = passes.texture(targets, heads.painted, count=count_pixels)
         self._context.copy_framebuffer(targets.final, targets.shaded)

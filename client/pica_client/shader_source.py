@@ -112,8 +112,17 @@ def size_header(spec: AvatarSpec) -> dict[str, str]:
     return {
         "AXIS_SIZE": str(spec.axis_encoding_size),
         "AXIS_ROW": str(AXIS_ROW),
+        "AXIS_LEVELS": str(axis_levels(spec.axis_encoding_size)),
+        "AXIS_STRIDE": str(1 << (axis_levels(spec.axis_encoding_size) - 1)),
+        "LOG2_AXIS_SIZE": f"{math.log2(spec.axis_encoding_size):.6f}",
         "LOG2_UV_SIZE": f"{math.log2(spec.uv_encoding_size):.6f}",
     }
+
+
+def axis_levels(count: int) -> int:
+    """Levels of a table of `count` entries: each has half the entries of the one before, the last
+    one has one."""
+    return (count - 1).bit_length() + 1
 
 
 class _Composer:

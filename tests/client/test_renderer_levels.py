@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 from pica_client.decoder import OnnxDecoder
-from pica_client.gpu_avatar import axis_sums
+from pica_client.gpu_avatar import axis_table
 from pica_client.gpu_textured import TexturedMesh
 from pica_client.renderer import Renderer, RenderOptions
 from pica_client.scene import Placement, head_matrix
+from pica_client.shader_source import axis_levels
 from pica_core.camera import Camera, look_at
 from pica_core.errors import ShapeError
 from pica_core.gl import create_context
 from pica_core.mesh import sample_vertices
-from pica_core.pixel_reference import sample_linear
 from pica_core.spec import AvatarSpec
 from toy import make_toy_avatar, with_toy_levels
 
@@ -263,18 +263,19 @@ def test_after_the_first_frames_nothing_is_made_whatever_changes(
     assert gpu_objects() == before
 
 
-def test_the_mean_of_a_stretch_of_a_table_is_a_difference_of_sums() -> None:
-    table = np.random.default_rng(1).standard_normal((100, 2)).astype(np.float32)
-    sums = axis_sums(table).astype(np.float64)
-
-    def up_to(place: float) -> np.ndarray:
-        entry = min(max(int(np.floor(place)), 0), len(table) - 1)
-        return sums[entry, :2] + (place - entry) * sums[entry, 2:]
-
-    for t in (0.001, 0.2345, 0.5, 0.999):
-        one = up_to(t * 100 + 0.5) - up_to(t * 100 - 0.5)
-        np.testing.assert_allclose(one, sample_linear(table, np.float64(t), np.float64), atol=1e-5)
-    np.testing.assert_allclose((up_to(60) - up_to(20)) / 40, table[20:60].mean(axis=0), atol=1e-5)
+@pytest.mark.parametrize("count", [1, 2, 100, 128, 1000])
+def test_levels_of_a_table_are_means_of_twice_as_many_entries(count: int) -> None:
+    table = np.random.default_rng(1).standard_normal((count, 2)).astype(np.float32)
+    texels = axis_table(table)
+    stride = len(texels) // 2
+    np.testing.assert_allclose(texels[:count, :2], table, atol=1e-6)
+    np.testing.assert_allclose(texels[: count - 1, 2:], np.diff(table, axis=0), atol=1e-6)
+    for level in range(axis_levels(count)):
+        start, wide = 2 * stride - (2 * stride >> level), 1 << level
+        for entry in range(-(-count // wide)):
+            mean = table[entry * wide : (entry + 1) * wide].mean(axis=0)
+            np.testing.assert_allclose(texels[start + entry, :2], mean, atol=1e-6)
+        np.testing.assert_array_equal(texels[start + -(-count // wide) - 1, 2:], 0)
 
 
 def test_far_heads_average_what_their_pixels_cover(context: moderngl.Context, maps: Maps) -> None:

@@ -12,14 +12,13 @@ const float UV_LOD_BIAS = -1.0;
 // `reach` is log2 of how far the pixel reaches along u and v: what lies within it is averaged.
 vec3 colour_pixel(vec4 expression, vec3 xyz_m, vec2 uv, vec2 reach) {
 #ifdef FILTERED
-    vec2 wide = exp2(reach);
     float lod = max(reach.x, reach.y) + LOG2_UV_SIZE + UV_LOD_BIAS;
 #else
-    vec2 wide = vec2(0.0);
+    reach = vec2(-LOG2_AXIS_SIZE);
     float lod = 0.0;
 #endif
-    vec2 m_u = fetch_mean(u_encoding, AXIS_SIZE, uv.x, wide.x);
-    vec2 m_v = fetch_mean(v_encoding, AXIS_SIZE, uv.y, wide.y);
+    vec2 m_u = fetch_mean(u_encoding, uv.x, reach.x);
+    vec2 m_v = fetch_mean(v_encoding, uv.y, reach.y);
     vec4 m_uv = textureLod(uv_encoding, uv, lod);
     return decode_pixel(expression, encode_xyz(xyz_m), m_uv, vec4(m_u, m_v));
 }
