@@ -131,7 +131,7 @@ def rendered_mse(a: Drawing, b: Drawing) -> float:
     return masked_mse(a.images, b.images, a.covered | b.covered)
 
 
-def masked_mse(a: Image, b: Image, where: npt.NDArray[np.bool_]) -> float:
+def masked_mse(a: Image, b: Image | FloatArray, where: npt.NDArray[np.bool_]) -> float:
     """Mean squared error, 0-255, over some pixels; 0 if there are none."""
     if not where.any():
         return 0.0
