@@ -74,20 +74,24 @@ POOR = QualityLimits(lost_ratio=0.12, concealed_ratio=0.2, age_s=0.5)
 """Seen by everybody: the face stands still a fifth of the time (chosen)."""
 
 MIN_SHOWN = 16
-"""Display times from which on their share without a fresh face says something of the connection,
-and not of a machine that draws seldom."""
+"""Display times in a window from which on it says something of the connection, and not of a machine
+that draws less than four times a second: there, frames are late and dropped for want of a display."""
 
 _RANK: dict[Quality, int] = {"unknown": 0, "good": 1, "fair": 2, "poor": 3}
 
 
 def judge(before: StreamHealth, after: StreamHealth) -> Quality:
-    """What a stream was like between two moments; unknown when nothing came or was shown."""
+    """What a stream was like between two moments; unknown when nothing came or too little was
+    shown."""
     received, shown = after.received - before.received, after.shown - before.shown
     lost = max(after.lost - before.lost, 0) + max(after.late - before.late, 0)
-    if received + lost <= 0 or shown <= 0:
+    if received + lost <= 0 or shown < MIN_SHOWN:
         return "unknown"
-    concealed = max(after.concealed - before.concealed, 0) if shown >= MIN_SHOWN else 0
-    figures = (lost / (received + lost), concealed / shown, after.age_s)
+    figures = (
+        lost / (received + lost),
+        max(after.concealed - before.concealed, 0) / shown,
+        after.age_s,
+    )
     if POOR.are_exceeded(*figures):
         return "poor"
     return "fair" if FAIR.are_exceeded(*figures) else "good"
