@@ -44,8 +44,10 @@ class Climber:
     """One head on its two ladders, both at their lowest rung at first."""
 
     slot: str
-    standing: tuple[float, ...]
-    """What makes one head outrank another: all of it is at least as much."""
+    nearness: tuple[float, ...]
+    """Of a nearer head all of it is at least as much."""
+    motion: tuple[float, ...] = ()
+    """Of a head that moves as much all of it is at least as much."""
     ladder: list[Rung] = field(default_factory=list)
     """See `hull`; at least one."""
     place: int = 0
@@ -58,24 +60,19 @@ class Climber:
     """No rung above this is open."""
     is_decode_closed: bool = False
     is_shading_closed: bool = False
+    is_kept_coarse: bool = False
+    """Whether the budget closed it."""
     is_limited: bool = False
     """Whether the budget kept something from it."""
+    farther: list[Climber] = field(default_factory=list)
+    """Who must not be shaded finer; found by `climb` when that begins to matter."""
     outranked: list[Climber] = field(default_factory=list)
-    """Whom it outranks; found by `climb` when that begins to matter."""
+    """Those of them who move no more: nor decoded finer."""
 
     @property
     def rung(self) -> Rung:
         """Where it stands on the decode ladder."""
         return self.ladder[self.place]
-
-    def outranks(self, other: Climber) -> bool:
-        """Whether this head is nearer than another and moves as much, or more."""
-        if self.standing == other.standing:
-            return self.slot < other.slot
-        for mine, theirs in zip(self.standing, other.standing, strict=True):
-            if mine < theirs:  # a loop, for `all` takes twice as long
-                return False
-        return True
 
 
 class _Step(NamedTuple):
@@ -107,23 +104,46 @@ def climb(climbers: Sequence[Climber], left_s: float) -> tuple[float, int]:
     """Spend what is left of a budget.
 
     Args:
-        climbers: All at their lowest rungs, by descending `standing`; who comes first goes first
-            where worth is equal.
+        climbers: All at their lowest rungs, the nearest first; who comes first goes first where
+            worth is equal.
         left_s: The budget less the lowest rungs of all.
 
     Returns:
         What was spent, and how many rungs were looked at.
     """
     steps = _steps(climbers)
+    total_s = sum([step.cost_s for step in steps])
+    if total_s <= left_s:
+        for step in steps:
+            _go(step)
+        return total_s, len(steps)
+    for place, climber in enumerate(climbers):
+        climber.farther = [
+            other for other in climbers[place + 1 :] if _covers(climber.nearness, other.nearness)
+        ]
+        climber.outranked = [
+            other for other in climber.farther if _covers(climber.motion, other.motion)
+        ]
     spent_s = 0.0
-    is_tight = sum([step.cost_s for step in steps]) > left_s
-    if is_tight:
-        for place, climber in enumerate(climbers):
-            # Who comes later stands lower in the first respect at least.
-            climber.outranked = [o for o in climbers[place + 1 :] if climber.outranks(o)]
     for step in steps:
         spent_s += _take(step, left_s - spent_s)
-    return spent_s + (_level_down(climbers) if is_tight else 0.0), len(steps)
+    freed_s = _level_down(climbers)
+    if freed_s > 0:
+        spent_s -= freed_s
+        for climber in climbers:
+            climber.rank_limit, climber.is_decode_closed = _ANY_RANK, False
+        for step in steps:
+            if step.is_decode and step.rung == step.climber.place + 1:
+                spent_s += _take(step, left_s - spent_s)
+        spent_s -= _level_down(climbers)
+    return spent_s, len(steps)
+
+
+def _covers(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
+    for mine, theirs in zip(one, other, strict=True):  # noqa: SIM110 - `all` takes twice as long
+        if mine < theirs:
+            return False
+    return True
 
 
 def _cheapest_first(rung: Rung) -> tuple[float, float]:
@@ -155,22 +175,30 @@ def _best_first(step: _Step) -> float:
     return -step.worth
 
 
+def _go(step: _Step) -> None:
+    if step.is_decode:
+        step.climber.place = step.rung
+    else:
+        step.climber.shading_rate = FINE
+
+
 def _take(step: _Step, left_s: float) -> float:
     """Take a step if it is open and fits; return what it costs."""
     climber = step.climber
     if not step.is_decode:
         if climber.is_shading_closed or step.cost_s > left_s:
-            climber.is_limited = climber.is_shading_closed = True
-            for other in climber.outranked:
+            climber.is_limited = climber.is_shading_closed = climber.is_kept_coarse = True
+            for other in climber.farther:
                 other.is_shading_closed = True
             return 0.0
-        climber.shading_rate = FINE
+        _go(step)
         return step.cost_s
-    if climber.is_decode_closed or climber.ladder[step.rung].rank > climber.rank_limit:
+    rung = climber.ladder[step.rung]
+    if climber.is_decode_closed or (rung.decode != "none" and rung.rank > climber.rank_limit):
         climber.is_limited = climber.is_decode_closed = True
         return 0.0
     if step.cost_s <= left_s:
-        climber.place = step.rung
+        _go(step)
         return step.cost_s
     climber.is_limited = climber.is_decode_closed = True
     for other in climber.outranked:
@@ -179,25 +207,28 @@ def _take(step: _Step, left_s: float) -> float:
 
 
 def _level_down(climbers: Sequence[Climber]) -> float:
-    """Take from heads what they have more than a limited one that outranks them.
+    """Take from heads what they have more than a limited one that is nearer and moves as much.
 
     That happens where the two have different pasts or avatars, so that the farther one's rungs came
-    first.
+    first. Maps that it has already it may keep.
 
     Returns:
-        The change of the cost: nothing or less.
+        What that saves.
     """
-    change_s = 0.0
+    saved_s = 0.0
     for climber in climbers:
-        if not climber.is_limited:
+        if climber.is_kept_coarse:
+            for other in climber.farther:
+                if other.shading_rate == FINE:
+                    other.shading_rate, other.is_limited = COARSE, True
+                    saved_s += other.fine_cost_s
+        if not climber.is_decode_closed:
             continue
         for other in climber.outranked:
-            while climber.is_decode_closed and other.place and other.rung.rank > climber.rung.rank:
+            while (
+                other.place and other.rung.decode != "none" and other.rung.rank > climber.rung.rank
+            ):
                 other.place -= 1
-                change_s += other.rung.cost_s - other.ladder[other.place + 1].cost_s
                 other.is_limited = True
-            if climber.is_shading_closed and other.shading_rate < climber.shading_rate:
-                other.shading_rate = COARSE
-                change_s -= other.fine_cost_s
-                other.is_limited = True
-    return change_s
+                saved_s += other.ladder[other.place + 1].cost_s - other.rung.cost_s
+    return saved_s

@@ -21,7 +21,7 @@ what the tests hold it to:
   that had been taken in its place.
 - The order of heads does not matter: ties go to the nearer, then by name.
 - A nearer head never gets less than a farther one that moves as much: when its rung does not fit,
-  those of the same height are closed to all that it outranks.
+  those of the same height are closed to the other.
 - Who cannot be seen costs nothing: no decode, no pixel, and after a while no stream.
 
 Nobody starves: maps whose error can be seen are not kept longer than `max_age_s`; the oldest are
@@ -282,10 +282,8 @@ class Scheduler:
         fine_s = costs.draw.pixel_s * pixels
         climber = Climber(
             slot=view.slot,
-            standing=(
-                *(view.head_px, weight, -view.distance_m, view.latent_change),
-                *(view.view_turn_rad, view.age_s, -view.speed_px_s),
-            ),
+            nearness=(view.head_px, weight, -view.distance_m, -view.speed_px_s),
+            motion=(view.latent_change, view.view_turn_rad, view.age_s),
             ladder=hull(self._rungs(view, memory.cap, weight, extra, top, is_overdue)),
             is_limited=top < memory.cap,
         )

@@ -416,8 +416,8 @@ def test_greedy_is_less_than_one_rung_from_the_best_that_exhaustive_search_finds
     climbers = [
         Climber(
             slot=str(index),
-            # Nobody outranks anybody: the best under that rule is another problem.
-            standing=(float(-index), float(index)),
+            # Nobody is nearer: the best under that rule is another problem.
+            nearness=(float(-index), float(index)),
             ladder=hull(list(rungs)),
             is_shading_closed=True,
         )
@@ -465,7 +465,7 @@ def test_against_exhaustive_search_most_of_what_a_budget_can_save_is_saved() -> 
             shares.append(saved / (_squared(heads, floor) - _best(heads, budget_s)))
     assert max(shares) <= 1 + 1e-9
     assert np.mean(shares) >= 0.93
-    assert min(shares) >= 0.6
+    assert min(shares) >= 0.7
 
 
 def _squared(heads: Sequence[HeadView], made: Plan) -> float:
