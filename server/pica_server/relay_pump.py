@@ -163,8 +163,6 @@ class Pump:
         self._soon = None
         inbox, self._inbox = self._inbox, []
         for _ in range(_MOST_AT_ONCE):
-            if not inbox:
-                break
             fed: set[Connection] = set()
             later: list[tuple[Connection, bytes, float]] = []
             for item in inbox:
@@ -178,8 +176,11 @@ class Pump:
                 except Exception:  # a fault of ours; it must not cost anybody else anything
                     _logger.exception("connection failed", extra={"connection": connection.serial})
                     self._hub.close(connection, CloseCode.INTERNAL_ERROR, "relay fault", now)
+            # Also when nothing has come: the cluster may have asked for this turn.
             self.after_events(may_hold=not later)
             inbox = later
+            if not inbox:
+                break
         if inbox or self._unread:
             self._read_later(inbox)
 
