@@ -246,6 +246,10 @@ class Scheduler:
             num_steps=num_steps,
         )
 
+    def forget(self, slot: str) -> None:
+        """Remember nothing of a slot: somebody else is in it now. An unknown one is no error."""
+        self._memories.pop(slot, None)
+
     def _overdue(self, seen: Sequence[HeadView], frame_s: float) -> set[str]:
         """Who is decoded in this frame whatever the budget: the oldest, some each frame."""
         options = self.options
