@@ -1,0 +1,83 @@
+"""`pica bench scene`: what a scene costs with and without the scheduler."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from pica_client.avatars import AvatarLibrary
+from pica_client.errors import OptionError
+from pica_client.output import say
+from pica_client.staging import choose_avatars
+from pica_core.avatar_file import Avatar
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BenchSceneOptions:
+    """Options of ``pica bench scene``."""
+
+    avatar: str | None = None
+    """Names of shipped avatars or .pica files, separated by commas, dealt in turn; by default all
+    that ship."""
+    avatars: str = "1,2,3,4,5"
+    """How many heads, separated by commas."""
+    distances_cm: str = "65,90,120"
+    """From the camera to the front of the middle head, separated by commas."""
+    width: int = 1280
+    """Columns of the image, pixels."""
+    height: int = 720
+    """Rows of the image, pixels."""
+    rounds: int = 8
+    """Turns of each case, of five frames each."""
+    performance: str = "talk"
+    """What everybody does: talk, listen or range-of-motion."""
+
+
+def bench_scene(options: BenchSceneOptions) -> dict[str, Any]:
+    """Measure what a scene of talking heads costs, and the error that the scheduler leaves.
+
+    Set LP_NUM_THREADS to say how many threads software GL takes.
+    """
+    from pica_client.bench_scene import SceneBenchConfig, run_scene_bench
+
+    config = SceneBenchConfig(
+        avatars=tuple(int(count) for count in _numbers("avatars", options.avatars)),
+        distances_cm=_numbers("distances_cm", options.distances_cm),
+        size=(options.width, options.height),
+        rounds=options.rounds,
+        performance=options.performance,
+    )
+    result = run_scene_bench(config, _load(options.avatar))
+    for row in result["rows"]:
+        budget = "" if row["budget_ms"] is None else f"of {row['budget_ms']:g}"
+        error = "" if row["error"] is None else f"error {row['error']:7.3f}"
+        say(
+            f"{row['avatars']} at {row['distance_cm']:5g} cm {row['view']:5} "
+            f"{'scheduled' if row['scheduler'] else 'all whole':9} "
+            f"{row['total_ms']:8.2f} ms {budget:9} (decode {row['decode_ms']:6.2f}, upload "
+            f"{row['upload_ms']:5.2f}, draw {row['draw_ms']:7.2f}, plan {row['plan_ms']:5.2f}) "
+            f"{error}  {row['payload_bps'] / 1e3:6.2f} kbit/s"
+        )
+    for scene in result["summary"]["scenes"]:
+        say(
+            f"{max(config.avatars)} heads at {scene['distance_cm']:g} cm cost "
+            f"{scene['scheduled_over_full_screen']:.2f} of one that fills the screen, "
+            f"{scene['unscheduled_over_full_screen']:.2f} without the scheduler; "
+            f"error {scene['error']}"
+        )
+    return result
+
+
+def _load(names: str | None) -> list[Avatar]:
+    library = AvatarLibrary()
+    try:
+        return [library.load(library.find(name)) for name in choose_avatars(names, library)]
+    finally:
+        library.close()
+
+
+def _numbers(name: str, text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(word) for word in text.split(","))
+    except ValueError as error:
+        raise OptionError(f"{name} is {text!r}; write numbers with commas") from error
