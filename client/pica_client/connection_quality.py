@@ -75,7 +75,8 @@ POOR = QualityLimits(lost_ratio=0.12, concealed_ratio=0.2, age_s=0.5)
 
 MIN_SHOWN = 16
 """Display times in a window from which on it says something of the connection, and not of a machine
-that draws less than four times a second: there, frames are late and dropped for want of a display."""
+that draws less than four times a second: there, frames are late, and dropped, for want of a
+display."""
 
 _RANK: dict[Quality, int] = {"unknown": 0, "good": 1, "fair": 2, "poor": 3}
 

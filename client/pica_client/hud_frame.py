@@ -10,9 +10,9 @@ from dataclasses import replace
 from pica_client.call_status import CallStatus
 from pica_client.controls import ControlState
 from pica_client.face_stage import FaceStage, Meter, StageScene
-from pica_client.hud import POOR_NOTE, banner_items, help_item, name_items, own_items
+from pica_client.hud import POOR_NOTE, banner_items, help_item, margin_px, name_items, own_items
 from pica_client.scene import Placement, Rect, head_rect_px, seat_rects_px
-from pica_client.seats import FreeShares, ViewState, plan_camera, plan_seats
+from pica_client.seats import MAX_FREE, FreeShares, ViewState, plan_camera, plan_seats
 from pica_client.statistics_table import (
     TablePlace,
     draw_shares_ms,
@@ -74,12 +74,15 @@ class HudFrame:
             self._asked_s = now
             self._status = self._ask_status(now)
         items = self.names(now, scene, stage)
+        help_panel = help_item(size, state.own_face) if state.show_help else None
+        # Whoever reads the keys still wants to see everybody.
+        right = 0.0 if help_panel is None else _share_at_right(help_panel, size)
         if not state.show_statistics:
-            self._statistics, self.free = [], FreeShares()
+            self._statistics, self.free = [], FreeShares(right=right)
         else:
             if is_due or not self._statistics:
                 self._statistics = self._set_statistics(now, scene, stage, size)
-            items += self._placed(scene, state, size)
+            items += self._placed(scene, state, size, right)
         if self._notice is not None and now >= self._notice[1]:
             self._notice = None
         notice = "" if self._notice is None else self._notice[0]
@@ -88,9 +91,7 @@ class HudFrame:
         items += own_items(
             state.own_face, is_recording, size, is_connected=self._status.is_connected
         )
-        if state.show_help:
-            items.append(help_item(size, state.own_face))
-        return items
+        return items if help_panel is None else [*items, help_panel]
 
     def names(self, now: float, scene: StageScene, stage: FaceStage) -> list[OverlayItem]:
         """The names of a scene, as its camera sees them; all else is the same for two eyes."""
@@ -127,19 +128,21 @@ class HudFrame:
         return [*lines, *self._status.summary]
 
     def _placed(
-        self, scene: StageScene, state: ControlState, size: tuple[int, int]
+        self, scene: StageScene, state: ControlState, size: tuple[int, int], right: float
     ) -> list[OverlayItem]:
         """The statistics where no seat is, whatever the user does with the view."""
         stacked = stacked_size_px(self._statistics)
         names = tuple((face.peer_id, face.name) for face in scene.faces)
-        key = (stacked, names, state.layout, state.pinned, size)
+        key = (stacked, names, state.layout, state.pinned, size, right)
         if self._place is None or self._place[0] != key:
             # Kept free even while nothing is recorded: a table that jumps away is a nuisance.
             badges = [item_rect_px(item, size) for item in own_items("sent", True, size)]
-            taken = seat_rects(scene, state, size)
+            if right:
+                badges.append((size[0] * (1 - right), 0.0, float(size[0]), float(size[1])))
+            taken = seat_rects(scene, state, size, FreeShares(right=right))
             self._place = (key, place_table(stacked, taken, size, badges))
         place = self._place[1]
-        self.free = place.free
+        self.free = FreeShares(top=place.free.top, right=right)
         self._panel_px = (
             place.x_px,
             place.y_px,
@@ -153,14 +156,17 @@ class HudFrame:
         return placed
 
 
-def seat_rects(scene: StageScene, state: ControlState, size: tuple[int, int]) -> list[Rect]:
-    """Where heads and names are as long as nothing is kept free and nobody moves the view."""
+def seat_rects(
+    scene: StageScene, state: ControlState, size: tuple[int, int], free: FreeShares | None = None
+) -> list[Rect]:
+    """Where heads and names are as long as nobody moves the view, with so much kept free."""
     peers = [face.peer_id for face in scene.faces]
     plan = plan_seats(
         state.layout,
         len(peers),
         size[0] / size[1],
         pinned=peers.index(state.pinned) if state.pinned in peers else None,
+        free=free,
     )
     camera = plan_camera(plan, ViewState(), *size)
     seated = [
@@ -171,6 +177,12 @@ def seat_rects(scene: StageScene, state: ControlState, size: tuple[int, int]) ->
     notes = dict.fromkeys(peers, POOR_NOTE)
     names: Sequence[OverlayItem] = name_items(scene.faces, seated, camera, notes)
     return [*seat_rects_px(plan, size), *(item_rect_px(item, size) for item in names)]
+
+
+def _share_at_right(item: OverlayItem, size: tuple[int, int]) -> float:
+    """The part of the picture from an item at its right edge on."""
+    left = item_rect_px(item, size)[0] - 0.5 * margin_px(size)
+    return min(max(1 - left / size[0], 0.0), MAX_FREE)
 
 
 def _on_picture(rect: Rect | None, size: tuple[int, int]) -> Rect | None:

@@ -103,10 +103,10 @@ class FreeShares:
     """Parts of the picture, 0 to `MAX_FREE`, where no head shall be."""
 
     top: float = 0.0
-    left: float = 0.0
+    right: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("top", "left"):
+        for name in ("top", "right"):
             share = getattr(self, name)
             if not 0 <= share <= MAX_FREE:
                 raise ValueError(f"{name} is {share:g}; 0 to {MAX_FREE} can be kept free")
@@ -313,8 +313,8 @@ def _frame(aspect: float, free: FreeShares) -> _Frame:
     tangent = math.tan(VERTICAL_FOV / 2)
     wide = tangent * aspect
     return _Frame(
-        left=wide * (2 * free.left - FRAME_FILL),
-        right=wide * FRAME_FILL,
+        left=-wide * FRAME_FILL,
+        right=wide * (FRAME_FILL - 2 * free.right),
         bottom=tangent * (2 * LABEL_SHARE - FRAME_FILL),
         top=tangent * (FRAME_FILL - 2 * free.top),
     )

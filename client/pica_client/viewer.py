@@ -209,7 +209,7 @@ class Viewer:
         """Take something that the user did, as from the window."""
         faces = [] if self._scene is None else self._scene.faces
         before = self.controls.state.own_face
-        self.controls.receive(event, peers=[face.peer_id for face in faces], pick=self._pick)
+        self.controls.receive(event, peers=[face.peer_id for face in faces], pick=self.pick)
         wanted = self.controls.state.own_face
         if wanted != before and self._on_own_face is not None:
             self._on_own_face(wanted)
@@ -251,6 +251,13 @@ class Viewer:
             self._obey(order, now)
         self._num_frames += 1
         return True
+
+    def pick(self, x_px: float, y_px: float) -> str | None:
+        """The peer whose head is at a place of the picture, pixels, y down."""
+        if self._scene is None:
+            return None
+        x_px %= self._eye_size[0]  # both halves show the same people
+        return pick_head(self._scene.placements, self._scene.camera, x_px, y_px)
 
     def wait_decoded(self, timeout_s: float) -> bool:
         """Wait until nothing is being decoded; False when the time runs out first."""
@@ -319,12 +326,6 @@ class Viewer:
         both = [item for item in items if not item.key.startswith("name:")]
         texts = side_by_side([*left, *both], [*right, *both], self._eye_size)
         return self._renderer.draw_stereo(scene.placements, eyes, texts)
-
-    def _pick(self, x_px: float, y_px: float) -> str | None:
-        if self._scene is None:
-            return None
-        x_px %= self._eye_size[0]  # both halves show the same people
-        return pick_head(self._scene.placements, self._scene.camera, x_px, y_px)
 
     def _obey(self, order: Order, now: float) -> None:
         """Do once what the user asked for."""

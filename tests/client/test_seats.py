@@ -82,13 +82,22 @@ def shrunk(rect: Rect) -> Rect:
     return left + x, top + 1, right - x, bottom - 1
 
 
-@given(layout=layouts, count=counts, aspect=aspects, pinned=pins, top=st.floats(0, 0.5))
+@given(
+    layout=layouts,
+    count=counts,
+    aspect=aspects,
+    pinned=pins,
+    top=st.floats(0, 0.5),
+    right=st.floats(0, 0.5),
+)
 def test_what_is_to_be_kept_free_is_free(
-    layout: Layout, count: int, aspect: float, pinned: int | None, top: float
+    layout: Layout, count: int, aspect: float, pinned: int | None, top: float, right: float
 ) -> None:
-    plan = plan_seats(layout, count, aspect, pinned=pinned, free=FreeShares(top=top))
+    free = FreeShares(top=top, right=right)
+    plan = plan_seats(layout, count, aspect, pinned=pinned, free=free)
     camera, rects = picture(plan, aspect)
-    for _, upper, _, bottom in rects:
+    for _, upper, end, bottom in rects:
+        assert end <= (1 - right) * camera.width + 0.5
         assert upper >= top * camera.height - 0.5
         assert bottom <= camera.height + 0.5
 

@@ -237,6 +237,19 @@ def test_the_statistics_and_the_help_are_drawn_over_the_picture() -> None:
     assert (helped != both).any(axis=2)[:, :400].mean() > 0.05
 
 
+def test_the_help_covers_nobody() -> None:
+    source = Faces(*"abcde")
+    options = replace(SMALL, size=(1280, 720), show_statistics=True, layout="line")
+    with Viewer(source, options, clock=lambda: 5.0) as viewer:
+        viewer.receive(KeyPressed("H"))
+        for step in range(3):
+            viewer.step(1.0 + step)
+        picked = {viewer.pick(x, y) for x in range(950, 1280, 10) for y in range(0, 460, 10)}
+        assert picked == {None}
+        places = [(x, y) for x in range(0, 950, 10) for y in range(180, 720, 10)]
+        assert {viewer.pick(x, y) for x, y in places} == {None, *"abcde"}
+
+
 def test_pictures_and_recordings_are_made_by_key(tmp_path: Path) -> None:
     pytest.importorskip("av")
     options = replace(SMALL, keep_in=tmp_path / "kept")
