@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -98,39 +99,30 @@ def look(
     Returns:
         What can be seen, by slot; a head whose matrix or box is not finite cannot be seen.
     """
-    if not heads:
-        return {}
-    matrices = np.array([head.clip_from_head for head in heads], np.float64)
-    boxes = np.array([(head.low_m, head.high_m) for head in heads], np.float64)
-    middle, radii = boxes.mean(axis=1), (boxes[:, 1] - boxes[:, 0]) / 2
-    # The ellipsoid is the image of the unit ball; rows x, y and w see its centre and its axes.
-    rows = matrices[:, (0, 1, 3), :]
-    centres = np.matmul(rows[:, :, :3], middle[:, :, None])[..., 0] + rows[:, :, 3]
-    axes = rows[:, :, :3] * radii[:, None, :]
-    dual = np.matmul(axes, axes.transpose(0, 2, 1)) - centres[:, :, None] * centres[:, None, :]
-    depth, reach = centres[:, 2], np.sqrt(np.square(axes[:, 2]).sum(axis=1))
-    is_known = np.isfinite(dual).all(axis=(1, 2)) & (radii > 0).all(axis=1)
-    with np.errstate(invalid="ignore"):
-        is_before = is_known & (depth + reach > near_m)
-        is_crossing = is_before & (depth - reach <= near_m)
-    outlined = np.flatnonzero(is_before & ~is_crossing)
-    outlines = _Outlines(dual[outlined], depth[outlined], size_px)
-    sights = {head.slot: NOTHING for head in heads}
     width, height = size_px
-    for index in np.flatnonzero(is_crossing).tolist():
-        sights[heads[index].slot] = Sight(
-            is_visible=True,
-            covered_px=float(width * height),
-            visible_px=float(width * height),
-            drawn_px=float(width * height),
-            head_px=float(height),
-            distance_m=float(depth[index]),
-            centre_px=(width / 2, height / 2),
-            is_crossing=True,
-            num_views=1,
-        )
-    for place, index in enumerate(outlined.tolist()):
-        sights[heads[index].slot] = outlines.sight(place)
+    sights: dict[str, Sight] = {}
+    outlines: dict[str, _Outline] = {}
+    for head in heads:
+        outline = _outline(head)
+        if outline is None or outline.depth + outline.reach <= near_m:
+            sights[head.slot] = NOTHING
+        elif outline.depth - outline.reach > near_m:
+            outlines[head.slot] = outline
+        else:
+            sights[head.slot] = Sight(
+                is_visible=True,
+                covered_px=float(width * height),
+                visible_px=float(width * height),
+                drawn_px=float(width * height),
+                head_px=float(height),
+                distance_m=outline.depth,
+                centre_px=(width / 2, height / 2),
+                is_crossing=True,
+                num_views=1,
+            )
+    for slot, outline in outlines.items():
+        nearer = [other for other in outlines.values() if other.depth < outline.depth]
+        sights[slot] = _sight(outline, nearer, size_px)
     return _in_order(sights)
 
 
@@ -166,66 +158,108 @@ def merge_eyes(eyes: Sequence[Mapping[str, Sight]]) -> dict[str, Sight]:
     return _in_order(merged)
 
 
-class _Outlines:
-    """The ellipses of heads that lie wholly before the near plane."""
+class _Outline(NamedTuple):
+    """An ellipsoid as the camera sees it. Scalars throughout: of so few heads they are faster than
+    arrays."""
 
-    def __init__(self, dual: Float64Array, depth: Float64Array, size_px: tuple[int, int]) -> None:
-        """Find shape, visible share and hidden share of all at once.
+    depth: float
+    """Of its middle, metres."""
+    reach: float
+    """How much nearer and farther it goes."""
+    # The ellipse in clip space: (x + a u, y + b u + c v) with u^2 + v^2 <= 1.
+    x: float
+    y: float
+    a: float
+    b: float
+    c: float
+    tall: float
+    """Half its height."""
 
-        Args:
-            dual: Dual conics in clip space, ``[N, 3, 3]``.
-            depth: Of the middles, metres, ``[N]``.
-            size_px: Columns and rows of the image.
-        """
-        scale = -dual[:, 2, 2]  # positive: the ellipsoid does not touch w = 0
-        self._depth = depth
-        self._half_px = np.array(size_px) / 2
-        self._centre = -dual[:, :2, 2] / scale[:, None]
-        spread = dual[:, :2, :2] / scale[:, None, None]
-        spread += self._centre[:, :, None] * self._centre[:, None, :]
-        # Spread is S = L L^T of the ellipse centre + L u, |u| <= 1.
-        self._a = np.sqrt(np.maximum(spread[:, 0, 0], 1e-30))
-        self._b = spread[:, 0, 1] / self._a
-        self._c = np.sqrt(np.maximum(spread[:, 1, 1] - np.square(self._b), 1e-30))
-        self._tall = np.sqrt(np.maximum(spread[:, 1, 1], 0))
-        unit_x, unit_y = _DISC
-        x = self._centre[:, :1] + self._a[:, None] * unit_x
-        y = self._centre[:, 1:] + self._b[:, None] * unit_x + self._c[:, None] * unit_y
-        is_on_screen = (np.abs(x) <= 1) & (np.abs(y) <= 1)
-        self._num_on_screen = is_on_screen.sum(axis=1)
-        self._num_hidden = (self._is_hidden(x, y) & is_on_screen).sum(axis=1)
-
-    def _is_hidden(self, x: Float64Array, y: Float64Array) -> npt.NDArray[np.bool_]:
-        """Which points ``[N, K]`` lie behind a nearer ellipse."""
-        # Axes: hidden head, its point, hider.
-        right = (x[:, :, None] - self._centre[:, 0]) / self._a
-        up = (y[:, :, None] - self._centre[:, 1] - self._b * right) / self._c
-        is_inside = np.square(right) + np.square(up) <= HIDER_SIZE**2
-        is_nearer = self._depth[None, :] < self._depth[:, None]
-        hidden: npt.NDArray[np.bool_] = np.any(is_inside & is_nearer[:, None, :], axis=2)
-        return hidden
-
-    def sight(self, place: int) -> Sight:
-        """What can be seen of one of them."""
-        half_width, half_height = self._half_px.tolist()
-        num_on_screen = int(self._num_on_screen[place])
-        area_px = math.pi * float(self._a[place] * self._c[place]) * half_width * half_height
-        covered_px = area_px * num_on_screen / NUM_POINTS
-        hidden_ratio = int(self._num_hidden[place]) / max(num_on_screen, 1)
-        visible_px = covered_px * (1 - hidden_ratio)
-        x, y = self._centre[place].tolist()
-        is_visible = hidden_ratio < HIDDEN_RATIO and visible_px >= LEAST_PX
-        return Sight(
-            is_visible=is_visible,
-            covered_px=covered_px,
-            visible_px=visible_px if is_visible else 0.0,
-            drawn_px=visible_px if is_visible else 0.0,
-            head_px=2 * float(self._tall[place]) * half_height,
-            hidden_ratio=hidden_ratio,
-            distance_m=float(self._depth[place]),
-            centre_px=((1 + x) * half_width, (1 - y) * half_height),
-            num_views=int(is_visible),
+    def overlaps(self, other: _Outline) -> bool:
+        """Whether their boxes on the screen touch."""
+        return (
+            abs(self.x - other.x) <= self.a + other.a
+            and abs(self.y - other.y) <= self.tall + other.tall
         )
+
+
+def _outline(head: PlacedHead) -> _Outline | None:
+    """The outline; its ellipse means nothing if it reaches through the camera's plane."""
+    matrix = np.asarray(head.clip_from_head).tolist()
+    middle = [(low + high) / 2 for low, high in zip(head.low_m, head.high_m, strict=True)]
+    radii = [(high - low) / 2 for low, high in zip(head.low_m, head.high_m, strict=True)]
+    m0, m1, m2 = middle
+    r0, r1, r2 = radii
+    # The ellipsoid is the image of the unit ball; rows x, y and w see its centre and its axes.
+    (x0, x1, x2, x3), (y0, y1, y2, y3), _, (w0, w1, w2, w3) = matrix
+    centre_x = x0 * m0 + x1 * m1 + x2 * m2 + x3
+    centre_y = y0 * m0 + y1 * m1 + y2 * m2 + y3
+    depth = w0 * m0 + w1 * m1 + w2 * m2 + w3
+    x0, x1, x2 = x0 * r0, x1 * r1, x2 * r2
+    y0, y1, y2 = y0 * r0, y1 * r1, y2 * r2
+    w0, w1, w2 = w0 * r0, w1 * r1, w2 * r2
+    squared = w0 * w0 + w1 * w1 + w2 * w2
+    sum_of_all = centre_x + centre_y + depth + sum(map(abs, (x0, x1, x2, y0, y1, y2, squared)))
+    if not (min(radii) > 0 and math.isfinite(sum_of_all)):
+        return None
+    reach = math.sqrt(squared)
+    scale = depth * depth - squared
+    if not (depth > 0 and scale > 0):
+        return _Outline(depth, reach, 0.0, 0.0, 1.0, 0.0, 1.0, 1.0)
+    # The dual conic A A^T - c c^T, normalised: centre, and spread S = L L^T.
+    x = (centre_x * depth - (x0 * w0 + x1 * w1 + x2 * w2)) / scale
+    y = (centre_y * depth - (y0 * w0 + y1 * w1 + y2 * w2)) / scale
+    spread_xx = (x0 * x0 + x1 * x1 + x2 * x2 - centre_x * centre_x) / scale + x * x
+    spread_xy = (x0 * y0 + x1 * y1 + x2 * y2 - centre_x * centre_y) / scale + x * y
+    spread_yy = (y0 * y0 + y1 * y1 + y2 * y2 - centre_y * centre_y) / scale + y * y
+    a = math.sqrt(max(spread_xx, 1e-30))
+    b = spread_xy / a
+    c = math.sqrt(max(spread_yy - b * b, 1e-30))
+    return _Outline(depth, reach, x, y, a, b, c, math.sqrt(max(spread_yy, 1e-30)))
+
+
+def _sight(outline: _Outline, nearer: Sequence[_Outline], size_px: tuple[int, int]) -> Sight:
+    """What can be seen of a head before which these others are."""
+    half_width, half_height = size_px[0] / 2, size_px[1] / 2
+    area_px = math.pi * outline.a * outline.c * half_width * half_height
+    on_screen, hidden_ratio = _shares(outline, nearer)
+    covered_px = area_px * on_screen
+    visible_px = covered_px * (1 - hidden_ratio)
+    is_visible = hidden_ratio < HIDDEN_RATIO and visible_px >= LEAST_PX
+    return Sight(
+        is_visible=is_visible,
+        covered_px=covered_px,
+        visible_px=visible_px if is_visible else 0.0,
+        drawn_px=visible_px if is_visible else 0.0,
+        head_px=2 * outline.tall * half_height,
+        hidden_ratio=hidden_ratio,
+        distance_m=outline.depth,
+        centre_px=((1 + outline.x) * half_width, (1 - outline.y) * half_height),
+        num_views=int(is_visible),
+    )
+
+
+def _shares(outline: _Outline, nearer: Sequence[_Outline]) -> tuple[float, float]:
+    """Which share of an ellipse lies on the screen, and which share of that is hidden."""
+    right, up = abs(outline.x) + outline.a, abs(outline.y) + outline.tall
+    is_whole = right <= 1 and up <= 1
+    hiders = [other for other in nearer if outline.overlaps(other)]
+    if is_whole and not hiders:
+        return 1.0, 0.0
+    if abs(outline.x) - outline.a >= 1 or abs(outline.y) - outline.tall >= 1:
+        return 0.0, 0.0
+    unit_x, unit_y = _DISC
+    x = outline.x + outline.a * unit_x
+    y = outline.y + outline.b * unit_x + outline.c * unit_y
+    is_on_screen = (np.abs(x) <= 1) & (np.abs(y) <= 1)
+    is_hidden = np.zeros(NUM_POINTS, np.bool_)
+    for hider in hiders:
+        u = (x - hider.x) / hider.a
+        v = (y - hider.y - hider.b * u) / hider.c
+        is_hidden |= u * u + v * v <= HIDER_SIZE**2
+    num_on_screen = int(np.count_nonzero(is_on_screen))
+    num_hidden = int(np.count_nonzero(is_hidden & is_on_screen))
+    return num_on_screen / NUM_POINTS, num_hidden / max(num_on_screen, 1)
 
 
 def _in_order(sights: dict[str, Sight]) -> dict[str, Sight]:
