@@ -21,7 +21,7 @@ from websockets.typing import Subprotocol
 
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.messages import Join, Joined
-from pica_protocol.session import ServerSession
+from pica_protocol.server_session import ServerSession
 
 _HEAD_BYTES: Final = 7
 """Websocket header and mask of a short message, and the kind of the message."""

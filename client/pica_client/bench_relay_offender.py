@@ -27,10 +27,10 @@ from websockets.uri import parse_uri
 
 from pica_client.bench_relay_peer import CONNECT_TIMEOUT_S
 from pica_protocol import SUBPROTOCOL
+from pica_protocol.client_session import ClientSession
 from pica_protocol.codec import encode_message
 from pica_protocol.frames import Frame, encode_frame, media_message
 from pica_protocol.messages import Hello, Join, Joined, Track
-from pica_protocol.session import ClientSession
 
 FLOOD_FPS: Final = 3000.0
 """A hundred times a face's rate."""

@@ -27,9 +27,10 @@ from websockets.uri import parse_uri
 from pica_client.bench_relay_traffic import Traffic
 from pica_client.errors import RelayUnreachableError
 from pica_protocol import SUBPROTOCOL
+from pica_protocol.client_session import ClientSession
 from pica_protocol.frames import HEADER_BYTES, MEDIA_KIND
 from pica_protocol.messages import Joined, KeyframeRequest, Track
-from pica_protocol.session import ClientSession, State
+from pica_protocol.session import State
 
 CONNECT_TIMEOUT_S: Final = 5.0
 _READ_BYTES: Final = 65_536

@@ -31,10 +31,11 @@ from pica_client.errors import OptionError, RelayRefusedError, RelayUnreachableE
 from pica_client.frame_guard import FrameGuard
 from pica_client.stats import wire_bytes
 from pica_protocol import SUBPROTOCOL
+from pica_protocol.client_session import ClientSession, Ticket
 from pica_protocol.errors import CloseCode, is_worth_retrying
 from pica_protocol.limits import check_metadata, check_pass, check_text, check_token
 from pica_protocol.messages import Joined, Metadata, Report, Track
-from pica_protocol.session import ClientEvent, ClientSession, Closed, State, Ticket
+from pica_protocol.session import ClientEvent, Closed, State
 
 _log = logging.getLogger(__name__)
 

@@ -1,6 +1,7 @@
 """One websocket as the hub sees it: its session, its outbox, and what it may still send. Pure."""
 
-from pica_protocol.session import Closed, ServerSession
+from pica_protocol.server_session import ServerSession
+from pica_protocol.session import Closed
 from pica_server.config import LimitsConfig
 from pica_server.limits import TokenBucket
 from pica_server.outbox import Outbox

@@ -16,7 +16,7 @@ from itertools import count
 from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import Message
-from pica_protocol.session import ServerSession
+from pica_protocol.server_session import ServerSession
 from pica_server.config import RelayConfig
 from pica_server.connection import Connection
 from pica_server.errors import OutboxFullError

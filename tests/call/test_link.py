@@ -18,7 +18,8 @@ from pica_client.link import Link, LinkConfig
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import Joined, KeyframeRequest, PeerJoined, Whisper
-from pica_protocol.session import ClientEvent, Closed, ServerSession, State
+from pica_protocol.server_session import ServerSession
+from pica_protocol.session import ClientEvent, Closed, State
 from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 from pica_server.tokens import Admission, KeyRing, load_keys, mint

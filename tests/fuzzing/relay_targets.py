@@ -13,11 +13,12 @@ from fuzzing.corpus import CORPUS, FACE, VOICE, media, to_relay
 from fuzzing.meter import Meter
 from fuzzing.mutator import INTEGERS, TEXTS, Mutator
 from fuzzing.targets import expect, refusal
+from pica_protocol.client_session import ClientSession
 from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Hello, Join, Track
-from pica_protocol.session import ClientSession, State
+from pica_protocol.session import State
 from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.connection import Connection
 from pica_server.errors import AdmissionError

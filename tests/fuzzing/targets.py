@@ -17,6 +17,7 @@ from fuzzing.corpus import CORPUS, FACE, media, shuffled, to_client, to_relay
 from fuzzing.meter import Meter, Violation
 from fuzzing.mutator import Mutator
 from pica_protocol import ordered_queue as ordered
+from pica_protocol.client_session import MAX_QUEUED_MESSAGES, ClientSession
 from pica_protocol.codec import decode_message, encode_message
 from pica_protocol.errors import CloseCode, RemoteProtocolError
 from pica_protocol.frames import HEADER_BYTES, decode_media, encode_frame, scan_frames
@@ -28,13 +29,8 @@ from pica_protocol.limits import (
 )
 from pica_protocol.messages import Bye, Join, Joined, Peer, PeerAway, PeerJoined, Track
 from pica_protocol.ordered_queue import MAX_WAITING_FRAMES, OrderedQueue
-from pica_protocol.session import (
-    MAX_QUEUED_MESSAGES,
-    ClientSession,
-    Closed,
-    ServerSession,
-    State,
-)
+from pica_protocol.server_session import ServerSession
+from pica_protocol.session import Closed, State
 from pica_protocol.stream_queue import (
     MAX_CHAIN_BYTES,
     MAX_WAITING_BASE,

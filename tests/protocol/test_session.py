@@ -4,6 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pica_protocol.client_session import MAX_QUEUED_MESSAGES, ClientSession, Ticket
 from pica_protocol.codec import decode_message, encode_message
 from pica_protocol.errors import CloseCode, LocalProtocolError, is_worth_retrying
 from pica_protocol.frames import Frame, decode_media, encode_frame, media_message
@@ -31,17 +32,8 @@ from pica_protocol.messages import (
     Welcome,
     Whisper,
 )
-from pica_protocol.session import (
-    CLIENT_TABLE,
-    MAX_QUEUED_MESSAGES,
-    SERVER_TABLE,
-    ClientSession,
-    Closed,
-    Media,
-    ServerSession,
-    State,
-    Ticket,
-)
+from pica_protocol.server_session import ServerSession
+from pica_protocol.session import CLIENT_TABLE, SERVER_TABLE, Closed, Media, State
 from protocol.strategies import messages
 
 pytestmark = pytest.mark.unit

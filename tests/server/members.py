@@ -2,10 +2,10 @@
 
 from collections.abc import Callable
 
+from pica_protocol.client_session import ClientSession, Ticket
 from pica_protocol.codec import decode_message
 from pica_protocol.frames import Frame, decode_media
 from pica_protocol.messages import Message, Metadata, Track
-from pica_protocol.session import ClientSession, Ticket
 from pica_server.config import RelayConfig
 from pica_server.connection import Connection
 from pica_server.hub import Hub

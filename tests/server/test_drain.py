@@ -6,10 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pica_protocol.client_session import ClientSession
 from pica_protocol.codec import decode_message
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import Bye, Message, PeerJoined, PeerLeft, Track, Whisper
-from pica_protocol.session import ClientSession, Closed
+from pica_protocol.session import Closed
 from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.drain import TELLING_SHARE, departures
 from pica_server.errors import ConfigurationError

@@ -9,9 +9,10 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, precondition, rule
 
+from pica_protocol.client_session import ClientSession
 from pica_protocol.frames import Frame
 from pica_protocol.messages import KeyframeRequest, PeerJoined, Track
-from pica_protocol.session import ClientSession, Closed, State
+from pica_protocol.session import Closed, State
 from pica_server.config import RelayConfig
 from pica_server.hub import Hub
 from pica_server.relay import Relay

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from pica_protocol.client_session import Ticket
 from pica_protocol.errors import CloseCode
 from pica_protocol.frames import Frame
 from pica_protocol.messages import (
@@ -16,7 +17,7 @@ from pica_protocol.messages import (
     PeerLeft,
     PeerUpdated,
 )
-from pica_protocol.session import State, Ticket
+from pica_protocol.session import State
 from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.hub import Hub
 from pica_server.tokens import Admission

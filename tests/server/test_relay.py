@@ -9,6 +9,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.typing import Origin, Subprotocol
 
 from pica_protocol import SUBPROTOCOL
+from pica_protocol.client_session import ClientSession
 from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode, LocalProtocolError
 from pica_protocol.frames import Frame
@@ -21,7 +22,7 @@ from pica_protocol.messages import (
     PeerLeft,
     Whisper,
 )
-from pica_protocol.session import ClientSession, Closed
+from pica_protocol.session import Closed
 from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.relay import Relay
 from pica_server.tokens import Admission, KeyRing, load_keys, mint

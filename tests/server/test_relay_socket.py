@@ -13,10 +13,11 @@ from websockets.http11 import Request
 from websockets.protocol import State
 from websockets.server import ServerProtocol
 
+from pica_protocol.client_session import ClientSession
 from pica_protocol.errors import CloseCode
 from pica_protocol.frames import Frame, encode_frame, media_message
 from pica_protocol.messages import PeerJoined, PeerLeft
-from pica_protocol.session import ClientSession, Closed
+from pica_protocol.session import Closed
 from pica_server.config import RelayConfig
 from pica_server.limits import SocketGuard
 from pica_server.relay import Relay

@@ -12,9 +12,10 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
 from pica_protocol import SUBPROTOCOL
+from pica_protocol.client_session import ClientSession, Ticket
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Track
-from pica_protocol.session import ClientEvent, ClientSession, Closed, State, Ticket
+from pica_protocol.session import ClientEvent, Closed, State
 
 E = TypeVar("E")
 

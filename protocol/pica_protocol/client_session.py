@@ -1,0 +1,349 @@
+"""The client's end of a connection; see `pica_protocol.session` for how a shell uses it."""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+from pica_protocol.codec import decode_message
+from pica_protocol.errors import CloseCode, LocalProtocolError, RemoteProtocolError
+from pica_protocol.frames import (
+    MEDIA_KIND,
+    SEQUENCE_MODULUS,
+    Frame,
+    decode_media,
+    encode_frame,
+    media_message,
+)
+from pica_protocol.limits import MAX_CONTROL_BYTES, MAX_MEDIA_MESSAGE_BYTES, MAX_PEERS
+from pica_protocol.messages import (
+    Bye,
+    Hello,
+    Join,
+    Joined,
+    KeyframeRequest,
+    Leave,
+    Message,
+    Metadata,
+    Peer,
+    PeerAway,
+    PeerBack,
+    PeerJoined,
+    PeerLeft,
+    PeerUpdated,
+    Report,
+    StreamMuted,
+    Track,
+    UpdateMetadata,
+    Want,
+    Welcome,
+    Whisper,
+)
+from pica_protocol.ordered_queue import queue_for
+from pica_protocol.session import (
+    CLIENT_TABLE,
+    HANDSHAKE_TIMEOUT_S,
+    ClientEvent,
+    Media,
+    Session,
+    State,
+    binary,
+    check_version,
+)
+from pica_protocol.stream_queue import Put
+
+MAX_QUEUED_MESSAGES: Final = 256
+"""Control messages a client may queue before its shell sends them (chosen: one whisper to each peer
+of the largest room fits four times)."""
+
+_NO_LIMIT: Final = 1 << 30
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Ticket:
+    """What a client comes back with after its connection broke, to the place that it had."""
+
+    secret: str = field(repr=False)
+    next_sequences: tuple[int, ...]
+    """Of each track: streams go on where they stopped, so the others see what was lost as a
+    hole."""
+
+
+class ClientSession(Session):
+    """The client's end: greets, joins one room, publishes frames, and keeps the list of peers.
+
+    Attributes:
+        state: Where it stands.
+        peer_id: Our own id, once joined.
+        tracks: Our own tracks; with their streams, once joined.
+        peers: Everybody else in the room by id, kept up to date.
+        away: Ids of those among them who have lost their connection and may come back.
+        muted: Streams that an admin has stopped, our own among them.
+        closed: How it ended, or None.
+        drops: Frames that did not go out because the network was too slow, by reason.
+    """
+
+    def __init__(
+        self,
+        *,
+        room: str,
+        name: str,
+        tracks: tuple[Track, ...] = (),
+        software: str = "",
+        now: float,
+        timeout_s: float = HANDSHAKE_TIMEOUT_S,
+        seal: Callable[[Frame], bytes] | None = None,
+        token: str = "",
+        metadata: Metadata = (),
+        resumable: bool = False,
+        ticket: Ticket | None = None,
+    ) -> None:
+        """Start on a websocket that is open: ``Hello`` and ``Join`` wait in ``messages_to_send``.
+
+        Args:
+            room: Where to go.
+            name: What to be called.
+            tracks: What will be published.
+            software: Name and version of this client, for the relay's logs.
+            now: The time.
+            timeout_s: For the relay to let us in.
+            token: Proof that we may come in, where the relay wants one.
+            seal: Makes the payload that travels out of a frame whose header is final.
+            metadata: What we say of ourselves.
+            resumable: Whether we may come back with the `ticket` of this session.
+            ticket: Of the last session, to come back to its place; if that is gone, we join anew.
+
+        Raises:
+            ValueError: A name, room, track, token or metadata is out of its limits.
+        """
+        super().__init__(CLIENT_TABLE, MAX_CONTROL_BYTES, now + timeout_s)
+        self.peer_id = ""
+        self.tracks = tracks
+        self.peers: dict[str, Peer] = {}
+        self.away: set[str] = set()
+        self.muted: set[int] = set()
+        self.drops: Counter[str] = Counter()
+        self._seal = seal
+        self._next_sequence = [0] * len(tracks)
+        self._queues = [queue_for(track, self.drops) for track in tracks]
+        self._came_with = ticket
+        self._resume = ""
+        self._queue(Hello(software=software))
+        self._queue(
+            Join(
+                room=room,
+                name=name,
+                tracks=tracks,
+                token=token,
+                metadata=metadata,
+                resumable=resumable,
+                resume="" if ticket is None else ticket.secret,
+            )
+        )
+
+    def receive_data(self, data: bytes | str, now: float) -> list[ClientEvent]:
+        """Take one websocket message; a text one is the other side's mistake."""
+        if self.state is State.CLOSED:
+            return []
+        try:
+            data = binary(data)
+            if data[0] == MEDIA_KIND:
+                frames = decode_media(data)
+                self._advance(Media)
+                return [] if self.state is State.LEAVING else list[ClientEvent](frames)
+            return self._receive_message(decode_message(data, self._max_bytes))
+        except RemoteProtocolError as error:
+            return [self._end(error.code, str(error), is_remote=False)]
+
+    def receive_close(self, code: int, reason: str, now: float) -> list[ClientEvent]:
+        """Take note that the websocket has ended; after a ``Bye`` this is no news."""
+        if self.state is State.CLOSED:
+            return []
+        return [self._end(code, reason, is_remote=True)]
+
+    def messages_to_send(self, now: float) -> list[bytes]:
+        """Take the websocket messages that must go out now, in order."""
+        messages, self._outgoing = self._outgoing, []
+        frames = [item.frame for queue in self._queues for item in queue.take(_NO_LIMIT)]
+        if self.state is State.JOINED:
+            messages += _media_messages(frames)
+        return messages
+
+    def handle_timer(self, now: float) -> list[ClientEvent]:
+        """Give up if the relay has not let us in, or out, by now."""
+        if self._deadline is None or now < self._deadline:
+            return []
+        if self.state is State.LEAVING:
+            return [self._end(CloseCode.NORMAL, "left", is_remote=False)]
+        reason = f"the relay did not answer in time while {self.state.value}"
+        return [self._end(CloseCode.HANDSHAKE_TIMEOUT, reason, is_remote=False)]
+
+    def send_frame(
+        self,
+        payload: bytes,
+        captured_us: int,
+        *,
+        track: int = 0,
+        layer: int = 0,
+        is_keyframe: bool = False,
+    ) -> list[ClientEvent]:
+        """Queue a frame of one of our tracks; what waits too long is thinned, see `StreamQueue`.
+
+        Returns:
+            A ``KeyframeRequest`` for our own stream, when the frame was dropped and so will be all
+            before the next keyframe. So the first frame of a track is to be a keyframe.
+
+        Raises:
+            LocalProtocolError: Not joined, or there is no such track.
+            ValueError: The payload is too long, or another field out of its limits.
+        """
+        if self.state is not State.JOINED or not 0 <= track < len(self.tracks):
+            raise LocalProtocolError(f"cannot send on track {track} while {self.state.value}")
+        stream = self.tracks[track].stream
+        sequence = self._next_sequence[track]
+        frame = Frame(
+            stream=stream,
+            sequence=sequence,
+            captured_us=captured_us,
+            payload=payload,
+            layer=layer,
+            is_keyframe=is_keyframe,
+        )
+        self._next_sequence[track] = (sequence + 1) % SEQUENCE_MODULUS
+        if stream in self.muted:
+            self.drops["muted"] += 1
+            return []
+        if self._seal is not None:
+            frame = replace(frame, payload=self._seal(frame))
+        # The capture time is all the clock we have here; only differences count.
+        queue = self._queues[track]
+        fate = queue.put(encode_frame(frame), layer, is_keyframe, captured_us / 1e6)
+        return [] if fate in (Put.WAITS, Put.DROPPED) else [KeyframeRequest(stream=stream)]
+
+    def want(self, stream: int, layer: int | None) -> None:
+        """Ask for the frames of a stream up to ``layer``, or for none."""
+        self._queue_when_joined(Want(stream=stream, layer=layer))
+
+    def request_keyframe(self, stream: int) -> None:
+        """Ask the publisher of a stream for a keyframe."""
+        self._queue_when_joined(KeyframeRequest(stream=stream))
+
+    def report(self, report: Report) -> None:
+        """Tell the relay how streams arrived."""
+        self._queue_when_joined(report)
+
+    def whisper(self, peer_id: str, data: bytes) -> None:
+        """Send opaque bytes to one peer in the room; they may be dropped, and nobody is told.
+
+        Raises:
+            LocalProtocolError: Not joined, or too much waits.
+            ValueError: More than ``MAX_WHISPER_BYTES``, or no peer id.
+        """
+        self._queue_when_joined(Whisper(peer_id=peer_id, data=data))
+
+    def update_metadata(self, metadata: Metadata) -> None:
+        """Say something else of ourselves, instead of all that was said before.
+
+        Raises:
+            LocalProtocolError: Not joined, or too much waits.
+            ValueError: It is out of its limits.
+        """
+        self._queue_when_joined(UpdateMetadata(metadata=metadata))
+
+    @property
+    def ticket(self) -> Ticket | None:
+        """What to come back with if this connection breaks, or None: it may be used once."""
+        if not self._resume:
+            return None
+        return Ticket(secret=self._resume, next_sequences=tuple(self._next_sequence))
+
+    @property
+    def can_queue(self) -> bool:
+        """Whether a control message can be queued now: joined, and not too many of them wait."""
+        return self.state is State.JOINED and len(self._outgoing) < MAX_QUEUED_MESSAGES
+
+    def leave(self, now: float, timeout_s: float = 1.0) -> None:
+        """Go in good order: the relay answers with ``Bye``, or we stop waiting for it."""
+        if self.state in (State.CLOSED, State.LEAVING):
+            return
+        self.state = State.LEAVING
+        self._queue(Leave())
+        self._deadline = now + timeout_s
+
+    def _receive_message(self, message: Message) -> list[ClientEvent]:
+        if isinstance(message, Bye):
+            return [self._end(message.code, message.reason, is_remote=True, url=message.url)]
+        self._advance(type(message))
+        if self.state is State.LEAVING:
+            return []
+        match message:
+            case Welcome():
+                check_version(message.version)
+                return []
+            case Joined():
+                if [replace(track, stream=0) for track in message.tracks] != list(self.tracks):
+                    raise RemoteProtocolError("joined with other tracks than ours")
+                self.peer_id = message.peer_id
+                self.tracks = message.tracks
+                self.peers = {peer.peer_id: peer for peer in message.peers}
+                self._deadline = None
+                self._resume = message.resume
+                if message.resumed:
+                    if self._came_with is None:
+                        raise RemoteProtocolError("resumed, and we did not ask to")
+                    self._next_sequence = list(self._came_with.next_sequences)
+                return [message]
+            case PeerJoined(peer=peer):
+                # A relay that does not keep to it would fill our memory.
+                if len(self.peers) >= MAX_PEERS and peer.peer_id not in self.peers:
+                    raise RemoteProtocolError(f"more than {MAX_PEERS} peers in a room")
+                self.peers[peer.peer_id] = peer
+                return [message]
+            case PeerLeft(peer_id=peer_id):
+                self.peers.pop(peer_id, None)
+                self.away.discard(peer_id)
+                return [message]
+            case PeerAway(peer_id=peer_id):
+                if peer_id in self.peers:  # else a relay could fill our memory
+                    self.away.add(peer_id)
+                return [message]
+            case PeerBack(peer_id=peer_id):
+                self.away.discard(peer_id)
+                return [message]
+            case PeerUpdated(peer_id=peer_id, metadata=metadata):
+                if peer_id in self.peers:
+                    self.peers[peer_id] = replace(self.peers[peer_id], metadata=metadata)
+                return [message]
+            case StreamMuted(stream=stream, is_muted=is_muted):
+                (self.muted.add if is_muted else self.muted.discard)(stream)
+                return [message]
+            case KeyframeRequest() | Whisper():
+                return [message]
+        raise AssertionError(f"the table admits {message} and nobody handles it")
+
+    def _queue_when_joined(self, message: Message) -> None:
+        if self.state is not State.JOINED:
+            raise LocalProtocolError(
+                f"cannot send {type(message).__name__} while {self.state.value}"
+            )
+        if len(self._outgoing) >= MAX_QUEUED_MESSAGES:
+            raise LocalProtocolError(
+                f"{MAX_QUEUED_MESSAGES} messages wait to be sent: drain messages_to_send"
+            )
+        self._queue(message)
+
+
+def _media_messages(frames: list[bytes]) -> list[bytes]:
+    """Put frames into as few messages as hold them, in order."""
+    messages: list[bytes] = []
+    batch: list[bytes] = []
+    room_left = 0
+    for frame in frames:
+        room_left -= len(frame)
+        if room_left < 0 and batch:
+            messages.append(media_message(batch))
+            batch = []
+        if not batch:
+            room_left = MAX_MEDIA_MESSAGE_BYTES - 1 - len(frame)
+        batch.append(frame)
+    return [*messages, media_message(batch)] if batch else messages

@@ -1,0 +1,105 @@
+"""The relay's end of a connection; see `pica_protocol.session` for how a shell uses it."""
+
+from pica_protocol.codec import decode_message
+from pica_protocol.errors import CloseCode, LocalProtocolError, RemoteProtocolError
+from pica_protocol.frames import MEDIA_KIND, scan_frames
+from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
+from pica_protocol.messages import (
+    Bye,
+    Hello,
+    Join,
+    Joined,
+    KeyframeRequest,
+    Leave,
+    Message,
+    Report,
+    UpdateMetadata,
+    Want,
+    Welcome,
+    Whisper,
+)
+from pica_protocol.session import (
+    HANDSHAKE_TIMEOUT_S,
+    SERVER_TABLE,
+    Media,
+    ServerEvent,
+    Session,
+    State,
+    binary,
+    check_version,
+)
+
+
+class ServerSession(Session):
+    """The relay's end: greets back, asks the relay to decide on the join, passes on what follows.
+
+    Attributes:
+        state: Where it stands.
+        closed: How it ended, or None.
+    """
+
+    def __init__(self, *, software: str = "", now: float, timeout_s: float = HANDSHAKE_TIMEOUT_S):
+        """Start on a websocket that is open; the client speaks first."""
+        super().__init__(SERVER_TABLE, MAX_CLIENT_MESSAGE_BYTES, now + timeout_s)
+        self._software = software
+
+    def receive_data(self, data: bytes | str, now: float) -> list[ServerEvent]:
+        """Take one websocket message.
+
+        After a ``Join`` event the relay owes the client ``accept`` or ``close``.
+        """
+        if self.state is State.CLOSED:
+            return []
+        try:
+            data = binary(data)
+            if data[0] == MEDIA_KIND:
+                media = Media(data, scan_frames(data))
+                if self.state is not State.JOINED:  # where the table leads nowhere else
+                    self._advance(Media)
+                return [media]
+            return self._receive_message(decode_message(data, self._max_bytes))
+        except RemoteProtocolError as error:
+            return [self._end(error.code, str(error), is_remote=False)]
+
+    def receive_close(self, code: int, reason: str, now: float) -> list[ServerEvent]:
+        """Take note that the websocket has ended; after a ``Bye`` this is no news."""
+        if self.state is State.CLOSED:
+            return []
+        return [self._end(code, reason, is_remote=True)]
+
+    def messages_to_send(self, now: float) -> list[bytes]:
+        """Take the control messages that must go out now, in order."""
+        messages, self._outgoing = self._outgoing, []
+        return messages
+
+    def handle_timer(self, now: float) -> list[ServerEvent]:
+        """Close a connection that has not asked to join by now."""
+        if self._deadline is None or now < self._deadline:
+            return []
+        awaited = "hello" if self.state is State.GREETING else "join"
+        reason = f"no {awaited} in time"
+        return [self._end(CloseCode.HANDSHAKE_TIMEOUT, reason, is_remote=False)]
+
+    def accept(self, joined: Joined) -> None:
+        """Let the client in; ``close`` is the other answer to a ``Join``."""
+        if self.state is not State.DECIDING:
+            raise LocalProtocolError(f"nobody asked to join: {self.state.value}")
+        self.state = State.JOINED
+        self._deadline = None
+        self._queue(joined)
+
+    def _receive_message(self, message: Message) -> list[ServerEvent]:
+        if isinstance(message, Bye):
+            return [self._end(message.code, message.reason, is_remote=True)]
+        self._advance(type(message))
+        match message:
+            case Hello():
+                check_version(message.version)
+                self._queue(Welcome(software=self._software))
+                return []
+            case Leave():
+                self._queue(Bye(code=CloseCode.NORMAL, reason="left"))
+                return [self._end(CloseCode.NORMAL, "left", is_remote=True)]
+            case Join() | Want() | KeyframeRequest() | Report() | Whisper() | UpdateMetadata():
+                return [message]
+        raise AssertionError(f"the table admits {message} and nobody handles it")
