@@ -8,6 +8,8 @@ from __future__ import annotations
 import asyncio
 import random
 from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from pica_client.avatars import LoadedAvatars
 from pica_client.call import Call
 from pica_client.call_monitor import CallMonitor
 from pica_client.call_status import CallStatus
+from pica_client.errors import RelayRefusedError
 from pica_client.faces import FaceState
 from pica_client.link import LinkConfig
 from pica_client.publisher import FaceMode, Publisher, SenderConfig
@@ -23,6 +26,7 @@ from pica_client.receiver import Receiver
 from pica_client.sources import open_source
 from pica_server.config import RelayConfig
 from pica_server.relay import Relay
+from pica_server.tokens import Admission, KeyRing, mint
 from simnet.clock import current_network, in_virtual_time
 from toy import make_toy_avatar
 
@@ -149,3 +153,33 @@ async def test_how_the_call_stands_follows_the_network() -> None:
         after = ben.monitor.status(23.0)
         assert not after.is_connected
         assert after.away_s - before.away_s == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize("is_right", [True, False])
+@in_virtual_time
+async def test_a_typed_token_opens_the_door_or_says_why_not(is_right: bool) -> None:
+    line, other = KeyRing.new_line(), KeyRing.new_line()
+    token = mint(
+        KeyRing.parse(line if is_right else other),
+        "kitchen",
+        Admission(identity="ada", avatars=()),
+        now=1e9,
+        lasts_s=60,
+        starts_s=0,
+    )
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "keys"
+        path.write_text(line)
+        async with Relay(RelayConfig(port=0, keys=path), unix_time=lambda: 1e9) as relay:
+            port = relay.url.rpartition(":")[2]
+            link = LinkConfig(url=f"ws://ada:{port}", room="kitchen", name="Ada", token=token)
+            receiver = Receiver(link, Call(LoadedAvatars({})), rng=random.Random(1))
+            if not is_right:
+                with pytest.raises(RelayRefusedError):
+                    await receiver.run()
+                return
+            running = asyncio.create_task(receiver.run())
+            await asyncio.sleep(1)
+            assert receiver.is_connected
+            receiver.stop()
+            await running
