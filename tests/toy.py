@@ -88,7 +88,8 @@ def with_toy_levels(avatar: Avatar, *, seed: int = 8, errors: bool = True) -> Av
     *exits, full = level_sizes(avatar.spec)
     for level in exits:
         for name, shape in exit_shapes(avatar.spec, level).items():
-            spread = np.sqrt(1.5 / np.prod(shape[1:])) if name.endswith("weight") else 0.05
+            inputs = shape[-1] / 3 if "geometry" in name else np.prod(shape[1:])
+            spread = np.sqrt(1.5 / inputs) if name.endswith("weight") else 0.05
             tensors[name] = (rng.standard_normal(shape) * spread).astype(np.float32)
         texel = (np.arange(level, dtype=np.float32) + 0.5) / level
         tensors[f"level.{level}.geometry.mean"] = head_surface(*np.meshgrid(texel, texel))

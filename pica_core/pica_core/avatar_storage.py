@@ -35,7 +35,8 @@ DEFAULT_STORAGE: Mapping[str, Storage] = MappingProxyType(
     }
 )
 """How `save_avatar` stores these; decoder and encoder weights are fp16, the two SIRENs float32. A
-level's mean is stored like the full one, its bias in fp16, the rest of it in float32.
+level's mean is stored like the full one, its weights per texel in 8 bits, its bias in fp16, the
+rest of it in float32.
 
 8 bits over the range of a channel are 0.004 of that range; 16 bits over a head are 5 micrometres
 and over a UV 1/64 of a texel, where fp16 would be 60 micrometres and half a texel.
@@ -108,8 +109,8 @@ def to_memory(where: str, name: str, stored: Array, shape: tuple[int, ...], affi
 
 def _usual(name: str) -> Storage:
     if name.startswith(LEVEL_PREFIX):
-        if name.endswith(".geometry.mean"):
-            return "u16"
+        if name.endswith((".geometry.mean", ".geometry.weight")):
+            return "u16" if name.endswith("mean") else "u8"
         return "f16" if name.endswith(".expression.bias") else "f32"
     return "f16" if name.startswith(("geometry.", "expression.", "encoder.")) else "f32"
 

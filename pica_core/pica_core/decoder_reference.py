@@ -60,7 +60,7 @@ def decode_expression_map(
 
 
 def _decode(avatar: Avatar, decoder: str, grid: Array, level: int | None) -> tuple[Array, str]:
-    """The decoder's last convolution at a level, ``[C, S, S]``, and the prefix of its tensors."""
+    """What a decoder's last layer makes at a level, ``[C, S, S]``, and its tensors' prefix."""
     full = level is None or level == avatar.spec.map_size
     layers = decoder_layers(avatar.spec, decoder)
     if not full:
@@ -72,7 +72,11 @@ def _decode(avatar: Avatar, decoder: str, grid: Array, level: int | None) -> tup
     if full:
         return value, ""
     prefix = f"level.{level}."
-    return _convolve(value, avatar.tensors[f"{prefix}{decoder}.weight"]), prefix
+    weight = avatar.tensors[f"{prefix}{decoder}.weight"]
+    if decoder == "expression":
+        return _convolve(value, weight), prefix
+    per_texel = weight.astype(np.float64).reshape(*weight.shape[:2], -1, len(value))
+    return np.einsum("yxdc,cyx->dyx", per_texel, value), prefix
 
 
 def _run(layer: Layer, weights: list[Array], value: Array) -> Array:

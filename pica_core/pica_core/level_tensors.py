@@ -3,7 +3,7 @@
 All of them may be absent; float32 in memory unless stated. S is a level below the full one, C the
 channels of the trunk there.
 
-    level.{S}.geometry.weight    [3, C, 3, 3]
+    level.{S}.geometry.weight    [S, S, 3 * C], the C of x first
     level.{S}.geometry.mean      [S, S, 3] metres
     level.{S}.expression.weight  [4, C, 3, 3]
     level.{S}.expression.bias    [4, S, S]
@@ -52,7 +52,7 @@ def exit_shapes(spec: AvatarSpec, level: int) -> dict[str, tuple[int, ...]]:
     channels, prefix = trunk_channels(spec, level), f"{PREFIX}{level}"
     codes = spec.expression_channels
     return {
-        f"{prefix}.geometry.weight": (POSITION_CHANNELS, channels, 3, 3),
+        f"{prefix}.geometry.weight": (level, level, POSITION_CHANNELS * channels),
         f"{prefix}.geometry.mean": (level, level, POSITION_CHANNELS),
         f"{prefix}.expression.weight": (codes, channels, 3, 3),
         f"{prefix}.expression.bias": (codes, level, level),

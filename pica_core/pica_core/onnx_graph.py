@@ -33,7 +33,13 @@ import numpy.typing as npt
 from pica_core.avatar_file import Avatar
 from pica_core.decoder_layers import Layer, decoder_layers, trunk_layers
 from pica_core.graph_builder import GraphBuilder, Shape
-from pica_core.spec import LATENT_SHAPE, LATENT_SIZE, LEAKY_SLOPE, VIEW_CHANNELS
+from pica_core.spec import (
+    LATENT_SHAPE,
+    LATENT_SIZE,
+    LEAKY_SLOPE,
+    POSITION_CHANNELS,
+    VIEW_CHANNELS,
+)
 
 TURN_CONVOLUTION_SIZE = 64
 """From this many rows on a narrowing 3x3 convolution is written as a transposed one."""
@@ -71,11 +77,13 @@ def decoder_graph(
     if parts != "expression":
         layers, tensors = _geometry(avatar, size, fold=not plain)
         value = arrange(graph, layers, tensors, grid)
-        value = _channel_last(graph, value, size, layers[-1].out_channels)
+        if size != avatar.spec.map_size:
+            value = _weigh_per_texel(graph, avatar, size, value, fold=not plain)
+        value = _channel_last(graph, value, size, POSITION_CHANNELS)
         if plain:
             value = graph.add("Mul", value, graph.floats(avatar.manifest.position_scale_m))
         graph.add("Add", value, graph.floats(tensors["mean"]), output="position_map")
-        outputs["position_map"] = [size, size, layers[-1].out_channels]
+        outputs["position_map"] = [size, size, POSITION_CHANNELS]
     if parts != "geometry":
         inputs["view_direction"] = [1, VIEW_CHANNELS]
         view = graph.add("Reshape", "view_direction", graph.sizes(1, VIEW_CHANNELS, 1, 1))
@@ -98,8 +106,8 @@ def _geometry(avatar: Avatar, size: int, *, fold: bool) -> tuple[list[Layer], di
         layers = decoder_layers(avatar.spec, "geometry")
         tensors["mean"] = tensors["geometry.mean"]
     else:
-        layers = [*trunk_layers(avatar.spec, "geometry", size), _exit(avatar, "geometry", size)]
         tensors["mean"] = tensors[f"level.{size}.geometry.mean"]
+        return trunk_layers(avatar.spec, "geometry", size), tensors
     if not fold:
         return layers, tensors
     last = [layer for layer in layers if layer.tensor_shapes()][-1]
@@ -121,22 +129,32 @@ def _expression(avatar: Avatar, size: int) -> tuple[list[Layer], dict[str, Array
     tensors = dict(avatar.tensors)
     if size == avatar.spec.map_size:
         return decoder_layers(avatar.spec, "expression"), tensors
-    last = _exit(avatar, "expression", size)
-    bias = Layer("untied_bias", f"{last.name}.untied", last.out_channels, last.out_channels, size)
-    tensors[f"{bias.name}.weight"] = tensors[f"{last.name}.bias"]
+    name = f"level.{size}.expression"
+    out_channels, in_channels = tensors[f"{name}.weight"].shape[:2]
+    last = Layer("conv3", name, in_channels, out_channels, size)
+    bias = Layer("untied_bias", f"{name}.untied", out_channels, out_channels, size)
+    tensors[f"{bias.name}.weight"] = tensors[f"{name}.bias"]
     return [*trunk_layers(avatar.spec, "expression", size), last, bias], tensors
 
 
-def _exit(avatar: Avatar, decoder: str, size: int) -> Layer:
-    out_channels, in_channels = avatar.tensors[f"level.{size}.{decoder}.weight"].shape[:2]
-    return Layer("conv3", f"level.{size}.{decoder}", in_channels, out_channels, size)
+def _weigh_per_texel(
+    graph: GraphBuilder, avatar: Avatar, size: int, value: str, *, fold: bool
+) -> str:
+    """The geometry's exit: at every texel its own product of weights and trunk, ``[3, S, S]``."""
+    weight = avatar.tensors[f"level.{size}.geometry.weight"]
+    weight = weight.reshape(size, size, POSITION_CHANNELS, -1).transpose(2, 3, 0, 1)
+    if fold:
+        weight = weight * np.float64(avatar.manifest.position_scale_m)
+    weighed = graph.add("Mul", value, graph.floats(weight))
+    return graph.add("ReduceSum", weighed, graph.sizes(1), keepdims=0)
 
 
 def _channel_last(
     graph: GraphBuilder, value: str, size: int, channels: int, output: str | None = None
 ) -> str:
-    last = graph.add("Transpose", value, perm=[0, 2, 3, 1])
-    return graph.add("Reshape", last, graph.sizes(size, size, channels), output=output)
+    # Reshaped first: a reshape that makes an output is a copy.
+    planes = graph.add("Reshape", value, graph.sizes(channels, size, size))
+    return graph.add("Transpose", planes, perm=[1, 2, 0], output=output)
 
 
 def _plain(graph: GraphBuilder, layers: list[Layer], tensors: dict[str, Array], value: str) -> str:
