@@ -15,30 +15,25 @@ avatar is missing or broken sits there as a placeholder with the reason; the oth
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-
-import numpy as np
-import numpy.typing as npt
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from pica_client.call_status import AvatarFigures
-from pica_client.decode_pool import DecodePool, DecodeRequest, DecodeResult
+from pica_client.decode_pool import DecodePool, DecodeResult
 from pica_client.errors import ShaderError
 from pica_client.faces import FaceSource, FaceState
 from pica_client.renderer import Renderer
-from pica_client.scene import Placement, head_matrix, view_direction
+from pica_client.scene import Placement, head_matrix
+from pica_client.scene_driver import SceneDriver, SceneHead
+from pica_client.scheduler import Plan
 from pica_client.seats import FreeShares, Layout, SeatPlan, ViewState, plan_camera, plan_seats
 from pica_client.speaking import JawReader, SpeakingMeter
 from pica_client.stats import Samples, Summary
 from pica_core.avatar_file import Avatar
 from pica_core.camera import Camera
 from pica_core.errors import AvatarFileError
+from pica_protocol.limits import MAX_LAYER
 
-FloatArray = npt.NDArray[np.float32]
-
-VIEW_CHANGE = 0.01
-"""Radians by which a head's view must turn before an unchanged latent is decoded again (chosen: the
-view-dependent part of a colour changes by less than one step of 255 over it)."""
 FADE_OF_STATUS = {"waiting": 0.6, "stale": 0.8, "away": 0.4}
 FADE_S = 0.5
 """How long a face takes to fade all the way, and to come back (chosen: seen, and not a flash)."""
@@ -88,6 +83,7 @@ class SeatWish:
 class StageScene:
     """One frame before it is decoded and drawn."""
 
+    now: float
     faces: list[FaceState]
     placements: list[Placement]
     """In the order of the faces."""
@@ -103,9 +99,7 @@ class _Seat:
     avatar: Avatar | None = None
     problem: str = ""
     """Why there is a placeholder instead of the avatar."""
-    latent: FloatArray | None = None
-    """Submitted last."""
-    view: FloatArray | None = None
+    wished_layer: int | None = MAX_LAYER
     captured_us: int = 0
     """Of the newest sample that was decoded."""
     num_decoded: int = 0
@@ -124,8 +118,11 @@ class FaceStage:
         source: Who is there.
         renderer: Where avatars and maps go.
         pool: Where they are decoded; its slots are peer ids.
+        driver: Says what is decoded, and how finely it is drawn.
         meter: Where durations go.
         on_decoded: Told of every decode that reached the GPU; its slot is the peer id.
+        on_wish: Told the highest layer of a peer's stream that is worth having, None for nothing at
+            all, when that changes.
         clock: Seconds, monotonic; see `viewer.Viewer`.
     """
 
@@ -134,15 +131,19 @@ class FaceStage:
         source: FaceSource,
         renderer: Renderer,
         pool: DecodePool,
+        driver: SceneDriver,
         *,
         meter: Meter | None = None,
         on_decoded: Callable[[DecodeResult], None] | None = None,
+        on_wish: Callable[[str, int | None], None] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.num_errors = 0
         self._source = source
         self._renderer = renderer
         self._pool = pool
+        self._driver = driver
+        self._on_wish = on_wish
         self._meter = meter or Meter()
         self._on_decoded = on_decoded
         self._clock = clock
@@ -180,27 +181,43 @@ class FaceStage:
                 )
             )
         camera = plan_camera(plan, wish.view, width, height)
-        return StageScene(faces=faces, placements=placements, camera=camera, plan=plan)
+        return StageScene(now=now, faces=faces, placements=placements, camera=camera, plan=plan)
 
-    def decide(self, scene: StageScene) -> None:
-        """What is decoded this frame: every latent that has changed, and every view that has
-        turned."""
+    def decide(self, scene: StageScene, cameras: Sequence[Camera], budget_s: float) -> Plan:
+        """Plan a frame: hand what is to be decoded to the pool, and say what is wanted of streams.
+
+        Args:
+            scene: Who is where.
+            cameras: From where it will be drawn: one, or two eyes.
+            budget_s: What decoding and drawing it may take, seconds.
+        """
+        heads = []
         for face, placement in zip(scene.faces, scene.placements, strict=True):
             entry = self._seats[face.peer_id]
-            if face.latent is None or entry.avatar is None:
+            if face.latent is None or entry.avatar is None or entry.problem:
                 continue
-            direction = view_direction(placement.world_from_head, scene.camera.centre_m)
-            is_turned = entry.view is None or float(np.dot(entry.view, direction)) < np.cos(
-                VIEW_CHANGE
+            heads.append(
+                SceneHead(
+                    slot=face.peer_id,
+                    avatar=entry.avatar,
+                    world_from_head=placement.world_from_head,
+                    latent=face.latent,
+                    captured_us=face.captured_us,
+                    is_stale=face.status in FADE_OF_STATUS,
+                )
             )
-            is_same = entry.latent is not None and np.array_equal(entry.latent, face.latent)
-            if is_same and not is_turned:
-                continue
-            entry.latent, entry.view = face.latent, direction
-            request = DecodeRequest(face.latent, direction, face.captured_us)
-            self._pool.submit(face.peer_id, request)
+        size = (cameras[0].width, cameras[0].height)
+        plan = self._driver.plan(heads, cameras, size, budget_s, scene.now)
+        for slot, request in self._driver.requests(plan, scene.now):
+            self._pool.submit(slot, request)
+        for slot, choice in plan.choices.items():
+            entry = self._seats[slot]
+            if self._on_wish is not None and choice.wanted_layer != entry.wished_layer:
+                self._on_wish(slot, choice.wanted_layer)
+            entry.wished_layer = choice.wanted_layer
+        return plan
 
-    def collect(self) -> None:
+    def collect(self, now: float) -> None:
         """Upload what has been decoded, and note what could not be."""
         for result in self._pool.take_results():
             entry = self._seats.get(result.slot)
@@ -214,7 +231,9 @@ class FaceStage:
             self._renderer.update_maps(
                 result.slot, result.maps.position_map, result.maps.expression_map
             )
-            self._meter.add("upload", self._clock() - begin_s)
+            upload_s = self._clock() - begin_s
+            self._driver.note_decoded(result, upload_s, now)
+            self._meter.add("upload", upload_s)
             self._meter.add("decode", result.decode_s)
             self._meter.add("decode_wait", result.waited_s)
             entry.decode.add(result.decode_s)
@@ -229,10 +248,19 @@ class FaceStage:
             if self._on_decoded is not None:
                 self._on_decoded(result)
 
+    def dressed(self, scene: StageScene) -> StageScene:
+        """The scene as its plan wants it drawn: shading rates, meshes, levels that fade in."""
+        dressed = [self._driver.dressed(each, scene.now) for each in scene.placements]
+        return replace(scene, placements=dressed)
+
     def is_ready(self, scene: StageScene) -> bool:
-        """Whether everybody with a face has maps, or will not get any."""
-        entries = [self._seats[face.peer_id] for face in scene.faces if face.latent is not None]
-        return all(entry.num_decoded or entry.problem for entry in entries)
+        """Whether everybody with a face who can be seen has maps, or will not get any."""
+        for face in scene.faces:
+            entry = self._seats[face.peer_id]
+            is_unseen = entry.avatar is not None and not self._driver.is_visible(face.peer_id)
+            if face.latent is not None and not (entry.num_decoded or entry.problem or is_unseen):
+                return False
+        return True
 
     @property
     def problems(self) -> dict[str, str]:

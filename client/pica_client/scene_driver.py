@@ -33,12 +33,15 @@ from pica_client.visibility import PlacedHead, Sight, look, merge_eyes
 from pica_core.avatar_file import Avatar
 from pica_core.camera import Camera
 from pica_core.levels import default_errors
+from pica_core.spec import LATENT_SHAPE
 
 BLEND_S = 0.12
 """How long maps of another level take to fade in (chosen: the eye sees no step, and the mixed face
 is gone before it could lag behind the voice)."""
 SPEED_SMOOTHING_S = 0.05
 """Over which the speed of a head on the screen is averaged."""
+UNLIKE = 1e3
+"""Change of a latent that nothing can be compared with."""
 LEAST_TURN = 1e-3
 """Radians; a smaller turn of the view is the rounding of its direction."""
 
@@ -146,6 +149,11 @@ class SceneDriver:
             entry.asked_s, entry.captured_us = now, captured_us
         return found
 
+    def is_visible(self, slot: str) -> bool:
+        """Whether a head could be seen in the planned frame; False for one without a face."""
+        sight = self._sights.get(slot)
+        return sight is not None and sight.is_visible
+
     def note_decoded(self, result: DecodeResult, upload_s: float, now: float) -> None:
         """Learn what a decode and its upload cost; its maps are drawn from now on."""
         entry = self._entries.get(result.slot)
@@ -221,10 +229,17 @@ class SceneDriver:
         return self._sights
 
     def _moved(self, heads: Sequence[SceneHead]) -> dict[str, tuple[float, float]]:
-        """How far each head's latent and view have moved since what was asked for: RMS, radians."""
-        moved = dict.fromkeys((head.slot for head in heads), (0.0, 0.0))
+        """How far each head's latent and view have moved since what was asked for: RMS, radians.
+        A latent of a wrong shape has moved far: the decoder is to refuse it."""
+        moved = {
+            head.slot: (0.0 if head.latent.shape == LATENT_SHAPE else UNLIKE, 0.0) for head in heads
+        }
         held = [(head, self._entries[head.slot]) for head in heads]
-        known = [(head, each.latent, each.view) for head, each in held if each.latent is not None]
+        known = [
+            (head, each.latent, each.view)
+            for head, each in held
+            if each.latent is not None and each.latent.shape == head.latent.shape == LATENT_SHAPE
+        ]
         if not known:
             return moved
         now = np.array([head.latent for head, _, _ in known]).reshape(len(known), -1)

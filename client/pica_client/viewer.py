@@ -23,6 +23,7 @@ from pica_client.call_status import CallStatus
 from pica_client.controls import Controls, ControlState, InputEvent, Order, OwnFace
 from pica_client.decode_pool import DecodePool, DecodePoolOptions, DecodeResult
 from pica_client.decoder import OnnxDecoder, OnnxOptions
+from pica_client.draw_clock import DrawClock
 from pica_client.errors import ClientError, OptionError
 from pica_client.face_stage import FaceStage, Meter, SeatWish, StageScene
 from pica_client.faces import FaceSource
@@ -31,11 +32,14 @@ from pica_client.keepsakes import Keepsakes
 from pica_client.recorder import Recorder, save_png
 from pica_client.renderer import DrawStats, Renderer, RenderOptions
 from pica_client.scene import pick_head
+from pica_client.scene_driver import SceneDriver
+from pica_client.scheduler import Scheduler, SchedulerOptions
 from pica_client.seats import Layout
 from pica_client.stereo import MAX_EYE_DISTANCE_M, side_by_side, stereo_cameras
 from pica_client.typesetting import OverlayItem
 from pica_client.window import Window
 from pica_core.avatar_file import Avatar
+from pica_core.camera import Camera
 from pica_core.gl import create_context
 
 StatusSource = Callable[[float], CallStatus]
@@ -43,6 +47,8 @@ StatusSource = Callable[[float], CallStatus]
 PREPARE_TIMEOUT_S = 5.0
 """How long the first picture waits for five avatars to be loaded; here they take half a second."""
 PREPARE_POLL_S = 0.01
+BUDGET_SHARE = 0.8
+"""Of the time between two frames: the rest is for texts, the window system and recording."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -59,6 +65,10 @@ class ViewerOptions:
     """Folder for the pictures and recordings that the user asks for meanwhile."""
     max_fps: float = 30.0
     """Frames are drawn no more often than this; in a window the display limits too."""
+    frame_budget_ms: float = 0.0
+    """What decoding and drawing a frame may take before detail is given up, milliseconds; 0 is
+    `BUDGET_SHARE` of the time between two frames."""
+    scheduler: SchedulerOptions = field(default_factory=SchedulerOptions)
     layout: Layout = "arc"
     """How people sit at first; see `seats`."""
     show_statistics: bool = False
@@ -75,10 +85,27 @@ class ViewerOptions:
     def __post_init__(self) -> None:
         if not 1 <= self.max_fps <= 1000:
             raise OptionError(f"max_fps is {self.max_fps:g}; allowed are 1 to 1000")
+        if not 0 <= self.frame_budget_ms <= 10_000:
+            raise OptionError(
+                f"frame_budget_ms is {self.frame_budget_ms:g}; 0 (from max_fps) to 10000 is allowed"
+            )
         if not 0 <= self.eye_distance_m <= MAX_EYE_DISTANCE_M:
             raise OptionError(
                 f"eye_distance_m is {self.eye_distance_m:g}; 0 to {MAX_EYE_DISTANCE_M:g} is allowed"
             )
+
+    @property
+    def frame_budget_s(self) -> float:
+        """What decoding and drawing a frame may take, seconds."""
+        return self.frame_budget_ms * 1e-3 or BUDGET_SHARE / self.max_fps
+
+
+@dataclass(slots=True, eq=False)
+class _DrawnFrame:
+    """What a frame was made of, until it is known how long it took."""
+
+    shaded_px: float
+    num_triangles: int = 0
 
 
 class Viewer:
@@ -90,6 +117,7 @@ class Viewer:
         status: How the call stands, at a time of `clock`; asked twice a second.
         on_decoded: Told of every decode that reached the GPU, on the drawing thread; its slot is
             the peer id.
+        on_wish: Told what is worth having of a peer's stream, see `face_stage`.
         on_own_face: Told when the user mutes or freezes their own face, or lets it go on.
         window: To show it in, which stays open afterwards; by default a new one.
         clock: Seconds, monotonic; the same clock that stamps `FaceState.captured_us` when sender
@@ -109,6 +137,7 @@ class Viewer:
         *,
         status: StatusSource = lambda now: CallStatus(),
         on_decoded: Callable[[DecodeResult], None] | None = None,
+        on_wish: Callable[[str, int | None], None] | None = None,
         on_own_face: Callable[[OwnFace], None] | None = None,
         window: Window | None = None,
         clock: Callable[[], float] = time.monotonic,
@@ -148,12 +177,16 @@ class Viewer:
             self._pool = stack.enter_context(
                 DecodePool(self.options.decode, self._make_decoder, self._clock)
             )
+            self._draw_clock: DrawClock[_DrawnFrame] = DrawClock(context)
+            self._driver = SceneDriver(Scheduler(self.options.scheduler))
             self._stage = FaceStage(
                 source,
                 self._renderer,
                 self._pool,
+                self._driver,
                 meter=self._meter,
                 on_decoded=on_decoded,
+                on_wish=on_wish,
                 clock=clock,
             )
             self._resources = stack.pop_all()
@@ -196,8 +229,8 @@ class Viewer:
         deadline_s = self._clock() + timeout_s
         while (now := self._clock()) < deadline_s:
             scene = self._arrange(now)
-            self._stage.decide(scene)
-            self._stage.collect()
+            self._decide(scene)
+            self._stage.collect(now)
             if self._stage.is_ready(scene):
                 self._renderer.draw(scene.placements, scene.camera, [])
                 break
@@ -224,8 +257,9 @@ class Viewer:
             return False
         scene = self._scene = self._arrange(now)
         self.controls.forget_absent([face.peer_id for face in scene.faces])
-        self._stage.decide(scene)
-        self._stage.collect()
+        self._decide(scene)
+        self._stage.collect(now)
+        scene = self._stage.dressed(scene)
         items = self._hud.items(
             now,
             scene,
@@ -235,7 +269,13 @@ class Viewer:
             is_recording=self._keepsakes.is_recording,
         )
         begin_s = self._clock()
-        self.last_draw = self._draw(now, scene, items)
+        # What a frame cost is known some frames later, when the GPU is done with it.
+        drawn = _DrawnFrame(self._driver.expected_shading_px())
+        with self._draw_clock.around(drawn):
+            self.last_draw = self._draw(now, scene, items)
+        drawn.num_triangles = self.last_draw.num_triangles
+        for frame, seconds in self._draw_clock.take():
+            self._driver.note_drawn(frame.num_triangles, frame.shaded_px, seconds)
         image = None
         if self._window is None:
             image = self._renderer.read_image()  # waits for the GPU: the draw time is a true one
@@ -314,18 +354,27 @@ class Viewer:
         width, height = self._renderer.size
         return (max(width // 2, 1), height) if self.options.eye_distance_m > 0 else (width, height)
 
+    def _decide(self, scene: StageScene) -> None:
+        self._stage.decide(scene, self._eyes(scene), self.options.frame_budget_s)
+
+    def _eyes(self, scene: StageScene) -> tuple[Camera, ...]:
+        """From where a scene is drawn: one camera, or the left and the right eye's."""
+        if not self.options.eye_distance_m > 0:
+            return (scene.camera,)
+        away_m = float(np.linalg.norm(scene.plan.target_m - scene.camera.centre_m))
+        return stereo_cameras(scene.camera, self.options.eye_distance_m, away_m)
+
     def _draw(self, now: float, scene: StageScene, items: list[OverlayItem]) -> DrawStats:
         """Draw a scene for one eye, or for two."""
-        if not self.options.eye_distance_m > 0:
-            return self._renderer.draw(scene.placements, scene.camera, items)
-        away_m = float(np.linalg.norm(scene.plan.target_m - scene.camera.centre_m))
-        eyes = stereo_cameras(scene.camera, self.options.eye_distance_m, away_m)
+        eyes = self._eyes(scene)
+        if len(eyes) == 1:
+            return self._renderer.draw(scene.placements, eyes[0], items)
         left, right = (
             self._hud.names(now, replace(scene, camera=eye), self._stage) for eye in eyes
         )
         both = [item for item in items if not item.key.startswith("name:")]
         texts = side_by_side([*left, *both], [*right, *both], self._eye_size)
-        return self._renderer.draw_stereo(scene.placements, eyes, texts)
+        return self._renderer.draw_stereo(scene.placements, (eyes[0], eyes[1]), texts)
 
     def _obey(self, order: Order, now: float) -> None:
         """Do once what the user asked for."""

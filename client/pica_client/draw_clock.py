@@ -1,0 +1,50 @@
+"""How long the GPU works on a frame, without waiting for it.
+
+    clock = DrawClock(context)
+    with clock.around(tag):
+        renderer.draw(...)
+    for tag, seconds in clock.take(): ...
+
+A timer query's answer is there when the GPU is done, and asking earlier waits for it. So queries
+are taken in turn, and each is read just before its turn comes again, `DEPTH` frames later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Generic, TypeVar
+
+import moderngl
+
+DEPTH = 3
+"""Frames between asking and reading (chosen: drivers queue two, rarely three)."""
+
+T = TypeVar("T")
+
+
+class DrawClock(Generic[T]):
+    """Times frames on the GPU; belongs to the thread of its context."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._queries = [context.query(time=True) for _ in range(DEPTH)]
+        self._tags: list[T | None] = [None] * DEPTH
+        self._turn = 0
+        self._done: list[tuple[T, float]] = []
+
+    @contextmanager
+    def around(self, tag: T) -> Iterator[None]:
+        """Time what is drawn inside; `tag` comes back with the answer."""
+        place = self._turn % DEPTH
+        query, before = self._queries[place], self._tags[place]
+        if before is not None:
+            self._done.append((before, query.elapsed * 1e-9))
+        self._tags[place] = tag
+        self._turn += 1
+        with query:
+            yield
+
+    def take(self) -> list[tuple[T, float]]:
+        """Frames whose time has come to be known, and how long they took, seconds."""
+        done, self._done = self._done, []
+        return done
