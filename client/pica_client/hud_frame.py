@@ -10,6 +10,7 @@ from dataclasses import replace
 from pica_client.call_status import CallStatus
 from pica_client.controls import ControlState
 from pica_client.face_stage import FaceStage, Meter, StageScene
+from pica_client.faces import FaceState
 from pica_client.hud import POOR_NOTE, banner_items, help_item, margin_px, name_items, own_items
 from pica_client.scene import Placement, Rect, head_rect_px, seat_rects_px
 from pica_client.seats import MAX_FREE, FreeShares, ViewState, plan_camera, plan_seats
@@ -49,6 +50,7 @@ class HudFrame:
         self._asked_s: float | None = None
         self._statistics: list[OverlayItem] = []
         self._place: tuple[object, TablePlace] | None = None
+        self._stacked = (0, 0)
         self._panel_px: Rect | None = None
         self._times: deque[float] = deque(maxlen=RECENT_FRAMES)
         self._notice: tuple[str, float] | None = None
@@ -131,15 +133,19 @@ class HudFrame:
         self, scene: StageScene, state: ControlState, size: tuple[int, int], right: float
     ) -> list[OverlayItem]:
         """The statistics where no seat is, whatever the user does with the view."""
-        stacked = stacked_size_px(self._statistics)
         names = tuple((face.peer_id, face.name) for face in scene.faces)
-        key = (stacked, names, state.layout, state.pinned, size, right)
-        if self._place is None or self._place[0] != key:
+        key = (names, state.layout, state.pinned, size, right)
+        stacked = stacked_size_px(self._statistics)
+        is_same = self._place is not None and self._place[0] == key
+        if is_same:  # a number that loses a digit moves nothing; one that gains one, once
+            stacked = max(stacked[0], self._stacked[0]), max(stacked[1], self._stacked[1])
+        if self._place is None or not is_same or stacked != self._stacked:
+            self._stacked = stacked
             # Kept free even while nothing is recorded: a table that jumps away is a nuisance.
             badges = [item_rect_px(item, size) for item in own_items("sent", True, size)]
             if right:
                 badges.append((size[0] * (1 - right), 0.0, float(size[0]), float(size[1])))
-            taken = seat_rects(scene, state, size, FreeShares(right=right))
+            taken = seat_rects(scene.faces, state, size, FreeShares(right=right))
             self._place = (key, place_table(stacked, taken, size, badges))
         place = self._place[1]
         self.free = FreeShares(top=place.free.top, right=right)
@@ -157,10 +163,13 @@ class HudFrame:
 
 
 def seat_rects(
-    scene: StageScene, state: ControlState, size: tuple[int, int], free: FreeShares | None = None
+    faces: Sequence[FaceState],
+    state: ControlState,
+    size: tuple[int, int],
+    free: FreeShares | None = None,
 ) -> list[Rect]:
     """Where heads and names are as long as nobody moves the view, with so much kept free."""
-    peers = [face.peer_id for face in scene.faces]
+    peers = [face.peer_id for face in faces]
     plan = plan_seats(
         state.layout,
         len(peers),
@@ -175,7 +184,7 @@ def seat_rects(
     ]
     # With a line under each name: whoever is well to be seen now may not be so in a moment.
     notes = dict.fromkeys(peers, POOR_NOTE)
-    names: Sequence[OverlayItem] = name_items(scene.faces, seated, camera, notes)
+    names: Sequence[OverlayItem] = name_items(faces, seated, camera, notes)
     return [*seat_rects_px(plan, size), *(item_rect_px(item, size) for item in names)]
 
 

@@ -8,7 +8,6 @@ import pytest
 from pica_client.call_status import AvatarFigures, CallStatus, PeerStatus
 from pica_client.connection_quality import StreamHealth
 from pica_client.controls import ControlState
-from pica_client.face_stage import StageScene
 from pica_client.faces import FaceState
 from pica_client.hud import name_items, own_items
 from pica_client.hud_frame import seat_rects
@@ -63,16 +62,10 @@ def test_the_table_covers_no_head_and_no_name(
 ) -> None:
     faces = everybody(count)
     stacked = stacked_size_px(full_table(faces, size))
-    scene = StageScene(
-        faces=faces,
-        placements=[],
-        camera=plan_camera(plan_seats(layout, count, 1.5), ViewState(), *size),
-        plan=plan_seats(layout, count, 1.5),
-    )
     state = ControlState(layout=layout, pinned=None if pinned is None else "peer-0")
 
     badges = [item_rect_px(item, size) for item in own_items("muted", True, size)]
-    place = place_table(stacked, seat_rects(scene, state, size), size, badges)
+    place = place_table(stacked, seat_rects(faces, state, size), size, badges)
 
     plan = plan_seats(layout, count, size[0] / size[1], pinned=pinned, free=place.free)
     table = (place.x_px, place.y_px, place.x_px + stacked[0], place.y_px + stacked[1])
