@@ -37,6 +37,8 @@ class Rung(NamedTuple):
     place: int
     """Of the level among the avatar's."""
     decode: Decode
+    mesh: int = 0
+    """Place of the level whose triangles are drawn."""
 
 
 @dataclass(kw_only=True, slots=True, eq=False)

@@ -9,8 +9,9 @@ pixels of it that can be seen. Of each head the scheduler knows what each choice
 (`error_model`) and what it costs on this machine (`cost_model`). Two ladders lead up from the least
 that a head can get:
 
-    decode    keep the maps; make a fresh expression map (the view has turned); decode both maps at
-              one of the levels (the face has moved)
+    decode    keep the maps, and draw them with coarser triangles or their own; make a fresh
+              expression map (the view has turned); decode both maps at one of the levels (the face
+              has moved)
     shading   every second pixel in both directions; every pixel
 
 The budget buys the rungs that save most error per millisecond (`detail_ladder`). What follows, and
@@ -114,7 +115,8 @@ class Choice(NamedTuple):
     """What to decode now, at `level`; "expression" with the latent of the maps that are there."""
     shading_rate: int
     mesh_level: int
-    """Of the triangles: that of the maps, or coarser if the head cannot use it."""
+    """Of the triangles: that of the maps, or coarser where the head cannot use them or the budget
+    has no room for them."""
     wanted_layer: int | None
     """Highest layer of its stream to ask for; None is no stream at all."""
     error: float
@@ -158,8 +160,11 @@ class _Memory:
     small_since_s: float = math.inf
     level: int = -1
     """Place of the level planned last; -1 before the first."""
+    mesh: int = -1
+    """Place of its triangles."""
     shading_rate: int = COARSE
     level_pause: _Pause = field(default_factory=lambda: _Pause())
+    mesh_pause: _Pause = field(default_factory=lambda: _Pause())
     shading_pause: _Pause = field(default_factory=lambda: _Pause())
 
 
@@ -282,14 +287,17 @@ class Scheduler:
         top = memory.cap
         if memory.level >= 0 and memory.level_pause.lasts(now):
             top = min(top, memory.level)
+        mesh_top = memory.cap
+        if memory.mesh >= 0 and memory.mesh_pause.lasts(now):
+            mesh_top = min(mesh_top, memory.mesh)
         pixels = view.visible_px if view.drawn_px is None else view.drawn_px
         fine_s = costs.draw.pixel_s * pixels
         climber = Climber(
             slot=view.slot,
             nearness=(view.head_px, weight, -view.distance_m, -view.speed_px_s),
             motion=(view.latent_change, view.view_turn_rad, view.age_s),
-            ladder=hull(self._rungs(view, memory.cap, weight, extra, top, is_overdue)),
-            is_limited=top < memory.cap,
+            ladder=hull(self._rungs(view, mesh_top, weight, extra, top, is_overdue)),
+            is_limited=min(top, mesh_top) < memory.cap,
         )
         if not options.half_shading:
             climber.shading_rate, climber.is_shading_closed = FINE, True
@@ -321,7 +329,7 @@ class Scheduler:
     def _rungs(
         self,
         view: HeadView,
-        cap: int,
+        mesh_top: int,
         weight: float,
         extra: Sequence[float],
         top: int,
@@ -331,7 +339,7 @@ class Scheduler:
 
         Args:
             view: Which.
-            cap: Place of the finest level that it can use.
+            mesh_top: Place of the finest triangles that it can use.
             weight: Of its MSE.
             extra: See `ErrorModel.extra`.
             top: Place of the finest level that may be decoded now.
@@ -350,19 +358,23 @@ class Scheduler:
         num_triangles, model = view.num_triangles, view.model
         rungs = []
         if held >= 0:
-            drawn_s = triangle_s * num_triangles[min(held, cap)]
+            finest = min(held, mesh_top)
+            drawn_s = triangle_s * num_triangles[finest]
             if not is_overdue:
-                error = weight * (extra[held] + age_mse)
-                rungs.append(Rung(drawn_s, error, (held, 0), held, "none"))
+                # With coarser triangles than maps the error is at most that of their level.
+                for mesh in range(finest + 1):
+                    cost_s = triangle_s * num_triangles[mesh]
+                    error = weight * (extra[held if mesh == finest else mesh] + age_mse)
+                    rungs.append(Rung(cost_s, error, (held, 0), held, "none", mesh))
             is_turned = view.view_turn_rad > 0 and is_worth_it
             if is_turned and (latent_mse <= options.floor_mse or not is_overdue):
                 cost_s = drawn_s + decode_s(model, levels[held], "expression")
                 error = weight * (extra[held] + latent_mse)
-                rungs.append(Rung(cost_s, error, (held, 1), held, "expression"))
+                rungs.append(Rung(cost_s, error, (held, 1), held, "expression", finest))
         is_moved = view.latent_change > 0 and is_worth_it
         for place in range(0 if is_overdue or is_moved else held + 1, top + 1):
             cost_s = triangle_s * num_triangles[place] + decode_s(model, levels[place], "both")
-            rungs.append(Rung(cost_s, weight * extra[place], (place, 2), place, "both"))
+            rungs.append(Rung(cost_s, weight * extra[place], (place, 2), place, "both", place))
         return rungs
 
     def _choice(self, head: _Head, now: float) -> Choice:
@@ -372,14 +384,17 @@ class Scheduler:
             memory.level_pause.begin(now, options)
         if climber.is_limited and climber.shading_rate > memory.shading_rate:
             memory.shading_pause.begin(now, options)
-        memory.level, memory.shading_rate = rung.place, climber.shading_rate
+        mesh = min(rung.mesh, memory.cap)
+        if climber.is_limited and mesh < min(memory.mesh, rung.place):
+            memory.mesh_pause.begin(now, options)
+        memory.level, memory.mesh, memory.shading_rate = rung.place, mesh, climber.shading_rate
         is_fine = climber.shading_rate == FINE
         error = rung.error / head.weight if head.weight > 0 else 0.0
         return Choice(
             level=levels[rung.place],
             decode=rung.decode,
             shading_rate=climber.shading_rate,
-            mesh_level=levels[min(rung.place, memory.cap)],
+            mesh_level=levels[mesh],
             wanted_layer=self._layer(view),
             error=error + (0.0 if is_fine else head.extra[-2]) + head.extra[-1],
             cost_s=rung.cost_s + head.draw_s + (climber.fine_cost_s if is_fine else 0.0),

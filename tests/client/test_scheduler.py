@@ -125,6 +125,14 @@ def test_maps_finer_than_can_be_seen_are_kept_but_drawn_with_a_coarser_mesh() ->
     assert (choice.decode, choice.level, choice.mesh_level) == ("none", 256, 64)
 
 
+def test_maps_are_kept_with_fewer_triangles_where_the_budget_has_no_room_for_theirs() -> None:
+    resting = view(head_px=600, latent_change=0.0, view_turn_rad=0.0)
+    choice = choose(resting, budget_s=0.0)
+    assert (choice.decode, choice.level, choice.mesh_level) == ("none", 256, 64)
+    assert choice.is_limited
+    assert choose(resting).mesh_level == 256
+
+
 def test_fast_motion_hides_detail_and_not_age() -> None:
     still, fast = (choose(view(speed_px_s=speed), 0.0085) for speed in (0.0, 9000.0))
     assert still.is_limited
@@ -285,8 +293,8 @@ def test_the_plan_says_from_whom_the_budget_kept_something() -> None:
     assert plan(near, far).limited == ()
 
 
-def _amount(choice: Choice) -> tuple[int, int, int]:
-    return (choice.level, RANK[choice.decode], -choice.shading_rate)
+def _amount(choice: Choice) -> tuple[int, int, int, int]:
+    return (choice.level, RANK[choice.decode], choice.mesh_level, -choice.shading_rate)
 
 
 # Properties
@@ -480,7 +488,7 @@ def _best(heads: Sequence[HeadView], budget_s: float) -> float:
         extra = head.errors.extra(head.head_px)
         age = head.errors.latent_mse_per_unit2 * head.latent_change**2
         age += head.errors.view_mse_per_rad2 * head.view_turn_rad**2
-        found = [(0.0, extra[2] + age, 2)]
+        found = [(0.0, extra[mesh] + age, mesh) for mesh in range(3)]
         found += [(costs.decode_s("", LEVELS[i], "both"), extra[i], i) for i in range(3)]
         turned = head.errors.latent_mse_per_unit2 * head.latent_change**2
         found.append((costs.decode_s("", 256, "expression"), extra[2] + turned, 2))
