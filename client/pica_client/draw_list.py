@@ -98,9 +98,12 @@ def list_heads(
     for view in views:
         for placement in placements:
             entry = slots.get(placement.slot)
-            number = len(listed.decoded) + 1
-            if entry is None or number > MAX_HEADS:
+            num_listed = len(listed.decoded) + len(listed.painted)
+            if entry is None or num_listed == MAX_HEADS:
                 continue
+            # Decoded heads count upwards, textured ones downwards from the end.
+            is_painted = entry.textured is not None and entry.textured.has_maps
+            number = MAX_HEADS - len(listed.painted) if is_painted else len(listed.decoded) + 1
             head = _arrange(entry, placeholder, placement, view, number)
             if isinstance(head, DecodedHead):
                 listed.decoded.append(head)
@@ -153,9 +156,9 @@ def count_draws(
         num_avatars=len(heads) - num_placeholders,
         num_placeholders=num_placeholders,
         num_triangles=sum(head.num_triangles for head in heads),
-        num_draw_calls=(2 + is_smooth) * len(listed.decoded)
+        num_draw_calls=(2 + 2 * is_smooth) * len(listed.decoded)
         + num_coarse
-        + (1 + is_smooth) * len(listed.painted)
+        + (1 + 2 * is_smooth) * len(listed.painted)
         + num_overlays,
         shaded_pixels=sum(counted) if len(counted) == len(counts) else None,
         heads=tuple(heads),
@@ -182,7 +185,7 @@ def _arrange(
         tint=(*FADED, min(max(placement.fade, 0.0), 1.0) * MAX_FADE),
     )
     if textured is not None:
-        return PaintedHead(slot=placement.slot, place=place, head=textured)
+        return PaintedHead(slot=placement.slot, place=place, number=number, head=textured)
     if position is None or expression is None or not has_maps:
         mesh = next(iter(body.meshes.values()))
         shape = body.textures[UNIT_POSITION]

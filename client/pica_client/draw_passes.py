@@ -37,6 +37,7 @@ from pica_client.render_targets import (
     RenderTargets,
     clip_rect,
     coarse_rect,
+    inset_rect,
 )
 from pica_client.shader_source import compose
 
@@ -87,6 +88,8 @@ class PaintedHead:
 
     slot: str
     place: Place
+    number: int
+    """Its mark in the image, 1 to 255."""
     head: TexturedHead
 
 
@@ -105,9 +108,11 @@ class DrawPasses:
         )
         self._background = self._screen_program("background.frag")
         self._resolve = self._screen_program("resolve.frag")
+        self._near_edges = self._screen_program("near_edges.frag")
         self._smooth = self._screen_program("smooth_edges.frag")
         self._background_rect = context.vertex_array(self._background, [])
         self._resolve_rect = context.vertex_array(self._resolve, [])
+        self._near_edges_rect = context.vertex_array(self._near_edges, [])
         self._smooth_rect = context.vertex_array(self._smooth, [])
         self.placeholder = upload_placeholder(context, self.mesh_program)
         self._queries: list[moderngl.Query] = []
@@ -239,21 +244,36 @@ class DrawPasses:
             painted.head.texture.use(UNIT_SKIN)
             set_matrix(program, "clip_from_head", place.matrix)
             set_values(
-                program, tint=place.tint, low_m=painted.head.low_m, high_m=painted.head.high_m
+                program,
+                slot=float(painted.number),
+                tint=place.tint,
+                low_m=painted.head.low_m,
+                high_m=painted.head.high_m,
             )
             with query:
                 painted.head.vertices.render()
         return [_samples(query) for query in queries]
 
     def smooth(self, targets: RenderTargets, places: Sequence[Place]) -> None:
-        """Blur stair-steps within these rectangles of the final image."""
-        targets.final.use()
-        self._context.disable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
+        """Blur the stair-steps of silhouettes within these rectangles of the final image."""
+        context, size = self._context, targets.size
+        context.disable(moderngl.CULL_FACE)
+        context.enable(moderngl.DEPTH_TEST)
         targets.shaded_image.use(0)
-        set_values(self._smooth, texel=(1 / targets.size[0], 1 / targets.size[1]))
-        for place in places:
-            set_values(self._smooth, rect=clip_rect(place.rect, targets.size))
-            self._smooth_rect.render(moderngl.TRIANGLE_STRIP, vertices=4)
+        set_values(self._smooth, texel=(1 / size[0], 1 / size[1]))
+        targets.depth.use()
+        targets.depth.clear(depth=0.0)
+        for target, program, rectangle, depth_func in (
+            (targets.depth, self._near_edges, self._near_edges_rect, "1"),
+            (targets.marked, self._smooth, self._smooth_rect, "=="),
+        ):
+            target.use()
+            context.depth_func = depth_func
+            for place in places:
+                set_values(program, rect=clip_rect(inset_rect(place.rect, size), size))
+                rectangle.render(moderngl.TRIANGLE_STRIP, vertices=4)
+        context.depth_func = "<"
+        context.disable(moderngl.DEPTH_TEST)
 
     def _shade_one(self, targets: RenderTargets, head: DecodedHead) -> None:
         body, program = head.body, head.body.shade

@@ -35,6 +35,8 @@ class RenderTargets:
     """Every second pixel of every second row; alpha says whose it is."""
     coarse: moderngl.Framebuffer
     final: moderngl.Framebuffer
+    marked: moderngl.Framebuffer
+    """The final image with the depth of the surface pass, which by then marks edges."""
     room: moderngl.Framebuffer
 
 
@@ -53,6 +55,7 @@ def make_targets(context: moderngl.Context, size: tuple[int, int]) -> RenderTarg
     shaded_image.repeat_x = shaded_image.repeat_y = False
     coarse_image = context.texture((-(-size[0] // COARSE_STEP), -(-size[1] // COARSE_STEP)), 4)
     coarse_image.filter = (moderngl.NEAREST, moderngl.NEAREST)
+    final_image = context.texture(size, 4)
     return RenderTargets(
         size=size,
         visible=visible,
@@ -63,7 +66,8 @@ def make_targets(context: moderngl.Context, size: tuple[int, int]) -> RenderTarg
         textured=context.framebuffer([shaded_image], depth),
         coarse_image=coarse_image,
         coarse=context.framebuffer([coarse_image]),
-        final=context.framebuffer([context.texture(size, 4)]),
+        final=context.framebuffer([final_image]),
+        marked=context.framebuffer([final_image], depth),
         room=context.framebuffer([context.texture(size, 4)]),
     )
 
@@ -88,6 +92,18 @@ def rect_in_view(clip: tuple[float, float, float, float], view: PixelRect) -> Pi
         bottom + math.floor((clip[1] + 1) / 2 * height),
         left + math.ceil((clip[2] + 1) / 2 * width),
         bottom + math.ceil((clip[3] + 1) / 2 * height),
+    )
+
+
+def inset_rect(rect: PixelRect, size: tuple[int, int]) -> PixelRect:
+    """The part of a rectangle, grown by a pixel, that keeps a pixel's distance from the image's
+    border."""
+    left, bottom, right, top = rect
+    return (
+        max(left - 1, 1),
+        max(bottom - 1, 1),
+        max(min(right + 1, size[0] - 1), 1),
+        max(min(top + 1, size[1] - 1), 1),
     )
 
 

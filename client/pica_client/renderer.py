@@ -101,6 +101,7 @@ class Renderer:
         self._passes = DrawPasses(context)
         self._overlay = Overlay(context)
         self._slots: dict[str, RenderSlot] = {}
+        self._num_decoded = 0
         self.size = (0, 0)
         self.resize(size)
 
@@ -269,11 +270,9 @@ class Renderer:
         steps = np.frombuffer(visible[UNIT_VISIBLE_UV].read(), np.uint16)
         uv = steps.astype(np.float32) / np.float32(65535)
         xyz = xyz.reshape(height, width, 4)[::-1]
-        depth = np.frombuffer(
-            self._targets.depth.read(components=1, attachment=-1, dtype="f4"), np.float32
-        )
-        is_covered = depth.reshape(height, width)[::-1] < 1
-        heads = np.where(is_covered, xyz[..., 3].astype(np.int32) - 1, -1)
+        marks = np.frombuffer(self._targets.shaded.read(components=4), np.uint8)
+        numbers = 255 - marks.reshape(height, width, 4)[::-1, :, 3].astype(np.int32)
+        heads = np.where(numbers <= self._num_decoded, numbers - 1, -1).astype(np.int32)
         return xyz[..., :3], uv.reshape(height, width, 2)[::-1], heads
 
     def present(self, target: moderngl.Framebuffer) -> None:
@@ -316,6 +315,7 @@ class Renderer:
         # With both kinds of heads depth does not tell whose a pixel is.
         has_both = bool(heads.decoded and heads.painted)
         passes.surfaces(targets, heads.decoded, clear=has_both)
+        self._num_decoded = len(heads.decoded)
         counts = passes.shade(targets, heads.decoded, count=count_pixels)
         painted_counts = passes.texture(targets, heads.painted, count=count_pixels)
         self._context.copy_framebuffer(targets.final, targets.shaded)

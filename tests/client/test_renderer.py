@@ -325,6 +325,7 @@ def test_a_shader_that_the_driver_refuses_is_named(context: moderngl.Context) ->
         ("rect.vert", "placeholder.frag"),
         ("rect.vert", "resolve.frag"),
         ("textured.vert", "textured.frag"),
+        ("rect.vert", "near_edges.frag"),
         ("rect.vert", "smooth_edges.frag"),
         ("rect.vert", "background.frag"),
         ("rect.vert", "overlay.frag"),

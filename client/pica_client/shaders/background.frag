@@ -6,8 +6,6 @@ uniform float aspect;
 
 layout(location = 0) out vec4 colour;
 
-#include "brightness.glsl"
-
 void main() {
     vec2 centred = (place - vec2(0.5, 0.62)) * vec2(aspect, 1.0);
     float light = exp(-1.6 * dot(centred, centred));
@@ -17,5 +15,5 @@ void main() {
     // Half a step of noise against banding: 8 bits are few for so slow a gradient.
     float noise = fract(52.9829189 * fract(dot(gl_FragCoord.xy, vec2(0.06711056, 0.00583715))));
     room += (noise - 0.5) / 255.0;
-    colour = vec4(room, brightness(room));
+    colour = vec4(room, 1.0);
 }

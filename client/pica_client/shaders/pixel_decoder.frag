@@ -16,7 +16,7 @@ uniform vec4 tint; // colour to fade to, and how far
 layout(location = 0) out vec4 colour;
 
 #include "owner.glsl"
-#include "brightness.glsl"
+#include "mark.glsl"
 #include "axis_table.glsl"
 #include "footprint.glsl"
 #include SIREN // vec4 encode_xyz(vec3 xyz_m), vec3 decode_pixel(vec4 p0, vec4 p1, vec4 p2, vec4 p3)
@@ -42,7 +42,5 @@ void main() {
     // A coarse pixel averages no more than a fine one would: what is filled in between is blurred
     // already (MSE 29 instead of 51 at a head 256 pixels high).
     vec3 rgb = colour_pixel(expression, surface.xyz, uv, unpack_footprint(surface.w));
-    rgb = mix(clamp(rgb, 0.0, 1.0), tint.rgb, tint.a);
-    // Alpha: in the coarse image whose it is, else what edges are found by.
-    colour = vec4(rgb, stride > 1 ? slot / 255.0 : brightness(rgb));
+    colour = vec4(mix(clamp(rgb, 0.0, 1.0), tint.rgb, tint.a), mark_of(slot));
 }

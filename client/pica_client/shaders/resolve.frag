@@ -8,7 +8,7 @@ uniform float slot;
 layout(location = 0) out vec4 colour;
 
 #include "owner.glsl"
-#include "brightness.glsl"
+#include "mark.glsl"
 
 void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
@@ -21,10 +21,9 @@ void main() {
     for (int index = 0; index < 4; ++index) {
         ivec2 place = ivec2((index & 1) == 0 ? low.x : high.x, index < 2 ? low.y : high.y);
         vec4 found = texelFetch(coarse_image, place, 0);
-        bool is_same = abs(found.a * 255.0 - slot) < 0.5;
+        bool is_same = abs(found.a - mark_of(slot)) < 0.001;
         sum += is_same ? vec4(found.rgb, 1.0) : vec4(0.0);
     }
     // The pixel's own block has always one of its head: the sum is never empty.
-    vec3 rgb = sum.rgb / max(sum.a, 1.0);
-    colour = vec4(rgb, brightness(rgb));
+    colour = vec4(sum.rgb / max(sum.a, 1.0), mark_of(slot));
 }

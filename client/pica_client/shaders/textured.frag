@@ -4,12 +4,12 @@ in vec2 surface_uv;
 
 uniform sampler2D skin; // row 0 is v = 0
 uniform vec4 tint;
+uniform float slot;
 
 layout(location = 0) out vec4 colour;
 
-#include "brightness.glsl"
+#include "mark.glsl"
 
 void main() {
-    vec3 rgb = mix(texture(skin, surface_uv).rgb, tint.rgb, tint.a);
-    colour = vec4(rgb, brightness(rgb));
+    colour = vec4(mix(texture(skin, surface_uv).rgb, tint.rgb, tint.a), mark_of(slot));
 }
