@@ -1,4 +1,5 @@
-"""`pica bench scene`: what a scene costs with and without the scheduler."""
+"""`pica bench scene` and `pica bench pareto`: error against milliseconds, of scenes and of one
+face."""
 
 from __future__ import annotations
 
@@ -6,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pica_client.avatars import AvatarLibrary
+from pica_client.bench_commands import load_bench_avatar
 from pica_client.errors import OptionError
 from pica_client.output import say
 from pica_client.staging import choose_avatars
@@ -65,6 +67,43 @@ def bench_scene(options: BenchSceneOptions) -> dict[str, Any]:
             f"{scene['unscheduled_over_full_screen']:.2f} without the scheduler; "
             f"error {scene['error']}"
         )
+    return result
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BenchParetoOptions:
+    """Options of ``pica bench pareto``."""
+
+    avatar: str | None = None
+    """Name of a shipped avatar, or a .pica file; the first shipped one by default."""
+    distances_cm: str = "18,65,120"
+    """From the camera to the front of the head, separated by commas."""
+    image_size: int = 768
+    """Rows and columns of the image, pixels."""
+    frames: int = 16
+    """Of each contender."""
+
+
+def bench_pareto(options: BenchParetoOptions) -> dict[str, Any]:
+    """Measure error against milliseconds for every level, shading rate, precision and block.
+
+    Set LP_NUM_THREADS to say how many threads software GL takes.
+    """
+    from pica_client.bench_pareto import ParetoBenchConfig, run_pareto_bench
+
+    config = ParetoBenchConfig(
+        distances_cm=_numbers("distances_cm", options.distances_cm),
+        image_size=options.image_size,
+        frames=options.frames,
+    )
+    result = run_pareto_bench(config, load_bench_avatar(options.avatar))
+    for row in result["rows"]:
+        if row["mse"] is not None:
+            say(
+                f"{row['distance_cm']:5g} cm  level {row['level']:3d} rate {row['shading_rate']} "
+                f"{row['precision']}  {row['total_ms']:7.2f} ms  MSE {row['mse']:8.3f}  "
+                f"change {row['change_mse']:7.3f} {'best' if row['is_best'] else ''}"
+            )
     return result
 
 
