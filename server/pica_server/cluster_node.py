@@ -9,14 +9,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Final
 
-from pica_protocol.errors import CloseCode, RemoteProtocolError
-from pica_protocol.frames import scan_frames
+from pica_protocol.errors import CloseCode
 from pica_protocol.messages import Join, Peer, Whisper
-from pica_protocol.session import Media
+from pica_server.cluster_exchanges import ClusterExchanges
 from pica_server.cluster_liveness import Liveness, Standing
-from pica_server.cluster_media import Exchange, NodeLink
 from pica_server.cluster_messages import (
-    MEDIA_HEADER_BYTES,
     STREAMS_PER_SLOT,
     Ask,
     Interest,
@@ -25,7 +22,6 @@ from pica_server.cluster_messages import (
     NodeMessage,
     Order,
     Passed,
-    decode_media_header,
     decode_node_message,
     encode_node_message,
     identity_key,
@@ -112,12 +108,11 @@ class ClusterNode:
         self._stats = hub.stats
         self._standing = Standing.CLUSTERED
         self._rooms: dict[str, SharedRoom] = {}
-        self._exchanges: dict[str, Exchange] = {}
+        self._exchanges = ClusterExchanges(hub, me)
         self._places: dict[str, _Place] = {}  # bounded by the number of connections
         self._dirty: dict[str, None] = {}
         self._commands: list[Command] = []
         self._last_stream = 0
-        self._last_epoch = 0
         self._tick_s = now + TICK_S
         self._alive: list[str] = []
 
@@ -239,12 +234,11 @@ class ClusterNode:
 
     def receive_loss(self, key: str) -> None:
         """Note that news of a room may have been lost."""
-        shared, exchange = self._rooms.get(key), self._exchanges.get(key)
+        shared = self._rooms.get(key)
         if shared is not None:
             shared.doubt()
             self._dirty[key] = None
-        if exchange is not None:
-            exchange.suspect_loss()
+        self._exchanges.suspect_loss(key)
 
     def receive_loss_of_all(self) -> None:
         """Note that news of any room may have been lost."""
@@ -315,25 +309,10 @@ class ClusterNode:
 
     def receive_media(self, key: str, data: bytes, now: float) -> None:
         """Take frames from another node."""
-        shared, exchange = self._rooms.get(key), self._exchanges.get(key)
+        shared = self._rooms.get(key)
         room = None if shared is None else self._hub.room(shared.name)
-        if exchange is None or room is None:
-            return
-        try:
-            header = decode_media_header(data)
-            message = data[MEDIA_HEADER_BYTES:]
-            spans = scan_frames(message)
-        except (ClusterMessageError, RemoteProtocolError):
-            self._count("unreadable")
-            return
-        if not exchange.receive_header(header):
-            if exchange.is_lossy:
-                self._count("media_lost")
-                self._dirty[key] = None
-            return
-        known = [span for span in spans if room.is_remote(span.stream)]
-        self._stats.cluster["frames_in"] += len(known)
-        self._hub.forwarding.deliver(room, Media(message, known), now, num_here=0)
+        if room is not None and self._exchanges.receive_media(key, room, data, now):
+            self._dirty[key] = None
 
     # What must be done.
 
@@ -357,9 +336,10 @@ class ClusterNode:
             reason = "this relay was away for too long, come again"
             self._hub.close(place.connection, CloseCode.GOING_AWAY, reason, now)
         self._commands += [Unwatch(key) for key in self._rooms]
-        for kept in (self._rooms, self._exchanges, self._dirty):
+        for kept in (self._rooms, self._dirty):
             kept.clear()
         self._me = me
+        self._exchanges.restart(me)
         self.liveness = Liveness(now)
         self._look(now)
 
@@ -377,7 +357,8 @@ class ClusterNode:
             request = shared.take_request()
             if request is not None:
                 self._commands.append(request)
-            self._exchange(shared, now)
+            for node, interest in self._exchanges.announce(shared, now):
+                self._tell(node, interest)
             if shared.is_over and key not in self._dirty:
                 del self._rooms[key]
                 self._commands.append(Unwatch(key))
@@ -392,13 +373,7 @@ class ClusterNode:
 
         What is not taken stays, and is thinned like a slow reader's.
         """
-        for link in self._hub.forwarding.ready_links():
-            while (taken := link.take(now)) is not None:
-                data, num_frames = taken
-                self._stats.cluster["frames_out"] += num_frames
-                self._stats.cluster["media_out"] += 1
-                yield link.slot, link.room_key, data
-            self._hub.forwarding.done_with(link)
+        return self._exchanges.take_media(now)
 
     def _handle(self, shared: SharedRoom, event: RoomEvent, now: float) -> None:
         match event:
@@ -434,52 +409,13 @@ class ClusterNode:
             case Heard(node=node):
                 self.liveness.receive_beat(node, now)
 
-    def _exchange(self, shared: SharedRoom, now: float) -> None:
-        """Tell the other nodes of a room what is wanted of them."""
-        room = self._hub.room(shared.name)
-        nodes = shared.nodes
-        if room is not None:
-            for node in [n for n in room.links if n not in nodes]:
-                self._hub.forwarding.drop_link(room, node)
-        if room is None or not nodes:
-            self._exchanges.pop(shared.key, None)
-            return
-        exchange = self._exchanges.get(shared.key)
-        if exchange is None:
-            exchange = Exchange(shared.key, self._me.name, self._next_epoch())
-            self._exchanges[shared.key] = exchange
-        layers = room.interest()
-        for stream in exchange.layers:
-            if stream not in layers:
-                room.forget_chain(stream)
-        told = exchange.announce(layers, shared.revision, nodes, self._last_epoch + 1, now)
-        self._last_epoch += 1
-        for node, interest in told:
-            self._tell(node, interest)
-
     def _follow(self, shared: SharedRoom, room: Room, interest: Interest, now: float) -> None:
         """Do as another node wishes."""
         if interest.revision > shared.revision and shared.revision > 0:
             shared.doubt()  # news was lost
             self._dirty[shared.key] = None
-        exchange = self._exchanges.get(shared.key)
-        # Who is not known to be in the room yet will be asked for its wishes once it is.
-        if exchange is None or interest.node not in shared.nodes:
-            return
-        if not exchange.receive_interest(interest):
-            return
-        if interest.wants_answer:
+        if self._exchanges.follow(shared, room, interest, now):
             self._dirty[shared.key] = None
-        link = room.links.get(interest.node)
-        if link is None:
-            dropped = self._stats.cluster_dropped
-            link = NodeLink(interest.node, self._me.slot, shared.key, dropped)
-            room.links[interest.node] = link
-        if interest.epoch != link.epoch:
-            link.restart(interest.epoch)
-        for number, _ in list(room.streams):
-            if not room.is_remote(number) and link.want(number, interest.layers.get(number)):
-                self._hub.forwarding.resume_link(room, link, number, now)
 
     def _obey(self, room: Room, order: Order, now: float) -> None:
         """Do what an admin wants who has asked another node."""
@@ -503,9 +439,7 @@ class ClusterNode:
             self._count(standing.value)
         self._standing, self._alive = standing, alive
         for key, shared in self._rooms.items():
-            exchange = self._exchanges.get(key)
-            is_due = exchange is not None and exchange.is_due(now)
-            if has_changed or shared.is_unsettled or is_due:
+            if has_changed or shared.is_unsettled or self._exchanges.is_due(key, now):
                 self._dirty[key] = None
 
     def _settle(self) -> None:
@@ -528,10 +462,6 @@ class ClusterNode:
             stream = self._me.slot * STREAMS_PER_SLOT + self._last_stream
             if not shared.uses(stream):
                 return stream
-
-    def _next_epoch(self) -> int:
-        self._last_epoch += 1
-        return self._last_epoch
 
     def _tell(self, node: str, message: NodeMessage) -> None:
         if node:
