@@ -3,17 +3,22 @@ statistics, a pinned participant, help, banners, and the join form.
 
     xvfb-run -a -s "-screen 0 2560x1440x24" python scripts/window_pictures.py OUT [COLUMNSxROWS ...]
 
+Writes OUT/NAME-COLUMNSxROWS.png, and of the first size OUT/sheet.jpg, which is docs/viewer.jpg.
+
 Starts a relay and five senders on this machine, opens the window that `pica view` opens, presses
 its keys, and takes each picture by its own screenshot key. Faces are the generated ones that ship.
 """
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+
+from PIL import Image
 
 from pica_client.avatars import AvatarLibrary
 from pica_client.call import Call
@@ -37,6 +42,16 @@ PEOPLE = 5
 SETTLE_S = 3.0
 """For figures and the speaking hint to mean something."""
 AWAY_S = 6.0
+SHEET = (
+    "layout-line",
+    "layout-arc",
+    "layout-table",
+    "layout-grid",
+    "pinned-arc-statistics",
+    "join",
+)
+SHEET_COLUMNS = 2
+CELL_PX = 640
 
 
 class Photographer:
@@ -151,14 +166,29 @@ def photograph(folder: Path, size: tuple[int, int]) -> None:
         library.close()
 
 
+def make_sheet(folder: Path, size: tuple[int, int]) -> None:
+    """Put some of the pictures side by side."""
+    cell = (CELL_PX, CELL_PX * size[1] // size[0])
+    rows = math.ceil(len(SHEET) / SHEET_COLUMNS)
+    sheet = Image.new("RGB", (SHEET_COLUMNS * cell[0], rows * cell[1]))
+    for index, name in enumerate(SHEET):
+        with Image.open(folder / f"{name}-{size[0]}x{size[1]}.png") as image:
+            row, column = divmod(index, SHEET_COLUMNS)
+            small = image.resize(cell, Image.Resampling.LANCZOS)
+            sheet.paste(small, (column * cell[0], row * cell[1]))
+    sheet.save(folder / "sheet.jpg", quality=90, optimize=True)
+
+
 def main() -> None:
     """Take all pictures in all sizes."""
     folder = Path(sys.argv[1])
     folder.mkdir(parents=True, exist_ok=True)
     given = [text.partition("x") for text in sys.argv[2:]]
-    for size in [(int(columns), int(rows)) for columns, _, rows in given] or SIZES:
+    sizes = [(int(columns), int(rows)) for columns, _, rows in given] or SIZES
+    for size in sizes:
         photograph_form(folder, size)
         photograph(folder, size)
+    make_sheet(folder, sizes[0])
 
 
 if __name__ == "__main__":

@@ -148,6 +148,7 @@ def _keep(kept: PreferencesFile, config: ViewConfig, looking: View) -> None:
     """Remember how the user left it."""
     state = looking.last_controls
     before = kept.load()
+    folder = config.viewer.keep_in
     kept.save(
         replace(
             before,
@@ -157,6 +158,6 @@ def _keep(kept: PreferencesFile, config: ViewConfig, looking: View) -> None:
             url=config.link.url,
             room=config.link.room,
             name=config.link.name,
-            keep_in=str(config.viewer.keep_in),
+            keep_in="" if folder == default_keep_folder() else str(folder.absolute()),
         )
     )
