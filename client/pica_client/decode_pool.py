@@ -14,6 +14,10 @@ Bounded by construction: a slot holds one waiting request and one finished resul
 takes the place of one that waits, and the replaced ones are counted; it is widened by what the old
 one asked for, so a request for the expression map alone never cancels one for both. A newer result
 takes the place of one that nobody has taken, and keeps the position map of that if it brings none.
+
+Getting ready for a level takes as long as a few frames. A worker with nothing else to do gets ready
+for those that were not asked for yet, one after the other, so that a change of level in the middle
+of a call finds everything there.
 """
 
 from __future__ import annotations
@@ -21,7 +25,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 from pica_client.decoder import DecodedMaps, FloatArray, ObjectDecoder, Parts
@@ -95,6 +99,8 @@ class DecodePoolOptions:
 
     workers: int = 1
     """Worker threads. One keeps up with five avatars at 30 latents a second (5 x 30 x 1 ms)."""
+    prepares_ahead: bool = True
+    """Whether idle workers get ready for levels that were not asked for yet."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.workers <= 64:
@@ -112,6 +118,8 @@ class _Slot:
     request: DecodeRequest | None = None
     submitted_s: float = 0.0
     result: DecodeResult | None = None
+    unprepared: list[tuple[int, Parts]] = field(default_factory=list)
+    """What to get ready for when there is time; the last first."""
 
 
 class DecodePool:
@@ -132,6 +140,7 @@ class DecodePool:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._make_decoder = make_decoder
+        self._prepares_ahead = options.prepares_ahead
         self._clock = clock
         self._slots: dict[str, _Slot] = {}
         self._order: list[str] = []
@@ -161,7 +170,11 @@ class DecodePool:
         """Prepare a slot for an avatar; replaces what was there. Its decoder is built on a
         worker."""
         with self._changed:
-            self._slots[slot] = _Slot(avatar)
+            entry = self._slots[slot] = _Slot(avatar)
+            if self._prepares_ahead:
+                entry.unprepared = [
+                    (level, parts) for level in avatar.levels for parts in ("expression", "both")
+                ]
             self._enqueue(slot)
 
     def remove(self, slot: str) -> None:
@@ -222,11 +235,21 @@ class DecodePool:
                 return slot
         return None
 
+    def _slot_to_prepare(self) -> str | None:
+        """A slot whose decoder is there and can get ready for more; under the lock."""
+        for slot, entry in self._slots.items():
+            is_free = not entry.busy and not entry.broken and entry.decoder is not None
+            if is_free and entry.unprepared:
+                return slot
+        return None
+
     def _work(self) -> None:
         while True:
             with self._changed:
                 slot = None
                 while not self._closed and (slot := self._next_slot()) is None:
+                    if (slot := self._slot_to_prepare()) is not None:
+                        break
                     self._changed.wait()
                 if self._closed or slot is None:
                     return
@@ -236,7 +259,10 @@ class DecodePool:
                 entry.busy = True
                 request, entry.request = entry.request, None
                 submitted_s = entry.submitted_s
-            result = self._run(slot, entry, request, submitted_s)
+                ahead = None
+                if request is None and entry.decoder is not None and entry.unprepared:
+                    ahead = entry.unprepared.pop()
+            result = self._run(slot, entry, request, submitted_s, ahead)
             with self._changed:
                 entry.busy = False
                 if result is not None:
@@ -244,7 +270,12 @@ class DecodePool:
                 self._changed.notify_all()
 
     def _run(
-        self, slot: str, entry: _Slot, request: DecodeRequest | None, submitted_s: float
+        self,
+        slot: str,
+        entry: _Slot,
+        request: DecodeRequest | None,
+        submitted_s: float,
+        ahead: tuple[int, Parts] | None,
     ) -> DecodeResult | None:
         """Build what is needed if it is not there, and decode. Only this worker touches the
         entry's decoder."""
@@ -252,6 +283,8 @@ class DecodePool:
             if entry.decoder is None:
                 entry.decoder = self._make_decoder(entry.avatar)
             if request is None:
+                if ahead is not None:
+                    entry.decoder.prepare(*ahead)
                 return None
             entry.decoder.prepare(request.level, request.parts)
             started_s = self._clock()

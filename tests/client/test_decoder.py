@@ -241,6 +241,72 @@ def test_a_request_is_decoded_at_its_level() -> None:
     assert (result.level, len(result.maps.expression_map)) == (64, 64)
 
 
+class Preparing(Echo):
+    """A decoder that notes what it got ready for."""
+
+    def __init__(self) -> None:
+        self.prepared: list[tuple[int | None, Parts]] = []
+
+    def prepare(self, level: int | None = None, parts: Parts = "both") -> None:
+        self.prepared.append((level, parts))
+
+
+def test_idle_workers_get_ready_for_every_level_the_finest_first() -> None:
+    decoder = Preparing()
+    with DecodePool(DecodePoolOptions(), lambda avatar: decoder) as pool:
+        pool.add("a", LEVELLED)
+        assert pool.wait_idle(PATIENCE_S)
+        while len(decoder.prepared) < 2 * len(LEVELS):
+            assert pool.wait_idle(PATIENCE_S)
+    assert set(decoder.prepared) == {(s, p) for s in LEVELS for p in ("both", "expression")}
+    assert decoder.prepared[0] == (256, "both")
+
+
+def test_a_request_comes_before_getting_ready() -> None:
+    gate = Gate()
+    order: list[str] = []
+
+    class Noting(Preparing):
+        def decode(self, latent: np.ndarray, *arguments: Any) -> DecodedMaps:
+            order.append("decode")
+            return super().decode(latent, *arguments)
+
+        def prepare(self, level: int | None = None, parts: Parts = "both") -> None:
+            order.append("ahead" if level is not None else "asked")
+
+    decoders = iter([gate, Noting()])
+    with DecodePool(DecodePoolOptions(), lambda avatar: next(decoders)) as pool:
+        pool.add("first", TOY)
+        pool.submit("first", request(1))
+        assert gate.entered.wait(PATIENCE_S)
+        pool.add("a", LEVELLED)
+        pool.submit("a", request(2))
+        gate.opened.set()
+        assert pool.wait_idle(PATIENCE_S)
+    assert order[:2] == ["asked", "decode"]
+
+
+def test_a_level_that_cannot_be_had_breaks_its_avatar_alone() -> None:
+    class Coarseless(Echo):
+        def prepare(self, level: int | None = None, parts: Parts = "both") -> None:
+            if level == 64:
+                raise OptionError("provider X does not take level 64")
+
+    decoders = iter([Coarseless(), Echo()])
+    with DecodePool(DecodePoolOptions(), lambda avatar: next(decoders)) as pool:
+        pool.add("bad", LEVELLED)
+        errors: list[str | None] = []
+        while not errors:
+            assert pool.wait_idle(PATIENCE_S)
+            errors = [result.error for result in pool.take_results()]
+        pool.add("good", LEVELLED)
+        pool.submit("good", request(1))
+        assert pool.wait_idle(PATIENCE_S)
+        (result,) = pool.take_results()
+    assert errors == ["provider X does not take level 64"]
+    assert result.error is None
+
+
 def test_building_a_session_does_not_count_as_decoding() -> None:
     times = iter(range(1000))
 
@@ -249,7 +315,8 @@ def test_building_a_session_does_not_count_as_decoding() -> None:
             for _ in range(100):
                 next(times)
 
-    with DecodePool(DecodePoolOptions(), lambda avatar: Slow(), lambda: next(times)) as pool:
+    options = DecodePoolOptions(prepares_ahead=False)
+    with DecodePool(options, lambda avatar: Slow(), lambda: next(times)) as pool:
         pool.add("a", TOY)
         pool.submit("a", request(1))
         assert pool.wait_idle(PATIENCE_S)
