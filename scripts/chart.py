@@ -15,6 +15,7 @@ from collections.abc import Callable
 from chart_calls import chart_impaired_call
 from chart_codec import chart_codec
 from chart_playout import chart_playout
+from chart_receiver import chart_receiver
 from chart_relay import chart_relay
 
 CHARTS: dict[str, Callable[[], None]] = {
@@ -22,6 +23,7 @@ CHARTS: dict[str, Callable[[], None]] = {
     "impaired-call": chart_impaired_call,
     "codec": chart_codec,
     "relay": chart_relay,
+    "receiver": chart_receiver,
 }
 
 
