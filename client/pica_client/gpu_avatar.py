@@ -74,14 +74,23 @@ def upload_avatar(
     weights_place: WeightsPlace,
     *,
     filtered: bool = True,
+    program: moderngl.Program | None = None,
 ) -> Body:
     """Put everything of an avatar but its two decoded maps on the GPU.
+
+    Args:
+        context: Of this thread.
+        mesh_program: Of the surface pass.
+        avatar: Checked avatar.
+        weights_place: See `RenderOptions`.
+        filtered: Encodings are averaged over what a pixel covers.
+        program: Of another avatar of the same spec and variant; weights in a block only.
 
     Raises:
         ShaderError: Sizes that the shader does not hold, or a driver that refuses it.
     """
     tensors, manifest = avatar.tensors, avatar.manifest
-    program = decoder_program(context, avatar, weights_place, filtered=filtered)
+    program = program or decoder_program(context, avatar, weights_place, filtered=filtered)
     textures = {UNIT_UV_ENCODING: _encoding_texture(context, tensors["uv_encoding"], filtered)}
     for unit, name in ((UNIT_U_ENCODING, "u_encoding"), (UNIT_V_ENCODING, "v_encoding")):
         textures[unit] = _axis_texture(context, tensors[name])

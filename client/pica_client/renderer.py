@@ -134,6 +134,7 @@ class Renderer:
                 avatar,
                 self.weights,
                 filtered=self._options.filter_encodings,
+                program=self._program_for(avatar),
             )
         levels = avatar.levels
         channels = avatar.spec.expression_channels
@@ -291,6 +292,17 @@ class Renderer:
                 f"the graphics driver reports {error}; start again, and if it stays, "
                 "make the window smaller or update the driver"
             )
+
+    def _program_for(self, avatar: Avatar) -> moderngl.Program | None:
+        """With weights in a block, one program serves all avatars of a spec."""
+        if self.weights != "block":
+            return None
+        kind = (avatar.spec, avatar.manifest.variant)
+        for entry in self._slots.values():
+            other, body = entry.avatar, entry.body
+            if other and body and (other.spec, other.manifest.variant) == kind:
+                return body.shade
+        return None
 
     def _choose_weights(self) -> WeightsPlace:
         if self._options.weights != "auto":

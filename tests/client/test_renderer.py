@@ -293,6 +293,35 @@ def test_after_the_first_frame_no_gpu_object_is_made(context: moderngl.Context) 
     assert gpu_objects() == before
 
 
+@pytest.mark.parametrize(("weights", "programs"), [("block", 0), ("constants", 1)])
+def test_weights_in_a_block_let_avatars_of_a_spec_share_a_program(
+    context: moderngl.Context, weights: str, programs: int
+) -> None:
+    def count() -> int:
+        return sum(type(item) is moderngl.Program for item in gc.get_objects())
+
+    options = RenderOptions(weights=weights, smooth_edges=False)  # type: ignore[arg-type]
+    alone = renderer_with(context, SISTER, options=options)
+    alone.draw([still("p0")], camera_at(0, 0, 0.9))
+    renderer = renderer_with(context, TOY, options=options)
+    before = count()
+    renderer.add_avatar("p1", SISTER)
+    assert count() == before + programs
+    renderer.update_maps("p1", *some_maps(SISTER))
+    renderer.draw([still("p1")], camera_at(0, 0, 0.9))
+    np.testing.assert_array_equal(renderer.read_image(), alone.read_image())
+
+
+def test_a_window_shows_what_is_read_without_one(context: moderngl.Context) -> None:
+    renderer = renderer_with(context, TOY, options=RenderOptions())
+    label = OverlayItem(key="a", lines=(("Ada", ""),), x_px=80, y_px=100)
+    renderer.draw([still("p0")], camera_at(0, 0, 0.9), [label])
+    window = context.simple_framebuffer(SIZE)
+    renderer.present(window)
+    shown = np.frombuffer(window.read(), np.uint8).reshape(SIZE[1], SIZE[0], 3)[::-1]
+    np.testing.assert_array_equal(shown, renderer.read_image())
+
+
 def test_a_resized_renderer_draws_in_the_new_size(context: moderngl.Context) -> None:
     renderer = renderer_with(context, TOY)
     renderer.resize((64, 48))
