@@ -182,6 +182,9 @@ class ViewOptions:
     """Begin as the last call in a window ended, and remember how this one ends."""
     max_fps: float = 30.0
     """Draw at most so many images a second."""
+    frame_budget_ms: float = 0.0
+    """What decoding and drawing an image may take before detail is given up; 0 is most of the time
+    that --max-fps leaves."""
     stereo: bool = False
     """Draw for two eyes, side by side."""
     playout_floor_ms: float = field(default=PlayoutConfig().floor_s * 1e3)
@@ -239,6 +242,7 @@ def view(options: ViewOptions) -> dict[str, Any]:
             record=options.record,
             keep_in=keep_folder(options.keep_in, preferences),
             max_fps=options.max_fps,
+            frame_budget_ms=options.frame_budget_ms,
             layout=options.layout or preferences.layout,
             eye_distance_m=EYE_DISTANCE_M if options.stereo else 0.0,
             show_statistics=options.statistics or preferences.show_statistics,

@@ -20,6 +20,12 @@ import moderngl
 DEPTH = 3
 """Frames between asking and reading (chosen: drivers queue two, rarely three)."""
 
+WARM_UP_FRAMES = 3
+"""The first frames of a context are not told of: drivers still compile, and llvmpipe's first query
+answers with the largest number it knows."""
+SATURATED_NS = 2**32 - 1
+"""Answers are read as 32 bits: this, and nothing above, means that nobody knows."""
+
 T = TypeVar("T")
 
 
@@ -38,7 +44,9 @@ class DrawClock(Generic[T]):
         place = self._turn % DEPTH
         query, before = self._queries[place], self._tags[place]
         if before is not None:
-            self._done.append((before, query.elapsed * 1e-9))
+            elapsed_ns = query.elapsed
+            if self._turn >= DEPTH + WARM_UP_FRAMES and 0 < elapsed_ns < SATURATED_NS:
+                self._done.append((before, elapsed_ns * 1e-9))
         self._tags[place] = tag
         self._turn += 1
         with query:

@@ -19,13 +19,14 @@ from pica_client.controls import KeyPressed, MousePressed, MouseReleased, OwnFac
 from pica_client.decode_pool import DecodeResult
 from pica_client.errors import OptionError
 from pica_client.faces import FaceState, FaceStatus
+from pica_client.scheduler import SchedulerOptions
 from pica_client.thumbnail import draw_thumbnail
 from pica_client.viewer import Viewer, ViewerOptions
 from pica_client.window import Window
 from pica_core.avatar_file import Avatar
 from pica_core.errors import AvatarFileError, GraphicsError
 from pica_core.spec import AvatarSpec
-from toy import make_toy_avatar
+from toy import make_toy_avatar, with_toy_levels
 
 pytestmark = pytest.mark.render
 
@@ -390,3 +391,37 @@ def test_preparing_does_not_wait_for_a_broken_or_silent_peer() -> None:
         viewer.prepare(timeout_s=1000.0)
 
     assert next(ticks) < 100
+
+
+def test_a_viewer_short_of_time_gives_up_detail_and_says_which() -> None:
+    levels = []
+    for budget_ms in (0.01, 10_000.0):
+        source = Faces("ada")
+        source.avatars["toy"] = with_toy_levels(TOY)
+        options = replace(SMALL, size=(640, 360), frame_budget_ms=budget_ms)
+        with Viewer(source, options) as viewer:
+            for frame in range(12):
+                source.latent = np.full((8, 8, 4), 0.1 * frame, np.float32)
+                step_until_decoded(viewer, now=1.0 + 0.1 * frame)
+            assert viewer.last_draw is not None
+            (head,) = viewer.last_draw.heads
+            levels.append(head.level)
+    assert levels == [64, 256]
+
+
+def test_the_call_is_told_once_what_is_worth_having_of_each_stream() -> None:
+    wishes: list[tuple[str, int | None]] = []
+    source = Faces("ada", "grace")
+    with Viewer(
+        source,
+        replace(SMALL, scheduler=SchedulerOptions(layer_px=(8.0, 200.0))),
+        on_wish=lambda *wish: wishes.append(wish),
+    ) as viewer:
+        for frame in range(4):
+            step_until_decoded(viewer, now=1.0 + 0.1 * frame)
+    assert sorted(wishes) == [("ada", 1), ("grace", 1)]
+
+
+def test_a_frame_budget_out_of_range_is_refused_by_name() -> None:
+    with pytest.raises(OptionError, match="frame_budget_ms"):
+        ViewerOptions(frame_budget_ms=-1.0)
