@@ -107,10 +107,12 @@ class DrawPasses:
             context, compose("textured.vert"), compose("textured.frag")
         )
         self._background = self._screen_program("background.frag")
+        self._blocks = self._screen_program("coarse_blocks.frag")
         self._resolve = self._screen_program("resolve.frag")
         self._near_edges = self._screen_program("near_edges.frag")
         self._smooth = self._screen_program("smooth_edges.frag")
         self._background_rect = context.vertex_array(self._background, [])
+        self._blocks_rect = context.vertex_array(self._blocks, [])
         self._resolve_rect = context.vertex_array(self._resolve, [])
         self._near_edges_rect = context.vertex_array(self._near_edges, [])
         self._smooth_rect = context.vertex_array(self._smooth, [])
@@ -204,15 +206,16 @@ class DrawPasses:
         # Only where some mesh lies before the far plane: whole blocks of others are skipped before
         # any program runs.
         context.enable(moderngl.DEPTH_TEST)
-        context.depth_func = ">"
         targets.textured.depth_mask = False
         targets.textured.viewport = (0, 0, *targets.size)
         for unit, texture in targets.visible.items():
             texture.use(unit)
         if any(head.stride > 1 for head in heads):
-            targets.coarse.clear()
+            targets.coarse.clear(depth=0.0)
         queries = self._queries_for(heads, count)
         for head, query in zip(heads, queries, strict=True):
+            if head.stride > 1:
+                self._mark_blocks(targets, head)
             with query:
                 self._shade_one(targets, head)
             if head.stride > 1:
@@ -277,26 +280,32 @@ class DrawPasses:
 
     def _shade_one(self, targets: RenderTargets, head: DecodedHead) -> None:
         body, program = head.body, head.body.shade
+        target, rect = targets.textured, clip_rect(head.place.rect, targets.size)
+        depth_func = ">"
+        if head.stride > 1:
+            target, depth_func = targets.coarse, "=="
+            rect = clip_rect(coarse_rect(head.place.rect), targets.coarse_image.size)
         body.bind()
-        target, rect, size = targets.textured, head.place.rect, targets.size
         if head.expression is not None:
             for unit, texture in zip(_EXPRESSION_UNITS, head.expression, strict=True):
                 texture.use(unit)
             set_values(program, blend=head.blend, stride=head.stride)
-            if head.stride > 1:
-                target, rect = targets.coarse, coarse_rect(rect)
-                size = targets.coarse_image.size
         target.use()
-        set_values(
-            program,
-            slot=float(head.number),
-            tint=head.place.tint,
-            rect=clip_rect(rect, size),
-        )
+        self._context.depth_func = depth_func
+        set_values(program, slot=float(head.number), tint=head.place.tint, rect=rect)
         body.shade_rect.render(moderngl.TRIANGLE_STRIP, vertices=4)
+
+    def _mark_blocks(self, targets: RenderTargets, head: DecodedHead) -> None:
+        """Tell the coarse pixels of a head from others by depth."""
+        targets.coarse_depth.use()
+        self._context.depth_func = "1"
+        rect = clip_rect(coarse_rect(head.place.rect), targets.coarse_image.size)
+        set_values(self._blocks, slot=float(head.number), rect=rect)
+        self._blocks_rect.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
     def _fill_in(self, targets: RenderTargets, head: DecodedHead) -> None:
         targets.textured.use()
+        self._context.depth_func = ">"
         targets.coarse_image.use(UNIT_COARSE)
         set_values(
             self._resolve,

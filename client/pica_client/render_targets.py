@@ -34,6 +34,8 @@ class RenderTargets:
     coarse_image: moderngl.Texture
     """Every second pixel of every second row; alpha says whose it is."""
     coarse: moderngl.Framebuffer
+    coarse_depth: moderngl.Framebuffer
+    """The depth of the coarse image alone; it marks blocks."""
     final: moderngl.Framebuffer
     marked: moderngl.Framebuffer
     """The final image with the depth of the surface pass, which by then marks edges."""
@@ -54,7 +56,8 @@ def make_targets(context: moderngl.Context, size: tuple[int, int]) -> RenderTarg
     shaded_image = context.texture(size, 4)
     shaded_image.repeat_x = shaded_image.repeat_y = False
     coarse_image = context.texture((-(-size[0] // COARSE_STEP), -(-size[1] // COARSE_STEP)), 4)
-    coarse_image.filter = (moderngl.NEAREST, moderngl.NEAREST)
+    coarse_image.repeat_x = coarse_image.repeat_y = False
+    coarse_depth = context.depth_renderbuffer(coarse_image.size)
     final_image = context.texture(size, 4)
     return RenderTargets(
         size=size,
@@ -65,7 +68,8 @@ def make_targets(context: moderngl.Context, size: tuple[int, int]) -> RenderTarg
         shaded=context.framebuffer([shaded_image]),
         textured=context.framebuffer([shaded_image], depth),
         coarse_image=coarse_image,
-        coarse=context.framebuffer([coarse_image]),
+        coarse=context.framebuffer([coarse_image], coarse_depth),
+        coarse_depth=context.framebuffer([], coarse_depth),
         final=context.framebuffer([final_image]),
         marked=context.framebuffer([final_image], depth),
         room=context.framebuffer([context.texture(size, 4)]),

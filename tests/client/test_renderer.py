@@ -353,6 +353,7 @@ def test_a_shader_that_the_driver_refuses_is_named(context: moderngl.Context) ->
         ("rect.vert", "pixel_decoder.frag"),
         ("rect.vert", "placeholder.frag"),
         ("rect.vert", "resolve.frag"),
+        ("rect.vert", "coarse_blocks.frag"),
         ("textured.vert", "textured.frag"),
         ("rect.vert", "near_edges.frag"),
         ("rect.vert", "smooth_edges.frag"),

@@ -17,20 +17,15 @@ layout(location = 0) out vec4 colour;
 
 #include "owner.glsl"
 #include "mark.glsl"
+#include "block_owner.glsl"
 #include "axis_table.glsl"
 #include "footprint.glsl"
 #include SIREN // vec4 encode_xyz(vec3 xyz_m), vec3 decode_pixel(vec4 p0, vec4 p1, vec4 p2, vec4 p3)
 #include ENCODING // vec3 colour_pixel(vec4 expression, vec3 xyz_m, vec2 uv, vec2 reach)
 
 void main() {
-    ivec2 corner = ivec2(gl_FragCoord.xy) * stride;
-    ivec2 pixel = corner;
-    vec4 surface = texelFetch(visible_xyz, pixel, 0);
-    // The first pixel of the block that is ours.
-    for (int index = 1; index < stride * stride && !is_owner(surface.w, slot); ++index) {
-        pixel = min(corner + ivec2(index & 1, index >> 1), textureSize(visible_xyz, 0) - 1);
-        surface = texelFetch(visible_xyz, pixel, 0);
-    }
+    ivec2 pixel;
+    vec4 surface = first_of_block(visible_xyz, ivec2(gl_FragCoord.xy), stride, slot, pixel);
     if (!is_owner(surface.w, slot)) {
         discard;
     }
