@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pica_client.call_status import AvatarFigures, CallStatus, PeerStatus
 from pica_client.faces import FaceState
@@ -19,6 +19,8 @@ from pica_client.typesetting import OverlayItem, item_size_px
 
 HEAD = ("", "level", "decode ms", "draw ms", "kbit/s", "latency ms", "age ms", "concealed")
 MAX_NAME_LENGTH = 14
+MIN_TYPE_PX = 7
+"""Smaller type than this cannot be read; a table that is wider still is cut by the edge."""
 MAX_ROWS = 16
 """Participants that a table shows."""
 NO_FIGURE = "-"
@@ -74,27 +76,37 @@ def table_item(
                 NO_FIGURE if concealed is None else f"{concealed * 100:.1f} %",
             )
         )
-    return OverlayItem(
+    item = OverlayItem(
         key="statistics",
         lines=tuple(rows),
         x_px=0,
         y_px=0,
         style="table",
-        size_px=max(11, round(0.72 * type_size_px(size[1]))),
+        size_px=_type_px(size),
     )
+    while _is_too_wide(item, size) and item.size_px > MIN_TYPE_PX:
+        item = replace(item, size_px=item.size_px - 1)
+    return item
 
 
 def summary_item(lines: Sequence[tuple[str, str]], size: tuple[int, int]) -> OverlayItem:
-    """One line with the figures of the whole call, to stand under the table."""
-    texts = tuple(f"{name} {value}".strip() for name, value in lines)
-    return OverlayItem(
-        key="statistics-summary",
-        lines=(texts,),
-        x_px=0,
-        y_px=0,
-        style="table",
-        size_px=max(11, round(0.72 * type_size_px(size[1]))),
-    )
+    """The figures of the whole call, to stand under the table: in one line if that is not too
+    wide."""
+    texts = [f"{name} {value}".strip() for name, value in lines] or [NO_FIGURE]
+    for columns in range(len(texts), 0, -1):
+        rows = tuple(tuple(texts[at : at + columns]) for at in range(0, len(texts), columns))
+        item = OverlayItem(
+            key="statistics-summary",
+            lines=rows,
+            x_px=0,
+            y_px=0,
+            style="table",
+            size_px=_type_px(size),
+            num_heads=len(rows),
+        )
+        if not _is_too_wide(item, size):
+            break
+    return item
 
 
 def stacked_size_px(items: Sequence[OverlayItem]) -> tuple[int, int]:
@@ -152,3 +164,11 @@ def draw_shares_ms(rects: Mapping[str, Rect | None], draw_ms: float | None) -> d
 
 def _figure(value: float | None, digits: int) -> str:
     return NO_FIGURE if value is None or not math.isfinite(value) else f"{value:.{digits}f}"
+
+
+def _type_px(size: tuple[int, int]) -> int:
+    return max(11, round(0.72 * type_size_px(size[1])))
+
+
+def _is_too_wide(item: OverlayItem, size: tuple[int, int]) -> bool:
+    return item_size_px(item)[0] > size[0] - 2 * margin_px(size)

@@ -40,6 +40,21 @@ FALLBACK_FONTS = (
 )
 """For what Pillow's own font lacks, which is all but ASCII and a few signs: the first of these that
 the machine has."""
+FALLBACK_FONTS_EAST = (
+    "NotoSansCJK-Regular.ttc",
+    "DroidSansFallbackFull.ttf",
+    "DroidSansFallback.ttf",
+    "wqy-zenhei.ttc",
+    "msyh.ttc",
+    "malgun.ttf",
+    "YuGothM.ttc",
+    "PingFang.ttc",
+    "Hiragino Sans GB.ttc",
+    "Arial Unicode.ttf",
+)
+"""For Chinese, Japanese and Korean, before the others."""
+EAST_FROM = 0x2E80
+"""First code point of their scripts."""
 OWN_SIGNS = frozenset("…·°±´©«»")
 
 _INK = (240, 242, 245)
@@ -91,11 +106,14 @@ class OverlayItem:
     """A dot of this colour before the first line of a label or banner."""
     highlight: int | None = None
     """The line of a form whose field is in use."""
+    num_heads: int = 1
+    """Lines of a table, from the first on, that are heads: fainter."""
 
     @property
     def content(self) -> tuple[Any, ...]:
         """All that decides how the texture looks."""
-        return (self.lines, self.style, self.size_px, self.tone, self.dot, self.highlight)
+        look = (self.style, self.size_px, self.tone, self.dot, self.highlight, self.num_heads)
+        return (self.lines, look)
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,7 +209,7 @@ def _arrange(item: OverlayItem) -> _Plate:
         case "panel":
             return _panel(rows, item.size_px)
         case "table":
-            return _table(rows, item.size_px)
+            return _table(rows, item)
         case "form":
             return _form(rows, item)
         case _:
@@ -262,8 +280,9 @@ def _panel(rows: list[tuple[str, ...]], size_px: int) -> _Plate:
     return _Plate(width, leading * len(rows) + 2 * pad_y, texts, 205)
 
 
-def _table(rows: list[tuple[str, ...]], size_px: int) -> _Plate:
+def _table(rows: list[tuple[str, ...]], item: OverlayItem) -> _Plate:
     """Columns: the first from the left, the others from the right, their heads faint."""
+    size_px = item.size_px
     pad_x, pad_y, leading = round(0.9 * size_px), round(0.6 * size_px), round(1.36 * size_px)
     gap = round(0.9 * size_px)
     count = max((len(row) for row in rows), default=0)
@@ -285,7 +304,7 @@ def _table(rows: list[tuple[str, ...]], size_px: int) -> _Plate:
         y = pad_y + leading * (index + 0.5)
         for column, text in enumerate(row):
             x, anchor = (pad_x, "lm") if column == 0 else (ends[column], "rm")
-            ink = _FAINT if index == 0 else _INK
+            ink = _FAINT if index < item.num_heads else _INK
             texts.append(_Text(text, _font(text, size_px), x, y, anchor, ink))
     return _Plate(width, leading * len(rows) + 2 * pad_y, texts, 205)
 
@@ -362,13 +381,15 @@ def _printable(text: str) -> str:
 
 
 def _font(text: str, size_px: int) -> Font:
-    is_own = all(char.isascii() or char in OWN_SIGNS for char in text)
-    return _load_font(is_own, size_px)
+    if all(char.isascii() or char in OWN_SIGNS for char in text):
+        return _load_font("own", size_px)
+    return _load_font("east" if any(ord(char) >= EAST_FROM for char in text) else "rest", size_px)
 
 
 @lru_cache(maxsize=32)
-def _load_font(is_own: bool, size_px: int) -> Font:
-    for name in () if is_own else FALLBACK_FONTS:
+def _load_font(script: Literal["own", "rest", "east"], size_px: int) -> Font:
+    names = {"own": (), "rest": FALLBACK_FONTS, "east": FALLBACK_FONTS_EAST + FALLBACK_FONTS}
+    for name in names[script]:
         with suppress(OSError):
             return ImageFont.truetype(name, size_px)
     # The machine has none of them: boxes instead of letters, but a name all the same.

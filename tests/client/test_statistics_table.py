@@ -54,7 +54,7 @@ def full_table(faces: list[FaceState], size: tuple[int, int]) -> list[OverlayIte
 
 
 @pytest.mark.parametrize("pinned", [None, 0])
-@pytest.mark.parametrize("size", [(1280, 720), (2560, 1440), (960, 540)])
+@pytest.mark.parametrize("size", [(1280, 720), (2560, 1440), (960, 540), (640, 720), (720, 1280)])
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5])
 def test_the_table_covers_no_head_and_no_name(
@@ -83,6 +83,13 @@ def test_the_table_covers_no_head_and_no_name(
     rects += [item_rect_px(item, size) for item in name_items(faces, seated, camera, notes)]
     rects += [item_rect_px(item, size) for item in own_items("muted", True, size)]
     assert not any(overlap(table, rect) for rect in rects)
+
+
+def test_on_a_narrow_picture_the_figures_of_the_call_take_more_lines() -> None:
+    wide, narrow = summary_item(SUMMARY, (1280, 720)), summary_item(SUMMARY, (640, 720))
+    assert len(wide.lines) == 1
+    assert len(narrow.lines) > 1
+    assert [text for row in narrow.lines for text in row] == list(wide.lines[0])
 
 
 def test_a_line_for_each_participant_has_all_figures() -> None:
