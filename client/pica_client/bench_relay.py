@@ -26,13 +26,20 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 from urllib.parse import urlsplit
 
+from pica_client.bench_relay_figures import (
+    close_codes,
+    describe,
+    is_within,
+    merged,
+    percentiles,
+    relay_percentiles,
+)
 from pica_client.bench_relay_processes import (
     START_TIMEOUT_S,
     Worker,
@@ -45,7 +52,7 @@ from pica_client.bench_relay_processes import (
     split_evenly,
     summed,
 )
-from pica_client.bench_relay_swarm import DRAIN_S, STEP_US, SwarmConfig
+from pica_client.bench_relay_swarm import DRAIN_S, SwarmConfig
 from pica_client.errors import CallProcessError, OptionError
 from pica_client.processes import Child, Children
 from pica_client.stats import describe_machine
@@ -210,7 +217,7 @@ class Load:
         if live < rooms * self._config.peers:
             raise CallProcessError(
                 f"{live} of {rooms * self._config.peers} peers got in; the others were closed "
-                f"with {_codes(answers) or 'no code'}: see the limits of the relay"
+                f"with {close_codes(answers) or 'no code'}: see the limits of the relay"
             )
         self._connected = rooms
 
@@ -243,7 +250,7 @@ class Load:
     def end_farewell(self, timeout_s: float) -> tuple[int, dict[str, int]]:
         """Return how many are still there, and with which codes the others were closed."""
         answers = [swarm.answer(timeout_s + PATIENCE_S) for swarm in self._swarms]
-        return sum(answer["live"] for answer in answers), _codes(answers)
+        return sum(answer["live"] for answer in answers), close_codes(answers)
 
     def leave(self) -> None:
         """End the swarms."""
@@ -262,18 +269,18 @@ class Load:
             key: sum(answer[key] for answer in answers)
             for key in ("sent", "blocked", "received", "bytes_in", "reads")
         }
-        latency, turns = _merged(answers, "latency"), _merged(answers, "turn")
+        latency, turns = merged(answers, "latency"), merged(answers, "turn")
         expected = total["sent"] * (config.peers - 1)
         missing = expected - total["received"]
         delivered_per_s = total["received"] / seconds
-        forward_ms = _percentiles(latency)
+        forward_ms = percentiles(latency)
         idle, pid = self._idle_bytes, self.target.pid
         held = None if pid is None else memory_bytes(pid)
         per_connection = None
         if idle is not None and held is not None:
             per_connection = round(max(held - idle, 0) / self.num_connections)
         messages = summed(metrics, "pica_messages_out_total")
-        closed = _codes(answers)
+        closed = close_codes(answers)
         return {
             "rooms": rooms,
             "peers": config.peers,
@@ -283,7 +290,7 @@ class Load:
             "delivered_per_s": round(delivered_per_s, 1),
             "sent_per_s": round(total["sent"] / seconds, 1),
             "forward_ms": forward_ms,
-            "relay_forward_ms": _relay_percentiles(metrics),
+            "relay_forward_ms": relay_percentiles(metrics),
             "dropped": round(summed(metrics, "pica_frames_dropped_total")) if metrics else missing,
             "missing": missing,
             "blocked": total["blocked"],
@@ -298,11 +305,11 @@ class Load:
             else round(summed(metrics, "pica_frames_out_total") / messages, 2),
             "errors": sum(closed.values()),
             "close_codes": closed,
-            "within_bar": _is_within(forward_ms, missing, expected, config.bar_ms),
+            "within_bar": is_within(forward_ms, missing, expected, config.bar_ms),
             "generator": {
                 "processes": config.processes,
                 "cpu_ratio": [round(answer["cpu_ratio"], 3) for answer in answers],
-                "turn_ms": _percentiles(turns),
+                "turn_ms": percentiles(turns),
                 "reads_per_s": round(total["reads"] / seconds, 1),
             },
         }
@@ -438,82 +445,6 @@ def _find_capacity(
         "bar_ms": config.bar_ms,
         "tries": [{key: row[key] for key in kept} for row in tries],
     }
-
-
-def describe(row: dict[str, Any]) -> str:
-    """One line about a measurement."""
-    forward, cpu = row["forward_ms"], row["relay_cpu_ratio"]
-    per_1000 = row["relay_cpu_s_per_1000"]
-    return (
-        f"{row['rooms']} rooms of {row['peers']} at {row['fps']:g} fps: "
-        f"{row['delivered_per_s']:,.0f} frames/s delivered, forwarding p50 {forward['p50']} ms, "
-        f"p99 {forward['p99']} ms, dropped {row['dropped']}, missing {row['missing']}"
-        + ("" if cpu is None else f", core {cpu:.0%} busy, {per_1000} s per 1,000")
-        + f"; generator {max(row['generator']['cpu_ratio']):.0%} busy"
-    )
-
-
-def _is_within(
-    forward_ms: dict[str, float | None], missing: int, expected: int, bar_ms: float
-) -> bool:
-    """Within the bar: late frames are few, and so are those that never came."""
-    p99 = forward_ms["p99"]
-    return p99 is not None and p99 <= bar_ms and missing <= expected * 0.001
-
-
-def _merged(answers: Sequence[dict[str, Any]], key: str) -> Counter[int]:
-    merged: Counter[int] = Counter()
-    for answer in answers:
-        merged.update({int(step): count for step, count in answer[key].items()})
-    return merged
-
-
-def _percentiles(steps: Counter[int]) -> dict[str, float | None]:
-    """Percentiles of a histogram of the swarms, upper edges, in milliseconds."""
-    total = sum(steps.values())
-    found: dict[str, float | None] = {}
-    ordered = sorted(steps.items())
-    for percent in (50, 95, 99):
-        seen, rank = 0, max(1, -(-total * percent // 100))
-        found[f"p{percent}"] = None
-        for step, count in ordered:
-            seen += count
-            if seen >= rank:
-                found[f"p{percent}"] = round((step + 1) * STEP_US / 1e3, 3)
-                break
-    return found
-
-
-def _relay_percentiles(metrics: dict[str, float]) -> dict[str, float | None] | None:
-    """Percentiles of the relay's histogram: the upper bounds of the buckets they lie in."""
-    prefix = "pica_forward_seconds_bucket"
-    buckets = [
-        (float(name.partition('le="')[2].partition('"')[0].replace("+Inf", "inf")), count)
-        for name, count in metrics.items()
-        if name.startswith(prefix)
-    ]
-    if not buckets:
-        return None
-    buckets.sort()
-    total = buckets[-1][1]
-    return {
-        f"p{percent}": next(
-            (
-                None if bound == float("inf") else round(bound * 1e3, 3)
-                for bound, count in buckets
-                if total and count >= total * percent / 100
-            ),
-            None,
-        )
-        for percent in (50, 95, 99)
-    }
-
-
-def _codes(answers: Sequence[dict[str, Any]]) -> dict[str, int]:
-    codes: Counter[str] = Counter()
-    for answer in answers:
-        codes.update(answer["closed"])
-    return dict(codes)
 
 
 def _sleep_until(when_s: float) -> None:

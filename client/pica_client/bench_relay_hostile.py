@@ -14,13 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from pica_client.bench_relay import (
-    Load,
-    RelayBenchConfig,
-    Target,
-    describe,
-    relay_target,
-)
+from pica_client.bench_relay import Load, RelayBenchConfig, Target, relay_target
+from pica_client.bench_relay_figures import describe
 from pica_client.bench_relay_offender import KINDS
 from pica_client.bench_relay_processes import (
     START_TIMEOUT_S,

@@ -15,7 +15,8 @@ import time
 from dataclasses import dataclass
 from typing import Any, Final
 
-from pica_client.bench_relay import Load, RelayBenchConfig, describe, start_relay
+from pica_client.bench_relay import Load, RelayBenchConfig, start_relay
+from pica_client.bench_relay_figures import describe
 from pica_client.bench_relay_offender import Intruder
 from pica_client.bench_relay_processes import Workers, memory_bytes
 from pica_client.errors import OptionError
