@@ -44,7 +44,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pica_client.codec_sheet import Cell, write_sheet
+from pica_client.difference_sheet import Cell, write_sheet
 from pica_client.errors import OptionError
 from pica_client.render_error import (
     Drawing,

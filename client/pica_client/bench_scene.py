@@ -39,6 +39,7 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import moderngl
@@ -48,6 +49,7 @@ import numpy.typing as npt
 from pica_client.bench_scene_summary import AWAY, FULL_SCREEN_CM, summarise
 from pica_client.decode_pool import DecodeRequest, DecodeResult
 from pica_client.decoder import OnnxDecoder
+from pica_client.difference_sheet import Cell, write_sheet
 from pica_client.errors import OptionError
 from pica_client.render_error import masked_mse
 from pica_client.renderer import Renderer, RenderOptions
@@ -92,6 +94,9 @@ class SceneBenchConfig:
     performance: str = "talk"
     budget_shares: tuple[float, ...] = (0.75, 0.5, 0.35)
     """Budgets of the largest scenes, as shares of what they cost unconstrained."""
+    sheet: Path | None = None
+    """PNG of the nearest of the largest scenes as each way of treating it left it, with the
+    differences, amplified."""
 
     def __post_init__(self) -> None:
         if not self.avatars or not all(1 <= count <= 16 for count in self.avatars):
@@ -142,6 +147,8 @@ class _Case:
     num_limited: int = 0
     pixels: int = 0
     triangles: int = 0
+    judged: tuple[Image, Image] | None = None
+    """The last picture whose error was measured, as it should be and as it was."""
 
 
 def run_scene_bench(config: SceneBenchConfig, avatars: Sequence[Avatar]) -> dict[str, Any]:
@@ -162,6 +169,8 @@ def run_scene_bench(config: SceneBenchConfig, avatars: Sequence[Avatar]) -> dict
         limited = bench.limited_cases(cases)
         bench.measure(limited)
         rows = [bench.row(case) for case in [*cases, *limited]]
+        if config.sheet is not None:
+            _write_sheet(config.sheet, config, [*cases, *limited])
         return {
             "avatars": [avatar.manifest.identity for avatar in avatars],
             "gl_renderer": bench.gl_renderer,
@@ -297,7 +306,8 @@ class _Bench:
                 case.num_limited += choice.is_limited
         if is_judged:
             shown, _ = self._read()
-            frame.error, case.pixels = self._judge(heads, camera, shown)
+            frame.error, case.pixels, truth = self._judge(heads, camera, shown)
+            case.judged = (truth, shown)
         return frame
 
     def _heads(self, case: _Case, now: float) -> list[SceneHead]:
@@ -397,7 +407,7 @@ class _Bench:
             )
         self._renderer.draw(placements, camera)
         truth, is_head = self._read()
-        return masked_mse(shown, truth, covered | is_head), int(is_head.sum())
+        return masked_mse(shown, truth, covered | is_head), int(is_head.sum()), truth
 
     def _read(self) -> tuple[Image, npt.NDArray[np.bool_]]:
         return self._renderer.read_image(), self._renderer.read_surface()[2] >= 0
@@ -416,6 +426,28 @@ class _Bench:
             width=width,
             height=rows,
         )
+
+
+def _write_sheet(path: Path, config: SceneBenchConfig, cases: Sequence[_Case]) -> None:
+    """The nearest of the largest scenes, one way of treating it under the other."""
+    most, nearest = max(config.avatars), min(config.distances_cm)
+    shown = [
+        (case, *case.judged)
+        for case in cases
+        if case.judged is not None
+        and not case.is_away
+        and (case.num_avatars, case.distance_cm) == (most, nearest)
+    ]
+    cells = []
+    for case, truth, picture in shown:
+        is_free = math.isinf(case.budget_s)
+        budget = "" if is_free else f", budget {case.budget_s * 1e3:.0f} ms"
+        how = f"scheduled{budget}" if case.is_scheduled else "everybody decoded whole"
+        total_ms = _middle_mean(_turn_means_ms(case.frames, "total"))
+        levels = ", ".join(f"{level}: {count}" for level, count in sorted(case.levels.items()))
+        caption = f"{how}: {total_ms:.0f} ms a frame  {levels and 'levels chosen ' + levels}"
+        cells.append(Cell(caption, truth, picture))
+    write_sheet(path, cells, columns=1)
 
 
 def _whole(head: SceneHead, camera: Camera) -> DecodeRequest:

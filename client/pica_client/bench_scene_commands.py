@@ -4,12 +4,13 @@ face."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from pica_client.avatars import AvatarLibrary
 from pica_client.bench_commands import load_bench_avatar
 from pica_client.errors import OptionError
-from pica_client.output import say
+from pica_client.output import check_writable, say
 from pica_client.staging import choose_avatars
 from pica_core.avatar_file import Avatar
 
@@ -33,6 +34,8 @@ class BenchSceneOptions:
     """Turns of each case, of five frames each."""
     performance: str = "talk"
     """What everybody does: talk, listen or range-of-motion."""
+    sheet: Path | None = None
+    """Also write a picture of the nearest of the largest scenes in every treatment here, PNG."""
 
 
 def bench_scene(options: BenchSceneOptions) -> dict[str, Any]:
@@ -48,7 +51,10 @@ def bench_scene(options: BenchSceneOptions) -> dict[str, Any]:
         size=(options.width, options.height),
         rounds=options.rounds,
         performance=options.performance,
+        sheet=options.sheet,
     )
+    if options.sheet is not None:
+        check_writable(options.sheet)
     result = run_scene_bench(config, _load(options.avatar))
     for row in result["rows"]:
         budget = "" if row["budget_ms"] is None else f"of {row['budget_ms']:g}"

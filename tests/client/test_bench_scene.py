@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 
 from pica_client.bench_scene import SceneBenchConfig, run_scene_bench
 from pica_client.bench_scene_summary import summarise
@@ -15,9 +17,19 @@ pytestmark = pytest.mark.render
 
 
 @pytest.fixture(scope="module")
-def result() -> dict[str, Any]:
+def sheet(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("scene") / "scene.png"
+
+
+@pytest.fixture(scope="module")
+def result(sheet: Path) -> dict[str, Any]:
     config = SceneBenchConfig(
-        avatars=(1, 3), distances_cm=(120.0,), size=(160, 90), rounds=2, budget_shares=(0.5,)
+        avatars=(1, 3),
+        distances_cm=(120.0,),
+        size=(160, 90),
+        rounds=2,
+        budget_shares=(0.5,),
+        sheet=sheet,
     )
     return run_scene_bench(config, [with_toy_levels(make_toy_avatar())])
 
@@ -53,6 +65,16 @@ def test_every_scene_is_measured_with_and_without_the_scheduler_and_on_a_budget(
     (limited,) = [row for row in result["rows"] if row["budget_ms"] is not None]
     assert limited["avatars"] == 3
     assert limited["pixels"] == seen[-1]["pixels"] > 0
+
+
+def test_the_sheet_shows_each_treatment_of_the_largest_scene_above_its_difference(
+    result: dict[str, Any], sheet: Path
+) -> None:
+    with Image.open(sheet) as picture:
+        width, height = picture.size
+    assert width == 160
+    assert height // (2 * 90) == 3  # whole, scheduled, on a budget
+    assert result["rows"]
 
 
 def test_the_summary_compares_with_one_head_that_fills_the_screen() -> None:

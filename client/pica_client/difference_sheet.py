@@ -1,4 +1,4 @@
-"""A sheet of faces as profiles show them, each with its difference from what it should be."""
+"""A sheet of pictures as they were shown, each with its difference from what it should be."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ AMPLIFIED = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cell:
-    """One profile."""
+    """One picture."""
 
     caption: str
     wanted: Image
@@ -31,19 +31,24 @@ class Cell:
     shown: Image
 
 
-def write_sheet(path: Path, cells: Sequence[Cell]) -> None:
-    """Write the sheet as PNG: each face above its difference, captions on top.
+def write_sheet(path: Path, cells: Sequence[Cell], columns: int = COLUMNS) -> None:
+    """Write the sheet as PNG: each picture above its difference, captions on top.
+
+    Args:
+        path: Where to.
+        cells: All of one size.
+        columns: Pictures in a row.
 
     Raises:
         OutputError: The file cannot be written.
     """
     height, width = cells[0].shown.shape[:2]
     tall = CAPTION_PX + 2 * height
-    rows = -(-len(cells) // COLUMNS)
-    sheet = Pillow.new("RGB", (COLUMNS * width, rows * tall), (24, 26, 30))
+    rows = -(-len(cells) // columns)
+    sheet = Pillow.new("RGB", (columns * width, rows * tall), (24, 26, 30))
     pen = ImageDraw.Draw(sheet)
     for index, cell in enumerate(cells):
-        x, y = index % COLUMNS * width, index // COLUMNS * tall
+        x, y = index % columns * width, index // columns * tall
         difference = AMPLIFIED * np.abs(cell.shown.astype(np.int16) - cell.wanted)
         pen.text((x + 4, y + 2), cell.caption, fill=(225, 225, 225))
         sheet.paste(Pillow.fromarray(cell.shown), (x, y + CAPTION_PX))
