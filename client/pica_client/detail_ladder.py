@@ -13,6 +13,7 @@ cost less than it and was worth no more per second.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
@@ -45,13 +46,14 @@ class Rung(NamedTuple):
 class Climber:
     """One head on its two ladders, both at their lowest rung at first."""
 
-    slot: str
     nearness: tuple[float, ...]
     """Of a nearer head all of it is at least as much."""
     motion: tuple[float, ...] = ()
     """Of a head that moves as much all of it is at least as much."""
-    ladder: list[Rung] = field(default_factory=list)
+    ladder: list[Rung]
     """See `hull`; at least one."""
+    worths: list[float]
+    """What its steps are worth."""
     place: int = 0
     shading_rate: int = COARSE
     fine_cost_s: float = 0.0
@@ -89,17 +91,30 @@ class _Step(NamedTuple):
     """Place in the decode ladder; not used for shading."""
 
 
-def hull(rungs: list[Rung]) -> list[Rung]:
-    """The rungs worth taking, from the cheapest up: each saves less per second than the last."""
+def hull(rungs: list[Rung]) -> tuple[list[Rung], list[float]]:
+    """The rungs worth taking, from the cheapest up.
+
+    Returns:
+        The rungs, and what it is worth to step on each from the one before, in error saved per
+        second: less with every step. The first is infinitely worth.
+    """
     rungs.sort(key=_cheapest_first)
-    chain = rungs[:1]
+    low = rungs[0]
+    chain, worths = [low], [math.inf]
     for rung in rungs[1:]:
-        if rung.error >= chain[-1].error - _EPSILON:
+        if rung.error >= low.error - _EPSILON:
             continue
-        while len(chain) > 1 and _worth(chain[-1], rung) >= _worth(chain[-2], chain[-1]):
+        while True:
+            low = chain[-1]
+            worth = (low.error - rung.error) / max(rung.cost_s - low.cost_s, _EPSILON)
+            if worth < worths[-1]:
+                break
             chain.pop()
+            worths.pop()
         chain.append(rung)
-    return chain
+        worths.append(worth)
+        low = rung
+    return chain, worths
 
 
 def climb(climbers: Sequence[Climber], left_s: float) -> tuple[float, int]:
@@ -152,19 +167,16 @@ def _cheapest_first(rung: Rung) -> tuple[float, float]:
     return rung.cost_s, rung.error
 
 
-def _worth(low: Rung, high: Rung) -> float:
-    return (low.error - high.error) / max(high.cost_s - low.cost_s, _EPSILON)
-
-
 def _steps(climbers: Sequence[Climber]) -> list[_Step]:
     """All steps of all ladders, the best first; ties stay in order."""
     steps = []
     for climber in climbers:
-        ladder = climber.ladder
+        ladder, worths = climber.ladder, climber.worths
+        before_s = ladder[0].cost_s
         for place in range(1, len(ladder)):
-            low, high = ladder[place - 1], ladder[place]
-            cost_s = max(high.cost_s - low.cost_s, 0.0)
-            steps.append(_Step(_worth(low, high), climber, True, cost_s, place))
+            after_s = ladder[place].cost_s
+            steps.append(_Step(worths[place], climber, True, after_s - before_s, place))
+            before_s = after_s
         if not climber.is_shading_closed:
             cost_s = climber.fine_cost_s
             worth = climber.coarse_error / max(cost_s, _EPSILON)

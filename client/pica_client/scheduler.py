@@ -292,11 +292,12 @@ class Scheduler:
             mesh_top = min(mesh_top, memory.mesh)
         pixels = view.visible_px if view.drawn_px is None else view.drawn_px
         fine_s = costs.draw.pixel_s * pixels
+        ladder, worths = hull(self._rungs(view, mesh_top, weight, extra, top, is_overdue))
         climber = Climber(
-            slot=view.slot,
             nearness=(view.head_px, weight, -view.distance_m, -view.speed_px_s),
             motion=(view.latent_change, view.view_turn_rad, view.age_s),
-            ladder=hull(self._rungs(view, mesh_top, weight, extra, top, is_overdue)),
+            ladder=ladder,
+            worths=worths,
             is_limited=min(top, mesh_top) < memory.cap,
         )
         if not options.half_shading:

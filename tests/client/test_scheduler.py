@@ -423,13 +423,13 @@ def test_greedy_is_less_than_one_rung_from_the_best_that_exhaustive_search_finds
     ]
     climbers = [
         Climber(
-            slot=str(index),
             # Nobody is nearer: the best under that rule is another problem.
             nearness=(float(-index), float(index)),
-            ladder=hull(list(rungs)),
+            ladder=ladder,
+            worths=worths,
             is_shading_closed=True,
         )
-        for index, rungs in enumerate(choices)
+        for index, (ladder, worths) in enumerate(hull(list(rungs)) for rungs in choices)
     ]
     floor_s = sum(climber.rung.cost_s for climber in climbers)
     before = sum(climber.rung.error for climber in climbers)
