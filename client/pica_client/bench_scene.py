@@ -394,8 +394,10 @@ class _Bench:
             if coded is not None and wanted is not None and coded.layer <= wanted:
                 frame.payload_bits += 8 * len(coded.payload)
 
-    def _judge(self, heads: Sequence[SceneHead], camera: Camera, shown: Image) -> tuple[float, int]:
-        """The error of what was shown, and the pixels that heads cover."""
+    def _judge(
+        self, heads: Sequence[SceneHead], camera: Camera, shown: Image
+    ) -> tuple[float, int, Image]:
+        """The error of what was shown, the pixels that heads cover, and what should be shown."""
         covered = self._renderer.read_surface()[2] >= 0
         placements = []
         for index, head in enumerate(heads):

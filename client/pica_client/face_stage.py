@@ -32,7 +32,6 @@ from pica_client.stats import Samples, Summary
 from pica_core.avatar_file import Avatar
 from pica_core.camera import Camera
 from pica_core.errors import AvatarFileError
-from pica_protocol.limits import MAX_LAYER
 
 FADE_OF_STATUS = {"waiting": 0.6, "stale": 0.8, "away": 0.4}
 FADE_S = 0.5
@@ -99,7 +98,6 @@ class _Seat:
     avatar: Avatar | None = None
     problem: str = ""
     """Why there is a placeholder instead of the avatar."""
-    wished_layer: int | None = MAX_LAYER
     captured_us: int = 0
     """Of the newest sample that was decoded."""
     num_decoded: int = 0
@@ -121,8 +119,8 @@ class FaceStage:
         driver: Says what is decoded, and how finely it is drawn.
         meter: Where durations go.
         on_decoded: Told of every decode that reached the GPU; its slot is the peer id.
-        on_wish: Told the highest layer of a peer's stream that is worth having, None for nothing at
-            all, when that changes.
+        on_wish: Told in every frame the highest layer of a peer's stream that is worth having, None
+            for nothing at all.
         clock: Seconds, monotonic; see `viewer.Viewer`.
     """
 
@@ -210,11 +208,9 @@ class FaceStage:
         plan = self._driver.plan(heads, cameras, size, budget_s, scene.now)
         for slot, request in self._driver.requests(plan, scene.now):
             self._pool.submit(slot, request)
-        for slot, choice in plan.choices.items():
-            entry = self._seats[slot]
-            if self._on_wish is not None and choice.wanted_layer != entry.wished_layer:
+        if self._on_wish is not None:
+            for slot, choice in plan.choices.items():
                 self._on_wish(slot, choice.wanted_layer)
-            entry.wished_layer = choice.wanted_layer
         return plan
 
     def collect(self, now: float) -> None:

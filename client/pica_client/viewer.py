@@ -117,7 +117,7 @@ class Viewer:
         status: How the call stands, at a time of `clock`; asked twice a second.
         on_decoded: Told of every decode that reached the GPU, on the drawing thread; its slot is
             the peer id.
-        on_wish: Told what is worth having of a peer's stream, see `face_stage`.
+        on_wish: Told in every frame what is worth having of a peer's stream, see `face_stage`.
         on_own_face: Told when the user mutes or freezes their own face, or lets it go on.
         window: To show it in, which stays open afterwards; by default a new one.
         clock: Seconds, monotonic; the same clock that stamps `FaceState.captured_us` when sender
