@@ -177,7 +177,6 @@ class Relay:
             server_header=None,
             logger=_websockets_logger,
             reuse_port=config.share_port or None,
-            **self._tls(),
         )
         try:
             self._server = await server
@@ -223,15 +222,6 @@ class Relay:
         self._pump.stop()
         if self._watching is not None:
             self._watching.cancel()
-
-    def _tls(self) -> dict[str, Any]:
-        if self.certificate is None:
-            return {}
-        return {
-            "ssl": self.certificate.context,
-            "ssl_handshake_timeout": self.config.handshake_timeout_s,
-            "ssl_shutdown_timeout": self.config.close_timeout_s,
-        }
 
     def _answer(
         self, websocket: ServerConnection, request: Request
@@ -281,6 +271,9 @@ class Relay:
     def _guarded_connection(self, *args: Any, **kwargs: Any) -> RelaySocket:
         connection = RelaySocket(*args, **kwargs)
         connection.guard = self._guard
+        if self.certificate is not None:
+            # Not the server's: the guard is to be asked before the dear work of a handshake begins.
+            connection.tls = self.certificate.context
         connection.handshake_timeout_s = self.config.handshake_timeout_s
         connection.stats = self.hub.stats
         connection.proxies = self._proxies

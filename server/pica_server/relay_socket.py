@@ -19,6 +19,7 @@ It relies on details of the library that its documentation does not promise: ``p
 """
 
 import asyncio
+import ssl
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
@@ -105,6 +106,7 @@ class RelaySocket(ServerConnection):
         address: Whose it is, see `limits.address_group`.
         is_local: Whether it comes from this machine, and not through a proxy.
         direct_from: The address that it comes from; empty: through a proxy.
+        tls: With what it speaks TLS, or None.
         handshake_timeout_s: Until when it must be a websocket, or be taken for a download. Not the
             library's ``open_timeout``: that one holds until all of an HTTP answer is gone.
     """
@@ -125,13 +127,13 @@ class RelaySocket(ServerConnection):
     _num_request_bytes = 0
     _extra_frames: TokenBucket
     _cut: asyncio.TimerHandle | None = None
+    tls: ssl.SSLContext | None = None
+    _tls_task: asyncio.Task[None] | None = None
+    _has_begun = _has_early_end = False
+    _early: bytearray
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Let the guard decide."""
-        super().connection_made(transport)
-        bound_tls_buffer(transport)
-        now = self.loop.time()
-        self._extra_frames = TokenBucket(EXTRA_FRAMES_PER_S, EXTRA_FRAMES_BURST, now)
+        """Let the guard decide, and TLS begin, if there is any."""
         peername = transport.get_extra_info("peername")
         peer = str(peername[0]) if peername else ""
         self.is_local = not address_group(peer)
@@ -140,6 +142,45 @@ class RelaySocket(ServerConnection):
         self._counted_as = "" if is_in(peer, self.proxies) else address_group(peer)
         self.address = self._counted_as
         self._is_admitted = self.guard.admit(self._counted_as)
+        if self.tls is None or not self._is_admitted:
+            self._begin(transport)
+        else:
+            assert isinstance(transport, asyncio.Transport)
+            transport.pause_reading()  # what comes now is for TLS
+            self._early = bytearray()
+            self._tls_task = self.loop.create_task(self._begin_tls(transport, self.tls))
+
+    async def _begin_tls(self, plain: asyncio.Transport, tls: ssl.SSLContext) -> None:
+        """Go on when TLS is there; or give up, and free the place."""
+        try:
+            transport = await self.loop.start_tls(
+                plain,
+                self,
+                tls,
+                server_side=True,
+                ssl_handshake_timeout=self.handshake_timeout_s,
+                ssl_shutdown_timeout=self.close_timeout,
+            )
+        except (OSError, RuntimeError, asyncio.CancelledError):  # gone, or the relay is
+            transport = None
+        if transport is None:
+            plain.abort()
+            self.guard.closed(self._counted_as, was_opened=False)
+            return
+        self._begin(transport)
+        # With the end of a handshake the first bytes may come, before we are told of that end.
+        if early := bytes(self._early):
+            self._early.clear()
+            self.data_received(early)
+        if self._has_early_end:
+            self.eof_received()
+
+    def _begin(self, transport: asyncio.BaseTransport) -> None:
+        """Take the bytes of the websocket from this transport, or cut one that is too many."""
+        self._has_begun = True
+        super().connection_made(transport)
+        bound_tls_buffer(transport)
+        self._extra_frames = TokenBucket(EXTRA_FRAMES_PER_S, EXTRA_FRAMES_BURST, self.loop.time())
         if not self._is_admitted:
             self.stats.limits_hit["sockets"] += 1
             self.transport.abort()
@@ -148,6 +189,10 @@ class RelaySocket(ServerConnection):
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Tell the guard."""
+        if not self._has_begun:
+            if self._tls_task is not None:
+                self._tls_task.cancel()
+            return
         super().connection_lost(exc)
         transport = self.transport
         self.transport = _GoneTransport({"peername": transport.get_extra_info("peername")})
@@ -198,6 +243,9 @@ class RelaySocket(ServerConnection):
         """Take what has come: whole short messages here, the rest the library's way."""
         at, size = 0, len(data)
         if not self._is_opened:
+            if not self._has_begun:
+                self._early += data[: MAX_REQUEST_BYTES + 1 - len(self._early)]
+                return
             self._num_request_bytes += size
             if self._num_request_bytes > MAX_REQUEST_BYTES:
                 self.stats.limits_hit["request"] += 1
@@ -224,6 +272,13 @@ class RelaySocket(ServerConnection):
             if was_open and self.state is not State.OPEN and self._cut is None:
                 # Who broke a rule may not care to close; till then its face stays, and is frozen.
                 self._cut = self.loop.call_later(self.close_timeout or 0, self.transport.abort)
+
+    def eof_received(self) -> None:
+        """Take note that no more comes."""
+        if self._has_begun:
+            super().eof_received()
+        else:
+            self._has_early_end = True
 
     def send_data(self) -> None:
         """Write what the library has to say in one go: a hundred pongs are one write, and one line

@@ -9,7 +9,7 @@ import ssl
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -21,7 +21,7 @@ from pica_client.link import Link, LinkConfig
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, Track
 from pica_server.certificate import Certificate
-from pica_server.config import RelayConfig
+from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.errors import ConfigurationError
 from pica_server.relay import Relay
 from pica_server.relay_socket import bound_tls_buffer
@@ -246,3 +246,66 @@ def test_an_unreadable_certificate_ends_in_one_line_and_exit_code_two(tmp_path: 
     )
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == "pica relay: --tls-cert no.pem: No such file or directory\n"
+
+
+def client_context() -> ssl.SSLContext:
+    context = ssl.create_default_context()
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    return context
+
+
+def page_asked_for_with_the_last_of_the_handshake(port: int) -> bytes:
+    """Ask for a page in one piece with the end of the handshake, and return the answer."""
+    incoming, outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
+    tls = client_context().wrap_bio(incoming, outgoing)
+    with socket.create_connection(("127.0.0.1", port), 5) as plain:
+        while True:
+            try:
+                tls.do_handshake()
+                break
+            except ssl.SSLWantReadError:
+                plain.sendall(outgoing.read())
+                incoming.write(plain.recv(65_536))
+        tls.write(b"GET /healthz HTTP/1.1\r\nHost: relay\r\n\r\n")
+        plain.sendall(outgoing.read())
+        while data := plain.recv(65_536):
+            incoming.write(data)
+            try:
+                return tls.read(65_536)
+            except ssl.SSLWantReadError:
+                continue
+    return b""
+
+
+def test_what_comes_with_the_end_of_the_handshake_is_not_lost(cert: Path) -> None:
+    async def ask() -> None:
+        async with Relay(RelayConfig(port=0, tls_cert=cert, tls_key=key_of(cert))) as relay:
+            port = int(relay.url.rpartition(":")[2])
+            page = await asyncio.to_thread(page_asked_for_with_the_last_of_the_handshake, port)
+            assert page.startswith(b"HTTP/1.1 200 OK")
+
+    asyncio.run(ask())
+
+
+def test_sockets_in_a_tls_handshake_are_counted_and_free_their_places(cert: Path) -> None:
+    async def call() -> None:
+        config = RelayConfig(
+            port=0, tls_cert=cert, tls_key=key_of(cert), limits=LimitsConfig(handshakes=2)
+        )
+        async with Relay(config) as relay, asyncio.timeout(30):
+            port = int(relay.url.rpartition(":")[2])
+            silent = [await asyncio.open_connection("127.0.0.1", port) for _ in range(2)]
+            reader, writer = await asyncio.open_connection("127.0.0.1", port)
+            with suppress(ConnectionResetError):
+                assert await reader.read() == b""  # cut without a word of TLS
+            assert relay.stats()["limits_hit"] == {"sockets": 1}
+            silent[0][1].transport.abort()
+            silent[1][1].write(b"no TLS at all")
+            with suppress(ConnectionResetError):
+                await silent[1][0].read()
+            websocket = await open_websocket(relay.url, cert)
+            await websocket.close()
+            for each in (writer, silent[1][1]):
+                each.transport.abort()
+
+    asyncio.run(call())
