@@ -24,8 +24,8 @@ Rows:
                     what the work costs whoever else runs, and steadier; meaningless with a GPU
     spread          (upper quartile - lower quartile) / median of draw_ms
 
-Then a sweep over distances at the full level and of the baseline, with the line draw_ms =
-intercept_ms + ns_per_pixel * pixels fitted to it, and `summary` with the ratios.
+Then a sweep over distances of every level and of the baseline, with the line time = intercept_ms +
+ns_per_pixel * pixels fitted to each, and `summary` with the ratios.
 
 What it does not show: decoding and uploads (`pica bench decode`), several heads, window systems.
 """
@@ -123,11 +123,20 @@ def run_render_bench(config: RenderBenchConfig, avatar: Avatar) -> dict[str, Any
         bench = _Bench(context, config, avatar)
         rows = bench.measure(bench.table_cases())
         sweep = bench.measure(bench.sweep_cases())
-        lines = {
-            f"{model}{'_cpu' if clock else ''}": fit_line(_of(sweep, model), f"draw_{clock}ms")
-            for model in ("pica", "baseline")
-            for clock in ("", "cpu_")
-        }
+        kinds = dict.fromkeys((row["model"], row["level"]) for row in sweep)
+        lines = [
+            {
+                "model": model,
+                "level": level,
+                "time": time_name,
+                **fit_line(
+                    [row for row in sweep if (row["model"], row["level"]) == (model, level)],
+                    time_name,
+                ),
+            }
+            for model, level in kinds
+            for time_name in ("draw_ms", "draw_cpu_ms")
+        ]
         result = {
             "avatar": avatar.manifest.identity,
             "gl_renderer": bench.gl_renderer,
@@ -204,11 +213,11 @@ class _Bench:
         return cases
 
     def sweep_cases(self) -> list[_Case]:
-        """The full level and the baseline over distances whose pixels are spread evenly on a
+        """Every level and the baseline over distances whose pixels are spread evenly on a
         logarithmic scale."""
-        full = self._avatar.levels[-1]
         distances = np.geomspace(SWEEP_NEAREST_CM, SWEEP_FARTHEST_CM, self._config.sweep_points)
-        models: tuple[tuple[Model, int], ...] = (("pica", full), ("baseline", 0))
+        models: list[tuple[Model, int]] = [("pica", level) for level in self._avatar.levels]
+        models.append(("baseline", 0))
         return [
             _Case(
                 model=model,
@@ -362,13 +371,13 @@ def fit_line(rows: Sequence[dict[str, Any]], field: str = "draw_ms") -> dict[str
 
 
 def summarise(
-    rows: Sequence[dict[str, Any]], lines: dict[str, dict[str, float]], weights: str
+    rows: Sequence[dict[str, Any]], lines: Sequence[dict[str, Any]], weights: str
 ) -> dict[str, Any]:
     """The ratios that matter, per distance and level.
 
     Args:
         rows: Of the table.
-        lines: Of both models.
+        lines: Of every level and the baseline.
         weights: Those that the renderer chooses here.
     """
     own = [row for row in rows if row["weights"] in (weights, None)]

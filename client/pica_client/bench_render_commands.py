@@ -54,10 +54,11 @@ def bench_render(options: BenchRenderOptions) -> dict[str, Any]:
             f"draw {row['draw_ms']:8.2f} ms  vertices {row['vertex_ms']:6.2f} ms  "
             f"processor {row['draw_cpu_ms']:8.2f} ms, {row['vertex_cpu_ms']:6.2f} ms"
         )
-    for model, line in result["lines"].items():
+    for line in result["lines"]:
+        name = f"{line['model']} {line['level'] or ''}".strip()
         say(
-            f"{model}: {line['intercept_ms']:.2f} ms + {line['ns_per_pixel']:.1f} ns a pixel, "
-            f"r2 {line['r2']:.4f}"
+            f"{name}, {line['time']}: {line['intercept_ms']:.2f} ms + "
+            f"{line['ns_per_pixel']:.1f} ns a pixel, r2 {line['r2']:.4f}"
         )
     return result
 

@@ -48,7 +48,7 @@ def test_the_summary_divides_by_the_baseline_and_by_the_full_mesh() -> None:
         row("pica", 256, 20.0, 4.0, weights="block"),
         row("baseline", 0, 3.0, 1.5),
     ]
-    ratios = summarise(rows, {}, "turns")["ratios"]
+    ratios = summarise(rows, [], "turns")["ratios"]
     assert [(r["level"], r["draw_over_baseline"], r["vertex_over_full"]) for r in ratios] == [
         (64, 1.333, 0.25),
         (256, 3.0, 1.0),
@@ -79,7 +79,9 @@ def test_a_bench_of_a_toy_counts_what_it_draws() -> None:
     assert baseline["pixels"] == pytest.approx(full, rel=0.1)
     far = max(r["pixels"] for r in rows if r["distance_cm"] == 200.0)
     assert far < 0.4 * full
-    assert result["lines"]["pica"].keys() == {"intercept_ms", "ns_per_pixel", "r2", "worst_ms"}
+    lines = {(line["model"], line["level"], line["time"]) for line in result["lines"]}
+    kinds = [*(("pica", level) for level in TOY.levels), ("baseline", 0)]
+    assert lines == {(*kind, time) for kind in kinds for time in ("draw_ms", "draw_cpu_ms")}
     assert result["soak"]["frames"] == 60
     json.dumps(result)
 
