@@ -9,7 +9,6 @@ the face is held; a peer whose avatar nobody has gets a seat without a face.
 
 from __future__ import annotations
 
-import math
 import threading
 from collections import deque
 from contextlib import suppress
@@ -17,16 +16,16 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 from pica_client.avatars import AvatarStore
+from pica_client.call_seat import CallSeat
 from pica_client.connection_quality import StreamHealth
 from pica_client.errors import OptionError
 from pica_client.faces import FaceState, FaceStatus
-from pica_client.playout import PlayedFace, Playout, PlayoutConfig, PlayoutReport, TimedSample
-from pica_client.publisher import FACE_KEY, FACE_TRACK
+from pica_client.playout import PlayoutConfig, TimedSample
+from pica_client.publisher import FACE_TRACK
 from pica_client.wishes import Told, WishConfig, Wishes
 from pica_core.avatar_file import Avatar
 from pica_core.errors import AvatarFileError, LatentError, ProfileError
-from pica_core.latent_sample import DecodedFrame
-from pica_core.stream_ends import FaceDecoder, open_decoder
+from pica_core.stream_ends import open_decoder
 from pica_protocol.frames import Frame
 from pica_protocol.messages import (
     Joined,
@@ -39,17 +38,11 @@ from pica_protocol.messages import (
     Report,
     StreamMuted,
     StreamReport,
-    Track,
 )
 from pica_protocol.session import ClientEvent
 
 KEYFRAME_REQUEST_INTERVAL_S = 0.5
 """Between two requests for the same stream (chosen: a round trip and the sender's pause fit)."""
-CATCH_UP_S = 0.02
-"""Whoever comes late gets the frames since the last keyframe at once, to decode from. They are old;
-only the newest is shown, or the playout would take them for a network that delays."""
-FACE_NOTES = {"muted": "face is off", "frozen": "face is frozen"}
-"""Why a face stands still, by what its owner says under `FACE_KEY`."""
 MAX_DEPARTED = 64
 """Peers remembered for the statistics after they left; drops the oldest."""
 MAX_SHOWN = 100_000
@@ -91,99 +84,6 @@ class DueFrame(NamedTuple):
     frame: TimedSample
 
 
-@dataclass(kw_only=True, slots=True)
-class _Window:
-    """What one stream did since the statistics began."""
-
-    received: int = 0
-    payload_bytes: int = 0
-    longest_gap_s: float = 0.0
-    keyframe_requests: int = 0
-    before: PlayoutReport = field(default_factory=PlayoutReport)
-
-
-class _Seat:
-    """One peer with a face, and what has come from it."""
-
-    def __init__(self, peer: Peer, track: Track, config: PlayoutConfig) -> None:
-        self.peer = peer
-        self.track = track
-        self.playout = Playout(config)
-        self.decoder: FaceDecoder | None = None
-        self.trouble = ""
-        self.is_away = False
-        self.is_muted = False
-        self.keyframe_asked_s = -math.inf
-        self.is_behind = True
-        self.catching_up_until_s = -math.inf
-        self.catch_up: tuple[DecodedFrame, float] | None = None
-        self.is_paused = self.is_resuming = False
-        self.played: PlayedFace | None = None
-        self.last_arrival_s: float | None = None
-        self.payload_bytes = 0
-        self.window = _Window()
-        self.reported = PlayoutReport()
-
-    def stays(self, peer: Peer | None, *, is_same_room: bool) -> bool:
-        """Say whether this is still the seat of whoever has its id after we joined again.
-
-        If we have come back to our old place, ids are those of before. Else somebody else may have
-        got an old id, as from another relay: only who is the same in every respect keeps the seat.
-        """
-        if peer is None or (not is_same_room and replace(peer, metadata=()) != self._who):
-            return False
-        self.peer = peer
-        return True
-
-    @property
-    def _who(self) -> Peer:
-        return replace(self.peer, metadata=())
-
-    @property
-    def note(self) -> str:
-        """What is wrong with the stream, for people."""
-        if self.trouble:
-            return self.trouble
-        if self.is_muted:
-            return "muted by an admin"
-        if self.is_away:
-            return "connection lost"
-        return FACE_NOTES.get(self._face_mode, "")
-
-    @property
-    def says_muted(self) -> bool:
-        """Whether its owner has said that nothing is sent."""
-        return self._face_mode == "muted"
-
-    @property
-    def _face_mode(self) -> str:
-        return dict(self.peer.metadata).get(FACE_KEY, "")
-
-    def settle(self) -> None:
-        """Show the newest of the frames that brought a latecomer up to date."""
-        if self.catch_up is not None:
-            frame, arrived_s = self.catch_up
-            self.catch_up = None
-            receive = self.playout.restart if self.is_resuming else self.playout.receive_frame
-            receive(frame.sequence, frame.captured_us, frame.sample, arrived_s)
-
-    def pause(self) -> None:
-        """Note that the relay was told to send nothing: the face stands still on purpose."""
-        self.settle()
-        self.is_paused, self.is_resuming = True, False
-
-    def resume(self, now: float) -> None:
-        """Note that the relay was told to send again: what it kept comes first, all at once."""
-        if self.is_paused:
-            self.is_paused, self.is_resuming, self.is_behind = False, True, True
-            self.catching_up_until_s = -math.inf
-            if self.last_arrival_s is not None:
-                self.last_arrival_s = now
-
-    def begin_window(self) -> None:
-        self.window = _Window(before=self.playout.report())
-
-
 class Call:
     """Everybody in the room and how their faces look; implements `pica_client.faces.FaceSource`.
 
@@ -206,9 +106,9 @@ class Call:
         self._shown: deque[Shown] = deque(maxlen=MAX_SHOWN if log_shown else 0)
         self._avatars = avatars
         self._lock = threading.Lock()
-        self._seats: dict[str, _Seat] = {}  # bounded by the protocol's limit on peers
-        self._by_stream: dict[int, _Seat] = {}
-        self._departed: deque[_Seat] = deque(maxlen=MAX_DEPARTED)
+        self._seats: dict[str, CallSeat] = {}  # bounded by the protocol's limit on peers
+        self._by_stream: dict[int, CallSeat] = {}
+        self._departed: deque[CallSeat] = deque(maxlen=MAX_DEPARTED)
         self._window_begin_s: float | None = None
         self._wishes = Wishes(self.config.wishes)
 
@@ -373,7 +273,7 @@ class Call:
     def health(self) -> dict[str, StreamHealth]:
         """How the stream of each peer with a face stands, by peer id; counters since it began."""
         with self._lock:
-            return {peer_id: _health(seat) for peer_id, seat in self._seats.items()}
+            return {peer_id: seat.health() for peer_id, seat in self._seats.items()}
 
     def begin_window(self, now: float) -> None:
         """Let the statistics begin here: what came before was warming up."""
@@ -396,7 +296,7 @@ class Call:
         with self._lock:
             begin_s = self._window_begin_s
             seconds = None if begin_s is None else now - begin_s
-            peers = [self._seat_stats(seat, seconds) for seat in self._all_seats()]
+            peers = [seat.stats(seconds) for seat in self._all_seats()]
             return {
                 "seconds": None if seconds is None else round(seconds, 3),
                 "peers": peers,
@@ -407,32 +307,8 @@ class Call:
                 "strays": self.strays,
             }
 
-    def _all_seats(self) -> list[_Seat]:
+    def _all_seats(self) -> list[CallSeat]:
         return [*self._departed, *self._seats.values()]
-
-    def _seat_stats(self, seat: _Seat, seconds: float | None) -> dict[str, Any]:
-        window, report = seat.window, seat.playout.report()
-        return {
-            "name": seat.peer.name,
-            "received": window.received,
-            "latents_per_s": round(window.received / seconds, 2) if seconds else None,
-            "payload_bps": round(window.payload_bytes * 8 / seconds) if seconds else None,
-            "longest_gap_ms": round(window.longest_gap_s * 1e3, 1),
-            "lost": report.lost - window.before.lost,
-            "late": report.late - window.before.late,
-            "keyframe_requests": window.keyframe_requests,
-            "unreferenced": seat.decoder.num_unreferenced if seat.decoder else 0,
-            "concealed": report.concealed - window.before.concealed,
-            "concealed_ratio": round(report.since(window.before).concealed_ratio, 4),
-            "duplicates": report.duplicates - window.before.duplicates,
-            "refused": report.refused - window.before.refused,
-            "future": report.future - window.before.future,
-            "restarts": report.restarts - window.before.restarts,
-            "playout_delay_ms": round(report.delay_s * 1e3, 2),
-            "jitter_ms": round(report.jitter_s * 1e3, 2),
-            "age_ms": round(report.age_s * 1e3, 2),
-            "clock_drift_ppm": round(report.drift_ppm, 1),
-        }
 
     def _add(self, peer: Peer) -> None:
         if peer.peer_id in self._seats:
@@ -443,7 +319,7 @@ class Call:
                 # viewer's news, and no reason to lose the connection.
                 with suppress(AvatarFileError):
                     self._avatars.get(track.avatar)
-                seat = _Seat(peer, track, self.config.playout)
+                seat = CallSeat(peer, track, self.config.playout)
                 self._seats[peer.peer_id] = self._by_stream[track.stream] = seat
                 return  # one face a person
 
@@ -461,36 +337,12 @@ class Call:
             return
         if seat.decoder is None and not self._open_decoder(seat):
             return
-        assert seat.decoder is not None
         try:
-            decoded = seat.decoder.receive(
-                frame.sequence, frame.captured_us, frame.layer, frame.is_keyframe, frame.payload
-            )
+            seat.receive_frame(frame, now)
         except LatentError:
             self.errors += 1
-            return
-        if seat.is_behind and decoded:
-            seat.is_behind = False
-            seat.catching_up_until_s = now + CATCH_UP_S
-        for each in decoded:
-            if now > seat.catching_up_until_s:
-                seat.settle()
-                seat.is_resuming = False
-            if seat.is_paused:
-                continue  # it was on its way when we said that we want nothing
-            if now <= seat.catching_up_until_s:
-                seat.catch_up = (each, now)
-            else:
-                seat.playout.receive_frame(each.sequence, each.captured_us, each.sample, now)
-        if seat.window.received and seat.last_arrival_s is not None:
-            gap_s = now - seat.last_arrival_s
-            seat.window.longest_gap_s = max(seat.window.longest_gap_s, gap_s)
-        seat.last_arrival_s = now
-        seat.window.received += 1
-        seat.window.payload_bytes += len(frame.payload)
-        seat.payload_bytes += len(frame.payload)
 
-    def _open_decoder(self, seat: _Seat) -> bool:
+    def _open_decoder(self, seat: CallSeat) -> bool:
         """Make the decoder of a stream, if its avatar is there and of the sender's version."""
         if seat.trouble:
             self.errors += 1
@@ -510,12 +362,8 @@ class Call:
             return False
         return True
 
-    def _face(self, seat: _Seat, now: float) -> FaceState:
-        seat.settle()
-        # While the stream is stopped on purpose the face stands still, and nothing is concealed.
-        is_stopped = seat.is_paused or (seat.is_resuming and seat.is_behind)
-        played = seat.played if is_stopped else seat.playout.sample_at(now)
-        seat.played = played
+    def _face(self, seat: CallSeat, now: float) -> FaceState:
+        played, is_held = seat.play(now)
         if played is None:
             return FaceState(
                 peer_id=seat.peer.peer_id,
@@ -525,13 +373,12 @@ class Call:
                 status="waiting",
                 note=seat.note or self._avatars.note(seat.track.avatar),
             )
-        is_held = is_stopped or played.is_concealed
-        status: FaceStatus = "concealed" if is_held else "live"
+        status: FaceStatus = "concealed" if is_held or played.is_concealed else "live"
         silent_s = 0.0 if seat.last_arrival_s is None else now - seat.last_arrival_s
         if silent_s > self.config.stale_after_s and not seat.is_paused:
             status = "stale"
         newest = played.newest
-        if not is_stopped:
+        if not is_held:
             arrived_us = round(newest.arrived_s * 1e6)
             self._shown.append(
                 Shown(seat.peer.name, played.captured_us, newest.captured_us, arrived_us)
@@ -547,18 +394,3 @@ class Call:
             status=status,
             note=seat.note,
         )
-
-
-def _health(seat: _Seat) -> StreamHealth:
-    report = seat.playout.report()
-    return StreamHealth(
-        received=report.received,
-        lost=report.lost,
-        late=report.late,
-        shown=report.shown,
-        concealed=report.concealed,
-        age_s=report.age_s,
-        payload_bytes=seat.payload_bytes,
-        delay_s=report.delay_s,
-        is_paused=seat.is_away or seat.is_muted or seat.says_muted,
-    )
