@@ -34,6 +34,11 @@ class LimitsConfig:
     """Websockets of one address (of one /64 in IPv6); 4010 above it. This machine has no limit."""
     handshakes: int = 256
     """Sockets that are not websockets yet; one more is cut without a word."""
+    sockets_per_s: float = 20.0
+    """New sockets a second of one address (of one /64 in IPv6), on average, downloads among them;
+    one more is cut before it costs a TLS handshake. This machine has no limit."""
+    sockets_burst: float = 200.0
+    """New sockets of one address that may come at once, as when a relay starts again."""
 
     def __post_init__(self) -> None:
         _check("limits.messages-per-s", self.messages_per_s, 1, 1e9)
@@ -43,6 +48,8 @@ class LimitsConfig:
         _check("limits.joins-burst", self.joins_burst, 1, 1e9)
         _check("limits.connections-per-address", self.connections_per_address, 1, 1_000_000)
         _check("limits.handshakes", self.handshakes, 1, 1_000_000)
+        _check("limits.sockets-per-s", self.sockets_per_s, 0.1, 1e9)
+        _check("limits.sockets-burst", self.sockets_burst, 1, 1e9)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

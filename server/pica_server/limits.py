@@ -2,6 +2,11 @@
 
 import ipaddress
 from collections import Counter
+from typing import Final
+
+MOST_REMEMBERED: Final = 4096
+"""Addresses whose pace is known; one more, and the one that has been known longest begins anew
+(chosen: half a megabyte)."""
 
 
 class TokenBucket:
@@ -53,21 +58,41 @@ def address_group(host: str) -> str:
 class SocketGuard:
     """Counts sockets from their first byte on, when there is no websocket yet to be told why."""
 
-    def __init__(self, *, handshakes: int, per_address: int) -> None:
+    def __init__(self, *, handshakes: int, per_address: int, per_s: float, burst: float) -> None:
+        """Begin without any.
+
+        Args:
+            handshakes: Of everybody at once.
+            per_address: Of one address at once.
+            per_s: New ones of one address, on average.
+            burst: New ones of one address at once.
+        """
         self._handshakes = handshakes
         self._per_address = per_address
+        self._per_s, self._burst = per_s, burst
+        self._paces: dict[str, TokenBucket] = {}
         self._num_handshaking = 0
         self._open: Counter[str] = Counter()  # bounded by the number of open sockets
 
-    def admit(self, group: str) -> bool:
+    def admit(self, group: str, now: float) -> bool:
         """Say whether a new socket may stay; if so, ``opened`` or ``closed`` follows."""
         is_many = bool(group) and self._open[group] >= self._per_address
         if is_many or self._num_handshaking >= self._handshakes:
+            return False
+        if group and not self._pace(group, now).take(now):
             return False
         self._num_handshaking += 1
         if group:
             self._open[group] += 1
         return True
+
+    def _pace(self, group: str, now: float) -> TokenBucket:
+        pace = self._paces.get(group)
+        if pace is None:
+            if len(self._paces) >= MOST_REMEMBERED:
+                del self._paces[next(iter(self._paces))]
+            pace = self._paces[group] = TokenBucket(self._per_s, self._burst, now)
+        return pace
 
     def opened(self) -> None:
         """Note that a socket has become a websocket."""

@@ -119,7 +119,12 @@ class Relay:
         limits = config.limits
         # Twice: of sockets that are closing, and of those that are told why they must.
         per_address = 2 * limits.connections_per_address
-        self._guard = SocketGuard(handshakes=limits.handshakes, per_address=per_address)
+        self._guard = SocketGuard(
+            handshakes=limits.handshakes,
+            per_address=per_address,
+            per_s=limits.sockets_per_s,
+            burst=limits.sockets_burst,
+        )
         self._server: Server | None = None
         self._cluster: Cluster | None = None
         self._watch = LoopWatch()

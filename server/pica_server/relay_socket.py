@@ -141,7 +141,7 @@ class RelaySocket(ServerConnection):
         # Of whom a proxy speaks is not known yet; all the proxy's sockets are not one client's.
         self._counted_as = "" if is_in(peer, self.proxies) else address_group(peer)
         self.address = self._counted_as
-        self._is_admitted = self.guard.admit(self._counted_as)
+        self._is_admitted = self.guard.admit(self._counted_as, self.loop.time())
         if self.tls is None or not self._is_admitted:
             self._begin(transport)
         else:

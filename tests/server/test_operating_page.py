@@ -53,7 +53,7 @@ def test_every_limit_stands_on_the_page_with_its_default() -> None:
         assert f"`--limits.{field.name.replace('_', '-')}`" in PAGE
     options = read_relay_options([], {})
     rows = re.findall(r"^\| (`--[^|]+) \| ([^|]+) \| [^|]+ \| ([^|]+) \|([^|]*)\|$", PAGE, re.M)
-    assert len(rows) == 10
+    assert len(rows) == 11
     for flags, defaults, code, _ in rows:
         if code != "cut":
             CloseCode(int(code))
