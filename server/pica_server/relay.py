@@ -125,6 +125,7 @@ class Relay:
             per_s=limits.sockets_per_s,
             burst=limits.sockets_burst,
         )
+        self._silent: set[RelaySocket] = set()
         self._server: Server | None = None
         self._cluster: Cluster | None = None
         self._watch = LoopWatch()
@@ -214,6 +215,9 @@ class Relay:
         if self.admin is not None:
             await self.admin.stop()
         self._server.close(close_connections=False)
+        # Nobody waits for those until their handshake is late.
+        for websocket in list(self._silent):
+            websocket.give_up()
         self.hub.close_all(CloseCode.GOING_AWAY, "the relay is stopping", self._now())
         self._pump.after_events()
         self._door.close()
@@ -276,6 +280,7 @@ class Relay:
     def _guarded_connection(self, *args: Any, **kwargs: Any) -> RelaySocket:
         connection = RelaySocket(*args, **kwargs)
         connection.guard = self._guard
+        connection.silent = self._silent
         if self.certificate is not None:
             # Not the server's: the guard is to be asked before the dear work of a handshake begins.
             connection.tls = self.certificate.context

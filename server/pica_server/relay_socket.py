@@ -102,6 +102,8 @@ class RelaySocket(ServerConnection):
     Attributes:
         guard: Counts the sockets.
         stats: Where refused ones are noted.
+        silent: Those of the relay that are admitted and have not asked for anything yet; it keeps
+            itself in there.
         proxies: Whose word counts for who is behind them.
         address: Whose it is, see `limits.address_group`.
         is_local: Whether it comes from this machine, and not through a proxy.
@@ -113,6 +115,7 @@ class RelaySocket(ServerConnection):
 
     guard: SocketGuard
     stats: RelayStats
+    silent: "set[RelaySocket]"
     proxies: Sequence[Network] = ()
     address = ""
     is_local = False
@@ -142,6 +145,8 @@ class RelaySocket(ServerConnection):
         self._counted_as = "" if is_in(peer, self.proxies) else address_group(peer)
         self.address = self._counted_as
         self._is_admitted = self.guard.admit(self._counted_as, self.loop.time())
+        if self._is_admitted:
+            self.silent.add(self)
         if self.tls is None or not self._is_admitted:
             self._begin(transport)
         else:
@@ -165,6 +170,7 @@ class RelaySocket(ServerConnection):
             transport = None
         if transport is None:
             plain.abort()
+            self.silent.discard(self)
             self.guard.closed(self._counted_as, was_opened=False)
             return
         self._begin(transport)
@@ -199,6 +205,7 @@ class RelaySocket(ServerConnection):
         for handle in (self._deadline, self._cut):
             if handle is not None:
                 handle.cancel()
+        self.silent.discard(self)
         if self._is_admitted:
             self.guard.closed(self._counted_as, was_opened=self._is_opened)
         self._let_go(transport)
@@ -217,8 +224,16 @@ class RelaySocket(ServerConnection):
         if hasattr(transport, "_read_ready_cb"):
             transport._read_ready_cb = None
 
+    def give_up(self) -> None:
+        """Cut it before it has asked for anything."""
+        if self._has_begun:
+            self.transport.abort()
+        elif self._tls_task is not None:
+            self._tls_task.cancel()
+
     def note_request(self, request: Request) -> None:
-        """Take note of who is behind a proxy."""
+        """Take note of what is asked for, and of who is behind a proxy."""
+        self.silent.discard(self)
         headers = request.headers.get_all("X-Forwarded-For")
         if headers:
             peer, self.direct_from = self.direct_from, ""

@@ -380,6 +380,17 @@ async def test_sockets_that_never_speak_do_not_pile_up_and_free_their_places() -
 
 
 @in_virtual_time
+async def test_a_relay_that_stops_does_not_wait_for_sockets_that_say_nothing() -> None:
+    loop = asyncio.get_running_loop()
+    async with Relay(RelayConfig(handshake_timeout_s=300)):
+        for _ in range(50):
+            await loop.create_connection(asyncio.Protocol, "relay", 8765)
+        await asyncio.sleep(1)
+        stops_s = now()
+    assert now() - stops_s < 1
+
+
+@in_virtual_time
 async def test_two_frames_that_come_together_both_reach_a_reader_that_keeps_up() -> None:
     async with (
         Relay(RelayConfig()),

@@ -274,7 +274,7 @@ def open_relay_socket(
 ) -> tuple[RelaySocket, DeadTransport]:
     websocket = RelaySocket(ServerProtocol(state=State.OPEN), cast(Server, QuietServer()))
     websocket.guard = SocketGuard(handshakes=1, per_address=1, per_s=1, burst=1)
-    websocket.stats = RelayStats()
+    websocket.stats, websocket.silent = RelayStats(), set()
     websocket.handshake_timeout_s = 1.0
     websocket.request = Request("/", Headers())
     transport = transport or DeadTransport()
