@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from pica_client.draw_passes import DecodedHead, PaintedHead, Place
+from pica_client.draw_passes import WHOLE, DecodedHead, PaintedHead, Place
 from pica_client.gpu_avatar import Body
 from pica_client.gpu_maps import MapSeries
 from pica_client.gpu_program import UNIT_POSITION
@@ -51,7 +51,8 @@ class DrawStats:
     shaded_pixels: int | None
     """Pixels that pixel decoders coloured; None unless asked for."""
     heads: tuple[HeadStats, ...]
-    """Of the heads that are on the screen; an avatar that both eyes see is there twice."""
+    """Of the heads that are on the screen; an avatar that both eyes see is there twice, as is one
+    while two of its levels are mixed."""
 
 
 @dataclass(slots=True, eq=False)
@@ -99,16 +100,16 @@ def list_heads(
         for placement in placements:
             entry = slots.get(placement.slot)
             num_listed = len(listed.decoded) + len(listed.painted)
-            if entry is None or num_listed == MAX_HEADS:
+            if entry is None or num_listed + 1 >= MAX_HEADS:  # one may take two numbers
                 continue
             # Decoded heads count upwards, textured ones downwards from the end.
             is_painted = entry.textured is not None and entry.textured.has_maps
             number = MAX_HEADS - len(listed.painted) if is_painted else len(listed.decoded) + 1
-            head = _arrange(entry, placeholder, placement, view, number)
-            if isinstance(head, DecodedHead):
-                listed.decoded.append(head)
-            elif head is not None:
-                listed.painted.append(head)
+            for head in _arrange(entry, placeholder, placement, view, number):
+                if isinstance(head, DecodedHead):
+                    listed.decoded.append(head)
+                else:
+                    listed.painted.append(head)
     return listed
 
 
@@ -150,10 +151,11 @@ def count_draws(
         for head, count in zip(listed.painted, painted_counts, strict=True)
     ]
     num_placeholders = sum(head.expression is None for head in listed.decoded)
+    num_second = sum(head.number != head.mark for head in listed.decoded)
     num_coarse = sum(head.stride > 1 for head in listed.decoded)
     counted = [count for count in counts if count is not None]
     return DrawStats(
-        num_avatars=len(heads) - num_placeholders,
+        num_avatars=len(heads) - num_placeholders - num_second,
         num_placeholders=num_placeholders,
         num_triangles=sum(head.num_triangles for head in heads),
         num_draw_calls=(2 + 2 * is_smooth) * len(listed.decoded)
@@ -167,8 +169,8 @@ def count_draws(
 
 def _arrange(
     entry: RenderSlot, placeholder: Body, placement: Placement, view: View, number: int
-) -> DecodedHead | PaintedHead | None:
-    """One head in one view; None if it is not on the screen."""
+) -> list[DecodedHead | PaintedHead]:
+    """One head in one view: none if it is not on the screen, two while levels are mixed."""
     textured = entry.textured if entry.textured and entry.textured.has_maps else None
     position, expression = entry.position, entry.expression
     has_maps = position and expression and position.level and expression.level
@@ -177,7 +179,7 @@ def _arrange(
     bounds = textured or body
     covered = screen_rect(matrix, bounds.low_m, bounds.high_m)
     if covered is None:
-        return None
+        return []
     place = Place(
         matrix=matrix,
         view=view.rect,
@@ -185,36 +187,49 @@ def _arrange(
         tint=(*FADED, min(max(placement.fade, 0.0), 1.0) * MAX_FADE),
     )
     if textured is not None:
-        return PaintedHead(slot=placement.slot, place=place, number=number, head=textured)
+        return [PaintedHead(slot=placement.slot, place=place, number=number, head=textured)]
     if position is None or expression is None or not has_maps:
-        mesh = next(iter(body.meshes.values()))
-        shape = body.textures[UNIT_POSITION]
-        return DecodedHead(
+        stand_in = DecodedHead(
             slot=placement.slot,
             place=place,
             number=number,
+            mark=number,
+            share=WHOLE,
             body=body,
             level=0,
-            mesh=mesh,
-            position=(shape, shape),
+            mesh=next(iter(body.meshes.values())),
+            position=body.textures[UNIT_POSITION],
             expression=None,
-            blend=1.0,
             stride=1,
         )
+        return [stand_in]
     blend = min(max(placement.blend, 0.0), 1.0)
-    level = placement.mesh_level
-    if level not in body.meshes:
-        # While two levels are mixed, the finer mesh shows both.
-        level = max(position.level, position.level_before if blend < 1 else 0)
-    return DecodedHead(
-        slot=placement.slot,
-        place=place,
-        number=number,
-        body=body,
-        level=level,
-        mesh=body.meshes[level],
-        position=(position.newest, position.before),
-        expression=(expression.newest, expression.before),
-        blend=blend,
-        stride=2 if placement.shading_rate > 1 else 1,
+    if not (position.has_before or expression.has_before):
+        blend = 1.0
+    layers = (
+        (position.level, position.newest, expression.newest, (0.0, blend)),
+        (position.level_before, position.before, expression.before, (blend, 1.0)),
     )
+    heads: list[DecodedHead | PaintedHead] = []
+    for level, shape, codes, share in layers:
+        if share[0] == share[1]:
+            continue
+        # A coarse map holds for the vertices of its own mesh: finer ones find the gaps between the
+        # charts of its UVs.
+        if placement.mesh_level in body.meshes:
+            level = min(level, placement.mesh_level)
+        head = DecodedHead(
+            slot=placement.slot,
+            place=place,
+            number=number + len(heads),
+            mark=number,
+            share=share,
+            body=body,
+            level=level,
+            mesh=body.meshes[level],
+            position=shape,
+            expression=codes,
+            stride=2 if placement.shading_rate > 1 else 1,
+        )
+        heads.append(head)
+    return heads

@@ -23,9 +23,7 @@ from pica_client.gpu_avatar import Body, Mesh, upload_placeholder
 from pica_client.gpu_program import (
     UNIT_COARSE,
     UNIT_EXPRESSION,
-    UNIT_EXPRESSION_BEFORE,
     UNIT_POSITION,
-    UNIT_POSITION_BEFORE,
     UNIT_SKIN,
     build_program,
     set_matrix,
@@ -43,8 +41,8 @@ from pica_client.shader_source import compose
 
 FloatArray = npt.NDArray[np.float32]
 
-_POSITION_UNITS = (UNIT_POSITION, UNIT_POSITION_BEFORE)
-_EXPRESSION_UNITS = (UNIT_EXPRESSION, UNIT_EXPRESSION_BEFORE)
+WHOLE = (0.0, 1.0)
+"""The share of a head that no other level is mixed into."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -69,15 +67,17 @@ class DecodedHead:
     place: Place
     number: int
     """Its mark in the surface pass, 1 to 255."""
+    mark: int
+    """Its mark in the image: that of the other level, where two share the pixels of a head."""
+    share: tuple[float, float]
+    """The part of its pixels that it draws, from and to; (0, 1) is all."""
     body: Body
     level: int
     """Of the mesh; 0 for a placeholder."""
     mesh: Mesh
-    position: tuple[moderngl.Texture, moderngl.Texture]
-    """The newest map and that of the level before."""
-    expression: tuple[moderngl.Texture, moderngl.Texture] | None
-    """As `position`; None for a placeholder."""
-    blend: float
+    position: moderngl.Texture
+    expression: moderngl.Texture | None
+    """None for a placeholder."""
     stride: int
     """1 colours every pixel, 2 one of each block of 2x2."""
 
@@ -102,7 +102,12 @@ class DrawPasses:
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
-        self.mesh_program = build_program(context, compose("mesh.vert"), compose("surface.frag"))
+        self.mesh_programs = (
+            build_program(context, compose("mesh.vert"), compose("surface.frag")),
+            build_program(
+                context, compose("mesh.vert"), compose("surface.frag", defines={"SHARED": ""})
+            ),
+        )
         self.textured_program = build_program(
             context, compose("textured.vert"), compose("textured.frag")
         )
@@ -116,7 +121,7 @@ class DrawPasses:
         self._resolve_rect = context.vertex_array(self._resolve, [])
         self._near_edges_rect = context.vertex_array(self._near_edges, [])
         self._smooth_rect = context.vertex_array(self._smooth, [])
-        self.placeholder = upload_placeholder(context, self.mesh_program)
+        self.placeholder = upload_placeholder(context, self.mesh_programs)
         self._queries: list[moderngl.Query] = []
 
     def draw_room(self, targets: RenderTargets, views: Sequence[PixelRect]) -> None:
@@ -174,22 +179,22 @@ class DrawPasses:
     def _draw_meshes(self, targets: RenderTargets, heads: Sequence[DecodedHead]) -> None:
         targets.surface.use()
         self._context.enable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
-        program = self.mesh_program
         # Near ones first: what they hide is tested away before it is written.
         for head in sorted(heads, key=_depth):
+            is_whole = head.share == WHOLE
+            program = self.mesh_programs[0 if is_whole else 1]
             left, bottom, right, top = head.place.view
             targets.surface.viewport = (left, bottom, right - left, top - bottom)
-            for unit, texture in zip(_POSITION_UNITS, head.position, strict=True):
-                texture.use(unit)
+            head.position.use(UNIT_POSITION)
             set_matrix(program, "clip_from_head", head.place.matrix)
             set_values(
-                program,
-                slot=float(head.number),
-                blend=head.blend,
-                low_m=head.body.low_m,
-                high_m=head.body.high_m,
+                program, slot=float(head.number), low_m=head.body.low_m, high_m=head.body.high_m
             )
-            head.mesh.vertices.render()
+            if is_whole:
+                head.mesh.vertices.render()
+            else:
+                set_values(program, share=head.share)
+                head.mesh.sharing.render()
 
     def shade(
         self, targets: RenderTargets, heads: Sequence[DecodedHead], *, count: bool
@@ -286,13 +291,21 @@ class DrawPasses:
             target, depth_func = targets.coarse, "=="
             rect = clip_rect(coarse_rect(head.place.rect), targets.coarse_image.size)
         body.bind()
+        mark = head.mark
         if head.expression is not None:
-            for unit, texture in zip(_EXPRESSION_UNITS, head.expression, strict=True):
-                texture.use(unit)
-            set_values(program, blend=head.blend, stride=head.stride)
+            head.expression.use(UNIT_EXPRESSION)
+            set_values(program, stride=head.stride)
+            if head.stride > 1:  # the filling in must tell the levels of a head apart
+                mark = head.number
         target.use()
         self._context.depth_func = depth_func
-        set_values(program, slot=float(head.number), tint=head.place.tint, rect=rect)
+        set_values(
+            program,
+            slot=float(head.number),
+            mark=float(mark),
+            tint=head.place.tint,
+            rect=rect,
+        )
         body.shade_rect.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
     def _mark_blocks(self, targets: RenderTargets, head: DecodedHead) -> None:
@@ -310,6 +323,7 @@ class DrawPasses:
         set_values(
             self._resolve,
             slot=float(head.number),
+            mark=float(head.mark),
             rect=clip_rect(head.place.rect, targets.size),
         )
         self._resolve_rect.render(moderngl.TRIANGLE_STRIP, vertices=4)

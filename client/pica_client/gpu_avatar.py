@@ -24,6 +24,8 @@ from pica_core.avatar_file import Avatar
 from pica_core.mesh import order_faces
 
 FloatArray = npt.NDArray[np.float32]
+MeshPrograms = tuple[moderngl.Program, moderngl.Program]
+"""Of the surface pass: for a head that is drawn whole, and for one that shares its pixels."""
 WeightsPlace = Literal["block", "constants", "turns"]
 
 ENCODING_OF_VARIANT = {"full": "encoding_full.glsl"}
@@ -40,6 +42,8 @@ class Mesh:
     """The triangles of one level."""
 
     vertices: moderngl.VertexArray
+    sharing: moderngl.VertexArray
+    """The same for the program that leaves part of the pixels to another level."""
     num_triangles: int
 
 
@@ -69,7 +73,7 @@ class Body:
 
 def upload_avatar(
     context: moderngl.Context,
-    mesh_program: moderngl.Program,
+    mesh_programs: MeshPrograms,
     avatar: Avatar,
     weights_place: WeightsPlace,
     *,
@@ -80,7 +84,7 @@ def upload_avatar(
 
     Args:
         context: Of this thread.
-        mesh_program: Of the surface pass.
+        mesh_programs: Of the surface pass.
         avatar: Checked avatar.
         weights_place: See `RenderOptions`.
         filtered: Encodings are averaged over what a pixel covers.
@@ -100,7 +104,7 @@ def upload_avatar(
     vertex_uv = tensors["mesh.vertex_uv"]
     return Body(
         meshes={
-            level: upload_mesh(context, mesh_program, vertex_uv, avatar.level_faces(level))
+            level: upload_mesh(context, mesh_programs, vertex_uv, avatar.level_faces(level))
             for level in avatar.levels
         },
         shade=program,
@@ -134,7 +138,7 @@ def decoder_program(
     return build_program(context, compose("rect.vert"), fragment)
 
 
-def upload_placeholder(context: moderngl.Context, mesh_program: moderngl.Program) -> Body:
+def upload_placeholder(context: moderngl.Context, mesh_programs: MeshPrograms) -> Body:
     """The head that stands in for an avatar that is not there or cannot be used."""
     program = build_program(context, compose("rect.vert"), compose("placeholder.frag"))
     set_values(program, radii_m=PLACEHOLDER_RADII_M)
@@ -148,7 +152,7 @@ def upload_placeholder(context: moderngl.Context, mesh_program: moderngl.Program
     ellipsoid = context.texture((count, count), 3, _ellipsoid(count).tobytes(), dtype="f4")
     _clamp(ellipsoid, moderngl.NEAREST)
     return Body(
-        meshes={count: upload_mesh(context, mesh_program, vertex_uv, faces)},
+        meshes={count: upload_mesh(context, mesh_programs, vertex_uv, faces)},
         shade=program,
         shade_rect=context.vertex_array(program, []),
         textures={UNIT_POSITION: ellipsoid},
@@ -160,7 +164,7 @@ def upload_placeholder(context: moderngl.Context, mesh_program: moderngl.Program
 
 def upload_mesh(
     context: moderngl.Context,
-    program: moderngl.Program,
+    programs: MeshPrograms,
     vertex_uv: npt.NDArray[Any],
     faces: npt.NDArray[Any],
 ) -> Mesh:
@@ -171,8 +175,11 @@ def upload_mesh(
     used, renumbered = np.unique(ordered, return_inverse=True)
     corners = context.buffer(np.ascontiguousarray(vertex_uv[used], np.float32).tobytes())
     indices = context.buffer(np.ascontiguousarray(renumbered, np.int32).tobytes())
-    vertices = context.vertex_array(program, [(corners, "2f", "vertex_uv")], index_buffer=indices)
-    return Mesh(vertices, len(faces))
+    content = [(corners, "2f", "vertex_uv")]
+    whole, sharing = (
+        context.vertex_array(program, content, index_buffer=indices) for program in programs
+    )
+    return Mesh(whole, sharing, len(faces))
 
 
 def _ellipsoid(count: int) -> FloatArray:

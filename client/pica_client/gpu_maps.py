@@ -56,6 +56,11 @@ class MapSeries:
         return self._textures[self._level_before or self.level]
 
     @property
+    def has_before(self) -> bool:
+        """Whether there is a map of another level than the newest."""
+        return self._level_before != 0
+
+    @property
     def level_before(self) -> int:
         """Level of `before`; 0 if nothing came yet."""
         return self._level_before or self.level

@@ -16,14 +16,12 @@ FloatArray = npt.NDArray[np.float32]
 
 UNIT_VISIBLE_XYZ, UNIT_VISIBLE_UV, UNIT_POSITION, UNIT_EXPRESSION = 0, 1, 2, 3
 UNIT_UV_ENCODING, UNIT_U_ENCODING, UNIT_V_ENCODING = 4, 5, 6
-UNIT_POSITION_BEFORE, UNIT_EXPRESSION_BEFORE, UNIT_COARSE, UNIT_SKIN = 7, 8, 9, 10
+UNIT_COARSE, UNIT_SKIN = 7, 8
 _UNITS = {
     "visible_xyz": UNIT_VISIBLE_XYZ,
     "visible_uv": UNIT_VISIBLE_UV,
     "position_map": UNIT_POSITION,
-    "position_map_before": UNIT_POSITION_BEFORE,
     "expression_map": UNIT_EXPRESSION,
-    "expression_map_before": UNIT_EXPRESSION_BEFORE,
     "uv_encoding": UNIT_UV_ENCODING,
     "u_encoding": UNIT_U_ENCODING,
     "v_encoding": UNIT_V_ENCODING,

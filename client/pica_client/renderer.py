@@ -130,7 +130,7 @@ class Renderer:
         if body is None:
             body = upload_avatar(
                 self._context,
-                self._passes.mesh_program,
+                self._passes.mesh_programs,
                 avatar,
                 self.weights,
                 filtered=self._options.filter_encodings,

@@ -70,9 +70,10 @@ class Placement:
     shading_rate: int = 1
     """1 decodes every pixel, 2 every second one of every second row; the others are filled in."""
     mesh_level: int | None = None
-    """Level of the mesh; None for that of the position map that came last."""
+    """Level of the mesh, if coarser than that of the position map that came last; None for that."""
     blend: float = 1.0
-    """1 shows the maps that came last; below, those of the level before shine through."""
+    """Part of the pixels that show the maps that came last; the others show those of the level
+    before."""
 
 
 def arrange_seats(count: int) -> list[Float64Array]:

@@ -139,6 +139,11 @@ def test_a_mesh_level_can_be_asked_for(context: moderngl.Context, maps: Maps) ->
     assert levels == [64, 256, 256]
 
 
+def test_a_mesh_finer_than_its_map_is_not_drawn(context: moderngl.Context, maps: Maps) -> None:
+    renderer = renderer_with(context, maps, 64)
+    assert renderer.draw([placed(mesh_level=256)], NEAR).heads[0].level == 64
+
+
 def test_a_refused_map_changes_nothing(context: moderngl.Context, maps: Maps) -> None:
     renderer = renderer_with(context, maps, 256)
     before = drawn(renderer, placed())
@@ -152,21 +157,35 @@ def test_a_refused_map_changes_nothing(context: moderngl.Context, maps: Maps) ->
 def test_a_blend_runs_from_the_level_before_to_the_newest(
     context: moderngl.Context, maps: Maps
 ) -> None:
-    old, new = (
-        drawn(renderer_with(context, maps, level), placed(mesh_level=256)) for level in (64, 256)
-    )
+    old, new = (drawn(renderer_with(context, maps, level), placed()) for level in (64, 256))
     renderer = renderer_with(context, maps, 64, 256)
-    np.testing.assert_array_equal(drawn(renderer, placed(blend=0.0)), old)
-    np.testing.assert_array_equal(drawn(renderer, placed(blend=1.0)), new)
     steps = [drawn(renderer, placed(blend=share)) for share in np.linspace(0, 1, 9)]
-    leaps = [float(np.abs(b - a).mean()) for a, b in pairwise(steps)]
-    assert max(leaps) < 0.35 * float(np.abs(new - old).mean())
+    np.testing.assert_array_equal(steps[0], old)
+    np.testing.assert_array_equal(steps[-1], new)
+    differs = (old != new).any(axis=-1)
+    for number, step in enumerate(steps):
+        is_new = (step == new).all(axis=-1)
+        assert (is_new | (step == old).all(axis=-1)).all()
+        assert is_new[differs].mean() == pytest.approx(number / 8, abs=0.03)
+    leaps = [float(np.square(b - a).mean()) for a, b in pairwise(steps)]
+    assert max(leaps) < 0.2 * float(np.square(new - old).mean())
 
 
-def test_while_levels_mix_the_finer_mesh_is_drawn(context: moderngl.Context, maps: Maps) -> None:
+def test_while_levels_mix_each_has_its_own_mesh(context: moderngl.Context, maps: Maps) -> None:
     renderer = renderer_with(context, maps, 256, 64)
-    levels = [renderer.draw([placed(blend=b)], NEAR).heads[0].level for b in (0.5, 1.0)]
-    assert levels == [256, 64]
+    stats = renderer.draw([placed(blend=0.5)], NEAR, count_pixels=True)
+    assert [head.level for head in stats.heads] == [64, 256]
+    assert stats.num_avatars == 1
+    assert stats.shaded_pixels == (renderer.read_surface()[2] >= 0).sum()
+    assert [head.level for head in renderer.draw([placed()], NEAR).heads] == [64]
+
+
+def test_levels_mix_at_half_resolution_too(context: moderngl.Context, maps: Maps) -> None:
+    renderer = renderer_with(context, maps, 64, 256)
+    old, new, mixed = (drawn(renderer, placed(blend=b, shading_rate=2)) for b in (0.0, 1.0, 0.5))
+    covered = renderer.read_surface()[2] >= 0
+    error = np.square(mixed - 0.5 * (old + new))[covered].mean()
+    assert error < 0.5 * np.square(new - old)[covered].mean() + 20
 
 
 def test_without_a_level_before_a_blend_shows_the_newest(
@@ -250,10 +269,10 @@ def test_an_eye_sees_what_one_camera_would(
 def test_after_the_first_frames_nothing_is_made_whatever_changes(
     context: moderngl.Context, maps: Maps
 ) -> None:
-    renderer = renderer_with(context, maps, 256, options=RenderOptions())
+    renderer = renderer_with(context, maps, 64, 256, options=RenderOptions())
     eyes = (camera_at(-0.03, 0, 0.6, size=(80, 120)), camera_at(0.03, 0, 0.6, size=(80, 120)))
-    renderer.draw([placed()], NEAR, count_pixels=True)
-    renderer.draw_stereo([placed()], eyes, count_pixels=True)
+    renderer.draw([placed(blend=0.5)], NEAR, count_pixels=True)
+    renderer.draw_stereo([placed(blend=0.5)], eyes, count_pixels=True)
     before = gpu_objects()
     for index in range(12):
         renderer.update_maps("p0", *maps[TOY.levels[index % 3]])

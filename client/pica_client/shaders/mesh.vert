@@ -3,8 +3,6 @@
 in vec2 vertex_uv;
 
 uniform sampler2D position_map; // head-frame metres
-uniform sampler2D position_map_before; // of the level before
-uniform float blend; // 1 is the newest level alone
 uniform mat4 clip_from_head;
 uniform vec3 low_m; // the box that the avatar promised to stay in
 uniform vec3 high_m;
@@ -18,9 +16,6 @@ out vec3 surface_xyz_m;
 void main() {
     surface_uv = vertex_uv;
     vec3 xyz_m = fetch_bilinear(position_map, vertex_uv).xyz;
-    if (blend < 1.0) {
-        xyz_m = mix(fetch_bilinear(position_map_before, vertex_uv).xyz, xyz_m, blend);
-    }
     surface_xyz_m = bounded(xyz_m, low_m, high_m);
     gl_Position = clip_from_head * vec4(surface_xyz_m, 1.0);
 }

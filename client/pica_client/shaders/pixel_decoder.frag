@@ -7,9 +7,8 @@
 uniform sampler2D visible_xyz; // what surface.frag wrote
 uniform sampler2D visible_uv;
 uniform sampler2D expression_map;
-uniform sampler2D expression_map_before; // of the level before
-uniform float blend; // 1 is the newest level alone
 uniform float slot;
+uniform float mark; // whose the pixel is, for the passes after this one
 uniform int stride;
 uniform vec4 tint; // colour to fade to, and how far
 
@@ -31,11 +30,8 @@ void main() {
     }
     vec2 uv = texelFetch(visible_uv, pixel, 0).xy;
     vec4 expression = textureLod(expression_map, uv, 0.0);
-    if (blend < 1.0) {
-        expression = mix(textureLod(expression_map_before, uv, 0.0), expression, blend);
-    }
     // A coarse pixel averages no more than a fine one would: what is filled in between is blurred
     // already (MSE 29 instead of 51 at a head 256 pixels high).
     vec3 rgb = colour_pixel(expression, surface.xyz, uv, unpack_footprint(surface.w));
-    colour = vec4(mix(clamp(rgb, 0.0, 1.0), tint.rgb, tint.a), mark_of(slot));
+    colour = vec4(mix(clamp(rgb, 0.0, 1.0), tint.rgb, tint.a), mark_of(mark));
 }

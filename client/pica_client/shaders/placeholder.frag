@@ -3,6 +3,7 @@
 
 uniform sampler2D visible_xyz;
 uniform float slot;
+uniform float mark;
 uniform vec4 tint;
 uniform vec3 radii_m;
 
@@ -19,5 +20,5 @@ void main() {
     vec3 normal = normalize(surface.xyz / (radii_m * radii_m));
     float light = 0.5 + 0.5 * dot(normal, normalize(vec3(0.25, 0.8, 0.55)));
     vec3 rgb = mix(vec3(0.19, 0.215, 0.25), vec3(0.47, 0.50, 0.54), light * light);
-    colour = vec4(mix(rgb, tint.rgb, tint.a), mark_of(slot));
+    colour = vec4(mix(rgb, tint.rgb, tint.a), mark_of(mark));
 }

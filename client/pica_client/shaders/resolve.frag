@@ -4,6 +4,7 @@
 uniform sampler2D visible_xyz;
 uniform sampler2D coarse_image; // alpha says whose a pixel is
 uniform float slot;
+uniform float mark; // whose the pixel is, for the passes after this one
 
 layout(location = 0) out vec4 colour;
 
@@ -21,5 +22,5 @@ void main() {
     vec4 mixed = textureLod(coarse_image, place, 0.0);
     bool is_ours = abs(mixed.a - mark_of(slot)) < 0.0015;
     vec3 own = texelFetch(coarse_image, pixel / 2, 0).rgb;
-    colour = vec4(is_ours ? mixed.rgb : own, mark_of(slot));
+    colour = vec4(is_ours ? mixed.rgb : own, mark_of(mark));
 }

@@ -5,6 +5,9 @@ in vec2 surface_uv;
 in vec3 surface_xyz_m;
 
 uniform float slot; // 1, 2, ...; 0 is nobody
+#ifdef SHARED
+uniform vec2 share; // the part of the pixels that this level of a head gets, from and to
+#endif
 
 layout(location = 0) out vec4 xyz_and_owner;
 layout(location = 1) out vec2 uv;
@@ -12,6 +15,13 @@ layout(location = 1) out vec2 uv;
 #include "footprint.glsl"
 
 void main() {
+#ifdef SHARED
+    // Two levels of a head take turns from pixel to pixel while one gives way to the other.
+    float turn = fract(52.9829189 * fract(dot(floor(gl_FragCoord.xy), vec2(0.06711056, 0.00583715))));
+    if (turn < share.x || turn >= share.y) {
+        discard;
+    }
+#endif
     // Derivatives are right here, within a triangle; between neighbours of the second pass there
     // may lie a silhouette or a seam of the UVs.
     float footprint = pack_footprint(dFdx(surface_uv), dFdy(surface_uv));
