@@ -17,9 +17,10 @@ from pica_core.onnx_graph import decoder_graph
 from pica_core.pixel_graph import pixel_decoder_graph
 from pica_core.pixel_reference import count_parameters, decode_pixels, sample_bilinear
 from pica_core.spec import BLOCKS, AvatarSpec
+from pica_core.train.exits import FaceSet, FrozenDecoder, Head
 from pica_core.train.export import avatar_tensors
 from tolerances import EXPRESSION_ONNX, MAP_TORCH_M, PIXEL_FLOAT32, PIXEL_ONNX
-from toy import grid_faces, head_surface
+from toy import grid_faces, head_surface, with_toy_levels
 
 pytestmark = pytest.mark.train
 
@@ -88,6 +89,37 @@ def test_torch_and_onnx_decode_the_same_maps(block: str) -> None:
     assert np.abs(offset).max() > 100 * MAP_TORCH_M, "the test would not notice a dead decoder"
     assert np.abs(onnx_position - position[0].permute(1, 2, 0).numpy()).max() <= MAP_TORCH_M
     assert np.abs(onnx_expression - expression[0].permute(1, 2, 0).numpy()).max() <= EXPRESSION_ONNX
+
+
+@pytest.mark.parametrize("plain", [True, False], ids=["plain", "rearranged"])
+@pytest.mark.parametrize("level", [64, 128])
+@pytest.mark.parametrize("block", BLOCKS)
+def test_torch_and_onnx_leave_by_the_same_exit(block: str, level: int, plain: bool) -> None:
+    avatar = with_toy_levels(exported(trained_looking_model(block)))
+    torch.manual_seed(4)
+    faces = FaceSet(torch.randn(1, 4, 8, 8), torch.nn.functional.normalize(torch.randn(1, 3)))
+    maps = {}
+    for decoder, bias in (("geometry", "mean"), ("expression", "bias")):
+        weight, rest = (
+            torch.from_numpy(avatar.tensors[f"level.{level}.{decoder}.{part}"])
+            for part in ("weight", bias)
+        )
+        ((trunk, _),) = FrozenDecoder(avatar, decoder).run(faces, level)
+        if decoder == "geometry":
+            weight = weight.unflatten(2, (3, -1)).permute(2, 3, 0, 1)
+            offset = Head(weight, torch.zeros(1))(trunk)[0].permute(1, 2, 0)
+            maps[decoder] = rest + avatar.manifest.position_scale_m * offset
+        else:
+            maps[decoder] = Head(weight, rest)(trunk)[0].permute(1, 2, 0)
+    inputs = {
+        "latent": faces.latents.permute(0, 2, 3, 1).numpy(),
+        "view_direction": faces.views.numpy(),
+    }
+    graph = decoder_graph(avatar, level=level, plain=plain)
+    position, expression = session(graph).run(["position_map", "expression_map"], inputs)
+    assert np.ptp(position - avatar.tensors[f"level.{level}.geometry.mean"]) > 100 * MAP_TORCH_M
+    assert np.abs(position - maps["geometry"].numpy()).max() <= MAP_TORCH_M
+    assert np.abs(expression - maps["expression"].numpy()).max() <= EXPRESSION_ONNX
 
 
 @pytest.fixture(scope="module")

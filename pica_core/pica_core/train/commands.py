@@ -6,7 +6,7 @@ import json
 import signal
 import sys
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,6 +21,8 @@ from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data import TrainingData
 from pica_core.train.evaluate import evaluate, mean_mse
 from pica_core.train.export import make_avatar
+from pica_core.train.level_commands import describe
+from pica_core.train.levels import LevelReport, add_levels
 from pica_core.train.loop import Losses, Trainer, open_trainer, read_checkpoint
 from pica_core.train.stream_metric import make_stream_profile
 
@@ -76,6 +78,9 @@ class ExportOptions:
     stream: bool = True
     """Learn the tables of the latent stream (a minute or two). Without them the avatar can only be
     sent at 8 bits a value, 65 kbit/s."""
+    levels: bool = True
+    """Fit levels of detail (a minute or two). Without them far heads cost as much as near ones;
+    `pica avatar levels` adds them to a file later."""
     threads: int = 2
     """CPU threads of torch."""
 
@@ -154,10 +159,19 @@ def export(options: ExportOptions) -> dict[str, Any]:
             model_card=card,
             stream=stream,
         )
+    reports: list[LevelReport] = []
+    if options.levels:
+        avatar, reports = add_levels(avatar, show=lambda text: print(text, file=sys.stderr))
+        print("\n".join(map(describe, reports)), file=sys.stderr)
     save_avatar(options.out, avatar)
     size = options.out.stat().st_size
     print(f"{options.out}: {size / 1e6:.2f} MB", file=sys.stderr)
-    return {"path": str(options.out), "bytes": size, "id": avatar_id(options.out)}
+    return {
+        "path": str(options.out),
+        "bytes": size,
+        "id": avatar_id(options.out),
+        "levels": [asdict(report) for report in reports],
+    }
 
 
 def _config(options: TrainOptions) -> TrainConfig:
