@@ -8,8 +8,13 @@
 
 The decoders are the layers of `decoder_layers`, one chain each, in one graph at opset 17.
 `plain=True` writes them as they stand. The default graph computes the same function, rearranged for
-ONNX Runtime's CPU kernels; each step was measured on one thread of an AVX-512 machine (block C: 2.6
-ms plain, 1.0 ms rearranged; B and H2 gain nothing):
+ONNX Runtime's CPU kernels. One thread of AVX-512, block C, both maps, in one run on a busy machine
+(`docs/levels.md` has more; B and H2 gain nothing):
+
+    level                                    64      128     256
+    plain                                    1.21    3.55    6.08 ms
+    expansions as transposed convolutions    0.72    2.11    3.13 ms
+    and 3x3 convolutions turned round        0.59    1.63    2.23 ms
 
 - *Expand + pixel shuffle = transposed convolution 2x2, stride 2.* DepthToSpace moves single floats
   and took 40 % of the time; the transposed convolution writes the shuffled result at once (8
@@ -21,6 +26,7 @@ ms plain, 1.0 ms rearranged; B and H2 gain nothing):
   64x64 on.
 - Scale and mean of the geometry are folded: the scale into the last weights, its last bias into the
   mean.
+- A map is reshaped before its last transpose, not after: a reshape that makes an output is a copy.
 """
 
 from __future__ import annotations
