@@ -33,8 +33,8 @@ Array = np.ndarray[Any, Any]
 SMALL = AvatarSpec(
     map_size=128, hidden_channels=(8, 6, 4), uv_encoding_size=16, axis_encoding_size=20
 )
-TOY = make_toy_avatar(grid=24, spec=SMALL)
-QUICK = LevelOptions(faces=96, rounds=1, points=1000, triangles_ratio=0.2, check_faces=8)
+TOY = make_toy_avatar(grid=20, spec=SMALL)
+QUICK = LevelOptions(faces=64, rounds=1, points=500, triangles_ratio=0.2, check_faces=4)
 SHIPPED = Path(str(resources.files("pica_core"))) / "avatars" / "ines.pica"
 
 
