@@ -18,8 +18,9 @@ Rows:
     triangles
     draw_ms         a frame
     vertex_ms       the meshes of a frame with a scissor of one pixel: vertices, clipping and the
-                    setup of triangles run, pixels do not; nothing is cleared or copied. What the
-                    same takes without a head is taken off
+                    setup of triangles run, pixels do not; nothing is cleared or copied. The
+                    difference of doing it nine times in one call and once, so that calls and
+                    bookkeeping are not in it
     draw_cpu_ms, vertex_cpu_ms
                     the same as processor time of all threads of this process: with software GL
                     what the work costs whoever else runs, and steadier; meaningless with a GPU
@@ -68,6 +69,8 @@ FIELD_OF_VIEW = math.radians(50)
 """Of the square image, both ways."""
 HEAD = np.eye(4, dtype=np.float32)
 WARM_UP_FRAMES = 3
+EXTRA_TIMES = 8
+"""How many times more than once vertices are worked through to be timed."""
 SWEEP_NEAREST_CM, SWEEP_FARTHEST_CM = 18.0, 400.0
 
 
@@ -238,10 +241,13 @@ class _Bench:
         times: list[list[_Took]] = [[] for _ in cases]
         vertex_times: list[list[_Took]] = [[] for _ in cases]
         for index in range(WARM_UP_FRAMES + self._config.rounds):
-            for number, (draw, draw_vertices, draw_nothing) in enumerate(draws):
-                frame, vertex = self._time(draw), self._time(draw_vertices)
-                nothing = self._time(draw_nothing)
-                vertex = _Took(vertex.wall_s - nothing.wall_s, vertex.cpu_s - nothing.cpu_s)
+            for number, (draw, draw_vertices, draw_once) in enumerate(draws):
+                frame = self._time(draw)
+                many, once = self._time(draw_vertices), self._time(draw_once)
+                vertex = _Took(
+                    (many.wall_s - once.wall_s) / EXTRA_TIMES,
+                    (many.cpu_s - once.cpu_s) / EXTRA_TIMES,
+                )
                 if index >= WARM_UP_FRAMES:
                     times[number].append(frame)
                     vertex_times[number].append(vertex)
@@ -300,13 +306,13 @@ class _Bench:
         }
 
     def _prepare(self, case: _Case) -> tuple[Draw, Draw, Draw]:
-        """A frame, its vertices alone, and not even these."""
+        """A frame, its vertices alone and many times, and these once."""
         renderer = self._renderers[case.weights]
         placements, camera = [self._placement(case)], self._camera(case.distance_cm)
         return (
             lambda: renderer.draw(placements, camera),
+            lambda: renderer.draw_vertices(placements, camera, 1 + EXTRA_TIMES),
             lambda: renderer.draw_vertices(placements, camera),
-            lambda: renderer.draw_vertices([], camera),
         )
 
     def _time(self, draw: Draw) -> _Took:

@@ -163,20 +163,24 @@ class DrawPasses:
         targets: RenderTargets,
         decoded: Sequence[DecodedHead],
         painted: Sequence[PaintedHead],
+        times: int,
     ) -> None:
-        """All meshes of a frame into one pixel: vertices, clipping and the setup of triangles are
-        worked through, and nearly nothing is drawn. For measuring; it spoils the images."""
+        """All meshes of a frame into one pixel, so many times: vertices, clipping and the setup of
+        triangles are worked through, and nearly nothing is drawn. For measuring; it spoils the
+        images."""
         for target in (targets.surface, targets.textured):
             target.use()
             target.scissor = (0, 0, 1, 1)
-        self._draw_meshes(targets, decoded)
-        self.texture(targets, painted)
+        self._draw_meshes(targets, decoded, times)
+        self.texture(targets, painted, times=times)
         nowhere: Any = None  # moderngl's way to end a scissor; its types do not know it
         for target in (targets.surface, targets.textured):
             target.use()
             target.scissor = nowhere
 
-    def _draw_meshes(self, targets: RenderTargets, heads: Sequence[DecodedHead]) -> None:
+    def _draw_meshes(
+        self, targets: RenderTargets, heads: Sequence[DecodedHead], times: int = 1
+    ) -> None:
         targets.surface.use()
         self._context.enable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         # Near ones first: what they hide is tested away before it is written.
@@ -191,10 +195,10 @@ class DrawPasses:
                 program, slot=float(head.number), low_m=head.body.low_m, high_m=head.body.high_m
             )
             if is_whole:
-                head.mesh.vertices.render()
+                head.mesh.vertices.render(instances=times)
             else:
                 set_values(program, share=head.share)
-                head.mesh.sharing.render()
+                head.mesh.sharing.render(instances=times)
 
     def shade(
         self, targets: RenderTargets, heads: Sequence[DecodedHead], *, count: bool
@@ -232,7 +236,12 @@ class DrawPasses:
         return [_samples(query) for query in queries]
 
     def texture(
-        self, targets: RenderTargets, heads: Sequence[PaintedHead], *, count: bool = False
+        self,
+        targets: RenderTargets,
+        heads: Sequence[PaintedHead],
+        *,
+        count: bool = False,
+        times: int = 1,
     ) -> list[int | None]:
         """Draw textured heads over the shaded image, behind what is nearer.
 
@@ -259,7 +268,7 @@ class DrawPasses:
                 high_m=painted.head.high_m,
             )
             with query:
-                painted.head.vertices.render()
+                painted.head.vertices.render(instances=times)
         return [_samples(query) for query in queries]
 
     def smooth(self, targets: RenderTargets, places: Sequence[Place]) -> None:

@@ -237,12 +237,14 @@ class Renderer:
         ]
         return self._draw(placements, views, overlays, count_pixels)
 
-    def draw_vertices(self, placements: Sequence[Placement], camera: Camera) -> None:
+    def draw_vertices(
+        self, placements: Sequence[Placement], camera: Camera, times: int = 1
+    ) -> None:
         """Work through the vertices of a frame and nothing else; see `DrawPasses.vertices`. The
         next frame is drawn as if this had not been."""
         view = View(camera, (0, 0, *self.size))
         heads = list_heads(self._slots, placements, [view], self._passes.placeholder)
-        self._passes.vertices(self._targets, heads.decoded, heads.painted)
+        self._passes.vertices(self._targets, heads.decoded, heads.painted, times)
 
     def read_image(self) -> Image:
         """The last frame, uint8 ``[H, W, 3]``, top row first. Waits for the GPU.
