@@ -95,6 +95,7 @@ class Renderer:
                 f"{GL_VERSION / 100:.1f} is needed: install or update the graphics driver"
             )
         self._context = context
+        _ = context.error  # what somebody else left is not ours to report
         self._options = options or RenderOptions()
         self.gl_renderer = str(context.info["GL_RENDERER"])
         self.weights = self._choose_weights()
