@@ -20,11 +20,11 @@ _NATS_URL = re.compile(r"(nats|tls)://([^/?#\s@]+@)?[A-Za-z0-9._-]+(:[0-9]{1,5})
 class LimitsConfig:
     """How much one client, one address and everybody together may ask of a relay."""
 
-    messages_per_s: float = 600.0
+    messages_per_s: float = 300.0
     """Frames and control messages a second of one client, on average; 4008 above it."""
     bytes_per_s: float = 131_072.0
     """Bytes a second of one client, on average; 4008 above it."""
-    burst_s: float = 2.0
+    burst_s: float = 1.0
     """So many seconds' worth may come at once, as after a stall of the network."""
     joins_per_s: float = 50.0
     """Joins a second of everybody together, on average; 4009 above it."""
