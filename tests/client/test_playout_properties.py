@@ -82,7 +82,7 @@ class PlayoutMachine(RuleBasedStateMachine):
 
 
 class FramesTakenOnce(PlayoutMachine):
-    """`due_frames` against a reference that forgets nothing."""
+    """`due_frames` against a reference that forgets nothing but what is too many."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -93,6 +93,8 @@ class FramesTakenOnce(PlayoutMachine):
         super().arrive(index)
         if index > max(self.released, default=-1):
             self.waiting.add(index)
+            if len(self.waiting) > self.playout.config.max_frames:
+                self.waiting.remove(min(self.waiting))  # the oldest gives way
 
     @rule()
     def what_is_due_is_taken(self) -> None:

@@ -30,14 +30,16 @@ class InterruptedWhileLinking:
 
 def test_an_interrupt_waits_until_a_program_is_linked() -> None:
     context = create_context()
+    # A shell that starts a job in the background lets it ignore interrupts.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         interrupted: Any = InterruptedWhileLinking(context)
-        handler = signal.getsignal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):
             link_program(interrupted, vertex=VERTEX, fragment=FRAGMENT)
         assert interrupted.linked is not None
-        assert signal.getsignal(signal.SIGINT) is handler
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     finally:
+        signal.signal(signal.SIGINT, before)
         context.release()
 
 
