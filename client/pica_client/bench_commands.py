@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pica_client.avatars import AvatarLibrary
+from pica_client.errors import OptionError
 from pica_client.impairment import Impairment
 from pica_client.output import check_writable, say
 from pica_client.playout_config import PlayoutConfig, playout_with_floor
@@ -189,9 +190,25 @@ def bench_codec(options: BenchCodecOptions) -> dict[str, Any]:
 
 def load_bench_avatar(name: str | None) -> Avatar:
     """The avatar of a bench that needs one: by name or file, by default the first that ships."""
+    return load_bench_avatars(name)[0]
+
+
+def load_bench_avatars(names: str | None) -> list[Avatar]:
+    """The avatars of a bench: names or files, separated by commas; by default all that ship."""
     library = AvatarLibrary()
     try:
-        (chosen, *_) = choose_avatars(name, library)
-        return library.load(library.find(chosen))
+        return [library.load(library.find(name)) for name in choose_avatars(names, library)]
     finally:
         library.close()
+
+
+def read_numbers(name: str, text: str) -> tuple[float, ...]:
+    """Numbers of an option, separated by commas.
+
+    Raises:
+        OptionError: Something else; names the option.
+    """
+    try:
+        return tuple(float(word) for word in text.split(","))
+    except ValueError as error:
+        raise OptionError(f"{name} is {text!r}; write numbers with commas") from error

@@ -41,7 +41,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_client.bench_decode import random_decoders
-from pica_client.bench_render import FIELD_OF_VIEW
+from pica_client.bench_render import front_camera
 from pica_client.decoder import FloatArray, OnnxDecoder
 from pica_client.errors import OptionError
 from pica_client.render_error import masked_mse
@@ -51,7 +51,7 @@ from pica_client.sources.performances import make_performance
 from pica_client.stats import describe_machine
 from pica_core.avatar_file import Avatar, load_avatar, save_avatar
 from pica_core.avatar_storage import DEFAULT_STORAGE, Storage
-from pica_core.camera import Camera, look_at
+from pica_core.camera import Camera
 from pica_core.expression_encoder import ExpressionEncoder
 from pica_core.gl import create_context, wait_for_gpu
 from pica_core.levels import SHADING_RATES
@@ -250,15 +250,7 @@ class _Bench:
         return mean, share >= 0.5
 
     def _camera(self, distance_cm: float, pixels: int) -> Camera:
-        low, high = self._avatar.manifest.bounds_min_m, self._avatar.manifest.bounds_max_m
-        height = (low[1] + high[1]) / 2
-        return look_at(
-            centre_m=(0.0, height, high[2] + distance_cm / 100),
-            target_m=(0.0, height, 0.0),
-            vertical_fov=FIELD_OF_VIEW,
-            width=pixels,
-            height=pixels,
-        )
+        return front_camera(self._avatar, distance_cm, (pixels, pixels))
 
 
 def with_precision(avatar: Avatar, precision: Storage) -> tuple[Avatar, int]:

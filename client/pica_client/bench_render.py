@@ -329,17 +329,30 @@ class _Bench:
         )
 
     def _camera(self, distance_cm: float, size: int | None = None) -> Camera:
-        """Before the middle of the head, so far from the front of its box."""
-        low, high = self._avatar.manifest.bounds_min_m, self._avatar.manifest.bounds_max_m
-        middle = (np.array(low) + high) / 2
         pixels = size or self._config.image_size
-        return look_at(
-            centre_m=(0.0, middle[1], high[2] + distance_cm / 100),
-            target_m=(0.0, middle[1], 0.0),
-            vertical_fov=FIELD_OF_VIEW,
-            width=pixels,
-            height=pixels,
-        )
+        return front_camera(self._avatar, distance_cm, (pixels, pixels))
+
+
+def front_camera(
+    avatar: Avatar, distance_cm: float, size: tuple[int, int], *, away: bool = False
+) -> Camera:
+    """A camera before the middle of a head.
+
+    Args:
+        avatar: Whose head.
+        distance_cm: From the front of its bounding box.
+        size: Columns and rows of the image, pixels.
+        away: Look the other way.
+    """
+    low, high = avatar.manifest.bounds_min_m, avatar.manifest.bounds_max_m
+    height, distance_m = (low[1] + high[1]) / 2, high[2] + distance_cm / 100
+    return look_at(
+        centre_m=(0.0, height, distance_m),
+        target_m=(0.0, height, 2 * distance_m if away else 0.0),
+        vertical_fov=FIELD_OF_VIEW,
+        width=size[0],
+        height=size[1],
+    )
 
 
 def add_baseline(renderer: Renderer, slot: str, baseline: BaselineAvatar) -> None:

@@ -8,8 +8,7 @@ from typing import Any
 
 import tyro
 
-from pica_client.bench_commands import load_bench_avatar
-from pica_client.errors import OptionError
+from pica_client.bench_commands import load_bench_avatar, read_numbers
 from pica_client.output import check_writable, say
 
 
@@ -39,7 +38,7 @@ def bench_render(options: BenchRenderOptions) -> dict[str, Any]:
     from pica_client.bench_render import RenderBenchConfig, run_render_bench
 
     config = RenderBenchConfig(
-        distances_cm=_numbers(options.distances_cm),
+        distances_cm=read_numbers("distances_cm", options.distances_cm),
         image_size=options.image_size,
         rounds=options.rounds,
         sweep_points=options.sweep_points,
@@ -100,10 +99,3 @@ def avatar_measure(options: AvatarMeasureOptions) -> dict[str, Any]:
         "view_mse_per_rad2": errors.view_mse_per_rad2,
         "latent_mse_per_unit2": errors.latent_mse_per_unit2,
     }
-
-
-def _numbers(text: str) -> tuple[float, ...]:
-    try:
-        return tuple(float(word) for word in text.split(","))
-    except ValueError as error:
-        raise OptionError(f"distances_cm is {text!r}; write numbers with commas") from error

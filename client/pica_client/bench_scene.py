@@ -46,6 +46,7 @@ import moderngl
 import numpy as np
 import numpy.typing as npt
 
+from pica_client.bench_render import FIELD_OF_VIEW, front_camera
 from pica_client.bench_scene_summary import AWAY, FULL_SCREEN_CM, summarise
 from pica_client.decode_pool import DecodeRequest, DecodeResult
 from pica_client.decoder import OnnxDecoder
@@ -59,7 +60,7 @@ from pica_client.scheduler import Choice, Scheduler
 from pica_client.sources.performances import make_performance
 from pica_client.stats import describe_machine
 from pica_core.avatar_file import Avatar
-from pica_core.camera import Camera, look_at
+from pica_core.camera import Camera
 from pica_core.expression_encoder import ExpressionEncoder
 from pica_core.gl import create_context, wait_for_gpu
 from pica_core.latent_stream import StreamConfig
@@ -70,8 +71,6 @@ Image = npt.NDArray[np.uint8]
 
 SPACING_M = 0.25
 """Between neighbours (the paper's section 4.3)."""
-FIELD_OF_VIEW = math.radians(45)
-"""From top to bottom, as in `bench_render`."""
 FPS = 30.0
 WARM_UP_FRAMES = 12
 """Of each case: the costs are learned, the wishes settle."""
@@ -415,19 +414,9 @@ class _Bench:
         return self._renderer.read_image(), self._renderer.read_surface()[2] >= 0
 
     def _camera(self, case: _Case) -> Camera:
-        """Before the middle of the line, so far from the front of the middle head's box."""
-        manifest = self._avatars[0].manifest
-        low, high = manifest.bounds_min_m, manifest.bounds_max_m
-        height = (low[1] + high[1]) / 2
-        distance_m = high[2] + case.distance_cm / 100
-        width, rows = self._config.size
-        return look_at(
-            centre_m=(0.0, height, distance_m),
-            target_m=(0.0, height, 2 * distance_m if case.is_away else 0.0),
-            vertical_fov=FIELD_OF_VIEW,
-            width=width,
-            height=rows,
-        )
+        """Before the middle head of the line."""
+        size = self._config.size
+        return front_camera(self._avatars[0], case.distance_cm, size, away=case.is_away)
 
 
 def _write_sheet(path: Path, config: SceneBenchConfig, cases: Sequence[_Case]) -> None:

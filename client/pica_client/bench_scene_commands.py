@@ -7,12 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pica_client.avatars import AvatarLibrary
-from pica_client.bench_commands import load_bench_avatar
-from pica_client.errors import OptionError
+from pica_client.bench_commands import load_bench_avatar, load_bench_avatars, read_numbers
 from pica_client.output import check_writable, say
-from pica_client.staging import choose_avatars
-from pica_core.avatar_file import Avatar
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -46,8 +42,8 @@ def bench_scene(options: BenchSceneOptions) -> dict[str, Any]:
     from pica_client.bench_scene import SceneBenchConfig, run_scene_bench
 
     config = SceneBenchConfig(
-        avatars=tuple(int(count) for count in _numbers("avatars", options.avatars)),
-        distances_cm=_numbers("distances_cm", options.distances_cm),
+        avatars=tuple(int(count) for count in read_numbers("avatars", options.avatars)),
+        distances_cm=read_numbers("distances_cm", options.distances_cm),
         size=(options.width, options.height),
         rounds=options.rounds,
         performance=options.performance,
@@ -55,7 +51,7 @@ def bench_scene(options: BenchSceneOptions) -> dict[str, Any]:
     )
     if options.sheet is not None:
         check_writable(options.sheet)
-    result = run_scene_bench(config, _load(options.avatar))
+    result = run_scene_bench(config, load_bench_avatars(options.avatar))
     for row in result["rows"]:
         budget = "" if row["budget_ms"] is None else f"of {row['budget_ms']:g}"
         error = "" if row["error"] is None else f"error {row['error']:7.3f}"
@@ -98,7 +94,7 @@ def bench_pareto(options: BenchParetoOptions) -> dict[str, Any]:
     from pica_client.bench_pareto import ParetoBenchConfig, run_pareto_bench
 
     config = ParetoBenchConfig(
-        distances_cm=_numbers("distances_cm", options.distances_cm),
+        distances_cm=read_numbers("distances_cm", options.distances_cm),
         image_size=options.image_size,
         frames=options.frames,
     )
@@ -111,18 +107,3 @@ def bench_pareto(options: BenchParetoOptions) -> dict[str, Any]:
                 f"change {row['change_mse']:7.3f} {'best' if row['is_best'] else ''}"
             )
     return result
-
-
-def _load(names: str | None) -> list[Avatar]:
-    library = AvatarLibrary()
-    try:
-        return [library.load(library.find(name)) for name in choose_avatars(names, library)]
-    finally:
-        library.close()
-
-
-def _numbers(name: str, text: str) -> tuple[float, ...]:
-    try:
-        return tuple(float(word) for word in text.split(","))
-    except ValueError as error:
-        raise OptionError(f"{name} is {text!r}; write numbers with commas") from error
