@@ -99,7 +99,10 @@ class Capture:
         info: `capture.json` as read.
         cameras: All cameras, in KRT order.
         frames: All frames, in `frame_list.txt` order.
-        topology: Shared mesh data.
+        topology: The mesh that models draw.
+        tracked_topology: The tracked mesh; the same object where a capture has one mesh only.
+        has_truth: Exact meshes and exact depth are there (synthetic captures).
+        has_depth: At least one frame has depth.
         texture_size: Side of the average textures, texels.
     """
 
@@ -110,6 +113,7 @@ class Capture:
         cameras: tuple[Camera, ...],
         frames: tuple[CaptureFrame, ...],
         topology: Topology,
+        tracked_topology: Topology,
         arkit: FloatArray,
         texture_size: int,
     ) -> None:
@@ -118,6 +122,9 @@ class Capture:
         self.cameras = cameras
         self.frames = frames
         self.topology = topology
+        self.tracked_topology = tracked_topology
+        self.has_truth = (path / multiface.TRUTH_MESH).is_dir()
+        self.has_depth = (path / "depth").is_dir()
         self.texture_size = texture_size
         self._arkit = arkit
         self._cameras = {camera.name: camera for camera in cameras}
@@ -151,12 +158,15 @@ class Capture:
             )
         cameras = multiface.read_krt(root / multiface.KRT, width, height)
         topology = _read_topology(root / multiface.TOPOLOGY)
+        tracked = topology
+        if (root / multiface.TRACKED_TOPOLOGY).is_file():
+            tracked = _read_topology(root / multiface.TRACKED_TOPOLOGY)
         frames, arkit = _read_frames(root)
-        return cls(root, info, cameras, frames, topology, arkit, texture_size)
+        return cls(root, info, cameras, frames, topology, tracked, arkit, texture_size)
 
     @property
     def num_vertices(self) -> int:
-        """V."""
+        """V, of `topology`."""
         return len(self.topology.vertex_uv)
 
     def frames_of(self, split: str) -> tuple[CaptureFrame, ...]:
@@ -199,36 +209,57 @@ class Capture:
         path = self.path / multiface.image_path("mask", frame.segment, camera, frame.name)
         return _load_image(path, "L", (view.width, view.height))
 
+    def has_depth_of(self, frame: CaptureFrame) -> bool:
+        """Whether a frame has depth: a method may have been run on some of them only."""
+        return (self.path / "depth" / frame.segment).is_dir() and any(
+            (self.path / multiface.image_path("depth", frame.segment, name, frame.name)).is_file()
+            for name in self._cameras
+        )
+
     def depth_m(self, frame: CaptureFrame, camera: str) -> FloatArray:
-        """Depth along the camera axis at pixel centres, 0 where empty. float32 ``[H, W]``."""
+        """Depth along the camera axis at pixel centres as a method found it, 0 where unknown.
+        float32 ``[H, W]``."""
+        return self._read_depth("depth", frame, camera)
+
+    def true_depth_m(self, frame: CaptureFrame, camera: str) -> FloatArray:
+        """Exact depth along the camera axis at pixel centres, 0 where empty. float32 ``[H, W]``.
+
+        Raises:
+            CaptureError: The capture has no truth, or the file is damaged.
+        """
+        self._need_truth()
+        return self._read_depth(multiface.TRUTH_DEPTH, frame, camera)
+
+    def _read_depth(self, kind: str, frame: CaptureFrame, camera: str) -> FloatArray:
         view = self.camera(camera)
-        path = self.path / multiface.image_path("depth", frame.segment, camera, frame.name)
+        path = self.path / multiface.image_path(kind, frame.segment, camera, frame.name)
         units = _load_image(path, "I;16", (view.width, view.height))
         return units.astype(np.float32) * np.float32(multiface.DEPTH_UNIT_M)
 
+    def _need_truth(self) -> None:
+        if not self.has_truth:
+            raise CaptureError(
+                f"{self.path}: no {multiface.TRUTH_MESH}; only synthetic captures hold the truth"
+            )
+
     def vertices_m(self, frame: CaptureFrame) -> FloatArray:
-        """Tracked mesh, head frame, metres. float32 ``[V, 3]``."""
+        """Tracked mesh on `tracked_topology`, head frame, metres. float32 ``[Vt, 3]``."""
         path = self.path / multiface.mesh_path(frame.segment, frame.name)
-        return self._read_vertices(path)
+        return _read_vertices(path, len(self.tracked_topology.vertex_uv))
+
+    def true_vertices_m(self, frame: CaptureFrame) -> FloatArray:
+        """Exact mesh on `topology`, head frame, metres. float32 ``[V, 3]``.
+
+        Raises:
+            CaptureError: The capture has no truth, or the file is damaged.
+        """
+        self._need_truth()
+        path = self.path / multiface.mesh_path(frame.segment, frame.name, multiface.TRUTH_MESH)
+        return _read_vertices(path, len(self.topology.vertex_uv))
 
     def mean_vertices_m(self) -> FloatArray:
-        """Mean mesh over the training frames, metres. float32 ``[V, 3]``."""
-        return self._read_vertices(self.path / "vert_mean.bin")
-
-    def _read_vertices(self, path: Path) -> FloatArray:
-        wanted = 12 * self.num_vertices
-        try:
-            data = path.read_bytes()
-        except FileNotFoundError:
-            raise CaptureError(f"{path}: the file is missing") from None
-        if len(data) != wanted:
-            raise CaptureError(
-                f"{path}: {len(data)} bytes; {self.num_vertices} vertices need {wanted} (float32)"
-            )
-        vertices = np.frombuffer(data, "<f4").reshape(-1, 3) / np.float32(multiface.MILLIMETRES)
-        if not np.isfinite(vertices).all():
-            raise CaptureError(f"{path}: vertices are not all finite")
-        return vertices.astype(np.float32)
+        """Mean tracked mesh over the training frames, metres. float32 ``[Vt, 3]``."""
+        return _read_vertices(self.path / "vert_mean.bin", len(self.tracked_topology.vertex_uv))
 
     def head_to_world(self, frame: CaptureFrame) -> npt.NDArray[np.float64]:
         """Rotation and translation (metres) from head frame to world. float64 ``[3, 4]``."""
@@ -257,6 +288,23 @@ class Capture:
         """Mean texture over the training frames, row 0 is v = 0. uint8 ``[S, S, 3]``."""
         size = (self.texture_size, self.texture_size)
         return np.ascontiguousarray(_load_image(self.path / "tex_mean.png", "RGB", size)[::-1])
+
+
+def _read_vertices(path: Path, count: int) -> FloatArray:
+    """A mesh file of `count` vertices, in metres."""
+    wanted = 12 * count
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise CaptureError(f"{path}: the file is missing") from None
+    except OSError as error:
+        raise CaptureError(f"{path}: cannot read ({error})") from error
+    if len(data) != wanted:
+        raise CaptureError(f"{path}: {len(data)} bytes; {count} vertices need {wanted} (float32)")
+    vertices = np.frombuffer(data, "<f4").reshape(-1, 3) / np.float32(multiface.MILLIMETRES)
+    if not np.isfinite(vertices).all():
+        raise CaptureError(f"{path}: vertices are not all finite")
+    return vertices.astype(np.float32)
 
 
 def _read_topology(path: Path) -> Topology:

@@ -14,7 +14,10 @@ in one place.
     mask/SEG/CAM/FRAME.png                8 bit, 0 = background, else material id + 1
     expressions.csv                       segment, frame, split, 52 ARKit values
     capture.json                          units, source, licence, split, sizes, topology
-    topology.npz                          vertex_uv, faces, region masks
+    topology.npz                          vertex_uv, faces, region masks of the mesh that is drawn
+    tracked_topology.npz                  the same of the tracked mesh, where that is another one
+    truth_mesh/SEG/FRAME.bin              exact mesh, float32 [V, 3], head frame, mm (no real ones)
+    depth_truth/SEG/CAM/FRAME.png         exact depth, as depth/
 
 Layout source: the published description of the Multiface dataset (Wuu et al. 2022, arXiv
 2207.11243).
@@ -39,19 +42,22 @@ FRAME_LIST = "frame_list.txt"
 EXPRESSIONS = "expressions.csv"
 CAPTURE = "capture.json"
 TOPOLOGY = "topology.npz"
+TRACKED_TOPOLOGY = "tracked_topology.npz"
+TRUTH_MESH = "truth_mesh"
+TRUTH_DEPTH = "depth_truth"
 SCHEMA = 1
 DEPTH_UNIT_M = 0.0001
 MILLIMETRES = 1000.0
 
 
 def image_path(kind: str, segment: str, camera: str, frame: str) -> Path:
-    """Relative path of an ``images``, ``depth`` or ``mask`` file."""
+    """Relative path of an ``images``, ``depth``, ``depth_truth`` or ``mask`` file."""
     return Path(kind) / segment / camera / f"{frame}.png"
 
 
-def mesh_path(segment: str, frame: str) -> Path:
-    """Relative path of a tracked mesh."""
-    return Path("tracked_mesh") / segment / f"{frame}.bin"
+def mesh_path(segment: str, frame: str, kind: str = "tracked_mesh") -> Path:
+    """Relative path of a ``tracked_mesh`` or ``truth_mesh`` file."""
+    return Path(kind) / segment / f"{frame}.bin"
 
 
 def transform_path(segment: str, frame: str) -> Path:

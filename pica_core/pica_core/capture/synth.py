@@ -1,4 +1,4 @@
-"""Render a built-in head on the stage into a capture directory.
+"""Render a subject on the stage into a capture directory.
 
 Files are written aside and renamed; `capture.json` comes last, so a directory with one is
 finished. A render that was interrupted goes on where it stopped: a frame counts as done when its
@@ -11,7 +11,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -21,24 +21,24 @@ from PIL import Image
 
 from pica_core.arkit import ARKIT_NAMES
 from pica_core.capture import multiface
-from pica_core.capture.coordinates import MATERIALS
+from pica_core.capture.dataset import Topology
 from pica_core.capture.expressions import Take, sample_takes
-from pica_core.capture.gpu import BAKE_SIZE, StageRenderer
-from pica_core.capture.heads import Head, make_head
-from pica_core.capture.layout import MAP_SIZE
+from pica_core.capture.gpu import BAKE_SIZE
 from pica_core.capture.stage import EVALUATION_VIEWS, dome_cameras
+from pica_core.capture.subject import HeadSubject, Subject
 from pica_core.errors import CaptureError
 
 ByteArray = npt.NDArray[np.uint8]
 Progress = Callable[[int, int], None]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class StageOptions:
-    """What to render."""
+_USED = "not empty, and no interrupted render of the same options; name another directory"
 
-    head: str = "S1"
-    """Identity."""
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RenderOptions:
+    """How to render a subject."""
+
     frames: int = 64
     """Frames in all."""
     cameras: int = 8
@@ -51,10 +51,6 @@ class StageOptions:
     """Side of the average textures, texels."""
     seed: int = 0
     """Fixes the performance."""
-    bake_size: int = BAKE_SIZE
-    """Side of the baked appearance, texels."""
-    self_shadow: bool = True
-    """False leaves out shadow of the face on itself, which takes seconds to measure."""
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -64,11 +60,30 @@ class StageOptions:
             ("height", 16, 8192),
             ("texture_size", 16, 4096),
             ("seed", 0, 2**31),
-            ("bake_size", 64, 8192),
         ):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise CaptureError(f"{name} is {value}; allowed are {low} to {high}")
+            _check_range(self, name, low, high)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StageOptions(RenderOptions):
+    """Which built-in head to render, and how."""
+
+    head: str = "S1"
+    """Identity."""
+    bake_size: int = BAKE_SIZE
+    """Side of the baked appearance, texels."""
+    self_shadow: bool = True
+    """False leaves out shadow of the face on itself, which takes seconds to measure."""
+
+    def __post_init__(self) -> None:
+        RenderOptions.__post_init__(self)
+        _check_range(self, "bake_size", 64, 8192)
+
+
+def _check_range(options: RenderOptions, name: str, low: int, high: int) -> None:
+    value = getattr(options, name)
+    if not low <= value <= high:
+        raise CaptureError(f"{name} is {value}; allowed are {low} to {high}")
 
 
 def _png(array: npt.NDArray[Any]) -> bytes:
@@ -77,18 +92,38 @@ def _png(array: npt.NDArray[Any]) -> bytes:
     return out.getvalue()
 
 
-def _fingerprint(options: StageOptions) -> str:
-    return json.dumps({name: getattr(options, name) for name in options.__slots__}, sort_keys=True)
+def _fingerprint(options: RenderOptions, subject: Subject) -> str:
+    values = {field.name: getattr(options, field.name) for field in fields(options)}
+    return json.dumps({"options": values, "subject": subject.describe()}, sort_keys=True)
 
 
 def render_capture(
     options: StageOptions, out: Path, progress: Progress | None = None
 ) -> dict[str, Any]:
+    """Render a built-in head; arguments, result and errors as `render_subject`."""
+
+    def make() -> Subject:
+        return HeadSubject(
+            options.head, bake_size=options.bake_size, self_shadow=options.self_shadow
+        )
+
+    return render_subject(make, options, out, progress)
+
+
+def render_subject(
+    make_subject: Callable[[], Subject],
+    options: RenderOptions,
+    out: Path,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
     """Render a capture.
 
     Args:
-        options: What to render.
-        out: Directory to fill: new, empty, or an interrupted render of the same options.
+        make_subject: Makes who is to be rendered; what that raises is raised before a file is
+            written. It is released at the end.
+        options: How to render.
+        out: Directory to fill: new, empty, or an interrupted render of the same subject and
+            options.
         progress: Called with frames done and frames in all.
 
     Returns:
@@ -101,19 +136,29 @@ def render_capture(
     if out.exists() and not out.is_dir():
         raise CaptureError(f"{out}: is no directory; name one to make")
     marker = out / "render.json"
-    interrupted = marker.is_file() and marker.read_text(encoding="utf-8") == _fingerprint(options)
-    if out.exists() and any(out.iterdir()) and not interrupted:
-        raise CaptureError(
-            f"{out}: not empty, and no interrupted render of the same options; "
-            "name another directory"
-        )
-    head = make_head(options.head)
+    used = out.exists() and any(out.iterdir())
+    if used and not marker.is_file():
+        raise CaptureError(f"{out}: {_USED}")
+    subject = make_subject()
+    try:
+        fingerprint = _fingerprint(options, subject)
+        if used and multiface.read_text(marker) != fingerprint:
+            raise CaptureError(f"{out}: {_USED}")
+        multiface.write_aside(marker, fingerprint.encode())
+        counts = _render(subject, options, out, progress)
+    finally:
+        subject.release()
+    marker.unlink(missing_ok=True)
+    return counts
+
+
+def _render(
+    subject: Subject, options: RenderOptions, out: Path, progress: Progress | None
+) -> dict[str, Any]:
     cameras = dome_cameras(options.cameras, options.width, options.height)
     takes = sample_takes(options.frames, options.seed)
-    multiface.write_aside(marker, _fingerprint(options).encode())
     multiface.write_aside(out / multiface.KRT, multiface.krt_text(cameras).encode())
-    _write_topology(head, out)
-    renderer: StageRenderer | None = None
+    _write_topology(subject.topology, out)
     resumed = done = 0
     identity_transform = "1 0 0 0\n0 1 0 0\n0 0 1 0\n"
     sums = _Sums()
@@ -128,28 +173,27 @@ def render_capture(
                     texture = np.asarray(image)
                 vertices_mm = np.frombuffer(mesh.read_bytes(), "<f4").reshape(-1, 3)
             else:
-                if renderer is None:
-                    renderer = StageRenderer(
-                        head, bake_size=options.bake_size, occlusion=options.self_shadow
-                    )
-                vertices_mm = (renderer.pose(arkit) * multiface.MILLIMETRES).astype("<f4")
+                vertices_mm = (subject.pose(arkit) * multiface.MILLIMETRES).astype("<f4")
                 views = []
                 for camera in cameras:
-                    view = renderer.draw(camera)
+                    view = subject.draw(camera)
                     views.append((camera, view))
                     units = np.rint(view.depth_m / multiface.DEPTH_UNIT_M).astype(np.uint16)
                     for kind, pixels in (
                         ("images", view.image),
                         ("depth", units),
+                        (multiface.TRUTH_DEPTH, units),
                         ("mask", view.mask),
                     ):
                         path = multiface.image_path(kind, take.segment, camera.name, frame)
                         multiface.write_aside(out / path, _png(pixels))
-                unwrapped, _ = renderer.unwrap(views, options.texture_size)
+                unwrapped, _ = subject.unwrap(views, options.texture_size)
                 texture = np.ascontiguousarray(unwrapped[::-1])
                 multiface.write_aside(texture_file, _png(texture))
                 transform = out / multiface.transform_path(take.segment, frame)
                 multiface.write_aside(transform, identity_transform.encode())
+                truth = out / multiface.mesh_path(take.segment, frame, multiface.TRUTH_MESH)
+                multiface.write_aside(truth, vertices_mm.tobytes())
                 multiface.write_aside(mesh, vertices_mm.tobytes())
             if take.split == "train":
                 sums.add(vertices_mm, texture)
@@ -157,8 +201,7 @@ def render_capture(
             if progress is not None:
                 progress(done, options.frames)
     sums.write(out)
-    _write_tables(options, head, takes, out)
-    marker.unlink(missing_ok=True)
+    _write_tables(options, subject, takes, out)
     num_test = sum(len(take.arkit) for take in takes if take.split == "test")
     return {
         "frames": done,
@@ -198,15 +241,15 @@ class _Sums:
             multiface.write_aside(out / name, f"{variance:.9g}\n".encode())
 
 
-def _write_topology(head: Head, out: Path) -> None:
-    arrays: dict[str, Any] = {"vertex_uv": head.vertex_uv, "faces": head.faces}
-    arrays |= {f"region_{name}": mask for name, mask in head.regions.items()}
+def _write_topology(topology: Topology, out: Path) -> None:
+    arrays: dict[str, Any] = {"vertex_uv": topology.vertex_uv, "faces": topology.faces}
+    arrays |= {f"region_{name}": mask for name, mask in topology.regions.items()}
     data = io.BytesIO()
     np.savez(data, **arrays)  # fixed zip time stamps: the same bytes every time
     multiface.write_aside(out / multiface.TOPOLOGY, data.getvalue())
 
 
-def _write_tables(options: StageOptions, head: Head, takes: list[Take], out: Path) -> None:
+def _write_tables(options: RenderOptions, subject: Subject, takes: list[Take], out: Path) -> None:
     lines = [",".join(("segment", "frame", "split", *ARKIT_NAMES))]
     names = []
     for take in takes:
@@ -218,30 +261,19 @@ def _write_tables(options: StageOptions, head: Head, takes: list[Take], out: Pat
     multiface.write_aside(out / multiface.FRAME_LIST, ("\n".join(names) + "\n").encode())
     info = {
         "schema": multiface.SCHEMA,
-        "source": "synthetic: a built-in head of PiCA Telepresence; an invented person",
-        "licence": "Apache-2.0",
-        "head": options.head,
+        **subject.describe(),
         "seed": options.seed,
         "units": {"tracked_mesh": "mm", "KRT": "mm", "depth": "0.1 mm", "images": "sRGB 8 bit"},
         "tracked_mesh": "exact synthetic mesh: the rendered surface, without a tracker's errors",
         "width": options.width,
         "height": options.height,
         "texture_size": options.texture_size,
-        "position_map_size": MAP_SIZE,
         "topology": multiface.TOPOLOGY,
-        "num_vertices": head.num_vertices,
+        "num_vertices": len(subject.topology.vertex_uv),
         "split": {
             split: [take.segment for take in takes if take.split == split]
             for split in ("train", "test")
         },
         "evaluation_views": [name for name in EVALUATION_VIEWS],
-        "mask": {"0": "background"} | {str(k + 1): name for k, name in enumerate(MATERIALS)},
-        "charts": {
-            name: {
-                "rows": [int(chart.rows[0]), int(chart.rows[-1])],
-                "columns": [int(chart.columns[0]), int(chart.columns[-1])],
-            }
-            for name, chart in head.charts.items()
-        },
     }
     multiface.write_aside(out / multiface.CAPTURE, json.dumps(info, indent=1).encode() + b"\n")

@@ -154,7 +154,8 @@ class TrainingData:
         self.vertex_uv = torch.from_numpy(np.ascontiguousarray(topology.vertex_uv, np.float32))
         self.faces = torch.from_numpy(topology.faces.astype(np.int64))
         self.uv_raster = rasterise_uv(topology.vertex_uv, topology.faces, map_size)
-        self.vertices_m = np.stack([capture.vertices_m(f) for f in capture.frames])
+        read_mesh = capture.true_vertices_m if capture.has_truth else capture.vertices_m
+        self.vertices_m = np.stack([read_mesh(f) for f in capture.frames])
         train = self.vertices_m[self.train_frames]
         self.mean_vertices_m: FloatArray = train.mean(0, dtype=np.float64).astype(np.float32)
         self.position_mean = self.uv_raster.position_map(self.mean_vertices_m)
