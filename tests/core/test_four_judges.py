@@ -12,7 +12,8 @@ import pytest
 import torch
 
 from pica_core.avatar_file import Avatar, Manifest
-from pica_core.model.avatar import PixelCodecAvatar, Surface
+from pica_core.model.avatar import PixelCodecAvatar
+from pica_core.model.interface import Surface
 from pica_core.onnx_graph import decoder_graph
 from pica_core.pixel_graph import pixel_decoder_graph
 from pica_core.pixel_reference import count_parameters, decode_pixels, sample_bilinear
@@ -20,7 +21,8 @@ from pica_core.spec import BLOCKS, AvatarSpec
 from pica_core.train.exits import FaceSet, FrozenDecoder, Head
 from pica_core.train.export import avatar_tensors
 from tolerances import EXPRESSION_ONNX, MAP_TORCH_M, PIXEL_FLOAT32, PIXEL_ONNX
-from toy import grid_faces, head_surface, with_toy_levels
+from toy import grid_faces, with_toy_levels
+from trainable import grid_uv, toy_prior
 
 pytestmark = pytest.mark.train
 
@@ -31,8 +33,7 @@ def trained_looking_model(block: str) -> PixelCodecAvatar:
     """Random weights as large as trained ones: every path carries signal."""
     torch.manual_seed(3)
     spec = AvatarSpec(block=block, uv_encoding_size=64)
-    texel = (np.arange(spec.map_size, dtype=np.float32) + 0.5) / spec.map_size
-    model = PixelCodecAvatar(spec, head_surface(*np.meshgrid(texel, texel)), 0.005)
+    model = PixelCodecAvatar(spec, toy_prior())
     with torch.no_grad():
         for decoder in (model.geometry, model.expression):
             for name, values in decoder.named_tensors().items():
@@ -43,8 +44,6 @@ def trained_looking_model(block: str) -> PixelCodecAvatar:
 
 
 def exported(model: PixelCodecAvatar) -> Avatar:
-    corner = np.linspace(0.01, 0.99, 16, dtype=np.float32)
-    uv = np.stack(np.meshgrid(corner, corner), -1).reshape(-1, 2)
     manifest = Manifest(
         name="Judged",
         identity="none",
@@ -55,7 +54,7 @@ def exported(model: PixelCodecAvatar) -> Avatar:
         bounds_min_m=(-0.2, -0.2, -0.2),
         bounds_max_m=(0.2, 0.2, 0.2),
     )
-    return Avatar(manifest, avatar_tensors(model, uv, grid_faces(16, 16)))
+    return Avatar(manifest, avatar_tensors(model, grid_uv(16), grid_faces(16, 16)))
 
 
 def session(graph: bytes) -> onnxruntime.InferenceSession:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 import torch
 from torch import nn
@@ -11,8 +10,10 @@ from pica_core.decoder_layers import decoder_layers
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.decoders import MapDecoder, sample_map
 from pica_core.model.encoder import LightEncoder, PaperEncoder
+from pica_core.model.interface import Surface, flat_latent, grid_of_latent
 from pica_core.model.pixel_decoder import PixelDecoder
 from pica_core.spec import BLOCKS, PAPER_SPEC, AvatarSpec
+from trainable import toy_prior
 
 pytestmark = pytest.mark.train
 
@@ -25,7 +26,7 @@ def count(module: nn.Module) -> int:
 
 def small_avatar() -> PixelCodecAvatar:
     torch.manual_seed(0)
-    return PixelCodecAvatar(SMALL, np.zeros((256, 256, 3), np.float32), 0.01)
+    return PixelCodecAvatar(SMALL, toy_prior(scale_m=0.01))
 
 
 def test_the_pixel_decoder_mlp_has_307_parameters() -> None:
@@ -109,7 +110,7 @@ def test_an_untrained_geometry_decoder_starts_near_the_mean_face() -> None:
     with torch.no_grad():
         positions = avatar.decode_geometry(torch.randn(1, 4, 8, 8))
 
-    assert positions.abs().max() < 0.005
+    assert (positions - avatar.position_mean).abs().max() < 0.005
 
 
 def test_map_lookup_at_a_texel_centre_returns_that_texel() -> None:
@@ -120,8 +121,6 @@ def test_map_lookup_at_a_texel_centre_returns_that_texel() -> None:
 
 
 def test_the_colour_loss_reaches_xyz_only_when_the_path_is_opened() -> None:
-    from pica_core.model.avatar import Surface
-
     avatar = small_avatar()
     expression_map = torch.zeros(1, 4, 256, 256)
     gradients = {}
@@ -138,8 +137,6 @@ def test_the_colour_loss_reaches_xyz_only_when_the_path_is_opened() -> None:
 
 
 def test_pixels_of_several_images_read_their_own_expression_map() -> None:
-    from pica_core.model.avatar import Surface
-
     avatar = small_avatar()
     maps = torch.stack([torch.zeros(4, 256, 256), torch.ones(4, 256, 256)])
     uv = torch.full((2, 2), 0.5)
@@ -150,3 +147,42 @@ def test_pixels_of_several_images_read_their_own_expression_map() -> None:
 
     assert torch.allclose(both[1], second[0])
     assert not torch.allclose(both[0], both[1])
+
+
+def test_the_drawn_and_the_tracked_mesh_are_samples_of_one_map() -> None:
+    prior = toy_prior()
+    latent = torch.randn(2, 4, 8, 8)
+    torch.manual_seed(0)
+    dense = PixelCodecAvatar(SMALL, prior)
+    torch.manual_seed(0)
+    coarse = PixelCodecAvatar(SMALL, prior, topology="tracked")
+
+    with torch.no_grad():
+        fine, rough = dense.decode_mesh(latent), coarse.decode_mesh(latent)
+
+    assert fine.vertices_m.shape == (2, 16 * 16, 3)
+    assert fine.tracked_m.shape == rough.vertices_m.shape == (2, 9 * 9, 3)
+    assert torch.equal(fine.tracked_m, rough.vertices_m)
+    assert torch.equal(fine.tracked_m, dense.tracked_vertices(latent))
+    assert torch.equal(fine.vertices_m, dense.vertices(latent))
+
+
+def test_every_weight_but_the_expression_encoders_is_in_one_group() -> None:
+    avatar = small_avatar()
+
+    grouped = [p for group in avatar.parameter_groups().values() for p in group]
+
+    wanted = {id(p) for p in avatar.parameters()} - {
+        id(p) for p in avatar.expression_encoder.parameters()
+    }
+    assert {id(p) for p in grouped} == wanted
+    assert len(grouped) == len(wanted)
+
+
+def test_a_flat_latent_runs_by_row_column_and_channel() -> None:
+    flat = torch.arange(256.0)[None]
+
+    grid = grid_of_latent(flat)
+
+    assert grid[0, 3, 2, 5] == (2 * 8 + 5) * 4 + 3
+    assert torch.equal(flat_latent(grid), flat)

@@ -1,4 +1,4 @@
-"""The whole model: latent to position map, expression map and pixel colours.
+"""The Pixel Codec Avatar: latent to position map, expression map and pixel colours.
 
 Source: Ma et al., "Pixel Codec Avatars" (CVPR 2021), section 3.
 
@@ -9,82 +9,66 @@ the decoders is a setting.
 
 from __future__ import annotations
 
-from itertools import pairwise
-from typing import NamedTuple
-
-import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from pica_core.arkit import NUM_ARKIT
-from pica_core.model.decoders import MapDecoder, sample_map, tile_view_direction
+from pica_core.model.decoders import (
+    MapDecoder,
+    sample_map,
+    sample_per_image,
+    tile_view_direction,
+)
 from pica_core.model.encoder import make_encoder
+from pica_core.model.interface import (
+    AvatarModel,
+    DecodedMesh,
+    ExpressionEncoder,
+    FacePrior,
+    ParameterGroups,
+    Surface,
+    TopologyName,
+    uv_buffer,
+)
 from pica_core.model.pixel_decoder import FIRST_FREQUENCY, PixelDecoder
-from pica_core.spec import LATENT_CHANNELS, LATENT_SIZE, LEAKY_SLOPE, NUM_LATENT, AvatarSpec
+from pica_core.spec import AvatarSpec
 
 
-class Surface(NamedTuple):
-    """What rasterisation finds at P pixels of N images.
-
-    Attributes:
-        image: Which image a pixel belongs to, int64 ``[P]``.
-        uv: Surface coordinates, ``[P, 2]``.
-        xyz_m: Head-frame positions in metres, ``[P, 3]``.
-    """
-
-    image: Tensor
-    uv: Tensor
-    xyz_m: Tensor
-
-
-class ExpressionEncoder(nn.Module):
-    """52 ARKit values to the latent: the sender's encoder, small enough for any CPU (ours)."""
-
-    def __init__(self, hidden: tuple[int, ...] = (160, 160)) -> None:
-        super().__init__()
-        widths = (NUM_ARKIT, *hidden, NUM_LATENT)
-        self.layers = nn.ModuleList(nn.Linear(n, m) for n, m in pairwise(widths))
-
-    def forward(self, arkit: Tensor) -> Tensor:
-        """Expressions ``[N, 52]`` to latents ``[N, 4, 8, 8]``; flat: row, column, channel."""
-        values = arkit
-        for index, layer in enumerate(self.layers):
-            values = layer(values)
-            if index + 1 < len(self.layers):
-                values = nn.functional.leaky_relu(values, LEAKY_SLOPE)
-        grid = values.view(-1, LATENT_SIZE, LATENT_SIZE, LATENT_CHANNELS)
-        return grid.permute(0, 3, 1, 2)
-
-
-class PixelCodecAvatar(nn.Module):
+class PixelCodecAvatar(AvatarModel):
     """Encoder, decoders and pixel decoder of one person.
 
     Args:
         spec: Sizes and block.
-        position_mean: Mean position map in metres, float32 ``[256, 256, 3]``.
-        position_scale_m: Unit of the geometry decoder's output, metres.
+        prior: Mean map, scale of offsets and meshes of the person.
+        topology: Which mesh to draw.
         encoder: "paper" or "light".
         encoding_amplitude: Half-width of the encodings' uniform start (paper: 1).
         first_frequency: Scale of the first sine layers.
     """
 
     position_mean: Tensor
+    _drawn_uv: Tensor
+    _tracked_uv: Tensor
 
     def __init__(
         self,
         spec: AvatarSpec,
-        position_mean: np.ndarray[tuple[int, ...], np.dtype[np.float32]],
-        position_scale_m: float,
+        prior: FacePrior,
         *,
+        topology: TopologyName = "dense",
         encoder: str = "light",
         encoding_amplitude: float = 1.0,
         first_frequency: float = FIRST_FREQUENCY,
     ) -> None:
         super().__init__()
         self.spec = spec
-        self.position_scale_m = position_scale_m
-        mean = torch.as_tensor(position_mean, dtype=torch.float32).permute(2, 0, 1)
+        self.topology = topology
+        self.position_scale_m = prior.position_scale_m
+        mean = torch.as_tensor(prior.position_mean, dtype=torch.float32).permute(2, 0, 1)
         self.register_buffer("position_mean", mean.contiguous())
+        drawn = {"dense": prior.dense_uv, "tracked": prior.tracked_uv}[topology]
+        self.register_buffer("_drawn_uv", uv_buffer(drawn), persistent=False)
+        self.register_buffer("_tracked_uv", uv_buffer(prior.tracked_uv), persistent=False)
+        self._draws_tracked = drawn is prior.tracked_uv
         self.encoder = make_encoder(encoder)
         self.geometry = MapDecoder(spec, "geometry")
         self.expression = MapDecoder(spec, "expression")
@@ -104,21 +88,31 @@ class PixelCodecAvatar(nn.Module):
         codes: Tensor = self.expression(grid)
         return codes
 
-    def shade(self, expression_map: Tensor, surface: Surface, *, detach_xyz: bool = True) -> Tensor:
-        """Colours of the pixels of `surface`, ``[P, 3]``.
+    def decode_mesh(self, latent: Tensor) -> DecodedMesh:
+        """The position map of each latent, and what the vertices find in it."""
+        position_map = self.decode_geometry(latent)
+        vertices_m = sample_map(position_map, self._drawn_uv)
+        if self._draws_tracked:
+            return DecodedMesh(vertices_m, vertices_m, position_map)
+        return DecodedMesh(vertices_m, sample_map(position_map, self._tracked_uv), position_map)
 
-        Args:
-            expression_map: ``[N, 4, 256, 256]``.
-            surface: Pixels sorted by image.
-            detach_xyz: Stop the gradient from the colour to the geometry through the pixel
-                decoder's xyz input. The paper needs it for stable training (appendix A.3); the
-                other path, through rasterisation to uv, stays open.
-        """
-        counts = torch.bincount(surface.image, minlength=len(expression_map))
-        parts = torch.split(surface.uv, counts.tolist())
-        codes = torch.cat(
-            [sample_map(expression_map[index : index + 1], uv)[0] for index, uv in enumerate(parts)]
-        )
+    def appearance(self, latent: Tensor, view_direction: Tensor) -> Tensor:
+        """Expression maps, ``[N, 4, 256, 256]``."""
+        return self.decode_expression(latent, view_direction)
+
+    def shade(self, appearance: Tensor, surface: Surface, *, detach_xyz: bool = True) -> Tensor:
+        """Colours by the pixel decoder, from expression maps."""
+        codes = sample_per_image(appearance, surface)
         xyz_m = surface.xyz_m.detach() if detach_xyz else surface.xyz_m
         colours: Tensor = self.pixel_decoder(codes, xyz_m, surface.uv)
         return colours
+
+    def parameter_groups(self) -> ParameterGroups:
+        """Groups as the interface names them."""
+        pixel = self.pixel_decoder
+        return {
+            "shape": [*self.encoder.parameters(), *self.geometry.parameters()],
+            "appearance": list(self.expression.parameters()),
+            "pixel": [*pixel.xyz.parameters(), *pixel.colour.parameters()],
+            "encoding": list(pixel.encoding.parameters()),
+        }

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from pica_core.decoder_layers import Layer, decoder_layers
+from pica_core.model.interface import Surface
 from pica_core.spec import LATENT_SIZE, LEAKY_SLOPE, AvatarSpec
 
 
@@ -105,3 +106,18 @@ def sample_map(values: Tensor, uv: Tensor) -> Tensor:
         values, 2 * uv[:, None] - 1, mode="bilinear", padding_mode="border", align_corners=False
     )
     return sampled[:, :, 0].transpose(1, 2)
+
+
+def sample_per_image(maps: Tensor, surface: Surface) -> Tensor:
+    """Look every pixel up in the map of its own image.
+
+    Args:
+        maps: One for each image, ``[N, C, H, W]``.
+        surface: Pixels sorted by image.
+
+    Returns:
+        ``[P, C]``.
+    """
+    counts = torch.bincount(surface.image, minlength=len(maps))
+    parts = torch.split(surface.uv, counts.tolist())
+    return torch.cat([sample_map(maps[index : index + 1], uv)[0] for index, uv in enumerate(parts)])

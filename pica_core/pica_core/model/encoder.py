@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from pica_core.model.interface import LatentEncoder
 from pica_core.spec import LATENT_CHANNELS, LEAKY_SLOPE
 
 
@@ -25,10 +26,8 @@ def _halving(channels: Sequence[int]) -> nn.Sequential:
     return nn.Sequential(*steps)
 
 
-class _GridEncoder(nn.Module):
+class _GridEncoder(LatentEncoder):
     """Two heads, a joint trunk down to 8 x 8, and 1x1 convolutions for mean and log-variance."""
-
-    texture_size: int
 
     def __init__(self, tex_head: nn.Module, geom_head: nn.Module, trunk: Sequence[int]) -> None:
         super().__init__()
@@ -41,17 +40,7 @@ class _GridEncoder(nn.Module):
             self.log_variance.weight.mul_(0.1)
 
     def forward(self, texture: Tensor, position_map: Tensor) -> tuple[Tensor, Tensor]:
-        """Encode a batch.
-
-        Args:
-            texture: Average texture, centred and scaled to about [-1, 1],
-                ``[N, 3, texture_size, texture_size]``.
-            position_map: Tracked mesh as a map, offsets from the mean in units of the
-                position scale, ``[N, 3, 256, 256]``.
-
-        Returns:
-            Mean and log-variance, ``[N, 4, 8, 8]`` each.
-        """
+        """Mean and log-variance of the latent."""
         heads = [self.tex_head(texture), self.geom_head(position_map)]
         joint = self.trunk(torch.cat(heads, 1))
         return self.mean(joint), self.log_variance(joint)

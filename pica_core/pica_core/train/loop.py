@@ -21,12 +21,14 @@ import torch
 from torch import Tensor
 
 from pica_core.errors import CheckpointError, TrainingDivergedError
-from pica_core.model.avatar import PixelCodecAvatar, Surface
+from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.decoders import sample_map
 from pica_core.model.encoder import reparameterise, resize_texture
+from pica_core.model.interface import Surface
 from pica_core.train.config import PHASES, TrainConfig
 from pica_core.train.data import TrainingData, view_direction
 from pica_core.train.losses import image_loss, kl_loss, mesh_loss
+from pica_core.train.prior import face_prior
 from pica_core.train.rasterise import Rasteriser, interpolate
 
 CHECKPOINT_VERSION = 1
@@ -58,8 +60,7 @@ class Trainer:
         torch.manual_seed(config.seed)
         self.model = PixelCodecAvatar(
             config.model.spec(),
-            data.position_mean,
-            data.position_scale_m,
+            face_prior(data),
             encoder=config.model.encoder,
             encoding_amplitude=config.model.encoding_amplitude,
             first_frequency=config.model.first_frequency,

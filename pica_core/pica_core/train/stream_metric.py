@@ -19,8 +19,9 @@ from torch import Tensor
 from pica_core.camera import Camera
 from pica_core.capture.practice import practice_performances
 from pica_core.capture.stage import dome_cameras
-from pica_core.model.avatar import PixelCodecAvatar, Surface
+from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.decoders import sample_map
+from pica_core.model.interface import Surface
 from pica_core.spec import LATENT_SHAPE, NUM_LATENT
 from pica_core.stream_learning import LearningConfig, RenderMetric, learn_profile
 from pica_core.stream_profile import StreamProfile

@@ -1,0 +1,191 @@
+"""What every trainable avatar offers, whatever it is made of.
+
+A trainer needs no more than this: decode a mesh and something that says what the mesh looks like,
+rasterise the mesh, ask for the colours of the pixels, and hand the weights to an optimiser in
+groups.
+
+    mesh = model.decode_mesh(latent)
+    surface = ...                       rasterise mesh.vertices_m on the topology that it draws
+    colours = model.shade(model.appearance(latent, view_direction), surface)
+
+Meshes come in two topologies. "dense" is the one that the paper's full model draws; "tracked" is
+the coarse one that a face tracker follows, which the mesh loss compares with, and which some
+variants draw too. Both share one UV layout.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+
+from pica_core.arkit import NUM_ARKIT
+from pica_core.spec import LATENT_CHANNELS, LATENT_SIZE, LEAKY_SLOPE, NUM_LATENT, AvatarSpec
+
+FloatArray = npt.NDArray[np.float32]
+TopologyName = Literal["dense", "tracked"]
+GroupName = Literal["shape", "appearance", "pixel", "encoding"]
+ParameterGroups = dict[GroupName, list[nn.Parameter]]
+
+
+class Surface(NamedTuple):
+    """What rasterisation finds at P pixels of N images.
+
+    Attributes:
+        image: Which image a pixel belongs to, ascending, int64 ``[P]``.
+        uv: Surface coordinates, ``[P, 2]``.
+        xyz_m: Head-frame positions in metres, ``[P, 3]``.
+    """
+
+    image: Tensor
+    uv: Tensor
+    xyz_m: Tensor
+
+
+class DecodedMesh(NamedTuple):
+    """What a latent says about the shape.
+
+    Attributes:
+        vertices_m: The mesh to draw, on the topology that the model names, ``[N, V, 3]``.
+        tracked_m: The same surface at the vertices of the tracked topology, ``[N, Vt, 3]``.
+        position_map_m: The map that both were sampled from, ``[N, 3, S, S]``; None where the model
+            decodes vertices directly.
+    """
+
+    vertices_m: Tensor
+    tracked_m: Tensor
+    position_map_m: Tensor | None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class FacePrior:
+    """What a model is told about a person before it is trained."""
+
+    position_mean: FloatArray
+    """Mean position map, head frame, metres, float32 ``[S, S, 3]``."""
+    position_scale_m: float
+    """Unit of decoded offsets from the mean, metres."""
+    dense_uv: FloatArray
+    """UVs of the dense topology's vertices, float32 ``[V, 2]``."""
+    tracked_uv: FloatArray
+    """UVs of the tracked topology's vertices, float32 ``[Vt, 2]``."""
+    tracked_mean_m: FloatArray
+    """Mean tracked mesh, metres, float32 ``[Vt, 3]``."""
+    texture_mean: FloatArray
+    """Mean of the average textures, sRGB with 1.0 for 255, row 0 is v = 0, float32 ``[T, T, 3]``.
+    """
+
+
+class ExpressionEncoder(nn.Module):
+    """52 ARKit values to the latent: the sender's encoder, small enough for any CPU (ours)."""
+
+    def __init__(self, hidden: tuple[int, ...] = (160, 160)) -> None:
+        super().__init__()
+        widths = (NUM_ARKIT, *hidden, NUM_LATENT)
+        self.layers = nn.ModuleList(nn.Linear(n, m) for n, m in pairwise(widths))
+
+    def forward(self, arkit: Tensor) -> Tensor:
+        """Expressions ``[N, 52]`` to latents ``[N, 4, 8, 8]``; flat: row, column, channel."""
+        values = arkit
+        for index, layer in enumerate(self.layers):
+            values = layer(values)
+            if index + 1 < len(self.layers):
+                values = nn.functional.leaky_relu(values, LEAKY_SLOPE)
+        return grid_of_latent(values)
+
+
+class LatentEncoder(nn.Module, ABC):
+    """Average texture and tracked mesh of a moment to the latent."""
+
+    texture_size: int
+    """Rows and columns of the textures that it takes."""
+
+    @abstractmethod
+    def forward(self, texture: Tensor, position_map: Tensor) -> tuple[Tensor, Tensor]:
+        """Encode a batch.
+
+        Args:
+            texture: Average texture, centred and scaled to about [-1, 1],
+                ``[N, 3, texture_size, texture_size]``.
+            position_map: Tracked mesh as a map, offsets from the mean in units of the position
+                scale, ``[N, 3, S, S]``.
+
+        Returns:
+            Mean and log-variance, ``[N, 4, 8, 8]`` each.
+        """
+
+
+class AvatarModel(nn.Module, ABC):
+    """Base of all models. What is not abstract here is the same for all of them."""
+
+    spec: AvatarSpec
+    encoder: LatentEncoder
+    expression_encoder: ExpressionEncoder
+    topology: TopologyName
+    """Which mesh of the capture `DecodedMesh.vertices_m` lies on."""
+
+    @abstractmethod
+    def decode_mesh(self, latent: Tensor) -> DecodedMesh:
+        """Latents ``[N, 4, 8, 8]`` to meshes; differentiable."""
+
+    @abstractmethod
+    def appearance(self, latent: Tensor, view_direction: Tensor) -> Tensor:
+        """What `shade` needs beside the surface, made once for an image.
+
+        Args:
+            latent: ``[N, 4, 8, 8]``.
+            view_direction: From the head to the camera, unit length, ``[N, 3]``.
+
+        Returns:
+            Maps over UV, ``[N, C, S, S]``: expression codes, or a whole texture.
+        """
+
+    @abstractmethod
+    def shade(self, appearance: Tensor, surface: Surface, *, detach_xyz: bool = True) -> Tensor:
+        """Colours of the pixels of `surface`: sRGB, 1.0 is 255, not clamped, ``[P, 3]``.
+
+        Args:
+            appearance: From `appearance`, of all images.
+            surface: Pixels sorted by image.
+            detach_xyz: Stop the gradient from the colour to the geometry through a pixel decoder's
+                xyz input. The paper needs it for stable training (appendix A.3); the other path,
+                through rasterisation to uv, stays open. Without such an input it changes nothing.
+        """
+
+    @abstractmethod
+    def parameter_groups(self) -> ParameterGroups:
+        """All trainable weights but the expression encoder's, each in one group.
+
+        "shape" holds the latent encoder and what decodes meshes, "appearance" what decodes maps
+        over UV, "pixel" the small networks that run per pixel, "encoding" tables whose entries each
+        see few pixels and bear larger steps. A group may be empty.
+        """
+
+    def vertices(self, latent: Tensor) -> Tensor:
+        """Vertices to draw, metres, ``[N, V, 3]``."""
+        return self.decode_mesh(latent).vertices_m
+
+    def tracked_vertices(self, latent: Tensor) -> Tensor:
+        """Vertices of the tracked topology, metres, ``[N, Vt, 3]``, for the mesh loss."""
+        return self.decode_mesh(latent).tracked_m
+
+
+def grid_of_latent(values: Tensor) -> Tensor:
+    """Flat latents ``[N, 256]``, ordered row, column, channel, as ``[N, 4, 8, 8]``."""
+    return values.view(-1, LATENT_SIZE, LATENT_SIZE, LATENT_CHANNELS).permute(0, 3, 1, 2)
+
+
+def flat_latent(grid: Tensor) -> Tensor:
+    """`grid_of_latent` reversed: ``[N, 4, 8, 8]`` to ``[N, 256]``."""
+    return grid.permute(0, 2, 3, 1).reshape(-1, NUM_LATENT)
+
+
+def uv_buffer(uv: FloatArray) -> Tensor:
+    """Vertex UVs as a tensor of its own, float32 ``[V, 2]``."""
+    return torch.tensor(np.asarray(uv), dtype=torch.float32)

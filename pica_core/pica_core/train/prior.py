@@ -1,0 +1,37 @@
+"""What a capture tells a model before training: mean shape, its unit, meshes and mean texture."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.model.interface import FacePrior
+from pica_core.train.data import TrainingData
+
+TEXTURE_FRAMES = 32
+"""Training frames whose average textures make the mean one: evenly spaced, enough for a start."""
+
+
+def face_prior(data: TrainingData) -> FacePrior:
+    """The prior of a capture, from its training frames alone."""
+    capture = data.capture
+    frames = [capture.frames[index] for index in data.train_frames]
+    tracked = np.zeros((len(capture.tracked_topology.vertex_uv), 3))
+    for frame in frames:
+        tracked += capture.vertices_m(frame)
+    some = frames[:: -(-len(frames) // TEXTURE_FRAMES)]
+    texture = np.zeros((capture.texture_size, capture.texture_size, 3))
+    for frame in some:
+        texture += capture.average_texture(frame)
+    return FacePrior(
+        position_mean=data.position_mean,
+        position_scale_m=data.position_scale_m,
+        dense_uv=_float32(capture.topology.vertex_uv),
+        tracked_uv=_float32(capture.tracked_topology.vertex_uv),
+        tracked_mean_m=_float32(tracked / len(frames)),
+        texture_mean=_float32(texture / (255 * len(some))),
+    )
+
+
+def _float32(array: npt.ArrayLike) -> npt.NDArray[np.float32]:
+    return np.ascontiguousarray(array, np.float32)
