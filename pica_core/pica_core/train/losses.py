@@ -1,13 +1,29 @@
 """The losses of training, each a function of tensors and nothing else.
 
 Source: Ma et al., "Pixel Codec Avatars" (CVPR 2021), section 5 "Joint Learning with a Dense Mesh
-Decoder". Here: image, mesh and KL, with the paper's weights 2, 0.1 and 0.001. The paper does not
-state its units; ours are in each docstring.
+Decoder" and appendix A.2; their weights (image 2, depth 10, normal 1, mesh 0.1, smoothness 1,
+KL 0.001) stand in `pica_core.train.config.LossConfig`. The paper writes norms and states no units.
+Ours, so that no loss depends on the size of images, maps or meshes:
+
+    image       mean square, colours from 0 to 1
+    depth       mean absolute error, millimetres
+    normal      mean squared distance of unit vectors
+    mesh        weighted mean squared distance, square millimetres
+    smoothness  root mean squares, millimetres (`gradient_smoothness` here, `laplacian`)
+    KL          mean over latent entries, nats
 """
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
+
+DEPTH_LIMIT_M = 0.010
+"""Depth that is further off teaches nothing (paper 5): it is a hole, an outlier, or another
+surface."""
+MILLIMETRES = 1000.0
+_LEAST_SQUARE = 1e-12
+"""Keeps the root of a mean square differentiable where everything is smooth, square mm."""
 
 
 def image_loss(predicted: Tensor, observed: Tensor) -> Tensor:
@@ -20,16 +36,93 @@ def image_loss(predicted: Tensor, observed: Tensor) -> Tensor:
     return (predicted - observed).square().mean()
 
 
+def depth_mask(predicted_m: Tensor, observed_m: Tensor, limit_m: float = DEPTH_LIMIT_M) -> Tensor:
+    """Where depth is known and within the limit: the paper's W_D. bool ``[P]``.
+
+    Args:
+        predicted_m: Depth of the decoded mesh along the camera's axis, metres, ``[P]``.
+        observed_m: Measured depth, metres, 0 where unknown, ``[P]``.
+        limit_m: Largest error that counts, metres.
+    """
+    return (observed_m > 0) & ((predicted_m.detach() - observed_m).abs() < limit_m)
+
+
+def depth_loss(predicted_m: Tensor, observed_m: Tensor, mask: Tensor) -> Tensor:
+    """Mean absolute depth error, millimetres, over pixels of known depth.
+
+    Pixels outside `mask` count as 0: the more of them, the weaker the loss. 0 where nothing is
+    known.
+
+    Args:
+        predicted_m: ``[P]``.
+        observed_m: ``[P]``, 0 where unknown.
+        mask: From `depth_mask`, ``[P]``.
+    """
+    error = (predicted_m - observed_m).abs() * MILLIMETRES
+    known = (observed_m > 0).sum().clamp_min(1)
+    return torch.where(mask, error, torch.zeros_like(error)).sum() / known
+
+
+def screen_normals(points: Tensor, right: Tensor, below: Tensor) -> Tensor:
+    """Unit normals of a depth image by forward differences, towards the camera.
+
+    Args:
+        points: Surface points of P pixels in camera axes (x right, y down, z forward), ``[P, 3]``.
+        right: The same of each pixel's right neighbour, ``[P, 3]``.
+        below: The same of the neighbour below, ``[P, 3]``.
+
+    Returns:
+        ``[P, 3]``; the zero vector where the three points lie on a line.
+    """
+    normals = torch.linalg.cross(below - points, right - points)
+    # Points are metres apart by fractions of a millimetre: keep the smallest useful area.
+    unit: Tensor = normals / (normals.square().sum(1, keepdim=True) + 1e-24).sqrt()
+    return unit
+
+
+def normal_loss(predicted: Tensor, observed: Tensor, mask: Tensor) -> Tensor:
+    """Mean squared distance of unit normals, 0 to 4, over the pixels of `mask`.
+
+    Args:
+        predicted: ``[P, 3]``.
+        observed: ``[P, 3]``.
+        mask: Pixels whose own depth and neighbours' depths pass `depth_mask`, bool ``[P]``.
+    """
+    distance = (predicted - observed).square().sum(1)
+    count = mask.sum().clamp_min(1)
+    return torch.where(mask, distance, torch.zeros_like(distance)).sum() / count
+
+
 def mesh_loss(predicted_m: Tensor, tracked_m: Tensor, weights: Tensor) -> Tensor:
     """Weighted mean squared distance of vertices, in square millimetres.
 
     Args:
         predicted_m: Vertices sampled from the decoded position maps, metres, ``[N, V, 3]``.
         tracked_m: Tracked vertices, metres, ``[N, V, 3]``.
-        weights: Importance per vertex, at least 0, ``[V]``; 0 masks a vertex out.
+        weights: Importance per vertex, at least 0, ``[V]``; 0 masks a vertex out (the paper's W_M
+            does so to the mouth, where a tracked mesh is a guess).
     """
-    distance = ((predicted_m - tracked_m) * 1000).square().sum(2)
-    return (distance * weights).sum() / (weights.sum() * len(distance))
+    distance = ((predicted_m - tracked_m) * MILLIMETRES).square().sum(2)
+    return (distance * weights).sum() / (weights.sum().clamp_min(1e-12) * len(distance))
+
+
+def root_mean_square(values: Tensor) -> Tensor:
+    """A norm divided by the root of the number of entries; smooth at 0."""
+    return (values.square().mean() + _LEAST_SQUARE).sqrt()
+
+
+def gradient_smoothness(position_map_m: Tensor) -> Tensor:
+    """Differences of neighbouring texels along rows and along columns: RMS of each, added, mm.
+
+    Source: appendix A.2, "Gradient Smoothness".
+
+    Args:
+        position_map_m: Decoded position maps G, metres, ``[N, 3, H, W]``.
+    """
+    map_mm = position_map_m * MILLIMETRES
+    along_x = map_mm[..., :, 1:] - map_mm[..., :, :-1]
+    along_y = map_mm[..., 1:, :] - map_mm[..., :-1, :]
+    return root_mean_square(along_x) + root_mean_square(along_y)
 
 
 def kl_loss(mean: Tensor, log_variance: Tensor) -> Tensor:

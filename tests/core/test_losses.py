@@ -1,0 +1,321 @@
+"""Every loss against an independent twin in plain loops, and on a case that one can follow."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+from torch import Tensor
+
+from pica_core.train import losses
+from pica_core.train.laplacian import (
+    MeshLaplacian,
+    cotangent_weights,
+    follow_mean,
+    laplacian_smoothness,
+    smoothness_weights,
+)
+
+pytestmark = pytest.mark.train
+
+Float64Array = npt.NDArray[np.float64]
+
+
+def random(*shape: int, seed: int = 0) -> Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return torch.rand(*shape, dtype=torch.float64, generator=generator)
+
+
+# --- image, mesh, KL
+
+
+def test_the_image_loss_of_one_colour_step_is_its_square() -> None:
+    black, grey = torch.zeros(7, 3), torch.full((7, 3), 0.5)
+
+    assert float(losses.image_loss(grey, black)) == pytest.approx(0.25)
+
+
+def test_the_image_loss_agrees_with_a_loop() -> None:
+    predicted, observed = random(5, 3), random(5, 3, seed=1)
+
+    total = sum(
+        (float(predicted[p, c]) - float(observed[p, c])) ** 2 for p in range(5) for c in range(3)
+    )
+
+    assert float(losses.image_loss(predicted, observed)) == pytest.approx(total / 15, rel=1e-12)
+
+
+def test_a_mesh_three_millimetres_off_loses_nine_and_a_masked_vertex_nothing() -> None:
+    tracked = torch.zeros(2, 4, 3, dtype=torch.float64)
+    predicted = tracked.clone()
+    predicted[:, 0, 1] = 0.003
+    predicted[:, 3] = 1.0  # the mouth, a metre off
+    weights = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=torch.float64)
+
+    assert float(losses.mesh_loss(predicted, tracked, weights)) == pytest.approx(9)
+
+
+def test_the_mesh_loss_agrees_with_a_loop() -> None:
+    predicted, tracked, weights = random(2, 4, 3), random(2, 4, 3, seed=1), random(4, seed=2)
+    mask = torch.tensor([1.0, 1.0, 0.0, 1.0], dtype=torch.float64)
+    weights = weights * mask
+
+    total = 0.0
+    for n in range(2):
+        for v in range(4):
+            apart = [1000 * float(predicted[n, v, c] - tracked[n, v, c]) for c in range(3)]
+            total += float(weights[v]) * sum(a * a for a in apart)
+    wanted = total / (2 * float(weights.sum()))
+
+    assert float(losses.mesh_loss(predicted, tracked, weights)) == pytest.approx(wanted, rel=1e-12)
+
+
+def test_the_divergence_agrees_with_its_integral() -> None:
+    mean, log_variance = 0.7, -0.8
+    deviation = math.exp(log_variance / 2)
+    x = np.linspace(mean - 12 * deviation, mean + 12 * deviation, 20_001)
+    ours = np.exp(-0.5 * ((x - mean) / deviation) ** 2) / (deviation * math.sqrt(2 * math.pi))
+    log_ratio = -0.5 * ((x - mean) / deviation) ** 2 - math.log(deviation) + 0.5 * x**2
+    integral = float((ours * log_ratio).sum() * (x[1] - x[0]))
+
+    value = losses.kl_loss(
+        torch.full((1, 4, 8, 8), mean, dtype=torch.float64),
+        torch.full((1, 4, 8, 8), log_variance, dtype=torch.float64),
+    )
+
+    assert float(value) == pytest.approx(integral, rel=1e-9)
+
+
+def test_the_divergence_of_a_standard_normal_is_nothing() -> None:
+    assert float(losses.kl_loss(torch.zeros(1, 4, 8, 8), torch.zeros(1, 4, 8, 8))) == 0
+
+
+# --- depth and normals
+
+
+def test_depth_teaches_only_within_ten_millimetres() -> None:
+    predicted = torch.full((5,), 1.0, dtype=torch.float64, requires_grad=True)
+    #                        2 mm,  9.9 mm, 10.1 mm, a hole, half a metre
+    observed = torch.tensor([1.002, 0.9901, 1.0101, 0.0, 1.5], dtype=torch.float64)
+
+    mask = losses.depth_mask(predicted, observed)
+    loss = losses.depth_loss(predicted, observed, mask)
+    (gradient,) = torch.autograd.grad(loss, predicted)
+
+    assert mask.tolist() == [True, True, False, False, False]
+    assert float(loss.detach()) == pytest.approx((2 + 9.9) / 4)  # four pixels have a depth
+    assert torch.allclose(gradient, torch.tensor([-250.0, 250, 0, 0, 0], dtype=torch.float64))
+
+
+def test_depth_loss_agrees_with_a_loop() -> None:
+    predicted = 1 + 0.03 * random(50)
+    observed = 1 + 0.03 * random(50, seed=1)
+    observed[::7] = 0
+    total, known = 0.0, 0
+    for p in range(50):
+        if observed[p] > 0:
+            known += 1
+            error = 1000 * abs(float(predicted[p]) - float(observed[p]))
+            total += error if error < 10 else 0
+
+    mask = losses.depth_mask(predicted, observed)
+
+    assert 5 < int(mask.sum()) < 45
+    assert float(losses.depth_loss(predicted, observed, mask)) == pytest.approx(
+        total / known, rel=1e-12
+    )
+
+
+def test_a_capture_without_depth_at_any_pixel_loses_nothing() -> None:
+    nothing = torch.zeros(3)
+    mask = losses.depth_mask(torch.ones(3), nothing)
+
+    assert float(losses.depth_loss(torch.ones(3), nothing, mask)) == 0
+
+
+def plane_points(slope: float, step: float = 0.001) -> tuple[Tensor, Tensor, Tensor]:
+    """Three neighbouring points of the plane z = 1 + slope x."""
+    x = torch.tensor([0.0, step, 0.0], dtype=torch.float64)
+    y = torch.tensor([0.0, 0.0, step], dtype=torch.float64)
+    points = torch.stack([x, y, 1 + slope * x], 1)
+    return points[:1], points[1:2], points[2:]
+
+
+def test_the_normal_of_a_plane_points_to_the_camera() -> None:
+    assert torch.allclose(
+        losses.screen_normals(*plane_points(0.0)),
+        torch.tensor([[0.0, 0.0, -1.0]], dtype=torch.float64),
+    )
+
+
+def test_the_normal_of_a_slanted_plane_leans_as_it_does() -> None:
+    half = math.sqrt(0.5)
+
+    assert torch.allclose(
+        losses.screen_normals(*plane_points(1.0)),
+        torch.tensor([[half, 0.0, -half]], dtype=torch.float64),
+    )
+
+
+def test_planes_a_right_angle_apart_have_normals_two_apart_in_squares() -> None:
+    rising, falling = (losses.screen_normals(*plane_points(slope)) for slope in (1.0, -1.0))
+
+    loss = losses.normal_loss(rising, falling, torch.tensor([True]))
+
+    assert float(loss) == pytest.approx(2)
+
+
+def test_gradients_of_the_normal_loss_agree_with_finite_differences() -> None:
+    depth = (1 + 0.002 * random(3, 6)).requires_grad_()
+    rays = torch.cat([0.001 * random(3, 6, 2, seed=3), torch.ones(3, 6, 1).double()], 2)
+    rays[1, :, 0] += 0.001
+    rays[2, :, 1] += 0.001
+    observed = torch.nn.functional.normalize(random(6, 3, seed=2) - 0.5, dim=1)
+    mask = torch.tensor([True, True, False, True, True, True])
+
+    def loss(values: Tensor) -> Tensor:
+        points = rays * values[:, :, None]
+        return losses.normal_loss(losses.screen_normals(*points), observed, mask)
+
+    assert torch.autograd.gradcheck(loss, (depth,), eps=1e-9, atol=1e-3)
+
+
+# --- smoothness
+
+
+def test_a_step_in_the_map_is_felt_across_it_and_not_along_it() -> None:
+    step = torch.zeros(1, 3, 4, 5, dtype=torch.float64)
+    step[:, 2, :, 3:] = 0.006  # six millimetres between columns 2 and 3
+
+    # 4 of the 3 * 4 * 4 differences along x are 6 mm; all along y are 0.
+    wanted = math.sqrt(4 * 36 / 48)
+
+    assert float(losses.gradient_smoothness(step)) == pytest.approx(wanted, rel=1e-6)
+
+
+def test_gradient_smoothness_agrees_with_a_loop() -> None:
+    values = random(2, 3, 4, 5)
+    across: list[float] = []
+    down: list[float] = []
+    for n in range(2):
+        for c in range(3):
+            for row in range(4):
+                for column in range(5):
+                    here = 1000 * float(values[n, c, row, column])
+                    if column < 4:
+                        across.append((1000 * float(values[n, c, row, column + 1]) - here) ** 2)
+                    if row < 3:
+                        down.append((1000 * float(values[n, c, row + 1, column]) - here) ** 2)
+    wanted = math.sqrt(sum(across) / len(across)) + math.sqrt(sum(down) / len(down))
+
+    assert float(losses.gradient_smoothness(values)) == pytest.approx(wanted, rel=1e-9)
+
+
+TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], np.float64)
+TETRAHEDRON_FACES = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]], np.int32)
+
+
+def test_a_regular_tetrahedron_weights_all_its_edges_alike() -> None:
+    edges, weights = cotangent_weights(TETRAHEDRON, TETRAHEDRON_FACES)
+
+    assert len(edges) == 12
+    assert np.allclose(weights, 1 / math.sqrt(3))  # (cot 60 + cot 60) / 2
+
+
+def test_the_laplacian_of_a_tetrahedron_is_four_thirds_of_its_corners() -> None:
+    # The other three corners add up to minus the fourth: x - (-x / 3) = 4/3 x.
+    laplacian = MeshLaplacian(TETRAHEDRON, TETRAHEDRON_FACES, dtype=torch.float64)
+
+    values = laplacian.apply(torch.from_numpy(TETRAHEDRON)[None])[0].numpy()
+
+    assert np.allclose(values, 4 / 3 * TETRAHEDRON)
+
+
+def test_the_laplacian_of_a_flat_grid_is_nothing_inside() -> None:
+    # Cotangent weights are exact for linear functions, however the plane is cut into triangles.
+    rng = np.random.default_rng(0)
+    rows, columns = np.mgrid[:6, :6]
+    points = (
+        np.stack([columns + rows / 2, 0.87 * rows, 0 * rows], 2).reshape(-1, 3).astype(np.float64)
+    )
+    inside = (rows > 0) & (rows < 5) & (columns > 0) & (columns < 5)
+    points[inside.reshape(-1), :2] += 0.1 * rng.uniform(-1, 1, (16, 2))
+    corner = (rows * 6 + columns)[:-1, :-1].reshape(-1)
+    faces = np.concatenate(
+        [
+            np.stack([corner, corner + 1, corner + 6], 1),
+            np.stack([corner + 1, corner + 7, corner + 6], 1),
+        ]
+    )
+    laplacian = MeshLaplacian(points, faces, dtype=torch.float64)
+
+    values = laplacian.apply(torch.from_numpy(points)[None])[0].numpy()
+
+    assert np.abs(values[inside.reshape(-1)]).max() < 1e-5
+
+
+def naive_laplacian(points: Float64Array, faces: npt.NDArray[np.int32]) -> Float64Array:
+    """L as a dense matrix: angles by arc tangent, triangle by triangle."""
+    count = len(points)
+    matrix = np.zeros((count, count))
+    for face in faces:
+        for corner in range(3):
+            apex, i, j = (int(face[(corner + k) % 3]) for k in range(3))
+            one, two = points[i] - points[apex], points[j] - points[apex]
+            angle = math.atan2(float(np.linalg.norm(np.cross(one, two))), float(one @ two))
+            half = 0.5 / math.tan(angle)
+            matrix[i, j] += half
+            matrix[j, i] += half
+    matrix[matrix != 0] = np.maximum(matrix[matrix != 0], 1e-6)
+    for i in range(count):
+        matrix[i] /= -matrix[i].sum()
+        matrix[i, i] = 1
+    return matrix
+
+
+def test_laplacian_smoothness_agrees_with_a_dense_matrix_and_a_finite_difference() -> None:
+    rng = np.random.default_rng(0)
+    neutral = rng.normal(size=(5, 3))
+    faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [1, 2, 3]], np.int32)
+    laplacian = MeshLaplacian(neutral, faces, dtype=torch.float64)
+    meshes = torch.from_numpy(rng.normal(size=(2, 5, 3))).requires_grad_()
+    mean = torch.from_numpy(rng.normal(size=(5, 3)))
+    weights = torch.tensor([0.25, 1.25, 0.25, 0.25, 1.25], dtype=torch.float64)
+
+    value = laplacian_smoothness(laplacian, meshes, mean, weights)
+
+    offset = 1000 * (meshes.detach().numpy() - mean.numpy())
+    dense = weights.numpy()[:, None] * (naive_laplacian(neutral, faces) @ offset)
+    assert float(value.detach()) == pytest.approx(float(np.sqrt(np.square(dense).mean())), rel=1e-9)
+    assert torch.autograd.gradcheck(
+        lambda m: laplacian_smoothness(laplacian, m, mean, weights), (meshes,)
+    )
+
+
+def test_triangles_without_area_leave_the_laplacian_finite() -> None:
+    points = np.zeros((4, 3))
+    points[3] = (1, 0, 0)
+    faces = np.array([[0, 1, 2], [0, 1, 3]], np.int32)
+
+    laplacian = MeshLaplacian(points, faces, dtype=torch.float64)
+
+    assert torch.isfinite(laplacian.apply(torch.from_numpy(points)[None])).all()
+
+
+def test_hair_and_mouth_are_held_five_times_as_hard() -> None:
+    regions = {"hair": np.array([True, False, False]), "mouth": np.array([False, True, False])}
+
+    assert smoothness_weights(regions, 3).tolist() == [1.25, 1.25, 0.25]
+
+
+def test_the_mean_mesh_follows_slowly_and_without_gradient() -> None:
+    mean = torch.zeros(2, 3, dtype=torch.float64)
+    meshes = torch.stack([torch.ones(2, 3), 3 * torch.ones(2, 3)]).double().requires_grad_()
+
+    follow_mean(mean, meshes)
+
+    assert torch.allclose(mean, torch.full((2, 3), 2e-4, dtype=torch.float64))
+    assert not mean.requires_grad
