@@ -10,14 +10,17 @@ in camera axes and the ray d, the hit point is w0 p0 + w1 p1 + w2 p2 with
     w0 : w1 : w2  =  d . (p1 x p2)  :  d . (p2 x p0)  :  d . (p0 x p1)
 
 which is perspective-correct by construction and needs no division but the last. Coverage itself has
-no gradient here: a silhouette is moved by the mesh loss, not by the image.
+no gradient here; `edge_gradient` has it.
+
+Ids come back to the CPU once an image, as GL gives them; everything after is torch and follows the
+device of the vertices.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from types import TracebackType
-from typing import Self
+from typing import NamedTuple, Self
 
 import moderngl
 import numpy as np
@@ -38,6 +41,9 @@ _FRAGMENT = """#version 330 core
 out float triangle;
 void main() { triangle = float(gl_PrimitiveID + 1); }
 """
+NEAR_M = 0.02
+FAR_M = 20.0
+"""Nothing nearer or further is drawn."""
 _MAX_TRIANGLES = 1 << 24
 """Whole numbers that a float32 target holds exactly."""
 
@@ -45,8 +51,8 @@ _MAX_TRIANGLES = 1 << 24
 class Rasteriser:
     """One GL context and one mesh topology for a whole run.
 
-    Use as a context manager, from one thread. Buffers are reused; a new image size makes a new
-    framebuffer and releases the old one.
+    Use as a context manager, from one thread. Buffers are reused; a new image or batch size makes a
+    new framebuffer and releases the old one.
 
     Args:
         faces: Triangles, counter-clockwise seen from outside, int32 ``[F, 3]``.
@@ -65,12 +71,8 @@ class Rasteriser:
         self.num_vertices = num_vertices
         self._context = create_context()
         self._program = link_program(self._context, vertex=_VERTEX, fragment=_FRAGMENT)
-        self._positions = self._context.buffer(reserve=num_vertices * 12, dynamic=True)
-        self._vertex_array = self._context.vertex_array(
-            self._program,
-            [(self._positions, "3f", "position_m")],
-            index_buffer=self._context.buffer(np.ascontiguousarray(faces, np.int32).tobytes()),
-        )
+        self._indices = self._context.buffer(np.ascontiguousarray(faces, np.int32).tobytes())
+        self._meshes: list[tuple[moderngl.Buffer, moderngl.VertexArray]] = []
         self._target: moderngl.Framebuffer | None = None
         self._context.enable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
 
@@ -88,6 +90,7 @@ class Rasteriser:
     def release(self) -> None:
         """Give the context back; the rasteriser is useless afterwards."""
         self._target = None
+        self._meshes.clear()
         self._context.gc()
         self._context.release()
 
@@ -100,23 +103,90 @@ class Rasteriser:
             vertices_m: Head-frame metres, float32 ``[V, 3]``.
             camera: Head-to-camera pose and intrinsics.
         """
-        if vertices_m.shape != (self.num_vertices, 3):
+        ids: npt.NDArray[np.int32] = self.batch_ids(vertices_m[None], [camera])[0]
+        return ids
+
+    def batch_ids(
+        self, vertices_m: npt.NDArray[np.float32], cameras: Sequence[Camera]
+    ) -> npt.NDArray[np.int32]:
+        """`triangle_ids` of N meshes, each through its camera, read back at once.
+
+        Args:
+            vertices_m: Head-frame metres, float32 ``[N, V, 3]``.
+            cameras: One for each mesh, all of one image size.
+
+        Returns:
+            int32 ``[N, H, W]``.
+        """
+        target = self._draw(vertices_m, cameras)
+        ids = np.frombuffer(target.read(components=1, dtype="f4"), np.float32)
+        return self._images(ids, cameras).astype(np.int32) - 1
+
+    def batch_depths_m(self, cameras: Sequence[Camera]) -> npt.NDArray[np.float32]:
+        """Depths along the cameras' axes of what `batch_ids` drew last, 0 where nothing is.
+
+        Args:
+            cameras: Those of that call.
+
+        Returns:
+            Metres, good to about 0.01 mm at 1 m; float32 ``[N, H, W]``.
+        """
+        assert self._target is not None
+        window = np.frombuffer(
+            self._target.read(components=1, attachment=-1, dtype="f4"), np.float32
+        )
+        window = self._images(window, cameras)
+        near, far = NEAR_M, FAR_M
+        depths = near * far / (far - window * (far - near))
+        return np.where(window < 1, depths, 0).astype(np.float32)
+
+    def _draw(
+        self, vertices_m: npt.NDArray[np.float32], cameras: Sequence[Camera]
+    ) -> moderngl.Framebuffer:
+        if vertices_m.shape != (len(cameras), self.num_vertices, 3):
             raise ShapeError(
-                f"vertices_m is {vertices_m.shape}; [{self.num_vertices}, 3] is needed"
+                f"vertices_m is {vertices_m.shape}; "
+                f"[{len(cameras)}, {self.num_vertices}, 3] is needed"
             )
-        target = self._framebuffer(camera.width, camera.height)
-        self._positions.write(np.ascontiguousarray(vertices_m, np.float32).tobytes())
-        matrix = camera.clip_from_world().T
-        self._program["clip_from_head"].write(matrix.tobytes())  # type: ignore[union-attr]
+        width, height = cameras[0].width, cameras[0].height
+        if any((camera.width, camera.height) != (width, height) for camera in cameras):
+            raise ShapeError("cameras of several image sizes; a batch needs one")
+        target = self._framebuffer(width, height * len(cameras))
         target.use()
         target.clear(0.0, 0.0, 0.0, 0.0)
-        self._vertex_array.render()
-        ids = np.frombuffer(target.read(components=1, dtype="f4"), np.float32)
-        flipped = ids.reshape(camera.height, camera.width)[::-1]
-        return flipped.astype(np.int32) - 1
+        while len(self._meshes) < len(cameras):
+            self._meshes.append(self._mesh())
+        for index, camera in enumerate(cameras):
+            positions, vertex_array = self._meshes[index]
+            positions.write(np.ascontiguousarray(vertices_m[index], np.float32))
+            matrix = camera.clip_from_world(NEAR_M, FAR_M).T
+            self._program["clip_from_head"].write(matrix.tobytes())  # type: ignore[union-attr]
+            target.viewport = (0, index * height, width, height)
+            vertex_array.render()
+        target.viewport = (0, 0, width, height * len(cameras))
+        return target
+
+    def _mesh(self) -> tuple[moderngl.Buffer, moderngl.VertexArray]:
+        positions = self._context.buffer(reserve=self.num_vertices * 12, dynamic=True)
+        vertex_array = self._context.vertex_array(
+            self._program, [(positions, "3f", "position_m")], index_buffer=self._indices
+        )
+        return positions, vertex_array
+
+    def _images(
+        self, values: npt.NDArray[np.float32], cameras: Sequence[Camera]
+    ) -> npt.NDArray[np.float32]:
+        """What a framebuffer read gives as ``[N, H, W]`` with row 0 on top."""
+        return values.reshape(len(cameras), cameras[0].height, cameras[0].width)[:, ::-1]
 
     def _framebuffer(self, width: int, height: int) -> moderngl.Framebuffer:
         if self._target is None or self._target.size != (width, height):
+            largest = self._context.info["GL_MAX_TEXTURE_SIZE"]
+            if max(width, height) > largest:
+                raise GraphicsError(
+                    f"a batch of {width} x {height} pixels; this driver holds {largest} a side: "
+                    "make the batch smaller"
+                )
             self._target = None
             self._context.gc()
             self._target = self._context.framebuffer(
@@ -126,13 +196,100 @@ class Rasteriser:
         return self._target
 
 
-def pixel_rays(camera: Camera, rows: Tensor, columns: Tensor, dtype: torch.dtype) -> Tensor:
-    """Ray directions through pixel centres in camera axes, z = 1. ``[P, 3]``."""
-    inverse = torch.as_tensor(np.linalg.inv(camera.intrinsics), dtype=dtype)
-    pixels = torch.stack(
-        [columns.to(dtype) + 0.5, rows.to(dtype) + 0.5, torch.ones_like(rows, dtype=dtype)], 1
-    )
-    return pixels @ inverse.T
+class Views(NamedTuple):
+    """N cameras as tensors of one dtype on one device.
+
+    Attributes:
+        rotation: Head to camera, ``[N, 3, 3]``.
+        translation_m: ``[N, 3]``.
+        intrinsics: ``[N, 3, 3]``.
+        inverse: Of the intrinsics, ``[N, 3, 3]``.
+        width: Image columns, the same for all.
+    """
+
+    rotation: Tensor
+    translation_m: Tensor
+    intrinsics: Tensor
+    inverse: Tensor
+    width: int
+
+    @classmethod
+    def of(cls, cameras: Sequence[Camera], like: Tensor) -> Views:
+        """The cameras with dtype and device of `like`."""
+
+        def stack(matrices: Sequence[npt.NDArray[np.floating]]) -> Tensor:
+            return torch.from_numpy(np.stack(matrices)).to(like)
+
+        return cls(
+            stack([camera.rotation for camera in cameras]),
+            stack([camera.translation_m for camera in cameras]),
+            stack([camera.intrinsics for camera in cameras]),
+            stack([np.linalg.inv(camera.intrinsics) for camera in cameras]),
+            cameras[0].width,
+        )
+
+    def see(self, vertices_m: Tensor) -> Tensor:
+        """Head-frame meshes in their cameras' axes; metres ``[N, V, 3]`` both."""
+        return vertices_m @ self.rotation.mT + self.translation_m[:, None]
+
+    def rays(self, image: Tensor, pixels: Tensor) -> Tensor:
+        """Directions through pixel centres in camera axes, z = 1.
+
+        Args:
+            image: Which camera, int64 ``[P]``.
+            pixels: Flat index (row * W + column), int64 ``[P]``.
+
+        Returns:
+            ``[P, 3]``.
+        """
+        dtype = self.inverse.dtype
+        rows = torch.div(pixels, self.width, rounding_mode="floor")
+        x, y = (pixels - rows * self.width).to(dtype) + 0.5, rows.to(dtype) + 0.5
+        inverse = self.inverse[image]
+        return inverse[:, :, 0] * x[:, None] + inverse[:, :, 1] * y[:, None] + inverse[:, :, 2]
+
+    def to_head(self, image: Tensor, points_m: Tensor) -> Tensor:
+        """Points in camera axes back in the head frame; metres ``[P, 3]`` both."""
+        offset = points_m - self.translation_m[image]
+        return (self.rotation[image] * offset[:, :, None]).sum(1)
+
+
+class Hits(NamedTuple):
+    """Where the rays of P pixels meet the mesh.
+
+    Attributes:
+        image: Which of the N images, int64 ``[P]``.
+        corners: Vertices of the triangle, as indices into all ``[N * V]``, int64 ``[P, 3]``.
+        weights: Of those vertices, summing to 1, ``[P, 3]``; differentiable.
+        depth_m: Along the camera's axis, ``[P]``; differentiable.
+        rays: Directions in camera axes with z = 1, ``[P, 3]``.
+    """
+
+    image: Tensor
+    corners: Tensor
+    weights: Tensor
+    depth_m: Tensor
+    rays: Tensor
+
+
+def hit_points(
+    seen_m: Tensor, faces: Tensor, views: Views, image: Tensor, pixels: Tensor, triangles: Tensor
+) -> Hits:
+    """Where some covered pixels' rays meet their triangles.
+
+    Args:
+        seen_m: Meshes in camera axes (`Views.see`), metres, ``[N, V, 3]``; gradients flow there.
+        faces: int64 ``[F, 3]``.
+        views: The images' cameras.
+        image: Which image each pixel is of, int64 ``[P]``.
+        pixels: Flat index within the image, int64 ``[P]``.
+        triangles: From `Rasteriser`, int64 ``[P]``.
+    """
+    corners = faces[triangles] + (image * seen_m.shape[1])[:, None]
+    rays = views.rays(image, pixels)
+    points = seen_m.reshape(-1, 3).index_select(0, corners.view(-1)).view(-1, 3, 3)
+    weights, depth_m = interpolation_weights(points, rays)
+    return Hits(image, corners, weights, depth_m, rays)
 
 
 def interpolation_weights(corners: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
@@ -160,13 +317,6 @@ def interpolation_weights(corners: Tensor, rays: Tensor) -> tuple[Tensor, Tensor
     return weights, depth
 
 
-def camera_points(vertices_m: Tensor, camera: Camera) -> Tensor:
-    """Head-frame vertices ``[V, 3]`` in camera axes, ``[V, 3]``."""
-    rotation = torch.as_tensor(camera.rotation, dtype=vertices_m.dtype)
-    translation = torch.as_tensor(camera.translation_m, dtype=vertices_m.dtype)
-    return vertices_m @ rotation.T + translation
-
-
 def interpolate(
     vertices_m: Tensor,
     vertex_uv: Tensor,
@@ -191,10 +341,9 @@ def interpolate(
     chosen = np.asarray(pixels, np.int64)
     triangles = torch.from_numpy(triangle_ids.reshape(-1)[chosen].astype(np.int64))
     flat = torch.from_numpy(chosen)
-    corners = faces[triangles]
-    seen = camera_points(vertices_m, camera)
-    rays = pixel_rays(camera, flat // camera.width, flat % camera.width, vertices_m.dtype)
-    weights, depth = interpolation_weights(seen[corners], rays)
-    uv = (weights[:, :, None] * vertex_uv[corners]).sum(1)
-    xyz_m = (weights[:, :, None] * vertices_m[corners]).sum(1)
-    return uv, xyz_m, depth
+    views = Views.of([camera], vertices_m)
+    seen = views.see(vertices_m[None])
+    hits = hit_points(seen, faces, views, torch.zeros_like(flat), flat, triangles)
+    uv = (hits.weights[:, :, None] * vertex_uv[faces[triangles]]).sum(1)
+    xyz_m = views.to_head(hits.image, hits.rays * hits.depth_m[:, None])
+    return uv, xyz_m, hits.depth_m
