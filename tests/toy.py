@@ -9,6 +9,7 @@ from pica_core.avatar_file import Avatar, Manifest, spec_tensor_shapes
 from pica_core.level_tensors import error_tensors, exit_shapes, faces_name
 from pica_core.levels import default_errors, level_sizes
 from pica_core.spec import AvatarSpec
+from pica_core.variants import VARIANTS
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -74,6 +75,7 @@ def make_toy_avatar(
         latent_scale=(4.0, 4.0, 4.0, 4.0),
         bounds_min_m=(-0.15, -0.2, -0.15),
         bounds_max_m=(0.15, 0.2, 0.2),
+        variant=next(name for name, row in VARIANTS.items() if row.encoding == spec.encoding),
         model_card={"training": "none: random weights"},
     )
     return Avatar(manifest, tensors)
@@ -121,13 +123,16 @@ def _paint(
     hair = 1 / (1 + np.exp((tilt + 0.75 - 0.5 * (np.abs(turn) > 1.2)) * 20))
     maps = np.stack([eye, iris, lips, hair], axis=-1)
     painted = {
-        "uv_encoding": (2 * maps - 1)[..., : spec.uv_encoding_channels].astype(np.float32),
         "xyz.0.weight": (tensors["xyz.0.weight"] * 12).astype(np.float32),
-        "u_encoding": (tensors["u_encoding"] * 0.2).astype(np.float32),
-        "v_encoding": (tensors["v_encoding"] * 0.2).astype(np.float32),
     }
+    num_masks = 0
+    if "joint" in spec.encoding_channels:
+        num_masks = min(4, spec.uv_encoding_channels, min(spec.pixel_channels[:-1]))
+        painted["uv_encoding"] = (2 * maps - 1)[..., : spec.uv_encoding_channels].astype(np.float32)
+    if "axes" in spec.encoding_channels:
+        for name in ("u_encoding", "v_encoding"):
+            painted[name] = (tensors[name] * 0.2).astype(np.float32)
     first = spec.expression_channels + spec.xyz_channels[-1]
-    num_masks = min(4, spec.uv_encoding_channels, min(spec.pixel_channels[:-1]))
     last = len(spec.pixel_channels) - 1
     for layer in range(last + 1):
         shape = tensors[f"pixel.{layer}.weight"].shape

@@ -22,6 +22,7 @@ from pica_client.shader_source import AXIS_ROW, axis_levels, compose
 from pica_client.shader_weights import pack_weights, siren_source
 from pica_core.avatar_file import Avatar
 from pica_core.mesh import order_faces
+from pica_core.spec import AvatarSpec
 
 FloatArray = npt.NDArray[np.float32]
 MeshPrograms = tuple[moderngl.Program, moderngl.Program]
@@ -95,9 +96,13 @@ def upload_avatar(
     """
     tensors, manifest = avatar.tensors, avatar.manifest
     program = program or decoder_program(context, avatar, weights_place, filtered=filtered)
-    textures = {UNIT_UV_ENCODING: _encoding_texture(context, tensors["uv_encoding"], filtered)}
+    textures: dict[int, moderngl.Texture] = {}
+    if "uv_encoding" in tensors:
+        encoding = tensors["uv_encoding"]
+        textures[UNIT_UV_ENCODING] = _encoding_texture(context, encoding, filtered)
     for unit, name in ((UNIT_U_ENCODING, "u_encoding"), (UNIT_V_ENCODING, "v_encoding")):
-        textures[unit] = _axis_texture(context, tensors[name])
+        if name in tensors:
+            textures[unit] = _axis_texture(context, tensors[name])
     weights = None
     if weights_place == "block":
         weights = context.buffer(pack_weights(avatar.spec, tensors))
@@ -131,11 +136,16 @@ def decoder_program(
     fragment = compose(
         "pixel_decoder.frag",
         avatar.spec,
-        choices={"ENCODING": ENCODING_OF_VARIANT[avatar.manifest.variant]},
+        choices={"ENCODING": encoding_file(avatar.spec)},
         generated={"SIREN": siren_source(avatar.spec, baked, sine)},
         defines={"FILTERED": ""} if filtered else {},
     )
     return build_program(context, compose("rect.vert"), fragment)
+
+
+def encoding_file(spec: AvatarSpec) -> str:
+    """The shader file with a spec's surface encoding."""
+    return f"encoding_{spec.encoding}.glsl"
 
 
 def upload_placeholder(context: moderngl.Context, mesh_programs: MeshPrograms) -> Body:

@@ -8,8 +8,8 @@ are no multiple of four are padded with zeros, which a sine layer keeps at zero.
 The inputs of the pixel decoder's first layer are padded group by group, as the shader fills its
 vectors:
 
-    vector 0  expression    vector 1  encoded xyz    vector 2  m_uv    vector 3  m_u in xy, m_v in
-    zw
+    vector 0  expression    vector 1  encoded xyz    then the surface encoding, part by part:
+    joint  m_uv    axes  m_u in xy, m_v in zw    uv  u, v    sinusoids  an octave in each of ten
 """
 
 from __future__ import annotations
@@ -28,9 +28,6 @@ Array = npt.NDArray[Any]
 Sine = Literal["builtin", "polynomial"]
 
 VECTOR = 4
-PIXEL_INPUT_VECTORS = 4
-"""Vectors of four that the shader's encodings fill: see above."""
-
 
 SINE_COEFFICIENTS = (6.283164044063381, -41.33714233439381, 81.34076751798747, -70.99341896675098)
 """sin(2 pi s) over a quarter turn either way as an odd polynomial of s: the one whose largest
@@ -74,19 +71,20 @@ def layer_blocks(spec: AvatarSpec) -> list[LayerBlock]:
     ):
         if value > VECTOR:
             raise ShaderError(f"{name} is {value}; the pixel shader takes up to {VECTOR}")
-    groups = (
-        (0, spec.expression_channels),
-        (4, spec.xyz_channels[-1]),
-        (8, spec.uv_encoding_channels),
-        (12, spec.axis_encoding_channels),
-        (14, spec.axis_encoding_channels),
-    )
-    pixel_columns = tuple(start + offset for start, size in groups for offset in range(size))
+    pixel_columns = [*range(spec.expression_channels), *range(4, 4 + spec.xyz_channels[-1])]
+    start = 2 * VECTOR
+    for part, channels in spec.encoding_channels.items():
+        if part == "axes":  # m_v begins at the third place, however wide m_u is
+            half = channels // 2
+            pixel_columns += [*range(start, start + half), *range(start + 2, start + 2 + half)]
+        else:
+            pixel_columns += range(start, start + channels)
+        start += _vectors(channels) * VECTOR
     blocks: list[LayerBlock] = []
     matrix = bias = 0
     for prefix, first, widths in (
         ("xyz", (0, 1, 2), spec.xyz_channels),
-        ("pixel", pixel_columns, spec.pixel_channels),
+        ("pixel", tuple(pixel_columns), spec.pixel_channels),
     ):
         columns = first
         for index, rows in enumerate(widths):
@@ -96,6 +94,11 @@ def layer_blocks(spec: AvatarSpec) -> list[LayerBlock]:
             bias += block.out_vectors
             columns = tuple(range(rows))
     return blocks
+
+
+def pixel_input_vectors(spec: AvatarSpec) -> int:
+    """Vectors of four that expression, position and surface encoding fill."""
+    return 2 + sum(_vectors(channels) for channels in spec.encoding_channels.values())
 
 
 def block_sizes(spec: AvatarSpec) -> tuple[int, int]:
@@ -168,7 +171,7 @@ def siren_source(
         sine_name = "sine_of_turns"
         lines += _sine_lines(sine_name)
     blocks = layer_blocks(spec)
-    inputs = [f"p{index}" for index in range(PIXEL_INPUT_VECTORS)]
+    inputs = [f"p{index}" for index in range(pixel_input_vectors(spec))]
     for prefix, head, values in (
         ("xyz", "vec4 encode_xyz(vec3 xyz_m)", ["vec4(xyz_m, 0.0)"]),
         ("pixel", f"vec3 decode_pixel({', '.join(f'vec4 {name}' for name in inputs)})", inputs),

@@ -14,7 +14,7 @@ Tensors, float32 in memory unless stated:
     geometry.mean         [S, S, 3] metres, head frame:
                           position map = mean + position_scale_m * decoded geometry
     uv_encoding           [T, T, 4], row 0 is v = 0
-    u_encoding v_encoding [L, 2]
+    u_encoding v_encoding [L, 2]; each of the three as the spec's encoding has it
     xyz.{i}.weight .bias  [out, in], [out]: SIREN over head-frame xyz in *metres*
     pixel.{i}.weight .bias    [out, in], [out]: the pixel decoder
     mesh.vertex_uv        [V, 2] in [0, 1]
@@ -59,6 +59,7 @@ from pica_core.levels import LevelErrors
 from pica_core.spec import NUM_LATENT, AvatarSpec
 from pica_core.stream_profile import PREFIX as STREAM_PREFIX
 from pica_core.stream_profile import StreamProfile, profile_shapes
+from pica_core.surface_encoding import encoding_shapes
 
 __all__ = [
     "SCHEMA_VERSION",
@@ -131,10 +132,7 @@ def spec_tensor_shapes(spec: AvatarSpec) -> dict[str, tuple[int, ...]]:
     for decoder in spec.decoder_channels:
         for layer in decoder_layers(spec, decoder):
             shapes.update(layer.tensor_shapes())
-    size = spec.uv_encoding_size
-    shapes["uv_encoding"] = (size, size, spec.uv_encoding_channels)
-    for axis in "uv":
-        shapes[f"{axis}_encoding"] = (spec.axis_encoding_size, spec.axis_encoding_channels)
+    shapes |= encoding_shapes(spec)
     for prefix, width, outputs in (
         ("xyz", 3, spec.xyz_channels),
         ("pixel", spec.pixel_input_channels, spec.pixel_channels),

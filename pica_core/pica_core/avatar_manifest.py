@@ -10,6 +10,7 @@ from typing import Any
 
 from pica_core.errors import AvatarFileError
 from pica_core.spec import LATENT_CHANNELS, AvatarSpec
+from pica_core.variants import VARIANTS
 
 SCHEMA_VERSION = 1
 MAX_TEXT = 200
@@ -18,8 +19,8 @@ MAX_CARD_TEXT = 2000
 MAX_POSITION_SCALE_M = 10.0
 MAX_EXTENT_M = 10.0
 MAX_LATENT = 1e3
-VARIANTS = ("full",)
-"""Variants that this version can draw."""
+DRAWN_VARIANTS = tuple(name for name, row in VARIANTS.items() if row.network == "pixel_codec")
+"""Variants that an avatar file may hold."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -42,6 +43,7 @@ class Manifest:
     bounds_max_m: tuple[float, float, float]
     """Upper corner."""
     variant: str = "full"
+    """One of `DRAWN_VARIANTS`; its encoding must be the spec's."""
     model_card: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     """What it was trained on, with which command, how well it does; free text by key."""
     schema_version: int = SCHEMA_VERSION
@@ -89,9 +91,16 @@ def manifest_from_json(values: Any, where: str) -> Manifest:
     text = {
         key: _text(where, key, values[key]) for key in ("name", "identity", "licence", "variant")
     }
-    if text["variant"] not in VARIANTS:
+    if text["variant"] not in DRAWN_VARIANTS:
         raise AvatarFileError(
-            f"{where}: manifest.variant is {text['variant']!r:.40}; known are {', '.join(VARIANTS)}"
+            f"{where}: manifest.variant is {text['variant']!r:.40}; "
+            f"known are {', '.join(DRAWN_VARIANTS)}"
+        )
+    wanted = VARIANTS[text["variant"]].encoding
+    if spec.encoding != wanted:
+        raise AvatarFileError(
+            f"{where}: manifest.spec.encoding is {spec.encoding!r}; "
+            f"variant {text['variant']} has {wanted!r}"
         )
     low = _numbers(where, values, "bounds_min_m", 3, -MAX_EXTENT_M, MAX_EXTENT_M)
     high = _numbers(where, values, "bounds_max_m", 3, -MAX_EXTENT_M, MAX_EXTENT_M)

@@ -142,6 +142,23 @@ class BaselineAvatar:
             raise ValueError("faces name vertices that are not there")
 
 
+def baseline_channels(texture_size: int) -> tuple[int, ...]:
+    """The published channels for a texture of another size: the last layers but one are left out.
+
+    Args:
+        texture_size: Rows and columns, texels: 1024 as published, or 32, 64, ... below.
+
+    Raises:
+        ValueError: Another size.
+    """
+    published = BaselineSpec().channels
+    sizes = {FIRST_SIZE << count: count for count in range(3, len(published) + 1)}
+    if texture_size not in sizes:
+        known = ", ".join(map(str, sizes))
+        raise ValueError(f"texture_size is {texture_size}; known are {known}")
+    return (*published[: sizes[texture_size] - 1], RGB_CHANNELS)
+
+
 def baseline_like(avatar: Avatar, seed: int = 0) -> BaselineAvatar:
     """A baseline that looks like an avatar at rest and costs what the published one costs.
 

@@ -17,6 +17,7 @@ from pica_core.errors import AvatarFileError
 from pica_core.expression_encoder import ExpressionEncoder
 from pica_core.pixel_reference import count_parameters
 from pica_core.plain_stream import LatentProfile, decode_latent, encode_latent
+from pica_core.surface_encoding import encoding_shapes
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -73,7 +74,6 @@ def _describe(path: Path, avatar: Avatar) -> dict[str, Any]:
         for decoder in spec.decoder_channels
         for layer in decoder_layers(spec, decoder)
     )
-    maps = ("uv_encoding", "u_encoding", "v_encoding")
     return {
         "name": manifest.name,
         "identity": manifest.identity,
@@ -94,7 +94,8 @@ def _describe(path: Path, avatar: Avatar) -> dict[str, Any]:
             for layer in decoder_layers(spec, decoder)
             for shape in layer.tensor_shapes().values()
         ),
-        "encodings": sum(int(avatar.tensors[name].size) for name in maps),
+        "encoding": spec.encoding,
+        "encodings": sum(int(np.prod(shape)) for shape in encoding_shapes(spec).values()),
         "decode_mmac": round(multiply_adds / 1e6, 2),
         "latent_scale": list(manifest.latent_scale),
         "model_card": dict(manifest.model_card),

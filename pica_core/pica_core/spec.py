@@ -7,7 +7,9 @@ checkpoints, and whoever reads one rebuilds graphs and shaders from these number
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
+from types import MappingProxyType
 from typing import Any
 
 LATENT_SIZE = 8
@@ -24,6 +26,29 @@ BLOCKS = ("B", "H2", "C")
 """Building blocks of the decoders that we know. The paper draws its block in Fig. 3b, which the
 text does not give.
 """
+
+ENCODINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "full": ("joint", "axes"),
+        "none": (),
+        "uv": ("uv",),
+        "sinusoids": ("sinusoids",),
+        "joint": ("joint",),
+        "axes": ("axes",),
+    }
+)
+"""What the pixel decoder is told about the surface point (u, v), side by side, by name.
+
+joint: a learned map m_uv. axes: learned tables m_u and m_v. Both are the paper's encoding (section
+4). uv: the coordinates themselves. sinusoids: 40 sines and cosines of them.
+"""
+NUM_FREQUENCIES = 10
+"""Octaves of the sinusoids: two coordinates, sine and cosine make 40 values, the number that the
+paper gives (section 6, "Ablation Studies").
+"""
+_ADDED_LATER = {"encoding": "full"}
+"""Fields that the first files lack, and what they mean by that. Left out where they say nothing
+new, so that older programs still read the files that they can draw."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -50,10 +75,14 @@ class AvatarSpec:
     """Output channels of the SIREN that encodes head-frame xyz."""
     pixel_channels: tuple[int, ...] = (8, 8, 8, RGB_CHANNELS)
     """Output channels of the pixel decoder's layers."""
+    encoding: str = "full"
+    """What the pixel decoder is told about the surface point; one of `ENCODINGS`."""
 
     def __post_init__(self) -> None:
         if self.block not in BLOCKS:
             raise ValueError(f"block is {self.block!r}; known are {', '.join(BLOCKS)}")
+        if self.encoding not in ENCODINGS:
+            raise ValueError(f"encoding is {self.encoding!r}; known are {', '.join(ENCODINGS)}")
         doublings = len(self.hidden_channels) + 1
         if self.map_size != LATENT_SIZE << doublings:
             raise ValueError(
@@ -89,14 +118,26 @@ class AvatarSpec:
         }
 
     @property
+    def encoding_channels(self) -> dict[str, int]:
+        """Channels of each part of the surface encoding, in the order in which they are fed."""
+        channels = {
+            "joint": self.uv_encoding_channels,
+            "axes": 2 * self.axis_encoding_channels,
+            "uv": 2,
+            "sinusoids": 4 * NUM_FREQUENCIES,
+        }
+        return {part: channels[part] for part in ENCODINGS[self.encoding]}
+
+    @property
     def pixel_input_channels(self) -> int:
         """Width of p = [z, x, u]: expression code, encoded xyz, encoded uv. 16 in the paper."""
-        uv_channels = self.uv_encoding_channels + 2 * self.axis_encoding_channels
+        uv_channels = sum(self.encoding_channels.values())
         return self.expression_channels + self.xyz_channels[-1] + uv_channels
 
     def to_json(self) -> dict[str, Any]:
         """The spec as plain JSON values; `from_json` reads it back."""
-        return asdict(self)
+        values = asdict(self)
+        return {k: v for k, v in values.items() if _ADDED_LATER.get(k, object()) != v}
 
     @classmethod
     def from_json(cls, values: Any) -> AvatarSpec:
@@ -108,15 +149,16 @@ class AvatarSpec:
         """
         if not isinstance(values, dict):
             raise ValueError(f"spec is {type(values).__name__}; a map is needed")
+        values = {**_ADDED_LATER, **values}
         known = {field.name for field in fields(cls)}
         if set(values) != known:
             wrong = sorted(known.symmetric_difference(map(str, values)))
             raise ValueError(f"spec fields missing or unknown: {', '.join(wrong)}")
         read: dict[str, Any] = {}
         for name, value in values.items():
-            if name == "block":
+            if name in ("block", "encoding"):
                 if not isinstance(value, str):
-                    raise ValueError(f"spec.block is {value!r}; a string is needed")
+                    raise ValueError(f"spec.{name} is {value!r}; a string is needed")
                 read[name] = value
             elif isinstance(value, list | tuple):
                 if len(value) > 8 or not all(type(item) is int for item in value):

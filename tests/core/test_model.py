@@ -40,8 +40,13 @@ def test_the_xyz_siren_has_36_parameters() -> None:
 def test_the_encoding_maps_have_the_papers_sizes() -> None:
     encoding = PixelDecoder(PAPER_SPEC).encoding
 
-    assert encoding.joint.shape == (1, 4, 1024, 1024)
-    assert encoding.along_u.shape == encoding.along_v.shape == (1, 2, 1, 10_000)
+    shapes = {name: tuple(values.shape) for name, values in encoding.named_tensors().items()}
+
+    assert shapes == {
+        "uv_encoding": (1024, 1024, 4),
+        "u_encoding": (10_000, 2),
+        "v_encoding": (10_000, 2),
+    }
     assert encoding.channels == 8
 
 

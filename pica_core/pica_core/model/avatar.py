@@ -26,11 +26,11 @@ from pica_core.model.interface import (
     FacePrior,
     ParameterGroups,
     Surface,
-    TopologyName,
     uv_buffer,
 )
 from pica_core.model.pixel_decoder import FIRST_FREQUENCY, PixelDecoder
 from pica_core.spec import AvatarSpec
+from pica_core.variants import ModelCost, TopologyName, pixel_codec_cost
 
 
 class PixelCodecAvatar(AvatarModel):
@@ -106,6 +106,11 @@ class PixelCodecAvatar(AvatarModel):
         xyz_m = surface.xyz_m.detach() if detach_xyz else surface.xyz_m
         colours: Tensor = self.pixel_decoder(codes, xyz_m, surface.uv)
         return colours
+
+    @property
+    def cost(self) -> ModelCost:
+        """From the spec alone: decoders, surface encoding and the two sine networks."""
+        return pixel_codec_cost(self.spec)
 
     def parameter_groups(self) -> ParameterGroups:
         """Groups as the interface names them."""

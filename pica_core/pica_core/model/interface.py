@@ -27,9 +27,9 @@ from torch import Tensor, nn
 
 from pica_core.arkit import NUM_ARKIT
 from pica_core.spec import LATENT_CHANNELS, LATENT_SIZE, LEAKY_SLOPE, NUM_LATENT, AvatarSpec
+from pica_core.variants import ModelCost, TopologyName
 
 FloatArray = npt.NDArray[np.float32]
-TopologyName = Literal["dense", "tracked"]
 GroupName = Literal["shape", "appearance", "pixel", "encoding"]
 ParameterGroups = dict[GroupName, list[nn.Parameter]]
 
@@ -157,6 +157,11 @@ class AvatarModel(nn.Module, ABC):
                 xyz input. The paper needs it for stable training (appendix A.3); the other path,
                 through rasterisation to uv, stays open. Without such an input it changes nothing.
         """
+
+    @property
+    @abstractmethod
+    def cost(self) -> ModelCost:
+        """What a receiver pays to run it."""
 
     @abstractmethod
     def parameter_groups(self) -> ParameterGroups:

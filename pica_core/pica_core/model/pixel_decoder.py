@@ -1,4 +1,4 @@
-"""The pixel decoder: learned encodings of the surface and three small sine networks.
+"""The pixel decoder: two small sine networks over expression, position and surface encoding.
 
 Source: Ma et al., "Pixel Codec Avatars" (CVPR 2021), sections 3 and 4 and appendix A.1; sine
 networks and their initialisation: Sitzmann et al., "Implicit Neural Representations with Periodic
@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from pica_core.model.decoders import sample_map
+from pica_core.model.encodings import make_encoding
 from pica_core.spec import AvatarSpec
 
 XYZ_UNIT_M = 0.1
@@ -68,35 +68,10 @@ class Siren(nn.Module):
         }
 
 
-class LearnedEncoding(nn.Module):
-    """The paper's positional encoding u = [m_uv(u, v), m_u(u), m_v(v)], piecewise linear.
-
-    `amplitude` is the half-width of the uniform start; the paper's is 1.
-    """
-
-    def __init__(self, spec: AvatarSpec, amplitude: float = 1.0) -> None:
-        super().__init__()
-        size, joint = spec.uv_encoding_size, spec.uv_encoding_channels
-        entries, single = spec.axis_encoding_size, spec.axis_encoding_channels
-        self.channels = joint + 2 * single
-        self.joint = nn.Parameter(torch.empty(1, joint, size, size))
-        self.along_u = nn.Parameter(torch.empty(1, single, 1, entries))
-        self.along_v = nn.Parameter(torch.empty(1, single, 1, entries))
-        for values in (self.joint, self.along_u, self.along_v):
-            nn.init.uniform_(values, -amplitude, amplitude)
-
-    def forward(self, uv: Tensor) -> Tensor:
-        """Encode points ``[P, 2]`` to ``[P, 8]``."""
-        middle = torch.full_like(uv[:, :1], 0.5)
-        along_u = sample_map(self.along_u, torch.cat([uv[:, :1], middle], 1))
-        along_v = sample_map(self.along_v, torch.cat([uv[:, 1:], middle], 1))
-        return torch.cat([sample_map(self.joint, uv), along_u, along_v], 2)[0]
-
-
 class PixelDecoder(nn.Module):
     """f: expression code, head-frame position and surface point of a pixel to its colour.
 
-    307 parameters in `colour`, 36 in `xyz`, the rest in the encoding maps.
+    In the paper's sizes 307 parameters in `colour`, 36 in `xyz`, the rest in the encoding.
     """
 
     def __init__(
@@ -107,7 +82,7 @@ class PixelDecoder(nn.Module):
         first_frequency: float = FIRST_FREQUENCY,
     ) -> None:
         super().__init__()
-        self.encoding = LearnedEncoding(spec, encoding_amplitude)
+        self.encoding = make_encoding(spec, encoding_amplitude)
         self.xyz = Siren(3, spec.xyz_channels, linear_output=False, first_frequency=first_frequency)
         self.colour = Siren(
             spec.expression_channels + spec.xyz_channels[-1] + self.encoding.channels,

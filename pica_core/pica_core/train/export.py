@@ -36,14 +36,11 @@ def avatar_tensors(
         faces: ``[F, 3]``.
     """
     pixel = model.pixel_decoder
-    encoding = pixel.encoding
     tensors: dict[str, Tensor] = {
         **model.geometry.named_tensors(),
         **model.expression.named_tensors(),
         "geometry.mean": model.position_mean.permute(1, 2, 0),
-        "uv_encoding": encoding.joint[0].permute(1, 2, 0),
-        "u_encoding": encoding.along_u[0, :, 0].T,
-        "v_encoding": encoding.along_v[0, :, 0].T,
+        **pixel.encoding.named_tensors(),
         **pixel.xyz.named_tensors("xyz"),
         **pixel.colour.named_tensors("pixel"),
     }

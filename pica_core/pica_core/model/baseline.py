@@ -1,0 +1,262 @@
+"""The paper's baseline in torch: a mesh and a whole, view-dependent texture from one code.
+
+Source: Lombardi et al., "Deep Appearance Models for Face Rendering" (2018), in the sizes that were
+later published with a face capture data set; the decoder's layers are those of
+`pica_core.baseline`. The encoder:
+
+    texture 1024    eight convolutions 4x4, stride 2, to 16, 16, 32, 32, 64, 64, 128, 128 channels;
+                    fully connected 2048 -> 256
+    mesh            fully connected 3V -> 256
+    both            fully connected 512 -> 2z: mean and log-variance
+
+A LeakyReLU (slope 0.2) follows every layer but the last ones.
+
+Our choices: the latent is the grid of all our models, flattened to z = 256, so that streams and
+trackers serve it too; vertices are the mean mesh plus the position scale times the output; the
+texture begins as the capture's mean texture (the bias of its last layer has a value for every
+texel); the light encoder takes a texture of 256 and leaves out the two convolutions that a larger
+one needs; a smaller texture leaves out the decoder's last but one layers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from pica_core.baseline import FIRST_SIZE, VIEW_FEATURES, BaselineSpec, baseline_channels
+from pica_core.model.decoders import UntiedBias, sample_map, sample_per_image
+from pica_core.model.encoder import resize_texture
+from pica_core.model.interface import (
+    AvatarModel,
+    DecodedMesh,
+    ExpressionEncoder,
+    FacePrior,
+    LatentEncoder,
+    ParameterGroups,
+    Surface,
+    flat_latent,
+    grid_of_latent,
+    uv_buffer,
+)
+from pica_core.spec import LEAKY_SLOPE, NUM_LATENT, VIEW_CHANNELS, AvatarSpec
+from pica_core.variants import ModelCost
+
+TEXTURE_SCALE = 0.25
+"""Unit of the texture decoder's output, where 1.0 is white (chosen: about the deviation of a
+texture's values, which is what published captures divide by)."""
+HIDDEN = 256
+"""Width of the encoder's two features."""
+_ENCODERS: dict[str, tuple[int, tuple[int, ...]]] = {
+    "paper": (1024, (16, 16, 32, 32, 64, 64, 128, 128)),
+    "light": (256, (16, 32, 64, 64, 128, 128)),
+}
+_GAIN = (2 / (1 + LEAKY_SLOPE**2)) ** 0.5
+
+
+def _connected(inputs: int, outputs: int, gain: float = _GAIN) -> nn.Linear:
+    layer = nn.Linear(inputs, outputs)
+    nn.init.normal_(layer.weight, std=gain / inputs**0.5)
+    nn.init.zeros_(layer.bias)
+    return layer
+
+
+class DeepAppearanceEncoder(LatentEncoder):
+    """Average texture and tracked vertices to the latent.
+
+    Args:
+        name: "paper" or "light".
+        prior: For the tracked mesh's UVs: vertices are read from the position map that all models'
+            encoders are given.
+
+    Raises:
+        ValueError: An unknown name.
+    """
+
+    _uv: Tensor
+
+    def __init__(self, name: str, prior: FacePrior) -> None:
+        super().__init__()
+        if name not in _ENCODERS:
+            raise ValueError(f"encoder is {name!r}; known are 'paper' and 'light'")
+        self.texture_size, channels = _ENCODERS[name]
+        self.register_buffer("_uv", uv_buffer(prior.tracked_uv), persistent=False)
+        steps: list[nn.Module] = []
+        for c_in, c_out in pairwise((3, *channels)):
+            convolution = nn.Conv2d(c_in, c_out, 4, stride=2, padding=1)
+            nn.init.normal_(convolution.weight, std=_GAIN / (16 * c_in) ** 0.5)
+            nn.init.zeros_(convolution.bias)  # type: ignore[arg-type]
+            steps += [convolution, nn.LeakyReLU(LEAKY_SLOPE)]
+        self.texture = nn.Sequential(*steps)
+        size = self.texture_size >> len(channels)
+        self.texture_feature = _connected(channels[-1] * size * size, HIDDEN)
+        self.mesh_feature = _connected(3 * len(prior.tracked_uv), HIDDEN)
+        self.mean = _connected(2 * HIDDEN, NUM_LATENT, gain=1.0)
+        self.log_variance = _connected(2 * HIDDEN, NUM_LATENT, gain=0.1)
+
+    def forward(self, texture: Tensor, position_map: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and log-variance of the latent."""
+        vertices = sample_map(position_map, self._uv).flatten(1)
+        features = [
+            self.texture_feature(self.texture(texture).flatten(1)),
+            self.mesh_feature(vertices),
+        ]
+        joint = functional.leaky_relu(torch.cat(features, 1), LEAKY_SLOPE)
+        return grid_of_latent(self.mean(joint)), grid_of_latent(self.log_variance(joint))
+
+
+class TextureDecoder(nn.Module):
+    """Code and view features to offsets of a texture, by transposed convolutions with untied
+    biases."""
+
+    def __init__(self, spec: BaselineSpec) -> None:
+        super().__init__()
+        self._first = spec.num_latent
+        self.grid = _connected(
+            spec.num_latent + VIEW_FEATURES, spec.num_latent * FIRST_SIZE * FIRST_SIZE
+        )
+        self.convolutions = nn.ModuleList()
+        self.biases = nn.ModuleList()
+        size = FIRST_SIZE
+        for c_in, c_out in pairwise((spec.num_latent, *spec.channels)):
+            size *= 2
+            convolution = nn.ConvTranspose2d(c_in, c_out, 4, stride=2, padding=1, bias=False)
+            nn.init.normal_(convolution.weight, std=_GAIN / (4 * c_in) ** 0.5)
+            self.convolutions.append(convolution)
+            self.biases.append(UntiedBias(c_out, size))
+        with torch.no_grad():
+            convolution.weight.mul_(0.1)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """``[N, z + 8]`` to ``[N, 3, T, T]``."""
+        values = functional.leaky_relu(self.grid(features), LEAKY_SLOPE)
+        values = values.view(len(features), self._first, FIRST_SIZE, FIRST_SIZE)
+        last = len(self.convolutions) - 1
+        for index, (convolution, bias) in enumerate(
+            zip(self.convolutions, self.biases, strict=True)
+        ):
+            values = bias(convolution(values))
+            if index < last:
+                values = functional.leaky_relu(values, LEAKY_SLOPE)
+        return values
+
+
+class DeepAppearanceModel(AvatarModel):
+    """Encoder and decoders of one person.
+
+    Args:
+        spec: Sizes that all models share; the texture has its own.
+        prior: Mean mesh, its unit, UVs and mean texture of the person.
+        encoder: "paper" or "light".
+        texture_size: Rows and columns of the texture, texels.
+
+    Raises:
+        ValueError: An unknown encoder, or a texture that no number of layers makes.
+    """
+
+    topology = "tracked"
+    tracked_mean_m: Tensor
+
+    def __init__(
+        self,
+        spec: AvatarSpec,
+        prior: FacePrior,
+        *,
+        encoder: str = "light",
+        texture_size: int = 1024,
+    ) -> None:
+        super().__init__()
+        self.spec = spec
+        self.baseline_spec = BaselineSpec(
+            num_vertices=len(prior.tracked_uv), channels=baseline_channels(texture_size)
+        )
+        self.position_scale_m = prior.position_scale_m
+        mean = torch.as_tensor(prior.tracked_mean_m, dtype=torch.float32)
+        self.register_buffer("tracked_mean_m", mean.clone())
+        self.encoder = DeepAppearanceEncoder(encoder, prior)
+        code = self.baseline_spec.num_latent
+        self.latent = _connected(code, code)
+        self.mesh = _connected(code, 3 * self.baseline_spec.num_vertices, gain=0.1)
+        self.view = _connected(VIEW_CHANNELS, VIEW_FEATURES)
+        self.texture = TextureDecoder(self.baseline_spec)
+        texture = torch.as_tensor(prior.texture_mean, dtype=torch.float32).permute(2, 0, 1)[None]
+        self._texel_bias.data.copy_(resize_texture(texture, texture_size)[0] / TEXTURE_SCALE)
+        self.expression_encoder = ExpressionEncoder()
+
+    def decode_mesh(self, latent: Tensor) -> DecodedMesh:
+        """Vertices of the tracked topology; there is no map."""
+        offsets = self.mesh(self._code(latent)).view(len(latent), -1, 3)
+        vertices_m = self.tracked_mean_m + self.position_scale_m * offsets
+        return DecodedMesh(vertices_m, vertices_m, None)
+
+    def appearance(self, latent: Tensor, view_direction: Tensor) -> Tensor:
+        """Textures, sRGB with 1.0 for 255, ``[N, 3, T, T]``."""
+        view = functional.leaky_relu(self.view(view_direction), LEAKY_SLOPE)
+        texture: Tensor = self.texture(torch.cat([self._code(latent), view], 1))
+        return TEXTURE_SCALE * texture
+
+    def shade(self, appearance: Tensor, surface: Surface, *, detach_xyz: bool = True) -> Tensor:
+        """Colours by lookup in the texture."""
+        return sample_per_image(appearance, surface)
+
+    @property
+    def cost(self) -> ModelCost:
+        """Decoder and texture; a pixel costs a lookup."""
+        spec = self.baseline_spec
+        return ModelCost(
+            parameters=spec.num_parameters,
+            per_object_multiply_adds=spec.multiply_adds,
+            per_pixel_multiply_adds=0,
+        )
+
+    def parameter_groups(self) -> ParameterGroups:
+        """Groups as the interface names them; the bias of each texel counts as an encoding."""
+        texels = self._texel_bias
+        return {
+            "shape": [
+                *self.encoder.parameters(),
+                *self.latent.parameters(),
+                *self.mesh.parameters(),
+            ],
+            "appearance": [
+                *self.view.parameters(),
+                *(values for values in self.texture.parameters() if values is not texels),
+            ],
+            "pixel": [],
+            "encoding": [texels],
+        }
+
+    def named_tensors(self) -> dict[str, Tensor]:
+        """The decoder as `BaselineSpec.tensor_shapes` names it: outputs in metres and in colours,
+        with mean and units folded into the last weights."""
+        tensors: dict[str, Tensor] = {}
+        connected: Sequence[tuple[str, nn.Linear]] = (
+            ("view", self.view),
+            ("latent", self.latent),
+            ("mesh", self.mesh),
+            ("grid", self.texture.grid),
+        )
+        for name, layer in connected:
+            tensors[f"{name}.weight"], tensors[f"{name}.bias"] = layer.weight, layer.bias
+        for part in ("weight", "bias"):
+            tensors[f"mesh.{part}"] = self.position_scale_m * tensors[f"mesh.{part}"]
+        tensors["mesh.bias"] = tensors["mesh.bias"] + self.tracked_mean_m.flatten()
+        parts = zip(self.texture.convolutions, self.texture.biases, strict=True)
+        for index, (convolution, bias) in enumerate(parts):
+            last = index + 1 == len(self.texture.convolutions)
+            unit = TEXTURE_SCALE if last else 1.0
+            tensors[f"texture.{index}.weight"] = unit * convolution.weight  # type: ignore[operator]
+            tensors[f"texture.{index}.bias"] = unit * bias.weight  # type: ignore[operator]
+        return tensors
+
+    def _code(self, latent: Tensor) -> Tensor:
+        return functional.leaky_relu(self.latent(flat_latent(latent)), LEAKY_SLOPE)
+
+    @property
+    def _texel_bias(self) -> nn.Parameter:
+        bias = self.texture.biases[-1]
+        assert isinstance(bias, UntiedBias)
+        return bias.weight

@@ -1,0 +1,155 @@
+"""Surface encodings in torch: what the pixel decoder is told about a surface point.
+
+Each class is one part; an encoding is several side by side. What they compute, and the numpy twins:
+`pica_core.surface_encoding`.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import final
+
+import torch
+from torch import Tensor, nn
+
+from pica_core.model.decoders import sample_map
+from pica_core.spec import NUM_FREQUENCIES, AvatarSpec
+
+
+class SurfaceEncoding(nn.Module, ABC):
+    """Surface points to codes."""
+
+    channels: int
+    """Width of the codes."""
+
+    @abstractmethod
+    def forward(self, uv: Tensor) -> Tensor:
+        """Encode points ``[P, 2]`` to ``[P, channels]``."""
+
+    @abstractmethod
+    def named_tensors(self) -> dict[str, Tensor]:
+        """The weights under their names, and in the shapes, of the avatar file."""
+
+
+@final
+class JointMap(SurfaceEncoding):
+    """m_uv, piecewise bilinear, its entries uniform in [-amplitude, amplitude] at first."""
+
+    def __init__(self, spec: AvatarSpec, amplitude: float) -> None:
+        super().__init__()
+        size, self.channels = spec.uv_encoding_size, spec.uv_encoding_channels
+        self.values = nn.Parameter(torch.empty(1, self.channels, size, size))
+        nn.init.uniform_(self.values, -amplitude, amplitude)
+
+    def forward(self, uv: Tensor) -> Tensor:
+        """Bilinear lookup."""
+        return sample_map(self.values, uv)[0]
+
+    def named_tensors(self) -> dict[str, Tensor]:
+        """``uv_encoding``."""
+        return {"uv_encoding": self.values[0].permute(1, 2, 0)}
+
+
+@final
+class AxisTables(SurfaceEncoding):
+    """m_u and m_v, piecewise linear, started as `JointMap` is."""
+
+    def __init__(self, spec: AvatarSpec, amplitude: float) -> None:
+        super().__init__()
+        entries, single = spec.axis_encoding_size, spec.axis_encoding_channels
+        self.channels = 2 * single
+        self.along_u = nn.Parameter(torch.empty(1, single, 1, entries))
+        self.along_v = nn.Parameter(torch.empty(1, single, 1, entries))
+        for values in (self.along_u, self.along_v):
+            nn.init.uniform_(values, -amplitude, amplitude)
+
+    def forward(self, uv: Tensor) -> Tensor:
+        """Linear lookups."""
+        middle = torch.full_like(uv[:, :1], 0.5)
+        along_u = sample_map(self.along_u, torch.cat([uv[:, :1], middle], 1))
+        along_v = sample_map(self.along_v, torch.cat([uv[:, 1:], middle], 1))
+        return torch.cat([along_u, along_v], 2)[0]
+
+    def named_tensors(self) -> dict[str, Tensor]:
+        """``u_encoding`` and ``v_encoding``."""
+        return {
+            "u_encoding": self.along_u[0, :, 0].T,
+            "v_encoding": self.along_v[0, :, 0].T,
+        }
+
+
+@final
+class RawUv(SurfaceEncoding):
+    """The coordinates in [-1, 1]; no weights."""
+
+    def __init__(self, spec: AvatarSpec, amplitude: float) -> None:
+        super().__init__()
+        self.channels = 2
+
+    def forward(self, uv: Tensor) -> Tensor:
+        """2 uv - 1."""
+        return 2 * uv - 1
+
+    def named_tensors(self) -> dict[str, Tensor]:
+        """None."""
+        return {}
+
+
+@final
+class Sinusoids(SurfaceEncoding):
+    """Ten octaves of sines and cosines; no weights."""
+
+    def __init__(self, spec: AvatarSpec, amplitude: float) -> None:
+        super().__init__()
+        self.channels = 4 * NUM_FREQUENCIES
+
+    def forward(self, uv: Tensor) -> Tensor:
+        """Whole turns are taken off first, which is exact in any precision."""
+        octaves: list[Tensor] = []
+        for octave in range(NUM_FREQUENCIES):
+            turns = uv * float(1 << octave)
+            angle = (turns - turns.detach().floor()) * (2 * math.pi)
+            octaves += [angle.sin(), angle.cos()]
+        return torch.cat(octaves, 1)
+
+    def named_tensors(self) -> dict[str, Tensor]:
+        """None."""
+        return {}
+
+
+@final
+class SideBySide(SurfaceEncoding):
+    """Several parts, one after another; none at all makes codes of width 0."""
+
+    def __init__(self, parts: Sequence[SurfaceEncoding]) -> None:
+        super().__init__()
+        self.parts = nn.ModuleList(parts)
+        self.channels = sum(part.channels for part in parts)
+
+    def forward(self, uv: Tensor) -> Tensor:
+        """All parts' codes."""
+        return torch.cat([uv[:, :0], *(part(uv) for part in self.parts)], 1)
+
+    def named_tensors(self) -> dict[str, Tensor]:
+        """All parts' weights."""
+        named: dict[str, Tensor] = {}
+        for part in self.parts:
+            assert isinstance(part, SurfaceEncoding)
+            named |= part.named_tensors()
+        return named
+
+
+PARTS: dict[str, Callable[[AvatarSpec, float], SurfaceEncoding]] = {
+    "joint": JointMap,
+    "axes": AxisTables,
+    "uv": RawUv,
+    "sinusoids": Sinusoids,
+}
+
+
+def make_encoding(spec: AvatarSpec, amplitude: float) -> SurfaceEncoding:
+    """The encoding that a spec names; `amplitude` is the half-width of the tables' uniform start,
+    1 in the paper."""
+    return SideBySide([PARTS[part](spec, amplitude) for part in spec.encoding_channels])

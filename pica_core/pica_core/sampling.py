@@ -1,0 +1,67 @@
+"""Lookups in maps and tables, in plain numpy: the rule that every implementation follows.
+
+Texel centres lie at (i + 0.5) / W, and outside of them the edge continues, as a GL sampler with
+CLAMP_TO_EDGE does.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.errors import ShapeError
+
+Array = npt.NDArray[Any]
+Dtype = type[np.float32] | type[np.float64]
+
+
+def sample_bilinear(texture: npt.ArrayLike, uv: npt.ArrayLike, dtype: Dtype = np.float32) -> Array:
+    """Look a map up between its four nearest texels.
+
+    Args:
+        texture: Map with row 0 at v = 0. ``[H, W, C]``.
+        uv: Texture coordinates; outside [0, 1] the edge continues. ``[..., 2]``.
+        dtype: Type to compute in.
+
+    Returns:
+        Samples ``[..., C]``.
+
+    Raises:
+        ShapeError: Not ``[H, W, C]`` and ``[..., 2]``.
+    """
+    texels, where = np.asarray(texture, dtype), np.asarray(uv, dtype)
+    if texels.ndim != 3 or where.shape[-1:] != (2,):
+        raise ShapeError(
+            f"texture {texels.shape} and uv {where.shape}; [H, W, C] and [..., 2] wanted"
+        )
+    height, width, _ = texels.shape
+    left, right, across = _neighbours(where[..., 0], width)
+    top, bottom, down = _neighbours(where[..., 1], height)
+    upper = _mix(texels[top, left], texels[top, right], across)
+    lower = _mix(texels[bottom, left], texels[bottom, right], across)
+    return _mix(upper, lower, down)
+
+
+def sample_linear(table: npt.ArrayLike, t: npt.ArrayLike, dtype: Dtype = np.float32) -> Array:
+    """Look a table ``[L, C]`` up at `t` ``[...]`` in [0, 1]; returns ``[..., C]``."""
+    entries, where = np.asarray(table, dtype), np.asarray(t, dtype)
+    if entries.ndim != 2:
+        raise ShapeError(f"table is {entries.shape}; [L, C] wanted")
+    low, high, weight = _neighbours(where, len(entries))
+    return _mix(entries[low], entries[high], weight)
+
+
+def _neighbours(t: Array, count: int) -> tuple[Array, Array, Array]:
+    """Indices of the two texels around `t`, and the weight of the second."""
+    place = t * t.dtype.type(count) - t.dtype.type(0.5)
+    floor = np.floor(place)
+    low = np.clip(floor, 0, count - 1).astype(np.int64)
+    high = np.clip(floor + 1, 0, count - 1).astype(np.int64)
+    return low, high, (place - floor)[..., None]
+
+
+def _mix(a: Array, b: Array, weight: Array) -> Array:
+    mixed: Array = a + (b - a) * weight
+    return mixed
