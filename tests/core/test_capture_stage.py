@@ -30,6 +30,8 @@ OPTIONS = StageOptions(
     seed=5,
     bake_size=256,
     self_shadow=False,
+    depth_every=2,
+    tracked_vertices=900,
 )
 
 
@@ -147,15 +149,17 @@ def test_a_capture_reads_back_what_the_stage_rendered(rendered: Path) -> None:
     assert {frame.split for frame in capture.frames} == {"train", "test"}
     frame = capture.frames_of("test")[0]
     np.testing.assert_allclose(
-        capture.vertices_m(frame), head.vertices(capture.arkit(frame)), atol=2e-6
+        capture.true_vertices_m(frame), head.vertices(capture.arkit(frame)), atol=2e-6
     )
     np.testing.assert_array_equal(capture.topology.faces, head.faces)
     assert capture.image(frame, "front").shape == (64, 64, 3)
-    depth, mask = capture.depth_m(frame, "front"), capture.mask(frame, "front")
+    depth, mask = capture.true_depth_m(frame, "front"), capture.mask(frame, "front")
     assert ((depth > 0) == (mask > 0)).all()
     assert 0.8 < depth[mask > 0].min() < depth.max() < 1.3
     assert capture.average_texture(frame)[:40].mean() > capture.average_texture(frame)[44:].mean()
-    assert capture.head_to_world(frame).shape == (3, 4)
+    pose = capture.head_to_world(frame)
+    np.testing.assert_allclose(pose[:, :3] @ pose[:, :3].T, np.eye(3), atol=1e-12)
+    assert 0.001 < np.abs(pose - np.eye(3, 4)).max() < 0.2
     assert capture.mean_texture().shape == (64, 64, 3)
 
 

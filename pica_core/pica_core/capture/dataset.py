@@ -22,6 +22,7 @@ from PIL import Image, UnidentifiedImageError
 from pica_core.arkit import ARKIT_NAMES, NUM_ARKIT
 from pica_core.camera import Camera
 from pica_core.capture import multiface
+from pica_core.capture.head_motion import camera_in_head
 from pica_core.errors import CaptureError
 
 FloatArray = npt.NDArray[np.float32]
@@ -180,7 +181,7 @@ class Capture:
         return tuple(frame for frame in self.frames if frame.split == split)
 
     def camera(self, name: str) -> Camera:
-        """A camera by name.
+        """A camera by name, in the world; `head_camera` is the one that meshes are seen with.
 
         Raises:
             CaptureError: No such camera.
@@ -278,6 +279,14 @@ class Capture:
         matrix[:, 3] /= multiface.MILLIMETRES
         return matrix
 
+    def head_camera(self, frame: CaptureFrame, name: str) -> Camera:
+        """A camera in the frame's head axes: it projects the frame's meshes as they are.
+
+        Raises:
+            CaptureError: No such camera, or no head pose.
+        """
+        return camera_in_head(self.camera(name), self.head_to_world(frame))
+
     def average_texture(self, frame: CaptureFrame) -> ByteArray:
         """Average texture, row 0 is v = 0, black where no camera looked. uint8 ``[S, S, 3]``."""
         path = self.path / multiface.texture_path(self.texture_size, frame.segment, frame.name)
@@ -307,16 +316,34 @@ def _read_vertices(path: Path, count: int) -> FloatArray:
     return vertices.astype(np.float32)
 
 
-def _read_topology(path: Path) -> Topology:
+def read_tracked(root: Path) -> tuple[Topology, npt.NDArray[np.int64]]:
+    """The tracked mesh of a synthetic capture, and the dense vertex that each of its vertices is.
+
+    Raises:
+        CaptureError: Missing or damaged.
+    """
+    path = root / multiface.TRACKED_TOPOLOGY
+    topology = _read_topology(path)
+    index = _read_arrays(path).get("dense_vertex", np.zeros(0))
+    if index.shape != (len(topology.vertex_uv),) or index.dtype.kind != "i" or index.min() < 0:
+        raise CaptureError(f"{path}: field 'dense_vertex' is no index for each vertex")
+    return topology, index.astype(np.int64)
+
+
+def _read_arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
     try:
         with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
+            return {name: archive[name] for name in archive.files}
     except FileNotFoundError:
         raise CaptureError(f"{path}: the file is missing") from None
     except (OSError, ValueError, EOFError) as error:
         raise CaptureError(f"{path}: not a complete archive ({error})") from error
     except Exception as error:  # zipfile and zlib have error classes of their own
         raise CaptureError(f"{path}: damaged archive ({error})") from error
+
+
+def _read_topology(path: Path) -> Topology:
+    arrays = _read_arrays(path)
     for name in ("vertex_uv", "faces"):
         if name not in arrays:
             raise CaptureError(f"{path}: field {name!r} is missing")

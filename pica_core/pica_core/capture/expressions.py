@@ -79,12 +79,16 @@ class Take:
 
     Attributes:
         segment: Name, unique within a capture.
-        arkit: Values at `RATE_HZ`. float32 ``[T, 52]``.
+        arkit: Values of the captured moments, `STRIDE` / `RATE_HZ` seconds apart. float32
+            ``[T, 52]``.
+        history: Values one, two ... `HISTORY` moments at `RATE_HZ` before. float32
+            ``[T, HISTORY, 52]``.
         split: ``train`` or ``test``.
     """
 
     segment: str
     arkit: FloatArray
+    history: FloatArray
     split: str
 
 
@@ -245,6 +249,8 @@ TAKE_FRAMES = 40
 """Captured frames of a take, at most."""
 STRIDE = 5
 """Every so many frames of a performance one is captured."""
+HISTORY = 3
+"""How many moments before a captured one are kept."""
 FIRST_TEST_TAKE = 500
 
 
@@ -270,7 +276,7 @@ def sample_takes(num_frames: int, seed: int, test_share: float = 0.15) -> list[T
         per_kind = [total // len(kinds) + (k < total % len(kinds)) for k in range(len(kinds))]
         for (label, make), count in zip(kinds, per_kind, strict=True):
             takes += _takes(label, make, count, split, seed)
-    takes[0].arkit[0] = 0.0
+    takes[0].arkit[0] = takes[0].history[0] = 0.0
     num_test_eyes = round(num_eyes * test_share)
     for split, count in (("train", num_eyes - num_test_eyes), ("test", num_test_eyes)):
         takes += _takes("EYE", lids_and_gaze, count, split, seed)
@@ -287,6 +293,14 @@ def _takes(
         size = min(TAKE_FRAMES, count - part)
         index = part // TAKE_FRAMES + (0 if split == "train" else FIRST_TEST_TAKE)
         random = np.random.default_rng([seed, code, index])
-        arkit = make(random, size * STRIDE + 20)[10 : 10 + size * STRIDE : STRIDE]
-        takes.append(Take(segment=f"{label}{index:03d}", arkit=arkit, split=split))
+        performed = make(random, size * STRIDE + 20)
+        moments = 10 + STRIDE * np.arange(size)
+        takes.append(
+            Take(
+                segment=f"{label}{index:03d}",
+                arkit=performed[moments],
+                history=performed[moments[:, None] - np.arange(1, HISTORY + 1)],
+                split=split,
+            )
+        )
     return takes

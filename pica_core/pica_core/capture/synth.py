@@ -8,7 +8,6 @@ driver.
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -19,19 +18,40 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from pica_core.arkit import ARKIT_NAMES
 from pica_core.capture import multiface
-from pica_core.capture.dataset import Topology
-from pica_core.capture.expressions import Take, sample_takes
-from pica_core.capture.gpu import BAKE_SIZE
+from pica_core.capture.capture_writer import (
+    BackgroundWriter,
+    TrackingErrors,
+    TrainingSums,
+    depth_units,
+    write_tables,
+    write_topology,
+)
+from pica_core.capture.dataset import Topology, read_tracked
+from pica_core.capture.expressions import RATE_HZ, STRIDE, Take, blend, sample_takes
+from pica_core.capture.gpu import BAKE_SIZE, View
+from pica_core.capture.head_motion import HeadMotion, camera_in_head
+from pica_core.capture.mvs_depth import MvsErrors, find_depth
 from pica_core.capture.stage import EVALUATION_VIEWS, dome_cameras
 from pica_core.capture.subject import HeadSubject, Subject
+from pica_core.capture.tracked_topology import NUM_VERTICES, track_topology
+from pica_core.capture.tracker import Tracker, lagged_arkit
 from pica_core.errors import CaptureError
 
-ByteArray = npt.NDArray[np.uint8]
+FloatArray = npt.NDArray[np.float32]
 Progress = Callable[[int, int], None]
 
-
+OPENING = (
+    blend(),
+    blend(jawOpen=0.7),
+    blend(eyeBlink=1.0),
+    blend(mouthSmile=0.9),
+    blend(mouthPucker=0.9),
+)
+"""Expressions that the tracked mesh is chosen by: at rest, lips and lids hide much of themselves.
+"""
+LEAST_LAG = 0.003
+"""Smaller differences of a lagging expression are not worth posing a head for."""
 _USED = "not empty, and no interrupted render of the same options; name another directory"
 
 
@@ -50,7 +70,11 @@ class RenderOptions:
     texture_size: int = 256
     """Side of the average textures, texels."""
     seed: int = 0
-    """Fixes the performance."""
+    """Fixes performance, head motion and the errors of tracking and depth."""
+    depth_every: int = 4
+    """Depth as a method finds it for every so many frames of a take; exact depth for all."""
+    tracked_vertices: int = NUM_VERTICES
+    """Vertices that the tracked mesh aims at."""
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -60,6 +84,8 @@ class RenderOptions:
             ("height", 16, 8192),
             ("texture_size", 16, 4096),
             ("seed", 0, 2**31),
+            ("depth_every", 1, 100_000),
+            ("tracked_vertices", 100, 100_000),
         ):
             _check_range(self, name, low, high)
 
@@ -84,12 +110,6 @@ def _check_range(options: RenderOptions, name: str, low: int, high: int) -> None
     value = getattr(options, name)
     if not low <= value <= high:
         raise CaptureError(f"{name} is {value}; allowed are {low} to {high}")
-
-
-def _png(array: npt.NDArray[Any]) -> bytes:
-    out = io.BytesIO()
-    Image.fromarray(array).save(out, "PNG", compress_level=1)
-    return out.getvalue()
 
 
 def _fingerprint(options: RenderOptions, subject: Subject) -> str:
@@ -152,128 +172,178 @@ def render_subject(
     return counts
 
 
+class _Rendering:
+    """One subject in front of the cameras."""
+
+    def __init__(
+        self, subject: Subject, options: RenderOptions, out: Path, writer: BackgroundWriter
+    ) -> None:
+        self.subject, self.options, self.out, self.writer = subject, options, out, writer
+        self.cameras = dome_cameras(options.cameras, options.width, options.height)
+        names = subject.describe()["mask"]
+        self.materials = {int(value): name for value, name in names.items()}
+        shapes = np.stack([subject.pose(arkit) for arkit in OPENING])
+        self.tracked_topology, self.tracked = track_topology(
+            subject.topology, shapes, options.tracked_vertices
+        )
+        self.tracker = Tracker(self.tracked_topology, shapes[0, self.tracked], options.seed)
+        multiface.write_aside(out / multiface.KRT, multiface.krt_text(self.cameras).encode())
+        write_topology(out / multiface.TOPOLOGY, subject.topology)
+        write_topology(
+            out / multiface.TRACKED_TOPOLOGY,
+            self.tracked_topology,
+            dense_vertex=self.tracked.astype(np.int32),
+        )
+
+    def draw_frame(self, take: Take, number: int, index: int) -> None:
+        """Draw and write one frame; its tracked mesh comes last."""
+        frame, time_s = f"{index:06d}", index * STRIDE / RATE_HZ
+        lagged, exact = self._pose(take, index)
+        pose = HeadMotion(self.options.seed, number).head_to_world(time_s)
+        views = []
+        for place, camera in enumerate(self.cameras):
+            in_head = camera_in_head(camera, pose)
+            view = self.subject.draw(in_head)
+            views.append((in_head, view))
+            self._write_view(take, number, index, place, view)
+        texture, _ = self.subject.unwrap(views, self.options.texture_size)
+        path = multiface.texture_path(self.options.texture_size, take.segment, frame)
+        self.writer.image(self.out / path, lambda: np.ascontiguousarray(texture[::-1]))
+        rows = np.concatenate([pose[:, :3], multiface.MILLIMETRES * pose[:, 3:]], axis=1)
+        text = "".join(" ".join(repr(float(v)) for v in row) + "\n" for row in rows)
+        multiface.write_aside(
+            self.out / multiface.transform_path(take.segment, frame), text.encode()
+        )
+        tracked = self.tracker.follow(exact[self.tracked], lagged[self.tracked], number, time_s)
+        truth = multiface.mesh_path(take.segment, frame, multiface.TRUTH_MESH)
+        multiface.write_aside(self.out / truth, _millimetres(exact).tobytes())
+        self.writer.finish()
+        mesh = multiface.mesh_path(take.segment, frame)
+        multiface.write_aside(self.out / mesh, _millimetres(tracked).tobytes())
+
+    def _pose(self, take: Take, index: int) -> tuple[FloatArray, FloatArray]:
+        """Vertices of the lagging expression and of the real one, which is then current."""
+        arkit = take.arkit[index]
+        behind = lagged_arkit(arkit, take.history[index])
+        lagged: FloatArray | None = None
+        if self.tracker.lag_weight.any() and np.abs(behind - arkit).max() > LEAST_LAG:
+            lagged = self.subject.pose(behind)
+        exact = self.subject.pose(arkit)
+        return (exact if lagged is None else lagged), exact
+
+    def _write_view(self, take: Take, number: int, index: int, place: int, view: View) -> None:
+        camera, frame = self.cameras[place], f"{index:06d}"
+
+        def path(kind: str) -> Path:
+            return self.out / multiface.image_path(kind, take.segment, camera.name, frame)
+
+        def found() -> npt.NDArray[np.uint16]:
+            random = np.random.default_rng([self.options.seed, 0x3D3B, number, index, place])
+            depth_m = find_depth(view.depth_m, view.mask, camera, self.materials, random)
+            return depth_units(depth_m)
+
+        self.writer.image(path("images"), lambda: view.image)
+        self.writer.image(path("mask"), lambda: view.mask)
+        self.writer.image(path(multiface.TRUTH_DEPTH), lambda: depth_units(view.depth_m))
+        if index % self.options.depth_every == 0:
+            self.writer.image(path("depth"), found)
+
+
+def _millimetres(vertices_m: FloatArray) -> npt.NDArray[np.float32]:
+    scaled: npt.NDArray[np.float32] = (vertices_m * multiface.MILLIMETRES).astype("<f4")
+    return scaled
+
+
 def _render(
     subject: Subject, options: RenderOptions, out: Path, progress: Progress | None
 ) -> dict[str, Any]:
-    cameras = dome_cameras(options.cameras, options.width, options.height)
     takes = sample_takes(options.frames, options.seed)
-    multiface.write_aside(out / multiface.KRT, multiface.krt_text(cameras).encode())
-    _write_topology(subject.topology, out)
+    sums, errors = TrainingSums(), TrackingErrors()
     resumed = done = 0
-    identity_transform = "1 0 0 0\n0 1 0 0\n0 0 1 0\n"
-    sums = _Sums()
-    for take in takes:
-        for index, arkit in enumerate(take.arkit):
-            frame = f"{index:06d}"
-            mesh = out / multiface.mesh_path(take.segment, frame)
-            texture_file = out / multiface.texture_path(options.texture_size, take.segment, frame)
-            if mesh.is_file() and texture_file.is_file():
-                resumed += 1
-                with Image.open(texture_file) as image:
-                    texture = np.asarray(image)
-                vertices_mm = np.frombuffer(mesh.read_bytes(), "<f4").reshape(-1, 3)
-            else:
-                vertices_mm = (subject.pose(arkit) * multiface.MILLIMETRES).astype("<f4")
-                views = []
-                for camera in cameras:
-                    view = subject.draw(camera)
-                    views.append((camera, view))
-                    units = np.rint(view.depth_m / multiface.DEPTH_UNIT_M).astype(np.uint16)
-                    for kind, pixels in (
-                        ("images", view.image),
-                        ("depth", units),
-                        (multiface.TRUTH_DEPTH, units),
-                        ("mask", view.mask),
-                    ):
-                        path = multiface.image_path(kind, take.segment, camera.name, frame)
-                        multiface.write_aside(out / path, _png(pixels))
-                unwrapped, _ = subject.unwrap(views, options.texture_size)
-                texture = np.ascontiguousarray(unwrapped[::-1])
-                multiface.write_aside(texture_file, _png(texture))
-                transform = out / multiface.transform_path(take.segment, frame)
-                multiface.write_aside(transform, identity_transform.encode())
-                truth = out / multiface.mesh_path(take.segment, frame, multiface.TRUTH_MESH)
-                multiface.write_aside(truth, vertices_mm.tobytes())
-                multiface.write_aside(mesh, vertices_mm.tobytes())
-            if take.split == "train":
-                sums.add(vertices_mm, texture)
-            done += 1
-            if progress is not None:
-                progress(done, options.frames)
+    rendering: _Rendering | None = None
+    tracked: tuple[Topology, npt.NDArray[np.int64]] | None = None
+    with BackgroundWriter() as writer:
+        for number, take in enumerate(takes):
+            for index in range(len(take.arkit)):
+                frame = f"{index:06d}"
+                mesh = out / multiface.mesh_path(take.segment, frame)
+                if mesh.is_file():
+                    resumed += 1
+                else:
+                    rendering = rendering or _Rendering(subject, options, out, writer)
+                    rendering.draw_frame(take, number, index)
+                tracked = tracked or read_tracked(out)
+                _sum_up(out, options, take, frame, tracked[1], sums, errors)
+                done += 1
+                if progress is not None:
+                    progress(done, options.frames)
+    assert tracked is not None  # there are at least four frames
     sums.write(out)
-    _write_tables(options, subject, takes, out)
     num_test = sum(len(take.arkit) for take in takes if take.split == "test")
+    write_tables(out, takes, _describe(subject, options, tracked[0], errors))
     return {
         "frames": done,
-        "cameras": len(cameras),
-        "images": done * len(cameras),
+        "cameras": options.cameras,
+        "images": done * options.cameras,
         "train": done - num_test,
         "test": num_test,
         "resumed": resumed,
     }
 
 
-class _Sums:
-    """Running mean and variance of training meshes and textures."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self.vertices: Any = 0.0
-        self.vertices_square: Any = 0.0
-        self.texture: Any = 0.0
-        self.texture_square: Any = 0.0
-
-    def add(self, vertices_mm: npt.NDArray[np.float32], texture: ByteArray) -> None:
-        v, t = vertices_mm.astype(np.float64), texture.astype(np.float64)
-        self.count += 1
-        self.vertices, self.vertices_square = self.vertices + v, self.vertices_square + v * v
-        self.texture, self.texture_square = self.texture + t, self.texture_square + t * t
-
-    def write(self, out: Path) -> None:
-        v, t = self.vertices / self.count, self.texture / self.count
-        multiface.write_aside(out / "vert_mean.bin", v.astype("<f4").tobytes())
-        multiface.write_aside(out / "tex_mean.png", _png(np.rint(t).astype(np.uint8)))
-        for name, square, mean in (
-            ("vert_var.txt", self.vertices_square, v),
-            ("tex_var.txt", self.texture_square, t),
-        ):
-            variance = float(np.mean(np.maximum(square / self.count - mean * mean, 0.0)))
-            multiface.write_aside(out / name, f"{variance:.9g}\n".encode())
+def _sum_up(
+    out: Path,
+    options: RenderOptions,
+    take: Take,
+    frame: str,
+    tracked: npt.NDArray[np.int64],
+    sums: TrainingSums,
+    errors: TrackingErrors,
+) -> None:
+    """Count a frame that is done; what is summed is what its files hold."""
+    mesh = out / multiface.mesh_path(take.segment, frame)
+    truth = out / multiface.mesh_path(take.segment, frame, multiface.TRUTH_MESH)
+    texture = out / multiface.texture_path(options.texture_size, take.segment, frame)
+    tracked_mm = np.frombuffer(mesh.read_bytes(), "<f4").reshape(-1, 3)
+    exact_mm = np.frombuffer(truth.read_bytes(), "<f4").reshape(-1, 3)
+    errors.add(tracked_mm, exact_mm[tracked])
+    if take.split == "train":
+        with Image.open(texture) as image:
+            sums.add(tracked_mm, np.asarray(image))
 
 
-def _write_topology(topology: Topology, out: Path) -> None:
-    arrays: dict[str, Any] = {"vertex_uv": topology.vertex_uv, "faces": topology.faces}
-    arrays |= {f"region_{name}": mask for name, mask in topology.regions.items()}
-    data = io.BytesIO()
-    np.savez(data, **arrays)  # fixed zip time stamps: the same bytes every time
-    multiface.write_aside(out / multiface.TOPOLOGY, data.getvalue())
-
-
-def _write_tables(options: RenderOptions, subject: Subject, takes: list[Take], out: Path) -> None:
-    lines = [",".join(("segment", "frame", "split", *ARKIT_NAMES))]
-    names = []
-    for take in takes:
-        for index, arkit in enumerate(take.arkit):
-            numbers = ",".join(f"{value:.6g}" for value in arkit)
-            lines.append(f"{take.segment},{index:06d},{take.split},{numbers}")
-            names.append(f"{take.segment} {index:06d}")
-    multiface.write_aside(out / multiface.EXPRESSIONS, ("\n".join(lines) + "\n").encode())
-    multiface.write_aside(out / multiface.FRAME_LIST, ("\n".join(names) + "\n").encode())
-    info = {
-        "schema": multiface.SCHEMA,
+def _describe(
+    subject: Subject, options: RenderOptions, tracked: Topology, errors: TrackingErrors
+) -> dict[str, Any]:
+    """What `capture.json` says."""
+    method = MvsErrors()
+    return {
         **subject.describe(),
         "seed": options.seed,
-        "units": {"tracked_mesh": "mm", "KRT": "mm", "depth": "0.1 mm", "images": "sRGB 8 bit"},
-        "tracked_mesh": "exact synthetic mesh: the rendered surface, without a tracker's errors",
+        "units": {
+            "tracked_mesh": "mm",
+            "truth_mesh": "mm",
+            "KRT": "mm",
+            "depth": f"{multiface.DEPTH_UNIT_M * multiface.MILLIMETRES:g} mm",
+            "images": "sRGB 8 bit",
+        },
+        "tracked_mesh": {
+            "what": "a subset of the exact vertices with a simulated tracker's errors",
+            "num_vertices": len(tracked.vertex_uv),
+            "error_mm": errors.describe(tracked),
+        },
+        "truth_mesh": "the rendered surface",
+        "depth": {
+            "what": "exact depth with the holes, noise and outliers of a stereo method",
+            "every": options.depth_every,
+            "noise_mm": method.noise_m * multiface.MILLIMETRES,
+            "outlier_ratio": method.outlier_ratio,
+        },
         "width": options.width,
         "height": options.height,
         "texture_size": options.texture_size,
         "topology": multiface.TOPOLOGY,
+        "tracked_topology": multiface.TRACKED_TOPOLOGY,
         "num_vertices": len(subject.topology.vertex_uv),
-        "split": {
-            split: [take.segment for take in takes if take.split == split]
-            for split in ("train", "test")
-        },
         "evaluation_views": [name for name in EVALUATION_VIEWS],
     }
-    multiface.write_aside(out / multiface.CAPTURE, json.dumps(info, indent=1).encode() + b"\n")

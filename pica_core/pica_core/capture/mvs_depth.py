@@ -1,0 +1,176 @@
+"""Exact depth made into what a multi-view stereo method would find.
+
+- Holes: along silhouettes and depth steps, where a window sees two surfaces; where the surface is
+  grazed; in blotches on what stereo cannot match (hair, wet eyes, the inside of the mouth), and few
+  elsewhere.
+- Noise that grows as the surface turns away and is smooth over a matching window.
+- Outliers: blotches that landed on a wrong match, millimetres to centimetres off.
+
+Amounts are chosen; `docs/capture.md` shows what comes of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.camera import Camera
+
+FloatArray = npt.NDArray[np.float32]
+ByteArray = npt.NDArray[np.uint8]
+BoolArray = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MvsErrors:
+    """How good the method is."""
+
+    noise_m: float = 0.00015
+    """Standard deviation along the ray on a surface that faces the camera."""
+    window_px: float = 0.008
+    """Half the matching window, as a share of the image's shorter side; at least 1 pixel."""
+    step_m: float = 0.006
+    """Neighbouring depths that differ by more are a step."""
+    least_cosine: float = 0.22
+    """Surfaces that turn away further are not found."""
+    outlier_ratio: float = 0.01
+    """Share of the found pixels that are wrong matches."""
+    outlier_m: tuple[float, float] = (0.004, 0.04)
+    """How far off those are, either way."""
+    blotch_px: float = 0.02
+    """Size of blotches, as a share of the image's shorter side."""
+
+
+HOLE_RATIO: dict[str, float] = {
+    "hair": 0.65,
+    "eye": 0.5,
+    "teeth": 0.85,
+    "tongue": 0.85,
+    "mouth_bag": 1.0,
+    "gums": 0.85,
+    "lashes": 1.0,
+}
+"""Share of a material that is not found, by its name in the mask."""
+ELSEWHERE_RATIO = 0.02
+
+
+def find_depth(
+    depth_m: FloatArray,
+    mask: ByteArray,
+    camera: Camera,
+    materials: dict[int, str],
+    random: np.random.Generator,
+    errors: MvsErrors | None = None,
+) -> FloatArray:
+    """Depth as a method would find it.
+
+    Args:
+        depth_m: Exact depth along the camera axis, 0 where empty. ``[H, W]``.
+        mask: What is seen. ``[H, W]``.
+        camera: Intrinsics are used.
+        materials: Names of the mask's values.
+        random: Source of chance.
+        errors: How good the method is.
+
+    Returns:
+        float32 ``[H, W]``, 0 where nothing was found.
+    """
+    e = errors or MvsErrors()
+    side = min(depth_m.shape)
+    window = max(1, round(e.window_px * side))
+    cosine = _facing(depth_m, camera)
+    seen = (depth_m > 0) & ~_near_step(depth_m, e.step_m, window) & (cosine > e.least_cosine)
+    blotches = _uniform_blotches(random, depth_m.shape, max(2.0, e.blotch_px * side))
+    ratio = np.full(256, ELSEWHERE_RATIO, np.float32)
+    for value, name in materials.items():
+        ratio[value] = HOLE_RATIO.get(name, ELSEWHERE_RATIO)
+    found = seen & (blotches >= ratio[mask])
+    noise = _smooth_noise(random, depth_m.shape, window) * e.noise_m / np.maximum(cosine, 0.1)
+    result = depth_m + noise
+    size = max(2.0, 0.5 * e.blotch_px * side)
+    cells = _cell_index(depth_m.shape, size)
+    count = int(cells[-1, -1]) + 1
+    offset = random.uniform(*e.outlier_m, count) * random.choice((-1.0, 1.0), count)
+    wrong = _uniform_blotches(random, depth_m.shape, size) < e.outlier_ratio
+    result[wrong] += offset.astype(np.float32)[cells[wrong]]
+    return np.where(found, result, 0.0).astype(np.float32)
+
+
+def _facing(depth_m: FloatArray, camera: Camera) -> FloatArray:
+    """Cosine between the surface and the ray, from depth alone; 0 where empty. ``[H, W]``."""
+    h, w = depth_m.shape
+    k = camera.intrinsics
+    x = ((np.arange(w) + 0.5 - k[0, 2]) / k[0, 0]).astype(np.float32)
+    y = ((np.arange(h) + 0.5 - k[1, 2]) / k[1, 1]).astype(np.float32)
+    ray = np.stack(np.broadcast_arrays(x[None], y[:, None], np.float32(1.0)), -1)
+    point = ray * depth_m[..., None]
+    across, down = np.zeros_like(point), np.zeros_like(point)
+    across[:, 1:-1] = point[:, 2:] - point[:, :-2]
+    down[1:-1] = point[2:] - point[:-2]
+    normal = np.cross(down, across)
+    size = np.linalg.norm(normal, axis=2) * np.linalg.norm(ray, axis=2)
+    cosine: FloatArray = np.abs((normal * ray).sum(axis=2)) / np.maximum(size, 1e-20)
+    cosine[depth_m <= 0] = 0.0
+    return cosine.astype(np.float32)
+
+
+def _near_step(depth_m: FloatArray, step_m: float, reach: int) -> BoolArray:
+    """Pixels within `reach` of background or of a step in depth, along rows or columns."""
+    step = np.zeros(depth_m.shape, np.bool_)
+    down = np.abs(np.diff(depth_m, axis=0)) > step_m
+    across = np.abs(np.diff(depth_m, axis=1)) > step_m
+    step[1:] |= down
+    step[:-1] |= down
+    step[:, 1:] |= across
+    step[:, :-1] |= across
+    return _box_mean(step.astype(np.float32), reach) > 0.25 / (2 * reach + 1) ** 2
+
+
+def _box_mean(values: FloatArray, reach: int) -> FloatArray:
+    """Mean over a square window, edges repeated."""
+    size = 2 * reach + 1
+    result = values
+    for axis in (0, 1):
+        pad = [(reach + 1, reach) if a == axis else (0, 0) for a in (0, 1)]
+        total = np.cumsum(np.pad(result, pad, mode="edge"), axis=axis, dtype=np.float64)
+        low, high = [slice(None)] * 2, [slice(None)] * 2
+        low[axis], high[axis] = slice(0, -size), slice(size, None)
+        result = ((total[tuple(high)] - total[tuple(low)]) / size).astype(np.float32)
+    return result
+
+
+def _smooth_noise(random: np.random.Generator, shape: tuple[int, int], reach: int) -> FloatArray:
+    """Noise of unit variance: half of its variance per pixel, half shared within a window."""
+    fine = random.standard_normal(shape, np.float32)
+    shared = _box_mean(random.standard_normal(shape, np.float32), reach)
+    shared *= 2 * reach + 1
+    mixed: FloatArray = np.sqrt(np.float32(0.5)) * (fine + shared)
+    return mixed
+
+
+def _cell_index(shape: tuple[int, int], size: float) -> npt.NDArray[np.int64]:
+    """A cell's number for each pixel, cells of about `size` pixels."""
+    rows = (np.arange(shape[0]) / size).astype(np.int64)
+    columns = (np.arange(shape[1]) / size).astype(np.int64)
+    numbers: npt.NDArray[np.int64] = rows[:, None] * (columns[-1] + 1) + columns[None]
+    return numbers
+
+
+def _uniform_blotches(
+    random: np.random.Generator, shape: tuple[int, int], size: float
+) -> FloatArray:
+    """Smooth blotches whose values are evenly spread over 0 to 1. ``[H, W]``."""
+    rows, columns = (int(n / size) + 3 for n in shape)
+    grid = random.standard_normal((rows, columns), np.float32)
+    shift = random.random(2)
+    r, c = (np.arange(n) / size + s for n, s in zip(shape, shift, strict=True))
+    r0, c0 = r.astype(np.int64), c.astype(np.int64)
+    fr, fc = (r - r0).astype(np.float32)[:, None], (c - c0).astype(np.float32)[None]
+    value = (grid[r0][:, c0] * (1 - fc) + grid[r0][:, c0 + 1] * fc) * (1 - fr)
+    value += (grid[r0 + 1][:, c0] * (1 - fc) + grid[r0 + 1][:, c0 + 1] * fc) * fr
+    value /= np.sqrt(((1 - fr) ** 2 + fr**2) * ((1 - fc) ** 2 + fc**2))
+    # The normal distribution function, to 1e-3 (Bowling et al. 2009, a logistic in z and z^3).
+    uniform: FloatArray = 1.0 / (1.0 + np.exp(-(1.5976 * value + 0.07056 * value**3)))
+    return uniform

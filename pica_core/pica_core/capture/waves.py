@@ -1,0 +1,60 @@
+"""Smooth random functions of place and time that need no state: sums of a few random waves.
+
+Any moment can be asked for by itself, so a render that is resumed gives what an uninterrupted one
+gives.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Float64Array = npt.NDArray[np.float64]
+
+
+class TimeWaves:
+    """Independent smooth signals of about unit variance.
+
+    Args:
+        random: Source of chance.
+        count: Number of signals.
+        scale_s: Time over which a signal changes, seconds.
+        waves: Waves per signal; one is a sine, many are near a Gaussian process.
+    """
+
+    def __init__(
+        self, random: np.random.Generator, count: int, scale_s: float, waves: int = 3
+    ) -> None:
+        self._frequency = random.normal(0.0, 1.0 / scale_s, (waves, count))
+        self._phase = random.uniform(0.0, 2 * np.pi, (waves, count))
+
+    def at(self, time_s: float) -> Float64Array:
+        """The signals at a moment. float64 ``[count]``."""
+        waves = np.cos(self._frequency * time_s + self._phase)
+        values: Float64Array = waves.sum(axis=0) * np.sqrt(2.0 / len(waves))
+        return values
+
+
+class SpaceTimeWaves:
+    """A smooth vector field on fixed points that changes smoothly with time.
+
+    Args:
+        random: Source of chance for the field's shape.
+        points_m: Where it is asked for, metres. ``[V, 3]``.
+        scale_m: Distance over which it changes, metres.
+        waves: How many waves are added up.
+    """
+
+    def __init__(
+        self, random: np.random.Generator, points_m: npt.ArrayLike, scale_m: float, waves: int = 48
+    ) -> None:
+        points = np.asarray(points_m, np.float64)
+        direction = random.normal(0.0, 1.0 / scale_m, (3, waves))
+        phase = random.uniform(0.0, 2 * np.pi, waves)
+        self._basis = np.sqrt(2.0 / waves) * np.cos(points @ direction + phase)
+        self.waves = waves
+
+    def mix(self, strengths: Float64Array) -> Float64Array:
+        """The field for given strengths ``[waves * 3]`` of unit variance. float64 ``[V, 3]``."""
+        field: Float64Array = self._basis @ strengths.reshape(self.waves, 3)
+        return field
