@@ -130,16 +130,23 @@ class TextureDecoder(nn.Module):
         with torch.no_grad():
             convolution.weight.mul_(0.1)
 
+    def layers(self) -> list[tuple[nn.ConvTranspose2d, UntiedBias]]:
+        """Convolutions with the biases behind them."""
+        pairs = []
+        for convolution, bias in zip(self.convolutions, self.biases, strict=True):
+            assert isinstance(convolution, nn.ConvTranspose2d)
+            assert isinstance(bias, UntiedBias)
+            pairs.append((convolution, bias))
+        return pairs
+
     def forward(self, features: Tensor) -> Tensor:
         """``[N, z + 8]`` to ``[N, 3, T, T]``."""
         values = functional.leaky_relu(self.grid(features), LEAKY_SLOPE)
         values = values.view(len(features), self._first, FIRST_SIZE, FIRST_SIZE)
-        last = len(self.convolutions) - 1
-        for index, (convolution, bias) in enumerate(
-            zip(self.convolutions, self.biases, strict=True)
-        ):
+        layers = self.layers()
+        for index, (convolution, bias) in enumerate(layers):
             values = bias(convolution(values))
-            if index < last:
+            if index + 1 < len(layers):
                 values = functional.leaky_relu(values, LEAKY_SLOPE)
         return values
 
@@ -244,12 +251,11 @@ class DeepAppearanceModel(AvatarModel):
         for part in ("weight", "bias"):
             tensors[f"mesh.{part}"] = self.position_scale_m * tensors[f"mesh.{part}"]
         tensors["mesh.bias"] = tensors["mesh.bias"] + self.tracked_mean_m.flatten()
-        parts = zip(self.texture.convolutions, self.texture.biases, strict=True)
-        for index, (convolution, bias) in enumerate(parts):
-            last = index + 1 == len(self.texture.convolutions)
-            unit = TEXTURE_SCALE if last else 1.0
-            tensors[f"texture.{index}.weight"] = unit * convolution.weight  # type: ignore[operator]
-            tensors[f"texture.{index}.bias"] = unit * bias.weight  # type: ignore[operator]
+        layers = self.texture.layers()
+        for index, (convolution, bias) in enumerate(layers):
+            unit = TEXTURE_SCALE if index + 1 == len(layers) else 1.0
+            tensors[f"texture.{index}.weight"] = unit * convolution.weight
+            tensors[f"texture.{index}.bias"] = unit * bias.weight
         return tensors
 
     def _code(self, latent: Tensor) -> Tensor:
@@ -257,6 +263,4 @@ class DeepAppearanceModel(AvatarModel):
 
     @property
     def _texel_bias(self) -> nn.Parameter:
-        bias = self.texture.biases[-1]
-        assert isinstance(bias, UntiedBias)
-        return bias.weight
+        return self.texture.layers()[-1][1].weight

@@ -13,8 +13,11 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from pica_core.errors import CheckpointError, TrainingOptionError
+from pica_core.model.interface import AvatarModel, FacePrior
 from pica_core.model.pixel_decoder import FIRST_FREQUENCY
+from pica_core.model.variants import make_model
 from pica_core.spec import AvatarSpec
+from pica_core.variants import VARIANTS
 
 PHASES = ("geometry", "joint", "driver")
 
@@ -23,6 +26,8 @@ PHASES = ("geometry", "joint", "driver")
 class ModelConfig:
     """What is built."""
 
+    variant: str = "full"
+    """Which model of the paper's tables (`VARIANTS`)."""
     block: str = "C"
     """Block of the per-object decoders: B, H2 or C."""
     encoder: str = "light"
@@ -36,6 +41,14 @@ class ModelConfig:
     texels that few images saw."""
     first_frequency: float = FIRST_FREQUENCY
     """Scale of the first sine layers."""
+    texture_size: int = 512
+    """Rows and columns of the baseline's texture; 1024 in the paper."""
+
+    def __post_init__(self) -> None:
+        if self.variant not in VARIANTS:
+            raise TrainingOptionError(
+                f"variant is {self.variant!r}; known are {', '.join(VARIANTS)}"
+            )
 
     def spec(self) -> AvatarSpec:
         """The sizes as an `AvatarSpec`."""
@@ -43,6 +56,19 @@ class ModelConfig:
             block=self.block,
             uv_encoding_size=self.uv_encoding_size,
             axis_encoding_size=self.axis_encoding_size,
+            encoding=VARIANTS[self.variant].encoding,
+        )
+
+    def build(self, prior: FacePrior) -> AvatarModel:
+        """A model with fresh weights, for the person that the prior describes."""
+        return make_model(
+            self.variant,
+            self.spec(),
+            prior,
+            encoder=self.encoder,
+            encoding_amplitude=self.encoding_amplitude,
+            first_frequency=self.first_frequency,
+            texture_size=self.texture_size,
         )
 
 
@@ -168,7 +194,7 @@ _SMALL = TrainConfig()
 PRESETS: dict[str, TrainConfig] = {
     "tiny": replace(
         _SMALL,
-        model=replace(_SMALL.model, uv_encoding_size=64, axis_encoding_size=256),
+        model=replace(_SMALL.model, uv_encoding_size=64, axis_encoding_size=256, texture_size=128),
         schedule=replace(
             _SMALL.schedule,
             geometry_steps=60,
