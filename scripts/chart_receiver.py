@@ -72,7 +72,8 @@ def _decode_tables(line: Line) -> str:
 
 def _own(result: Row) -> list[Row]:
     """Rows of the table with the weights where the renderer would put them."""
-    chosen = {row["weights"] for row in result["rows"] if row["shading_rate"] == 2}
+    full = _full(result)
+    chosen = {row["weights"] for row in result["rows"] if row["level"] not in (full, 0)}
     return [row for row in result["rows"] if row["weights"] in chosen | {None}]
 
 
@@ -118,22 +119,21 @@ def _draw_render(line: Line) -> Figure:
 def _render_table(line: Line) -> str:
     result = line["result"]
     ratios = {
-        (row["distance_cm"], row["level"], row["shading_rate"]): row
-        for row in result["summary"]["ratios"]
+        (row["distance_cm"], row["level"], row["mesh"]): row for row in result["summary"]["ratios"]
     }
     header = (
-        *("cm", "model", "level", "rate", "pixels", "triangles", "draw, ms", "of processor"),
+        *("cm", "model", "level", "mesh", "pixels", "triangles", "draw, ms", "of processor"),
         *("vertices, of processor", "draw ÷ baseline", "of processor", "vertices ÷ full mesh"),
     )
     rows = []
     for row in _own(result):
-        ratio = ratios.get((row["distance_cm"], row["level"], row["shading_rate"]), {})
+        ratio = ratios.get((row["distance_cm"], row["level"], row["mesh"]), {})
         rows.append(
             (
                 f"{row['distance_cm']:g}",
                 row["model"],
                 row["level"] or None,
-                row["shading_rate"],
+                row["mesh"] or None,
                 f"{row['pixels']:,}",
                 f"{row['triangles']:,}",
                 row["draw_ms"],
@@ -147,7 +147,7 @@ def _render_table(line: Line) -> str:
     places = [
         (f"{row['distance_cm']:g}", row["weights"], row["draw_ms"], row["draw_cpu_ms"])
         for row in result["rows"]
-        if row["model"] == "pica" and row["shading_rate"] == 1 and row["level"] == _full(result)
+        if row["model"] == "pica" and row["level"] == row["mesh"] == _full(result)
     ]
     weights = markdown_table(("cm", "weights", "draw, ms", "of processor"), places)
     soak = result.get("soak")
@@ -179,7 +179,7 @@ def _draw_pareto(line: Line) -> Figure:
         )
         axis.plot(*zip(*best, strict=True), color="#bbbbbb", zorder=0)
         for row in (row for row in here if row["mse"] is not None):
-            is_whole = row["shading_rate"] == 1
+            is_whole = row["mesh"] == row["level"]
             axis.plot(
                 row["total_ms"],
                 row["mse"],
@@ -199,7 +199,13 @@ def _draw_pareto(line: Line) -> Figure:
             for level, label in ((256, "256²"), (128, "128²"), (64, "64²"))
         ),
         plt.Line2D(
-            [], [], marker="o", color="#555555", linestyle="", fillstyle="none", label="half rate"
+            [],
+            [],
+            marker="o",
+            color="#555555",
+            linestyle="",
+            fillstyle="none",
+            label="coarser mesh",
         ),
         *(
             plt.Line2D([], [], marker="o", color=colours[kind], linestyle="", label=kind)
@@ -213,7 +219,7 @@ def _draw_pareto(line: Line) -> Figure:
 
 def _pareto_table(line: Line) -> str:
     header = (
-        *("cm", "model", "level", "rate", "weights", "file, MB", "decode, ms", "draw, ms"),
+        *("cm", "model", "level", "mesh", "weights", "file, MB", "decode, ms", "draw, ms"),
         *("MSE", "MSE of change", "best"),
     )
     rows = [
@@ -221,7 +227,7 @@ def _pareto_table(line: Line) -> str:
             f"{row['distance_cm']:g}",
             row["model"],
             row["level"],
-            row["shading_rate"],
+            row["mesh"],
             row["precision"],
             None if row["file_bytes"] is None else f"{row['file_bytes'] / 1e6:.2f}",
             row["decode_ms"],
@@ -290,7 +296,7 @@ def _scene_tables(line: Line) -> str:
     result = line["result"]
     header = (
         *("heads", "cm", "scheduler", "budget, ms", "total, ms", "decode", "upload", "draw"),
-        *("plan", "decodes a frame", "MSE", "kbit/s", "levels", "rates"),
+        *("plan", "decodes a frame", "MSE", "kbit/s", "levels", "meshes"),
     )
     rows = [
         (
@@ -307,7 +313,7 @@ def _scene_tables(line: Line) -> str:
             row["error"],
             round(row["payload_bps"] / 1e3, 2),
             _shares(row["levels"]),
-            _shares(row["shading_rates"]),
+            _shares(row["meshes"]),
         )
         for row in result["rows"]
     ]
@@ -331,7 +337,7 @@ def _scene_tables(line: Line) -> str:
             row["error_rise"],
             f"{row['limited']:.0%}",
             _shares(row["levels"]),
-            _shares(row["shading_rates"]),
+            _shares(row["meshes"]),
         )
         for row in summary["budgets"]
     ]
@@ -344,7 +350,7 @@ def _scene_tables(line: Line) -> str:
     text += "\n\n" + markdown_table(
         (
             *("cm", "budget", "floor", "spent (all over unconstrained)", "MSE", "rise"),
-            *("heads limited", "levels", "rates"),
+            *("heads limited", "levels", "meshes"),
         ),
         budgets,
     )

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.avatar_file import Avatar, Manifest, spec_tensor_shapes
-from pica_core.level_tensors import error_tensors, exit_shapes, faces_name
+from pica_core.level_tensors import NUM_TEXELS, error_tensors, exit_shapes, faces_name, sheet_rows
 from pica_core.levels import default_errors, level_sizes
 from pica_core.spec import AvatarSpec
 from pica_core.variants import VARIANTS
@@ -89,16 +89,20 @@ def with_toy_levels(avatar: Avatar, *, seed: int = 8, errors: bool = True) -> Av
     grid = round(len(tensors["mesh.vertex_uv"]) ** 0.5)
     *exits, full = level_sizes(avatar.spec)
     for level in exits:
-        for name, shape in exit_shapes(avatar.spec, level).items():
-            inputs = shape[-1] / 3 if "geometry" in name else np.prod(shape[1:])
-            spread = np.sqrt(1.5 / inputs) if name.endswith("weight") else 0.05
-            tensors[name] = (rng.standard_normal(shape) * spread).astype(np.float32)
-        texel = (np.arange(level, dtype=np.float32) + 0.5) / level
-        tensors[f"level.{level}.geometry.mean"] = head_surface(*np.meshgrid(texel, texel))
         kept = np.unique(np.linspace(0, grid - 1, max(3, grid * level // full)).round())
         corner = kept.astype(np.int32)
         index = (corner[:, None] * grid + corner).reshape(-1).astype(np.int32)
         tensors[faces_name(level)] = index[grid_faces(len(corner), len(corner))]
+        rows = sheet_rows(len(index), level)
+        for name, shape in exit_shapes(avatar.spec, level, rows).items():
+            inputs = shape[-1] / 3 if "geometry" in name else np.prod(shape[1:])
+            spread = np.sqrt(1.5 / inputs) if name.endswith("weight") else 0.05
+            tensors[name] = (rng.standard_normal(shape) * spread).astype(np.float32)
+        rest = np.zeros((rows * level, 3), np.float32)
+        rest[: len(index)] = head_surface(*tensors["mesh.vertex_uv"][index].T)
+        tensors[f"level.{level}.geometry.mean"] = rest.reshape(rows, level, 3)
+        texel = rng.integers(level * level, size=(rows, level, NUM_TEXELS))
+        tensors[f"level.{level}.geometry.texel"] = texel.astype(np.int32)
     if errors:
         tensors |= error_tensors(default_errors((*exits, full)))
     return Avatar(avatar.manifest, tensors)

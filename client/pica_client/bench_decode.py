@@ -58,8 +58,8 @@ from pica_core.avatar_file import Avatar
 from pica_core.baseline import baseline_like
 from pica_core.decoder_layers import decoder_layers
 from pica_core.expression_encoder import ExpressionEncoder
-from pica_core.level_tensors import exit_shapes
-from pica_core.levels import default_errors, level_sizes
+from pica_core.level_tensors import exit_shapes, is_index
+from pica_core.levels import default_errors
 from pica_core.mesh import sample_vertices
 from pica_core.onnx_graph import decoder_graph
 from pica_core.spec import BLOCKS
@@ -172,13 +172,16 @@ def random_decoders(avatar: Avatar, block: str, seed: int) -> Avatar:
     for decoder in spec.decoder_channels:
         for layer in decoder_layers(spec, decoder):
             shapes |= layer.tensor_shapes()
-    for level in level_sizes(spec)[:-1]:
-        shapes |= exit_shapes(spec, level)
+    for level in avatar.levels[:-1]:
+        shapes |= exit_shapes(spec, level, avatar.position_rows(level))
     rng = np.random.default_rng(seed)
     tensors: dict[str, npt.NDArray[Any]] = {
         "geometry.mean": np.zeros((spec.map_size, spec.map_size, 3), np.float32)
     }
     for name, shape in shapes.items():
+        if is_index(name):
+            tensors[name] = avatar.tensors[name]
+            continue
         spread = np.sqrt(2 / np.prod(shape[1:])) if len(shape) == 4 else 0.05
         tensors[name] = rng.standard_normal(shape, np.float32) * np.float32(spread)
     return Avatar(replace(avatar.manifest, spec=spec), tensors)
@@ -330,7 +333,7 @@ def _row(
     mse = vertex_mm = None
     if avatar is not None and level is not None and contender.model == "pica":
         errors = avatar.level_errors
-        mse = None if errors is None else round(errors.at(level, 1, config.head_px), 3)
+        mse = None if errors is None else round(errors.at(level, config.head_px), 3)
         vertex_mm = round(vertex_error_mm(avatar, level, latents), 4)
     return {
         "model": contender.model,
@@ -350,14 +353,16 @@ def _row(
 
 def vertex_error_mm(avatar: Avatar, level: int, latents: Sequence[FloatArray]) -> float:
     """Mean distance of a level's vertices from those of the full level, millimetres."""
+    if level == avatar.spec.map_size:
+        return 0.0
     decoder = OnnxDecoder(avatar)
-    uv = avatar.tensors["mesh.vertex_uv"]
+    uv = avatar.tensors["mesh.vertex_uv"][np.unique(avatar.level_faces(level))]
     distances_m = []
     for latent in latents:
-        coarse, fine = (decoder.decode(latent, AHEAD, size) for size in (level, None))
-        assert coarse.position_map is not None
-        assert fine.position_map is not None
-        moved = sample_vertices(coarse.position_map, uv) - sample_vertices(fine.position_map, uv)
+        sheet, full = (decoder.decode(latent, AHEAD, size).position_map for size in (level, None))
+        assert sheet is not None
+        assert full is not None
+        moved = sheet.reshape(-1, 3)[: len(uv)] - sample_vertices(full, uv)
         distances_m.append(float(np.linalg.norm(moved, axis=1).mean()))
     return 1e3 * float(np.mean(distances_m))
 

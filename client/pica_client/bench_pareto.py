@@ -1,5 +1,5 @@
-"""Error against milliseconds for every way to show a face: level, shading rate, precision of the
-weights, block of the decoders.
+"""Error against milliseconds for every way to show a face: level, mesh, precision of the weights,
+block of the decoders.
 
 A talking head at several distances, laid out as in `bench_render`. The truth of a frame is the full
 level of the avatar as it is in memory, drawn with `SAMPLES` x `SAMPLES` samples a pixel. Every
@@ -10,7 +10,7 @@ Rows:
     model            "pica": the avatar; "block B", "block H2": the paper's sizes with another block
                      and random weights: they have a cost and no error
     level            texels per side of the maps
-    shading_rate     1, or 2: a quarter of the pixels decoded
+    mesh             level of the triangles; other than `level` with the full maps alone
     precision        of the decoders' weights: "f32" as in memory, "f16", "u8" as a file may hold
                      them; they are widened when the file is read, so they cost the same time
     file_bytes       of an avatar file that stores them so; null where there is no such file
@@ -54,7 +54,6 @@ from pica_core.avatar_storage import DEFAULT_STORAGE, Storage
 from pica_core.camera import Camera
 from pica_core.expression_encoder import ExpressionEncoder
 from pica_core.gl import create_context, wait_for_gpu
-from pica_core.levels import SHADING_RATES
 
 Image = npt.NDArray[np.uint8]
 Mask = npt.NDArray[np.bool_]
@@ -96,7 +95,7 @@ class _Contender:
 
     model: str
     level: int
-    shading_rate: int
+    mesh: int
     precision: str
     distance_cm: float
     decoder: OnnxDecoder
@@ -186,13 +185,13 @@ class _Bench:
             other = random_decoders(avatar, block, seed=0)
             found.append((f"block {block}", "f32", OnnxDecoder(other), False, None, (full,)))
         return [
-            _Contender(model, level, rate, precision, distance, decoder, is_judged, file_bytes)
+            _Contender(model, level, mesh, precision, distance, decoder, is_judged, file_bytes)
             for distance in self._config.distances_cm
             for model, precision, decoder, is_judged, file_bytes, levels in found
             for level in levels
-            for rate in SHADING_RATES
-            # Coarse shading costs and loses the same whatever the weights were stored as.
-            if rate == 1 or (model, precision) == ("pica", "f32")
+            for mesh in avatar.levels
+            # Fewer triangles cost and lose the same whatever the weights were stored as.
+            if mesh == level or (model, precision, level) == ("pica", "f32", full)
         ]
 
     def _show(
@@ -216,9 +215,7 @@ class _Bench:
                 contender.decode_s.append(decoded_s - begin_s)
             return
         self._renderer.update_maps("head", maps.position_map, maps.expression_map)
-        placement = Placement(
-            slot="head", world_from_head=matrix, shading_rate=contender.shading_rate
-        )
+        placement = Placement(slot="head", world_from_head=matrix, mesh_level=contender.mesh)
         drawing_s = time.perf_counter()
         self._renderer.draw([placement], camera)
         wait_for_gpu(self._context)
@@ -290,7 +287,7 @@ def _row(contender: _Contender) -> dict[str, Any]:
     return {
         "model": contender.model,
         "level": contender.level,
-        "shading_rate": contender.shading_rate,
+        "mesh": contender.mesh,
         "precision": contender.precision,
         "file_bytes": contender.file_bytes,
         "distance_cm": contender.distance_cm,

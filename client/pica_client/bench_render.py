@@ -11,10 +11,10 @@ Rows:
 
     model, level    "pica" at one of the avatar's levels, or "baseline": the same head as a textured
                     mesh drawn in one pass, as `pica_core.baseline` describes it
-    shading_rate    1, or 2: a quarter of the pixels decoded
+    mesh            level of the triangles, where that is another one
     weights         where the pixel decoder's weights stand, see `RenderOptions`
     distance_cm
-    pixels          pixels that the head coloured; for a rate of 2 those that were decoded
+    pixels          pixels that the head coloured
     triangles
     draw_ms         a frame
     vertex_ms       the meshes of a frame with a scissor of one pixel: vertices, clipping and the
@@ -106,7 +106,8 @@ class _Case:
     model: Model
     level: int
     """0 for the baseline."""
-    shading_rate: int
+    mesh: int
+    """Level of the triangles; 0 for the baseline."""
     weights: Weights
     distance_cm: float
 
@@ -190,30 +191,27 @@ class _Bench:
         self.weights = self._renderers["auto"].weights
 
     def table_cases(self) -> list[_Case]:
-        """Every level at both rates and the baseline at every distance; the full level also with
-        its weights in other places."""
+        """Every level, the full maps on every mesh, and the baseline at every distance; the full
+        level also with its weights in other places."""
         full = self._avatar.levels[-1]
         others: list[Weights] = [place for place in ("block", "constants", "turns")]
         cases = []
         for distance in self._config.distances_cm:
             variants: list[tuple[Model, int, int, Weights]] = [
-                *(
-                    ("pica", level, rate, "auto")
-                    for level in self._avatar.levels
-                    for rate in (1, 2)
-                ),
-                *(("pica", full, 1, place) for place in others if place != self.weights),
-                ("baseline", 0, 1, "auto"),
+                *(("pica", level, level, "auto") for level in self._avatar.levels),
+                *(("pica", full, mesh, "auto") for mesh in self._avatar.levels[:-1]),
+                *(("pica", full, full, place) for place in others if place != self.weights),
+                ("baseline", 0, 0, "auto"),
             ]
             cases += [
                 _Case(
                     model=model,
                     level=level,
-                    shading_rate=rate,
+                    mesh=mesh,
                     weights=place,
                     distance_cm=distance,
                 )
-                for model, level, rate, place in variants
+                for model, level, mesh, place in variants
             ]
         return cases
 
@@ -227,7 +225,7 @@ class _Bench:
             _Case(
                 model=model,
                 level=level,
-                shading_rate=1,
+                mesh=level,
                 weights="auto",
                 distance_cm=round(float(distance), 1),
             )
@@ -263,7 +261,7 @@ class _Bench:
                 {
                     "model": case.model,
                     "level": case.level,
-                    "shading_rate": case.shading_rate,
+                    "mesh": case.mesh,
                     "weights": renderer.weights if case.model == "pica" else None,
                     "distance_cm": case.distance_cm,
                     "pixels": sum(head.shaded_pixels or 0 for head in stats.heads),
@@ -325,7 +323,7 @@ class _Bench:
         return Placement(
             slot=f"{case.model}-{case.level}",
             world_from_head=HEAD,
-            shading_rate=case.shading_rate,
+            mesh_level=case.mesh or None,
         )
 
     def _camera(self, distance_cm: float, size: int | None = None) -> Camera:
@@ -411,12 +409,12 @@ def summarise(
     for distance in sorted({row["distance_cm"] for row in own}):
         there = [row for row in own if row["distance_cm"] == distance]
         (baseline,) = _of(there, "baseline")
-        (whole,) = (row for row in there if row["level"] == full and row["shading_rate"] == 1)
+        (whole,) = (row for row in there if row["level"] == full and row["mesh"] == full)
         ratios += [
             {
                 "distance_cm": distance,
                 "level": row["level"],
-                "shading_rate": row["shading_rate"],
+                "mesh": row["mesh"],
                 **{
                     f"draw_{clock}over_baseline": round(
                         row[f"draw_{clock}ms"] / baseline[f"draw_{clock}ms"], 3

@@ -48,7 +48,7 @@ def bench_render(options: BenchRenderOptions) -> dict[str, Any]:
     for row in result["rows"]:
         name = f"{row['model']} {row['level'] or ''}".strip()
         say(
-            f"{row['distance_cm']:6g} cm  {name:10} rate {row['shading_rate']}  "
+            f"{row['distance_cm']:6g} cm  {name:10} mesh {row['mesh']:3d}  "
             f"{row['weights'] or '':9}  {row['pixels']:8d} px  {row['triangles']:6d} triangles  "
             f"draw {row['draw_ms']:8.2f} ms  vertices {row['vertex_ms']:6.2f} ms  "
             f"processor {row['draw_cpu_ms']:8.2f} ms, {row['vertex_cpu_ms']:6.2f} ms"
@@ -81,15 +81,18 @@ def avatar_measure(options: AvatarMeasureOptions) -> dict[str, Any]:
     avatar = load_avatar(options.file)
     errors = measure_levels(avatar, lambda ratio: say(f"{ratio:.0%}"))
     save_avatar(options.out, with_errors(avatar, errors))
-    rows = []
-    for level, by_rate in zip(errors.levels, errors.mse.tolist(), strict=True):
-        for rate, by_height in enumerate(by_rate, start=1):
-            rows.append({"level": level, "shading_rate": rate, "mse": by_height})
+    rows: list[dict[str, Any]] = []
+    full = avatar.levels[-1]
+    for mesh, by_maps in zip(errors.levels, errors.mse.tolist(), strict=True):
+        for level, by_height in zip((mesh, full), by_maps, strict=True):
+            if level == mesh == full and rows and rows[-1]["mesh"] == full:
+                continue
+            rows.append({"level": level, "mesh": mesh, "mse": by_height})
             figures = "  ".join(
                 f"{height:g} px {error:.1f}"
                 for height, error in zip(errors.head_px.tolist(), by_height, strict=True)
             )
-            say(f"level {level} at rate {rate}: MSE {figures}")
+            say(f"maps of {level} on the mesh of {mesh}: MSE {figures}")
     say(f"wrote {options.out}")
     return {
         "name": avatar.manifest.name,

@@ -22,7 +22,7 @@ Rows:
     payload_bps             of all streams, only the layers that were asked for
     decodes                 of a frame; expression maps alone count one half
     limited                 share of visible heads from which the budget kept something
-    levels, shading_rates   how often what was chosen for a visible head
+    levels, meshes          how often what was chosen for a visible head
     pixels                  covered by heads
     triangles
 
@@ -142,7 +142,7 @@ class _Case:
     frame: int = 0
     frames: list[_Frame] = field(default_factory=list)
     levels: Counter[str] = field(default_factory=Counter)
-    rates: Counter[str] = field(default_factory=Counter)
+    meshes: Counter[str] = field(default_factory=Counter)
     num_limited: int = 0
     pixels: int = 0
     triangles: int = 0
@@ -270,7 +270,7 @@ class _Bench:
             "decodes": round(sum(frame.decodes for frame in frames) / len(frames), 2),
             "limited": round(case.num_limited / num_seen, 3) if num_seen else 0.0,
             "levels": dict(sorted(case.levels.items())),
-            "shading_rates": dict(sorted(case.rates.items())),
+            "meshes": dict(sorted(case.meshes.items())),
             "pixels": case.pixels,
             "triangles": case.triangles,
             "frames": len(frames),
@@ -301,7 +301,7 @@ class _Bench:
         if is_measured:
             for choice in choices.values():
                 case.levels[str(choice.level)] += 1
-                case.rates[str(choice.shading_rate)] += 1
+                case.meshes[str(choice.mesh_level)] += 1
                 case.num_limited += choice.is_limited
         if is_judged:
             shown, _ = self._read()

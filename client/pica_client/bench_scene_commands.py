@@ -87,7 +87,7 @@ class BenchParetoOptions:
 
 
 def bench_pareto(options: BenchParetoOptions) -> dict[str, Any]:
-    """Measure error against milliseconds for every level, shading rate, precision and block.
+    """Measure error against milliseconds for every level, mesh, precision and block.
 
     Set LP_NUM_THREADS to say how many threads software GL takes.
     """
@@ -102,7 +102,7 @@ def bench_pareto(options: BenchParetoOptions) -> dict[str, Any]:
     for row in result["rows"]:
         if row["mse"] is not None:
             say(
-                f"{row['distance_cm']:5g} cm  level {row['level']:3d} rate {row['shading_rate']} "
+                f"{row['distance_cm']:5g} cm  level {row['level']:3d} mesh {row['mesh']:3d} "
                 f"{row['precision']}  {row['total_ms']:7.2f} ms  MSE {row['mse']:8.3f}  "
                 f"change {row['change_mse']:7.3f} {'best' if row['is_best'] else ''}"
             )

@@ -58,7 +58,7 @@ def summarise(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
                 "error_rise": round(row["error"] - free["error"], 3),
                 "limited": row["limited"],
                 "levels": row["levels"],
-                "shading_rates": row["shading_rates"],
+                "meshes": row["meshes"],
             }
             for row in here
             if row["budget_ms"] is not None

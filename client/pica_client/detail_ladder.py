@@ -1,11 +1,11 @@
 """The knapsack of a frame: which rungs of everybody's ladders a budget buys. Pure.
 
-Every head has two ladders that lead up from the least it can get: how its maps are decoded, and how
-finely it is shaded. A rung counts for the error that it saves per second. Of a ladder only the
-rungs on its convex hull are kept, so each is worth less per second than the one before; then the
-rungs of all heads, best first, are taken as far as the budget goes. One that does not fit ends its
-ladder, and the others go on: the greedy solution of the multiple-choice knapsack (Kellerer,
-Pferschy and Pisinger, "Knapsack Problems", 11.2).
+Every head has a ladder that leads up from the least it can get: how its maps are decoded, and with
+how many triangles they are drawn. A rung counts for the error that it saves per second. Of a ladder
+only the rungs on its convex hull are kept, so each is worth less per second than the one before;
+then the rungs of all heads, best first, are taken as far as the budget goes. One that does not fit
+ends its ladder, and the others go on: the greedy solution of the multiple-choice knapsack
+(Kellerer, Pferschy and Pisinger, "Knapsack Problems", 11.2).
 
 More budget never leaves more error: let a rung just begin to fit. What had been taken in its place
 cost less than it and was worth no more per second.
@@ -20,11 +20,8 @@ from typing import Literal, NamedTuple
 
 Decode = Literal["none", "expression", "both"]
 
-COARSE = 2
-"""Shading rate: every second pixel in both directions."""
-FINE = 1
 _EPSILON = 1e-12
-_ANY_RANK = (1 << 30, 0)
+_ANY_RANK = (1 << 30, 0, 0)
 
 
 class Rung(NamedTuple):
@@ -33,8 +30,8 @@ class Rung(NamedTuple):
     cost_s: float
     error: float
     """MSE times the head's weight."""
-    rank: tuple[int, int]
-    """Level, and how much of it is made anew: what a nearer head must not have less of."""
+    rank: tuple[int, int, int]
+    """Level, how much of it is made anew, and mesh: what a nearer head must not have less of."""
     place: int
     """Of the level among the avatar's."""
     decode: Decode
@@ -44,7 +41,7 @@ class Rung(NamedTuple):
 
 @dataclass(kw_only=True, slots=True, eq=False)
 class Climber:
-    """One head on its two ladders, both at their lowest rung at first."""
+    """One head on its ladder, at its lowest rung at first."""
 
     nearness: tuple[float, ...]
     """Of a nearer head all of it is at least as much."""
@@ -55,27 +52,18 @@ class Climber:
     worths: list[float]
     """What its steps are worth."""
     place: int = 0
-    shading_rate: int = COARSE
-    fine_cost_s: float = 0.0
-    """What fine shading costs over coarse."""
-    coarse_error: float = 0.0
-    """What coarse shading leaves, times the head's weight."""
-    rank_limit: tuple[int, int] = _ANY_RANK
+    rank_limit: tuple[int, int, int] = _ANY_RANK
     """No rung above this is open."""
-    is_decode_closed: bool = False
-    is_shading_closed: bool = False
-    is_kept_coarse: bool = False
-    """Whether the budget closed it."""
+    is_closed: bool = False
     is_limited: bool = False
     """Whether the budget kept something from it."""
-    farther: list[Climber] = field(default_factory=list)
-    """Who must not be shaded finer; found by `climb` when that begins to matter."""
     outranked: list[Climber] = field(default_factory=list)
-    """Those of them who move no more: nor decoded finer."""
+    """Who is farther and moves no more, and so must not have more; found by `climb` when that
+    begins to matter."""
 
     @property
     def rung(self) -> Rung:
-        """Where it stands on the decode ladder."""
+        """Where it stands."""
         return self.ladder[self.place]
 
 
@@ -85,10 +73,8 @@ class _Step(NamedTuple):
     worth: float
     """Error saved per second."""
     climber: Climber
-    is_decode: bool
     cost_s: float
-    rung: int
-    """Place in the decode ladder; not used for shading."""
+    place: int
 
 
 def hull(rungs: list[Rung]) -> tuple[list[Rung], list[float]]:
@@ -135,11 +121,10 @@ def climb(climbers: Sequence[Climber], left_s: float) -> tuple[float, int]:
             _go(step)
         return total_s, len(steps)
     for place, climber in enumerate(climbers):
-        climber.farther = [
-            other for other in climbers[place + 1 :] if _covers(climber.nearness, other.nearness)
-        ]
         climber.outranked = [
-            other for other in climber.farther if _covers(climber.motion, other.motion)
+            other
+            for other in climbers[place + 1 :]
+            if _covers(climber.nearness, other.nearness) and _covers(climber.motion, other.motion)
         ]
     spent_s = 0.0
     for step in steps:
@@ -148,9 +133,9 @@ def climb(climbers: Sequence[Climber], left_s: float) -> tuple[float, int]:
     if freed_s > 0:
         spent_s -= freed_s
         for climber in climbers:
-            climber.rank_limit, climber.is_decode_closed = _ANY_RANK, False
+            climber.rank_limit, climber.is_closed = _ANY_RANK, False
         for step in steps:
-            if step.is_decode and step.rung == step.climber.place + 1:
+            if step.place == step.climber.place + 1:
                 spent_s += _take(step, left_s - spent_s)
         spent_s -= _level_down(climbers)
     return spent_s, len(steps)
@@ -175,12 +160,8 @@ def _steps(climbers: Sequence[Climber]) -> list[_Step]:
         before_s = ladder[0].cost_s
         for place in range(1, len(ladder)):
             after_s = ladder[place].cost_s
-            steps.append(_Step(worths[place], climber, True, after_s - before_s, place))
+            steps.append(_Step(worths[place], climber, after_s - before_s, place))
             before_s = after_s
-        if not climber.is_shading_closed:
-            cost_s = climber.fine_cost_s
-            worth = climber.coarse_error / max(cost_s, _EPSILON)
-            steps.append(_Step(worth, climber, False, cost_s, 0))
     steps.sort(key=_best_first)
     return steps
 
@@ -190,31 +171,20 @@ def _best_first(step: _Step) -> float:
 
 
 def _go(step: _Step) -> None:
-    if step.is_decode:
-        step.climber.place = step.rung
-    else:
-        step.climber.shading_rate = FINE
+    step.climber.place = step.place
 
 
 def _take(step: _Step, left_s: float) -> float:
     """Take a step if it is open and fits; return what it costs."""
     climber = step.climber
-    if not step.is_decode:
-        if climber.is_shading_closed or step.cost_s > left_s:
-            climber.is_limited = climber.is_shading_closed = climber.is_kept_coarse = True
-            for other in climber.farther:
-                other.is_shading_closed = True
-            return 0.0
-        _go(step)
-        return step.cost_s
-    rung = climber.ladder[step.rung]
-    if climber.is_decode_closed or (rung.decode != "none" and rung.rank > climber.rank_limit):
-        climber.is_limited = climber.is_decode_closed = True
+    rung = climber.ladder[step.place]
+    if climber.is_closed or (rung.decode != "none" and rung.rank > climber.rank_limit):
+        climber.is_limited = climber.is_closed = True
         return 0.0
     if step.cost_s <= left_s:
         _go(step)
         return step.cost_s
-    climber.is_limited = climber.is_decode_closed = True
+    climber.is_limited = climber.is_closed = True
     for other in climber.outranked:
         other.rank_limit = min(other.rank_limit, climber.rung.rank)
     return 0.0
@@ -231,12 +201,7 @@ def _level_down(climbers: Sequence[Climber]) -> float:
     """
     saved_s = 0.0
     for climber in climbers:
-        if climber.is_kept_coarse:
-            for other in climber.farther:
-                if other.shading_rate == FINE:
-                    other.shading_rate, other.is_limited = COARSE, True
-                    saved_s += other.fine_cost_s
-        if not climber.is_decode_closed:
+        if not climber.is_closed:
             continue
         for other in climber.outranked:
             while (

@@ -33,10 +33,9 @@ class HeadStats:
     level: int
     """Of the mesh that was drawn; 0 for a placeholder or a textured head."""
     num_triangles: int
-    shading_rate: int
     shaded_pixels: int | None
-    """Pixels that were coloured; None unless asked for. For a rate of 2 those that were decoded;
-    textured heads colour a pixel again where they overlap themselves."""
+    """Pixels that were coloured; None unless asked for. Textured heads colour a pixel again where
+    they overlap themselves."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -133,9 +132,8 @@ def count_draws(
     heads = [
         HeadStats(
             slot=head.slot,
-            level=head.level,
+            level=head.mesh.level,
             num_triangles=head.mesh.num_triangles,
-            shading_rate=head.stride,
             shaded_pixels=count,
         )
         for head, count in zip(listed.decoded, counts, strict=True)
@@ -145,21 +143,18 @@ def count_draws(
             slot=head.slot,
             level=0,
             num_triangles=head.head.num_triangles,
-            shading_rate=1,
             shaded_pixels=count,
         )
         for head, count in zip(listed.painted, painted_counts, strict=True)
     ]
     num_placeholders = sum(head.expression is None for head in listed.decoded)
     num_second = sum(head.number != head.mark for head in listed.decoded)
-    num_coarse = sum(head.stride > 1 for head in listed.decoded)
     counted = [count for count in counts if count is not None]
     return DrawStats(
         num_avatars=len(heads) - num_placeholders - num_second,
         num_placeholders=num_placeholders,
         num_triangles=sum(head.num_triangles for head in heads),
         num_draw_calls=(2 + 2 * is_smooth) * len(listed.decoded)
-        + num_coarse
         + (1 + 2 * is_smooth) * len(listed.painted)
         + num_overlays,
         shaded_pixels=sum(counted) if len(counted) == len(counts) else None,
@@ -196,11 +191,9 @@ def _arrange(
             mark=number,
             share=WHOLE,
             body=body,
-            level=0,
-            mesh=next(iter(body.meshes.values())),
+            mesh=body.mesh(0, None),
             position=body.textures[UNIT_POSITION],
             expression=None,
-            stride=1,
         )
         return [stand_in]
     blend = min(max(placement.blend, 0.0), 1.0)
@@ -214,10 +207,6 @@ def _arrange(
     for level, shape, codes, share in layers:
         if share[0] == share[1]:
             continue
-        # A coarse map holds for the vertices of its own mesh: finer ones find the gaps between the
-        # charts of its UVs.
-        if placement.mesh_level in body.meshes:
-            level = min(level, placement.mesh_level)
         head = DecodedHead(
             slot=placement.slot,
             place=place,
@@ -225,11 +214,9 @@ def _arrange(
             mark=number,
             share=share,
             body=body,
-            level=level,
-            mesh=body.meshes[level],
+            mesh=body.mesh(level, placement.mesh_level),
             position=shape,
             expression=codes,
-            stride=2 if placement.shading_rate > 1 else 1,
         )
         heads.append(head)
     return heads

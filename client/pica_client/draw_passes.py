@@ -1,7 +1,7 @@
 """The passes of a frame: the programs they use, and the order of GL calls.
 
     surfaces    what is visible where, of all avatars
-    shade       the pixel decoder on the pixels that an avatar won, or on a quarter of them
+    shade       the pixel decoder on the pixels that an avatar won
     texture     textured heads, in one pass, against the depth of the others
     smooth      stair-steps
 
@@ -21,7 +21,6 @@ import numpy.typing as npt
 
 from pica_client.gpu_avatar import Body, Mesh, upload_placeholder
 from pica_client.gpu_program import (
-    UNIT_COARSE,
     UNIT_EXPRESSION,
     UNIT_POSITION,
     UNIT_SKIN,
@@ -34,7 +33,6 @@ from pica_client.render_targets import (
     PixelRect,
     RenderTargets,
     clip_rect,
-    coarse_rect,
     inset_rect,
 )
 from pica_client.shader_source import compose
@@ -72,14 +70,10 @@ class DecodedHead:
     share: tuple[float, float]
     """The part of its pixels that it draws, from and to; (0, 1) is all."""
     body: Body
-    level: int
-    """Of the mesh; 0 for a placeholder."""
     mesh: Mesh
     position: moderngl.Texture
     expression: moderngl.Texture | None
     """None for a placeholder."""
-    stride: int
-    """1 colours every pixel, 2 one of each block of 2x2."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -112,13 +106,9 @@ class DrawPasses:
             context, compose("textured.vert"), compose("textured.frag")
         )
         self._background = self._screen_program("background.frag")
-        self._blocks = self._screen_program("coarse_blocks.frag")
-        self._resolve = self._screen_program("resolve.frag")
         self._near_edges = self._screen_program("near_edges.frag")
         self._smooth = self._screen_program("smooth_edges.frag")
         self._background_rect = context.vertex_array(self._background, [])
-        self._blocks_rect = context.vertex_array(self._blocks, [])
-        self._resolve_rect = context.vertex_array(self._resolve, [])
         self._near_edges_rect = context.vertex_array(self._near_edges, [])
         self._smooth_rect = context.vertex_array(self._smooth, [])
         self.placeholder = upload_placeholder(context, self.mesh_programs)
@@ -150,12 +140,6 @@ class DrawPasses:
         if clear:
             targets.surface.viewport = (0, 0, *targets.size)
             targets.surface.clear(depth=1.0)
-        for head in heads:
-            if head.stride > 1 and not clear:  # these look for the first pixel of a block
-                left, bottom, right, top = head.place.rect
-                targets.surface.clear(
-                    depth=1.0, viewport=(left, bottom, right - left, top - bottom)
-                )
         self._draw_meshes(targets, heads)
 
     def vertices(
@@ -219,16 +203,10 @@ class DrawPasses:
         targets.textured.viewport = (0, 0, *targets.size)
         for unit, texture in targets.visible.items():
             texture.use(unit)
-        if any(head.stride > 1 for head in heads):
-            targets.coarse.clear(depth=0.0)
         queries = self._queries_for(heads, count)
         for head, query in zip(heads, queries, strict=True):
-            if head.stride > 1:
-                self._mark_blocks(targets, head)
             with query:
                 self._shade_one(targets, head)
-            if head.stride > 1:
-                self._fill_in(targets, head)
         targets.textured.use()
         targets.textured.depth_mask = True
         context.depth_func = "<"
@@ -294,48 +272,19 @@ class DrawPasses:
 
     def _shade_one(self, targets: RenderTargets, head: DecodedHead) -> None:
         body, program = head.body, head.body.shade
-        target, rect = targets.textured, clip_rect(head.place.rect, targets.size)
-        depth_func = ">"
-        if head.stride > 1:
-            target, depth_func = targets.coarse, "=="
-            rect = clip_rect(coarse_rect(head.place.rect), targets.coarse_image.size)
         body.bind()
-        mark = head.mark
         if head.expression is not None:
             head.expression.use(UNIT_EXPRESSION)
-            set_values(program, stride=head.stride)
-            if head.stride > 1:  # the filling in must tell the levels of a head apart
-                mark = head.number
-        target.use()
-        self._context.depth_func = depth_func
+        targets.textured.use()
+        self._context.depth_func = ">"
         set_values(
             program,
             slot=float(head.number),
-            mark=float(mark),
-            tint=head.place.tint,
-            rect=rect,
-        )
-        body.shade_rect.render(moderngl.TRIANGLE_STRIP, vertices=4)
-
-    def _mark_blocks(self, targets: RenderTargets, head: DecodedHead) -> None:
-        """Tell the coarse pixels of a head from others by depth."""
-        targets.coarse_depth.use()
-        self._context.depth_func = "1"
-        rect = clip_rect(coarse_rect(head.place.rect), targets.coarse_image.size)
-        set_values(self._blocks, slot=float(head.number), rect=rect)
-        self._blocks_rect.render(moderngl.TRIANGLE_STRIP, vertices=4)
-
-    def _fill_in(self, targets: RenderTargets, head: DecodedHead) -> None:
-        targets.textured.use()
-        self._context.depth_func = ">"
-        targets.coarse_image.use(UNIT_COARSE)
-        set_values(
-            self._resolve,
-            slot=float(head.number),
             mark=float(head.mark),
+            tint=head.place.tint,
             rect=clip_rect(head.place.rect, targets.size),
         )
-        self._resolve_rect.render(moderngl.TRIANGLE_STRIP, vertices=4)
+        body.shade_rect.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
     def _queries_for(
         self, heads: Sequence[object], count: bool

@@ -1,22 +1,35 @@
 """What choices cost in error, in the form in which a scheduler can ask thousands of times. Pure.
 
 `LevelErrors` of an avatar is a measured table and need not be well behaved. Here it becomes one in
-which more is never worse and nearer is never less: the *extra* error of each level over the next
-finer one, and of coarse shading over fine, falls nowhere as the head grows on the screen. Where the
+which more is never worse and nearer is never less: what the maps of a level leave over those of the
+next finer one, and what its mesh leaves, falls nowhere as the head grows on the screen. Where the
 table says otherwise the larger of its values holds, so an estimate errs towards spending more.
 
     errors = ErrorModel(avatar.level_errors or default_errors(avatar.levels))
-    extra = errors.extra(head_px)          # per level, then coarse shading; no numpy, a few us
+    maps, meshes, own = errors.extra(head_px)       # MSE; no numpy, a few us
 """
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_right
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from pica_core.levels import LevelErrors
+
+
+class Extra(NamedTuple):
+    """What is left by what a head gets, MSE. Maps and mesh add up."""
+
+    maps: list[float]
+    """Of each level's, over the full ones on the same mesh; the last is 0."""
+    meshes: list[float]
+    """Of each level's, over the full one with the full maps; the last is 0."""
+    own: float
+    """Of the full level, against many samples a pixel."""
 
 
 class ErrorModel:
@@ -39,26 +52,23 @@ class ErrorModel:
         self.latent_mse_per_unit2 = float(table.latent_mse_per_unit2)
         self._octaves = np.log2(table.head_px.astype(np.float64)).tolist()
         mse = table.mse.astype(np.float64)
-        fine, coarse = mse[:, 0], mse[:, 1]
-        steps = np.maximum(fine[:-1] - fine[1:], 0)
-        half = np.maximum((coarse - fine).max(axis=0), 0)
-        rising = np.maximum.accumulate(np.concatenate([steps, half[None]]), axis=1)
-        over_full = np.concatenate(
-            [np.cumsum(rising[-2::-1], axis=0)[::-1], np.zeros((1, rising.shape[1]))]
-        )
-        # Per height of the table: error of each level over the full one, coarse shading, the rest.
+        own, on_full_maps = mse[:, 0], mse[:, 1]
+        # Per height of the table: the maps of each level, the mesh of each level, the rest.
         self._rows: list[list[float]] = np.concatenate(
-            [over_full, rising[-1:], fine[-1:]]
+            [_over_full(own - on_full_maps), _over_full(on_full_maps), own[-1:]]
         ).T.tolist()
 
-    def extra(self, head_px: float) -> list[float]:
+    def extra(self, head_px: float) -> Extra:
         """What choices leave, for a head of this height on the screen.
 
         Returns:
-            MSE of each level over the full one (the last is 0), then of shading at half the
-            resolution over full, then of the full level at full resolution. Straight over the
-            logarithm of the height between the table's entries; beyond them the nearest holds.
+            See `Extra`. Straight over the logarithm of the height between the table's entries;
+            beyond them the nearest holds.
         """
+        values, count = self._values(head_px), len(self.levels)
+        return Extra(values[:count], values[count:-1], values[-1])
+
+    def _values(self, head_px: float) -> list[float]:
         octaves, rows = self._octaves, self._rows
         octave = math.log2(head_px) if head_px > 0 else -math.inf
         place = bisect_right(octaves, octave)
@@ -69,3 +79,14 @@ class ErrorModel:
         weight = (octave - octaves[place - 1]) / (octaves[place] - octaves[place - 1])
         before, after = rows[place - 1], rows[place]
         return [low + weight * (high - low) for low, high in zip(before, after, strict=True)]
+
+
+def _over_full(mse: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """How much each row ``[L, K]`` is above the last: nowhere less than the next, nowhere falling
+    along K, and neither are the differences of neighbours."""
+    steps = np.maximum(mse[:-1] - mse[1:], 0)
+    rising = np.maximum.accumulate(steps, axis=1)
+    above: npt.NDArray[np.float64] = np.concatenate(
+        [np.cumsum(rising[::-1], axis=0)[::-1], np.zeros((1, mse.shape[1]))]
+    )
+    return above

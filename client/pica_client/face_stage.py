@@ -245,7 +245,7 @@ class FaceStage:
                 self._on_decoded(result)
 
     def dressed(self, scene: StageScene) -> StageScene:
-        """The scene as its plan wants it drawn: shading rates, meshes, levels that fade in."""
+        """The scene as its plan wants it drawn: meshes, levels that fade in."""
         dressed = [self._driver.dressed(each, scene.now) for each in scene.placements]
         return replace(scene, placements=dressed)
 

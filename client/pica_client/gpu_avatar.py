@@ -21,6 +21,7 @@ from pica_client.gpu_program import (
 from pica_client.shader_source import AXIS_ROW, axis_levels, compose
 from pica_client.shader_weights import pack_weights, siren_source
 from pica_core.avatar_file import Avatar
+from pica_core.level_tensors import sheet_uv
 from pica_core.mesh import order_faces
 from pica_core.spec import AvatarSpec
 
@@ -29,8 +30,6 @@ MeshPrograms = tuple[moderngl.Program, moderngl.Program]
 """Of the surface pass: for a head that is drawn whole, and for one that shares its pixels."""
 WeightsPlace = Literal["block", "constants", "turns"]
 
-ENCODING_OF_VARIANT = {"full": "encoding_full.glsl"}
-"""The shader file with a variant's surface encoding."""
 BOUNDS_MARGIN_M = 0.01
 """Positions may leave the bounds of the file by this much; the rest is cut off."""
 
@@ -40,7 +39,9 @@ _PLACEHOLDER_GRID = 33
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """The triangles of one level."""
+    """The triangles of one level, for the positions of one level."""
+
+    level: int
 
     vertices: moderngl.VertexArray
     sharing: moderngl.VertexArray
@@ -53,8 +54,8 @@ class Body:
     """What all seats with the same avatar share. Made by `upload_avatar` and
     `upload_placeholder`."""
 
-    meshes: dict[int, Mesh]
-    """By level, ascending; a placeholder has one."""
+    meshes: dict[tuple[int, int], Mesh]
+    """By the level of the positions and that of the triangles; a placeholder has one."""
     shade: moderngl.Program
     shade_rect: moderngl.VertexArray
     textures: dict[int, moderngl.Texture]
@@ -63,6 +64,16 @@ class Body:
     """Bound to uniform block 0; None if the program holds them as constants."""
     low_m: tuple[float, ...]
     high_m: tuple[float, ...]
+
+    def mesh(self, position_level: int, mesh_level: int | None) -> Mesh:
+        """The triangles to draw with positions of a level.
+
+        Args:
+            position_level: Of what the decoder made.
+            mesh_level: Wished for; the positions' own serves where there is no such mesh.
+        """
+        own = self.meshes[position_level, position_level]
+        return self.meshes.get((position_level, mesh_level or position_level), own)
 
     def bind(self) -> None:
         """Make its textures and weights current."""
@@ -106,11 +117,12 @@ def upload_avatar(
     weights = None
     if weights_place == "block":
         weights = context.buffer(pack_weights(avatar.spec, tensors))
-    vertex_uv = tensors["mesh.vertex_uv"]
+    full = avatar.levels[-1]
+    pairs = dict.fromkeys((position, mesh) for mesh in avatar.levels for position in (mesh, full))
     return Body(
         meshes={
-            level: upload_mesh(context, mesh_programs, vertex_uv, avatar.level_faces(level))
-            for level in avatar.levels
+            (position, mesh): _level_mesh(context, mesh_programs, avatar, position, mesh)
+            for position, mesh in pairs
         },
         shade=program,
         shade_rect=context.vertex_array(program, []),
@@ -162,7 +174,7 @@ def upload_placeholder(context: moderngl.Context, mesh_programs: MeshPrograms) -
     ellipsoid = context.texture((count, count), 3, _ellipsoid(count).tobytes(), dtype="f4")
     _clamp(ellipsoid, moderngl.NEAREST)
     return Body(
-        meshes={count: upload_mesh(context, mesh_programs, vertex_uv, faces)},
+        meshes={(0, 0): upload_mesh(context, mesh_programs, 0, faces, vertex_uv, vertex_uv)},
         shade=program,
         shade_rect=context.vertex_array(program, []),
         textures={UNIT_POSITION: ellipsoid},
@@ -172,24 +184,51 @@ def upload_placeholder(context: moderngl.Context, mesh_programs: MeshPrograms) -
     )
 
 
+def _level_mesh(
+    context: moderngl.Context,
+    programs: MeshPrograms,
+    avatar: Avatar,
+    position_level: int,
+    mesh_level: int,
+) -> Mesh:
+    """The triangles of a level, with the vertices that they use and no others."""
+    vertex_uv = avatar.tensors["mesh.vertex_uv"]
+    # Neighbours together: in the order of a shuffled file five heads take half as long again to
+    # draw.
+    ordered = order_faces(avatar.level_faces(mesh_level), vertex_uv)
+    used, renumbered = np.unique(ordered, return_inverse=True)
+    is_sheet = position_level != avatar.levels[-1]
+    places = sheet_uv(len(used), position_level) if is_sheet else vertex_uv[used]
+    faces = renumbered.reshape(-1, 3)
+    return upload_mesh(context, programs, mesh_level, faces, vertex_uv[used], places)
+
+
 def upload_mesh(
     context: moderngl.Context,
     programs: MeshPrograms,
-    vertex_uv: npt.NDArray[Any],
+    level: int,
     faces: npt.NDArray[Any],
+    vertex_uv: npt.NDArray[Any],
+    places: npt.NDArray[Any],
 ) -> Mesh:
-    """The triangles of one level, with the vertices that they use and no others."""
-    # Neighbours together: in the order of a shuffled file five heads take half as long again to
-    # draw.
-    ordered = order_faces(faces, vertex_uv)
-    used, renumbered = np.unique(ordered, return_inverse=True)
-    corners = context.buffer(np.ascontiguousarray(vertex_uv[used], np.float32).tobytes())
-    indices = context.buffer(np.ascontiguousarray(renumbered, np.int32).tobytes())
-    content = [(corners, "2f", "vertex_uv")]
+    """Put triangles on the GPU.
+
+    Args:
+        context: Of this thread.
+        programs: Of the surface pass.
+        level: Name of the triangles.
+        faces: ``[F, 3]``.
+        vertex_uv: ``[V, 2]``.
+        places: Where the vertices' positions are looked up, ``[V, 2]``.
+    """
+    indices = context.buffer(np.ascontiguousarray(faces, np.int32).tobytes())
+    both = np.concatenate([places, vertex_uv], axis=1)
+    corners = context.buffer(np.ascontiguousarray(both, np.float32).tobytes())
+    content = [(corners, "2f 2f", "vertex_place", "vertex_uv")]
     whole, sharing = (
         context.vertex_array(program, content, index_buffer=indices) for program in programs
     )
-    return Mesh(whole, sharing, len(faces))
+    return Mesh(level, whole, sharing, len(faces))
 
 
 def _ellipsoid(count: int) -> FloatArray:

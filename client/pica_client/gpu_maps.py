@@ -7,7 +7,7 @@ in: `Placement.blend` mixes the two.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 import moderngl
 import numpy as np
@@ -23,7 +23,7 @@ class MapSeries:
 
     Args:
         context: Of this thread.
-        levels: Texels per side of the maps that may come.
+        rows: Of the maps that may come, by level; a level is their columns.
         components: Channels of the maps, 1 to 4.
         filtering: How shaders look them up: moderngl.NEAREST for texelFetch.
 
@@ -32,10 +32,11 @@ class MapSeries:
     """
 
     def __init__(
-        self, context: moderngl.Context, levels: Sequence[int], components: int, filtering: int
+        self, context: moderngl.Context, rows: Mapping[int, int], components: int, filtering: int
     ) -> None:
         self._textures = {
-            level: context.texture((level, level), components, dtype="f4") for level in levels
+            level: context.texture((level, count), components, dtype="f4")
+            for level, count in rows.items()
         }
         for texture in self._textures.values():
             texture.filter = (filtering, filtering)
@@ -71,18 +72,14 @@ class MapSeries:
         Raises:
             ShapeError: Not float32, or of no level's shape.
         """
-        level = array.shape[0] if array.ndim else 0
-        wanted = (level, level, self._components)
-        if level not in self._textures or array.shape != wanted or array.dtype != np.float32:
-            known = ", ".join(map(str, self._textures))
-            raise ShapeError(
-                f"map is {array.dtype} {array.shape}; float32 (S, S, {self._components}) is "
-                f"needed, S one of {known}"
-            )
+        shapes = [(t.height, t.width, self._components) for t in self._textures.values()]
+        if array.shape not in shapes or array.dtype != np.float32:
+            known = ", ".join(map(str, shapes))
+            raise ShapeError(f"map is {array.dtype} {array.shape}; float32 {known} is needed")
 
     def write(self, array: FloatArray) -> None:
         """Upload a map that `check` has passed."""
-        level = array.shape[0]
+        level = array.shape[1]
         if level != self.level:
             self.level, self._level_before = level, self.level
         self._textures[level].write(np.ascontiguousarray(array))

@@ -16,7 +16,7 @@ FloatArray = npt.NDArray[np.float32]
 
 UNIT_VISIBLE_XYZ, UNIT_VISIBLE_UV, UNIT_POSITION, UNIT_EXPRESSION = 0, 1, 2, 3
 UNIT_UV_ENCODING, UNIT_U_ENCODING, UNIT_V_ENCODING = 4, 5, 6
-UNIT_COARSE, UNIT_SKIN = 7, 8
+UNIT_SKIN = 7
 _UNITS = {
     "visible_xyz": UNIT_VISIBLE_XYZ,
     "visible_uv": UNIT_VISIBLE_UV,
@@ -25,7 +25,6 @@ _UNITS = {
     "uv_encoding": UNIT_UV_ENCODING,
     "u_encoding": UNIT_U_ENCODING,
     "v_encoding": UNIT_V_ENCODING,
-    "coarse_image": UNIT_COARSE,
     "skin": UNIT_SKIN,
 }
 

@@ -3,12 +3,12 @@
     errors = measure_levels(avatar)              # LevelErrors; minutes
     measured = with_errors(avatar, errors)       # the same avatar, with the table in it
 
-Truth is the full level drawn with many samples a pixel and averaged. A level at a shading rate is
-judged by one drawing at the size of the screen, as the product makes it, but without smoothed
-edges: those belong to the display. Judged are the pixels that its drawing or the truth covers, but
-for those that the truth covers in part: whether an edge pixel is in or out says nothing of a level.
-So a level's lost detail counts, its blur, its sparkle and its silhouettes where they are off by
-more than a pixel.
+Truth is the full level drawn with many samples a pixel and averaged. A level, and the full maps on
+its mesh, are judged by one drawing at the size of the screen, as the product makes it, but without
+smoothed edges: those belong to the display. Judged are the pixels that its drawing or the truth
+covers, but for those that the truth covers in part: whether an edge pixel is in or out says nothing
+of a level. So a level's lost detail counts, its blur, its sparkle and its silhouettes where they
+are off by more than a pixel.
 
 Expressions are moments of shipped performances; each is seen from the front, from a side, from
 above and from below. Everything is fixed, so the same avatar gives the same table, on the same
@@ -42,7 +42,7 @@ from pica_core.camera import Camera, look_at
 from pica_core.expression_encoder import ExpressionEncoder
 from pica_core.gl import create_context
 from pica_core.level_tensors import error_tensors
-from pica_core.levels import SENSITIVITY_HEAD_PX, SHADING_RATES, LevelErrors
+from pica_core.levels import NUM_DRAWINGS, SENSITIVITY_HEAD_PX, LevelErrors
 
 FloatArray = npt.NDArray[np.float32]
 Image = npt.NDArray[np.uint8]
@@ -85,7 +85,7 @@ class _Moment:
 def measure_levels(
     avatar: Avatar, progress: Callable[[float], None] = lambda ratio: None
 ) -> LevelErrors:
-    """Measure every level at both shading rates and all heights.
+    """Measure every level, and the full maps on every mesh, at all heights.
 
     Args:
         avatar: Checked avatar.
@@ -124,7 +124,7 @@ class _Judge:
 
     def measure(self, progress: Callable[[float], None]) -> LevelErrors:
         levels = self._avatar.levels
-        mse = np.zeros((len(levels), len(SHADING_RATES), len(HEAD_PX)))
+        mse = np.zeros((len(levels), NUM_DRAWINGS, len(HEAD_PX)))
         num_steps = len(HEAD_PX) + 1
         for index, head_px in enumerate(HEAD_PX):
             mse[:, :, index] = self._errors_at(head_px)
@@ -140,27 +140,27 @@ class _Judge:
         )
 
     def _errors_at(self, head_px: float) -> FloatArray:
-        """MSE ``[L, R]`` at one height, mean over moments and views."""
+        """MSE ``[L, 2]`` at one height, mean over moments and views."""
         samples = min(max(round(TRUTH_PX / head_px), FEWEST_SAMPLES), MOST_SAMPLES)
         size = 2 * math.ceil(head_px / FRAME_FILL / 2)
         screen, truth = self._renderer(size), self._renderer(size * samples)
         levels = self._avatar.levels
-        errors = np.zeros((len(levels), len(SHADING_RATES)), np.float32)
+        errors = np.zeros((len(levels), NUM_DRAWINGS), np.float32)
         for yaw, pitch in VIEWS:
             camera = camera_for(self._avatar, head_px, size, yaw, pitch)
             direction = view_direction(HEAD, camera.centre_m)
             fine = camera.scaled(size * samples, size * samples)
             for moment in self._moments:
-                maps = self._decoder.decode(moment.latent, direction, levels[-1])
-                truth.update_maps("head", maps.position_map, maps.expression_map)
+                full = self._decoder.decode(moment.latent, direction, levels[-1])
+                truth.update_maps("head", full.position_map, full.expression_map)
                 samples_of, coverage = self._draw(truth, fine)
                 wanted = _averaged(samples_of, samples)
                 share = _averaged(coverage[..., None], samples)[..., 0]
                 for row, level in enumerate(levels):
-                    maps = self._decoder.decode(moment.latent, direction, level)
-                    screen.update_maps("head", maps.position_map, maps.expression_map)
-                    for column, rate in enumerate(SHADING_RATES):
-                        image, covered = self._draw(screen, camera, rate)
+                    own = self._decoder.decode(moment.latent, direction, level)
+                    for column, maps in enumerate((own, full)):
+                        screen.update_maps("head", maps.position_map, maps.expression_map)
+                        image, covered = self._draw(screen, camera, level)
                         judged = (share >= _COVERED) | (covered & (share <= _PART))
                         errors[row, column] += masked_mse(image, wanted, judged)
         errors /= len(VIEWS) * len(self._moments)
@@ -198,8 +198,10 @@ class _Judge:
         renderer.add_avatar("head", self._avatar)
         return renderer
 
-    def _draw(self, renderer: Renderer, camera: Camera, rate: int = 1) -> tuple[Image, Mask]:
-        placement = Placement(slot="head", world_from_head=HEAD, shading_rate=rate)
+    def _draw(
+        self, renderer: Renderer, camera: Camera, mesh_level: int | None = None
+    ) -> tuple[Image, Mask]:
+        placement = Placement(slot="head", world_from_head=HEAD, mesh_level=mesh_level)
         renderer.draw([placement], camera)
         return renderer.read_image(), renderer.read_surface()[2] >= 0
 

@@ -12,8 +12,6 @@ from pica_client.gpu_program import UNIT_VISIBLE_UV, UNIT_VISIBLE_XYZ
 PixelRect = tuple[int, int, int, int]
 """Left, bottom, right, top in pixels of the whole image, rows counted from the bottom as GL
 does."""
-COARSE_STEP = 2
-"""Pixels per coarse pixel in each direction; the shaders know blocks of 2x2."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,11 +29,6 @@ class RenderTargets:
     shaded: moderngl.Framebuffer
     textured: moderngl.Framebuffer
     """The shaded image with the depth of the surface pass, for heads drawn in one pass."""
-    coarse_image: moderngl.Texture
-    """Every second pixel of every second row; alpha says whose it is."""
-    coarse: moderngl.Framebuffer
-    coarse_depth: moderngl.Framebuffer
-    """The depth of the coarse image alone; it marks blocks."""
     final: moderngl.Framebuffer
     marked: moderngl.Framebuffer
     """The final image with the depth of the surface pass, which by then marks edges."""
@@ -55,9 +48,6 @@ def make_targets(context: moderngl.Context, size: tuple[int, int]) -> RenderTarg
     depth = context.depth_renderbuffer(size)
     shaded_image = context.texture(size, 4)
     shaded_image.repeat_x = shaded_image.repeat_y = False
-    coarse_image = context.texture((-(-size[0] // COARSE_STEP), -(-size[1] // COARSE_STEP)), 4)
-    coarse_image.repeat_x = coarse_image.repeat_y = False
-    coarse_depth = context.depth_renderbuffer(coarse_image.size)
     final_image = context.texture(size, 4)
     return RenderTargets(
         size=size,
@@ -67,9 +57,6 @@ def make_targets(context: moderngl.Context, size: tuple[int, int]) -> RenderTarg
         shaded_image=shaded_image,
         shaded=context.framebuffer([shaded_image]),
         textured=context.framebuffer([shaded_image], depth),
-        coarse_image=coarse_image,
-        coarse=context.framebuffer([coarse_image], coarse_depth),
-        coarse_depth=context.framebuffer([], coarse_depth),
         final=context.framebuffer([final_image]),
         marked=context.framebuffer([final_image], depth),
         room=context.framebuffer([context.texture(size, 4)]),
@@ -108,15 +95,4 @@ def inset_rect(rect: PixelRect, size: tuple[int, int]) -> PixelRect:
         max(bottom - 1, 1),
         max(min(right + 1, size[0] - 1), 1),
         max(min(top + 1, size[1] - 1), 1),
-    )
-
-
-def coarse_rect(rect: PixelRect) -> PixelRect:
-    """The coarse pixels whose blocks touch a rectangle."""
-    left, bottom, right, top = rect
-    return (
-        left // COARSE_STEP,
-        bottom // COARSE_STEP,
-        -(-right // COARSE_STEP),
-        -(-top // COARSE_STEP),
     )

@@ -137,13 +137,19 @@ class Renderer:
                 filtered=self._options.filter_encodings,
                 program=self._program_for(avatar),
             )
-        levels = avatar.levels
-        channels = avatar.spec.expression_channels
+        square = {level: level for level in avatar.levels}
         self._slots[slot] = RenderSlot(
             avatar=avatar,
             body=body,
-            position=MapSeries(self._context, levels, POSITION_CHANNELS, moderngl.NEAREST),
-            expression=MapSeries(self._context, levels, channels, moderngl.LINEAR),
+            position=MapSeries(
+                self._context,
+                {level: avatar.position_rows(level) for level in avatar.levels},
+                POSITION_CHANNELS,
+                moderngl.NEAREST,
+            ),
+            expression=MapSeries(
+                self._context, square, avatar.spec.expression_channels, moderngl.LINEAR
+            ),
         )
 
     def add_textured(self, slot: str, mesh: TexturedMesh) -> None:
@@ -170,8 +176,8 @@ class Renderer:
 
         Args:
             slot: Has an avatar; otherwise nothing happens (it may have left meanwhile).
-            position_map: Metres, float32 ``[S, S, 3]``, S one of the avatar's levels. None keeps
-                the one that is there.
+            position_map: Metres, float32 ``[S, S, 3]`` at the full level, the sheet of a coarser
+                one's vertices ``[R, S, 3]``. None keeps the one that is there.
             expression_map: float32 ``[S, S, C]``, or None.
 
         Raises:

@@ -67,10 +67,9 @@ class Placement:
     """Head frame to world, float32 ``[4, 4]`` for column vectors."""
     fade: float = 0.0
     """0 is as it is, 1 has faded into the room: for stale faces."""
-    shading_rate: int = 1
-    """1 decodes every pixel, 2 every second one of every second row; the others are filled in."""
     mesh_level: int | None = None
-    """Level of the mesh, if coarser than that of the position map that came last; None for that."""
+    """Level whose mesh to draw with the full maps; None for the full one. Maps of other levels are
+    always drawn with their own."""
     blend: float = 1.0
     """Part of the pixels that show the maps that came last; the others show those of the level
     before."""

@@ -5,7 +5,7 @@
     for slot, request in driver.requests(plan): pool.submit(slot, request)
     ...
     driver.note_decoded(result, upload_s, now)       # what it cost, and that its maps are shown now
-    placement = driver.dressed(placement, now)       # its shading rate, its mesh, how far it blends
+    placement = driver.dressed(placement, now)       # its mesh, how far it blends
     driver.note_drawn(stats, draw_s)
 
 The scheduler knows numbers; this knows matrices, latents and what was asked of the decoders. It
@@ -181,31 +181,23 @@ class SceneDriver:
     def expected_shading_px(self) -> float:
         """Pixels that the pixel decoder runs on in the planned frame, as far as one can tell
         without counting them."""
-        half = self.scheduler.options.half_share
         return sum(
-            pixels * (1.0 if choice.shading_rate == 1 else half)
-            for choice, pixels in self._planned_pixels()
+            sight.drawn_px
+            for slot, entry in self._entries.items()
+            if entry.choice is not None and (sight := self._sights.get(slot)) is not None
         )
 
     def dressed(self, placement: Placement, now: float) -> Placement:
-        """A placement as the plan wants it drawn: shading rate, mesh, and how far it blends."""
+        """A placement as the plan wants it drawn: its mesh, and how far it blends."""
         entry = self._entries.get(placement.slot)
         if entry is None or entry.choice is None:
             return placement
         choice = entry.choice
         return replace(
             placement,
-            shading_rate=choice.shading_rate,
             mesh_level=choice.mesh_level,
             blend=min((now - entry.blend_from_s) / BLEND_S, 1.0),
         )
-
-    def _planned_pixels(self) -> list[tuple[Choice, float]]:
-        return [
-            (entry.choice, sight.drawn_px)
-            for slot, entry in self._entries.items()
-            if entry.choice is not None and (sight := self._sights.get(slot)) is not None
-        ]
 
     def _look(
         self, heads: Sequence[SceneHead], cameras: Sequence[Camera], size_px: tuple[int, int]

@@ -1,18 +1,15 @@
-"""What every avatar gets in a frame: decode level, shading rate, layer of its stream. Pure.
+"""What every avatar gets in a frame: decode level, mesh, layer of its stream. Pure.
 
     scheduler = Scheduler()
     plan = scheduler.plan(views, budget_s=0.008, now=now)
-    plan.choices["ada"].level, .decode, .shading_rate, .wanted_layer
+    plan.choices["ada"].level, .decode, .mesh_level, .wanted_layer
 
 Theory of operation. What counts is the squared error over the display: the MSE of a head times the
 pixels of it that can be seen. Of each head the scheduler knows what each choice leaves
-(`error_model`) and what it costs on this machine (`cost_model`). Two ladders lead up from the least
-that a head can get:
-
-    decode    keep the maps, and draw them with coarser triangles or their own; make a fresh
-              expression map (the view has turned); decode both maps at one of the levels (the face
-              has moved)
-    shading   every second pixel in both directions; every pixel
+(`error_model`) and what it costs on this machine (`cost_model`). A ladder leads up from the least
+that a head can get: keep the maps, drawn with few triangles or more; make a fresh expression map
+(the view has turned); decode both maps at one of the levels (the face has moved), the full ones
+again for few triangles or more.
 
 The budget buys the rungs that save most error per millisecond (`detail_ladder`). What follows, and
 what the tests hold it to:
@@ -21,8 +18,10 @@ what the tests hold it to:
 - More budget never means more error: a rung that newly fits is worth more per millisecond than all
   that had been taken in its place.
 - The order of heads does not matter: ties go to the nearer, then by name.
-- A nearer head never gets less than a farther one that moves as much: when its rung does not fit,
-  those of the same height are closed to the other.
+- From a nearer head nothing is kept that a farther one gets which moves as much: when its rung does
+  not fit, those above it are closed to the other.
+- Nothing is bought that cannot be seen: maps and mesh finer than the screen shows count no more
+  than those that just do, so the cheapest of them is taken, whatever the budget.
 - Who cannot be seen costs nothing: no decode, no pixel, and after a while no stream.
 
 Nobody starves: maps whose error can be seen are not kept longer than `max_age_s`; the oldest are
@@ -31,20 +30,21 @@ decoded anew at the lowest level, some each frame, whatever the budget says.
 Levels do not flap: how much detail a head can use follows its size down late and with a margin, and
 after a level that the budget took away the next try waits, longer each time.
 
-Where it ends: errors of level, shading and age are added, which bounds their sum from above;
-decoding counts as if it stood in line with drawing, though both run side by side.
+Where it ends: errors of maps, mesh and age are added, which bounds their sum from above; decoding
+counts as if it stood in line with drawing, though both run side by side. Pixels are not for sale:
+shading every second one in both directions was tried and cost as much as it saved.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from pica_client.cost_model import CostModel
-from pica_client.detail_ladder import COARSE, FINE, Climber, Decode, Rung, climb, hull
-from pica_client.error_model import ErrorModel
+from pica_client.detail_ladder import Climber, Decode, Rung, climb, hull
+from pica_client.error_model import ErrorModel, Extra
 from pica_client.scheduler_config import SchedulerOptions
 from pica_protocol.limits import MAX_LAYER
 
@@ -113,10 +113,9 @@ class Choice(NamedTuple):
     """Of the maps that are drawn once this frame's decode is there."""
     decode: Decode
     """What to decode now, at `level`; "expression" with the latent of the maps that are there."""
-    shading_rate: int
     mesh_level: int
-    """Of the triangles: that of the maps, or coarser where the head cannot use them or the budget
-    has no room for them."""
+    """Of the triangles: that of the maps; with full maps also coarser ones, where the head cannot
+    use more or the budget has no room for them."""
     wanted_layer: int | None
     """Highest layer of its stream to ask for; None is no stream at all."""
     error: float
@@ -155,17 +154,44 @@ class _Memory:
 
     seen_s: float
     """When it could last be seen."""
-    cap: int = 0
-    """Place of the finest level that it can use."""
+    maps: _Cap = field(default_factory=lambda: _Cap())
+    mesh: _Cap = field(default_factory=lambda: _Cap())
+
+
+@dataclass(slots=True, eq=False)
+class _Cap:
+    """How fine a level's maps, or its mesh, may be."""
+
+    needed: int = 0
+    """Place of the coarsest that is as good as can be seen."""
     small_since_s: float = math.inf
-    level: int = -1
-    """Place of the level planned last; -1 before the first."""
-    mesh: int = -1
-    """Place of its triangles."""
-    shading_rate: int = COARSE
-    level_pause: _Pause = field(default_factory=lambda: _Pause())
-    mesh_pause: _Pause = field(default_factory=lambda: _Pause())
-    shading_pause: _Pause = field(default_factory=lambda: _Pause())
+    planned: int = -1
+    """Place of what was planned last; -1 before the first."""
+    pause: _Pause = field(default_factory=lambda: _Pause())
+
+    def follow(self, extra: Sequence[float], unseen: float, options: SchedulerOptions) -> int:
+        """Up at once, down late: what is needed at the size that the head has now.
+
+        Returns:
+            The coarsest place that is clearly good enough; `needed` is at least that.
+        """
+        needed = next(i for i, mse in enumerate(extra) if mse <= unseen)
+        if self.planned < 0 or needed > self.needed:
+            self.needed, self.small_since_s = needed, math.inf
+        return next(i for i, mse in enumerate(extra) if mse <= options.margin * unseen)
+
+    def settle(self, clearly: int, now: float, options: SchedulerOptions) -> None:
+        """Go down to what has been clearly good enough for a while."""
+        if clearly >= self.needed:
+            self.small_since_s = math.inf
+        elif self.small_since_s == math.inf:
+            self.small_since_s = now
+        elif now - self.small_since_s >= options.lower_after_s:
+            self.needed, self.small_since_s = clearly, math.inf
+
+    def top(self, count: int, now: float) -> int:
+        """Place of the finest that may be planned now."""
+        return self.planned if self.planned >= 0 and self.pause.lasts(now) else count - 1
 
 
 @dataclass(slots=True, eq=False)
@@ -192,11 +218,11 @@ class _Head:
     memory: _Memory
     weight: float
     """Of its MSE."""
-    extra: list[float]
-    """See `ErrorModel.extra`, what motion hides taken off."""
+    extra: Extra
+    """What motion hides taken off."""
     climber: Climber
     draw_s: float = 0.0
-    """Of its pixels at the coarsest shading."""
+    """Of its pixels."""
 
 
 class Scheduler:
@@ -281,73 +307,49 @@ class Scheduler:
         extra = view.errors.extra(view.head_px)
         if view.speed_px_s > 0:
             blur = 1 + (view.speed_px_s / options.blur_px_s) ** 2
-            extra = [mse / blur for mse in extra[:-1]] + extra[-1:]
+            maps, meshes = ([mse / blur for mse in part] for part in extra[:2])
+            extra = Extra(maps, meshes, extra.own)
+        # What cannot be seen is shared by maps and mesh.
+        unseen = max(options.floor_mse, options.floor_ratio * extra.own) / 2
+        memory.seen_s = now
+        for cap, part in ((memory.maps, extra.maps), (memory.mesh, extra.meshes)):
+            cap.settle(cap.follow(part, unseen, options), now, options)
+        count = len(extra.maps)
+        tops = memory.maps.top(count, now), memory.mesh.top(count, now)
         weight = view.visible_px * (options.stale_weight if view.is_stale else 1.0)
-        self._note_size(memory, extra, now)
-        top = memory.cap
-        if memory.level >= 0 and memory.level_pause.lasts(now):
-            top = min(top, memory.level)
-        mesh_top = memory.cap
-        if memory.mesh >= 0 and memory.mesh_pause.lasts(now):
-            mesh_top = min(mesh_top, memory.mesh)
         pixels = view.visible_px if view.drawn_px is None else view.drawn_px
-        fine_s = costs.draw.pixel_s * pixels
-        ladder, worths = hull(self._rungs(view, mesh_top, weight, extra, top, is_overdue))
+        ladder, worths = hull(self._rungs(view, memory, weight, extra, tops, is_overdue))
         climber = Climber(
             nearness=(view.head_px, weight, -view.distance_m, -view.speed_px_s),
             motion=(view.latent_change, view.view_turn_rad, view.age_s),
             ladder=ladder,
             worths=worths,
-            is_limited=min(top, mesh_top) < memory.cap,
+            is_limited=tops[0] < memory.maps.needed or tops[1] < memory.mesh.needed,
         )
-        if not options.half_shading:
-            climber.shading_rate, climber.is_shading_closed = FINE, True
-            return _Head(view, memory, weight, extra, climber, fine_s)
-        is_paused = memory.shading_rate == COARSE and memory.shading_pause.lasts(now)
-        climber.is_limited |= is_paused
-        climber.is_shading_closed = is_paused or extra[-2] <= options.floor_mse
-        climber.coarse_error = weight * extra[-2]
-        climber.fine_cost_s = (1 - options.half_share) * fine_s
-        return _Head(view, memory, weight, extra, climber, options.half_share * fine_s)
-
-    def _note_size(self, memory: _Memory, extra: list[float], now: float) -> None:
-        """Follow how fine a level the head can use: up at once, down late."""
-        options = self.options
-        num_levels = len(extra) - 2
-        memory.seen_s = now
-        needed = next(i for i in range(num_levels) if extra[i] <= options.floor_mse)
-        limit = options.margin * options.floor_mse
-        clearly = next(i for i in range(num_levels) if extra[i] <= limit)
-        if memory.level < 0 or needed >= memory.cap:
-            memory.cap, memory.small_since_s = max(needed, 0), math.inf
-        elif clearly >= memory.cap:
-            memory.small_since_s = math.inf
-        elif memory.small_since_s == math.inf:
-            memory.small_since_s = now
-        elif now - memory.small_since_s >= options.lower_after_s:
-            memory.cap, memory.small_since_s = clearly, math.inf
+        return _Head(view, memory, weight, extra, climber, costs.draw.pixel_s * pixels)
 
     def _rungs(
         self,
         view: HeadView,
-        mesh_top: int,
+        memory: _Memory,
         weight: float,
-        extra: Sequence[float],
-        top: int,
+        extra: Extra,
+        tops: tuple[int, int],
         is_overdue: bool,
     ) -> list[Rung]:
         """What can be done with a head's maps; at least one thing.
 
         Args:
             view: Which.
-            mesh_top: Place of the finest triangles that it can use.
+            memory: Of it.
             weight: Of its MSE.
-            extra: See `ErrorModel.extra`.
-            top: Place of the finest level that may be decoded now.
+            extra: What choices leave.
+            tops: Places of the finest maps that may be decoded now, and of the finest mesh.
             is_overdue: Whether something must be.
         """
         options = self.options
         levels = view.errors.levels
+        full = len(levels) - 1
         held = -1 if view.held_level is None else levels.index(view.held_level)
         age_mse = _age_mse(view)
         latent_mse = view.errors.latent_mse_per_unit2 * view.latent_change * view.latent_change
@@ -356,49 +358,56 @@ class Scheduler:
         )
         decode_s = self.costs.decode_s
         triangle_s = self.costs.draw.triangle_s * view.num_views
-        num_triangles, model = view.num_triangles, view.model
+        mesh_s = [triangle_s * count for count in view.num_triangles]
+        # Finer than can be seen counts as no better, and so is never bought.
+        mesh_mse = [max(mse, extra.meshes[memory.mesh.needed]) for mse in extra.meshes]
+        maps_mse = [max(mse, extra.maps[memory.maps.needed]) for mse in extra.maps]
+        model, mesh_top = view.model, tops[1]
+
+        def meshes(place: int) -> Iterable[int]:
+            return range(mesh_top + 1) if place == full else (place,)
+
         rungs = []
         if held >= 0:
-            finest = min(held, mesh_top)
-            drawn_s = triangle_s * num_triangles[finest]
             if not is_overdue:
-                # With coarser triangles than maps the error is at most that of their level.
-                for mesh in range(finest + 1):
-                    cost_s = triangle_s * num_triangles[mesh]
-                    error = weight * (extra[held if mesh == finest else mesh] + age_mse)
-                    rungs.append(Rung(cost_s, error, (held, 0), held, "none", mesh))
+                for mesh in meshes(held):
+                    error = weight * (maps_mse[held] + mesh_mse[mesh] + age_mse)
+                    rungs.append(Rung(mesh_s[mesh], error, (held, 0, mesh), held, "none", mesh))
             is_turned = view.view_turn_rad > 0 and is_worth_it
             if is_turned and (latent_mse <= options.floor_mse or not is_overdue):
-                cost_s = drawn_s + decode_s(model, levels[held], "expression")
-                error = weight * (extra[held] + latent_mse)
-                rungs.append(Rung(cost_s, error, (held, 1), held, "expression", finest))
+                view_s = decode_s(model, levels[held], "expression")
+                for mesh in meshes(held):
+                    error = weight * (maps_mse[held] + mesh_mse[mesh] + latent_mse)
+                    rungs.append(
+                        Rung(
+                            mesh_s[mesh] + view_s, error, (held, 1, mesh), held, "expression", mesh
+                        )
+                    )
         is_moved = view.latent_change > 0 and is_worth_it
-        for place in range(0 if is_overdue or is_moved else held + 1, top + 1):
-            cost_s = triangle_s * num_triangles[place] + decode_s(model, levels[place], "both")
-            rungs.append(Rung(cost_s, weight * extra[place], (place, 2), place, "both", place))
+        for place in range(0 if is_overdue or is_moved else held + 1, tops[0] + 1):
+            both_s = decode_s(model, levels[place], "both")
+            for mesh in meshes(place):
+                error = weight * (maps_mse[place] + mesh_mse[mesh])
+                rungs.append(
+                    Rung(mesh_s[mesh] + both_s, error, (place, 2, mesh), place, "both", mesh)
+                )
         return rungs
 
     def _choice(self, head: _Head, now: float) -> Choice:
-        view, memory, climber, options = head.view, head.memory, head.climber, self.options
+        view, memory, climber = head.view, head.memory, head.climber
         rung, levels = climber.rung, view.errors.levels
-        if climber.is_limited and rung.place < min(memory.level, memory.cap):
-            memory.level_pause.begin(now, options)
-        if climber.is_limited and climber.shading_rate > memory.shading_rate:
-            memory.shading_pause.begin(now, options)
-        mesh = min(rung.mesh, memory.cap)
-        if climber.is_limited and mesh < min(memory.mesh, rung.place):
-            memory.mesh_pause.begin(now, options)
-        memory.level, memory.mesh, memory.shading_rate = rung.place, mesh, climber.shading_rate
-        is_fine = climber.shading_rate == FINE
+        for cap, place in ((memory.maps, rung.place), (memory.mesh, rung.mesh)):
+            if climber.is_limited and place < min(cap.planned, cap.needed):
+                cap.pause.begin(now, self.options)
+            cap.planned = place
         error = rung.error / head.weight if head.weight > 0 else 0.0
         return Choice(
             level=levels[rung.place],
             decode=rung.decode,
-            shading_rate=climber.shading_rate,
-            mesh_level=levels[mesh],
+            mesh_level=levels[rung.mesh],
             wanted_layer=self._layer(view),
-            error=error + (0.0 if is_fine else head.extra[-2]) + head.extra[-1],
-            cost_s=rung.cost_s + head.draw_s + (climber.fine_cost_s if is_fine else 0.0),
+            error=error + head.extra.own,
+            cost_s=rung.cost_s + head.draw_s,
             is_limited=climber.is_limited,
         )
 
@@ -406,9 +415,8 @@ class Scheduler:
         memory = self._memories[view.slot]
         is_wanted = now - memory.seen_s < self.options.wish_hold_s
         level = view.errors.levels[0] if view.held_level is None else view.held_level
-        coarse = COARSE if self.options.half_shading else FINE
         layer = MAX_LAYER if is_wanted else None
-        return Choice(level, "none", coarse, level, layer, 0.0, 0.0, False)
+        return Choice(level, "none", level, layer, 0.0, 0.0, False)
 
     def _layer(self, view: HeadView) -> int:
         height = view.head_px * math.sqrt(max(1 - view.hidden_ratio, 0.0))

@@ -13,8 +13,12 @@ class SchedulerOptions:
     """What the scheduler takes for good enough."""
 
     floor_mse: float = 1.0
-    """Differences below this cannot be seen: no detail is bought for them (chosen: one step of 255
-    in every pixel)."""
+    """Differences below this cannot be seen: nothing is bought for them (chosen: one step of 255 in
+    every pixel)."""
+    floor_ratio: float = 0.5
+    """Nor can detail whose lack leaves less than this share of what pixels too few leave anyway
+    (chosen: a head 256 pixels high is off by an MSE of 8 to 11 for want of samples, one of 64
+    pixels by 30 to 50, and that flickers)."""
     stale_floor_mse: float = 0.25
     """Error of kept maps below which they are not made anew while things move (chosen: half a step;
     what is left is mended once it rests)."""
@@ -22,13 +26,9 @@ class SchedulerOptions:
     """Maps older than this are made anew for any difference."""
     max_age_s: float = 0.25
     """Maps whose error can be seen are not kept longer, whatever the budget; plus one frame."""
-    half_shading: bool = True
-    """Whether far heads may be shaded at half the resolution."""
-    half_share: float = 0.3
-    """What shading at half the resolution costs of the whole (chosen: a quarter of the pixels, and
-    putting the others between them)."""
     margin: float = 0.7
-    """A level's error must be below this share of `floor_mse` before a head goes down to it."""
+    """A level's error must be below this share of what cannot be seen before a head goes down to
+    it."""
     lower_after_s: float = 0.5
     """For so long a head must be small before it goes down a level."""
     retry_s: float = 0.5
@@ -53,7 +53,7 @@ class SchedulerOptions:
             ("stale_floor_mse", 0, 1e4),
             ("settle_s", 0, 60),
             ("max_age_s", 0.001, 60),
-            ("half_share", 0, 1),
+            ("floor_ratio", 0, 10),
             ("margin", 0, 1),
             ("lower_after_s", 0, 60),
             ("retry_s", 0, 60),

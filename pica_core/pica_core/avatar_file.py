@@ -54,7 +54,15 @@ from pica_core.avatar_storage import (
 from pica_core.decoder_layers import decoder_layers
 from pica_core.errors import AvatarFileError, ProfileError
 from pica_core.level_tensors import PREFIX as LEVEL_PREFIX
-from pica_core.level_tensors import faces_name, is_faces, levels_of, read_errors, wanted_shapes
+from pica_core.level_tensors import (
+    check_sheets,
+    faces_name,
+    is_faces,
+    is_index,
+    levels_of,
+    read_errors,
+    wanted_shapes,
+)
 from pica_core.levels import LevelErrors
 from pica_core.spec import NUM_LATENT, AvatarSpec
 from pica_core.stream_profile import PREFIX as STREAM_PREFIX
@@ -103,7 +111,7 @@ class Avatar:
         return levels_of(self.spec, self.tensors)
 
     def level_faces(self, level: int) -> npt.NDArray[np.int32]:
-        """Triangles to draw at a level, int32 ``[F, 3]``; the full mesh where it has no coarser.
+        """Triangles to draw at a level, int32 ``[F, 3]``.
 
         Raises:
             ValueError: The avatar does not have this level.
@@ -111,10 +119,21 @@ class Avatar:
         if level not in self.levels:
             known = ", ".join(map(str, self.levels))
             raise ValueError(f"level is {level}; this avatar has {known}")
-        faces: npt.NDArray[np.int32] = self.tensors.get(
-            faces_name(level), self.tensors["mesh.faces"]
-        )
+        name = "mesh.faces" if level == self.spec.map_size else faces_name(level)
+        faces: npt.NDArray[np.int32] = self.tensors[name]
         return faces
+
+    def position_rows(self, level: int) -> int:
+        """Rows of what the geometry decoder makes at a level: of the position map at the full one,
+        of a sheet of vertices below it. Both have as many columns as the level has texels.
+
+        Raises:
+            ValueError: The avatar does not have this level.
+        """
+        if level == self.spec.map_size:
+            return level
+        self.level_faces(level)
+        return len(self.tensors[f"{LEVEL_PREFIX}{level}.geometry.mean"])
 
     @property
     def level_errors(self) -> LevelErrors | None:
@@ -318,7 +337,7 @@ def _check_header(
         types[name] = str(entry.get("dtype"))
     _check_shapes(where, spec, shapes)
     for name, stored in types.items():
-        allowed = {"I32", "U16"} if is_faces(name) else _FLOAT_TYPES | _AFFINE_TYPES
+        allowed = {"I32", "U16"} if is_index(name) else _FLOAT_TYPES | _AFFINE_TYPES
         if name.startswith(STREAM_PREFIX):
             allowed = _STREAM_TYPES
         if stored not in allowed:
@@ -387,12 +406,12 @@ def _check_tensors(where: str, spec: AvatarSpec, tensors: Mapping[str, Array]) -
     for name, array in tensors.items():
         if name.startswith(STREAM_PREFIX):
             continue
-        wanted = np.int32 if is_faces(name) else np.float32
+        wanted = np.int32 if is_index(name) else np.float32
         if array.dtype != wanted:
             raise AvatarFileError(
                 f"{where}: tensor {name} is {array.dtype}; {np.dtype(wanted)} is needed"
             )
-        if is_faces(name):
+        if is_index(name):
             continue
         # One pass: NaN fails both comparisons' negation.
         if not (array.min() >= -MAX_MAGNITUDE and array.max() <= MAX_MAGNITUDE):
@@ -411,6 +430,7 @@ def _check_tensors(where: str, spec: AvatarSpec, tensors: Mapping[str, Array]) -
                 f"{where}: tensor {name} names vertices {faces.min()} to {faces.max()}; "
                 f"allowed are 0 to {len(uv) - 1}"
             )
+    check_sheets(where, spec, tensors)
     try:
         read_errors(spec, tensors)
     except ValueError as error:

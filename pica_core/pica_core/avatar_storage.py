@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from pica_core.errors import AvatarFileError
 from pica_core.level_tensors import PREFIX as LEVEL_PREFIX
-from pica_core.level_tensors import is_faces
+from pica_core.level_tensors import is_index
 from pica_core.stream_profile import PREFIX as STREAM_PREFIX
 
 Array = npt.NDArray[Any]
@@ -35,7 +35,7 @@ DEFAULT_STORAGE: Mapping[str, Storage] = MappingProxyType(
     }
 )
 """How `save_avatar` stores these; decoder and encoder weights are fp16, the two SIRENs float32. A
-level's mean is stored like the full one, its weights per texel in 8 bits, its bias in fp16, the
+level's mean is stored like the full one, its weights per vertex in 8 bits, its bias in fp16, the
 rest of it in float32.
 
 8 bits over the range of a channel are 0.004 of that range; 16 bits over a head are 5 micrometres
@@ -59,8 +59,9 @@ def to_storage(
     """
     if name.startswith(STREAM_PREFIX):
         return array, None
-    if is_faces(name):
-        return array.astype(np.uint16 if num_vertices <= 2**16 else np.int32), None
+    if is_index(name):
+        is_short = num_vertices <= 2**16 and array.max() < 2**16
+        return array.astype(np.uint16 if is_short else np.int32), None
     kind = kind or _usual(name)
     if kind in ("u8", "u16"):
         return _to_affine(array, np.uint8 if kind == "u8" else np.uint16)
@@ -80,7 +81,7 @@ def to_memory(where: str, name: str, stored: Array, shape: tuple[int, ...], affi
     Raises:
         AvatarFileError: The tensor needs a table, and it is missing or not of finite numbers.
     """
-    if is_faces(name):
+    if is_index(name):
         return stored.astype(np.int32)
     if name.startswith(STREAM_PREFIX):
         return stored

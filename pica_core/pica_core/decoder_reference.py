@@ -13,7 +13,8 @@ import numpy.typing as npt
 
 from pica_core.avatar_file import Avatar
 from pica_core.decoder_layers import Layer, decoder_layers, trunk_layers
-from pica_core.spec import LATENT_SIZE, LEAKY_SLOPE
+from pica_core.pixel_reference import sample_bilinear
+from pica_core.spec import LATENT_SIZE, LEAKY_SLOPE, POSITION_CHANNELS
 
 Array = npt.NDArray[Any]
 
@@ -27,11 +28,31 @@ def decode_position_map(avatar: Avatar, latent: npt.ArrayLike, level: int | None
         level: One of the avatar's levels; None for the full one.
 
     Returns:
-        Position map, head frame, metres, float64 ``[S, S, 3]``.
+        Position map, head frame, metres, float64 ``[S, S, 3]``; below the full level the sheet of
+        its vertices, ``[R, S, 3]``.
     """
     offset, prefix = _decode(avatar, "geometry", np.asarray(latent, np.float64), level)
     mean: Array = avatar.tensors[f"{prefix}geometry.mean"].astype(np.float64)
     return mean + avatar.manifest.position_scale_m * offset.transpose(1, 2, 0)
+
+
+def decode_vertices(avatar: Avatar, latent: npt.ArrayLike, level: int | None = None) -> Array:
+    """Where the vertices of a level's mesh are.
+
+    Args:
+        avatar: Checked avatar.
+        latent: ``[8, 8, 4]``.
+        level: One of the avatar's levels; None for the full one.
+
+    Returns:
+        float64 ``[V', 3]`` metres, the vertices that `Avatar.level_faces` uses, in ascending order.
+    """
+    size = avatar.spec.map_size if level is None else level
+    used = np.unique(avatar.level_faces(size))
+    found = decode_position_map(avatar, latent, size)
+    if size == avatar.spec.map_size:
+        return sample_bilinear(found, avatar.tensors["mesh.vertex_uv"][used])
+    return found.reshape(-1, POSITION_CHANNELS)[: len(used)]
 
 
 def decode_expression_map(
@@ -75,8 +96,11 @@ def _decode(avatar: Avatar, decoder: str, grid: Array, level: int | None) -> tup
     weight = avatar.tensors[f"{prefix}{decoder}.weight"]
     if decoder == "expression":
         return _convolve(value, weight), prefix
-    per_texel = weight.astype(np.float64).reshape(*weight.shape[:2], -1, len(value))
-    return np.einsum("yxdc,cyx->dyx", per_texel, value), prefix
+    read = value.reshape(len(value), -1)[:, avatar.tensors[f"{prefix}geometry.texel"]]
+    per_vertex = weight.astype(np.float64).reshape(
+        *weight.shape[:2], POSITION_CHANNELS, len(value), -1
+    )
+    return np.einsum("yxdct,cyxt->dyx", per_vertex, read), prefix
 
 
 def _run(layer: Layer, weights: list[Array], value: Array) -> Array:

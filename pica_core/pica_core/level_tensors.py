@@ -1,19 +1,22 @@
 """The tensors that levels of detail have in an avatar file: names, shapes, checks.
 
 All of them may be absent; float32 in memory unless stated. S is a level below the full one, C the
-channels of the trunk there.
+channels of the trunk there, R the rows that hold the vertices of its mesh.
 
-    level.{S}.geometry.weight    [S, S, 3 * C], the C of x first
-    level.{S}.geometry.mean      [S, S, 3] metres
+    level.{S}.faces              [F, 3] int32, over mesh.vertex_uv
+    level.{S}.geometry.mean      [R, S, 3] metres
+    level.{S}.geometry.texel     [R, S, 2] int32: which two texels of the trunk, row * S + column
+    level.{S}.geometry.weight    [R, S, 3 * C * 2]: of x, of its first channel, of the first texel
     level.{S}.expression.weight  [4, C, 3, 3]
     level.{S}.expression.bias    [4, S, S]
-    level.{S}.faces              [F, 3] int32, over mesh.vertex_uv; mesh.faces serves where it lacks
     level.head_px                [K] heights of the head on screen, pixels, ascending
-    level.errors                 [L, 2, K] MSE by level (ascending, the full one last), shading rate
-                                 1 and 2, and height
+    level.errors                 [L, 2, K] MSE by level (ascending, the full one last): of its maps
+                                 and its mesh, and of the full maps on its mesh; and by height
     level.sensitivity            [2] MSE per squared radian of view, per squared unit of the latent
 
-A level is there as a whole or not at all, and so is the table of errors.
+A level is there as a whole or not at all, and so is the table of errors. The geometry is a *sheet*:
+the k-th vertex that the level's mesh uses, counted from the lowest number, stands in row k // S and
+column k % S. What is left of the last row belongs to nobody.
 """
 
 from __future__ import annotations
@@ -26,7 +29,7 @@ import numpy.typing as npt
 
 from pica_core.decoder_layers import trunk_channels
 from pica_core.errors import AvatarFileError
-from pica_core.levels import SHADING_RATES, LevelErrors, level_sizes
+from pica_core.levels import NUM_DRAWINGS, LevelErrors, level_sizes
 from pica_core.spec import POSITION_CHANNELS, AvatarSpec
 
 Array = npt.NDArray[Any]
@@ -34,6 +37,9 @@ Array = npt.NDArray[Any]
 PREFIX = "level."
 MAX_HEIGHTS = 64
 """Entries of an error table along the height of the head."""
+NUM_TEXELS = 2
+"""Of the trunk that a vertex is made of (chosen: vertices are 0.08, 0.05 and 0.04 mm off with one,
+two and four on one avatar; each costs 0.34 MB)."""
 _TABLE = ("head_px", "errors", "sensitivity")
 
 
@@ -42,18 +48,38 @@ def is_faces(name: str) -> bool:
     return name == "mesh.faces" or (name.startswith(PREFIX) and name.endswith(".faces"))
 
 
+def is_index(name: str) -> bool:
+    """Whether a tensor of an avatar holds whole numbers: triangles, or texels of a trunk."""
+    return is_faces(name) or (name.startswith(PREFIX) and name.endswith(".geometry.texel"))
+
+
+def sheet_rows(num_vertices: int, level: int) -> int:
+    """Rows of the sheet that holds so many vertices."""
+    return -(-num_vertices // level)
+
+
+def sheet_uv(num_vertices: int, level: int) -> npt.NDArray[np.float32]:
+    """Where vertices stand in their sheet, as texture coordinates. float32 ``[V, 2]``."""
+    number = np.arange(num_vertices)
+    place = np.stack([number % level / level, number // level / sheet_rows(num_vertices, level)], 1)
+    half = np.array([0.5 / level, 0.5 / sheet_rows(num_vertices, level)])
+    return (place + half).astype(np.float32)
+
+
 def faces_name(level: int) -> str:
     """Name of a level's own triangles."""
     return f"{PREFIX}{level}.faces"
 
 
-def exit_shapes(spec: AvatarSpec, level: int) -> dict[str, tuple[int, ...]]:
-    """Name and shape of the tensors that make an exit, its mesh excepted."""
+def exit_shapes(spec: AvatarSpec, level: int, rows: int) -> dict[str, tuple[int, ...]]:
+    """Name and shape of the tensors that make an exit with a sheet of so many rows, its mesh
+    excepted."""
     channels, prefix = trunk_channels(spec, level), f"{PREFIX}{level}"
     codes = spec.expression_channels
     return {
-        f"{prefix}.geometry.weight": (level, level, POSITION_CHANNELS * channels),
-        f"{prefix}.geometry.mean": (level, level, POSITION_CHANNELS),
+        f"{prefix}.geometry.weight": (rows, level, POSITION_CHANNELS * channels * NUM_TEXELS),
+        f"{prefix}.geometry.mean": (rows, level, POSITION_CHANNELS),
+        f"{prefix}.geometry.texel": (rows, level, NUM_TEXELS),
         f"{prefix}.expression.weight": (codes, channels, 3, 3),
         f"{prefix}.expression.bias": (codes, level, level),
     }
@@ -63,7 +89,7 @@ def levels_of(spec: AvatarSpec, names: Iterable[str]) -> tuple[int, ...]:
     """The levels of an avatar with tensors of these names, ascending; the full one is the last."""
     there = set(names)
     exits = level_sizes(spec)[:-1]
-    found = (size for size in exits if there.intersection(exit_shapes(spec, size)))
+    found = (size for size in exits if there.intersection(exit_shapes(spec, size, 1)))
     return (*found, spec.map_size)
 
 
@@ -85,17 +111,17 @@ def wanted_shapes(
     levels = levels_of(spec, shapes)
     wanted: dict[str, tuple[int, ...]] = {}
     for size in level_sizes(spec)[:-1]:
-        faces = faces_name(size)
+        faces, mean = faces_name(size), f"{PREFIX}{size}.geometry.mean"
         if size in levels or faces in shapes:
-            wanted |= exit_shapes(spec, size)
-        if faces in shapes:
-            wanted[faces] = (_rows(where, faces, shapes[faces], max_faces), 3)
+            rows = _rows(where, mean, shapes.get(mean, (1,)), sheet_rows(3 * max_faces, size))
+            wanted |= exit_shapes(spec, size, rows)
+            wanted[faces] = (_rows(where, faces, shapes.get(faces, (1,)), max_faces), 3)
     table = {name: PREFIX + name for name in _TABLE}
     if shapes.keys() & table.values():
         name = table["head_px"]
         heights = _rows(where, name, shapes.get(name, (1,)), MAX_HEIGHTS)
         wanted[name] = (heights,)
-        wanted[table["errors"]] = (len(levels), len(SHADING_RATES), heights)
+        wanted[table["errors"]] = (len(levels), NUM_DRAWINGS, heights)
         wanted[table["sensitivity"]] = (2,)
     return wanted
 
@@ -105,6 +131,30 @@ def _rows(where: str, name: str, shape: tuple[int, ...], limit: int) -> int:
     if not 1 <= rows <= limit:
         raise AvatarFileError(f"{where}: tensor {name} has {rows} rows; allowed are 1 to {limit}")
     return rows
+
+
+def check_sheets(where: str, spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
+    """Compare the sheets of an avatar's levels with their meshes; names and shapes fit already.
+
+    Raises:
+        AvatarFileError: A sheet has more or fewer rows than its vertices need, or a vertex is made
+            of a texel that is not there.
+    """
+    for level in levels_of(spec, tensors)[:-1]:
+        mean, texel = (f"{PREFIX}{level}.geometry.{name}" for name in ("mean", "texel"))
+        num_vertices = len(np.unique(tensors[faces_name(level)]))
+        rows = sheet_rows(num_vertices, level)
+        if len(tensors[mean]) != rows:
+            raise AvatarFileError(
+                f"{where}: tensor {mean} has {len(tensors[mean])} rows; the {num_vertices} "
+                f"vertices of {faces_name(level)} need {rows}"
+            )
+        numbers = tensors[texel]
+        if numbers.min() < 0 or numbers.max() >= level * level:
+            raise AvatarFileError(
+                f"{where}: tensor {texel} names texels {numbers.min()} to {numbers.max()}; "
+                f"allowed are 0 to {level * level - 1}"
+            )
 
 
 def read_errors(spec: AvatarSpec, tensors: Mapping[str, Array]) -> LevelErrors | None:

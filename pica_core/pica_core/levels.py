@@ -1,21 +1,23 @@
 """Levels of detail: which maps an avatar can be decoded to, and what each of them costs in error.
 
-A *level* is the size of the decoded maps in texels per side. The full one is the model itself. A
-level below it is an early exit of both decoders: the trunk is left after the block that makes maps
-of that size, and one linear layer turns what is there into the level's maps:
+A *level* is the size of the decoded expression map in texels per side. The full one is the model
+itself. A level below it is an early exit of both decoders: the trunk is left after the block that
+makes maps of that size, and one linear layer turns what is there into
 
-    position map   = mean + position_scale_m * (weight . trunk)     a weight per texel, [S, S, 3, C]
-    expression map = conv3x3(trunk) + bias                          a bias per texel, [S, S, 4]
+    expression map = conv3x3(trunk) + bias                       a bias per texel, [S, S, 4]
+    vertices       = mean + position_scale_m * (weight . trunk)  weights per vertex, in a sheet
 
-Positions need weights of their own at every texel: with one convolution for all, eyes and lips do
-not follow (0.27 mm off on average over a mesh that moves by 0.6; 0.06 with weights per texel).
+The vertices are those of the level's own mesh: coarser triangles over some of the same vertices.
+Each is made of the two texels of the trunk that are nearest to it. A position map of that size
+would not do: lids and lips lie closer together than its texels, and with one convolution for all
+of it eyes and lips do not follow (vertices 0.27 mm off on average in a face that moves by 0.86;
+0.05 mm like this). The mesh of a level can also be drawn with the full maps.
 
-An avatar may have exits at a quarter and a half of its full map: 64 and 128 of 256. A level may
-also have a coarser mesh: triangles over some of the same vertices.
+An avatar may have exits at a quarter and a half of its full map: 64 and 128 of 256.
 
     avatar.levels                                   (64, 128, 256)
     avatar.level_faces(64)                          int32 [F, 3]
-    avatar.level_errors.at(64, shading_rate=1, head_px=200.0)       MSE, 0-255
+    avatar.level_errors.at(64, head_px=200.0)       MSE, 0-255
 """
 
 from __future__ import annotations
@@ -30,8 +32,8 @@ from pica_core.spec import LATENT_SIZE, AvatarSpec
 
 FloatArray = npt.NDArray[np.float32]
 
-SHADING_RATES = (1, 2)
-"""Every pixel, or every second one in both directions."""
+NUM_DRAWINGS = 2
+"""Ways to draw the mesh of a level: with what the level makes, and with the full maps."""
 EXIT_DIVISORS = (4, 2)
 """Full map size over the size of each possible exit (chosen: the two last blocks are where the
 work of a decoder is)."""
@@ -49,7 +51,7 @@ def level_sizes(spec: AvatarSpec) -> tuple[int, ...]:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LevelErrors:
-    """The rendered error that levels and shading rates leave, by the size of the head on screen.
+    """The rendered error that levels leave, by the size of the head on screen.
 
     Errors are mean squared differences on 0-255 values over the head's pixels, against the full
     level drawn with supersampling.
@@ -60,7 +62,8 @@ class LevelErrors:
     head_px: FloatArray
     """Heights of the head's bounding box on screen, pixels, ascending. float32 ``[K]``."""
     mse: FloatArray
-    """Per level, shading rate 1 and 2, and height. float32 ``[L, 2, K]``."""
+    """Per level, of its own maps and mesh, and of the full maps drawn with its mesh; and height.
+    float32 ``[L, 2, K]``; the full level's two are the same."""
     view_mse_per_rad2: float
     """What an expression map costs that is kept while the view turns: MSE per square radian, at
     `SENSITIVITY_HEAD_PX`."""
@@ -76,7 +79,7 @@ class LevelErrors:
         ascending = heights.ndim == 1 and num_heights >= 1 and bool(np.all(np.diff(heights) > 0))
         if not ascending or not (heights[0] > 0 and np.isfinite(heights[-1])):
             raise ValueError("head_px must be one or more heights above 0, finite and ascending")
-        wanted = (num_levels, len(SHADING_RATES), num_heights)
+        wanted = (num_levels, NUM_DRAWINGS, num_heights)
         if self.mse.shape != wanted:
             raise ValueError(f"errors have shape {list(self.mse.shape)}; {list(wanted)} is needed")
         sensitivities = (self.view_mse_per_rad2, self.latent_mse_per_unit2)
@@ -84,27 +87,24 @@ class LevelErrors:
             if not (np.isfinite(values).all() and values.min() >= 0):
                 raise ValueError(f"{name} must be finite and at least 0")
 
-    def at(self, level: int, shading_rate: int, head_px: float) -> float:
+    def at(self, level: int, head_px: float, *, full_maps: bool = False) -> float:
         """The error of one choice.
 
         Args:
             level: One of `levels`.
-            shading_rate: 1 or 2.
             head_px: Height of the head, pixels.
+            full_maps: Draw the mesh of the level with the full maps.
 
         Returns:
             MSE. Between the table's heights its logarithm runs straight over the logarithm of the
             height; beyond them the nearest entry holds.
 
         Raises:
-            ValueError: An unknown level or shading rate.
+            ValueError: An unknown level.
         """
-        if level not in self.levels or shading_rate not in SHADING_RATES:
-            raise ValueError(
-                f"level {level} at shading rate {shading_rate}; known are levels "
-                f"{', '.join(map(str, self.levels))} at {' and '.join(map(str, SHADING_RATES))}"
-            )
-        row = self.mse[self.levels.index(level), SHADING_RATES.index(shading_rate)]
+        if level not in self.levels:
+            raise ValueError(f"level {level}; known are {', '.join(map(str, self.levels))}")
+        row = self.mse[self.levels.index(level), int(full_maps)]
         height = float(np.clip(head_px, self.head_px[0], self.head_px[-1]))
         known = np.log(np.maximum(row, LEAST_MSE))
         return float(np.exp(np.interp(np.log(height), np.log(self.head_px), known)))
@@ -115,20 +115,20 @@ def default_errors(levels: Sequence[int]) -> LevelErrors:
 
     Half of a map's rows lie on what is seen of a head from the front, so a level is sharp up to a
     head of about half its size in pixels; a map of half the size, or a head of twice the height,
-    leaves twice the error. Half the pixels leave detail out at any size, least where heads are
-    large. The full level is the truth but for its pixels' edges. No measurement stands behind the
-    factors: they are there so that far heads get less and near ones more.
+    leaves twice the error. Half of it is the mesh's. The full level is the truth but for its
+    pixels' edges. No measurement stands behind the factors: they are there so that far heads get
+    less and near ones more.
 
     Args:
         levels: The avatar's levels, ascending.
     """
     heights = 2.0 ** np.arange(4, 12)
     full = max(levels)
-    mse = np.empty((len(levels), len(SHADING_RATES), len(heights)))
+    mse = np.empty((len(levels), NUM_DRAWINGS, len(heights)))
     for index, level in enumerate(levels):
         blur = 0.0 if level == full else 20.0 * heights / level
         mse[index, 0] = 5.0 + blur
-        mse[index, 1] = 5.0 + blur + 60.0 * (heights[0] / heights) ** 0.25
+        mse[index, 1] = 5.0 + 0.5 * blur
     return LevelErrors(
         levels=tuple(levels),
         head_px=heights.astype(np.float32),

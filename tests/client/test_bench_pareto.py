@@ -36,15 +36,14 @@ def test_the_full_level_leaves_less_error_than_exits_of_random_weights(
     rows: list[dict[str, Any]],
 ) -> None:
     full, coarse = (
-        row_of(rows, model="pica", level=level, shading_rate=1, precision="f32")
-        for level in (256, 64)
+        row_of(rows, model="pica", level=level, mesh=level, precision="f32") for level in (256, 64)
     )
     assert full["mse"] < coarse["mse"]
 
 
 def test_half_precision_is_nearer_to_the_truth_than_eight_bits(rows: list[dict[str, Any]]) -> None:
     half, bytes_ = (
-        row_of(rows, model="pica", level=256, shading_rate=1, precision=precision)
+        row_of(rows, model="pica", level=256, mesh=256, precision=precision)
         for precision in ("f16", "u8")
     )
     assert half["mse"] <= bytes_["mse"]

@@ -80,7 +80,7 @@ def test_the_sheet_shows_each_treatment_of_the_largest_scene_above_its_differenc
 def test_the_summary_compares_with_one_head_that_fills_the_screen() -> None:
     def row(**given: Any) -> dict[str, Any]:
         usual = {"view": "front", "budget_ms": None, "error": 0.0, "plan_ms": 0.1, "limited": 0.0}
-        return {**usual, "levels": {}, "shading_rates": {}, "floor_ms": 2.0, **given}
+        return {**usual, "levels": {}, "meshes": {}, "floor_ms": 2.0, **given}
 
     rows = [
         row(avatars=1, distance_cm=18.0, scheduler=False, total_ms=20.0),

@@ -95,7 +95,7 @@ def test_every_level_is_decoded_to_maps_of_its_size(level: int) -> None:
     latent = np.random.default_rng(level).standard_normal((8, 8, 4)).astype(np.float32)
     maps = decoder.decode(latent, AHEAD, level)
     assert maps.position_map is not None
-    assert maps.position_map.shape == (level, level, 3)
+    assert maps.position_map.shape == (LEVELLED.position_rows(level), level, 3)
     assert maps.expression_map.shape == (level, level, 4)
     assert maps.level == level
     alone = decoder.decode(latent, AHEAD, level, "expression")

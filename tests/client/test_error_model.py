@@ -32,11 +32,13 @@ def test_at_its_own_heights_a_well_behaved_table_is_told_as_it_is() -> None:
     measured = default_errors((64, 128, 256))
     errors = ErrorModel(measured)
     for height in (64.0, 512.0):
-        *over_full, half, full = errors.extra(height)
-        assert full == pytest.approx(measured.at(256, 1, height), rel=1e-5)
-        for level, extra in zip(measured.levels, over_full, strict=True):
-            assert full + extra == pytest.approx(measured.at(level, 1, height), rel=1e-4)
-        assert half >= measured.at(128, 2, height) - measured.at(128, 1, height) - 1e-4
+        maps, meshes, own = errors.extra(height)
+        assert own == pytest.approx(measured.at(256, height), rel=1e-5)
+        for level, map_mse, mesh_mse in zip(measured.levels, maps, meshes, strict=True):
+            on_mesh = measured.at(level, height, full_maps=True)
+            assert own + mesh_mse == pytest.approx(on_mesh, rel=1e-4)
+            whole = measured.at(level, height)
+            assert own + mesh_mse + map_mse == pytest.approx(whole, rel=1e-4)
 
 
 def test_beyond_the_table_its_ends_hold() -> None:
@@ -46,8 +48,8 @@ def test_beyond_the_table_its_ends_hold() -> None:
 
 
 def test_an_avatar_of_one_level_has_nothing_to_gain_from_another() -> None:
-    *over_full, _, _ = ErrorModel(default_errors((256,))).extra(300.0)
-    assert over_full == [0.0]
+    maps, meshes, _ = ErrorModel(default_errors((256,))).extra(300.0)
+    assert maps == meshes == [0.0]
 
 
 @given(
@@ -60,10 +62,10 @@ def test_whatever_was_measured_more_is_not_worse_and_nearer_not_less(
 ) -> None:
     errors = ErrorModel(table(mse))
     far, near = errors.extra(head_px), errors.extra(head_px * factor)
-    for extra in (far, near):
-        assert all(coarse >= fine for coarse, fine in itertools.pairwise(extra[:3]))
-        assert extra[2] == 0
-        assert extra[3] >= 0
-    for coarse, fine in ((0, 1), (1, 2)):
-        assert near[coarse] - near[fine] >= far[coarse] - far[fine] - 1e-3
-    assert near[3] >= far[3] - 1e-3
+    for kind in (0, 1):
+        for extra in (far[kind], near[kind]):
+            assert all(coarse >= fine for coarse, fine in itertools.pairwise(extra))
+            assert extra[-1] == 0
+        for coarse, fine in ((0, 1), (1, 2)):
+            steps = near[kind][coarse] - near[kind][fine], far[kind][coarse] - far[kind][fine]
+            assert steps[0] >= steps[1] - 1e-3

@@ -80,9 +80,8 @@ def test_broken_maps_harm_nobody_else(context: moderngl.Context, value: float, p
     rows = slice(None) if part == "everywhere" else slice(100, 101)
     broken[rows], codes[rows] = value, value
     renderer.update_maps("p0", broken, codes)
-    for rate in (1, 2):
-        renderer.draw([replace(both[0], shading_rate=rate), both[1]], camera)
-        np.testing.assert_array_equal(renderer.read_image()[heads == 0], wanted[heads == 0])
+    renderer.draw(both, camera)
+    np.testing.assert_array_equal(renderer.read_image()[heads == 0], wanted[heads == 0])
 
 
 def test_a_map_that_reaches_out_is_held_within_its_bounds(context: moderngl.Context) -> None:
@@ -97,18 +96,15 @@ def test_a_map_that_reaches_out_is_held_within_its_bounds(context: moderngl.Cont
     assert (xyz_m[heads == 0] <= high + margin).all()
 
 
-@pytest.mark.parametrize("rate", [1, 2])
 @pytest.mark.parametrize(
     "centre_m",
     [(0, 0, 0.001), (0, 0.02, 0.06), (0.05, 0, 0.02), (0, 0, 0.097), (0, 0, 0.12), (0, 0.0, -0.05)],
 )
 def test_a_camera_in_a_head_or_on_its_skin_draws_a_frame(
-    context: moderngl.Context, centre_m: tuple[float, float, float], rate: int
+    context: moderngl.Context, centre_m: tuple[float, float, float]
 ) -> None:
     renderer = renderer_with(context, 1)
-    stats = renderer.draw(
-        [placed("p0", shading_rate=rate)], camera_at(*centre_m), count_pixels=True
-    )
+    stats = renderer.draw([placed("p0")], camera_at(*centre_m), count_pixels=True)
     assert stats.num_avatars == 1
     assert (stats.shaded_pixels or 0) <= SIZE[0] * SIZE[1]
     assert renderer.read_image().shape == (SIZE[1], SIZE[0], 3)
@@ -144,10 +140,9 @@ def test_a_head_that_fills_the_screen_shades_each_pixel_once(context: moderngl.C
     assert (renderer.read_surface()[2] == 0).all()
 
 
-@pytest.mark.parametrize("rate", [1, 2])
-def test_heads_of_a_pixel_cost_a_pixel(context: moderngl.Context, rate: int) -> None:
+def test_heads_of_a_pixel_cost_a_pixel(context: moderngl.Context) -> None:
     renderer = renderer_with(context, 3)
-    crowd = [placed(f"p{i}", 1.5 * i - 1.5, 0, 0, shading_rate=rate) for i in range(3)]
+    crowd = [placed(f"p{i}", 1.5 * i - 1.5, 0, 0) for i in range(3)]
     stats = renderer.draw(crowd, camera_at(0, 0, 19, fov=2.2), count_pixels=True)
     assert len(stats.heads) == 3
     assert all((head.shaded_pixels or 0) <= 4 for head in stats.heads)

@@ -16,7 +16,6 @@ from pica_client.scene import clip_from_head
 from pica_client.visibility import PlacedHead, look
 from pica_command.main import main
 from pica_core.avatar_file import Avatar, load_avatar, save_avatar
-from pica_core.levels import SHADING_RATES
 from toy import make_toy_avatar, with_toy_levels
 
 pytestmark = pytest.mark.render
@@ -35,7 +34,7 @@ def test_a_line_through_times_that_lie_on_one_is_found() -> None:
 
 def row(model: str, level: int, draw_ms: float, vertex_ms: float, **more: object) -> dict:
     weights = "turns" if model == "pica" else None
-    common = {"distance_cm": 65.0, "shading_rate": 1, "weights": weights}
+    common = {"distance_cm": 65.0, "mesh": level, "weights": weights}
     times = {f"draw_{clock}ms": draw_ms for clock in ("", "cpu_")}
     times |= {f"vertex_{clock}ms": vertex_ms for clock in ("", "cpu_")}
     return {**common, **times, "model": model, "level": level, **more}
@@ -45,13 +44,16 @@ def test_the_summary_divides_by_the_baseline_and_by_the_full_mesh() -> None:
     rows = [
         row("pica", 64, 4.0, 1.0),
         row("pica", 256, 9.0, 4.0),
+        row("pica", 256, 6.0, 1.0, mesh=64),
         row("pica", 256, 20.0, 4.0, weights="block"),
         row("baseline", 0, 3.0, 1.5),
     ]
     ratios = summarise(rows, [], "turns")["ratios"]
-    assert [(r["level"], r["draw_over_baseline"], r["vertex_over_full"]) for r in ratios] == [
-        (64, 1.333, 0.25),
-        (256, 3.0, 1.0),
+    names = ("level", "mesh", "draw_over_baseline", "vertex_over_full")
+    assert [tuple(r[name] for name in names) for r in ratios] == [
+        (64, 64, 1.333, 0.25),
+        (256, 256, 3.0, 1.0),
+        (256, 64, 2.0, 0.25),
     ]
 
 
@@ -62,17 +64,11 @@ def test_a_bench_of_a_toy_counts_what_it_draws() -> None:
     result = run_render_bench(config, TOY)
     rows = result["rows"]
     near = [r for r in rows if r["distance_cm"] == 65.0 and r["model"] == "pica"]
-    assert {(r["level"], r["shading_rate"]) for r in near} == {
-        (level, rate) for level in TOY.levels for rate in SHADING_RATES
-    }
+    ways = {(64, 64), (128, 128), (256, 64), (256, 128), (256, 256)}
+    assert {(r["level"], r["mesh"]) for r in near} == ways
     assert {r["weights"] for r in near} == {"block", "constants", "turns"}
-    for level in TOY.levels:
-        whole, half = (
-            next(r for r in near if r["level"] == level and r["shading_rate"] == rate)
-            for rate in SHADING_RATES
-        )
-        assert 0.2 * whole["pixels"] < half["pixels"] < 0.4 * whole["pixels"]
-        assert whole["triangles"] == len(TOY.level_faces(level))
+    for drawn in near:
+        assert drawn["triangles"] == len(TOY.level_faces(drawn["mesh"]))
     assert all(r["draw_ms"] > 0 and r["draw_cpu_ms"] > 0 and r["pixels"] > 0 for r in rows)
     full = max(r["pixels"] for r in near)
     (baseline,) = (r for r in rows if r["distance_cm"] == 65.0 and r["model"] == "baseline")
@@ -126,7 +122,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_table_tells_levels_and_rates_apart_and_is_the_same_each_time() -> None:
+def test_a_table_tells_levels_and_meshes_apart_and_is_the_same_each_time() -> None:
     told: list[float] = []
     first, second = measure_levels(TOY, told.append), measure_levels(TOY)
     assert first.levels == TOY.levels
@@ -134,7 +130,8 @@ def test_a_table_tells_levels_and_rates_apart_and_is_the_same_each_time() -> Non
     np.testing.assert_array_equal(first.mse, second.mse)
     # The middle level may beat the full one at heads this small: its maps alias less.
     assert (first.mse[2, 0] < first.mse[0, 0]).all()
-    assert (first.mse[:, 0] < first.mse[:, 1]).all()
+    assert (first.mse[:-1, 1] != first.mse[:-1, 0]).all()
+    np.testing.assert_array_equal(first.mse[-1, 0], first.mse[-1, 1])
     assert first.view_mse_per_rad2 > 0
     assert first.latent_mse_per_unit2 > 0
     assert told == sorted(told)

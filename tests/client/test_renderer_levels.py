@@ -1,4 +1,4 @@
-"""Levels, shading rates, eyes and textured heads, as the renderer draws them."""
+"""Levels, eyes and textured heads, as the renderer draws them."""
 
 from __future__ import annotations
 
@@ -139,15 +139,52 @@ def test_a_mesh_level_can_be_asked_for(context: moderngl.Context, maps: Maps) ->
     assert levels == [64, 256, 256]
 
 
-def test_a_mesh_finer_than_its_map_is_not_drawn(context: moderngl.Context, maps: Maps) -> None:
-    renderer = renderer_with(context, maps, 64)
-    assert renderer.draw([placed(mesh_level=256)], NEAR).heads[0].level == 64
+def test_maps_of_a_coarser_level_are_drawn_with_their_own_mesh_alone(
+    context: moderngl.Context, maps: Maps
+) -> None:
+    renderer = renderer_with(context, maps, 128)
+    levels = [
+        renderer.draw([placed(mesh_level=level)], NEAR).heads[0].level for level in (64, 256, None)
+    ]
+    assert levels == [128, 128, 128]
+
+
+@pytest.mark.parametrize("level", TOY.levels[:-1])
+def test_a_sheet_puts_every_vertex_where_the_decoder_has_it(
+    context: moderngl.Context, maps: Maps, level: int
+) -> None:
+    faces = TOY.level_faces(level)
+    used = np.unique(faces)
+    vertices = np.full((TOY.tensors["mesh.vertex_uv"].shape[0], 3), np.nan)
+    position, _ = maps[level]
+    vertices[used] = position.reshape(-1, 3)[: len(used)]
+    renderer = renderer_with(context, maps, level)
+    renderer.draw([placed()], NEAR)
+    xyz_m, uv, heads = renderer.read_surface()
+    # A pixel in the middle of a triangle: its UV says which, and where in it.
+    corners = TOY.tensors["mesh.vertex_uv"][faces].astype(np.float64)
+    checked = 0
+    for row, column in np.argwhere(heads == 0)[::97]:
+        point = uv[row, column]
+        sides = corners[:, 1:] - corners[:, :1]
+        shares = np.linalg.solve(
+            np.swapaxes(sides, 1, 2),
+            np.broadcast_to(point, (len(faces), 2))[..., None] - corners[:, 0, :, None],
+        )[..., 0]
+        weights = np.concatenate([1 - shares.sum(axis=1, keepdims=True), shares], axis=1)
+        (inside,) = np.nonzero((weights > 0.05).all(axis=1))
+        if len(inside) != 1:
+            continue
+        expected = weights[inside[0]] @ vertices[faces[inside[0]]]
+        np.testing.assert_allclose(xyz_m[row, column], expected, atol=2e-4)
+        checked += 1
+    assert checked > 10
 
 
 def test_a_refused_map_changes_nothing(context: moderngl.Context, maps: Maps) -> None:
     renderer = renderer_with(context, maps, 256)
     before = drawn(renderer, placed())
-    with pytest.raises(ShapeError, match="S one of 64, 128, 256"):
+    with pytest.raises(ShapeError, match=r"\(32, 32, 4\); float32 \(64, 64, 4\), "):
         renderer.update_maps("p0", maps[64][0], np.zeros((32, 32, 4), np.float32))
     with pytest.raises(ShapeError, match="float64"):
         renderer.update_maps("p0", maps[64][0].astype(np.float64), None)
@@ -180,14 +217,6 @@ def test_while_levels_mix_each_has_its_own_mesh(context: moderngl.Context, maps:
     assert [head.level for head in renderer.draw([placed()], NEAR).heads] == [64]
 
 
-def test_levels_mix_at_half_resolution_too(context: moderngl.Context, maps: Maps) -> None:
-    renderer = renderer_with(context, maps, 64, 256)
-    old, new, mixed = (drawn(renderer, placed(blend=b, shading_rate=2)) for b in (0.0, 1.0, 0.5))
-    covered = renderer.read_surface()[2] >= 0
-    error = np.square(mixed - 0.5 * (old + new))[covered].mean()
-    assert error < 0.5 * np.square(new - old)[covered].mean() + 20
-
-
 def test_without_a_level_before_a_blend_shows_the_newest(
     context: moderngl.Context, maps: Maps
 ) -> None:
@@ -195,53 +224,6 @@ def test_without_a_level_before_a_blend_shows_the_newest(
     np.testing.assert_array_equal(
         drawn(renderer, placed(blend=0.0)), drawn(renderer, placed(blend=1.0))
     )
-
-
-def test_half_resolution_decodes_a_quarter_of_the_pixels(
-    context: moderngl.Context, maps: Maps
-) -> None:
-    renderer = renderer_with(context, maps, 256)
-    whole = renderer.draw([placed()], NEAR, count_pixels=True).shaded_pixels
-    half = renderer.draw([placed(shading_rate=2)], NEAR, count_pixels=True).shaded_pixels
-    assert whole is not None
-    assert half is not None
-    assert 0.25 * whole <= half < 0.3 * whole
-
-
-def test_half_resolution_keeps_silhouettes(context: moderngl.Context, maps: Maps) -> None:
-    renderer = renderer_with(context, maps, 256)
-    room = drawn(renderer, placed("nobody"))
-    outlines = [
-        (drawn(renderer, placed(shading_rate=rate)) != room).any(axis=-1) for rate in (1, 2)
-    ]
-    np.testing.assert_array_equal(*outlines)
-
-
-def test_half_resolution_decodes_its_pixels_as_full_resolution_does(
-    context: moderngl.Context, maps: Maps
-) -> None:
-    renderer = renderer_with(context, maps, 256, options=UNFILTERED)
-    whole, half = (drawn(renderer, placed(shading_rate=rate)) for rate in (1, 2))
-    covered = renderer.read_surface()[2] >= 0
-    # Rows count from the bottom on the GPU: with an even height its even rows are our odd ones.
-    own = covered[1::2, ::2]
-    np.testing.assert_array_equal(whole[1::2, ::2][own], half[1::2, ::2][own])
-    assert np.square(whole - half)[covered].mean() < 200
-
-
-def test_half_resolution_heads_do_not_bleed_into_each_other(
-    context: moderngl.Context, maps: Maps
-) -> None:
-    renderer = renderer_with(context, maps, 256)
-    renderer.add_avatar("p1", TOY)
-    renderer.update_maps("p1", *maps[256])
-    both = [placed(shading_rate=2), placed("p1", 0.05, 0.1, shading_rate=2, fade=1.0)]
-    renderer.draw(both, NEAR)
-    together = renderer.read_image()
-    heads = renderer.read_surface()[2]
-    renderer.draw(both[1:], NEAR)
-    # The nearer head is drawn the same with and without the one behind it.
-    np.testing.assert_array_equal(together[heads == 1], renderer.read_image()[heads == 1])
 
 
 @pytest.mark.parametrize("size", [(160, 120), (161, 119)])
@@ -276,7 +258,7 @@ def test_after_the_first_frames_nothing_is_made_whatever_changes(
     before = gpu_objects()
     for index in range(12):
         renderer.update_maps("p0", *maps[TOY.levels[index % 3]])
-        one = placed(shading_rate=1 + index % 2, blend=0.25 * (index % 5))
+        one = placed(mesh_level=TOY.levels[index % 2], blend=0.25 * (index % 5))
         renderer.draw([one], NEAR, count_pixels=True)
         renderer.draw_stereo([one], eyes, count_pixels=True)
     assert gpu_objects() == before

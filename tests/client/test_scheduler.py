@@ -65,7 +65,7 @@ def choose(head: HeadView, budget_s: float = AMPLE_S) -> Choice:
 
 def test_a_near_talking_head_gets_everything_while_there_is_time() -> None:
     choice = choose(view(head_px=900))
-    assert (choice.level, choice.decode, choice.shading_rate) == (256, "both", 1)
+    assert (choice.level, choice.decode, choice.mesh_level) == (256, "both", 256)
     assert choice.wanted_layer == MAX_LAYER
     assert not choice.is_limited
     assert choice.error == pytest.approx(5.0)  # the full level's own, from the table
@@ -77,9 +77,9 @@ def test_a_head_gets_no_more_detail_than_can_be_seen() -> None:
         head_px=np.array([32, 128, 512], np.float32),
         mse=np.array(
             [
-                [[2.5, 9, 60], [4, 12, 70]],
-                [[2.1, 2.6, 20], [2.5, 5, 30]],
-                [[2, 2, 2], [2.2, 4, 12]],
+                [[2.4, 9, 60], [2.1, 5, 30]],
+                [[2.1, 2.4, 20], [2.1, 2.2, 10]],
+                [[2, 2, 2], [2, 2, 2]],
             ],
             np.float32,
         ),
@@ -91,9 +91,22 @@ def test_a_head_gets_no_more_detail_than_can_be_seen() -> None:
         choose(view(head_px=px, errors=errors, held_level=None)).level for px in (30, 128, 500)
     ]
     assert levels == [64, 128, 256]
-    assert choose(view(head_px=20, errors=errors)).shading_rate == 1  # others are coarser nearby
-    flat = replace(measured, mse=np.repeat(measured.mse[:, :1], 2, axis=1))
-    assert choose(view(head_px=30, errors=ErrorModel(flat))).shading_rate == 2
+
+
+def test_of_what_is_as_good_as_can_be_seen_the_cheapest_is_taken() -> None:
+    sharp_maps = default_errors(LEVELS)
+    mse = np.array(sharp_maps.mse)
+    mse[:, 1] = mse[-1:, 1]  # no mesh leaves anything
+    errors = ErrorModel(replace(sharp_maps, mse=mse))
+    choice = choose(view(head_px=900, errors=errors))
+    assert (choice.level, choice.mesh_level, choice.is_limited) == (256, 64, False)
+
+
+def test_what_too_few_pixels_leave_anyway_hides_some_lack_of_detail() -> None:
+    table = default_errors(LEVELS)
+    rough = ErrorModel(replace(table, mse=table.mse + np.float32(500)))
+    assert choose(view(errors=ErrorModel(table))).level == 256
+    assert choose(view(errors=rough)).level == 64
 
 
 def test_a_head_that_rests_is_not_decoded_again() -> None:
@@ -115,7 +128,7 @@ def test_a_view_that_turns_costs_the_expression_map_alone() -> None:
 
 def test_a_head_without_maps_is_decoded_at_once_even_without_a_budget() -> None:
     choice = choose(view(held_level=None, age_s=math.inf), budget_s=0.0)
-    assert (choice.decode, choice.level, choice.shading_rate) == ("both", 64, 2)
+    assert (choice.decode, choice.level, choice.mesh_level) == ("both", 64, 64)
     assert choice.is_limited
 
 
@@ -227,7 +240,9 @@ def test_levels_do_not_flap_when_a_head_sways_at_the_edge_of_a_level() -> None:
 
 
 def _needed(errors: ErrorModel, px: float) -> int:
-    return next(i for i, mse in enumerate(errors.extra(px)) if mse <= 1)
+    extra = errors.extra(px)
+    unseen = max(SchedulerOptions().floor_mse, SchedulerOptions().floor_ratio * extra.own) / 2
+    return next(i for i, mse in enumerate(extra.maps) if mse <= unseen)
 
 
 def test_levels_do_not_flap_when_the_budget_is_on_the_edge() -> None:
@@ -293,8 +308,8 @@ def test_the_plan_says_from_whom_the_budget_kept_something() -> None:
     assert plan(near, far).limited == ()
 
 
-def _amount(choice: Choice) -> tuple[int, int, int, int]:
-    return (choice.level, RANK[choice.decode], choice.mesh_level, -choice.shading_rate)
+def _amount(choice: Choice) -> tuple[int, int, int]:
+    return (choice.level, RANK[choice.decode], choice.mesh_level)
 
 
 # Properties
@@ -380,10 +395,8 @@ def test_nearer_never_gets_less_than_farther_at_equal_motion(
     )
     choices = plan(far, near, *others, budget_s=budget_s).choices
     near_choice, far_choice = choices["near"], choices["far"]
-    assert near_choice.level >= far_choice.level
-    assert near_choice.shading_rate <= far_choice.shading_rate
-    if near_choice.level == far_choice.level:
-        assert RANK[near_choice.decode] >= RANK[far_choice.decode]
+    if near_choice.is_limited:  # else it has all that can be seen of it, however that was cheapest
+        assert _amount(near_choice) >= _amount(far_choice)
     layers = [-1 if c.wanted_layer is None else c.wanted_layer for c in (near_choice, far_choice)]
     assert layers[0] >= layers[1]
 
@@ -401,8 +414,9 @@ def test_an_unseen_head_costs_nothing_and_takes_nothing_from_the_others(
 
 @given(scenes())
 def test_the_work_of_a_plan_is_bounded_by_its_heads(heads: list[HeadView]) -> None:
-    # Per head: an expression map, three levels, fine shading.
-    assert plan(*heads).num_steps <= 5 * len(heads)
+    # Per head: three meshes for the maps that are there, with and without a new expression map, and
+    # with new maps three for the full ones and one for each other level.
+    assert plan(*heads).num_steps <= 10 * len(heads)
 
 
 ladders = st.lists(
@@ -416,7 +430,7 @@ def test_greedy_is_less_than_one_rung_from_the_best_that_exhaustive_search_finds
 ) -> None:
     choices = [
         [
-            Rung(cost, error, (place, 2), place, "both")
+            Rung(cost, error, (place, 2, place), place, "both")
             for place, (cost, error, _) in enumerate(shape)
         ]
         for shape in shapes
@@ -427,7 +441,6 @@ def test_greedy_is_less_than_one_rung_from_the_best_that_exhaustive_search_finds
             nearness=(float(-index), float(index)),
             ladder=ladder,
             worths=worths,
-            is_shading_closed=True,
         )
         for index, (ladder, worths) in enumerate(hull(list(rungs)) for rungs in choices)
     ]
@@ -486,21 +499,26 @@ def _best(heads: Sequence[HeadView], budget_s: float) -> float:
     for head in heads:
         costs = CostModel()
         extra = head.errors.extra(head.head_px)
-        age = head.errors.latent_mse_per_unit2 * head.latent_change**2
-        age += head.errors.view_mse_per_rad2 * head.view_turn_rad**2
-        found = [(0.0, extra[mesh] + age, mesh) for mesh in range(3)]
-        found += [(costs.decode_s("", LEVELS[i], "both"), extra[i], i) for i in range(3)]
-        turned = head.errors.latent_mse_per_unit2 * head.latent_change**2
-        found.append((costs.decode_s("", 256, "expression"), extra[2] + turned, 2))
+        moved = head.errors.latent_mse_per_unit2 * head.latent_change**2
+        age = moved + head.errors.view_mse_per_rad2 * head.view_turn_rad**2
+        view_s = costs.decode_s("", 256, "expression")
+        found = []
+        for mesh in range(3):
+            found += [(0.0, extra.meshes[mesh] + age, mesh)]
+            found += [(view_s, extra.meshes[mesh] + moved, mesh)]
+            found += [(costs.decode_s("", 256, "both"), extra.meshes[mesh], mesh)]
+        found += [
+            (costs.decode_s("", LEVELS[i], "both"), extra.maps[i] + extra.meshes[i], i)
+            for i in range(2)
+        ]
         pixel_s = costs.draw.pixel_s * head.visible_px
         options.append(
             [
                 (
-                    decode_s + costs.draw.triangle_s * TRIANGLES[level] + share * pixel_s,
-                    (mse + half + extra[-1]) * head.visible_px,
+                    decode_s + costs.draw.triangle_s * TRIANGLES[mesh] + pixel_s,
+                    (mse + extra.own) * head.visible_px,
                 )
-                for decode_s, mse, level in found
-                for share, half in ((1.0, 0.0), (SchedulerOptions().half_share, extra[-2]))
+                for decode_s, mse, mesh in found
             ]
         )
     left_s = budget_s - ExpectedCosts().draw.frame_s
@@ -530,7 +548,7 @@ def test_a_head_that_cannot_be_is_refused(changes: dict[str, object]) -> None:
 
 
 @pytest.mark.parametrize(
-    "changes", [{"max_age_s": 0.0}, {"margin": 2.0}, {"layer_px": (9.0, 3.0)}, {"half_share": -1}]
+    "changes", [{"max_age_s": 0.0}, {"margin": 2.0}, {"layer_px": (9.0, 3.0)}, {"floor_ratio": -1}]
 )
 def test_options_that_make_no_sense_are_refused(changes: dict[str, object]) -> None:
     with pytest.raises(OptionError, match=next(iter(changes))):

@@ -16,7 +16,13 @@ from hypothesis import strategies as st
 from pica_core.avatar_file import Avatar, load_avatar, save_avatar
 from pica_core.decoder_layers import decoder_layers, trunk_channels, trunk_layers
 from pica_core.errors import AvatarFileError
-from pica_core.level_tensors import error_tensors, exit_shapes, faces_name
+from pica_core.level_tensors import (
+    error_tensors,
+    exit_shapes,
+    faces_name,
+    sheet_rows,
+    sheet_uv,
+)
 from pica_core.levels import LevelErrors, default_errors, level_sizes
 from pica_core.spec import BLOCKS, AvatarSpec
 from toy import make_toy_avatar, with_toy_levels
@@ -89,11 +95,6 @@ def test_an_avatar_with_exits_names_them_ascending_with_their_meshes() -> None:
     assert len(TOY.level_faces(64)) < len(TOY.level_faces(128)) < len(TOY.level_faces(256))
 
 
-def test_a_level_without_a_mesh_is_drawn_with_the_full_one() -> None:
-    avatar = changed(faces_name(64), None)
-    np.testing.assert_array_equal(avatar.level_faces(64), TOY.tensors["mesh.faces"])
-
-
 def test_a_level_that_an_avatar_lacks_has_no_mesh() -> None:
     with pytest.raises(ValueError, match="level is 64; this avatar has 256"):
         PLAIN.level_faces(64)
@@ -104,33 +105,33 @@ def test_a_level_that_an_avatar_lacks_has_no_mesh() -> None:
 
 def test_errors_of_the_table_are_found_again() -> None:
     errors = some_errors()
-    assert errors.at(128, 2, 50.0) == pytest.approx(6.0)
-    assert errors.at(256, 1, 200.0) == pytest.approx(9.0)
+    assert errors.at(128, 50.0, full_maps=True) == pytest.approx(6.0)
+    assert errors.at(256, 200.0) == pytest.approx(9.0)
 
 
 def test_between_two_heights_the_logarithms_run_straight() -> None:
     mse = np.full((3, 2, 2), 1.0)
     mse[0, 0] = 4.0, 16.0
-    assert some_errors(mse=mse).at(64, 1, 100.0) == pytest.approx(8.0)
+    assert some_errors(mse=mse).at(64, 100.0) == pytest.approx(8.0)
 
 
 def test_beyond_the_table_its_nearest_entry_holds() -> None:
     errors = some_errors()
-    assert errors.at(64, 2, 1.0) == pytest.approx(2.0)
-    assert errors.at(64, 2, 1e9) == pytest.approx(3.0)
+    assert errors.at(64, 1.0, full_maps=True) == pytest.approx(2.0)
+    assert errors.at(64, 1e9, full_maps=True) == pytest.approx(3.0)
 
 
-@pytest.mark.parametrize(("level", "rate"), [(32, 1), (64, 3), (64, 0)])
-def test_an_unknown_level_or_shading_rate_has_no_error(level: int, rate: int) -> None:
-    with pytest.raises(ValueError, match="known are levels 64, 128, 256 at 1 and 2"):
-        some_errors().at(level, rate, 100.0)
+def test_an_unknown_level_has_no_error() -> None:
+    with pytest.raises(ValueError, match="level 32; known are 64, 128, 256"):
+        some_errors().at(32, 100.0)
 
 
 @pytest.mark.parametrize("levels", [(256,), (128, 256), (64, 128, 256)])
 def test_the_guess_never_calls_less_detail_better(levels: tuple[int, ...]) -> None:
     guess = default_errors(levels)
     assert (np.diff(guess.mse, axis=0) <= 0).all()
-    assert (guess.mse[:, 1] > guess.mse[:, 0]).all()
+    assert (guess.mse[:, 1] <= guess.mse[:, 0]).all()
+    np.testing.assert_array_equal(guess.mse[-1, 1], guess.mse[-1, 0])
     assert (np.diff(guess.mse[:, 0], axis=1) >= 0).all()
 
 
@@ -166,7 +167,7 @@ def test_a_looked_up_error_lies_within_its_row(
     mse = np.random.default_rng(seed).uniform(0.1, 500, (3, 2, len(heights)))
     errors = some_errors(mse=mse, head_px=tuple(map(float, heights)))
     row = errors.mse[1, 1]
-    assert row.min() * 0.999 <= errors.at(128, 2, head_px) <= row.max() * 1.001
+    assert row.min() * 0.999 <= errors.at(128, head_px, full_maps=True) <= row.max() * 1.001
 
 
 # What a file may say of them
@@ -188,6 +189,8 @@ def test_a_mean_keeps_sixteen_bits_and_convolutions_all_of_theirs(toy_bytes: byt
     loaded = load_avatar(toy_bytes)
     mean, weight = "level.64.geometry.mean", "level.128.expression.weight"
     assert np.abs(loaded.tensors[mean] - TOY.tensors[mean]).max() < 5e-6
+    texel = "level.64.geometry.texel"
+    np.testing.assert_array_equal(loaded.tensors[texel], TOY.tensors[texel])
     np.testing.assert_array_equal(loaded.tensors[weight], TOY.tensors[weight])
 
 
@@ -197,20 +200,38 @@ def test_the_table_of_errors_survives_the_trip_into_tensors() -> None:
     found = avatar.level_errors
     assert found is not None
     assert found.latent_mse_per_unit2 == 4.0
-    assert found.at(64, 1, 200.0) == errors.at(64, 1, 200.0)
+    assert found.at(64, 200.0) == errors.at(64, 200.0)
+
+
+def test_a_sheet_that_does_not_fit_its_mesh_is_refused(tmp_path: Path) -> None:
+    large = np.arange(64, dtype=np.int32)[:63].reshape(-1, 3)
+    tensors = dict(TOY.tensors)
+    for name in ("mean", "weight", "texel"):
+        tensors[f"level.64.geometry.{name}"] = np.repeat(
+            tensors[f"level.64.geometry.{name}"], 2, axis=0
+        )
+    tensors[faces_name(64)] = large
+    message = r"level\.64\.geometry\.mean has 2 rows; the 63 vertices of level\.64\.faces need 1"
+    with pytest.raises(AvatarFileError, match=message):
+        save_avatar(tmp_path / "bad.pica", Avatar(TOY.manifest, tensors))
+
+
+def test_vertices_stand_in_the_middle_of_their_texels_row_by_row() -> None:
+    found = sheet_uv(70, 64)
+    assert sheet_rows(70, 64) == 2
+    np.testing.assert_allclose(
+        found[[0, 63, 64]], [[0.5 / 64, 0.25], [63.5 / 64, 0.25], [0.5 / 64, 0.75]]
+    )
 
 
 def test_an_avatar_with_one_exit_alone_is_whole(tmp_path: Path) -> None:
-    lacking = {*exit_shapes(SPEC, 64), faces_name(64), *error_tensors(default_errors((256,)))}
+    lacking = {*exit_shapes(SPEC, 64, 1), faces_name(64), *error_tensors(default_errors((256,)))}
     tensors = {name: array for name, array in TOY.tensors.items() if name not in lacking}
     save_avatar(tmp_path / "one.pica", Avatar(TOY.manifest, tensors))
     assert load_avatar(tmp_path / "one.pica").levels == (128, 256)
 
 
-NAMED = [name for name in LEVEL_NAMES if not name.endswith(".faces")]
-
-
-@pytest.mark.parametrize("name", NAMED)
+@pytest.mark.parametrize("name", LEVEL_NAMES)
 def test_half_a_level_or_half_a_table_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(AvatarFileError, match=rf"tensor {name} is missing"):
         save_avatar(tmp_path / "half.pica", changed(name, None))
@@ -238,8 +259,12 @@ def test_a_table_of_an_avatar_without_exits_has_one_row(tmp_path: Path) -> None:
         ("level.064.faces", np.zeros((9, 3), np.int32), r"'level\.064\.faces' is unknown"),
         ("level.256.faces", np.zeros((9, 3), np.int32), r"'level\.256\.faces' is unknown"),
         ("level.\u2466.faces", np.zeros((9, 3), np.int32), "is unknown"),
-        ("level.64.geometry.mean", np.zeros((128, 64, 3), np.float32), r"\[64, 64, 3\] is needed"),
-        ("level.64.geometry.weight", np.zeros((64, 64, 24), np.float32), r"\[64, 64, 48\]"),
+        ("level.64.geometry.mean", np.zeros((1, 128, 3), np.float32), r"\[1, 64, 3\] is needed"),
+        ("level.64.geometry.mean", np.zeros((2, 64, 3), np.float32), r"\[2, 64, .* is needed"),
+        ("level.64.geometry.weight", np.zeros((1, 64, 48), np.float32), r"\[1, 64, 96\]"),
+        ("level.64.geometry.texel", np.full((1, 64, 2), 4096, np.int32), "allowed are 0 to 4095"),
+        ("level.64.geometry.texel", np.full((1, 64, 2), -1, np.int32), "texels -1 to -1"),
+        ("level.64.geometry.texel", np.zeros((1, 64, 2), np.float32), "float32; int32 is needed"),
         ("level.128.expression.bias", np.zeros((4, 128), np.float32), r"\[4, 128, 128\]"),
         ("level.64.faces", np.full((9, 3), 64, np.int32), r"level\.64\.faces names vertices 64"),
         ("level.64.faces", np.full((9, 3), -1, np.int32), "allowed are 0 to 63"),
@@ -256,8 +281,8 @@ def test_a_table_of_an_avatar_without_exits_has_one_row(tmp_path: Path) -> None:
         ("level.errors", np.full((3, 2, 8), np.inf, np.float32), "not finite"),
         ("level.sensitivity", np.full(2, -1, np.float32), "level.sensitivity must be"),
         ("level.sensitivity", np.ones(3, np.float32), r"shape \[3\]; \[2\]"),
-        ("level.64.geometry.mean", np.full((64, 64, 3), np.nan, np.float32), "not finite"),
-        ("level.128.geometry.weight", np.full((128, 128, 24), 1e9, np.float32), "beyond 1e"),
+        ("level.64.geometry.mean", np.full((1, 64, 3), np.nan, np.float32), "not finite"),
+        ("level.128.geometry.weight", np.full((1, 128, 48), 1e9, np.float32), "beyond 1e"),
     ],
 )
 def test_a_level_tensor_that_does_not_fit_is_refused_by_name(
@@ -313,4 +338,4 @@ def test_any_mutation_of_the_levels_loads_or_raises_an_avatar_file_error(
         for level in avatar.levels:
             assert avatar.level_faces(level).max() < 64
         errors = avatar.level_errors or default_errors(avatar.levels)
-        assert np.isfinite(errors.at(avatar.levels[0], 2, 100.0))
+        assert np.isfinite(errors.at(avatar.levels[0], 100.0))

@@ -1,5 +1,6 @@
-// One vertex of an avatar: its UV is fixed, its position comes out of the decoded position map.
+// One vertex of an avatar: its UV is fixed, its position comes out of what was decoded.
 
+in vec2 vertex_place; // where to look its position up: its UV in a position map, its slot in a sheet
 in vec2 vertex_uv;
 
 uniform sampler2D position_map; // head-frame metres
@@ -15,7 +16,7 @@ out vec3 surface_xyz_m;
 
 void main() {
     surface_uv = vertex_uv;
-    vec3 xyz_m = fetch_bilinear(position_map, vertex_uv).xyz;
+    vec3 xyz_m = fetch_bilinear(position_map, vertex_place).xyz;
     surface_xyz_m = bounded(xyz_m, low_m, high_m);
     gl_Position = clip_from_head * vec4(surface_xyz_m, 1.0);
 }

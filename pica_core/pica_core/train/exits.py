@@ -6,19 +6,18 @@ learning rate, no seed but that of the faces it is fitted on.
 
 What is asked for:
 
-- *Geometry*: at the mesh's vertices, bilinear lookups of the small map give the vertices of the
-  full one. Weights are fitted to how they move, the mean map then to where they are at rest.
+- *Geometry*: each vertex of the level's mesh is where the full map has it. It has weights of its
+  own over the texels of the trunk that are nearest to it, so vertices are fitted one by one.
 - *Expression*: at points of the surface, codes of the small map give the colours of the full one:
-  differences of codes are weighed by the pixel decoder's own slope there.
-
-Both maps are only ever read at points inside charts; texels that no point reads keep an average of
-the full map. So a texel that two charts share is fitted to both.
+  differences of codes are weighed by the pixel decoder's own slope there. The map is only ever read
+  at points inside charts; texels that no point reads keep an average of the full map. So a texel
+  that two charts share is fitted to both.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +27,7 @@ from torch.nn import functional
 
 from pica_core.avatar_file import Avatar
 from pica_core.decoder_layers import trunk_layers
+from pica_core.level_tensors import NUM_TEXELS
 from pica_core.model.decoders import MapDecoder, sample_map, tile_view_direction
 from pica_core.pixel_reference import decode_pixels
 
@@ -37,10 +37,8 @@ CHUNK = 8
 """Faces decoded at once."""
 RIDGE = 1e-6
 """Added to the diagonal of a system, as a share of its mean: keeps idle features quiet."""
-TEXEL_RIDGE = 1e-3
-"""The same for weights per texel."""
-TEXEL_STEPS = 200
-"""Steps of conjugate gradients for weights per texel."""
+VERTEX_RIDGE = 1e-3
+"""The same for the weights of a vertex, as a share of the mean over all."""
 PRIOR = 1e-3
 """Weight of the start in a map, where a point's weight is 1."""
 MAP_STEPS = 300
@@ -98,17 +96,34 @@ class FrozenDecoder:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Head:
-    """A fitted head: convolution ``[C', C, 3, 3]`` or weights per texel ``[C', C, level, level]``,
-    and bias ``[C', level, level]``."""
+    """A fitted convolution ``[C', C, 3, 3]`` and bias ``[C', level, level]``."""
 
     weight: Tensor
     bias: Tensor
 
     def __call__(self, trunk: Tensor) -> Tensor:
         """Maps ``[N, C', level, level]`` from trunks ``[N, C, level, level]``."""
-        if self.weight.shape[-1] == trunk.shape[-1]:
-            return torch.einsum("ncyx,dcyx->ndyx", trunk, self.weight) + self.bias
         return functional.conv2d(trunk, self.weight, padding=1) + self.bias
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SheetHead:
+    """Fitted vertices: each from some texels of the trunk."""
+
+    texel: Tensor
+    """Row * level + column, int64 ``[V, T]``, the nearest first."""
+    weight: Tensor
+    """``[V, 3, C * T]``, the first channel's texels first."""
+    rest: Tensor
+    """``[V, 3]``, in the units of the decoder's output."""
+
+    def __call__(self, trunk: Tensor) -> Tensor:
+        """Vertices ``[N, V, 3]`` from trunks ``[N, C, level, level]``."""
+        return torch.einsum("nvf,vdf->nvd", self.read(trunk), self.weight) + self.rest
+
+    def read(self, trunk: Tensor) -> Tensor:
+        """What the weights multiply, ``[N, V, C * T]``."""
+        return trunk.flatten(2)[:, :, self.texel].permute(0, 2, 1, 3).flatten(2)
 
 
 def fit_convolution(
@@ -147,79 +162,38 @@ def fit_convolution(
     return Head(weight, _fit_rest(points, importance, mean_full, at_rest))
 
 
-def fit_texels(
-    decoder: FrozenDecoder,
-    faces: FaceSet,
-    level: int,
-    points: Tensor,
-    importance: Tensor,
-    rest: Tensor,
-) -> Head:
-    """Fit weights for every texel, so that lookups at points are like the decoder's own output.
+def fit_sheet(
+    decoder: FrozenDecoder, faces: FaceSet, level: int, vertex_uv: Tensor, rest: Tensor
+) -> SheetHead:
+    """Fit every vertex by itself to where the decoder's own output has it.
 
     Args:
         decoder: Whose output to imitate, and whose trunk to do it from.
         faces: To fit on.
-        level: Rows of the head's map.
-        points: Where the maps are read, UV in [0, 1]. ``[P, 2]``.
-        importance: Of a point, above 0, ``[P]``.
-        rest: Map to add to the decoder's output, ``[C', S, S]``; it goes into the bias.
+        level: Rows of the trunk.
+        vertex_uv: Where the vertices are in the full map, UV in [0, 1]. ``[V, 2]``.
+        rest: Map to add to the decoder's output, ``[3, S, S]``; it goes into the rest.
     """
+    index, share = _taps(vertex_uv, level)
+    nearest = torch.argsort(share, dim=1, descending=True, stable=True)[:, :NUM_TEXELS]
     mean_trunk, mean_full = _means(decoder, faces, level)
-    channels, outputs = mean_trunk.shape[0], mean_full.shape[0]
-    index, share = _taps(points, level)
-    width = 4 * channels
-    grams = torch.zeros(len(points), width, width)
-    rights = torch.zeros(len(points), width, outputs)
+    width, outputs = mean_trunk.shape[0] * NUM_TEXELS, mean_full.shape[0]
+    head = SheetHead(
+        texel=index.gather(1, nearest),
+        weight=torch.zeros(len(vertex_uv), outputs, width),
+        rest=sample_map((mean_full + rest)[None], vertex_uv)[0],
+    )
+    grams = torch.zeros(len(vertex_uv), width, width)
+    rights = torch.zeros(len(vertex_uv), width, outputs)
     for trunk, full in decoder.run(faces, level):
-        moved = (trunk - mean_trunk).flatten(2)  # [n, C, S * S]
-        read = moved[:, :, index] * share  # [n, C, P, 4]
-        read = read.permute(2, 0, 3, 1).reshape(len(points), -1, width)
+        read = head.read(trunk - mean_trunk).transpose(0, 1)
+        wanted = sample_map(full - mean_full, vertex_uv).transpose(0, 1)
         grams += read.transpose(1, 2) @ read
-        rights += read.transpose(1, 2) @ sample_map(full - mean_full, points).transpose(0, 1)
-    grams *= importance[:, None, None]
-    rights *= importance[:, None, None]
-    place = (index[:, :, None] * channels + torch.arange(channels)).reshape(len(points), width)
-    found = _solve_blocks(grams, rights, place, level * level * channels)
-    weight = found.reshape(level, level, channels, outputs).permute(3, 2, 0, 1).contiguous()
-    at_rest = (mean_trunk * weight).sum(1)
-    return Head(weight, _fit_rest(points, importance, mean_full + rest, at_rest))
-
-
-def _solve_blocks(grams: Tensor, rights: Tensor, place: Tensor, count: int) -> Tensor:
-    """Solve normal equations that are a sum of small ones, by conjugate gradients.
-
-    Args:
-        grams: ``[P, W, W]``.
-        rights: ``[P, W, D]``.
-        place: Which unknowns each of them speaks of, ``[P, W]``.
-        count: Number of unknowns.
-
-    Returns:
-        float32 ``[count, D]``; unknowns that nothing speaks of are 0.
-    """
-    outputs = rights.shape[2]
-    flat = place.reshape(-1)
-
-    def spread(values: Tensor) -> Tensor:
-        return torch.zeros(count, outputs).index_add_(0, flat, values.reshape(-1, outputs))
-
-    diagonal = torch.zeros(count).index_add_(0, flat, grams.diagonal(dim1=1, dim2=2).reshape(-1))
-    floor = TEXEL_RIDGE * diagonal[diagonal > 0].mean()
-    scale = 1 / (diagonal + floor)[:, None]
-    found = torch.zeros(count, outputs)
-    residual = spread(rights)
-    ahead = scale * residual
-    direction, length = ahead.clone(), (residual * ahead).sum(0)
-    for _ in range(TEXEL_STEPS):
-        image = spread(grams @ direction[place]) + floor * direction
-        step = length / (direction * image).sum(0).clamp_min(1e-30)
-        found += step * direction
-        residual -= step * image
-        ahead = scale * residual
-        before, length = length, (residual * ahead).sum(0)
-        direction = ahead + length / before.clamp_min(1e-30) * direction
-    return found
+        rights += read.transpose(1, 2) @ wanted
+    floor = VERTEX_RIDGE * grams.diagonal(dim1=1, dim2=2).mean() * torch.eye(width)
+    weight = torch.linalg.solve(grams + floor, rights).transpose(1, 2).contiguous()
+    at_rest = torch.einsum("vf,vdf->vd", head.read(mean_trunk[None])[0], weight)
+    return replace(head, weight=weight, rest=head.rest - at_rest)
 
 
 def _fit_rest(points: Tensor, importance: Tensor, full: Tensor, at_rest: Tensor) -> Tensor:

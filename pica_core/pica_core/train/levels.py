@@ -23,18 +23,18 @@ from pica_core.avatar_file import Avatar
 from pica_core.capture.practice import practice_performances
 from pica_core.errors import TrainingOptionError
 from pica_core.expression_encoder import ExpressionEncoder
-from pica_core.level_tensors import PREFIX, faces_name
-from pica_core.levels import level_sizes
+from pica_core.level_tensors import PREFIX, faces_name, sheet_rows
+from pica_core.levels import EXIT_DIVISORS, level_sizes
 from pica_core.model.decoders import sample_map
 from pica_core.pixel_reference import decode_pixels
 from pica_core.train.exits import (
     FaceSet,
     FrozenDecoder,
     Head,
+    SheetHead,
     colour_metric,
     fit_convolution,
-    fit_map,
-    fit_texels,
+    fit_sheet,
 )
 from pica_core.train.simplify import Simplifier
 
@@ -49,15 +49,6 @@ LEAST_CHANCE = 0.2
 """Chance of a face that shows nothing of them, where the most has 1.2."""
 METRIC_FACES = 6
 """Faces that the slope of the pixel decoder is averaged over."""
-DROP_ROUNDS = 8
-"""How often vertices that a map cannot hold are looked for and taken out."""
-MISFIT_TEXELS_M = 0.064
-"""Misfit of a vertex at rest that is too much, times the rows of the map: 1 mm at 64, 0.5 at 128.
-A pixel of the largest head that these are drawn for is 2 mm and 1 mm."""
-OTHER_VERTICES = 6000
-"""Vertices of the full mesh that the finest exit is fitted to besides its own."""
-OTHER_VERTEX_WEIGHT = 1e-2
-"""Importance of a vertex that only the next finer mesh has: it is drawn while levels blend."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -70,8 +61,9 @@ class LevelOptions:
     """Practice performances of each kind to draw them from."""
     points: int = 24_000
     """Points of the surface at which colours are compared."""
-    triangles_ratio: float = 0.55
-    """Triangles of a level's mesh per texel of its map; 64 x 64 texels carry 2,253."""
+    mesh_ratios: tuple[float, ...] = (0.16, 0.375)
+    """Triangles of the levels' meshes, the coarsest first, as shares of the full mesh (chosen: at
+    heads 256 pixels high they leave 3 to 4 and 1 more MSE; with 0.08 it would be 20)."""
     check_faces: int = 48
     """Other faces, to report the error on."""
     seed: int = 0
@@ -81,13 +73,18 @@ class LevelOptions:
             ("faces", 8, 100_000),
             ("rounds", 1, 1000),
             ("points", 100, 1_000_000),
-            ("triangles_ratio", 0.01, 2.0),
             ("check_faces", 1, 10_000),
         ):
             if not low <= getattr(self, name) <= high:
                 raise TrainingOptionError(
                     f"{name} is {getattr(self, name)}; {low} to {high} is allowed"
                 )
+        ratios = self.mesh_ratios
+        proper = len(ratios) == len(EXIT_DIVISORS) and list(ratios) == sorted(ratios)
+        if not (proper and ratios[0] > 0 and ratios[-1] <= 1):
+            raise TrainingOptionError(
+                f"mesh_ratios is {ratios}; {len(EXIT_DIVISORS)} above 0 to 1 are allowed, ascending"
+            )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -132,26 +129,17 @@ def add_levels(
     surface = _Surface(bare, decoders, faces, options)
     show("meshes")
     levels = level_sizes(avatar.spec)[:-1]
-    meshes = _simplify(bare, surface.moving_vertices_m, levels, options)
+    meshes = _simplify(bare, surface.moving_vertices_m, options)
     reports = []
-    finest = _some_vertices(tensors["mesh.vertex_uv"], options)
-    for level, mesh, next_mesh in zip(levels, meshes, [*meshes[1:], finest], strict=True):
-        finer = np.unique(next_mesh)
+    for level, mesh in zip(levels, meshes[-len(levels) :], strict=True):
         show(f"level {level}: exits")
-        heads = {
-            "geometry": _fit_geometry(bare, decoders["geometry"], faces, level, mesh, finer),
-            "expression": fit_convolution(
-                decoders["expression"],
-                faces,
-                level,
-                surface.points,
-                surface.metric,
-                seed=options.seed,
-            ),
-        }
-        tensors |= _exit_tensors(avatar, level, heads) | {faces_name(level): mesh}
+        geometry = _fit_geometry(bare, decoders["geometry"], faces, level, mesh)
+        expression = fit_convolution(
+            decoders["expression"], faces, level, surface.points, surface.metric, seed=options.seed
+        )
+        tensors |= _exit_tensors(avatar, level, geometry, expression) | {faces_name(level): mesh}
         show(f"level {level}: error")
-        reports.append(_report(bare, decoders, heads, level, mesh, check, surface))
+        reports.append(_report(bare, decoders, geometry, expression, level, mesh, check, surface))
     return Avatar(avatar.manifest, tensors), reports
 
 
@@ -258,74 +246,51 @@ def _scatter(
     return torch.from_numpy(uv.astype(np.float32)), xyz_m
 
 
-def _simplify(
-    avatar: Avatar, shapes_m: Array, levels: tuple[int, ...], options: LevelOptions
-) -> list[Array]:
-    """A mesh for each level; each uses vertices of the next finer one.
-
-    Vertices that the level's map cannot hold, because charts or too many vertices share its texels,
-    are taken out after the others.
-    """
-    vertex_uv = np.array(avatar.tensors["mesh.vertex_uv"])
-    mean = torch.from_numpy(np.array(avatar.tensors["geometry.mean"])).permute(2, 0, 1)
-    rest_m = sample_map(mean[None], torch.from_numpy(vertex_uv))[0]
-    mesh = Simplifier(shapes_m, vertex_uv, avatar.tensors["mesh.faces"])
+def _simplify(avatar: Avatar, shapes_m: Array, options: LevelOptions) -> list[Array]:
+    """A mesh for each level, the coarsest first; each uses vertices of the next finer one."""
+    full = avatar.tensors["mesh.faces"]
+    mesh = Simplifier(shapes_m, np.array(avatar.tensors["mesh.vertex_uv"]), full)
     meshes: list[Array] = []
-    for level in reversed(levels):
-        mesh.reduce(round(options.triangles_ratio * level * level), level)
-        start = torch.nn.functional.adaptive_avg_pool2d(mean[None], level)[0]
-        for _ in range(DROP_ROUNDS):
-            used = np.unique(mesh.faces())
-            points, wanted = (
-                torch.from_numpy(vertex_uv[used]),
-                rest_m[torch.from_numpy(used).long()],
-            )
-            held = fit_map(points, wanted, torch.ones(len(used)), start)
-            misfit = (sample_map(held[None], points)[0] - wanted).norm(dim=1).numpy()
-            worst = np.argsort(-misfit)[: int((misfit > MISFIT_TEXELS_M / level).sum())]
-            # Every second one: its neighbour may fit when it has gone.
-            if len(worst) == 0 or mesh.drop(used[worst[: (len(worst) + 1) // 2]]) == 0:
-                break
+    for ratio in reversed(options.mesh_ratios):
+        mesh.reduce(round(ratio * len(full)), avatar.spec.map_size)
         meshes.append(mesh.faces())
     return meshes[::-1]
 
 
-def _some_vertices(vertex_uv: Array, options: LevelOptions) -> Array:
-    """Vertices that stand for all of the full mesh."""
-    rng = np.random.default_rng(options.seed)
-    return rng.choice(len(vertex_uv), min(OTHER_VERTICES, len(vertex_uv)), replace=False)
-
-
 def _fit_geometry(
-    avatar: Avatar, decoder: FrozenDecoder, faces: FaceSet, level: int, mesh: Array, finer: Array
-) -> Head:
-    """Fit to the vertices of the level's mesh, and a little to those of a finer one."""
-    own = np.unique(mesh)
-    used = np.concatenate([own, np.setdiff1d(finer, own)])
-    importance = torch.full((len(used),), OTHER_VERTEX_WEIGHT)
-    importance[: len(own)] = 1.0
+    avatar: Avatar, decoder: FrozenDecoder, faces: FaceSet, level: int, mesh: Array
+) -> SheetHead:
+    """Fit the vertices of the level's mesh."""
+    vertex_uv = torch.from_numpy(np.array(avatar.tensors["mesh.vertex_uv"][np.unique(mesh)]))
     mean = torch.from_numpy(np.array(avatar.tensors["geometry.mean"])).permute(2, 0, 1)
-    return fit_texels(
-        decoder,
-        faces,
-        level,
-        torch.from_numpy(np.array(avatar.tensors["mesh.vertex_uv"][used])),
-        importance,
-        mean / avatar.manifest.position_scale_m,
-    )
+    return fit_sheet(decoder, faces, level, vertex_uv, mean / avatar.manifest.position_scale_m)
 
 
-def _exit_tensors(avatar: Avatar, level: int, heads: dict[str, Head]) -> dict[str, Array]:
-    geometry, expression = heads["geometry"], heads["expression"]
-    mean = geometry.bias.permute(1, 2, 0) * avatar.manifest.position_scale_m
+def _exit_tensors(
+    avatar: Avatar, level: int, geometry: SheetHead, expression: Head
+) -> dict[str, Array]:
+    num_slots = level * sheet_rows(len(geometry.rest), level)
+
+    def sheet(values: Tensor) -> Array:
+        filled = torch.zeros(num_slots, values[0].numel(), dtype=values.dtype)
+        filled[: len(values)] = values.flatten(1)
+        return filled.reshape(-1, level, filled.shape[1]).numpy()
+
+    mean_m = geometry.rest * avatar.manifest.position_scale_m
+    # Slots that belong to nobody repeat a vertex: numbers far from the others would cost the
+    # rounding of all.
+    mean_m = torch.cat([mean_m, mean_m[-1:].expand(num_slots - len(mean_m), -1)])
     found = {
-        "geometry.weight": geometry.weight.permute(2, 3, 0, 1).flatten(2),
-        "geometry.mean": mean,
-        "expression.weight": expression.weight,
-        "expression.bias": expression.bias,
+        "geometry.weight": sheet(geometry.weight),
+        "geometry.mean": sheet(mean_m),
+        "geometry.texel": sheet(geometry.texel).astype(np.int32),
+        "expression.weight": expression.weight.numpy(),
+        "expression.bias": expression.bias.numpy(),
     }
     return {
-        f"{PREFIX}{level}.{name}": np.ascontiguousarray(values.numpy(), np.float32)
+        f"{PREFIX}{level}.{name}": np.ascontiguousarray(
+            values, np.int32 if name.endswith("texel") else np.float32
+        )
         for name, values in found.items()
     }
 
@@ -333,23 +298,28 @@ def _exit_tensors(avatar: Avatar, level: int, heads: dict[str, Head]) -> dict[st
 def _report(
     avatar: Avatar,
     decoders: dict[str, FrozenDecoder],
-    heads: dict[str, Head],
+    geometry: SheetHead,
+    expression: Head,
     level: int,
     mesh: Array,
     check: FaceSet,
     surface: _Surface,
 ) -> LevelReport:
-    used = np.unique(mesh)
-    vertex_uv = torch.from_numpy(np.array(avatar.tensors["mesh.vertex_uv"][used]))
+    vertex_uv = torch.from_numpy(np.array(avatar.tensors["mesh.vertex_uv"][np.unique(mesh)]))
     mean = torch.from_numpy(np.array(avatar.tensors["geometry.mean"])).permute(2, 0, 1)
     scale = avatar.manifest.position_scale_m
-    full, low = _lookups(decoders["geometry"], heads["geometry"], check, level, vertex_uv)
-    full = full + sample_map(mean[None], vertex_uv) / scale
-    distance = ((low - full) * scale * 1000).norm(dim=2)
-    still = ((full - full.mean(0)) * scale * 1000).norm(dim=2)
-    codes, low_codes = _lookups(
-        decoders["expression"], heads["expression"], check, level, surface.points
+    at_rest = sample_map(mean[None], vertex_uv) / scale
+    full = torch.cat(
+        [sample_map(output, vertex_uv) for _, output in decoders["geometry"].run(check, level)]
     )
+    low = torch.cat([geometry(trunk) for trunk, _ in decoders["geometry"].run(check, level)])
+    distance = ((low - full - at_rest) * scale * 1000).norm(dim=2)
+    still = ((full - full.mean(0)) * scale * 1000).norm(dim=2)
+    pairs = [
+        (sample_map(output, surface.points), sample_map(expression(trunk), surface.points))
+        for trunk, output in decoders["expression"].run(check, level)
+    ]
+    codes, low_codes = (torch.cat(column) for column in zip(*pairs, strict=True))
 
     def colours(values: Tensor) -> Array:
         shaded = [
@@ -369,21 +339,10 @@ def _report(
     return LevelReport(
         level=level,
         triangles=len(mesh),
-        vertices=len(used),
+        vertices=len(vertex_uv),
         vertex_error_mm=float(distance.mean()),
         vertex_error_p99_mm=float(distance.flatten().kthvalue(int(0.99 * distance.numel())).values),
         vertex_rest_mm=float(still.mean()),
         colour_mse=float(np.square(colours(low_codes) - wanted).mean()),
         colour_still_mse=float(np.square(colours(codes.mean(0, keepdim=True)) - wanted).mean()),
     )
-
-
-def _lookups(
-    decoder: FrozenDecoder, head: Head, faces: FaceSet, level: int, points: Tensor
-) -> tuple[Tensor, Tensor]:
-    """The decoder's own output and the head's at points, ``[N, P, C]`` each."""
-    full, low = [], []
-    for trunk, output in decoder.run(faces, level):
-        full.append(sample_map(output, points))
-        low.append(sample_map(head(trunk), points))
-    return torch.cat(full), torch.cat(low)

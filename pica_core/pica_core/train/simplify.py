@@ -11,7 +11,7 @@ vertices, tear seams or come without binaries:
 - Vertices in one place with several UVs (a seam) move together, each to the one of its own side, or
   not at all; a border or slit is only shortened along itself. So nothing tears.
 - No triangle may turn over, neither in space nor in UV.
-- Vertices that lie within a texel of the level's map go first: the map could not tell them apart.
+- Vertices that lie within a texel of the map go first: the map could not tell them apart.
 """
 
 from __future__ import annotations
@@ -95,9 +95,6 @@ class Simplifier:
         for a in self._around:
             for b in self._neighbours(a):
                 self._offer(a, b)
-        self._run_queue(num_triangles)
-
-    def _run_queue(self, num_triangles: int) -> None:
         while self._num_alive > num_triangles and self._queue:
             _, a, b, stamp_a, stamp_b = heapq.heappop(self._queue)
             if self._stamp.get(a) != stamp_a or self._stamp.get(b) != stamp_b:
@@ -105,21 +102,6 @@ class Simplifier:
             moves = self._moves(a, b)
             if moves is not None and self._may_collapse(a, b, moves):
                 self._collapse(a, b, moves)
-
-    def drop(self, vertices: npt.ArrayLike) -> int:
-        """Take vertices out, each by its cheapest collapse; returns how many could go."""
-        dropped = 0
-        for vertex in np.asarray(vertices).tolist():
-            a = self._place[vertex]
-            if a not in self._around:
-                continue  # went with another one of its place
-            self._queue.clear()
-            for b in self._neighbours(a):
-                self._offer(a, b)
-            alive = self._num_alive
-            self._run_queue(alive - 1)
-            dropped += self._num_alive < alive
-        return dropped
 
     def _pack_goals(self) -> Array:
         """Packed outer products of every vertex's places (and UV at rest) with themselves."""
