@@ -17,8 +17,8 @@ from PIL import Image
 
 from pica_core.arkit import ARKIT_NAMES
 from pica_core.capture import multiface
-from pica_core.capture.dataset import Topology
 from pica_core.capture.expressions import Take
+from pica_core.capture.reading import Topology
 
 FloatArray = npt.NDArray[np.float32]
 ByteArray = npt.NDArray[np.uint8]

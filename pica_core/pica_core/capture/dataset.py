@@ -4,85 +4,45 @@
     for frame in capture.frames_of("train"):
         capture.vertices_m(frame), capture.image(frame, "front")
 
-Every problem is a `CaptureError` that names the file and what is wrong with it.
+`reader.CaptureReader` keeps what fits into memory and decodes ahead. Every problem is a
+`CaptureError` that names the file and what is wrong with it; frames whose files are missing or cut
+short are left out when the capture is opened, counted and told of once.
 """
 
 from __future__ import annotations
 
-import csv
-import io
-from dataclasses import dataclass
+import logging
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, UnidentifiedImageError
 
-from pica_core.arkit import ARKIT_NAMES, NUM_ARKIT
 from pica_core.camera import Camera
 from pica_core.capture import multiface
 from pica_core.capture.head_motion import camera_in_head
+from pica_core.capture.original import is_original, open_original
+from pica_core.capture.reading import (
+    SPLITS,
+    CaptureFrame,
+    Topology,
+    load_image,
+    read_frames,
+    read_topology,
+    read_transform,
+    read_vertices,
+)
 from pica_core.errors import CaptureError
 
+__all__ = ["SPLITS", "Capture", "CaptureFrame", "Topology"]
+
 FloatArray = npt.NDArray[np.float32]
+Float64Array = npt.NDArray[np.float64]
 ByteArray = npt.NDArray[np.uint8]
-IntArray = npt.NDArray[np.int32]
-BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.int64]
 
-SPLITS = ("train", "test")
-MAX_IMAGE_PIXELS = 64_000_000
-"""Larger images are refused before decoding."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class CaptureFrame:
-    """One moment of a capture."""
-
-    index: int
-    """Place in `Capture.frames`."""
-    segment: str
-    """Take that the frame belongs to."""
-    name: str
-    """Frame name within its take."""
-    split: str
-    """``train`` or ``test``."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Topology:
-    """What all meshes of a capture share.
-
-    Attributes:
-        vertex_uv: Texture coordinates, v = 0 is row 0. float32 ``[V, 2]``.
-        faces: Triangles, counter-clockwise from outside. int32 ``[F, 3]``.
-        regions: Named vertex sets (`heads.Head.regions`). bool ``[V]`` each.
-    """
-
-    vertex_uv: FloatArray
-    faces: IntArray
-    regions: dict[str, BoolArray]
-
-
-def _load_image(path: Path, mode: str, size: tuple[int, int]) -> npt.NDArray[Any]:
-    try:
-        with Image.open(path) as image:
-            if image.width * image.height > MAX_IMAGE_PIXELS:
-                raise CaptureError(f"{path}: {image.width}x{image.height} pixels are too many")
-            if image.size != size:
-                raise CaptureError(
-                    f"{path}: the image is {image.width}x{image.height}, "
-                    f"{size[0]}x{size[1]} is needed"
-                )
-            if mode == "I;16":
-                if not image.mode.startswith("I"):
-                    raise CaptureError(f"{path}: a 16-bit image is needed, found {image.mode}")
-                return np.asarray(image).astype(np.uint16)
-            return np.asarray(image.convert(mode))
-    except FileNotFoundError:
-        raise CaptureError(f"{path}: the file is missing") from None
-    except (UnidentifiedImageError, OSError, SyntaxError) as error:
-        raise CaptureError(f"{path}: not a complete image ({error})") from error
+log = logging.getLogger(__name__)
 
 
 def _field(values: dict[str, Any], path: Path, name: str, kind: type) -> Any:
@@ -97,43 +57,100 @@ class Capture:
 
     Attributes:
         path: Its directory.
-        info: `capture.json` as read.
+        info: `capture.json` as read, or what stands in for it.
         cameras: All cameras, in KRT order.
-        frames: All frames, in `frame_list.txt` order.
+        frames: All frames that can be used, in `frame_list.txt` order.
+        left_out: What is wrong with the others.
         topology: The mesh that models draw.
         tracked_topology: The tracked mesh; the same object where a capture has one mesh only.
         has_truth: Exact meshes and exact depth are there (synthetic captures).
         has_depth: At least one frame has depth.
+        has_masks: Masks are there.
+        has_expressions: Frames come with their 52 values.
+        is_original: A directory as published, without our additions.
         texture_size: Side of the average textures, texels.
     """
 
     def __init__(
         self,
         path: Path,
+        *,
         info: dict[str, Any],
-        cameras: tuple[Camera, ...],
         frames: tuple[CaptureFrame, ...],
+        arkit: FloatArray | None,
         topology: Topology,
         tracked_topology: Topology,
-        arkit: FloatArray,
-        texture_size: int,
+        mesh_vertex: IntArray | None,
+        num_mesh_vertices: int,
     ) -> None:
+        where = path / multiface.CAPTURE
+        width, height = (_field(info, where, name, int) for name in ("width", "height"))
+        self.texture_size: int = _field(info, where, "texture_size", int)
+        if not (0 < width <= 8192 and 0 < height <= 8192 and 0 < self.texture_size <= 8192):
+            raise CaptureError(
+                f"{where}: sizes {width}x{height}, texture {self.texture_size}: 1 to 8192 are "
+                "allowed"
+            )
         self.path = path
         self.info = info
-        self.cameras = cameras
-        self.frames = frames
+        self.cameras = multiface.read_krt(path / multiface.KRT, width, height)
+        self._cameras = {camera.name: camera for camera in self.cameras}
         self.topology = topology
         self.tracked_topology = tracked_topology
+        self._mesh_vertex = mesh_vertex
+        self._num_mesh_vertices = num_mesh_vertices
+        self.is_original = mesh_vertex is not None
         self.has_truth = (path / multiface.TRUTH_MESH).is_dir()
         self.has_depth = (path / "depth").is_dir()
-        self.texture_size = texture_size
-        self._arkit = arkit
-        self._cameras = {camera.name: camera for camera in cameras}
+        self.has_masks = (path / "mask").is_dir()
+        self.has_expressions = arkit is not None
+        self._listed: dict[Path, frozenset[str]] = {}
+        self._use_frames(frames, arkit)
+
+    def _use_frames(self, listed: tuple[CaptureFrame, ...], arkit: FloatArray | None) -> None:
+        problems = [self._incomplete(frame) for frame in listed]
+        self.left_out = tuple(problem for problem in problems if problem is not None)
+        kept = [frame for frame, problem in zip(listed, problems, strict=True) if problem is None]
+        if not kept:
+            raise CaptureError(f"{self.left_out[0]}; no frame of the capture is complete")
+        if self.left_out:
+            log.warning(
+                "%s: %d of %d frames are left out, the first because of %s",
+                self.path, len(self.left_out), len(listed), self.left_out[0],
+            )  # fmt: skip
+        self._arkit = None if arkit is None else arkit[[frame.index for frame in kept]]
+        self.frames = tuple(
+            CaptureFrame(index=index, segment=frame.segment, name=frame.name, split=frame.split)
+            for index, frame in enumerate(kept)
+        )
+
+    def _incomplete(self, frame: CaptureFrame) -> str | None:
+        """Why a frame cannot be used, from names and sizes alone; None if it can."""
+        mesh = self.path / multiface.mesh_path(frame.segment, frame.name)
+        wanted = 12 * self._num_mesh_vertices
+        try:
+            size = mesh.stat().st_size
+        except OSError as error:
+            return f"{mesh}: {error.strerror}"
+        if size != wanted:
+            return f"{mesh}: {size} bytes; {self._num_mesh_vertices} vertices need {wanted}"
+        for path in (
+            multiface.transform_path(frame.segment, frame.name),
+            multiface.texture_path(self.texture_size, frame.segment, frame.name),
+        ):
+            if not (self.path / path).is_file():
+                return f"{self.path / path}: the file is missing"
+        return None
 
     @classmethod
-    def open(cls, path: str | Path) -> Capture:
+    def open(cls, path: str | Path, test_segments: Collection[str] | None = None) -> Capture:
         """Open a capture directory and check what describes it; images and meshes are checked when
         read.
+
+        Args:
+            path: The directory: one of ours, or a Multiface directory as published.
+            test_segments: Segments to hold out from a published one, which states no split; None
+                takes the fifth of every ten.
 
         Raises:
             CaptureError: The directory or a describing file is missing, damaged or inconsistent.
@@ -142,6 +159,8 @@ class Capture:
         if not root.is_dir():
             raise CaptureError(f"{root}: no such directory")
         if not (root / multiface.CAPTURE).is_file():
+            if is_original(root) and not (root / multiface.MARKER).exists():
+                return cls._open_original(root, test_segments)
             raise CaptureError(
                 f"{root}: no {multiface.CAPTURE}; not a capture, or one that is not finished"
             )
@@ -151,19 +170,35 @@ class Capture:
             raise CaptureError(
                 f"{where}: schema is {info.get('schema')!r}; {multiface.SCHEMA} is known"
             )
-        width, height = (_field(info, where, name, int) for name in ("width", "height"))
-        texture_size = _field(info, where, "texture_size", int)
-        if not (0 < width <= 8192 and 0 < height <= 8192 and 0 < texture_size <= 8192):
-            raise CaptureError(
-                f"{where}: sizes {width}x{height}, texture {texture_size}: 1 to 8192 are allowed"
-            )
-        cameras = multiface.read_krt(root / multiface.KRT, width, height)
-        topology = _read_topology(root / multiface.TOPOLOGY)
+        topology = read_topology(root / multiface.TOPOLOGY)
         tracked = topology
         if (root / multiface.TRACKED_TOPOLOGY).is_file():
-            tracked = _read_topology(root / multiface.TRACKED_TOPOLOGY)
-        frames, arkit = _read_frames(root)
-        return cls(root, info, cameras, frames, topology, tracked, arkit, texture_size)
+            tracked = read_topology(root / multiface.TRACKED_TOPOLOGY)
+        frames, arkit = read_frames(root)
+        return cls(
+            root,
+            info=info,
+            frames=frames,
+            arkit=arkit,
+            topology=topology,
+            tracked_topology=tracked,
+            mesh_vertex=None,
+            num_mesh_vertices=len(tracked.vertex_uv),
+        )
+
+    @classmethod
+    def _open_original(cls, root: Path, test_segments: Collection[str] | None) -> Capture:
+        found = open_original(root, test_segments)
+        return cls(
+            root,
+            info=found.info(),
+            frames=found.frames,
+            arkit=None,
+            topology=found.topology,
+            tracked_topology=found.topology,
+            mesh_vertex=found.mesh_vertex,
+            num_mesh_vertices=found.num_mesh_vertices,
+        )
 
     @property
     def num_vertices(self) -> int:
@@ -193,34 +228,49 @@ class Capture:
                 f"{self.path}: no camera {name!r}; there are {', '.join(self._cameras)}"
             ) from None
 
+    def cameras_of(self, frame: CaptureFrame) -> tuple[str, ...]:
+        """Cameras that have an image of a frame; a frame may be missing from some."""
+        return tuple(name for name in self._cameras if self._is_listed("images", frame, name))
+
+    def _is_listed(self, kind: str, frame: CaptureFrame, camera: str) -> bool:
+        folder = self.path / kind / frame.segment / camera
+        if folder not in self._listed:
+            names: list[str] = []
+            if folder.is_dir():
+                names = [path.stem for path in folder.iterdir() if path.suffix == ".png"]
+            self._listed[folder] = frozenset(names)
+        return frame.name in self._listed[folder]
+
     def arkit(self, frame: CaptureFrame) -> FloatArray:
-        """The frame's shapes in `ARKIT_NAMES` order. float32 ``[52]``."""
+        """The frame's shapes in `ARKIT_NAMES` order. float32 ``[52]``.
+
+        Raises:
+            CaptureError: The capture has no expressions.
+        """
+        if self._arkit is None:
+            raise CaptureError(f"{self.path}: no {multiface.EXPRESSIONS}")
         values: FloatArray = self._arkit[frame.index]
         return values
 
     def image(self, frame: CaptureFrame, camera: str) -> ByteArray:
-        """sRGB image, row 0 on top. uint8 ``[H, W, 3]``."""
-        view = self.camera(camera)
-        path = self.path / multiface.image_path("images", frame.segment, camera, frame.name)
-        return _load_image(path, "RGB", (view.width, view.height))
+        """sRGB image as stored, row 0 on top. uint8 ``[H, W, 3]``."""
+        return self._load("images", "RGB", frame, camera)
 
     def mask(self, frame: CaptureFrame, camera: str) -> ByteArray:
         """0 for background, else material id + 1 at the pixel's centre. uint8 ``[H, W]``."""
-        view = self.camera(camera)
-        path = self.path / multiface.image_path("mask", frame.segment, camera, frame.name)
-        return _load_image(path, "L", (view.width, view.height))
+        return self._load("mask", "L", frame, camera)
 
     def has_depth_of(self, frame: CaptureFrame) -> bool:
         """Whether a frame has depth: a method may have been run on some of them only."""
-        return (self.path / "depth" / frame.segment).is_dir() and any(
-            (self.path / multiface.image_path("depth", frame.segment, name, frame.name)).is_file()
-            for name in self._cameras
+        return self.has_depth and any(
+            self._is_listed("depth", frame, name) for name in self._cameras
         )
 
     def depth_m(self, frame: CaptureFrame, camera: str) -> FloatArray:
         """Depth along the camera axis at pixel centres as a method found it, 0 where unknown.
         float32 ``[H, W]``."""
-        return self._read_depth("depth", frame, camera)
+        units = self._load("depth", "I;16", frame, camera)
+        return units.astype(np.float32) * np.float32(multiface.DEPTH_UNIT_M)
 
     def true_depth_m(self, frame: CaptureFrame, camera: str) -> FloatArray:
         """Exact depth along the camera axis at pixel centres, 0 where empty. float32 ``[H, W]``.
@@ -229,13 +279,13 @@ class Capture:
             CaptureError: The capture has no truth, or the file is damaged.
         """
         self._need_truth()
-        return self._read_depth(multiface.TRUTH_DEPTH, frame, camera)
+        units = self._load(multiface.TRUTH_DEPTH, "I;16", frame, camera)
+        return units.astype(np.float32) * np.float32(multiface.DEPTH_UNIT_M)
 
-    def _read_depth(self, kind: str, frame: CaptureFrame, camera: str) -> FloatArray:
+    def _load(self, kind: str, mode: str, frame: CaptureFrame, camera: str) -> npt.NDArray[Any]:
         view = self.camera(camera)
         path = self.path / multiface.image_path(kind, frame.segment, camera, frame.name)
-        units = _load_image(path, "I;16", (view.width, view.height))
-        return units.astype(np.float32) * np.float32(multiface.DEPTH_UNIT_M)
+        return load_image(path, mode, (view.width, view.height))
 
     def _need_truth(self) -> None:
         if not self.has_truth:
@@ -245,8 +295,7 @@ class Capture:
 
     def vertices_m(self, frame: CaptureFrame) -> FloatArray:
         """Tracked mesh on `tracked_topology`, head frame, metres. float32 ``[Vt, 3]``."""
-        path = self.path / multiface.mesh_path(frame.segment, frame.name)
-        return _read_vertices(path, len(self.tracked_topology.vertex_uv))
+        return self._mesh(self.path / multiface.mesh_path(frame.segment, frame.name))
 
     def true_vertices_m(self, frame: CaptureFrame) -> FloatArray:
         """Exact mesh on `topology`, head frame, metres. float32 ``[V, 3]``.
@@ -256,28 +305,19 @@ class Capture:
         """
         self._need_truth()
         path = self.path / multiface.mesh_path(frame.segment, frame.name, multiface.TRUTH_MESH)
-        return _read_vertices(path, len(self.topology.vertex_uv))
+        return read_vertices(path, len(self.topology.vertex_uv))
 
     def mean_vertices_m(self) -> FloatArray:
         """Mean tracked mesh over the training frames, metres. float32 ``[Vt, 3]``."""
-        return _read_vertices(self.path / "vert_mean.bin", len(self.tracked_topology.vertex_uv))
+        return self._mesh(self.path / "vert_mean.bin")
 
-    def head_to_world(self, frame: CaptureFrame) -> npt.NDArray[np.float64]:
+    def _mesh(self, path: Path) -> FloatArray:
+        vertices = read_vertices(path, self._num_mesh_vertices)
+        return vertices if self._mesh_vertex is None else vertices[self._mesh_vertex]
+
+    def head_to_world(self, frame: CaptureFrame) -> Float64Array:
         """Rotation and translation (metres) from head frame to world. float64 ``[3, 4]``."""
-        path = self.path / multiface.transform_path(frame.segment, frame.name)
-        try:
-            matrix = np.array(
-                [
-                    [float(w) for w in line.split()]
-                    for line in multiface.read_text(path).splitlines()
-                ]
-            )
-        except ValueError:
-            matrix = np.zeros(0)
-        if matrix.shape != (3, 4) or not np.isfinite(matrix).all():
-            raise CaptureError(f"{path}: three lines of four numbers are needed")
-        matrix[:, 3] /= multiface.MILLIMETRES
-        return matrix
+        return read_transform(self.path / multiface.transform_path(frame.segment, frame.name))
 
     def head_camera(self, frame: CaptureFrame, name: str) -> Camera:
         """A camera in the frame's head axes: it projects the frame's meshes as they are.
@@ -289,116 +329,13 @@ class Capture:
 
     def average_texture(self, frame: CaptureFrame) -> ByteArray:
         """Average texture, row 0 is v = 0, black where no camera looked. uint8 ``[S, S, 3]``."""
-        path = self.path / multiface.texture_path(self.texture_size, frame.segment, frame.name)
-        size = (self.texture_size, self.texture_size)
-        return np.ascontiguousarray(_load_image(path, "RGB", size)[::-1])
+        path = multiface.texture_path(self.texture_size, frame.segment, frame.name)
+        return self._texture(self.path / path)
 
     def mean_texture(self) -> ByteArray:
         """Mean texture over the training frames, row 0 is v = 0. uint8 ``[S, S, 3]``."""
+        return self._texture(self.path / "tex_mean.png")
+
+    def _texture(self, path: Path) -> ByteArray:
         size = (self.texture_size, self.texture_size)
-        return np.ascontiguousarray(_load_image(self.path / "tex_mean.png", "RGB", size)[::-1])
-
-
-def _read_vertices(path: Path, count: int) -> FloatArray:
-    """A mesh file of `count` vertices, in metres."""
-    wanted = 12 * count
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise CaptureError(f"{path}: the file is missing") from None
-    except OSError as error:
-        raise CaptureError(f"{path}: cannot read ({error})") from error
-    if len(data) != wanted:
-        raise CaptureError(f"{path}: {len(data)} bytes; {count} vertices need {wanted} (float32)")
-    vertices = np.frombuffer(data, "<f4").reshape(-1, 3) / np.float32(multiface.MILLIMETRES)
-    if not np.isfinite(vertices).all():
-        raise CaptureError(f"{path}: vertices are not all finite")
-    return vertices.astype(np.float32)
-
-
-def read_tracked(root: Path) -> tuple[Topology, npt.NDArray[np.int64]]:
-    """The tracked mesh of a synthetic capture, and the dense vertex that each of its vertices is.
-
-    Raises:
-        CaptureError: Missing or damaged.
-    """
-    path = root / multiface.TRACKED_TOPOLOGY
-    topology = _read_topology(path)
-    index = _read_arrays(path).get("dense_vertex", np.zeros(0))
-    if index.shape != (len(topology.vertex_uv),) or index.dtype.kind != "i" or index.min() < 0:
-        raise CaptureError(f"{path}: field 'dense_vertex' is no index for each vertex")
-    return topology, index.astype(np.int64)
-
-
-def _read_arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except FileNotFoundError:
-        raise CaptureError(f"{path}: the file is missing") from None
-    except (OSError, ValueError, EOFError) as error:
-        raise CaptureError(f"{path}: not a complete archive ({error})") from error
-    except Exception as error:  # zipfile and zlib have error classes of their own
-        raise CaptureError(f"{path}: damaged archive ({error})") from error
-
-
-def _read_topology(path: Path) -> Topology:
-    arrays = _read_arrays(path)
-    for name in ("vertex_uv", "faces"):
-        if name not in arrays:
-            raise CaptureError(f"{path}: field {name!r} is missing")
-    uv, faces = arrays["vertex_uv"], arrays["faces"]
-    if uv.ndim != 2 or uv.shape[1] != 2 or not np.isfinite(uv).all():
-        raise CaptureError(f"{path}: field 'vertex_uv' is {uv.shape}; finite [V, 2] is needed")
-    if faces.ndim != 2 or faces.shape[1] != 3 or faces.min() < 0 or faces.max() >= len(uv):
-        raise CaptureError(
-            f"{path}: field 'faces' is {faces.shape} or points outside {len(uv)} vertices"
-        )
-    regions = {
-        name.removeprefix("region_"): value.astype(np.bool_)
-        for name, value in arrays.items()
-        if name.startswith("region_")
-    }
-    for name, value in regions.items():
-        if value.shape != (len(uv),):
-            raise CaptureError(f"{path}: region {name!r} is {value.shape}; [{len(uv)}] is needed")
-    return Topology(vertex_uv=uv.astype(np.float32), faces=faces.astype(np.int32), regions=regions)
-
-
-def _read_frames(root: Path) -> tuple[tuple[CaptureFrame, ...], FloatArray]:
-    table_path, list_path = root / multiface.EXPRESSIONS, root / multiface.FRAME_LIST
-    rows = list(csv.reader(io.StringIO(multiface.read_text(table_path))))
-    header = rows[0] if rows else []
-    missing = [name for name in ("segment", "frame", "split", *ARKIT_NAMES) if name not in header]
-    if missing:
-        raise CaptureError(f"{table_path}: column {missing[0]!r} is missing")
-    place = [header.index(name) for name in ARKIT_NAMES]
-    table: dict[tuple[str, str], tuple[str, list[float]]] = {}
-    for number, row in enumerate(rows[1:], start=2):
-        try:
-            values = [float(row[at]) for at in place]
-            split = row[header.index("split")]
-            key = (row[header.index("segment")], row[header.index("frame")])
-        except (IndexError, ValueError) as error:
-            raise CaptureError(f"{table_path}:{number}: row cannot be read ({error})") from error
-        if split not in SPLITS or not np.isfinite(values).all():
-            raise CaptureError(
-                f"{table_path}:{number}: split is {split!r}, or a value is not finite"
-            )
-        table[key] = (split, values)
-    frames: list[CaptureFrame] = []
-    arkit: list[list[float]] = []
-    for number, line in enumerate(multiface.read_text(list_path).splitlines(), start=1):
-        words = line.split()
-        if not words:
-            continue
-        if len(words) != 2 or (words[0], words[1]) not in table:
-            raise CaptureError(
-                f"{list_path}:{number}: {line!r} has no row in {multiface.EXPRESSIONS}"
-            )
-        split, values = table[words[0], words[1]]
-        frames.append(CaptureFrame(index=len(frames), segment=words[0], name=words[1], split=split))
-        arkit.append(values)
-    if not frames:
-        raise CaptureError(f"{list_path}: no frames")
-    return tuple(frames), np.array(arkit, np.float32).reshape(-1, NUM_ARKIT)
+        return np.ascontiguousarray(load_image(path, "RGB", size)[::-1])

@@ -26,6 +26,7 @@ Layout source: the published description of the Multiface dataset (Wuu et al. 20
 from __future__ import annotations
 
 import json
+import logging
 import os
 from collections.abc import Iterable
 from contextlib import suppress
@@ -37,12 +38,16 @@ import numpy as np
 from pica_core.camera import Camera
 from pica_core.errors import CaptureError
 
+log = logging.getLogger(__name__)
+
 KRT = "KRT"
 FRAME_LIST = "frame_list.txt"
 EXPRESSIONS = "expressions.csv"
 CAPTURE = "capture.json"
 TOPOLOGY = "topology.npz"
 TRACKED_TOPOLOGY = "tracked_topology.npz"
+MARKER = "render.json"
+"""There while a capture is being rendered."""
 TRUTH_MESH = "truth_mesh"
 TRUTH_DEPTH = "depth_truth"
 SCHEMA = 1
@@ -134,6 +139,11 @@ def read_krt(path: Path, width: int, height: int) -> tuple[Camera, ...]:
                     f"found {text!r}"
                 )
             rows.append(values)
+        if np.abs(rows[3]).max() > 1e-6:
+            log.warning(
+                "%s: camera %s states lens distortion; its images are taken as undistorted",
+                path, name,
+            )  # fmt: skip
         matrix = np.array(rows[4:7])
         cameras.append(
             Camera(
@@ -148,6 +158,10 @@ def read_krt(path: Path, width: int, height: int) -> tuple[Camera, ...]:
         at += 8
     if not cameras:
         raise CaptureError(f"{path}: no camera in the file")
+    names = [camera.name for camera in cameras]
+    if len(set(names)) < len(names):
+        twice = next(name for index, name in enumerate(names) if name in names[:index])
+        raise CaptureError(f"{path}: camera {twice} is there twice")
     return tuple(cameras)
 
 

@@ -9,10 +9,10 @@ import numpy.typing as npt
 
 from pica_core.camera import Camera
 from pica_core.capture.coordinates import MATERIALS
-from pica_core.capture.dataset import Topology
 from pica_core.capture.gpu import BAKE_SIZE, StageRenderer, View
 from pica_core.capture.heads import make_head
 from pica_core.capture.layout import MAP_SIZE
+from pica_core.capture.reading import Topology
 
 FloatArray = npt.NDArray[np.float32]
 ByteArray = npt.NDArray[np.uint8]

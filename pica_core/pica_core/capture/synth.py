@@ -27,11 +27,11 @@ from pica_core.capture.capture_writer import (
     write_tables,
     write_topology,
 )
-from pica_core.capture.dataset import Topology, read_tracked
 from pica_core.capture.expressions import RATE_HZ, STRIDE, Take, blend, sample_takes
 from pica_core.capture.gpu import BAKE_SIZE, View
 from pica_core.capture.head_motion import HeadMotion, camera_in_head
 from pica_core.capture.mvs_depth import MvsErrors, find_depth
+from pica_core.capture.reading import Topology, read_tracked
 from pica_core.capture.stage import EVALUATION_VIEWS, dome_cameras
 from pica_core.capture.subject import HeadSubject, Subject
 from pica_core.capture.tracked_topology import NUM_VERTICES, track_topology
@@ -155,7 +155,7 @@ def render_subject(
     """
     if out.exists() and not out.is_dir():
         raise CaptureError(f"{out}: is no directory; name one to make")
-    marker = out / "render.json"
+    marker = out / multiface.MARKER
     used = out.exists() and any(out.iterdir())
     if used and not marker.is_file():
         raise CaptureError(f"{out}: {_USED}")

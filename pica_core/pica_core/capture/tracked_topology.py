@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.capture.dataset import Topology
+from pica_core.capture.reading import Topology
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.capture.dataset import Topology
+from pica_core.capture.reading import Topology
 from pica_core.capture.waves import SpaceTimeWaves, TimeWaves
 
 FloatArray = npt.NDArray[np.float32]
