@@ -169,19 +169,22 @@ class _Cap:
     """Place of what was planned last; -1 before the first."""
     pause: _Pause = field(default_factory=lambda: _Pause())
 
-    def follow(self, extra: Sequence[float], unseen: float, options: SchedulerOptions) -> int:
-        """Up at once, down late: what is needed at the size that the head has now.
+    def follow(
+        self, extra: Sequence[float], unseen: float, now: float, options: SchedulerOptions
+    ) -> None:
+        """Follow the size of the head: up at once, and down to what has been clearly good enough
+        for a while.
 
-        Returns:
-            The coarsest place that is clearly good enough; `needed` is at least that.
+        Args:
+            extra: MSE that each place leaves over the finest.
+            unseen: How much of it cannot be seen.
+            now: The time.
+            options: Of the scheduler.
         """
         needed = next(i for i, mse in enumerate(extra) if mse <= unseen)
+        clearly = next(i for i, mse in enumerate(extra) if mse <= options.margin * unseen)
         if self.planned < 0 or needed > self.needed:
-            self.needed, self.small_since_s = needed, math.inf
-        return next(i for i, mse in enumerate(extra) if mse <= options.margin * unseen)
-
-    def settle(self, clearly: int, now: float, options: SchedulerOptions) -> None:
-        """Go down to what has been clearly good enough for a while."""
+            self.needed = needed
         if clearly >= self.needed:
             self.small_since_s = math.inf
         elif self.small_since_s == math.inf:
@@ -309,11 +312,12 @@ class Scheduler:
             blur = 1 + (view.speed_px_s / options.blur_px_s) ** 2
             maps, meshes = ([mse / blur for mse in part] for part in extra[:2])
             extra = Extra(maps, meshes, extra.own)
-        # What cannot be seen is shared by maps and mesh.
-        unseen = max(options.floor_mse, options.floor_ratio * extra.own) / 2
+        unseen = max(options.floor_mse, options.floor_ratio * extra.own)
         memory.seen_s = now
-        for cap, part in ((memory.maps, extra.maps), (memory.mesh, extra.meshes)):
-            cap.settle(cap.follow(part, unseen, options), now, options)
+        # Of what cannot be seen maps take half at most; what they leave is the mesh's.
+        memory.maps.follow(extra.maps, unseen / 2, now, options)
+        left = unseen - extra.maps[memory.maps.needed]
+        memory.mesh.follow(extra.meshes, left, now, options)
         count = len(extra.maps)
         tops = memory.maps.top(count, now), memory.mesh.top(count, now)
         weight = view.visible_px * (options.stale_weight if view.is_stale else 1.0)
