@@ -19,12 +19,15 @@ from pica_core.capture.dataset import Capture
 from pica_core.errors import CheckpointError, TrainingOptionError
 from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data import TrainingData
+from pica_core.train.eval_run import RUN_FILE
 from pica_core.train.evaluate import evaluate, mean_mse
 from pica_core.train.export import make_avatar
 from pica_core.train.level_commands import describe
 from pica_core.train.levels import LevelReport, add_levels
 from pica_core.train.loop import Losses, Trainer, open_trainer, read_checkpoint
 from pica_core.train.stream_metric import make_stream_profile
+
+VariantName = Literal["full", "no_uv", "coarse", "uv_nope", "nerf_pe", "pe_2d", "pe_1d", "baseline"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -35,6 +38,8 @@ class TrainOptions:
     """Folder of the capture (`pica capture synth` makes one)."""
     out: Path
     """Folder of the run: checkpoint, metrics, held-out error."""
+    variant: VariantName = "full"
+    """Which model of the paper's tables: full, the baseline, or full with one part replaced."""
     preset: Literal["tiny", "small", "long", "refine", "lids"] = "small"
     """How much to train: tiny (seconds), small (minutes on two cores), long; refine and lids
     go on from the weights of another run (--start-from)."""
@@ -102,6 +107,10 @@ def train(options: TrainOptions) -> dict[str, Any]:
     data = TrainingData(Capture.open(options.capture), config.model.spec().map_size)
     if not options.resume and (options.out / "checkpoint.pt").exists():
         raise CheckpointError(f"{options.out}: a run is there already; --resume goes on with it")
+    for before in [options.out] if options.resume else [options.start_from]:
+        if before is not None:
+            _check_variant(before, options.variant)
+    _note_run(options, str(data.capture.info.get("head", options.capture.name)))
     with open_trainer(data, config, options.out) as trainer:
         if options.resume:
             trainer.restore()
@@ -174,9 +183,36 @@ def export(options: ExportOptions) -> dict[str, Any]:
     }
 
 
+def _check_variant(run: Path, variant: str) -> None:
+    """Refuse to go on from another model.
+
+    Raises:
+        CheckpointError: No readable checkpoint, or one of another variant.
+    """
+    state = read_checkpoint(run / "checkpoint.pt")
+    found = TrainConfig.from_json(json.loads(state["config"])).model.variant
+    if found != variant:
+        raise CheckpointError(
+            f"{run}: the checkpoint is of variant {found!r}, not {variant!r}; "
+            f"use --variant {found}, or another --out"
+        )
+
+
+def _note_run(options: TrainOptions, identity: str) -> None:
+    """Write beside the checkpoint what a later evaluation needs to know."""
+    note = {
+        "capture": str(options.capture.resolve()),
+        "identity": identity,
+        "variant": options.variant,
+        "preset": options.preset,
+        "seed": options.seed,
+    }
+    (options.out / RUN_FILE).write_text(json.dumps(note, indent=1) + "\n")
+
+
 def _config(options: TrainOptions) -> TrainConfig:
     config = replace(PRESETS[options.preset], seed=options.seed)
-    model = config.model
+    model = replace(config.model, variant=options.variant)
     if options.block is not None:
         model = replace(model, block=options.block)
     if options.encoder is not None:

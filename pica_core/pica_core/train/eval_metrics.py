@@ -1,0 +1,110 @@
+"""Figures of merit of pictures, as functions of arrays and nothing else.
+
+All take values on 0-255, and judge the pixels that a mesh covers, as the paper's tables do ("Mean
+Squared Error between rendered image and original image on rasterized pixels", section 6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from numpy.lib.stride_tricks import sliding_window_view
+
+FloatArray = npt.NDArray[np.floating]
+BoolArray = npt.NDArray[np.bool_]
+Image = FloatArray | npt.NDArray[np.uint8]
+
+WHITE = 255.0
+SSIM_SIGMA_PX = 1.5
+SSIM_REACH_PX = 5
+"""Gaussian window of 11 x 11 pixels (Wang et al., "Image Quality Assessment", 2004, section
+III-B)."""
+SSIM_CONSTANTS = ((0.01 * WHITE) ** 2, (0.03 * WHITE) ** 2)
+RESAMPLES = 2000
+"""Draws of the bootstrap: the ends of a 95 % interval are good to a few percent of its width."""
+BEST_PSNR_DB = 100.0
+"""What a picture without any error counts as."""
+
+
+def mse(predicted: FloatArray, observed: FloatArray) -> float:
+    """Mean squared difference over pixels and channels, ``[P, 3]`` both."""
+    return float(np.square(predicted.astype(np.float64) - observed).mean())
+
+
+def psnr_db(error: float) -> float:
+    """Peak signal to noise ratio of a mean squared error on 0-255."""
+    if error <= 0:
+        return BEST_PSNR_DB
+    return min(BEST_PSNR_DB, float(10 * np.log10(WHITE**2 / error)))
+
+
+def ssim(predicted: Image, observed: Image, covered: BoolArray) -> float:
+    """Mean structural similarity of the covered pixels, channel by channel.
+
+    Args:
+        predicted: ``[H, W, 3]``; outside the covered pixels it should hold what `observed` holds,
+            so that windows across the rim compare like with like.
+        observed: ``[H, W, 3]``.
+        covered: Which pixels count, ``[H, W]``.
+
+    Returns:
+        1 for the same picture; 1 where nothing is covered.
+    """
+    if not covered.any():
+        return 1.0
+    rows, columns = (np.flatnonzero(covered.any(axis)) for axis in (1, 0))
+    box = tuple(
+        slice(max(0, index[0] - SSIM_REACH_PX), index[-1] + SSIM_REACH_PX + 1)
+        for index in (rows, columns)
+    )
+    a = predicted[box].astype(np.float64)
+    b = observed[box].astype(np.float64)
+    c1, c2 = SSIM_CONSTANTS
+    mean_a, mean_b = _blur(a), _blur(b)
+    variance_a = _blur(a * a) - mean_a**2
+    variance_b = _blur(b * b) - mean_b**2
+    covariance = _blur(a * b) - mean_a * mean_b
+    similar = (2 * mean_a * mean_b + c1) * (2 * covariance + c2)
+    similar /= (mean_a**2 + mean_b**2 + c1) * (variance_a + variance_b + c2)
+    return float(similar[covered[box]].mean())
+
+
+def change_mse(
+    predicted: tuple[FloatArray, FloatArray], observed: tuple[FloatArray, FloatArray]
+) -> float:
+    """Error of the change from one frame to the next: what flickers, or moves too late.
+
+    Args:
+        predicted: Colours of the same pixels in two frames, ``[P, 3]`` each.
+        observed: The same of what was seen.
+    """
+    before, after = (np.asarray(part, np.float64) for part in predicted)
+    seen_before, seen_after = (np.asarray(part, np.float64) for part in observed)
+    return float(np.square((after - before) - (seen_after - seen_before)).mean())
+
+
+def bootstrap_interval(values: Sequence[float], seed: int = 0) -> tuple[float, float]:
+    """The 95 % percentile interval of the mean, over resamples of the values with repetition.
+
+    The values are taken as independent; frames of one take are not quite, so for them it is a
+    little narrow.
+    """
+    array = np.asarray(values, np.float64)
+    rng = np.random.default_rng(seed)
+    means = array[rng.integers(len(array), size=(RESAMPLES, len(array)))].mean(1)
+    low, high = np.percentile(means, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def _blur(image: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Gaussian means; beyond the border the last pixel goes on."""
+    place = np.arange(-SSIM_REACH_PX, SSIM_REACH_PX + 1)
+    weights = np.exp(-0.5 * (place / SSIM_SIGMA_PX) ** 2)
+    weights /= weights.sum()
+    edge = ((SSIM_REACH_PX, SSIM_REACH_PX),)
+    padded = np.pad(image, (*edge, *edge, (0, 0)), mode="edge")
+    for axis in (0, 1):
+        padded = sliding_window_view(padded, len(weights), axis=axis) @ weights
+    return padded

@@ -1,0 +1,170 @@
+"""Rows of an evaluation as Markdown: the paper's tables, and what stands beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from pica_core.train.eval_truth import DEPTH_CAP_MM, NEAR_DISTANCE_M, REGIONS
+from pica_core.variants import TABLE_1, TABLE_2
+
+Rows = Sequence[Mapping[str, Any]]
+Key = tuple[str, str, int]
+"""Identity, variant and seed: a run."""
+
+TABLES: Mapping[int, tuple[str, ...]] = {1: TABLE_1, 2: TABLE_2}
+QUANTILES = (100, 90, 75, 50, 25, 10, 0)
+_NONE = "–"
+
+
+def error_table(rows: Rows, variants: Sequence[str]) -> str:
+    """MSE by identity, model and view, with intervals; the best of a view is bold."""
+    views = list(dict.fromkeys(row["view"] for row in rows))
+    cells = {(_key(row), row["view"]): row for row in rows}
+    lines: list[list[str]] = []
+    for key in _runs(rows, variants):
+        line = [key[0], _label(key, rows)]
+        for view in views:
+            row = cells.get((key, view))
+            best = min(r["mse"] for r in rows if r["view"] == view and r["identity"] == key[0])
+            if row is None:
+                line.append(_NONE)
+                continue
+            value = f"{row['mse']:.2f}"
+            value = f"**{value}**" if row["mse"] == best else value
+            line.append(f"{value} ({row['mse_low']:.2f} to {row['mse_high']:.2f})")
+        lines.append(line)
+    return _table(["identity", "model", *views], lines)
+
+
+def summary_table(rows: Rows, variants: Sequence[str]) -> str:
+    """What stands beside the MSE: means over views, and what the model costs."""
+    lines: list[list[str]] = []
+    for key in _runs(rows, variants):
+        own = [row for row in rows if _key(row) == key]
+        changes = [row["temporal_mse"] for row in own if row["temporal_mse"] is not None]
+        first = own[0]
+        lines.append(
+            [
+                key[0],
+                _label(key, rows),
+                *(f"{np.mean([row[name] for row in own]):.{digits}f}" for name, digits in _MEANS),
+                f"{np.mean(changes):.2f}" if changes else _NONE,
+                f"{first['parameters'] / 1e6:.3f}",
+                f"{first['macs'] / 1e6:.1f}",
+                str(first["macs_per_pixel"]),
+                str(first["steps"]),
+                str(first["seed"]),
+            ]
+        )
+    head = ["identity", "model", "MSE", "PSNR dB", "SSIM", "MSE of the change"]
+    head += ["M parameters", "M multiply-adds", "a pixel", "steps", "seed"]
+    return _table(head, lines)
+
+
+def distribution_table(distributions: Mapping[Key, Rows], variants: Sequence[str]) -> str:
+    """How errors spread over expressions: quantiles of the frames' MSE."""
+    lines = []
+    for key in _sorted(distributions, variants):
+        values = [item["mse"] for item in distributions[key]]
+        shown = [f"{np.percentile(values, quantile):.2f}" for quantile in QUANTILES]
+        lines.append([key[0], key[1], *shown])
+    head = ["worst", *(f"{quantile} %" for quantile in QUANTILES[1:-1]), "best"]
+    return _table(["identity", "model", *head], lines)
+
+
+def geometry_table(
+    geometry: Mapping[Key, Mapping[str, float | None]],
+    tracked: Mapping[str, Mapping[str, float | None]],
+    variants: Sequence[str],
+) -> str:
+    """Depth errors by region, millimetres; the tracked mesh's own first."""
+    lines: list[list[str]] = []
+    for identity, errors in tracked.items():
+        if errors:
+            lines.append([identity, "tracked mesh", *_millimetres(errors)])
+        keys = [key for key in _sorted(geometry, variants) if key[0] == identity]
+        lines += [[identity, key[1], *_millimetres(geometry[key])] for key in keys if geometry[key]]
+    return _table(["identity", "model", *REGIONS], lines)
+
+
+def near_table(near: Mapping[Key, Mapping[str, Any]], variants: Sequence[str]) -> str:
+    """Errors of pictures from close to the mouth, or why there are none."""
+    lines = []
+    for key in _sorted(near, variants):
+        found = near[key]
+        if "skipped" in found:
+            lines.append([key[0], key[1], _NONE, f"skipped: {found['skipped']}"])
+        else:
+            lines.append([key[0], key[1], f"{found['mse']:.2f}", f"{found['frames']} frames"])
+    return _table(["identity", "model", "MSE", ""], lines)
+
+
+def report(number: int, result: Mapping[str, Any], commands: Iterable[str] = ()) -> str:
+    """The whole report of an evaluation.
+
+    Args:
+        number: Of the paper's table.
+        result: Of `eval_commands.eval_runs`.
+        commands: How the figures came about, to print with them.
+    """
+    variants = TABLES[number]
+    rows = result["rows"]
+    runs = {_key(run): run for run in result["runs"]}
+    parts = [
+        f"# Table {number}",
+        "MSE on 0-255 values over rasterised pixels, held-out frames, mean and 95 % bootstrap "
+        "interval over frames. The captures' own note on what they are: "
+        + "; ".join(sorted({str(run["source"]) for run in runs.values()})),
+        error_table(rows, variants),
+        "## Beside it",
+        "Means over views. The change is the one from a frame to the next of its take.",
+        summary_table(rows, variants),
+        "## Over expressions",
+        "MSE of single frames, mean over views, sorted.",
+        distribution_table({key: run["distribution"] for key, run in runs.items()}, variants),
+        "## Geometry",
+        f"Mean depth error in mm (capped at {DEPTH_CAP_MM:g} mm) against the true mesh, at pixels "
+        "that both cover, by region of the true mesh.",
+        geometry_table(
+            {key: run["geometry"] for key, run in runs.items()}, result["tracked_mesh"], variants
+        ),
+        "## Near field",
+        f"From {100 * NEAR_DISTANCE_M:g} cm in front of the lips, where no camera stood.",
+        near_table({key: run["near"] for key, run in runs.items()}, variants),
+        *(f"`{command}`" for command in commands),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+_MEANS = (("mse", 2), ("psnr_db", 2), ("ssim", 4))
+
+
+def _key(row: Mapping[str, Any]) -> Key:
+    return row["identity"], row["variant"], row["seed"]
+
+
+def _runs(rows: Rows, variants: Sequence[str]) -> list[Key]:
+    return _sorted({_key(row): row for row in rows}, variants)
+
+
+def _sorted(keys: Iterable[Key], variants: Sequence[str]) -> list[Key]:
+    """By identity, then in the table's order; variants that it does not name are left out."""
+    known = [key for key in keys if key[1] in variants]
+    return sorted(known, key=lambda key: (key[0], variants.index(key[1]), key[2]))
+
+
+def _label(key: Key, rows: Rows) -> str:
+    seeds = {row["seed"] for row in rows if (row["identity"], row["variant"]) == key[:2]}
+    return f"{key[1]}, seed {key[2]}" if len(seeds) > 1 else key[1]
+
+
+def _millimetres(errors: Mapping[str, float | None]) -> list[str]:
+    return [_NONE if (e := errors.get(name)) is None else f"{e:.2f}" for name in REGIONS]
+
+
+def _table(head: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
+    rows = [head, ["---"] * len(head), *lines]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
