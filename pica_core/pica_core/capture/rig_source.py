@@ -1,0 +1,155 @@
+"""A rig as its file has it: one mesh, its UVs and materials, and what each shape adds.
+
+Readers (`rig_gltf`, `rig_obj`) fill it; everything after them is independent of the file's format.
+Checks stand here, so that both readers refuse the same things in the same words.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.errors import CaptureError
+
+FloatArray = npt.NDArray[np.float32]
+Float64Array = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int32]
+
+MAX_FILE_BYTES = 1 << 30
+"""Larger files are refused before reading."""
+MAX_VERTICES = 500_000
+MAX_FACES = 1_000_000
+MAX_SHAPES = 1_000
+MAX_SHAPE_VALUES = 300_000_000
+"""Vertices times shapes, at most (1.2 GB as float32 triples is three times that number)."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class RigSource:
+    """A head with blendshapes, in the units and axes of its file.
+
+    Attributes:
+        path: The file or directory.
+        positions: Vertices of the neutral face. float64 ``[V, 3]``.
+        faces: Triangles as indices into `positions`. int32 ``[F, 3]``.
+        uv: Texture coordinates with v downwards, or None. Tiles (UDIM) are integer parts.
+            float64 ``[T, 2]``.
+        uv_faces: The same triangles as indices into `uv`, or None. int32 ``[F, 3]``.
+        materials: Names of materials.
+        face_material: Index into `materials`. int32 ``[F]``.
+        shapes: What each shape adds to `positions` at a value of 1. float32 ``[V, 3]`` each.
+        split_at_seams: True when vertices are there twice where texture coordinates part.
+        copyright: What the file says of its rights.
+        images: Encoded base colour image of a material, where the file has one.
+    """
+
+    path: Path
+    positions: Float64Array
+    faces: IntArray
+    uv: Float64Array | None
+    uv_faces: IntArray | None
+    materials: tuple[str, ...]
+    face_material: IntArray
+    shapes: dict[str, FloatArray]
+    split_at_seams: bool = False
+    copyright: str = ""
+    images: dict[int, bytes] = field(default_factory=dict)
+
+
+def check_counts(where: str, *, vertices: int, faces: int, shapes: int) -> None:
+    """Refuse hostile sizes before anything is allocated.
+
+    Raises:
+        CaptureError: A count is above its limit, or there is nothing.
+    """
+    for name, value, limit in (
+        ("vertices", vertices, MAX_VERTICES),
+        ("faces", faces, MAX_FACES),
+        ("shapes", shapes, MAX_SHAPES),
+        ("vertices times shapes", vertices * shapes, MAX_SHAPE_VALUES),
+    ):
+        if value > limit:
+            raise CaptureError(f"{where}: {value} {name}; at most {limit} are allowed")
+    if vertices == 0 or faces == 0:
+        raise CaptureError(f"{where}: {vertices} vertices and {faces} faces; a mesh is needed")
+
+
+def check_source(source: RigSource) -> RigSource:
+    """Validate what a reader made, and leave out triangles without area.
+
+    Raises:
+        CaptureError: Not finite, out of range, or without shapes; names file and field.
+    """
+    where = source.path
+    count = len(source.positions)
+    check_counts(str(where), vertices=count, faces=len(source.faces), shapes=len(source.shapes))
+    if not source.shapes:
+        raise CaptureError(f"{where}: no blendshapes; a rig needs shapes such as jawOpen")
+    bad = np.flatnonzero(~np.isfinite(source.positions).all(1))
+    if bad.size:
+        raise CaptureError(f"{where}: vertex {bad[0]} of the neutral face is not finite")
+    for name, delta in source.shapes.items():
+        if delta.shape != (count, 3):
+            raise CaptureError(
+                f"{where}: shape {name!r} has {len(delta)} vertices, the neutral face {count}"
+            )
+        if not np.isfinite(delta).all():
+            row = int(np.flatnonzero(~np.isfinite(delta).all(1))[0])
+            raise CaptureError(f"{where}: vertex {row} of shape {name!r} is not finite")
+    _check_faces(str(where), "faces", source.faces, count)
+    keep = np.ones(len(source.faces), np.bool_)
+    for corner in range(3):
+        keep &= source.faces[:, corner] != source.faces[:, (corner + 1) % 3]
+    uv_faces = source.uv_faces
+    if source.uv is not None and uv_faces is not None:
+        if not np.isfinite(source.uv).all():
+            raise CaptureError(f"{where}: texture coordinates are not all finite")
+        if np.abs(source.uv).max() > 100:
+            raise CaptureError(
+                f"{where}: texture coordinates reach {np.abs(source.uv).max():.3g}; "
+                "tiles up to 100 are allowed"
+            )
+        _check_faces(str(where), "texture coordinates of faces", uv_faces, len(source.uv))
+        uv_faces = uv_faces[keep]
+    return RigSource(
+        path=source.path,
+        positions=source.positions,
+        faces=source.faces[keep],
+        uv=source.uv,
+        uv_faces=uv_faces,
+        materials=source.materials,
+        face_material=source.face_material[keep],
+        shapes=source.shapes,
+        split_at_seams=source.split_at_seams,
+        copyright=source.copyright,
+        images=source.images,
+    )
+
+
+def _check_faces(where: str, name: str, faces: IntArray, count: int) -> None:
+    outside = np.flatnonzero((faces < 0).any(1) | (faces >= count).any(1))
+    if outside.size:
+        raise CaptureError(
+            f"{where}: {name}: triangle {outside[0]} is {faces[outside[0]].tolist()}; "
+            f"0 to {count - 1} exist"
+        )
+
+
+def read_bytes(path: Path) -> bytes:
+    """A whole file.
+
+    Raises:
+        CaptureError: Missing, unreadable, or larger than `MAX_FILE_BYTES`.
+    """
+    try:
+        size = path.stat().st_size
+        if size > MAX_FILE_BYTES:
+            raise CaptureError(f"{path}: {size} bytes; at most {MAX_FILE_BYTES} are allowed")
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise CaptureError(f"{path}: the file is missing") from None
+    except OSError as error:
+        raise CaptureError(f"{path}: cannot be read ({error.strerror})") from error

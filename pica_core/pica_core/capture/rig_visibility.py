@@ -1,0 +1,136 @@
+"""What can be seen of a mesh, by sampling its surface into coarse depth maps; no GPU needed.
+
+Used once per rig: to give texels to what cameras see, and to find the eye openings in a front view.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Float64Array = npt.NDArray[np.float64]
+FloatArray = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.int32]
+
+CELL_M = 0.003
+"""Cells of the depth maps for `visibility`."""
+SAMPLES_PER_CELL = 4.0
+TOLERANCE_M = 0.004
+"""How far behind the nearest sample a triangle may lie and still count as seen."""
+MAX_SAMPLES = 4_000_000
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class FrontView:
+    """The mesh from straight ahead: nearest face per cell, -1 where empty. int64 ``[R, C]``.
+
+    Row 0 is the lowest y; `origin_m` is the corner of the first cell.
+    """
+
+    face: npt.NDArray[np.int64]
+    depth_m: Float64Array
+    origin_m: Float64Array
+    cell_m: float
+
+    def nearest_z(self, points: Float64Array) -> Float64Array:
+        """Height z of the surface that is seen at these x and y; -inf beside it. ``[n]``."""
+        cell = ((points[:, :2] - self.origin_m) / self.cell_m).astype(np.int64)
+        rows, columns = self.face.shape
+        inside = ((cell >= 0) & (cell < [columns, rows])).all(1)
+        cell = np.clip(cell, 0, [columns - 1, rows - 1])
+        return np.where(inside, self.depth_m[cell[:, 1], cell[:, 0]], -np.inf)
+
+
+def _samples(
+    points: Float64Array, faces: IntArray, spacing: float
+) -> tuple[npt.NDArray[np.int64], Float64Array]:
+    """Points spread evenly over triangles: face ``[n]`` and barycentric weights ``[n, 3]``."""
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    count = np.ceil(area / spacing**2) + 1
+    count = np.maximum(count * min(1.0, MAX_SAMPLES / count.sum()), 1).astype(np.int64)
+    which = np.repeat(np.arange(len(faces)), count)
+    order = np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
+    u = (0.5 + order * 0.7548776662466927) % 1.0
+    v = (0.5 + order * 0.5698402909980532) % 1.0
+    fold = u + v > 1
+    u, v = np.where(fold, 1 - u, u), np.where(fold, 1 - v, v)
+    return which, np.stack([1 - u - v, u, v], 1)
+
+
+def front_view(points: Float64Array, faces: IntArray, cell_m: float = 0.0005) -> FrontView:
+    """Draw the mesh from straight ahead, orthographically.
+
+    Args:
+        points: Vertices, head frame, metres. ``[P, 3]``.
+        faces: int32 ``[F, 3]``.
+        cell_m: Side of a cell.
+    """
+    # Coarse triangles need samples by area, hidden ones none: what faces away is left out.
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    ahead = np.flatnonzero(np.cross(b - a, c - a)[:, 2] > 0)
+    which, weights = _samples(points, faces[ahead], cell_m / 1.6)
+    at = np.einsum("nk,nkc->nc", weights, points[faces[ahead[which]]])
+    origin = points[:, :2].min(0) - cell_m
+    size = np.ceil((points[:, :2].max(0) - origin) / cell_m).astype(np.int64) + 1
+    cell = ((at[:, :2] - origin) / cell_m).astype(np.int64)
+    flat = cell[:, 1] * size[0] + cell[:, 0]
+    order = np.argsort(at[:, 2], kind="stable")  # the nearest sample is written last
+    face = np.full(size[0] * size[1], -1, np.int64)
+    depth = np.full(size[0] * size[1], -np.inf)
+    face[flat[order]] = ahead[which[order]]
+    depth[flat[order]] = at[order, 2]
+    shape = (int(size[1]), int(size[0]))
+    return FrontView(
+        face=face.reshape(shape), depth_m=depth.reshape(shape), origin_m=origin, cell_m=cell_m
+    )
+
+
+def _directions() -> Float64Array:
+    """Towards cameras of the dome: 80 degrees to each side, 40 up and down."""
+    grid = [(a, e) for e in (-38, -12, 14, 40) for a in (-78, -46, -16, 16, 46, 78)]
+    azimuth, elevation = np.radians(np.array(grid, np.float64)).T
+    ring = np.cos(elevation)
+    return np.stack([np.sin(azimuth) * ring, np.sin(elevation), np.cos(azimuth) * ring], 1)
+
+
+def visibility(poses: list[Float64Array], faces: IntArray) -> Float64Array:
+    """How much of each triangle the dome sees: the best of several poses.
+
+    Args:
+        poses: Vertices of each pose, metres. ``[P, 3]`` each.
+        faces: int32 ``[F, 3]``.
+
+    Returns:
+        Mean over cameras of the cosine to the camera where it sees the triangle, 0 to about 0.6.
+        ``[F]``.
+    """
+    best = np.zeros(len(faces))
+    spacing = CELL_M / np.sqrt(SAMPLES_PER_CELL)
+    which, weights = _samples(poses[0], faces, spacing)
+    for points in poses:
+        corner = points[faces]
+        normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-20)
+        centre = corner.mean(1)
+        at = np.einsum("nk,nkc->nc", weights, corner[which])
+        total = np.zeros(len(faces))
+        directions = _directions()
+        for direction in directions:
+            right = np.cross([0.0, 1.0, 0.0], direction)
+            right /= np.linalg.norm(right)
+            plane = np.stack([right, np.cross(direction, right)], 1)
+            flat, low = at @ plane, points @ plane
+            start = low.min(0)
+            columns = int(np.ptp(low[:, 0]) / CELL_M) + 2
+            rows = int(np.ptp(low[:, 1]) / CELL_M) + 2
+            cell = ((flat - start) / CELL_M).astype(np.int64)
+            nearest = np.full(rows * columns, -np.inf)
+            np.maximum.at(nearest, cell[:, 1] * columns + cell[:, 0], at @ direction)
+            mine = ((centre @ plane - start) / CELL_M).astype(np.int64)
+            seen = centre @ direction >= nearest[mine[:, 1] * columns + mine[:, 0]] - TOLERANCE_M
+            total += np.maximum(normal @ direction, 0.0) * seen
+        best = np.maximum(best, total / len(directions))
+    return best

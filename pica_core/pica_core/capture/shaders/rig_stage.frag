@@ -1,0 +1,75 @@
+#version 330
+// The stage's light on a rig: a soft dome, a large key, a fill and a rim, all fixed to the head.
+in vec3 point_m;
+in vec3 shading_normal;
+in vec2 open_sky;     // x: share of the dome that is seen, y: share of the key light
+in vec2 uv;
+flat in int material_id;
+out vec4 colour_out;
+uniform vec3 camera_m;
+uniform sampler2D colour_map;
+uniform sampler2D relief_map;
+
+const vec3 key_direction = normalize(vec3(0.50, 0.55, 0.80));   // as in occlusion.py
+const vec3 fill_direction = normalize(vec3(-0.70, 0.10, 0.60));
+const vec3 rim_direction = normalize(vec3(-0.55, 0.50, -0.70));
+const vec3 key_light = vec3(1.42, 1.34, 1.22);
+const vec3 fill_light = vec3(0.34, 0.38, 0.44);
+const vec3 rim_light = vec3(0.55, 0.56, 0.60);
+
+vec3 dome(vec3 n) { return mix(vec3(0.33, 0.29, 0.27), vec3(0.70, 0.73, 0.78), 0.5 + 0.5 * n.y); }
+vec3 wrapped(vec3 n, vec3 l, vec3 wrap) { return max(vec3(dot(n, l)) + wrap, 0.0) / (1.0 + wrap); }
+float lobe(vec3 n, vec3 h, float power) { return (power + 8.0) / 25.0 * pow(max(dot(n, h), 0.0), power); }
+// Mikkelsen, "Bump mapping unparametrized surfaces on the GPU" (2010).
+vec3 bumped(vec3 n, float height, float strength) {
+    vec3 dx = dFdx(point_m), dy = dFdy(point_m);
+    vec3 r1 = cross(dy, n), r2 = cross(n, dx);
+    float det = dot(dx, r1);
+    return normalize(abs(det) * n - strength * sign(det) * (dFdx(height) * r1 + dFdy(height) * r2));
+}
+
+void main() {
+    vec4 stored = texture(colour_map, uv);
+    vec4 relief = texture(relief_map, uv);
+    vec3 diffuse = stored.rgb * stored.rgb;
+    float gloss = stored.a;
+    vec3 n = normalize(shading_normal);
+    vec3 v = normalize(camera_m - point_m);
+    float sky = open_sky.x, key = open_sky.y;
+    // Shadow is known per vertex for a few expressions only; inside the mouth keep what bounces around.
+    if (material_id == 2) { sky = max(sky, 0.42); key = max(key, 0.24); }
+    else if (material_id == 1) { sky = max(sky, 0.50); key = max(key, 0.35); }
+    else if (material_id == 3) { sky = max(sky, 0.30); key = max(key, 0.12); }
+    else if (material_id == 4) { sky = max(sky, 0.20); }
+    vec3 nb = bumped(n, relief.r, material_id == 0 ? 0.0007 : 0.0002);
+    vec3 wrap = relief.g * vec3(0.42, 0.16, 0.08);
+    vec3 occluded = pow(vec3(sky), mix(vec3(1.0), vec3(0.72, 1.0, 1.08), relief.g));   // light bleeds red in creases
+    vec3 lit = wrapped(nb, key_direction, wrap) * key_light * mix(vec3(key), vec3(sqrt(key), key, key), 0.5 * relief.g)
+        + (wrapped(nb, fill_direction, wrap) * fill_light + wrapped(nb, rim_direction, wrap) * rim_light + dome(nb)) * occluded;
+    lit *= diffuse;
+    float grazing = pow(1.0 - max(dot(nb, v), 0.0), 5.0);
+    vec3 h = normalize(key_direction + v), hf = normalize(fill_direction + v), hr = normalize(rim_direction + v);
+    vec3 shine;
+    if (material_id == 1) {
+        // Cornea: a sharp picture of softbox and window.
+        vec3 r = reflect(-v, n);
+        float boxes = smoothstep(0.80, 0.90, dot(r, key_direction)) + 0.22 * smoothstep(0.92, 0.97, dot(r, fill_direction))
+            + 0.10 * smoothstep(-0.2, 0.9, r.y);
+        shine = vec3(boxes * (0.335 + 0.6 * grazing) * smoothstep(0.05, 0.5, sky) * 1.4);
+        // Under the upper lid the eye is in shade.
+        lit *= 0.95;
+    } else if (material_id >= 2 && material_id <= 4) {
+        float f = 0.045 + 0.5 * grazing;
+        shine = vec3(f * gloss * (1.4 * lobe(nb, h, 90.0) * key + 0.5 * lobe(nb, hf, 60.0) * sky)) + f * 0.4 * dome(nb) * sky * gloss;
+    } else {
+        float f = 0.028 + 0.32 * grazing;
+        float broad = lobe(nb, h, 11.0) * key * 0.9 + lobe(nb, hf, 11.0) * sky * 0.30 + lobe(nb, hr, 9.0) * sky * 0.35;
+        float tight = lobe(nb, h, 42.0) * key + lobe(nb, hf, 42.0) * sky * 0.35;
+        float wet = smoothstep(0.58, 0.95, gloss);
+        shine = vec3(f * gloss * (1.5 * broad + 1.1 * tight + 4.0 * wet * lobe(nb, h, 130.0) * key));
+    }
+    vec3 linear = max(lit + shine, 0.0) * 0.92;
+    linear = linear * (1.0 + linear * 0.16) / (1.0 + 0.42 * linear);
+    vec3 srgb = mix(12.92 * linear, 1.055 * pow(linear, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, linear));
+    colour_out = vec4(clamp(srgb, 0.0, 1.0), 1.0);
+}
