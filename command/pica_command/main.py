@@ -7,7 +7,7 @@ sub-command by being installed. Options that come from elsewhere too, as from a 
 method ``parse(words, *, prog, description)`` that makes them.
 
 Exit status: 0 done; 2 bad usage or bad input (any exception with an ``exit_code``, or a missing
-extra); 1 a failure.
+extra); 1 a failure, or a result whose ``ok`` is false.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(code)
     if as_json:
         print(json.dumps(result if result is not None else {}), flush=True)
-    return 0
+    return 0 if result is None or result.get("ok", True) else 1
 
 
 def _split(

@@ -1,4 +1,4 @@
-"""`pica capture synth` and `pica capture sheet`."""
+"""`pica capture synth`, `pica capture check` and `pica capture sheet`."""
 
 from __future__ import annotations
 
@@ -12,9 +12,13 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from pica_core.capture.check import PIXEL_FRAMES, check_capture
 from pica_core.capture.sheet import write_sheet
 from pica_core.capture.synth import StageOptions, render_capture
 from pica_core.errors import CaptureError
+
+SHOWN_PROBLEMS = 20
+"""Problems that are shown; all are in the result."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -35,6 +39,17 @@ class SynthOptions:
     """Side of the average textures, texels."""
     seed: int = 0
     """Fixes the performance."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CheckOptions:
+    """Find what is wrong with a capture."""
+
+    capture: Annotated[Path, tyro.conf.Positional]
+    """Capture directory: one of ours, or a Multiface directory as published."""
+    pixel_frames: int = PIXEL_FRAMES
+    """Frames whose images are decoded and compared with mesh and depth; 0 for all. Of the other
+    frames every file is checked by its name, size and header."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -83,6 +98,25 @@ def synth(options: SynthOptions) -> dict[str, Any]:
     seconds = time.monotonic() - started
     console.print(f"{counts['images']} images of {options.head} in {options.out}, {seconds:.1f} s")
     return {"out": str(options.out), "seconds": round(seconds, 3), **counts}
+
+
+def check(options: CheckOptions) -> dict[str, Any]:
+    """Run `pica capture check`."""
+    result = check_capture(options.capture, options.pixel_frames)
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    for problem in result["problems"][:SHOWN_PROBLEMS]:
+        console.print(f"{problem['where']}: {problem['what']}", markup=False)
+    more = len(result["problems"]) - SHOWN_PROBLEMS
+    if more > 0:
+        console.print(f"... and {more} more; --json has them all")
+    split = result["split"]
+    console.print(
+        f"{options.capture}: {'ok' if result['ok'] else 'not ok'}, {result['frames']} frames "
+        f"({split['train']} for training, {split['test']} for testing), {result['cameras']} "
+        f"cameras, {result['images']} images",
+        markup=False,
+    )
+    return result
 
 
 def sheet(options: SheetOptions) -> dict[str, Any]:

@@ -51,6 +51,8 @@ MARKER = "render.json"
 TRUTH_MESH = "truth_mesh"
 TRUTH_DEPTH = "depth_truth"
 SCHEMA = 1
+MAX_KRT = 1e6
+"""No number of a KRT file is larger: pixels, or mm."""
 DEPTH_UNIT_M = 0.0001
 MILLIMETRES = 1000.0
 
@@ -133,7 +135,8 @@ def read_krt(path: Path, width: int, height: int) -> tuple[Camera, ...]:
                 values = [float(word) for word in text.split()]
             except ValueError:
                 values = []
-            if len(values) != wanted or not np.isfinite(values).all():
+            fine = np.isfinite(values).all() and np.abs(values or [0.0]).max() <= MAX_KRT
+            if len(values) != wanted or not fine:
                 raise CaptureError(
                     f"{path}:{at + offset + 1}: camera {name}: {wanted} numbers are needed, "
                     f"found {text!r}"

@@ -24,6 +24,10 @@ BoolArray = npt.NDArray[np.bool_]
 SPLITS = ("train", "test")
 MAX_IMAGE_PIXELS = 64_000_000
 """Larger images are refused before decoding."""
+MAX_LENGTH_M = 100.0
+"""Nothing of a capture is farther away."""
+MAX_EXPRESSION = 100.0
+"""Larger expression values are refused."""
 MAX_VERTICES = 4_000_000
 """Larger meshes are refused."""
 
@@ -137,6 +141,9 @@ def read_vertices(path: Path, count: int) -> FloatArray:
     vertices = np.frombuffer(data, "<f4").reshape(-1, 3) / np.float32(multiface.MILLIMETRES)
     if not np.isfinite(vertices).all():
         raise CaptureError(f"{path}: vertices are not all finite")
+    far = float(np.abs(vertices).max())
+    if far > MAX_LENGTH_M:
+        raise CaptureError(f"{path}: a vertex at {far:.3g} m; at most {MAX_LENGTH_M:g} is allowed")
     return vertices.astype(np.float32)
 
 
@@ -154,6 +161,9 @@ def read_transform(path: Path) -> Float64Array:
     if matrix.shape != (3, 4) or not np.isfinite(matrix).all():
         raise CaptureError(f"{path}: three lines of four numbers are needed")
     matrix[:, 3] /= multiface.MILLIMETRES
+    far = float(np.abs(matrix).max())
+    if far > MAX_LENGTH_M:
+        raise CaptureError(f"{path}: {far:.3g} in the pose; at most {MAX_LENGTH_M:g} is allowed")
     return matrix
 
 
@@ -164,7 +174,7 @@ def read_arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
         CaptureError: Missing or damaged.
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
     except FileNotFoundError:
         raise CaptureError(f"{path}: the file is missing") from None
@@ -264,8 +274,10 @@ def read_expressions(path: Path) -> dict[tuple[str, str], tuple[str, list[float]
             key = (row[header.index("segment")], row[header.index("frame")])
         except (IndexError, ValueError) as error:
             raise CaptureError(f"{path}:{number}: row cannot be read ({error})") from error
-        if split not in SPLITS or not np.isfinite(values).all():
-            raise CaptureError(f"{path}:{number}: split is {split!r}, or a value is not finite")
+        if split not in SPLITS:
+            raise CaptureError(f"{path}:{number}: split is {split!r:.40}; train or test is needed")
+        if not np.isfinite(values).all() or np.abs(values).max() > MAX_EXPRESSION:
+            raise CaptureError(f"{path}:{number}: a value is not finite or beyond {MAX_EXPRESSION}")
         table[key] = (split, values)
     return table
 

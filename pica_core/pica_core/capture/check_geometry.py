@@ -1,0 +1,168 @@
+"""Whether a mesh, an image's mask and its depth speak of the same head in the same place."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image, ImageDraw
+
+from pica_core.camera import Camera
+
+FloatArray = npt.NDArray[np.float32]
+ByteArray = npt.NDArray[np.uint8]
+
+DRAWN_PX = 192
+"""Shorter side of the silhouette that is compared."""
+LEAST_OVERLAP = 0.85
+"""Intersection of silhouette and mask over their union. Captures of the stage have 0.95 (64 pixels)
+to 0.98 (512 pixels) at least; two centimetres aside is 0.84 on average (measured on S1)."""
+MOST_OUTSIDE = 0.02
+"""Share of the mesh's vertices in the picture that may lie beside the mask."""
+LEAST_INSIDE = 0.03
+"""Share of the vertices that a camera of the capture sees at least."""
+DEPTH_TOLERANCE_M = 0.01
+"""How far depth may be from the mesh (found depth has outliers, tracked meshes no teeth)."""
+MOST_IN_FRONT = 0.05
+"""Share of the vertices that may lie before what is seen there."""
+LEAST_ON_SURFACE = 0.4
+"""Share of the vertices that face the camera and have to lie on what is seen there."""
+
+
+def silhouette_problem(
+    camera: Camera,
+    vertices_m: FloatArray,
+    faces: npt.NDArray[np.int32],
+    mask: ByteArray | None,
+) -> str | None:
+    """What is wrong with where a mesh is seen, None if nothing.
+
+    Args:
+        camera: In head axes.
+        vertices_m: Tracked mesh. ``[V, 3]``.
+        faces: ``[F, 3]``.
+        mask: 0 where the background is; None where that is not known.
+    """
+    pixels, distance = camera.project(vertices_m)
+    if (distance <= 0).mean() > 0.5:
+        return "the tracked mesh lies behind the camera"
+    row, column = _inside(camera, pixels, distance)
+    if len(row) < LEAST_INSIDE * len(vertices_m):
+        return f"{len(row) / len(vertices_m):.1%} of the tracked mesh lies in the picture"
+    if mask is None:
+        return None
+    wide = _grow(mask > 0, max(2, round(0.01 * min(mask.shape))))
+    outside = float((~wide[row, column]).mean())
+    if outside > MOST_OUTSIDE:
+        return f"{outside:.1%} of the tracked mesh in the picture lies beside the mask"
+    overlap = _overlap(camera, pixels, distance, faces, mask > 0)
+    if overlap < LEAST_OVERLAP:
+        return f"silhouette of the tracked mesh and mask overlap by {overlap:.1%} only"
+    return None
+
+
+def depth_problem(
+    camera: Camera, vertices_m: FloatArray, faces: npt.NDArray[np.int32], depth_m: FloatArray
+) -> str | None:
+    """What is wrong with depth against a mesh, None if nothing.
+
+    Args:
+        camera: In head axes.
+        vertices_m: ``[V, 3]``.
+        faces: ``[F, 3]``.
+        depth_m: 0 where unknown. ``[H, W]``.
+    """
+    if not (depth_m > 0).any():
+        return "depth is unknown everywhere"
+    pixels, distance = camera.project(vertices_m)
+    facing = _facing(camera, vertices_m, faces) > 0.5
+    row, column = _inside(camera, pixels[facing], distance[facing])
+    at = distance[facing][_is_inside(camera, pixels[facing], distance[facing])]
+    seen = depth_m[row, column]
+    known = seen > 0
+    if known.sum() < 20:
+        return None  # too little to say
+    pixel_m = at[known] / camera.intrinsics[0, 0]
+    behind = at[known] - seen[known]
+    tolerance = DEPTH_TOLERANCE_M + 2 * pixel_m
+    in_front = float((behind < -tolerance).mean())
+    if in_front > MOST_IN_FRONT:
+        return f"{in_front:.1%} of the mesh lies before the depth that is seen there"
+    on_surface = float((np.abs(behind) <= tolerance).mean())
+    if on_surface < LEAST_ON_SURFACE:
+        return f"{on_surface:.1%} of the mesh lies on the depth that is seen there"
+    return None
+
+
+def _is_inside(
+    camera: Camera, pixels: npt.NDArray[np.float64], distance: npt.NDArray[np.float64]
+) -> npt.NDArray[np.bool_]:
+    inside: npt.NDArray[np.bool_] = (
+        (distance > 0)
+        & (pixels >= 0).all(axis=1)
+        & (pixels[:, 0] < camera.width)
+        & (pixels[:, 1] < camera.height)
+    )
+    return inside
+
+
+def _inside(
+    camera: Camera, pixels: npt.NDArray[np.float64], distance: npt.NDArray[np.float64]
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Row and column of the points that are in the picture."""
+    place = np.floor(pixels[_is_inside(camera, pixels, distance)]).astype(np.int64)
+    return place[:, 1], place[:, 0]
+
+
+def _facing(
+    camera: Camera, vertices_m: FloatArray, faces: npt.NDArray[np.int32]
+) -> npt.NDArray[np.float64]:
+    """Cosine between each vertex's normal and its way to the camera."""
+    a, b, c = (vertices_m[faces[:, i]].astype(np.float64) for i in range(3))
+    cross = np.cross(b - a, c - a)
+    normal = np.zeros((len(vertices_m), 3))
+    for axis in range(3):
+        for corner in range(3):
+            normal[:, axis] += np.bincount(
+                faces[:, corner], weights=cross[:, axis], minlength=len(vertices_m)
+            )
+    way = camera.centre_m - vertices_m
+    size = np.linalg.norm(normal, axis=1) * np.linalg.norm(way, axis=1)
+    cosine: npt.NDArray[np.float64] = (normal * way).sum(axis=1) / np.maximum(size, 1e-20)
+    return cosine
+
+
+def _grow(mask: npt.NDArray[np.bool_], reach: int) -> npt.NDArray[np.bool_]:
+    """The mask and what lies within `reach` pixels along rows and columns."""
+    for axis in (0, 1):
+        grown = mask.copy()
+        for step in range(1, reach + 1):
+            low, high = [slice(None)] * 2, [slice(None)] * 2
+            low[axis], high[axis] = slice(step, None), slice(None, -step)
+            grown[tuple(low)] |= mask[tuple(high)]
+            grown[tuple(high)] |= mask[tuple(low)]
+        mask = grown
+    return mask
+
+
+def _overlap(
+    camera: Camera,
+    pixels: npt.NDArray[np.float64],
+    distance: npt.NDArray[np.float64],
+    faces: npt.NDArray[np.int32],
+    mask: npt.NDArray[np.bool_],
+) -> float:
+    """Intersection over union of the mesh's silhouette and a mask, drawn small."""
+    shrink = min(1.0, DRAWN_PX / min(camera.width, camera.height))
+    size = (max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
+    picture = Image.new("1", size)
+    draw = ImageDraw.Draw(picture)
+    ahead = (distance > 0)[faces].all(axis=1)
+    scaled = pixels * [size[0] / camera.width, size[1] / camera.height] - 0.5
+    corners = scaled[faces[ahead]]
+    seen = (corners.max(axis=1) >= -1).all(axis=1) & (corners.min(axis=1) <= size).all(axis=1)
+    for triangle in corners[seen].reshape(-1, 6).tolist():
+        draw.polygon(triangle, fill=1)
+    small = Image.fromarray(mask).convert("L").resize(size, Image.Resampling.BOX)
+    drawn, wanted = np.asarray(picture), np.asarray(small) > 127
+    either = int((drawn | wanted).sum())
+    return float((drawn & wanted).sum()) / either if either else 1.0
