@@ -110,10 +110,11 @@ def test_jaw_open_takes_chin_and_lower_teeth_down_and_leaves_the_nose(head: Head
     moved = posed_mm(head, jawOpen=1.0) - posed_mm(head)
     teeth = moved[head.charts["teeth_lower"].span]
     assert teeth[:, 1].min() < -25.0
-    chin = skin_row(head, moved, 150)
+    chin = skin_row(head, moved, 146)  # the front of the chin; row 150 lies under it
     assert chin[len(chin) // 2, 1] < -18.0
     assert np.abs(moved[head.charts["teeth_upper"].span]).max() == 0.0
-    assert np.abs(skin_row(head, moved, 92)).max() < 1.5
+    nose = np.abs(skin_row(head, posed_mm(head), 92)[:, 0]) < 20.0
+    assert np.abs(skin_row(head, moved, 92)[nose]).max() < 1.5
 
 
 def test_mouth_close_brings_the_lips_together_over_an_open_jaw(head: Head) -> None:
@@ -200,7 +201,7 @@ def test_two_builds_of_a_head_are_bit_identical() -> None:
 
 
 def test_an_unknown_head_is_named_with_the_known_ones() -> None:
-    with pytest.raises(CaptureError, match=r"'S99'.*S1, S2"):
+    with pytest.raises(CaptureError, match=r"'S99'.*S1, S2, S3, S4, S5, S6"):
         make_head("S99")
 
 

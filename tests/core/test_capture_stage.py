@@ -195,7 +195,7 @@ def test_a_render_that_cannot_begin_leaves_nothing(
 ) -> None:
     (tmp_path / "file").write_text("mine")
     for out, head, message in (
-        ("new", "S9", "head 'S9' is unknown; built in are S1, S2"),
+        ("new", "S9", "head 'S9' is unknown; built in are S1, S2, S3, S4, S5, S6"),
         ("file", "S1", f"{tmp_path / 'file'}: is no directory; name one to make"),
         ("file/new", "S1", f"{tmp_path / 'file/new/render.json'}: cannot write (Not a directory)"),
     ):

@@ -51,9 +51,9 @@ class SurfaceCoordinates:
         rest_m: Position at rest, head frame, metres. float32 ``[V, 3]``.
         local: Four numbers per vertex whose meaning depends on the material. float32 ``[V, 4]``.
             Skin: vermilion depth (0 at the border, 1 at the contact line), rows to the nearest lid
-            margin, hair coverage, and 1 on ears, -1 above the eye slits. Eye: direction from the
-            eyeball's centre, side. Teeth: place along the arch, place from gum to edge, 1 for the
-            upper ones. Everything else: chart row and column from 0 to 1.
+            margin, hair coverage, and 1 on ears, -1 above the eye slits (fading beside them). Eye:
+            direction from the eyeball's centre, side. Teeth: place along the arch, place from gum
+            to edge, 1 for the upper ones. Everything else: chart row and column from 0 to 1.
     """
 
     material: FloatArray
@@ -69,7 +69,7 @@ def _skin_coordinates(chart: Chart, skin: Skin, identity: Identity) -> Float64Ar
     lower = (LOWER_BORDER_ROW - row) / (LOWER_BORDER_ROW - LOWER_CONTACT_ROW)
     depth = np.where(row <= MOUTH_ROW, upper, lower)
     # Past the corner the lips end: their depth falls below the border there.
-    depth = depth - 2.2 * smoothstep(skin.mouth_half - 2.0, skin.mouth_half + 3.0, x)
+    depth = depth - 2.2 * smoothstep(skin.mouth_half - 0.6, skin.mouth_half + 3.4, x)
     near_mouth = (x < skin.mouth_half + 12) & (z > 50)
     inner, outer = skin.eye_corners
     beyond = np.maximum(np.maximum(inner - x, x - outer), 0.0)
@@ -80,7 +80,7 @@ def _skin_coordinates(chart: Chart, skin: Skin, identity: Identity) -> Float64Ar
         np.where(near_mouth, np.clip(depth, -3.0, 2.5), -3.0),
         np.where(z > 40, lid, FAR_ROWS),
         np.clip(above_hairline / 20.0, -1.0, 1.0),
-        np.where(row <= EYE_ROW, -1.0, 0.0),
+        np.where(row <= EYE_ROW, -1.0, 0.0) * smoothstep(5.0, 0.5, beyond),
     ]
     return np.stack(columns, -1)
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from pica_core.camera import Camera
 from pica_core.capture.heads import Head
-from pica_core.capture.occlusion import Occlusion
+from pica_core.capture.occlusion import Occlusion, shade_eyes
 from pica_core.gl import create_context, link_program
 
 FloatArray = npt.NDArray[np.float32]
@@ -129,10 +129,12 @@ class StageRenderer:
         numbers: dict[str, Any] = {
             "seed": float(who.seed), "skin_rgb": who.skin.rgb, "redness": who.skin.redness,
             "lip_rgb": who.skin.lip_rgb, "freckles": who.skin.freckles, "stubble": who.skin.stubble,
+            "beard_cover": who.skin.beard,
             "makeup": who.skin.makeup, "age": who.skin.age, "brow_rgb": who.skin.brow_rgb,
             "brow_thickness": who.skin.brow_thickness, "iris_rgb": who.skin.iris_rgb,
             "cloth_rgb": who.skin.cloth_rgb, "hair_rgb": who.hair.rgb, "curl": who.hair.curl,
-            "sweep": who.hair.sweep, **head.landmarks,
+            "sweep": who.hair.sweep,
+            "grey": who.hair.grey, **head.landmarks,
         }  # fmt: skip
         for name, value in numbers.items():
             if name in program:
@@ -171,6 +173,7 @@ class StageRenderer:
         shade = np.ones((len(vertices), 2), np.float32)
         if self._occlusion is not None:
             shade = self._occlusion.at(np.asarray(arkit, np.float32))
+        shade_eyes(head, vertices, shade)
         self._upload(vertices, shade)
         return vertices
 

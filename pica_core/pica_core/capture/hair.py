@@ -65,14 +65,14 @@ def hairline(identity: Identity, azimuth: Float64Array) -> Float64Array:
         at = [0, 14, 30, 42, 50, 58, 68, 76, 84, 92, 106, 118, 135, 155, 180]
         heights = [
             hair.front,
-            hair.front + 1,
-            hair.front + 6,
-            hair.front + 1,
-            hair.front - 14,
-            hair.front - 34,
-            hair.side + 14,
-            hair.side - 14,
-            hair.side - 16,
+            hair.front + 1 + 0.3 * hair.recession,
+            hair.front + 6 + hair.recession,
+            hair.front - 2 + hair.recession,
+            hair.front - 14 + 0.6 * hair.recession,
+            hair.front - 28 + 0.2 * hair.recession,
+            hair.side + 10,
+            hair.side - 10,
+            hair.side - 22,
             hair.side + 8,
             hair.side + 14,
             hair.side - 8,
@@ -80,7 +80,19 @@ def hairline(identity: Identity, azimuth: Float64Array) -> Float64Array:
             hair.nape,
             hair.nape + 2,
         ]
-    return np.interp(degrees, at, heights)
+    if not hair.covers_ears:
+        # No hairline is drawn with a ruler: a slight peak in the middle, and waves of its own.
+        waves = _periodic_noise(
+            np.radians(np.asarray(at, np.float64) * 2.0), identity.seed + 9, 2, 7
+        )
+        peak = -2.5 * np.exp(-((np.asarray(at, np.float64) / 7.0) ** 2))
+        forehead = smoothstep(62.0, 48.0, at)
+        heights = list(np.asarray(heights) + forehead * (1.2 * waves + peak))
+    dense = np.arange(-30.0, 211.0)
+    folded = np.interp(np.abs(np.where(dense > 180, 360 - dense, dense)), at, heights)
+    kernel = np.exp(-0.5 * (np.arange(-9, 10) / 3.0) ** 2)
+    smooth = np.convolve(np.pad(folded, 9, mode="edge"), kernel / kernel.sum(), "valid")
+    return np.interp(degrees, dense, smooth)
 
 
 def build_hair(identity: Identity, field: HeadField, chart: Chart) -> Float64Array:
@@ -119,12 +131,19 @@ def build_hair(identity: Identity, field: HeadField, chart: Chart) -> Float64Arr
     )
     origin = np.broadcast_to([0.0, centre_y, 0.0], direction.shape)
     scalp = cast(field, origin.reshape(-1, 3), direction.reshape(-1, 3)).reshape(direction.shape)
-    if not hair.covers_ears:
-        # Short hair does not hang: below the skull it lies on the neck.
-        lying = drop > 0
-        level = np.where(lying, scalp[..., 1] - drop, 0.0)[lying]
-        flat = np.stack([np.sin(azimuth), np.zeros_like(azimuth), np.cos(azimuth)], -1)[lying]
-        scalp[lying] = cast(field, np.stack([0 * level, level, 0 * level], -1), flat)
+    # Below the skull hair lies on cheek and neck: short hair all round, long hair at its front
+    # edge only, so that nobody looks in behind it; farther back it hangs.
+    level = np.where(drop > 0, scalp[..., 1] - drop, 0.0)
+    flat = np.stack([np.sin(azimuth), 0 * azimuth, np.cos(azimuth)], -1)
+    start = np.stack([0 * level, level, 0 * level], -1)
+    lying_at = cast(field, start.reshape(-1, 3), flat.reshape(-1, 3)).reshape(flat.shape)
+    if hair.covers_ears:
+        hug = smoothstep(1.95, 1.25, np.abs(azimuth))[..., None] * (drop > 0)[..., None]
+        hanging = scalp - drop[..., None] * [0.0, 1.0, 0.0]
+        inwards = (hanging - lying_at) * [1.0, 0.0, 1.0]
+        scalp = scalp - hug * inwards * smoothstep(0.0, 26.0, drop)[..., None]
+    else:
+        scalp = np.where((drop > 0)[..., None], lying_at, scalp)
         drop, hang = np.zeros_like(drop), np.zeros_like(hang)
     away = direction.copy()
     away[..., 1] *= 0.6
@@ -140,7 +159,8 @@ def build_hair(identity: Identity, field: HeadField, chart: Chart) -> Float64Arr
         )
     if hair.covers_ears:
         over_ear = np.exp(-(((np.abs(azimuth) - 1.75) / 0.42) ** 2))
-        thickness = thickness + 13.0 * over_ear * smoothstep(0.75, 0.1, latitude)
+        beside_ear = smoothstep(0.75, 0.1, latitude) * smoothstep(50.0, 24.0, drop)
+        thickness = thickness + 13.0 * over_ear * beside_ear
     clump = _periodic_noise(
         azimuth - hair.sweep * t + 0.35 * hair.curl * np.sin(6 * t + 2 * azimuth),
         identity.seed + 1,
@@ -155,28 +175,18 @@ def build_hair(identity: Identity, field: HeadField, chart: Chart) -> Float64Arr
     thickness = thickness + ragged * (
         0.9 * clump + 2.2 * hair.curl * wave * smoothstep(0.3, 0.8, t)
     )
-    # Short hair thins towards its edge; a fringe keeps its body.
-    # Coils keep it at the forehead and round off towards neck and ears.
-    behind = smoothstep(1.6, 2.4, np.abs(azimuth))
-    thinning = 0.84 - 0.34 * behind if hair.curl > COILED else np.full_like(t, 0.62)
-    thin = (
-        smoothstep(0.0, 1.0, (t - thinning) / (1.0 - thinning))
-        * (hang < 1)
-        * smoothstep(0.0, 12.0, 12.0 - hang)
-        * (1 - 0.75 * front * min(hair.fringe / 6.0, 1.0))
-    )
-    thickness = np.maximum(thickness, 2.0) * (1 - thin) + 1.3 * thin
-    thickness = thickness + 3.0 * smoothstep(1.6, 2.3, np.abs(azimuth))
+    behind = smoothstep(1.6, 2.3, np.abs(azimuth))
+    thickness = np.maximum(thickness + 3.0 * behind, 1.5)
+    # Hair that does not hang grows out of the skin: its shell rises from below the hairline, where
+    # the scalp is painted with roots, so no rim shows.
+    to_edge = (1.0 - t) * (0.5 * np.pi - end_latitude) * 95.0
+    rise = hair.rise * (1.0 + 0.5 * behind)
+    lying = (hang < 1) * (1 - 0.9 * front * min(hair.fringe / 6.0, 1.0))
+    grown = thickness * (1.0 - np.exp(-to_edge / rise)) - 2.0 * np.exp(-to_edge / 2.5)
+    thickness = thickness + lying * (grown - thickness)
     points: Float64Array = scalp + away * thickness[..., None]
-    # Hanging hair leaves the head where it is widest and closes in towards its ends.
     points[..., 1] -= drop
-    out = np.stack([np.sin(azimuth), 0 * azimuth, np.cos(azimuth)], -1)
-    points += (
-        out
-        * (hang > 1)[..., None]
-        * (10.0 * np.sin(np.pi * np.clip(drop / np.maximum(hang, 1), 0, 1) * 0.9))[..., None]
-    )
     # Tuck the edge back under, so that the shell shows a rim and no gap.
-    points -= away * (tuck * np.where(hang > 1, 7.0, np.maximum(thickness, 2) + 2.5))[..., None]
+    points -= away * (tuck * np.where(hang > 1, 7.0, np.maximum(thickness, 0) + 2.5))[..., None]
     points[..., 1] += tuck * 1.5
     return points

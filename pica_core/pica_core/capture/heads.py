@@ -89,8 +89,11 @@ class Head:
             "eye_x": 0.5 * face.eye_distance,
             "brow_y": EYE_Y + face.brow_height,
             "nose_y": field.subnasale_y,
+            "nose_half": 0.5 * identity.face.nose_breadth,
             "mouth_y": field.mouth_y,
             "chin_y": field.chin_y,
+            "upper_lip": identity.face.upper_lip,
+            "lower_lip": identity.face.lower_lip,
             "mouth_half": skin.mouth_half,
         }
         neutral = self.vertices(np.zeros(NUM_ARKIT, np.float32))
@@ -111,6 +114,7 @@ class Head:
         shape = self.identity.face
         inner_z = float(skin.points[..., 2][self.charts["skin"].rows == MOUTH_ROW].max())
         front = inner_z - 1.0
+        self._lip_z = np.float32(skin.points[..., 2][self.charts["skin"].rows == 134].max())
         mouth_y = field.mouth_y
         parts = {
             "skin": skin.points,
@@ -119,12 +123,12 @@ class Head:
                 self.charts["teeth_lower"], front - 3.4, mouth_y - 2.6, upper=False
             ),
             "tongue": tongue(self.charts["tongue"], mouth_y, front),
-            "mouth_bag": mouth_bag(self.charts["mouth_bag"], mouth_y, front),
-            "collar": collar(self.charts["collar"], shape),
+            "mouth_bag": mouth_bag(self.charts["mouth_bag"], mouth_y, front, field),
+            "collar": collar(self.charts["collar"], field),
             "hair": build_hair(self.identity, field, self.charts["hair"]),
         }
         for side, name in ((1.0, "left"), (-1.0, "right")):
-            parts[f"eye_{name}"] = eyeball(self.charts[f"eye_{name}"], field.eye_centre, side)
+            parts[f"eye_{name}"] = eyeball(self.charts[f"eye_{name}"], self._eye_surface, side)
             parts[f"ear_{name}"] = ear(self.charts[f"ear_{name}"], field, shape, side)
         self._eye_centre = np.asarray(field.eye_centre)
         self._eye_fixed = eye_fixed(self.charts["eye_left"]).reshape(-1, 1).astype(np.float32)
@@ -233,9 +237,14 @@ class Head:
         out = self._shape(values, "tongueOut")[:, None]
         rest = self._rest[span]
         forward = smoothstep(rest[:, 2].min() + 8, rest[:, 2].max(), rest[:, 2]).astype(np.float32)
-        points[:, span, 2] += 34.0 * out * forward
-        points[:, span, 1] += out * (4.5 * forward - 13.0 * forward**3)
-        points[:, span, 0] *= 1 - 0.25 * out * forward
+        # Up over the teeth and the lower lip, then down where the lip ends.
+        y, z = points[:, span, 1], points[:, span, 2] + 36.0 * out * forward
+        past_lip = np.maximum(z - self._lip_z, 0.0)
+        thin = (rest[:, 1] - rest[:, 1].max()) * (-0.55) * forward  # the outer part is flat
+        y = y + out * (8.5 * np.sqrt(forward) + thin)
+        points[:, span, 1] = y - out * past_lip**2 / 26.0
+        points[:, span, 2] = z
+        points[:, span, 0] *= 1 - 0.18 * out * forward
 
     def _turn_jaw(self, points: FloatArray, values: FloatArray) -> None:
         opening = self._shape(values, "jawOpen")

@@ -114,9 +114,7 @@ def _even(start: int, size: int, stride: int) -> IntArray:
 
 def build_charts() -> dict[str, Chart]:
     """All charts of the built-in topology, by name, with consecutive vertex ranges."""
-    skin_rows = _lines(
-        (0, 40, 4), (40, 56, 2), (56, 84, 1), (84, 100, 2), (100, 142, 1), (142, SKIN_ROWS - 1, 2)
-    )
+    skin_rows = _lines((0, 40, 4), (40, 52, 2), (52, SKIN_ROWS - 1, 1))
     plan: list[tuple[str, IntArray, IntArray, bool]] = [
         ("skin", skin_rows, _skin_columns(), False),
         ("eye_left", _even(168, 35, 2), _even(41, 35, 2), False),
@@ -127,7 +125,7 @@ def build_charts() -> dict[str, Chart]:
         ("ear_right", _even(207, 47, 1), _even(2, 21, 1), True),
         ("tongue", _even(209, 27, 2), _even(52, 27, 2), False),
         ("mouth_bag", _even(209, 27, 2), _even(83, 37, 2), False),
-        ("collar", _even(239, 15, 2), _even(51, 95, 2), False),
+        ("collar", _even(239, 15, 1), _even(51, 95, 1), False),
         ("hair", _even(168, 87, 2), _even(150, 103, 2), False),
     ]
     charts: dict[str, Chart] = {}

@@ -78,10 +78,14 @@ class Lids:
         self._offset = points[..., 1][chosen] - margin
         # The wet edge: the first row lies on the eyeball, the next one is the lid's outer edge.
         steps = np.abs(row - edge_row)
-        thickness = np.interp(
-            steps, [0, 1, 3, 10], [0.25, 1.25, LID_THICKNESS, LID_THICKNESS + 0.5]
-        )
-        self._thickness = thickness
+        thickness = np.interp(steps, [0, 1, 3, 10], [0.45, 1.2, LID_THICKNESS, LID_THICKNESS + 0.5])
+        # Beside the slit there is no edge; above it a crease sets the lid off from its fold.
+        beside = smoothstep(0.0, 2.5, np.maximum(inner - self._u, self._u - outer))
+        crease = 0.8 * np.exp(-0.5 * ((self._place - 0.95) / 0.16) ** 2)
+        along = smoothstep(inner - 1.0, inner + 6.0, self._u)
+        along = along * smoothstep(outer + 4.0, outer - 4.0, self._u)
+        thickness = thickness - np.where(self._is_upper, crease * along, 0.0)
+        self._thickness = thickness + beside * (LID_THICKNESS + 0.3 - thickness)
         self._opening = np.maximum(upper - lower, 0.0)
         self._slide = np.clip(1.0 - self._place, 0.0, 1.0) ** 0.8
         self._at_edge = smoothstep(1.6, 0.2, steps)

@@ -15,6 +15,8 @@ import numpy.typing as npt
 
 from pica_core.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.capture.heads import Head
+from pica_core.capture.layout import EYE_ROW
+from pica_core.capture.skin import smoothstep
 
 FloatArray = npt.NDArray[np.float32]
 DrawDepth = Callable[[FloatArray, FloatArray, int], FloatArray]
@@ -25,6 +27,8 @@ DOME_DIRECTIONS = 32
 KEY_DIRECTIONS = 7
 KEY_SPREAD = 0.22
 """Half angle of the key light, radians: a softbox, so shadows have soft edges."""
+SMOOTHING = 2
+"""Passes of averaging over neighbours."""
 MAP_SIZE = 192
 SPAN_M = 0.36
 BIAS_M = 0.0022
@@ -71,6 +75,31 @@ def _directions() -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     return sphere, disc / np.linalg.norm(disc, axis=1, keepdims=True)
 
 
+def shade_eyes(head: Head, vertices: FloatArray, shade: FloatArray) -> None:
+    """Darken the eyeballs under lids and lashes, in place: lids are thinner than a shadow map sees.
+
+    Args:
+        head: The head.
+        vertices: Its posed vertices, metres. ``[V, 3]``.
+        shade: Share of dome and key light. ``[V, 2]``.
+    """
+    chart = head.charts["skin"]
+    grid = vertices[chart.span].reshape(*chart.shape, 3)
+    row = int(np.flatnonzero(chart.rows == EYE_ROW)[0])
+    for side, name in ((1.0, "eye_left"), (-1.0, "eye_right")):
+        span = head.charts[name].span
+        upper, lower = grid[row], grid[row + 1]
+        front = (side * upper[:, 0] > 0.005) & (upper[:, 2] > 0.06)
+        order = np.argsort(upper[front, 0])
+        x, y = vertices[span, 0], vertices[span, 1]
+        above = np.interp(x, upper[front, 0][order], upper[front, 1][order]) - y
+        order = np.argsort(lower[front, 0])
+        below = y - np.interp(x, lower[front, 0][order], lower[front, 1][order])
+        open_above = 0.25 + 0.75 * smoothstep(-0.0005, 0.0042, above)
+        open_below = 0.60 + 0.40 * smoothstep(-0.0005, 0.0022, below)
+        shade[span] *= (open_above * open_below)[:, None].astype(np.float32)
+
+
 class Occlusion:
     """Shadow of one head as a function of its expression.
 
@@ -104,7 +133,24 @@ class Occlusion:
             sky += facing * self._visible(vertices, normals, direction)
             sky_weight += facing
         key = np.mean([self._visible(vertices, normals, direction) for direction in disc], 0)
-        return np.stack([sky / sky_weight, key], -1).astype(np.float32)
+        return self._smoothed(np.stack([sky / sky_weight, key], -1)).astype(np.float32)
+
+    def _smoothed(self, shade: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Shadow averaged over neighbours in each chart: its edges are soft, the mesh is coarse."""
+        for chart in self._head.charts.values():
+            grid = shade[chart.span].reshape(*chart.shape, 2)
+            for _ in range(SMOOTHING):
+                for axis in (0, 1):
+                    ends = "wrap" if axis == 1 and chart.name == "skin" else "edge"
+                    pads = [(1, 1) if k == axis else (0, 0) for k in range(3)]
+                    wide = np.pad(grid, pads, mode=ends)  # type: ignore[call-overload]
+                    low, high = (
+                        np.take(wide, range(grid.shape[axis]), axis),
+                        np.take(wide, range(2, grid.shape[axis] + 2), axis),
+                    )
+                    grid = 0.5 * grid + 0.25 * (low + high)
+            shade[chart.span] = grid.reshape(-1, 2)
+        return shade
 
     def _visible(
         self, vertices: FloatArray, normals: FloatArray, direction: npt.NDArray[np.float64]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from pica_core.capture.identity import FaceShape
 from pica_core.capture.layout import Chart
-from pica_core.capture.skin import bump, smoothstep
+from pica_core.capture.skin import EyeSurface, bump, smoothstep
 from pica_core.capture.surface import EYE_RADIUS, HeadField, cast
 
 Float64Array = npt.NDArray[np.float64]
@@ -23,43 +23,46 @@ def _disc(chart: Chart) -> tuple[Float64Array, Float64Array]:
     return a * np.sqrt(1 - 0.5 * b * b), b * np.sqrt(1 - 0.5 * a * a)
 
 
-def eyeball(chart: Chart, centre: tuple[float, ...], side: float) -> Float64Array:
+def _polar(chart: Chart) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Angle from the line of sight and direction around it (to the right, up) of eye vertices.
+
+    Half of the grid lies on the visible front.
+    """
+    x, y = _disc(chart)
+    reach = np.hypot(x, y)
+    angle = np.radians(108.0) * (0.72 * reach + 0.28 * reach**3)
+    turn = np.arctan2(y, x)
+    return angle, np.cos(turn), np.sin(turn)
+
+
+def eyeball(chart: Chart, surface: EyeSurface, side: float) -> Float64Array:
     """An eyeball that looks along +z, iris in the middle of its chart.
 
     Args:
         chart: Its chart.
-        centre: Centre of the subject's left eyeball, mm.
+        surface: Where the lids of the subject's left eye glide.
         side: +1 for the subject's left eye, -1 for the right one.
     """
-    x, y = _disc(chart)
-    reach = np.hypot(x, y)
-    # Density: half of the grid on the visible front.
-    angle = np.radians(108.0) * (0.72 * reach + 0.28 * reach**3)
-    radius = EYE_RADIUS + 0.32 * np.exp(
-        -((angle / 0.42) ** 4)
-    )  # a hint of a cornea, kept below the lids
-    turn = np.arctan2(y, x)
-    points = np.stack(
-        [np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)], -1
-    )
-    points = points * radius[..., None]
-    # Beyond what gaze can show, the ball flares into a skirt that fills the corners of the eye.
-    flare = smoothstep(np.radians(62.0), np.radians(114.0), angle)[..., None]
-    nasal = np.clip(-side * np.cos(turn), 0.0, 1.0)
-    skirt = np.stack(
-        [(16.2 + 0.8 * nasal) * np.cos(turn), 12.6 * np.sin(turn), 1.0 + 4.5 * nasal**2], -1
-    )
-    points = points + flare * (skirt - points)
-    placed: Float64Array = points + np.array([side * centre[0], centre[1], centre[2]])
-    return placed
+    angle, right, up = _polar(chart)
+    # A hint of a cornea, kept below the lids.
+    radius = EYE_RADIUS + 0.32 * np.exp(-((angle / 0.42) ** 4))
+    x, y = radius * np.sin(angle) * right, radius * np.sin(angle) * up
+    z = radius * np.cos(angle)
+    # Beyond what gaze can show, the ball flares into a skirt just under the lids, which fills the
+    # corners of the eye from every side.
+    flare = smoothstep(np.radians(58.0), np.radians(112.0), angle)
+    nasal = np.clip(-side * right, 0.0, 1.0)
+    x = x + flare * ((18.0 + 1.5 * nasal) * right - x)
+    y = y + flare * (13.5 * up - y)
+    under = surface.depth(side * x, surface.centre[1] + y, 0.0) - surface.centre[2] - 0.9
+    z = z + smoothstep(np.radians(54.0), np.radians(72.0), angle) * (under - z)
+    centre = surface.centre
+    return np.stack([x + side * centre[0], y + centre[1], z + centre[2]], -1)
 
 
 def eye_fixed(chart: Chart) -> Float64Array:
     """How firmly eye vertices stay as the eye turns: 0 on the ball, 1 on its skirt. ``[R, C]``."""
-    x, y = _disc(chart)
-    reach = np.hypot(x, y)
-    angle = np.radians(108.0) * (0.72 * reach + 0.28 * reach**3)
-    return smoothstep(np.radians(60.0), np.radians(80.0), angle)
+    return smoothstep(np.radians(58.0), np.radians(76.0), _polar(chart)[0])
 
 
 def teeth(chart: Chart, front_z: float, edge_y: float, *, upper: bool) -> Float64Array:
@@ -115,16 +118,18 @@ def tongue(chart: Chart, mouth_y: float, front_z: float) -> Float64Array:
     return np.stack([px, py, pz], -1)
 
 
-def mouth_bag(chart: Chart, mouth_y: float, front_z: float) -> Float64Array:
-    """The inside of the mouth: a bowl that opens towards the lips."""
+def mouth_bag(chart: Chart, mouth_y: float, front_z: float, field: HeadField) -> Float64Array:
+    """The inside of the mouth: a bowl that opens towards the lips, just inside the cheeks."""
     x, y = _disc(chart)
     reach = np.minimum(np.hypot(x, y), 1.0)
     turn = np.arctan2(y, x)
     ring = np.sin(0.5 * np.pi * np.clip(1.25 * reach, 0, 1))
-    px = 36.0 * ring * np.cos(turn)
+    px = 43.0 * ring * np.cos(turn)
     py = mouth_y + 1.0 + np.where(y > 0, 22.0, 27.0) * ring * np.sin(turn)
-    pz = front_z - 52.0 + 46.0 * reach**2.6 - 15.0 * (px / 36.0) ** 2
-    return np.stack([px, py, pz], -1)
+    pz = front_z - 52.0 + 46.0 * reach**2.6 - 8.0 * (px / 43.0) ** 2
+    behind = np.stack([px, py, 0 * pz], -1).reshape(-1, 3)
+    skin = cast(field, behind, np.broadcast_to([0.0, 0.0, 1.0], behind.shape))[:, 2]
+    return np.stack([px, py, np.minimum(pz, skin.reshape(pz.shape) - 4.0)], -1)
 
 
 def ear(chart: Chart, field: HeadField, face: FaceShape, side: float) -> Float64Array:
@@ -140,26 +145,28 @@ def ear(chart: Chart, field: HeadField, face: FaceShape, side: float) -> Float64
     size = face.ear_length / 62.0
     turn = 2 * np.pi * rows  # 0 is the front, a quarter turn is the top, half a turn the back
     forward, up = np.cos(turn), np.sin(turn)
-    # Outline: broad above, narrow at the lobe; the front is the straight line where it is attached.
-    height = np.where(up > 0, 30.0, 33.0)
-    breadth = np.where(
-        forward > 0, 10.0, 20.5 - 7.5 * smoothstep(0.1, -1.0, up) + 1.5 * bump(up, 0.55, 0.4)
-    )
-    free = smoothstep(0.55, -0.15, forward - 0.30 * np.clip(up, 0, 1))  # 0 where attached
-    lobe = smoothstep(-0.62, -0.95, up)
+    # Outline around the concha: broad above and behind, a rounded lobe below.
+    degrees = [0, 25, 50, 75, 95, 120, 150, 180, 210, 235, 255, 272, 288, 305, 330, 360]
+    outline = [10, 13, 22, 29.5, 31, 30.5, 26.5, 22.5, 20, 22, 27, 30.5, 29.5, 23, 13, 10]
+    reach = np.interp(np.degrees(turn), degrees, outline)
+    free = smoothstep(0.62, -0.05, forward - 0.42 * np.clip(up, 0, 1))  # 0 where attached
+    lobe = smoothstep(-0.70, -0.97, up) * smoothstep(0.9, 0.2, np.abs(forward))
     s = columns
     #            concha      wall       antihelix  scapha     helix      edge       behind     root
     stations = [0.0, 0.18, 0.34, 0.44, 0.54, 0.66, 0.76, 0.84, 0.92, 1.0]
-    radius = np.interp(s, stations, [0.02, 0.30, 0.50, 0.62, 0.78, 0.90, 1.00, 0.98, 0.84, 0.55])
-    free_height = np.interp(s, stations, [0.5, 1.0, 8.6, 10.2, 8.2, 11.6, 12.2, 9.4, 5.5, -6.0])
-    flat_height = np.interp(s, stations, [0.5, 0.8, 2.6, 3.4, 2.6, 1.2, -0.6, -2.5, -4.5, -7.0])
-    lobe_height = np.interp(s, stations, [0.5, 1.0, 6.5, 8.0, 8.4, 8.4, 7.6, 5.2, 2.0, -6.0])
+    radius = np.interp(s, stations, [0.02, 0.34, 0.52, 0.62, 0.78, 0.91, 1.00, 0.98, 0.86, 0.55])
+    free_height = np.interp(s, stations, [1.0, 1.4, 8.4, 10.4, 7.4, 11.6, 11.4, 8.6, 5.0, -6.0])
+    flat_height = np.interp(s, stations, [1.0, 1.3, 3.2, 4.0, 3.0, 1.0, -1.2, -3.0, -4.5, -7.0])
+    lobe_height = np.interp(s, stations, [1.0, 1.4, 7.0, 8.0, 8.6, 8.6, 6.8, 4.4, 1.4, -6.0])
     raised = free * ((1 - lobe) * free_height + lobe * lobe_height) + (1 - free) * flat_height
-    tragus = 6.5 * np.exp(-(((up - 0.02) / 0.34) ** 2)) * (forward > 0) * bump(s, 0.42, 0.12)
+    # Tragus over the ear canal, antitragus opposite, the helix running into the concha.
+    tragus = 7.5 * np.exp(-(((up - 0.02) / 0.36) ** 2)) * (forward > 0) * bump(s, 0.40, 0.12)
     raised = raised + tragus * smoothstep(0.2, 0.9, forward)
+    crus = np.exp(-(((np.degrees(turn) - 38.0) / 13.0) ** 2)) * bump(s, 0.42, 0.2)
+    raised = raised + 4.0 * crus
     # The concha lies ahead of the middle and below it.
-    local_back = -forward * breadth * radius * size
-    local_up = (up * height * radius + 2.0 * (1 - radius)) * size
+    local_back = -forward * reach * radius * size
+    local_up = (up * reach * radius + 2.0 * (1 - radius)) * size
     tilt = np.radians(14.0)  # the ear's long axis leans back
     z = -9.0 + 3.0 - (local_back * np.cos(tilt) + local_up * np.sin(tilt))
     y = 1.0 + local_up * np.cos(tilt) - local_back * np.sin(tilt)
@@ -167,35 +174,33 @@ def ear(chart: Chart, field: HeadField, face: FaceShape, side: float) -> Float64
     out = np.broadcast_to([1.0, 0.0, 0.0], flat.shape)
     wall = cast(field, flat, out)[:, 0].reshape(z.shape)
     wall = 0.5 * wall + 0.5 * np.median(wall)
-    flare = 0.36 * np.maximum(local_back, 0.0) * smoothstep(0.0, 0.5, 1.12 - s)
-    x = wall - 2.0 + (raised + flare) * size
+    flare = 0.24 * np.maximum(local_back, 0.0) * smoothstep(0.0, 0.5, 1.12 - s)
+    x = wall + 0.4 + (0.9 * raised + flare) * size
     return np.stack([side * x, y, z], -1)
 
 
-def collar(chart: Chart, face: FaceShape) -> Float64Array:
-    """A round neckline and the slope of the shoulders; hides where the neck ends."""
+def collar(chart: Chart, field: HeadField) -> Float64Array:
+    """A round neckline that lies on the neck, and the slope of the shoulders below it."""
     rows, columns = chart.unit
     turn = 2 * np.pi * columns
     front, sideways = -np.cos(turn), -np.sin(turn)  # starts and ends at the back
-    neck = 0.5 * face.neck_breadth
-    s = rows
-    slope = np.clip(s / 0.62, 0.0, 1.0)  # neckline to the point of the shoulder
-    drop = np.clip((s - 0.62) / 0.38, 0.0, 1.0)  # then straight down, out of the picture
-    rim_x, rim_z = neck + 0.5, 53.0
-    reach = slope**0.9
-    x = sideways * (rim_x + (168.0 - rim_x) * reach * (0.55 + 0.45 * np.abs(sideways)) + 6.0 * drop)
-    z = -16.0 + front * (rim_z + 34.0 * reach + 8.0 * drop) - 8.0 * slope * np.abs(sideways)
-    rim_y = -106.0 - 22.0 * np.clip(front, -0.25, 1.0) + 6.0 * np.abs(sideways)
-    y = (
-        rim_y
-        - (20.0 + 26.0 * np.maximum(front, 0.0)) * slope**1.25
-        - 26.0 * slope**3 * np.abs(sideways)
-    )
-    y = y - 95.0 * drop
-    hem = bump(s, 0.14, 0.06)
-    inside = np.clip(
-        1 - s / 0.14, 0.0, 1.0
-    )  # the first row lies within the neck: no gap behind the neckline
-    x, z = x * (1 - 0.22 * inside), -16.0 + (z + 16.0) * (1 - 0.22 * inside)
-    y = y - 5.0 * inside
-    return np.stack([x * (1 + 0.03 * hem), y + 1.5 * hem, z + front * 1.5 * hem], -1)
+    axis_z = -30.0
+    rim_y = -104.0 - 22.0 * smoothstep(-0.5, 1.0, front) + 5.0 * np.abs(sideways)
+    origin = np.stack([0 * turn, rim_y, np.full_like(turn, axis_z)], -1).reshape(-1, 3)
+    out = np.stack([sideways, 0 * turn, front], -1).reshape(-1, 3)
+    on_neck = cast(field, origin, out)
+    rim = np.hypot(on_neck[:, 0], on_neck[:, 2] - axis_z).reshape(turn.shape) + 2.2
+    s = np.clip((rows - 0.16) / 0.84, 0.0, 1.0)
+    slope = np.clip(s / 0.66, 0.0, 1.0)  # neckline to the point of the shoulder
+    drop = np.clip((s - 0.66) / 0.34, 0.0, 1.0)  # then straight down, out of the picture
+    edge = 1.0 / ((np.abs(sideways) / 172.0) ** 2.6 + (np.abs(front) / 96.0) ** 2.6) ** (1 / 2.6)
+    reach = rim + (edge - rim) * slope + 7.0 * np.sin(0.5 * np.pi * drop)
+    chest = np.maximum(front, 0.0) ** 1.5
+    fall = (16.0 + 22.0 * chest) * slope + (20.0 - 8.0 * chest) * slope**3
+    y = rim_y - fall - 96.0 * drop**1.4
+    # The knitted rib stands up a little; the first rows tuck into the neck.
+    rib = bump(rows, 0.17, 0.06)
+    inside = np.clip(1 - rows / 0.14, 0.0, 1.0)
+    reach = reach + 1.6 * rib - 9.0 * inside
+    y = y + 2.0 * rib - 5.0 * inside
+    return np.stack([sideways * reach, y, axis_z + front * reach], -1)

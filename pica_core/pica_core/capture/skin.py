@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from pica_core.capture.identity import FaceShape
 from pica_core.capture.layout import EYE_ROW, MIDLINE_COLUMN, MOUTH_ROW, Chart
+from pica_core.capture.sculpt import relief
 from pica_core.capture.surface import EYE_RADIUS, EYE_Y, HeadField, cast, gradient
 
 Float64Array = npt.NDArray[np.float64]
@@ -208,12 +209,14 @@ def _heights(
     reach = smoothstep(24.0, 8.0, np.abs(u + 1))  # folds follow the lid near the eye only
     # The slit's edges lie on the margins; beyond the corners the two rows part a little.
     outside = np.maximum(np.maximum(corners[0] - ax, ax - corners[1]), 0.0)
-    beside_eye = 0.05 + 0.35 * smoothstep(0.0, 5.0, outside)
+    beside_eye = 0.05 + 0.75 * smoothstep(0.0, 7.0, outside)
     mouth = mouth_lines(face, field, skin_half, x)
     # Beyond the corner the lips' rows open out again into cheek, a little more per column.
-    spread = 6.5 * smoothstep(skin_half, skin_half + 26.0, ax)
+    past = np.maximum(ax - skin_half + 4.0, 0.0)
+    spread = 8.0 * (1.0 - np.exp(-((past / 9.0) ** 1.5)))
+    parted = 8.0 * (1.0 - np.exp(-((np.maximum(ax - skin_half, 0.0) / 9.0) ** 1.2)))
     # Lips press into each other by a hair's breadth, so that nothing shines through a closed mouth.
-    closed = -0.06 + 0.2 * smoothstep(0.7 * skin_half, skin_half, ax)
+    closed = -0.06 + 0.2 * smoothstep(skin_half, skin_half + 1.6, ax)
     subnasale = field.subnasale_y
     wing = smoothstep(20.0, 12.0, ax)
     anchors: list[tuple[float, Float64Array]] = [
@@ -228,10 +231,10 @@ def _heights(
         (101, subnasale + 3.0 + 0.8 * (1 - wing)),
         (SUBNASALE_ROW, subnasale - 1.2 - 2.2 * (1 - wing)),
         (UPPER_BORDER_ROW, mouth["upper"] + closed * 4.0 + spread),
-        (UPPER_CONTACT_ROW, mouth["contact"] + closed * 2.5 + 0.45 * spread),
-        (MOUTH_ROW, mouth["contact"] + closed * 0.5 + 0.05 * spread),
-        (MOUTH_ROW + 1, mouth["contact"] - closed * 0.5 - 0.05 * spread),
-        (LOWER_CONTACT_ROW, mouth["contact"] - closed * 2.5 - 0.45 * spread),
+        (UPPER_CONTACT_ROW, mouth["contact"] + closed * 2.5 + 0.45 * parted),
+        (MOUTH_ROW, mouth["contact"] + closed * 0.5 + 0.05 * parted),
+        (MOUTH_ROW + 1, mouth["contact"] - closed * 0.5 - 0.05 * parted),
+        (LOWER_CONTACT_ROW, mouth["contact"] - closed * 2.5 - 0.45 * parted),
         (LOWER_BORDER_ROW, mouth["lower"] - closed * 4.0 - spread),
         (146, field.below(-71.0) + 0 * x),
         (CHIN_ROW, field.chin_y + 5.0 + 0 * x),
@@ -289,7 +292,9 @@ def _rays(
     return origin, direction
 
 
-def _relax(field: HeadField, chart: Chart, points: Float64Array) -> Float64Array:
+def _relax(
+    field: HeadField, chart: Chart, points: Float64Array, half: float, outer: float
+) -> Float64Array:
     """Even out the grid where the surface turns away from the rays: under the nose, under the
     chin, on the neck.
 
@@ -300,13 +305,17 @@ def _relax(field: HeadField, chart: Chart, points: Float64Array) -> Float64Array
     ax = np.abs(points[..., 0])
     front = points[..., 2] > 60
     nose = smoothstep(91, 96, rows) * smoothstep(112, 108, rows) * smoothstep(27, 19, ax) * front
-    below = smoothstep(140, 146, rows) * np.ones_like(ax)
+    below = smoothstep(144, 150, rows) * np.ones_like(ax)
     behind = (
         smoothstep(45.0, 20.0, points[..., 2])
         * smoothstep(60, 90, rows)
         * smoothstep(164, 160, rows)
     )
-    free = np.clip(np.maximum(np.maximum(nose, below), behind), 0, 1)
+    # Beside mouth and eyes their rows lie close together; out there nothing needs them so.
+    beside_mouth = smoothstep(half + 3.0, half + 12.0, ax) * smoothstep(100, 108, rows)
+    beside_eye = smoothstep(outer + 5.0, outer + 14.0, ax) * smoothstep(44, 54, rows)
+    beside = np.maximum(beside_mouth, beside_eye * smoothstep(104, 96, rows))
+    free = np.clip(np.maximum(np.maximum(nose, below), np.maximum(behind, beside)), 0, 1)
     free[0] = free[-1] = 0.0
     step = 0.6
     chosen = free > 1e-3
@@ -330,29 +339,28 @@ def _lay_lips(
     """Raise the lips over the muzzle and roll their inner edges into the mouth, in place."""
     rows = chart.rows
     x = points[..., 0]
-    t = np.clip(np.abs(x) / half, 0.0, 1.0)
-    front = (np.abs(points[..., 0]) < half + 40) & (points[..., 2] > 30)
-    pout = 3.4 * face.lip_fullness * np.maximum(1 - t**2.2, 0.0)
+    ax = np.abs(x)
+    t = np.clip(ax / half, 0.0, 1.0)
+    front = (ax < half + 40) & (points[..., 2] > 30)
+    pout = 4.5 * face.lip_fullness * np.maximum(1 - t**2.4, 0.0) ** 0.8
     s_upper = (rows[:, None] - UPPER_BORDER_ROW) / (UPPER_CONTACT_ROW - UPPER_BORDER_ROW)
     s_lower = (LOWER_BORDER_ROW - rows[:, None]) / (LOWER_BORDER_ROW - LOWER_CONTACT_ROW)
-    # Profile from the border (0) to the contact line (1): a sharp rise, a full middle, a turn
-    # inwards.
+    # Profile from the skin above (below 0) over the border (0) to the contact line (1): skin rises
+    # towards the lip, the lip is full in its middle and falls back to where lips meet.
+    tubercle = 1.0 + 0.18 * bump(t, 0.0, 0.16) - 0.10 * bump(t, 0.3, 0.12)
+    pillows = 1.0 - 0.10 * bump(t, 0.0, 0.12) + 0.08 * bump(t, 0.32, 0.16)
     for s, gain, is_lip in (
-        (s_upper, 0.9, rows <= MOUTH_ROW),
-        (s_lower, 1.05, rows > MOUTH_ROW),
+        (s_upper, 1.0 * tubercle, rows <= MOUTH_ROW),
+        (s_lower, 1.05 * pillows, rows > MOUTH_ROW),
     ):
-        c = np.clip(s, 0.0, 1.0)
-        profile = (
-            0.35 * smoothstep(-0.3, 0.15, s) + 0.85 * np.sin(np.pi * np.clip(c, 0, 1) * 0.9) ** 0.9
-        )
-        profile = profile * smoothstep(-0.9, 0.1, s) - 0.5 * smoothstep(0.75, 1.0, c)
-        profile = np.where(s > 1.0, -0.2, profile)
+        rise = 0.52 * smoothstep(-0.8, 0.25, s)
+        belly = 0.62 * np.sin(np.pi * np.clip((s + 0.08) / 1.16, 0.0, 1.0)) ** 1.2
+        fall = 0.60 * smoothstep(0.6, 1.05, s)
+        profile = rise + belly - fall - 0.15 * smoothstep(1.0, 1.3, s)
         points[..., 2] += np.where(front & is_lip[:, None], gain * pout * profile, 0.0)
     # Inner edges: back into the mouth and away from each other.
-    # At the corners a shallow pit remains, which keeps the slit's ends from gaping.
-    ax = np.abs(x)
-    pit = 1.1 * smoothstep(half + 3.0, half, ax)
-    depth = np.where(t < 1, 1.1 + 6.3 * (1 - t**3) ** 0.7, pit)
+    depth = 0.5 + 6.9 * np.maximum(1 - t**3, 0.0) ** 0.7
+    depth = np.where(t < 1, depth, 0.5 * smoothstep(half + 3.2, half, ax))
     k_upper = np.clip((rows - UPPER_CONTACT_ROW) / (MOUTH_ROW - UPPER_CONTACT_ROW), 0, 1)
     k_upper = np.where(rows <= MOUTH_ROW, k_upper, 0.0)[:, None]
     k_lower = np.clip((LOWER_CONTACT_ROW - rows) / (LOWER_CONTACT_ROW - MOUTH_ROW - 1), 0, 1)
@@ -371,7 +379,14 @@ def build_skin(face: FaceShape, field: HeadField, eye: EyeSurface, chart: Chart)
     )
     origin, direction = _rays(face, field, chart, half, corners)
     points = cast(field, origin.reshape(-1, 3), direction.reshape(-1, 3)).reshape(origin.shape)
-    points = _relax(field, chart, points)
+    points = _relax(field, chart, points, half, corners[1])
+    # The neck's lower end draws in under the collar.
+    end = smoothstep(155.0, 163.0, chart.rows)[:, None]
+    points[..., 0] *= 1.0 - 0.14 * end
+    points[..., 2] -= 0.14 * end * (points[..., 2] + 30.0)
+    height = relief(face, field, half, points)
+    chosen = np.abs(height) > 1e-4
+    points[chosen] += height[chosen][:, None] * gradient(field, points[chosen])
     _lay_lips(face, field, chart, half, points)
     reach = np.abs(chart.columns - MIDLINE_COLUMN)
     low, high = np.minimum(reach[:-1], reach[1:]), np.maximum(reach[:-1], reach[1:])

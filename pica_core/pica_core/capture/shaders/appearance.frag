@@ -15,6 +15,7 @@ uniform float redness;
 uniform vec3 lip_rgb;
 uniform float freckles;
 uniform float stubble;
+uniform float beard_cover;
 uniform float makeup;
 uniform float age;
 uniform vec3 brow_rgb;
@@ -24,11 +25,15 @@ uniform vec3 cloth_rgb;
 uniform vec3 hair_rgb;
 uniform float curl;
 uniform float sweep;
+uniform float grey;
 uniform float eye_x;
 uniform float brow_y;
 uniform float nose_y;   // subnasale
+uniform float nose_half;
 uniform float mouth_y;
 uniform float chin_y;
+uniform float upper_lip;
+uniform float lower_lip;
 uniform float mouth_half;
 
 float bell(float v, float centre, float width) { float d = (v - centre) / width; return exp(-0.5 * d * d); }
@@ -39,19 +44,24 @@ float brow_hair(vec3 p, out float inside) {
     float u = abs(p.x) - eye_x;
     float s = clamp((u + 21.0) / 47.0, 0.0, 1.0);
     float arch = brow_y + 4.6 * sin(3.14159 * pow(s, 1.25)) * 0.8 - 5.0 * s * s * s;
-    float thick = brow_thickness * mix(3.6, 1.1, s * s) * smoothstep(0.0, 0.08, s);
-    float d = (p.y - arch) / max(thick, 0.1);
-    inside = (1.0 - smoothstep(0.45, 1.25, abs(d))) * smoothstep(-24.5, -13.0, u) * (1.0 - smoothstep(21.0, 27.0, u));
-    inside *= step(40.0, p.z);
-    float lean = mix(0.35, 2.6, s);
-    vec2 along = normalize(vec2(lean, 1.0 - 1.6 * max(d, 0.0) * s));
-    vec2 q = vec2(abs(p.x), p.y);
-    float across = dot(q, vec2(-along.y, along.x));
-    float forward = dot(q, along);
-    across += 0.5 * noise(vec3(q * 0.5, seed));
-    float strand = noise(vec3(across * 2.3, forward * 0.26, seed + sign(p.x) * 5.0));
-    strand = max(strand, noise(vec3(across * 3.9 + 9.0, forward * 0.36, seed + 3.0)) - 0.04);
-    return inside * smoothstep(0.42 - 0.22 * inside, 0.78 - 0.2 * inside, strand);
+    float thick = brow_thickness * mix(4.0, 1.5, s * s) * smoothstep(-0.03, 0.12, s);
+    float ragged = noise(vec3(p.x * 0.9, p.y * 0.5, seed)) - 0.5;
+    float d = (p.y - arch) / max(thick, 0.1) + 0.35 * ragged;
+    inside = (1.0 - smoothstep(0.25, 1.25, abs(d)))
+        * smoothstep(-25.0, -15.0, u + 3.0 * ragged) * (1.0 - smoothstep(18.0, 28.0, u));
+    inside *= step(40.0, p.z) * mix(0.45, 1.0, smoothstep(-24.0, -10.0, u));
+    // Hairs are lines of equal `across` in sheared coordinates along the brow.
+    float lean = mix(0.55, 2.2, smoothstep(0.0, 0.8, s));
+    float rise = p.y - arch;
+    float across = (u - lean * rise) * mix(1.5, 0.8, s) + 0.5 * noise(vec3(u * 0.4, rise * 0.4, seed));
+    float strand = 0.0;
+    for (int k = 0; k < 3; k++) {
+        float shift = float(k) * 7.7 + sign(p.x) * 5.0 + seed;
+        float line = noise(vec3(across * (1.0 + 0.37 * float(k)), rise * (0.16 + 0.07 * float(k)), shift));
+        strand = max(strand, line - 0.03 * float(k));
+    }
+    float dense = sqrt(inside);
+    return smoothstep(0.86 - 0.46 * dense, 1.02 - 0.40 * dense, strand) * smoothstep(0.02, 0.15, inside);
 }
 
 void skin(out vec3 rgb, out float gloss, out float height, out float translucent) {
@@ -74,37 +84,48 @@ void skin(out vec3 rgb, out float gloss, out float height, out float translucent
     // Paler, yellower forehead; cooler, darker skin under the eyes.
     rgb *= mix(vec3(1.0), vec3(1.04, 1.03, 0.97), smoothstep(40.0, 70.0, p.y) * front);
     float under_eye = spot(q, vec2(eye_x - 4.0, 10.0), vec2(13.0, 4.5)) * front;
-    rgb *= mix(vec3(1.0), vec3(0.86, 0.80, 0.84), (0.45 + 0.4 * age) * under_eye);
+    rgb *= mix(vec3(1.0), vec3(0.88, 0.82, 0.84), (0.30 + 0.5 * age) * under_eye);
     float lid = spot(q, vec2(eye_x, 27.5), vec2(16.0, 5.0)) * front;
     rgb *= mix(vec3(1.0), vec3(0.92, 0.80, 0.80), 0.55 * lid);
     gloss = 0.34 + 0.20 * spot(vec2(p.x, p.y), vec2(0.0, 4.0), vec2(11.0, 22.0)) * front
         + 0.12 * spot(vec2(p.x, p.y), vec2(0.0, 60.0), vec2(34.0, 18.0)) * front;
+    // Mottling: skin is never one colour over a centimetre.
+    float mottle = fbm(p * 0.16 + seed * 2.3) - 0.5;
+    rgb *= 1.0 + vec3(0.06, 0.16, 0.18) * mottle;
     // Pores and fine relief.
-    float pores = noise(p * 1.9 + seed) * 0.6 + noise(p * 3.7 + seed) * 0.4;
-    float pore_size = 0.4 + 0.8 * max(spot(q, vec2(18.0, -6.0), vec2(16.0, 14.0)),
-        spot(vec2(p.x, p.y), vec2(0.0, nose_y + 9.0), vec2(14.0, 12.0))) * front;
-    height = 0.5 + 0.20 * (pores - 0.5) * pore_size + 0.10 * fine;
-    rgb *= 1.0 - 0.10 * pore_size * smoothstep(0.55, 0.25, pores);
-    gloss *= 0.75 + 0.5 * pores;
+    float pores = noise(p * 1.5 + seed) * 0.55 + noise(p * 3.1 + seed) * 0.45;
+    float pore_size = 0.45 + 0.9 * max(spot(q, vec2(18.0, -6.0), vec2(16.0, 14.0)),
+        spot(vec2(p.x, p.y), vec2(0.0, nose_y + 9.0), vec2(14.0, 12.0))) * front
+        + 0.25 * spot(vec2(p.x, p.y), vec2(0.0, chin_y + 16.0), vec2(18.0, 12.0)) * front;
+    height = 0.5 + 0.26 * (pores - 0.5) * pore_size + (0.12 + 0.14 * age) * fine;
+    rgb *= 1.0 - 0.13 * pore_size * smoothstep(0.52, 0.25, pores);
+    gloss *= 0.70 + 0.6 * pores;
     // Freckles and a few moles.
     float place = clamp(spot(q, vec2(26.0, -2.0), vec2(22.0, 14.0)) + 0.25, 0.0, 1.0) * front;
     float marks = spots(p * 0.42 + seed, 0.5 * freckles * place, 0.34);
     rgb *= mix(vec3(1.0), vec3(0.62, 0.50, 0.42), 0.75 * marks);
-    float mole = spots(p * 0.045 + seed * 3.1, 0.16, 0.055);
+    float mole = spots(p * 0.040 + seed * 3.1, 0.10, 0.040);
     rgb *= mix(vec3(1.0), vec3(0.42, 0.30, 0.26), mole * front);
-    // Lines of the face grow with age: forehead and beside the mouth.
-    float fold_x = mouth_half + 3.0 - 0.30 * (p.y - mouth_y);
-    float fold = bell(ax, fold_x, 1.6) * smoothstep(mouth_y - 6.0, mouth_y + 8.0, p.y)
-        * (1.0 - smoothstep(nose_y + 2.0, nose_y + 9.0, p.y)) * front;
-    rgb *= 1.0 - (0.10 + 0.22 * age) * fold;
-    height -= 0.10 * fold;
-    float wave = p.y + 1.5 * sin(p.x * 0.09) - 62.0;
-    float lines = pow(0.5 + 0.5 * cos(wave * 0.72), 12.0) * smoothstep(50.0, 58.0, p.y) * (1.0 - smoothstep(70.0, 80.0, p.y))
-        * (1.0 - smoothstep(22.0, 40.0, ax)) * front;
-    rgb *= 1.0 - 0.16 * age * lines;
+    // Lines of the face grow with age: forehead, crow's feet, under the eyes, above the lips.
+    float wave = p.y + 1.5 * sin(p.x * 0.09) + 2.0 * noise(vec3(p.x * 0.06, 0.0, seed)) - 62.0;
+    float lines = pow(0.5 + 0.5 * cos(wave * 0.72), 14.0) * smoothstep(48.0, 56.0, p.y) * (1.0 - smoothstep(72.0, 84.0, p.y))
+        * (1.0 - smoothstep(26.0, 44.0, ax)) * front * smoothstep(0.3, 0.6, noise(vec3(p.x * 0.09, p.y * 0.3, seed + 4.0)));
+    vec2 from_corner = q - vec2(eye_x + 13.0, 20.5);
+    float ray = atan(from_corner.y, max(from_corner.x, 0.1));
+    float feet = pow(0.5 + 0.5 * cos(ray * 11.0 + 1.5 * noise(p * 0.3)), 6.0) * smoothstep(1.5, 5.0, from_corner.x)
+        * (1.0 - smoothstep(9.0, 17.0, length(from_corner))) * step(abs(ray), 0.95) * front;
+    float crinkle = pow(0.5 + 0.5 * cos((p.y - 0.02 * (ax - eye_x) * (ax - eye_x)) * 1.9 + 3.0 * noise(vec3(p.x * 0.1, p.y * 0.1, seed))), 6.0)
+        * spot(q, vec2(eye_x + 2.0, 8.5), vec2(12.0, 4.0)) * front;
+    float perioral = pow(0.5 + 0.5 * cos(p.x * 1.25 + 2.0 * noise(p * 0.25)), 8.0)
+        * spot(vec2(p.x, p.y), vec2(0.0, mouth_y + 9.0), vec2(17.0, 4.0)) * front;
+    float creased = age * age * (1.4 * lines + 1.2 * feet + 0.7 * crinkle + 0.7 * perioral);
+    rgb *= 1.0 - vec3(0.20, 0.25, 0.25) * min(creased, 1.0);
+    height -= 0.42 * min(creased, 1.2);
+    float spots_of_age = spots(p * 0.13 + seed * 5.0, 0.35 * smoothstep(0.5, 1.0, age), 0.16) * front;
+    rgb *= mix(vec3(1.0), vec3(0.72, 0.60, 0.50), 0.6 * spots_of_age);
     // Nostrils: their inside is dark.
-    float nostril = spot(q, vec2(6.6, nose_y + 1.8), vec2(3.0, 1.9)) * step(nose_y - 2.0, p.y) * step(90.0, p.z);
-    rgb *= 1.0 - 0.85 * smoothstep(0.35, 0.9, nostril);
+    float nostril = spot(q, vec2(0.5 * nose_half - 0.2, nose_y + 3.0), vec2(3.0, 2.4)) * step(nose_y - 2.0, p.y) * step(90.0, p.z);
+    rgb *= 1.0 - 0.88 * smoothstep(0.30, 0.85, nostril);
     gloss *= 1.0 - smoothstep(0.3, 0.8, nostril);
     translucent = is_ear ? 1.0 : 0.5;
     // Beard shadow.
@@ -116,6 +137,22 @@ void skin(out vec3 rgb, out float gloss, out float height, out float translucent
     float bristle = smoothstep(0.52, 0.72, noise(vec3(p.x * 4.6, p.y * 3.4, p.z * 4.0) + seed));
     rgb = mix(rgb, mix(rgb * vec3(0.70, 0.71, 0.76), hair_rgb, 0.55 * bristle), stubble * beard * (0.5 + 0.35 * bristle));
     gloss *= 1.0 - 0.5 * stubble * beard;
+    // A short full beard: hairs that run down and outwards, sparse at its border.
+    float line_y = mix(nose_y - 15.0, nose_y - 2.0, smoothstep(mouth_half + 2.0, mouth_half + 34.0, ax));
+    line_y = mix(line_y, 30.0, smoothstep(14.0, 2.0, p.z));   // joins the hair before the ear
+    float grow = (1.0 - smoothstep(line_y - 9.0, line_y + 2.0, p.y + 6.0 * fbm(p * 0.2) - 2.0))
+        * smoothstep(-15.0, -3.0, p.y + 4.0 * fbm(p * 0.2) - mix(chin_y + 26.0, chin_y, smoothstep(20.0, 88.0, p.z))) * smoothstep(-4.0, 10.0, p.z + 6.0 * fbm(p * 0.25) - 3.0);
+    float droop = mouth_y + upper_lip + 4.0 - 0.012 * ax * ax;
+    float moustache = (1.0 - smoothstep(2.5, 5.5, abs(p.y - droop))) * (1.0 - smoothstep(mouth_half + 1.0, mouth_half + 7.0, ax))
+        * (1.0 - 0.45 * bell(p.x, 0.0, 2.0));
+    grow = max(grow, moustache * front) * (is_ear ? 0.0 : 1.0);
+    grow *= 1.0 - smoothstep(0.3, 0.8, spot(vec2(p.x, p.y), vec2(0.0, mouth_y - lower_lip - 4.5), vec2(9.0, 2.0))) * 0.45;
+    float lay = noise(vec3((p.x + 0.35 * p.y * sign(p.x)) * 1.7, p.y * 0.35, p.z * 1.1 + seed));
+    float fuzz = noise(vec3(p.x * 3.2, p.y * 1.1, p.z * 2.0 + seed));
+    float hair_here = smoothstep(0.95 - 0.85 * grow, 1.15 - 0.80 * grow, 0.55 * lay + 0.45 * fuzz + 0.25 * grow) * step(0.02, grow);
+    rgb = mix(rgb, hair_rgb * (0.6 + 2.6 * lay * fuzz), beard_cover * max(hair_here, 0.5 * grow * grow));
+    height += beard_cover * grow * 0.35 * (0.5 * lay + 0.5 * fuzz - 0.5);
+    gloss *= 1.0 - 0.5 * beard_cover * grow;
     // Blush.
     rgb = mix(rgb, rgb * vec3(1.08, 0.74, 0.78), 0.3 * makeup * spot(q, vec2(eye_x + 16.0, -6.0), vec2(14.0, 9.0)) * front);
     // Lips: crisp border with a lighter rim, fine vertical lines, darker towards the line of contact.
@@ -133,9 +170,9 @@ void skin(out vec3 rgb, out float gloss, out float height, out float translucent
     // Lid margins: wet pink edge, then lashes as a dense dark line that thins outwards.
     float rows = surface.y;
     float on_edge = 1.0 - smoothstep(0.5, 1.0, abs(rows));
-    rgb = mix(rgb, vec3(0.52, 0.25, 0.21), on_edge * 0.8);
+    rgb = mix(rgb, 0.5 * skin_rgb * vec3(1.05, 0.72, 0.70) + vec3(0.14, 0.06, 0.05), on_edge * 0.85);
     gloss = mix(gloss, 0.9, on_edge);
-    float upper = step(surface.w, -0.5);
+    float upper = clamp(-surface.w, 0.0, 1.0) * (is_ear ? 0.0 : 1.0);
     float comb = noise(vec3(p.x * 3.0, seed, 2.0));
     float reach = mix(1.7, 3.0 + 1.6 * makeup, upper) * (0.65 + 0.6 * comb);
     float lash = smoothstep(0.55, 1.0, abs(rows)) * (1.0 - smoothstep(0.6 * reach, reach, abs(rows)));
@@ -143,8 +180,8 @@ void skin(out vec3 rgb, out float gloss, out float height, out float translucent
     gloss *= 1.0 - 0.8 * lash;
     float shadow = upper * (1.0 - smoothstep(3.0, 11.0, abs(rows))) * smoothstep(2.0, 4.0, abs(rows));
     rgb = mix(rgb, rgb * vec3(0.60, 0.45, 0.45), 0.55 * makeup * shadow);
-    float crease = upper * bell(abs(rows), 8.2, 1.0) * front;
-    rgb *= 1.0 - vec3(0.22, 0.30, 0.32) * crease;
+    float crease = upper * bell(abs(rows), 9.3, 0.8) * front;
+    rgb *= 1.0 - vec3(0.14, 0.20, 0.22) * crease;
     float corner = spot(q, vec2(eye_x - 15.0, 20.5), vec2(1.8, 1.5)) * front;
     rgb = mix(rgb, vec3(0.50, 0.20, 0.17), 0.8 * smoothstep(0.4, 0.9, corner) * (1.0 - smoothstep(2.0, 4.0, abs(rows))));
     // Brows, then scalp hair that fades into the forehead.
@@ -153,9 +190,11 @@ void skin(out vec3 rgb, out float gloss, out float height, out float translucent
     rgb = mix(rgb, mix(rgb, brow_rgb, 0.45), inside * 0.8);
     rgb = mix(rgb, brow_rgb * (0.7 + 0.6 * noise(p * 2.0)), brow * 0.92);
     gloss *= 1.0 - 0.6 * brow;
-    float root = surface.z + 0.22 * (noise(vec3(p.x * 1.6, p.y * 0.25, p.z * 1.2) + seed) - 0.5) + 0.15 * (noise(p * 0.5) - 0.5);
-    float scalp = is_ear ? 0.0 : smoothstep(-0.16, 0.10, root);
-    rgb = mix(rgb, hair_rgb * (0.6 + 0.8 * noise(vec3(p.x * 3.0, p.y * 0.4, p.z * 2.0))), 0.94 * scalp);
+    float density = is_ear ? 0.0 : smoothstep(-0.42, 0.10, surface.z + 0.10 * (noise(p * 0.22 + seed) - 0.5));
+    float hairs = noise(vec3(p.x * 2.6, p.y * 0.30, p.z * 2.2) + seed) * 0.6 + noise(vec3(p.x * 4.8, p.y * 0.5, p.z * 4.2) + seed) * 0.4;
+    float scalp = smoothstep(0.92 - 0.95 * density, 1.10 - 0.90 * density, hairs) * step(0.004, density);
+    scalp = max(scalp, 0.55 * density * density);
+    rgb = mix(rgb, hair_rgb * (0.55 + 0.7 * noise(vec3(p.x * 3.0, p.y * 0.4, p.z * 2.0))), 0.96 * scalp);
     gloss *= 1.0 - 0.8 * scalp;
 }
 
@@ -165,19 +204,21 @@ void eye(out vec3 rgb, out float gloss, out float height) {
     r = d.z < 0.0 ? 3.0 : r;
     float turn = atan(d.y, d.x);
     vec2 ring = vec2(cos(turn), sin(turn));
-    float fibres = fbm(vec3(ring * 9.0, r * 1.4 + seed));
-    float crypts = noise(vec3(ring * 4.0, r * 3.0 + seed));
-    vec3 iris = iris_rgb * (0.42 + 1.15 * fibres + 0.35 * crypts);
-    iris = mix(iris, iris * vec3(1.5, 1.15, 0.75), bell(r, 0.48, 0.10));   // collarette
-    iris *= mix(1.0, 0.30, smoothstep(0.78, 1.0, r));                        // limbal ring
-    iris *= smoothstep(0.38, 0.43, r);                                      // pupil
-    float vessels = smoothstep(0.60, 0.80, fbm(vec3(d.xy * vec2(9.0, 22.0), seed))) * smoothstep(1.1, 2.0, r);
-    vec3 sclera = vec3(0.53, 0.49, 0.46) * (1.0 - 0.06 * noise(d * 4.0));
-    sclera = mix(sclera, vec3(0.60, 0.36, 0.31), 0.35 * vessels + 0.30 * smoothstep(1.5, 2.2, r));
-    rgb = mix(iris, sclera, smoothstep(0.95, 1.08, r));
-    // Nasal end: the caruncle.
-    float nasal = -d.x * surface.w;
-    rgb = mix(rgb, vec3(0.46, 0.19, 0.16), smoothstep(0.78, 0.92, nasal));
+    float fibres = fbm(vec3(ring * 11.0, r * 1.1 + seed));
+    float fine = noise(vec3(ring * 34.0, r * 2.0 + seed));
+    float crypts = smoothstep(0.55, 0.8, noise(vec3(ring * 5.0, r * 3.5 + seed)));
+    vec3 iris = iris_rgb * (0.35 + 1.05 * fibres + 0.35 * fine) * (1.0 - 0.35 * crypts * smoothstep(0.45, 0.7, r));
+    iris = mix(iris, iris * vec3(1.55, 1.15, 0.72), bell(r, 0.46, 0.09));   // collarette
+    iris *= mix(1.0, 0.22, smoothstep(0.74, 1.0, r));                        // limbal ring
+    iris *= smoothstep(0.36, 0.41, r);                                      // pupil
+    float vessels = smoothstep(0.58, 0.80, fbm(vec3(d.xy * vec2(9.0, 24.0), seed))) * smoothstep(1.15, 2.0, r);
+    vec3 sclera = vec3(0.40, 0.375, 0.36) * (1.0 - 0.08 * noise(d * 4.0));
+    sclera = mix(sclera, vec3(0.42, 0.25, 0.21), 0.40 * vessels + 0.30 * smoothstep(1.35, 2.1, r));
+    rgb = mix(iris, sclera, smoothstep(0.92, 1.09, r));
+    // Nasal end: the caruncle; the skirt around the ball turns pink.
+    float nasal = -surface.x * surface.w * 12.1;
+    rgb = mix(rgb, vec3(0.36, 0.15, 0.125), smoothstep(11.4, 13.2, nasal));
+    rgb = mix(rgb, vec3(0.34, 0.19, 0.16), 0.7 * smoothstep(11.5, 14.5, -nasal));
     gloss = 1.0;
     height = 0.5;
 }
@@ -196,9 +237,9 @@ void teeth(out vec3 rgb, out float gloss, out float height) {
     }
     float gum_line = 0.30 + 0.05 * (1.0 - pow(abs(2.0 * inside - 1.0), 2.0)) - 0.03;
     float tooth = smoothstep(gum_line - 0.012, gum_line + 0.012, row);
-    vec3 enamel = mix(vec3(0.72, 0.61, 0.44), vec3(0.82, 0.75, 0.63), smoothstep(0.3, 0.55, row));
-    enamel *= mix(0.82, 1.0, smoothstep(0.05, 0.9, gap)) * (0.96 + 0.08 * noise(rest_mm * 0.8));
-    enamel *= mix(1.0, 0.38, smoothstep(0.22, 0.8, along));   // far from the light
+    vec3 enamel = mix(vec3(0.78, 0.62, 0.42), vec3(0.86, 0.76, 0.62), smoothstep(0.3, 0.55, row));
+    enamel *= mix(0.50, 1.0, smoothstep(0.0, 0.75, gap)) * (0.96 + 0.08 * noise(rest_mm * 0.8));
+    enamel *= mix(1.0, 0.16, smoothstep(0.28, 0.75, along));   // far from the light
     vec3 gum = vec3(0.50, 0.17, 0.16) * (0.85 + 0.3 * noise(rest_mm * 0.9));
     rgb = mix(gum, enamel, tooth);
     gloss = 0.85;
@@ -217,7 +258,7 @@ void main() {
         teeth(rgb, gloss, height);
     } else if (material_id == 3) {
         float papillae = noise(p * 1.6) * 0.6 + noise(p * 3.1) * 0.4;
-        rgb = vec3(0.46, 0.16, 0.15) * (0.75 + 0.5 * papillae);
+        rgb = vec3(0.62, 0.24, 0.21) * (0.75 + 0.5 * papillae);
         rgb *= mix(1.0, 0.75, bell(p.x, 0.0, 1.2)) * mix(0.25, 1.1, smoothstep(0.1, 0.75, surface.x));
         gloss = 0.7;
         height = papillae;
@@ -236,20 +277,21 @@ void main() {
         // Strands run along rows; their place round the head wanders with the curl.
         float azimuth = surface.y * 6.2832;
         float t = surface.x;
-        float wander = curl * (0.10 * sin(t * 13.0 + 5.0 * noise(vec3(azimuth * 2.0, 0.0, seed))) + 0.16 * noise(vec3(azimuth * 3.0, t * 4.0, seed)));
+        float wander = curl * (0.07 * sin(t * 15.0 + 4.0 * noise(vec3(azimuth * 1.2, 0.0, seed))) + 0.05 * noise(vec3(azimuth * 2.0, t * 3.0, seed)));
         float a = azimuth + wander - sweep * t;
-        float coarse = noise(vec3(a * 14.0, t * 2.2, seed));
-        float medium = noise(vec3(a * 46.0, t * 3.4, seed + 2.0));
-        float thin = noise(vec3(a * 150.0, t * 6.0, seed + 4.0));
-        float coils = 0.55 * noise(p * 0.42 + seed) + 0.45 * noise(p * 0.95 + seed);
-        coils = mix(coils, noise(p * 2.2 + seed), 0.3);
+        float coarse = noise(vec3(a * 9.0, t * 1.8, seed));
+        float medium = noise(vec3(a * 30.0, t * 2.4, seed + 2.0));
+        float thin = noise(vec3(a * 68.0, t * 3.0, seed + 4.0)) * 0.6 + noise(vec3(a * 88.0, t * 4.0, seed + 6.0)) * 0.4;
+        float coils = 0.45 * noise(p * 0.42 + seed) + 0.55 * noise(p * 1.15 + seed);
+        coils = mix(coils, noise(p * 2.6 + seed), 0.4);
         float coiled = smoothstep(0.7, 0.9, curl);
-        float hairs = mix(0.34 * coarse + 0.36 * medium + 0.30 * thin, coils, coiled);
+        float hairs = mix(0.26 * coarse + 0.36 * medium + 0.38 * thin, coils, coiled);
         coarse = mix(coarse, 0.5, coiled);
         medium = mix(medium, noise(p * 1.1 + 5.0), coiled);
-        rgb = hair_rgb * (0.35 + 1.5 * hairs * hairs * 1.6);
-        rgb *= mix(0.75, 1.1, smoothstep(0.0, 0.5, coarse));
-        gloss = 0.35 + 0.5 * thin;
+        rgb = mix(hair_rgb, hair_rgb * vec3(1.25, 1.1, 0.9), medium) * (0.45 + 1.9 * hairs * hairs);
+        rgb = mix(rgb, vec3(0.27, 0.26, 0.25) * (0.55 + 0.75 * hairs), grey * smoothstep(0.75 - 0.6 * grey, 1.05 - 0.6 * grey, 0.75 * thin + 0.25 * medium));
+        rgb *= mix(0.8, 1.1, smoothstep(0.0, 0.5, coarse));
+        gloss = 0.45 + 0.25 * thin;
         height = hairs;
         strand = medium * 0.5 + thin * 0.5;
     }

@@ -14,15 +14,15 @@ uniform sampler2D relief_map;
 const vec3 key_direction = normalize(vec3(0.50, 0.55, 0.80));
 const vec3 fill_direction = normalize(vec3(-0.70, 0.10, 0.60));
 const vec3 rim_direction = normalize(vec3(-0.55, 0.50, -0.70));
-const vec3 key_light = vec3(1.42, 1.34, 1.22);
+const vec3 key_light = vec3(1.70, 1.60, 1.46);
 const vec3 fill_light = vec3(0.34, 0.38, 0.44);
 const vec3 rim_light = vec3(0.55, 0.56, 0.60);
 
-vec3 dome(vec3 n) { return mix(vec3(0.33, 0.29, 0.27), vec3(0.70, 0.73, 0.78), 0.5 + 0.5 * n.y); }
+vec3 dome(vec3 n) { return mix(vec3(0.22, 0.19, 0.18), vec3(0.58, 0.61, 0.66), 0.5 + 0.5 * n.y); }
 // What a mirror would see: a bright softbox overhead and a window to the side.
 float softboxes(vec3 r) {
-    float box = smoothstep(0.80, 0.90, dot(r, key_direction));
-    float window = smoothstep(0.92, 0.97, dot(r, fill_direction)) * 0.22;
+    float box = smoothstep(0.915, 0.94, dot(r, key_direction));
+    float window = smoothstep(0.96, 0.975, dot(r, fill_direction)) * 0.20;
     return box + window + 0.10 * smoothstep(-0.2, 0.9, r.y);
 }
 vec3 wrapped(vec3 n, vec3 l, vec3 wrap) { return max(vec3(dot(n, l)) + wrap, 0.0) / (1.0 + wrap); }
@@ -47,14 +47,15 @@ void main() {
     float sky = open_sky.x, key = open_sky.y;
     // Shadow is known per vertex for a few expressions only; inside the mouth keep what bounces around.
     if (material_id == 2) { sky = max(sky, 0.42); key = max(key, 0.24); }
-    else if (material_id == 1) { sky = max(sky, 0.40); key = max(key, 0.15); }
+    else if (material_id == 1) { sky = max(sky, 0.20); key = max(key, 0.08); }
     else if (material_id == 3) { sky = max(sky, 0.30); key = max(key, 0.12); }
     else if (material_id == 4) { sky = max(sky, 0.22); }
     vec3 lit;
     vec3 shine = vec3(0.0);
     if (material_id == 6) {
         // Kajiya-Kay strands with a shifted second lobe (Scheuermann 2004).
-        vec3 t = normalize(strand_tangent + n * (relief.b - 0.5) * 0.12);
+        n = bumped(n, relief.r, 0.0012);
+        vec3 t = normalize(strand_tangent - n * dot(n, strand_tangent) + n * (relief.b - 0.5) * 0.16);
         vec3 h = normalize(key_direction + v);
         vec3 hf = normalize(rim_direction + v);
         float s1 = pow(max(1.0 - pow(dot(t, h), 2.0), 0.0), 45.0);
@@ -64,7 +65,7 @@ void main() {
             + wrapped(n, fill_direction, vec3(0.4)) * sky * fill_light + dome(n) * sky;
         lit = diffuse * soft;
         float facing = smoothstep(-0.25, 0.5, dot(n, key_direction)) * key;
-        shine = (vec3(0.11) * s1 + diffuse * 1.6 * s2) * facing * (0.4 + gloss) + vec3(0.05) * s3 * sky;
+        shine = (vec3(0.085) * s1 + diffuse * 1.5 * s2) * facing * (0.4 + gloss) + vec3(0.05) * s3 * sky;
         lit *= mix(0.55, 1.0, smoothstep(0.0, 0.6, relief.r));
     } else {
         float bump = material_id == 0 ? 0.00075 : (material_id == 5 ? 0.0006 : 0.0002);
@@ -84,14 +85,14 @@ void main() {
             // Cornea: a sharp picture of the lights.
             vec3 mirrored = reflect(-v, n);
             float fresnel = 0.035 + 0.6 * grazing;
-            shine = vec3(softboxes(mirrored)) * (0.30 + fresnel) * smoothstep(0.05, 0.5, sky) * 1.5;
+            shine = vec3(softboxes(mirrored)) * (0.34 + fresnel) * smoothstep(0.05, 0.5, sky) * 1.5;
             lit *= 0.92;
         } else if (material_id >= 2 && material_id <= 4) {
             float f = 0.045 + 0.5 * grazing;
             shine = f * gloss * (1.4 * lobe(nb, h, 90.0) * key + 0.5 * lobe(nb, hf, 60.0) * sky) + f * 0.4 * dome(nb) * sky * gloss;
         } else {
             // Two lobes of skin oil: broad and tight (wet lips have more of the tight one).
-            float f = 0.028 + 0.32 * grazing;
+            float f = 0.034 + 0.34 * grazing;
             float broad = lobe(nb, h, 11.0) * key * 0.9 + lobe(nb, hf, 11.0) * sky * 0.30 + lobe(nb, hr, 9.0) * sky * 0.35;
             float tight = lobe(nb, h, 42.0) * key + lobe(nb, hf, 42.0) * sky * 0.35;
             float wet = smoothstep(0.58, 0.95, gloss);
