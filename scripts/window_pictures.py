@@ -26,7 +26,7 @@ from pica_client.call_monitor import CallMonitor
 from pica_client.controls import KeyPressed, OwnFace
 from pica_client.join_dialog import empty_room
 from pica_client.join_form import Fields, JoinForm
-from pica_client.link import LinkConfig
+from pica_client.link_config import LinkConfig
 from pica_client.processes import Children
 from pica_client.receiver import Receiver
 from pica_client.recorder import save_png

@@ -11,7 +11,7 @@ from typing import Any
 import tyro
 
 from pica_client.avatar_push import Push, push_avatar
-from pica_client.link import LinkConfig
+from pica_client.link_config import LinkConfig
 from pica_client.output import say
 from pica_core.avatar_file import avatar_id, load_avatar
 

@@ -20,7 +20,7 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake
 from pica_client.backoff import Backoff
 from pica_client.dial import open_websocket, refusal
 from pica_client.errors import ClientError, RelayError
-from pica_client.link import read_token
+from pica_client.link_config import read_token
 from pica_core.avatar_file import MAX_FILE_BYTES
 from pica_core.errors import AvatarFileError
 from pica_protocol.codec import decode_store_message, encode_message

@@ -35,7 +35,7 @@ from pica_client.errors import CallProcessError, OptionError
 from pica_client.impaired_proxy import ImpairedProxy
 from pica_client.impairment import Impairment
 from pica_client.latency import FrameTimes, latency_summary
-from pica_client.link import LinkConfig
+from pica_client.link_config import LinkConfig
 from pica_client.playout import PlayoutConfig
 from pica_client.processes import Children
 from pica_client.receiver import Receiver

@@ -26,7 +26,7 @@ import numpy as np
 
 from pica_client.avatars import AvatarLibrary
 from pica_client.call import Call, CallConfig
-from pica_client.link import LinkConfig
+from pica_client.link_config import LinkConfig
 from pica_client.receiver import Receiver
 from pica_client.render_error import FaceRenderer, rendered_mse
 from pica_client.rotation import blend_rotations

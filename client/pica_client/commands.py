@@ -17,7 +17,7 @@ from pica_client.avatar_push import AvatarGiver, Push
 from pica_client.avatars import AvatarLibrary, shipped_avatar_files
 from pica_client.display import has_display
 from pica_client.errors import OptionError
-from pica_client.link import LinkConfig
+from pica_client.link_config import LinkConfig
 from pica_client.output import check_writable, say, writing
 from pica_client.playout_config import PlayoutConfig, playout_with_floor
 from pica_client.seats import Layout

@@ -6,7 +6,7 @@ import time
 
 from pica_client.controls import KeyPressed, MousePressed
 from pica_client.join_form import JoinForm
-from pica_client.link import LinkConfig
+from pica_client.link_config import LinkConfig
 from pica_client.renderer import Renderer, RenderOptions
 from pica_client.seats import ViewState, plan_camera, plan_seats
 from pica_client.window import Window

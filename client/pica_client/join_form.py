@@ -15,7 +15,7 @@ from typing import Literal
 from pica_client.controls import CloseWanted, InputEvent, KeyPressed, MousePressed, TextTyped
 from pica_client.errors import OptionError
 from pica_client.hud import type_size_px
-from pica_client.link import LinkConfig
+from pica_client.link_config import LinkConfig
 from pica_client.typesetting import OverlayItem, form_line_at, item_size_px
 
 MAX_CHARACTERS = 2048

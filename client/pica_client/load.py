@@ -11,7 +11,7 @@ import random
 from collections.abc import Sequence
 from typing import Any
 
-from pica_client.link import LinkConfig
+from pica_client.link_config import LinkConfig
 from pica_client.sender import Sender, SenderConfig
 from pica_client.sources import Source, open_source, start_later
 from pica_core.avatar_file import Avatar

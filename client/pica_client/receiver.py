@@ -14,7 +14,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from pica_client.call import Call
-from pica_client.link import Connector, Link, LinkConfig
+from pica_client.link import Connector, Link
+from pica_client.link_config import LinkConfig
 from pica_client.publisher import Publisher
 from pica_protocol.messages import Joined
 from pica_protocol.session import ClientEvent

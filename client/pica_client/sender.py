@@ -11,7 +11,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from pica_client.link import Connector, Link, LinkConfig
+from pica_client.link import Connector, Link
+from pica_client.link_config import LinkConfig
 from pica_client.publisher import FACE_TRACK, Publisher, SenderConfig
 from pica_client.sources import Source
 from pica_core.avatar_file import Avatar

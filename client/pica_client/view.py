@@ -19,7 +19,7 @@ from pica_client.controls import CloseWanted, ControlState, OwnFace
 from pica_client.decode_pool import DecodeResult
 from pica_client.dial import trusting
 from pica_client.errors import OptionError, RelayUnreachableError
-from pica_client.link import LinkConfig
+from pica_client.link_config import LinkConfig
 from pica_client.output import check_writable, make_folder, writing
 from pica_client.publisher import Publisher
 from pica_client.receiver import Receiver

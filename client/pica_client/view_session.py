@@ -14,7 +14,7 @@ from typing import Any
 from pica_client.avatars import AvatarLibrary
 from pica_client.errors import RelayError
 from pica_client.join_form import Fields, JoinForm
-from pica_client.link import LinkConfig
+from pica_client.link_config import LinkConfig
 from pica_client.output import say
 from pica_client.preferences import Preferences, PreferencesFile, default_keep_folder
 from pica_client.publisher import Publisher, SenderConfig

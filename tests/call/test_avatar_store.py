@@ -19,7 +19,7 @@ from pica_client.avatars import AvatarLibrary
 from pica_client.call import Call
 from pica_client.decoder import OnnxDecoder
 from pica_client.faces import FaceState
-from pica_client.link import LinkConfig
+from pica_client.link_config import LinkConfig
 from pica_client.receiver import Receiver
 from pica_client.sender import Sender, SenderConfig
 from pica_client.sources import open_source

@@ -26,7 +26,7 @@ from pica_client import publisher as publisher_module
 from pica_client.avatars import LoadedAvatars
 from pica_client.call import Call
 from pica_client.faces import FaceState
-from pica_client.link import LinkConfig
+from pica_client.link_config import LinkConfig
 from pica_client.load import make_senders
 from pica_client.receiver import Receiver
 from pica_client.sender import Sender, SenderConfig

@@ -14,7 +14,8 @@ from websockets.typing import Subprotocol
 
 from pica_client.dial import open_websocket
 from pica_client.errors import OptionError, RelayRefusedError, RelayUnreachableError
-from pica_client.link import Link, LinkConfig
+from pica_client.link import Link
+from pica_client.link_config import LinkConfig
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import Joined, KeyframeRequest, PeerJoined, Whisper

@@ -20,7 +20,7 @@ from pica_client.call_monitor import CallMonitor
 from pica_client.call_status import CallStatus
 from pica_client.errors import RelayRefusedError
 from pica_client.faces import FaceState
-from pica_client.link import LinkConfig
+from pica_client.link_config import LinkConfig
 from pica_client.publisher import FaceMode, Publisher, SenderConfig
 from pica_client.receiver import Receiver
 from pica_client.sources import open_source

@@ -18,7 +18,7 @@ from pica_client.avatars import AvatarLibrary, LoadedAvatars
 from pica_client.bench_call import BenchConfig, run_bench
 from pica_client.call import Call
 from pica_client.errors import CallProcessError, RelayUnreachableError
-from pica_client.link import LinkConfig
+from pica_client.link_config import LinkConfig
 from pica_client.processes import Child, Children
 from pica_client.receiver import Receiver
 from pica_client.staging import Stage, StageConfig

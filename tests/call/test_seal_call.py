@@ -16,7 +16,8 @@ pytest.importorskip("cryptography", reason="needs the extra seal")
 
 from pica_client.avatars import AvatarLibrary, LoadedAvatars
 from pica_client.call import Call
-from pica_client.link import Link, LinkConfig
+from pica_client.link import Link
+from pica_client.link_config import LinkConfig
 from pica_client.load import make_senders
 from pica_client.receiver import Receiver
 from pica_client.seal.guard import Guard

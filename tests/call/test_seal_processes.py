@@ -14,7 +14,7 @@ pytest.importorskip("cryptography", reason="needs the extra seal")
 
 from pica_client.avatars import LoadedAvatars
 from pica_client.call import Call
-from pica_client.link import LinkConfig
+from pica_client.link_config import LinkConfig
 from pica_client.processes import Children
 from pica_client.receiver import Receiver
 from pica_client.seal.secret import RoomSecret, save_secret

@@ -17,7 +17,7 @@ from pica_client.avatars import AvatarLibrary
 from pica_client.controls import InputEvent, KeyPressed, TextTyped
 from pica_client.join_dialog import ask_where
 from pica_client.join_form import Fields, JoinForm
-from pica_client.link import LinkConfig
+from pica_client.link_config import LinkConfig
 from pica_client.preferences import Preferences, PreferencesFile
 from pica_client.processes import Children
 from pica_client.view import ViewConfig

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pica_client.controls import CloseWanted, KeyPressed, MousePressed, TextTyped
 from pica_client.errors import OptionError
 from pica_client.join_form import Fields, JoinForm
-from pica_client.link import LinkConfig
+from pica_client.link_config import LinkConfig
 from pica_client.typesetting import item_size_px
 
 pytestmark = pytest.mark.unit

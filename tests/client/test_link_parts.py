@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from pica_client.backoff import Backoff, BackoffConfig
 from pica_client.errors import OptionError
-from pica_client.link import LinkConfig
+from pica_client.link_config import LinkConfig
 from pica_client.load import peer_sources
 from pica_client.pacer import Pacer
 from pica_client.sender import SenderConfig

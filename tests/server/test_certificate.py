@@ -17,7 +17,8 @@ import pytest
 from certificates import write_certificate
 from pica_client.dial import open_websocket
 from pica_client.errors import OptionError, RelayRefusedError
-from pica_client.link import Link, LinkConfig
+from pica_client.link import Link
+from pica_client.link_config import LinkConfig
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, Track
 from pica_server.certificate import Certificate
