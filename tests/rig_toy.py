@@ -50,11 +50,11 @@ def toy_rig() -> ToyRig:
         ball, ball_uv, ball_quads = _ball(centre, (0.012, 0.012, 0.012), 10, 12)
         parts[name] = ball_quads + sum(map(len, all_points))
         all_points.append(ball)
-        all_uv.append(ball_uv + [1, 0])  # both eyes on the same place of the second tile
+        all_uv.append(ball_uv + np.array([1, 0]))  # both eyes on the same place of the second tile
     tooth, tooth_uv, tooth_quads = _ball((0.0, -0.05, 0.07), (0.005, 0.006, 0.004), 6, 8)
     parts["Teeth"] = tooth_quads + sum(map(len, all_points))
     all_points.append(tooth)
-    all_uv.append(tooth_uv + [2, 0])
+    all_uv.append(tooth_uv + np.array([2, 0]))
     rig = ToyRig(np.concatenate(all_points), np.concatenate(all_uv), parts)
     p = rig.positions
     skin = np.arange(len(p)) < skin_count

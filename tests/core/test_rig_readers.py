@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rig_toy import glb_bytes, glb_parts, toy_rig, write_glb, write_obj_folder
 
 from pica_core.arkit import ARKIT_INDEX, ARKIT_NAMES
 from pica_core.capture.rig_gltf import read_glb
@@ -14,6 +13,7 @@ from pica_core.capture.rig_mesh import build_mesh
 from pica_core.capture.rig_names import map_names, match_name, read_names
 from pica_core.capture.rig_obj import read_obj_folder
 from pica_core.errors import CaptureError
+from rig_toy import glb_bytes, glb_parts, toy_rig, write_glb, write_obj_folder
 
 pytestmark = pytest.mark.unit
 

@@ -8,12 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from pica_core.capture.rig_subject import RigSubject
 from pica_core.capture.synth import RenderOptions, render_subject
 from pica_core.errors import CaptureError
+
+TEXELS_PER_PIXEL = 4
+"""Side of the baked appearance against the longer side of the images: close-ups show a third of a
+head, and its face covers half of the chart."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -68,7 +73,10 @@ def rig(options: RigOptions) -> dict[str, Any]:
     about: dict[str, Any] = {}
 
     def make() -> RigSubject:
-        subject = RigSubject(options.rig, options.map, options.albedo)
+        side = 2 ** int(np.ceil(np.log2(TEXELS_PER_PIXEL * max(width, height))))
+        subject = RigSubject(
+            options.rig, options.map, options.albedo, bake_size=min(max(side, 512), 4096)
+        )
         about.update(subject.describe()["rig"])
         _tell(console, about)
         return subject

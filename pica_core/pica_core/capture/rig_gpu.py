@@ -6,7 +6,7 @@ charts. One thread owns a `RigRenderer`.
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -22,9 +22,8 @@ from pica_core.capture.gpu import (
     View,
     shader_text,
 )
-from pica_core.capture.heads import Head
-from pica_core.capture.occlusion import Occlusion
 from pica_core.capture.rig_head import RigHead
+from pica_core.capture.rig_occlusion import RigOcclusion
 from pica_core.capture.rig_skin import IRIS_RADIUS_M, split_parts, surface
 from pica_core.gl import create_context, link_program
 
@@ -32,7 +31,7 @@ FloatArray = npt.NDArray[np.float32]
 ByteArray = npt.NDArray[np.uint8]
 
 BAKE_SIZE = 2048
-"""Side of the appearance textures, texels."""
+"""Side of the appearance textures, texels, unless images ask for others."""
 LOOKS: dict[str, Any] = {
     "seed": 3.0,
     "skin_rgb": (0.60, 0.36, 0.26),
@@ -94,8 +93,7 @@ class RigRenderer:
         }
         self._colour, self._relief = self._bake(bake_size, albedo or {})
         self._vertices: FloatArray = np.zeros((0, 3), np.float32)
-        # Shadow asks a head for `vertices` and `normals` only, and a rig has both.
-        self._occlusion = Occlusion(cast(Head, head), self._draw_depth_map) if occlusion else None
+        self._occlusion = RigOcclusion(head, self._draw_depth_map) if occlusion else None
 
     def release(self) -> None:
         """Give the context back; the renderer is useless afterwards."""
@@ -291,13 +289,16 @@ class RigRenderer:
         return result.astype(np.uint8), seen
 
 
-def _bleed(texels: ByteArray, covered: npt.NDArray[np.bool_], steps: int) -> ByteArray:
+def _bleed(texels: ByteArray, covered: npt.NDArray[np.bool_], reach: int) -> ByteArray:
     """Let islands grow into the empty texels around them, so that filtering finds no background."""
     filled = covered.copy()
-    for _ in range(steps):
-        for axis, shift in ((0, 1), (0, -1), (1, 1), (1, -1)):
+    done = 0
+    while done < reach:
+        step = min(max(done // 2, 1), reach - done)  # what is filled is wide enough to be copied
+        for axis, shift in ((0, step), (0, -step), (1, step), (1, -step)):
             moved = np.roll(filled, shift, axis)
             take = moved & ~filled
             texels[take] = np.roll(texels, shift, axis)[take]
             filled |= take
+        done += step
     return texels

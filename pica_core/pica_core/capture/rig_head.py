@@ -18,7 +18,7 @@ from pica_core.capture.rig_chart import PackedChart, make_islands, pack
 from pica_core.capture.rig_features import Features, find_features
 from pica_core.capture.rig_gltf import read_glb
 from pica_core.capture.rig_mesh import RigMesh, build_mesh
-from pica_core.capture.rig_names import NameMap, map_names, read_names
+from pica_core.capture.rig_names import NameMap, map_names
 from pica_core.capture.rig_obj import read_obj_folder
 from pica_core.capture.rig_source import RigSource
 from pica_core.capture.rig_visibility import visibility
@@ -227,23 +227,19 @@ def _turned(turn: _Turn, values: FloatArray) -> FloatArray:
     return result
 
 
-def load_rig(
-    path: Path, table: Path | None = None, *, own_chart: bool = False
-) -> tuple[RigHead, RigSource]:
-    """Read a rig and make a head of it.
+def make_rig(
+    source: RigSource, table: dict[str, str | None] | None = None, *, own_chart: bool = False
+) -> RigHead:
+    """Make a head of a rig.
 
     Args:
-        path: A .glb file or a folder of OBJ files.
+        source: The rig as its file has it.
         table: The user's table of names (`rig_names.read_names`).
         own_chart: As `RigHead`.
 
-    Returns:
-        The head, and the rig as its file has it.
-
     Raises:
-        CaptureError: Anything that is wrong with file or table.
+        CaptureError: The rig is no head, or the table does not fit.
     """
-    source = read_rig(path)
-    names = map_names(list(source.shapes), read_names(table) if table is not None else None)
+    names = map_names(list(source.shapes), table)
     mesh = build_mesh(source, names)
-    return RigHead(mesh, names, path.stem or path.name, own_chart=own_chart), source
+    return RigHead(mesh, names, source.path.stem or source.path.name, own_chart=own_chart)

@@ -15,8 +15,9 @@ from pica_core.capture.expressions import sample_takes
 from pica_core.capture.gpu import View
 from pica_core.capture.layout import MAP_SIZE
 from pica_core.capture.rig_gpu import BAKE_SIZE, RigRenderer
-from pica_core.capture.rig_head import RigHead, load_rig
+from pica_core.capture.rig_head import RigHead, make_rig, read_rig
 from pica_core.capture.rig_map_error import map_error_m
+from pica_core.capture.rig_names import read_names
 from pica_core.capture.rig_skin import read_albedos
 from pica_core.capture.rig_source import RigSource
 
@@ -74,8 +75,10 @@ class RigSubject:
         bake_size: int = BAKE_SIZE,
         self_shadow: bool = True,
     ) -> None:
-        self.head, source = load_rig(path, table)
+        names = read_names(table) if table is not None else None
+        source = read_rig(path)
         self._albedo = read_albedos(source, albedo)
+        self.head = make_rig(source, names)
         self._bake_size, self._self_shadow = bake_size, self_shadow
         self._renderer: RigRenderer | None = None
         self.name = self.head.name

@@ -1,0 +1,214 @@
+"""A rig as a head of ours: one chart without overlaps, eyes that turn, regions, small errors."""
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from pica_core.arkit import ARKIT_INDEX, NUM_ARKIT
+from pica_core.capture.expressions import blend
+from pica_core.capture.heads import EYE_YAW
+from pica_core.capture.rig_chart import PackedChart, equalise, pack
+from pica_core.capture.rig_head import RigHead, make_rig, read_rig
+from pica_core.capture.rig_map_error import map_error_m
+from pica_core.capture.rig_subject import chart_error_mm
+from pica_core.errors import CaptureError, ShapeError
+from rig_toy import toy_rig, write_glb, write_obj_folder
+
+pytestmark = pytest.mark.unit
+
+ICT = Path(__file__).parents[3] / "shared" / "data" / "ict_facekit_light"
+needs_ict = pytest.mark.skipif(not ICT.is_dir(), reason="the ICT head is not there")
+
+
+@pytest.fixture(scope="module")
+def toy(tmp_path_factory: pytest.TempPathFactory) -> RigHead:
+    return make_rig(read_rig(write_glb(tmp_path_factory.mktemp("rig") / "toy.glb", toy_rig())))
+
+
+@pytest.fixture(scope="module")
+def ict() -> RigHead:
+    return make_rig(read_rig(ICT / "ict_head.glb"))
+
+
+def signed_areas(
+    uv: npt.NDArray[np.float32], faces: npt.NDArray[np.int32]
+) -> npt.NDArray[np.float64]:
+    a, b, c = (uv[faces[:, k]].astype(np.float64) for k in range(3))
+    first, second = b - a, c - a
+    result: npt.NDArray[np.float64] = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    return 0.5 * result
+
+
+def assert_no_overlap(chart: PackedChart, size: int = 256) -> None:
+    """No texel centre lies in two triangles, but for those on rims."""
+    hits = np.zeros((size, size), np.int32)
+    corners = chart.vertex_uv[chart.faces].astype(np.float64) * size - 0.5
+    for a, b, c in corners:
+        low = np.maximum(np.ceil(np.min([a, b, c], axis=0)), 0).astype(int)
+        high = np.floor(np.max([a, b, c], axis=0)).astype(int)
+        if (high < low).any():
+            continue
+        x, y = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
+        sides = [
+            (q[0] - p[0]) * (y - p[1]) - (q[1] - p[1]) * (x - p[0])
+            for p, q in ((a, b), (b, c), (c, a))
+        ]
+        inside = np.all(np.array(sides) > 1e-6, axis=0) | np.all(np.array(sides) < -1e-6, axis=0)
+        hits[y[inside], x[inside]] += 1
+    assert hits.max() == 1
+
+
+def test_the_chart_holds_every_triangle_once(toy: RigHead) -> None:
+    chart = toy.chart
+
+    assert chart.vertex_uv.min() >= 0
+    assert chart.vertex_uv.max() <= 1
+    assert chart.islands == 4  # skin, two eyes that share their place in the file, a tooth
+    assert (chart.source[chart.faces] == toy.mesh.faces).all()
+    assert_no_overlap(chart)
+
+
+def test_a_flow_gives_triangles_the_area_they_need_and_folds_none() -> None:
+    x, y = np.meshgrid(np.linspace(0, 1, 21), np.linspace(0, 1, 21))
+    uv = np.stack([x.ravel(), y.ravel()], 1)
+    index = np.arange(441).reshape(21, 21)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    faces = np.stack([a, b, d, a, d, c], -1).reshape(-1, 3).astype(np.int32)
+    centre = uv[faces].mean(1)
+    important = np.linalg.norm(centre - 0.5, axis=1) < 0.2
+    need = np.where(important, 8.0, 1.0)
+
+    moved = equalise(uv, faces, need)
+
+    before = signed_areas(uv.astype(np.float32), faces)
+    after = signed_areas(moved.astype(np.float32), faces)
+    assert (after > 0).all()
+    assert before[important].sum() / before.sum() == pytest.approx(0.125, abs=0.02)
+    wanted = need[important].sum() / need.sum()
+    assert after[important].sum() / after.sum() == pytest.approx(wanted, abs=0.1)
+
+
+def test_a_map_holds_exactly_what_lies_on_its_texel_centres() -> None:
+    random = np.random.default_rng(1)
+    texels = random.permutation(64)[:40]
+    uv = (np.stack([texels % 8, texels // 8], 1) + 0.5) / 8
+    meshes = random.normal(size=(2, 40, 3)).astype(np.float32)
+
+    assert map_error_m(uv.astype(np.float32), meshes, 8).max() < 1e-6
+    crowded = np.full((3, 2), 0.5, np.float32)
+    error = map_error_m(crowded, np.array([[[0, 0, 0], [0, 0, 0], [3, 0, 0]]], np.float32), 8)
+    np.testing.assert_allclose(error, [[1, 1, 2]], atol=1e-6)
+
+
+def test_eyeballs_that_the_shapes_leave_alone_are_turned_about_their_centres(toy: RigHead) -> None:
+    eye = toy.mesh.eyes[0]
+    mine = np.flatnonzero(np.isin(toy.chart.source, eye.vertices))
+    front = mine[toy.vertices(np.zeros(NUM_ARKIT))[mine, 2].argmax()]
+
+    looking = toy.vertices(blend(eyeLookOutLeft=1.0, eyeLookInRight=1.0))
+    rest = toy.vertices(np.zeros(NUM_ARKIT))
+
+    assert toy.eyes_turned_here == 2
+    before, after = rest[front] - eye.centre_m, looking[front] - eye.centre_m
+    assert np.linalg.norm(after) == pytest.approx(np.linalg.norm(before), rel=1e-4)
+    turned = np.arctan2(after[0], after[2]) - np.arctan2(before[0], before[2])
+    assert turned == pytest.approx(EYE_YAW, abs=1e-3)  # to the subject's left
+    other = np.setdiff1d(
+        np.arange(toy.num_vertices), np.flatnonzero(toy.topology.regions["eyeballs"])
+    )
+    np.testing.assert_array_equal(looking[other], rest[other])
+
+
+def test_split_shapes_add_up_and_values_are_checked(toy: RigHead) -> None:
+    k = ARKIT_INDEX["browInnerUp"]
+    sides = toy.mesh.motion_m[k][np.abs(toy.mesh.rest_m[:, 0]) > 0.012]
+    x = toy.mesh.rest_m[np.abs(toy.mesh.rest_m[:, 0]) > 0.012, 0]
+    assert sides[x > 0, 1].max() == pytest.approx(sides[x < 0, 1].max(), rel=1e-5)
+    with pytest.raises(ShapeError, match="52"):
+        toy.vertices(np.zeros(51))
+
+
+def test_normals_point_outwards_and_agree_across_seams(toy: RigHead) -> None:
+    rest = toy.vertices(np.zeros(NUM_ARKIT))
+    normals = toy.normals(rest)
+
+    skin = ~toy.topology.regions["eyeballs"] & ~toy.topology.regions["teeth"]
+    outwards = (normals * (rest - rest[skin].mean(0))).sum(1)
+    assert (outwards[skin] > 0).mean() > 0.99
+    assert np.unique(toy.chart.source).size < toy.num_vertices  # there is a seam
+    by_source = np.zeros((len(toy.mesh.rest_m), 3), np.float32)
+    by_source[toy.chart.source] = normals
+    np.testing.assert_array_equal(by_source[toy.chart.source], normals)
+
+
+def test_regions_lie_where_their_names_say(toy: RigHead) -> None:
+    regions, mesh = toy.features.regions, toy.mesh
+    eyes = np.array([eye.centre_m for eye in mesh.eyes])
+
+    assert regions["lids"].sum() > 5
+    distance = np.linalg.norm(mesh.rest_m[regions["lids"]][:, None] - eyes[None], axis=2).min(1)
+    assert distance.max() < 0.03
+    assert regions["teeth"].sum() > 20
+    assert toy.features.mouth is not None
+    assert np.mean(toy.features.mouth.y) == pytest.approx(-0.045 - 0.008, abs=0.006)
+    assert regions["lips"].any()
+    assert (mesh.rest_m[regions["left"], 0] > 0).all()
+
+
+def test_a_rig_without_texture_coordinates_gets_some(tmp_path: Path) -> None:
+    folder = write_obj_folder(tmp_path / "bare", toy_rig(), uv=False)
+
+    head = make_rig(read_rig(folder))
+
+    assert head.made_islands
+    assert_no_overlap(head.chart)
+
+
+def test_islands_that_are_folded_are_packed_without_a_flow() -> None:
+    uv = np.array([[0, 0], [1, 0], [1, 1], [0.2, 0.9], [0.9, 0.2]], np.float64)
+    faces = np.array([[0, 1, 2], [0, 2, 3], [0, 2, 4]], np.int32)
+    chart = pack(uv, faces, faces, np.full(3, 1 / 3))
+    assert np.isfinite(chart.vertex_uv).all()
+
+
+def test_what_is_no_rig_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(CaptureError, match="the file is missing"):
+        read_rig(tmp_path / "nothing.glb")
+    (tmp_path / "face.fbx").write_bytes(b"x")
+    with pytest.raises(CaptureError, match=r"a \.glb file or a folder of OBJ files"):
+        read_rig(tmp_path / "face.fbx")
+
+
+@needs_ict
+def test_the_ict_head_is_mapped_placed_and_packed(ict: RigHead) -> None:
+    assert len(ict.names.mapped) == 53
+    assert len(ict.names.drivers) == 51
+    assert ict.names.missing == ("tongueOut",)
+    assert set(ict.names.ignored) == {
+        "PupilDilate_L", "PupilDilate_R", "cheekRaiser_L", "cheekRaiser_R",
+    }  # fmt: skip
+    assert ict.mesh.frame.unit == "m"
+    assert len(ict.mesh.eyes) == ict.eyes_turned_here == 2
+    assert ict.corrective_close
+    assert "M_IrisLeft" in ict.mesh.dropped  # hidden inside the outer ball
+    for name, least in (("lips", 400), ("lids", 300), ("teeth", 4000), ("tongue", 400)):
+        assert ict.topology.regions[name].sum() >= least, name
+    error = chart_error_mm(ict, poses=3)
+    assert error["all"]["mean"] < 0.06
+    assert error["all"]["p99"] < 1.0
+    assert error["lips"]["p99"] < 0.05
+    assert error["lids"]["p99"] < 0.3
+
+
+@needs_ict
+def test_a_mouth_of_the_ict_head_closes_no_further_than_it_is_open(ict: RigHead) -> None:
+    rest = ict.vertices(np.zeros(NUM_ARKIT))
+    alone = ict.vertices(blend(mouthClose=1.0))
+    np.testing.assert_array_equal(alone, rest)
+
+    lips = ict.topology.regions["lips"]
+    opened = np.linalg.norm((ict.vertices(blend(jawOpen=0.6)) - rest)[lips], axis=1)
+    closed = np.linalg.norm((ict.vertices(blend(jawOpen=0.6, mouthClose=0.6)) - rest)[lips], axis=1)
+    assert closed.max() < 0.5 * opened.max()
