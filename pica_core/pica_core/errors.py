@@ -10,7 +10,8 @@
     ├── ShapeError          an array of the wrong shape handed to a public function
     ├── GraphicsError       no GL context, or one that is too old
     ├── TrainingOptionError     an option of a training run that cannot be
-    └── TrainingDivergedError   a loss that is not finite
+    ├── TrainingDivergedError   losses that are not finite or explode
+    └── TrainingMemoryError     a batch that does not fit into memory
 
 ``exit_code`` is what the ``pica`` command ends with when the error reaches it: 2 says that the
 input or the machine is at fault and the message says how to mend it, 1 that the work failed.
@@ -56,9 +57,13 @@ class GraphicsError(PicaCoreError):
 
 
 class TrainingDivergedError(PicaCoreError):
-    """A loss is not finite: names the step and the losses. The last checkpoint is good."""
+    """Losses are not finite or explode: names the step and why. The last checkpoint is good."""
 
     exit_code = 1
+
+
+class TrainingMemoryError(PicaCoreError):
+    """A batch does not fit into memory: names the step and what to lower."""
 
 
 class TrainingOptionError(PicaCoreError, ValueError):

@@ -92,7 +92,10 @@ def slopes_by_gradient(
         place = torch.full((size * size,), -1).index_put((covered,), torch.arange(len(covered)))
         front, back = torch.from_numpy(pairs.front), torch.from_numpy(pairs.back)
         of_front = place[front]
-        positions = screen_positions(seen[0], hits.corners[of_front], hits.weights[of_front], view)
+        matrix = torch.from_numpy(view.intrinsics)
+        positions = screen_positions(
+            seen[0], hits.corners[of_front], hits.weights[of_front], matrix
+        )
         along = positions.gather(1, torch.from_numpy(pairs.axis)[:, None])[:, 0]
         loss = loss + edge_term(
             image[front],

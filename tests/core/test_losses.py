@@ -29,13 +29,28 @@ def random(*shape: int, seed: int = 0) -> Tensor:
     return torch.rand(*shape, dtype=torch.float64, generator=generator)
 
 
+def one_image(count: int, mask: Tensor | None = None) -> Tensor:
+    """Shares of pixels that are all of one image."""
+    image = torch.zeros(count, dtype=torch.int64)
+    return losses.equal_shares(image, 1, mask, dtype=torch.float64)
+
+
+def test_images_share_alike_whatever_their_numbers_of_pixels() -> None:
+    image = torch.tensor([0, 0, 0, 0, 1, 2, 2])
+    mask = torch.tensor([True, True, False, True, True, False, False])
+
+    shares = losses.equal_shares(image, 3, mask)
+
+    assert torch.allclose(shares, torch.tensor([1 / 9, 1 / 9, 0, 1 / 9, 1 / 3, 0, 0]))
+
+
 # --- image, mesh, KL
 
 
 def test_the_image_loss_of_one_colour_step_is_its_square() -> None:
     black, grey = torch.zeros(7, 3), torch.full((7, 3), 0.5)
 
-    assert float(losses.image_loss(grey, black)) == pytest.approx(0.25)
+    assert float(losses.image_loss(grey, black, one_image(7))) == pytest.approx(0.25)
 
 
 def test_the_image_loss_agrees_with_a_loop() -> None:
@@ -45,7 +60,9 @@ def test_the_image_loss_agrees_with_a_loop() -> None:
         (float(predicted[p, c]) - float(observed[p, c])) ** 2 for p in range(5) for c in range(3)
     )
 
-    assert float(losses.image_loss(predicted, observed)) == pytest.approx(total / 15, rel=1e-12)
+    assert float(losses.image_loss(predicted, observed, one_image(5))) == pytest.approx(
+        total / 15, rel=1e-12
+    )
 
 
 def test_a_mesh_three_millimetres_off_loses_nine_and_a_masked_vertex_nothing() -> None:
@@ -102,7 +119,7 @@ def test_depth_teaches_only_within_ten_millimetres() -> None:
     observed = torch.tensor([1.002, 0.9901, 1.0101, 0.0, 1.5], dtype=torch.float64)
 
     mask = losses.depth_mask(predicted, observed)
-    loss = losses.depth_loss(predicted, observed, mask)
+    loss = losses.depth_loss(predicted, observed, mask, one_image(len(mask), observed > 0))
     (gradient,) = torch.autograd.grad(loss, predicted)
 
     assert mask.tolist() == [True, True, False, False, False]
@@ -124,16 +141,16 @@ def test_depth_loss_agrees_with_a_loop() -> None:
     mask = losses.depth_mask(predicted, observed)
 
     assert 5 < int(mask.sum()) < 45
-    assert float(losses.depth_loss(predicted, observed, mask)) == pytest.approx(
-        total / known, rel=1e-12
-    )
+    assert float(
+        losses.depth_loss(predicted, observed, mask, one_image(len(mask), observed > 0))
+    ) == pytest.approx(total / known, rel=1e-12)
 
 
 def test_a_capture_without_depth_at_any_pixel_loses_nothing() -> None:
     nothing = torch.zeros(3)
     mask = losses.depth_mask(torch.ones(3), nothing)
 
-    assert float(losses.depth_loss(torch.ones(3), nothing, mask)) == 0
+    assert float(losses.depth_loss(torch.ones(3), nothing, mask, one_image(3, nothing > 0))) == 0
 
 
 def plane_points(slope: float, step: float = 0.001) -> tuple[Tensor, Tensor, Tensor]:
@@ -163,7 +180,7 @@ def test_the_normal_of_a_slanted_plane_leans_as_it_does() -> None:
 def test_planes_a_right_angle_apart_have_normals_two_apart_in_squares() -> None:
     rising, falling = (losses.screen_normals(*plane_points(slope)) for slope in (1.0, -1.0))
 
-    loss = losses.normal_loss(rising, falling, torch.tensor([True]))
+    loss = losses.normal_loss(rising, falling, one_image(1))
 
     assert float(loss) == pytest.approx(2)
 
@@ -178,7 +195,7 @@ def test_gradients_of_the_normal_loss_agree_with_finite_differences() -> None:
 
     def loss(values: Tensor) -> Tensor:
         points = rays * values[:, :, None]
-        return losses.normal_loss(losses.screen_normals(*points), observed, mask)
+        return losses.normal_loss(losses.screen_normals(*points), observed, one_image(6, mask))
 
     assert torch.autograd.gradcheck(loss, (depth,), eps=1e-9, atol=1e-3)
 
@@ -198,9 +215,10 @@ def test_a_step_in_the_map_is_felt_across_it_and_not_along_it() -> None:
 
 def test_gradient_smoothness_agrees_with_a_loop() -> None:
     values = random(2, 3, 4, 5)
-    across: list[float] = []
-    down: list[float] = []
+    norms = []
     for n in range(2):
+        across: list[float] = []
+        down: list[float] = []
         for c in range(3):
             for row in range(4):
                 for column in range(5):
@@ -209,7 +227,8 @@ def test_gradient_smoothness_agrees_with_a_loop() -> None:
                         across.append((1000 * float(values[n, c, row, column + 1]) - here) ** 2)
                     if row < 3:
                         down.append((1000 * float(values[n, c, row + 1, column]) - here) ** 2)
-    wanted = math.sqrt(sum(across) / len(across)) + math.sqrt(sum(down) / len(down))
+        norms.append(math.sqrt(sum(across) / len(across)) + math.sqrt(sum(down) / len(down)))
+    wanted = sum(norms) / 2
 
     assert float(losses.gradient_smoothness(values)) == pytest.approx(wanted, rel=1e-9)
 
@@ -289,7 +308,9 @@ def test_laplacian_smoothness_agrees_with_a_dense_matrix_and_a_finite_difference
 
     offset = 1000 * (meshes.detach().numpy() - mean.numpy())
     dense = weights.numpy()[:, None] * (naive_laplacian(neutral, faces) @ offset)
-    assert float(value.detach()) == pytest.approx(float(np.sqrt(np.square(dense).mean())), rel=1e-9)
+    assert float(value.detach()) == pytest.approx(
+        float(np.sqrt(np.square(dense).mean((1, 2))).mean()), rel=1e-9
+    )
     assert torch.autograd.gradcheck(
         lambda m: laplacian_smoothness(laplacian, m, mean, weights), (meshes,)
     )

@@ -9,8 +9,9 @@ A run has three phases, in this order (reasons: `docs/training.md`):
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+import math
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import Any, Literal
 
 from pica_core.errors import CheckpointError, TrainingOptionError
 from pica_core.model.interface import AvatarModel, FacePrior
@@ -19,6 +20,7 @@ from pica_core.model.variants import make_model
 from pica_core.spec import AvatarSpec
 from pica_core.variants import VARIANTS
 
+MeshSource = Literal["truth", "tracked"]
 PHASES = ("geometry", "joint", "driver")
 
 
@@ -78,10 +80,23 @@ class LossConfig:
 
     image: float = 2.0
     """Weight of the image loss (paper 2)."""
+    depth: float = 0.0
+    """Weight of the depth loss (paper 10)."""
+    normal: float = 0.0
+    """Weight of the normal loss (paper 1)."""
     mesh: float = 0.1
     """Weight of the mesh loss (paper 0.1)."""
+    smooth: float = 0.0
+    """Weight of smoothness (paper 1)."""
+    gradient: float = 1.0
+    """Weight of differences between texels within smoothness (paper A.2, lambda_g)."""
+    laplacian: float = 0.1
+    """Weight of the mesh Laplacian within smoothness (paper A.2, lambda_l)."""
     kl: float = 0.001
     """Weight of the KL divergence (paper 0.001)."""
+    edge: float = 0.0
+    """Weight of what boundaries add to the image loss's gradient (`edge_gradient`); 1 is the
+    gradient as it is, 0 leaves silhouettes to the other losses."""
     region_weight: float = 4.0
     """Importance of a vertex at mouth or eyes in the mesh loss, against 1 elsewhere; also how much
     more often a pixel there is drawn."""
@@ -121,6 +136,10 @@ class ScheduleConfig:
     """Peak learning rate of the encoding maps, whose texels each see few pixels."""
     driver_rate: float = 2e-3
     """Peak learning rate of the driver phase."""
+    constant_rate: bool = False
+    """Keep learning rates at their peaks, as the paper; else they rise and fall in each phase."""
+    clip_norm: float = 1.0
+    """Limit of the gradient's norm in each group of parameters; 0 for none, as the paper."""
 
     @property
     def steps(self) -> tuple[int, int, int]:
@@ -140,10 +159,19 @@ class TrainConfig:
     """How long and how fast."""
     detach_pixel_xyz: bool = True
     """No gradient to the geometry through the pixel decoder's xyz input (paper A.3)."""
+    mesh_source: MeshSource = "truth"
+    """Meshes for encoder and mesh loss: "truth", the exact ones of synthetic captures, mouth and
+    eyes weighted up; or "tracked", the tracker's, the mouth masked out (as the paper). A capture
+    without exact meshes has tracked ones only."""
     seed: int = 0
     """Seed of initial weights, batches and noise."""
     checkpoint_every: int = 500
     """Steps between checkpoints."""
+    watch_every: int = 0
+    """Steps between looks at a held-out frame: its error and its picture; 0 for never."""
+    max_rollbacks: int = 2
+    """How often a run that diverges goes back to its last checkpoint, at half the learning rates,
+    before it gives up."""
 
     def __post_init__(self) -> None:
         schedule = self.schedule
@@ -161,10 +189,23 @@ class TrainConfig:
                 raise TrainingOptionError(
                     f"{name} is {getattr(schedule, name)}; at least 1 is needed"
                 )
-        if self.checkpoint_every < 1:
+        for field_ in fields(self.losses):
+            weight = getattr(self.losses, field_.name)
+            if not 0 <= weight < math.inf:
+                raise TrainingOptionError(
+                    f"losses.{field_.name} is {weight}; a finite number of at least 0 is needed"
+                )
+        if not 0 <= schedule.clip_norm < math.inf:
+            raise TrainingOptionError(f"clip_norm is {schedule.clip_norm}; at least 0 is needed")
+        if self.mesh_source not in ("truth", "tracked"):
             raise TrainingOptionError(
-                f"checkpoint_every is {self.checkpoint_every}; at least 1 is needed"
+                f"mesh_source is {self.mesh_source!r}; 'truth' and 'tracked' are known"
             )
+        for name, low in (("checkpoint_every", 1), ("watch_every", 0), ("max_rollbacks", 0)):
+            if getattr(self, name) < low:
+                raise TrainingOptionError(
+                    f"{name} is {getattr(self, name)}; at least {low} is needed"
+                )
         if not 0 <= self.seed < 1 << 31:
             raise TrainingOptionError(f"seed is {self.seed}; 0 to {(1 << 31) - 1} is allowed")
 
@@ -189,6 +230,20 @@ class TrainConfig:
         except (KeyError, TypeError) as error:
             raise CheckpointError(f"options of another version: {error}") from error
 
+
+PAPER_LOSSES = LossConfig(
+    image=2.0,
+    depth=10.0,
+    normal=1.0,
+    mesh=0.1,
+    smooth=1.0,
+    gradient=1.0,
+    laplacian=0.1,
+    kl=0.001,
+    region_weight=1.0,
+    lid_weight=1.0,
+)
+"""The paper's weights (section 5 and appendix A.2), no region above another."""
 
 _SMALL = TrainConfig()
 PRESETS: dict[str, TrainConfig] = {
@@ -238,5 +293,34 @@ PRESETS["refine"] = replace(
         encoding_rate=2e-2,
     ),
 )
+PRESETS["paper"] = replace(
+    _SMALL,
+    model=replace(
+        _SMALL.model,
+        block="H2",
+        encoder="paper",
+        uv_encoding_size=1024,
+        encoding_amplitude=1.0,
+        texture_size=1024,
+    ),
+    losses=PAPER_LOSSES,
+    schedule=ScheduleConfig(
+        frame_balance=0.0,
+        geometry_steps=0,
+        joint_steps=400_000,
+        joint_batch=4,
+        pixels_per_image=0,
+        joint_rate=1e-3,
+        pixel_rate=1e-3,
+        encoding_rate=1e-3,
+        constant_rate=True,
+        clip_norm=0.0,
+    ),
+    mesh_source="tracked",
+    checkpoint_every=2000,
+    watch_every=2000,
+)
 """tiny: seconds, for tests. small: minutes on two cores. long: half an hour. refine: from the
-weights of another run, at half the rates. lids: from another run too, geometry above all."""
+weights of another run, at half the rates. lids: from another run too, geometry above all. paper:
+the paper's settings to the letter (section 5, appendix A): days on a GPU; only the driver phase is
+ours."""

@@ -7,7 +7,9 @@ what an uninterrupted one would have drawn.
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -15,14 +17,18 @@ import torch
 from torch import Tensor
 
 from pica_core.camera import Camera
-from pica_core.capture.dataset import Capture
+from pica_core.capture import multiface
+from pica_core.capture.dataset import Capture, Topology
 from pica_core.errors import CaptureError
+from pica_core.model.decoders import sample_map
 from pica_core.train.rasterise import Rasteriser
+from pica_core.variants import TopologyName
 
 FloatArray = npt.NDArray[np.float32]
 Float64Array = npt.NDArray[np.float64]
 IMPORTANT_REGIONS = ("mouth", "lips", "eyes", "eyeballs", "lids", "teeth", "tongue")
 """Vertex regions of a capture's topology that are small on the map and large to the eye."""
+MeshSource = Literal["truth", "tracked"]
 MAX_RARITY = 8.0
 """Limit of a frame's weight against the usual one (chosen: a full blink reaches 7)."""
 TEXEL_TOLERANCE = 1e-2
@@ -130,6 +136,23 @@ def rarity(offsets_m: FloatArray, regions: dict[str, npt.NDArray[np.bool_]]) -> 
     return np.minimum(ratios, MAX_RARITY)
 
 
+def important_vertices(topology: Topology) -> npt.NDArray[np.bool_]:
+    """Vertices of `IMPORTANT_REGIONS`. bool ``[V]``."""
+    important = np.zeros(len(topology.vertex_uv), bool)
+    for name in IMPORTANT_REGIONS:
+        if name in topology.regions:
+            important |= topology.regions[name]
+    return important
+
+
+def _look_up(position_map: FloatArray, uv: FloatArray) -> FloatArray:
+    """A map ``[S, S, 3]`` at UVs ``[V, 2]``, bilinear."""
+    values = torch.from_numpy(position_map).permute(2, 0, 1)[None]
+    found = sample_map(values, torch.from_numpy(np.ascontiguousarray(uv, np.float32)))[0]
+    vertices: FloatArray = found.contiguous().numpy()
+    return vertices
+
+
 class TrainingData:
     """The frames of a capture, ready for batches.
 
@@ -154,20 +177,16 @@ class TrainingData:
         self.vertex_uv = torch.from_numpy(np.ascontiguousarray(topology.vertex_uv, np.float32))
         self.faces = torch.from_numpy(topology.faces.astype(np.int64))
         self.uv_raster = rasterise_uv(topology.vertex_uv, topology.faces, map_size)
-        read_mesh = capture.true_vertices_m if capture.has_truth else capture.vertices_m
-        self.vertices_m = np.stack([read_mesh(f) for f in capture.frames])
+        self._read_meshes(map_size)
         train = self.vertices_m[self.train_frames]
         self.mean_vertices_m: FloatArray = train.mean(0, dtype=np.float64).astype(np.float32)
         self.position_mean = self.uv_raster.position_map(self.mean_vertices_m)
         self.position_scale_m = float(np.sqrt(np.square(train - self.mean_vertices_m).mean()) * 2)
-        self.important = np.zeros(len(self.mean_vertices_m), bool)
-        for name in IMPORTANT_REGIONS:
-            if name in topology.regions:
-                self.important |= topology.regions[name]
-        self.lids = topology.regions.get("lids", np.zeros(len(self.important), bool))
+        self.important = important_vertices(topology)
         self.frame_weights = rarity(train - self.mean_vertices_m, topology.regions)
         self.arkit = torch.from_numpy(np.stack([capture.arkit(f) for f in capture.frames]))
-        self._images: OrderedDict[tuple[int, str], npt.NDArray[np.uint8]] = OrderedDict()
+        self._images: OrderedDict[tuple[int, str, str], npt.NDArray[Any]] = OrderedDict()
+        self._backgrounds: dict[str, FloatArray] = {}
         self._image_bytes = 0
         self._textures: dict[int, npt.NDArray[np.uint8]] = {}
         self._head_poses: dict[int, npt.NDArray[np.float64]] = {}
@@ -176,6 +195,73 @@ class TrainingData:
         self.evaluation_views = [name for name in self.camera_names if name in named]
         if not self.evaluation_views:
             self.evaluation_views = self.camera_names
+
+    def _read_meshes(self, map_size: int) -> None:
+        """Read tracked and exact meshes.
+
+        `vertices_m` are the best meshes of `topology` that there are: exact ones; without them the
+        tracked ones, through their position maps where they are of another topology.
+        """
+        capture, frames = self.capture, self.capture.frames
+        self.tracked_m = np.stack([capture.vertices_m(frame) for frame in frames])
+        self.one_mesh = capture.tracked_topology is capture.topology
+        self._tracked_raster = self.uv_raster
+        if not self.one_mesh:
+            tracked = capture.tracked_topology
+            self._tracked_raster = rasterise_uv(tracked.vertex_uv, tracked.faces, map_size)
+        self.tracked_mean_m = self.tracked_m[self.train_frames].mean(0)
+        if capture.has_truth:
+            self.vertices_m = np.stack([capture.true_vertices_m(frame) for frame in frames])
+        elif self.one_mesh:
+            self.vertices_m = self.tracked_m
+        else:
+            self.vertices_m = np.stack(
+                [self._dense_of_tracked(index) for index in range(len(frames))]
+            )
+        self._true_tracked: dict[int, FloatArray] = {}
+        self.mesh_source: MeshSource = "truth" if capture.has_truth else "tracked"
+
+    def use_meshes(self, source: MeshSource) -> bool:
+        """Choose what encoder and mesh loss are given: exact meshes or the tracker's.
+
+        Returns:
+            Whether the capture has them; without exact meshes it stays at the tracked ones.
+        """
+        self.mesh_source = source if self.capture.has_truth else "tracked"
+        return self.mesh_source == source
+
+    def _dense_of_tracked(self, frame: int) -> FloatArray:
+        """The tracked mesh at the vertices of the dense topology, through its position map."""
+        values = self._tracked_raster.position_map(self.tracked_m[frame])
+        return _look_up(values, self.capture.topology.vertex_uv)
+
+    def topology(self, name: TopologyName) -> Topology:
+        """The topology that a model calls "dense" or "tracked"."""
+        capture = self.capture
+        return capture.topology if name == "dense" else capture.tracked_topology
+
+    def neutral_m(self, name: TopologyName) -> FloatArray:
+        """The mesh of the training frame nearest to a neutral expression, on a topology, as
+        `mesh_source` says; metres, ``[V, 3]``."""
+        tracked = self.mesh_source == "tracked"
+        expressions = self.arkit[self.train_frames].square().sum(1)
+        frame = self.train_frames[int(expressions.argmin())]
+        if name == "tracked":
+            return self.tracked_m[frame] if tracked else self._true_at_tracked(frame)
+        if tracked and not self.one_mesh:
+            return self._dense_of_tracked(frame)
+        mesh: FloatArray = (self.tracked_m if tracked else self.vertices_m)[frame]
+        return mesh
+
+    def _true_at_tracked(self, frame: int) -> FloatArray:
+        """The best mesh at the vertices of the tracked topology."""
+        if self.one_mesh:
+            mesh: FloatArray = self.vertices_m[frame]
+            return mesh
+        if frame not in self._true_tracked:
+            values = self.uv_raster.position_map(self.vertices_m[frame])
+            self._true_tracked[frame] = _look_up(values, self.capture.tracked_topology.vertex_uv)
+        return self._true_tracked[frame]
 
     def draw_frames(self, count: int, balance: float, rng: np.random.Generator) -> list[int]:
         """Draw training frames, with repetition, rare ones more often by the power `balance`."""
@@ -192,22 +278,68 @@ class TrainingData:
         return stacked.permute(0, 3, 1, 2).to(torch.float32) / 127.5 - 1
 
     def position_maps(self, frames: list[int]) -> Tensor:
-        """Tracked offsets from the mean, in position scales, as maps ``[N, 3, 256, 256]``."""
-        offsets = (self.vertices_m[frames] - self.mean_vertices_m) / self.position_scale_m
-        maps = np.stack([self.uv_raster.position_map(mesh) for mesh in offsets])
+        """What encoders see of a frame's shape: offsets from the mean, in position scales, as maps
+        ``[N, 3, 256, 256]``; of the meshes that `mesh_source` names."""
+        if self.mesh_source == "tracked":
+            offsets, raster = self.tracked_m[frames] - self.tracked_mean_m, self._tracked_raster
+        else:
+            offsets, raster = self.vertices_m[frames] - self.mean_vertices_m, self.uv_raster
+        maps = np.stack([raster.position_map(mesh / self.position_scale_m) for mesh in offsets])
         return torch.from_numpy(maps).permute(0, 3, 1, 2).contiguous()
 
     def meshes(self, frames: list[int]) -> Tensor:
-        """Tracked vertices in metres, ``[N, V, 3]``."""
+        """The best dense meshes there are, in metres, ``[N, V, 3]``."""
         return torch.from_numpy(self.vertices_m[frames])
+
+    def tracked_meshes(self, frames: list[int]) -> Tensor:
+        """Meshes of the tracked topology in metres, ``[N, Vt, 3]``: as the tracker found them, or
+        the best surface there is at its vertices, as `mesh_source` says."""
+        if self.mesh_source == "tracked":
+            return torch.from_numpy(self.tracked_m[frames])
+        return torch.from_numpy(np.stack([self._true_at_tracked(frame) for frame in frames]))
+
+    def depth_m(self, frame: int, camera: str) -> FloatArray | None:
+        """Measured depth, 0 where unknown, float32 ``[H, W]``; None where the image has none."""
+        where = self.capture.frames[frame]
+        path = multiface.image_path("depth", where.segment, camera, where.name)
+        if not (self.capture.path / path).is_file():
+            return None
+        units = self._cached(
+            (frame, camera, "depth"),
+            lambda: np.rint(
+                self.capture.depth_m(where, camera) / np.float32(multiface.DEPTH_UNIT_M)
+            ).astype(np.uint16),
+        )
+        return units * np.float32(multiface.DEPTH_UNIT_M)
+
+    def background(self, frame: int, camera: str) -> FloatArray:
+        """Colour of what is not the head: the median over the mask's empty pixels, 0 to 1, ``[3]``.
+
+        Only a plain background is known so; a capture without masks gives black.
+        """
+        if camera not in self._backgrounds:
+            colour = np.zeros(3, np.float32)
+            where = self.capture.frames[frame]
+            path = multiface.image_path("mask", where.segment, camera, where.name)
+            if (self.capture.path / path).is_file():
+                empty = self.capture.mask(where, camera) == 0
+                if empty.any():
+                    colour = np.median(self.image(frame, camera)[empty], axis=0) / 255
+            self._backgrounds[camera] = colour.astype(np.float32)
+        return self._backgrounds[camera]
 
     def image(self, frame: int, camera: str) -> npt.NDArray[np.uint8]:
         """An image, through the cache; uint8 ``[H, W, 3]``."""
-        key = (frame, camera)
+        where = self.capture.frames[frame]
+        return self._cached((frame, camera, "image"), lambda: self.capture.image(where, camera))
+
+    def _cached(
+        self, key: tuple[int, str, str], read: Callable[[], npt.NDArray[Any]]
+    ) -> npt.NDArray[Any]:
         if key in self._images:
             self._images.move_to_end(key)
             return self._images[key]
-        image = self.capture.image(self.capture.frames[frame], camera)
+        image = read()
         self._images[key] = image
         self._image_bytes += image.nbytes
         while self._image_bytes > IMAGE_CACHE_BYTES:

@@ -31,10 +31,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import torch
 from torch import Tensor
-
-from pica_core.camera import Camera
 
 GAP_M = 0.003
 """Least step in depth between two surfaces that counts as a boundary, metres (chosen: well above
@@ -107,7 +104,7 @@ def find_edges(depth_m: npt.NDArray[np.float32], gap_m: float = GAP_M) -> Edges:
 
 
 def screen_positions(
-    camera_points_m: Tensor, corners: Tensor, weights: Tensor, camera: Camera
+    camera_points_m: Tensor, corners: Tensor, weights: Tensor, intrinsics: Tensor
 ) -> Tensor:
     """Where the surface points of pixels lie on the screen; they move with their triangles.
 
@@ -115,14 +112,13 @@ def screen_positions(
         camera_points_m: Vertices in camera axes, metres, ``[V, 3]``; gradients flow to it.
         corners: The vertices of each pixel's triangle, int64 ``[P, 3]``.
         weights: The pixels' interpolation weights, ``[P, 3]``; held, no gradient.
-        camera: For its intrinsics.
+        intrinsics: Of each pixel's camera, ``[P, 3, 3]``, or of one for all, ``[3, 3]``.
 
     Returns:
         Pixel coordinates x, y, ``[P, 2]``.
     """
     points = (weights.detach()[:, :, None] * camera_points_m[corners]).sum(1)
-    intrinsics = torch.as_tensor(camera.intrinsics, dtype=points.dtype, device=points.device)
-    image = points @ intrinsics.T
+    image = (intrinsics @ points[:, :, None])[:, :, 0]
     return image[:, :2] / image[:, 2:]
 
 

@@ -22,7 +22,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from pica_core.train.losses import MILLIMETRES, root_mean_square
+from pica_core.train.losses import MILLIMETRES, mean_norm
 
 FloatArray = npt.NDArray[np.float32]
 COTANGENT_LIMIT = 50.0
@@ -152,7 +152,7 @@ class MeshLaplacian:
 def laplacian_smoothness(
     laplacian: MeshLaplacian, vertices_m: Tensor, mean_m: Tensor, weights: Tensor
 ) -> Tensor:
-    """Root mean square of W_L L (S(G) - V_mu), millimetres.
+    """Root mean square of W_L L (S(G) - V_mu) of each mesh, averaged over meshes, millimetres.
 
     Args:
         laplacian: Of the coarse neutral mesh.
@@ -161,7 +161,7 @@ def laplacian_smoothness(
         weights: W_L, ``[V]``.
     """
     offset_mm = (vertices_m - mean_m.detach()) * MILLIMETRES
-    return root_mean_square(laplacian.apply(offset_mm) * weights[:, None])
+    return mean_norm(laplacian.apply(offset_mm) * weights[:, None])
 
 
 @torch.no_grad()

@@ -1,15 +1,17 @@
 """The trainer: three phases, one step at a time, with checkpoints that resume bit for bit.
 
-The state of a run is its step number, the weights and the optimiser's moments; everything random in
-step n is drawn from (seed, n). So a run that stops and resumes gives the numbers of one that never
-stopped, on the same machine with the same thread count.
+The state of a run is its step number, the weights, the optimisers' moments and the mean mesh;
+everything random in step n is drawn from (seed, n). So a run that stops and resumes gives the
+numbers of one that never stopped, on the same machine with the same thread count.
+
+A run that diverges goes back to its last checkpoint with half the learning rates, a few times;
+`metrics.jsonl` counts it. What a step looks at is in `objectives`, what it draws in `drawing`.
 """
 
 from __future__ import annotations
 
 import json
 import math
-import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -20,25 +22,39 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pica_core.errors import CheckpointError, TrainingDivergedError
-from pica_core.model.avatar import PixelCodecAvatar
-from pica_core.model.decoders import sample_map
-from pica_core.model.encoder import reparameterise, resize_texture
-from pica_core.model.interface import Surface
+from pica_core.errors import (
+    CheckpointError,
+    PicaCoreError,
+    TrainingDivergedError,
+    TrainingMemoryError,
+)
+from pica_core.train.checkpoint import NAME, read_checkpoint, write_checkpoint
 from pica_core.train.config import PHASES, TrainConfig
-from pica_core.train.data import TrainingData, view_direction
-from pica_core.train.losses import image_loss, kl_loss, mesh_loss
+from pica_core.train.data import TrainingData
+from pica_core.train.guard import DivergenceGuard
+from pica_core.train.monitor import Monitor
+from pica_core.train.objectives import Objectives
+from pica_core.train.optimiser import (
+    clip_groups,
+    make_optimiser,
+    parameters_of,
+    rate_ratio,
+    set_rates,
+)
+from pica_core.train.parallel import Ranks
 from pica_core.train.prior import face_prior
-from pica_core.train.rasterise import Rasteriser, interpolate
+from pica_core.train.rasterise import Rasteriser
+from pica_core.train.watch import look
 
-CHECKPOINT_VERSION = 1
-WARMUP_RATIO = 0.02
-"""Part of a phase in which the learning rate rises linearly."""
-FINAL_RATE_RATIO = 0.02
-"""Learning rate at the end of a phase, against its peak; between them half a cosine."""
+__all__ = ["Losses", "Trainer", "open_trainer", "rate_ratio", "read_checkpoint"]
 
 SCALE_TOLERANCE = 1e-5
 """Relative difference of position scales that two machines' sums may show for one capture."""
+METRICS_EVERY = 50
+"""Steps between lines of metrics."""
+ROLLBACK_RATE = 0.5
+"""What a rollback leaves of the learning rates."""
+_NO_MEMORY = ("can't allocate memory", "not enough memory", "out of memory")
 
 Losses = dict[str, float]
 
@@ -50,34 +66,46 @@ class Trainer:
         data: The capture as tensors.
         config: Options of the run.
         run_dir: Where ``checkpoint.pt`` and ``metrics.jsonl`` go; made if missing.
+        device: Where to compute.
+        ranks: This process among those that train together.
+
+    Attributes:
+        rollbacks: How often the run went back to a checkpoint.
     """
 
-    def __init__(self, data: TrainingData, config: TrainConfig, run_dir: Path) -> None:
+    def __init__(
+        self,
+        data: TrainingData,
+        config: TrainConfig,
+        run_dir: Path,
+        *,
+        device: torch.device | str = "cpu",
+        ranks: Ranks | None = None,
+    ) -> None:
         self.data = data
         self.config = config
         self.run_dir = run_dir
+        self.device = torch.device(device)
+        self.ranks = ranks or Ranks()
         run_dir.mkdir(parents=True, exist_ok=True)
         torch.manual_seed(config.seed)
-        self.model = PixelCodecAvatar(
-            config.model.spec(),
-            face_prior(data),
-            encoder=config.model.encoder,
-            encoding_amplitude=config.model.encoding_amplitude,
-            first_frequency=config.model.first_frequency,
-        )
+        self.model = config.model.build(face_prior(data)).to(self.device)
         self.step = 0
-        self.rasteriser = Rasteriser(data.faces.numpy().astype(np.int32), len(data.mean_vertices_m))
-        weights = np.where(data.important, config.losses.region_weight, 1.0)
-        weights[data.lids] = config.losses.lid_weight
-        self._vertex_weights = torch.from_numpy(weights.astype(np.float32))
-        important_faces = data.important[data.faces.numpy()].all(1)
-        self._face_weights = np.where(important_faces, config.losses.region_weight, 1.0)
-        self._optimisers = {phase: self._optimiser(phase) for phase in PHASES}
-        self._codes: tuple[dict[int, Tensor], Tensor] | None = None
+        self.rollbacks = 0
+        self._rate_scale = 1.0
+        self.objectives = Objectives(data, config, self.model, self.ranks, self.device)
+        self._optimisers = {
+            phase: make_optimiser(self.model, config.schedule, phase) for phase in PHASES
+        }
 
     def close(self) -> None:
         """Release the GL context."""
-        self.rasteriser.release()
+        self.objectives.close()
+
+    @property
+    def rasteriser(self) -> Rasteriser:
+        """The run's one GL context."""
+        return self.objectives.drawer.rasteriser
 
     @property
     def total_steps(self) -> int:
@@ -100,110 +128,125 @@ class Trainer:
                 whether to go on.
 
         Raises:
-            TrainingDivergedError: A loss is not finite. The last checkpoint stays.
+            TrainingDivergedError: Losses are not finite or explode, and going back has not helped.
+                The last checkpoint stays.
+            TrainingMemoryError: A batch does not fit.
+            CheckpointError: A checkpoint cannot be written. The one before stays.
         """
-        with (self.run_dir / "metrics.jsonl").open("a") as metrics:
-            started = time.perf_counter()
-            while self.step < self.total_steps:
-                phase, _, _ = self.phase_of(self.step)
-                losses = self.train_step()
-                if not all(math.isfinite(value) for value in losses.values()):
-                    raise TrainingDivergedError(
-                        f"step {self.step} ({phase}): losses are {losses}; "
-                        f"lower the learning rate and resume from {self.run_dir}"
-                    )
-                if self.step % 50 == 0:
-                    seconds = round(time.perf_counter() - started, 2)
-                    row = {"step": self.step, "phase": phase, "seconds": seconds, **losses}
-                    metrics.write(json.dumps(row) + "\n")
-                    metrics.flush()
-                if self.step % self.config.checkpoint_every == 0:
-                    self.save()
-                if on_step is not None and not on_step(self.step, phase, losses):
-                    break
-        self.save()
+        monitor = Monitor(self.run_dir, is_silent=not self.ranks.is_first)
+        try:
+            for note in self.objectives.notes:
+                monitor.note(self.step, note)
+            self._run(monitor, on_step)
+        finally:
+            monitor.close()
+
+    def _run(self, monitor: Monitor, on_step: Callable[[int, str, Losses], bool] | None) -> None:
+        guard = DivergenceGuard()
+        first, started = self.step, time.perf_counter()
+        saved_at = -1
+        while self.step < self.total_steps:
+            phase, _, _ = self.phase_of(self.step)
+            losses = self.train_step()
+            problem = guard.judge(phase, losses)
+            is_due = self.step % self.config.checkpoint_every == 0
+            if problem is None and is_due and not self._is_finite():
+                problem = "weights not finite"
+            if problem is not None:
+                self._go_back(monitor, phase, problem)
+                guard.forget()
+                first, started = self.step, time.perf_counter()
+                continue
+            if self.step % METRICS_EVERY == 0:
+                seconds = time.perf_counter() - started
+                rate = (self.step - first) / max(seconds, 1e-9)
+                row: dict[str, Any] = {"phase": phase, "seconds": round(seconds, 2)}
+                row |= {"steps_per_s": round(rate, 3)}
+                row |= {"left_s": round((self.total_steps - self.step) / rate), **losses}
+                monitor.row(self.step, "train", row)
+            if self.config.watch_every and self.step % self.config.watch_every == 0:
+                self._watch(monitor)
+            if is_due:
+                self.save()
+                saved_at = self.step
+            goes_on = on_step is None or on_step(self.step, phase, losses)
+            if not self._all_go_on(goes_on):
+                break
+        if saved_at != self.step:
+            self.save()
 
     def train_step(self) -> Losses:
-        """Do one step and return its losses."""
+        """Do one step and return its losses.
+
+        Raises:
+            TrainingMemoryError: The batch does not fit into memory.
+        """
         phase, index, length = self.phase_of(self.step)
+        schedule = self.config.schedule
         rng = np.random.default_rng([self.config.seed, self.step])
         noise = torch.Generator().manual_seed(self.config.seed * 1_000_003 + self.step)
         optimiser = self._optimisers[phase]
-        for group in optimiser.param_groups:
-            group["lr"] = group["peak"] * rate_ratio(index, length)
+        ratio = 1.0 if schedule.constant_rate else rate_ratio(index, length)
+        set_rates(optimiser, self._rate_scale * ratio)
         optimiser.zero_grad(set_to_none=True)
+        stopwatch = self.objectives.stopwatch
+        try:
+            losses = self._losses(phase, rng, noise)
+            with stopwatch("backward"):
+                total = sum(losses.values(), torch.zeros((), device=self.device))
+                total.backward()  # type: ignore[no-untyped-call]
+                self.ranks.average_gradients(parameters_of(optimiser))
+            with stopwatch("optimiser"):
+                clip_groups(optimiser, schedule.clip_norm)
+                optimiser.step()
+        except (MemoryError, RuntimeError) as error:
+            if isinstance(error, PicaCoreError) or not _is_out_of_memory(error):
+                raise
+            batch = getattr(schedule, f"{phase}_batch")
+            pixels = schedule.pixels_per_image or "all"
+            raise TrainingMemoryError(
+                f"step {self.step} ({phase}): a batch of {batch} with {pixels} pixels an image "
+                f"does not fit into memory; lower {phase}_batch or pixels_per_image"
+            ) from error
+        self.step += 1
+        values = torch.stack([value.detach() for value in losses.values()]).to("cpu")
+        return dict(zip(losses, self.ranks.average(values).tolist(), strict=True))
+
+    def _losses(
+        self, phase: str, rng: np.random.Generator, noise: torch.Generator
+    ) -> dict[str, Tensor]:
         match phase:
             case "geometry":
-                losses = self._geometry_losses(rng, noise)
+                return self.objectives.geometry(rng, noise)
             case "joint":
-                losses = self._joint_losses(rng, noise)
+                return self.objectives.joint(rng, noise, [self.config.seed, self.step])
             case _:
-                losses = self._driver_losses(rng)
-        total = sum(losses.values(), torch.zeros(()))
-        total.backward()  # type: ignore[no-untyped-call]
-        torch.nn.utils.clip_grad_norm_(
-            [p for group in optimiser.param_groups for p in group["params"]], 1.0
-        )
-        optimiser.step()
-        self.step += 1
-        return {name: float(value.detach()) for name, value in losses.items()}
+                return self.objectives.driver(rng)
 
     def encode(self, frames: list[int]) -> tuple[Tensor, Tensor]:
         """The encoder's mean and log-variance of frames, ``[N, 4, 8, 8]`` each."""
-        textures = resize_texture(self.data.textures(frames), self.model.encoder.texture_size)
-        mean, log_variance = self.model.encoder(textures, self.data.position_maps(frames))
-        return mean, log_variance
-
-    def surface(
-        self,
-        vertices_m: Tensor,
-        frames: list[int],
-        cameras: list[str],
-        rng: np.random.Generator,
-        *,
-        every_pixel: bool = False,
-    ) -> tuple[Surface, Tensor]:
-        """Draw covered pixels of some images.
-
-        Args:
-            vertices_m: Decoded vertices, ``[N, V, 3]``.
-            frames: Frame of each image.
-            cameras: Camera name of each image.
-            rng: Source of the choice of pixels.
-            every_pixel: Take all covered pixels, in order, instead of drawing some.
-
-        Returns:
-            The pixels' surface points and the images' colours there, ``[P, 3]``.
-        """
-        parts: list[tuple[Tensor, Tensor, Tensor, Tensor]] = []
-        for index, (frame, name) in enumerate(zip(frames, cameras, strict=True)):
-            camera = self.data.camera(frame, name)
-            mesh = vertices_m[index]
-            ids = self.rasteriser.triangle_ids(mesh.detach().numpy(), camera)
-            pixels = np.flatnonzero(ids >= 0) if every_pixel else self._draw_pixels(ids, rng)
-            uv, xyz_m, _ = interpolate(
-                mesh, self.data.vertex_uv, self.data.faces, camera, ids, pixels
-            )
-            colours = self.data.image(frame, name).reshape(-1, 3)[pixels]
-            observed = torch.from_numpy(colours).to(torch.float32) / 255
-            parts.append((torch.full((len(uv),), index), uv, xyz_m, observed))
-        image, uv, xyz_m, observed = (torch.cat(column) for column in zip(*parts, strict=True))
-        return Surface(image, uv, xyz_m), observed
+        return self.objectives.encode(frames)
 
     def save(self) -> Path:
-        """Write the checkpoint aside, then move it into place."""
-        path = self.run_dir / "checkpoint.pt"
-        aside = path.with_suffix(".part")
-        state = {
-            "version": CHECKPOINT_VERSION,
-            "config": json.dumps(self.config.to_json()),
-            "step": self.step,
-            "position_scale_m": self.data.position_scale_m,
-            "model": self.model.state_dict(),
-            "optimisers": {name: o.state_dict() for name, o in self._optimisers.items()},
-        }
-        torch.save(state, aside)
-        os.replace(aside, path)
+        """Write the checkpoint aside, then move it into place; the first process does it for all.
+
+        Raises:
+            CheckpointError: It cannot be written; the one before stays.
+        """
+        path = self.run_dir / NAME
+        if self.ranks.is_first:
+            state = {
+                "config": json.dumps(self.config.to_json()),
+                "step": self.step,
+                "position_scale_m": self.data.position_scale_m,
+                "model": self.model.state_dict(),
+                "optimisers": {name: o.state_dict() for name, o in self._optimisers.items()},
+                "mean_mesh_m": self.objectives.mean_m,
+                "rate_scale": self._rate_scale,
+                "rollbacks": self.rollbacks,
+            }
+            write_checkpoint(path, state)
+        self.ranks.wait()
         return path
 
     def restore(self) -> None:
@@ -213,7 +256,7 @@ class Trainer:
             CheckpointError: None there, damaged, of another version, of other options, or of
                 another capture.
         """
-        state = read_checkpoint(self.run_dir / "checkpoint.pt")
+        state = read_checkpoint(self.run_dir / NAME)
         if state["config"] != json.dumps(self.config.to_json()):
             raise CheckpointError(
                 f"{self.run_dir}: the checkpoint was made with other options; "
@@ -228,7 +271,11 @@ class Trainer:
         self.model.load_state_dict(state["model"])
         for name, optimiser in self._optimisers.items():
             optimiser.load_state_dict(state["optimisers"][name])
+        self.objectives.mean_m.copy_(state["mean_mesh_m"])
+        self.objectives.forget_codes()
         self.step = state["step"]
+        self._rate_scale = state["rate_scale"]
+        self.rollbacks = state["rollbacks"]
 
     def start_from(self, run_dir: Path) -> None:
         """Take the weights of another run, as a start instead of random ones.
@@ -238,142 +285,69 @@ class Trainer:
         Raises:
             CheckpointError: None there, damaged, of another version, or of another model.
         """
-        state = read_checkpoint(run_dir / "checkpoint.pt")
-        weights = {k: v for k, v in state["model"].items() if k != "position_mean"}
+        state = read_checkpoint(run_dir / NAME)
+        own = {name for name, _ in self.model.named_buffers()}
+        weights = {k: v for k, v in state["model"].items() if k not in own}
         try:
             missing, unexpected = self.model.load_state_dict(weights, strict=False)
         except RuntimeError as error:
             raise CheckpointError(f"{run_dir}: of another model: {error}") from error
-        if missing != ["position_mean"] or unexpected:
+        missing = [name for name in missing if name not in own]
+        if missing or unexpected:
             raise CheckpointError(f"{run_dir}: of another model: {missing + unexpected}")
 
-    def _optimiser(self, phase: str) -> torch.optim.Adam:
-        model, schedule = self.model, self.config.schedule
-        shape = [*model.encoder.parameters(), *model.geometry.parameters()]
-        match phase:
-            case "geometry":
-                groups = [(shape, schedule.geometry_rate)]
-            case "joint":
-                shape += model.expression.parameters()
-                pixel = model.pixel_decoder
-                nets = [*pixel.xyz.parameters(), *pixel.colour.parameters()]
-                groups = [
-                    (shape, schedule.joint_rate),
-                    (nets, schedule.pixel_rate),
-                    (list(pixel.encoding.parameters()), schedule.encoding_rate),
-                ]
-            case _:
-                groups = [(list(model.expression_encoder.parameters()), schedule.driver_rate)]
-        return torch.optim.Adam(
-            [{"params": params, "lr": rate, "peak": rate} for params, rate in groups], fused=True
+    def _go_back(self, monitor: Monitor, phase: str, problem: str) -> None:
+        """Return to the last checkpoint, or give up."""
+        path = self.run_dir / NAME
+        where = f"step {self.step} ({phase}): {problem}"
+        if self.rollbacks >= self.config.max_rollbacks or not path.exists():
+            tries = f"after {self.rollbacks} rollbacks" if self.rollbacks else "no way back"
+            raise TrainingDivergedError(
+                f"{where}; {tries}: lower the learning rates and resume from {self.run_dir}"
+            )
+        count, scale, diverged_at = self.rollbacks + 1, self._rate_scale, self.step
+        self.restore()
+        self.rollbacks, self._rate_scale = count, scale * ROLLBACK_RATE
+        monitor.note(
+            diverged_at,
+            f"{where}; rollback {count} to step {self.step}, learning rates at "
+            f"{self._rate_scale:g} of their schedule",
         )
 
-    def _geometry_losses(
-        self, rng: np.random.Generator, noise: torch.Generator
-    ) -> dict[str, Tensor]:
-        frames = self._draw_frames(self.config.schedule.geometry_batch, rng)
-        latent, kl = self._latent(frames, noise)
-        vertices_m = sample_map(self.model.decode_geometry(latent), self.data.vertex_uv)
-        return {"mesh": self._mesh(vertices_m, frames), "kl": self.config.losses.kl * kl}
+    def _is_finite(self) -> bool:
+        with torch.no_grad():
+            sums = torch.stack([p.sum() for p in self.model.parameters()])
+        return bool(torch.isfinite(sums).all())
 
-    def _joint_losses(self, rng: np.random.Generator, noise: torch.Generator) -> dict[str, Tensor]:
-        frames = self._draw_frames(self.config.schedule.joint_batch, rng)
-        cameras = rng.choice(self.data.camera_names, len(frames)).tolist()
-        latent, kl = self._latent(frames, noise)
-        vertices_m = sample_map(self.model.decode_geometry(latent), self.data.vertex_uv)
-        surface, observed = self.surface(vertices_m, frames, cameras, rng)
-        view = torch.stack(
-            [
-                torch.from_numpy(view_direction(self.data.camera(frame, name)))
-                for frame, name in zip(frames, cameras, strict=True)
-            ]
-        )
-        codes = self.model.decode_expression(latent, view)
-        colours = self.model.shade(codes, surface, detach_xyz=self.config.detach_pixel_xyz)
-        weights = self.config.losses
-        return {
-            "image": weights.image * image_loss(colours, observed),
-            "mesh": self._mesh(vertices_m, frames),
-            "kl": weights.kl * kl,
-        }
+    def _all_go_on(self, goes_on: bool) -> bool:
+        """Whether every process wants to go on."""
+        if self.ranks.count == 1:
+            return goes_on
+        return float(self.ranks.average(torch.tensor(float(goes_on)))) == 1.0
 
-    def _driver_losses(self, rng: np.random.Generator) -> dict[str, Tensor]:
-        codes, spread = self._model_codes()
-        frames = self._draw_frames(self.config.schedule.driver_batch, rng)
-        latent = self.model.expression_encoder(self.data.arkit[frames])
-        wanted = torch.stack([codes[frame] for frame in frames])
-        few = slice(0, 4)
-        vertices_m = sample_map(self.model.decode_geometry(latent[few]), self.data.vertex_uv)
-        return {
-            "code": ((latent - wanted) / spread).square().mean(),
-            "mesh": self._mesh(vertices_m, frames[few]),
-        }
-
-    def _model_codes(self) -> tuple[dict[int, Tensor], Tensor]:
-        """The encoder's mean of each training frame, and the overall deviation of all."""
-        if self._codes is None:
-            frames = self.data.train_frames
-            with torch.no_grad():
-                means = [self.encode(frames[i : i + 16])[0] for i in range(0, len(frames), 16)]
-            codes = torch.cat(means)
-            by_frame = dict(zip(frames, codes, strict=True))
-            self._codes = by_frame, codes.std().clamp_min(1e-6)
-        return self._codes
-
-    def _draw_frames(self, count: int, rng: np.random.Generator) -> list[int]:
-        return self.data.draw_frames(count, self.config.schedule.frame_balance, rng)
-
-    def _latent(self, frames: list[int], noise: torch.Generator) -> tuple[Tensor, Tensor]:
-        mean, log_variance = self.encode(frames)
-        sample = reparameterise(mean, log_variance, torch.randn(mean.shape, generator=noise))
-        return sample, kl_loss(mean, log_variance)
-
-    def _mesh(self, vertices_m: Tensor, frames: list[int]) -> Tensor:
-        tracked = self.data.meshes(frames)
-        return self.config.losses.mesh * mesh_loss(vertices_m, tracked, self._vertex_weights)
-
-    def _draw_pixels(
-        self, ids: np.ndarray[Any, np.dtype[np.int32]], rng: np.random.Generator
-    ) -> np.ndarray[Any, np.dtype[np.int64]]:
-        """Covered pixels of an image, important ones more often; sorted, without repetition."""
-        covered = np.flatnonzero(ids >= 0)
-        wanted = self.config.schedule.pixels_per_image
-        if wanted == 0 or len(covered) <= wanted:
-            return covered
-        weights = self._face_weights[ids.reshape(-1)[covered]]
-        # Keys u^(1/w), largest win: weighted sampling without replacement (Efraimidis, Spirakis).
-        keys = np.log(rng.random(len(covered))) / weights
-        return np.sort(covered[np.argpartition(keys, -wanted)[-wanted:]])
+    def _watch(self, monitor: Monitor) -> None:
+        if self.ranks.is_first:
+            mse, picture = look(self)
+            monitor.row(self.step, "held_out", {"mse": mse})
+            monitor.picture(self.step, picture)
+        self.ranks.wait()
 
 
-def rate_ratio(index: int, length: int) -> float:
-    """Learning rate of a phase's step against its peak: linear warm-up, then half a cosine."""
-    warm = min(1.0, (index + 1) / max(1.0, WARMUP_RATIO * length))
-    cosine = 0.5 + 0.5 * math.cos(math.pi * index / max(1, length))
-    return warm * (FINAL_RATE_RATIO + (1 - FINAL_RATE_RATIO) * cosine)
-
-
-def read_checkpoint(path: Path) -> dict[str, Any]:
-    """Read a checkpoint's state; tensors and plain values only, no code.
-
-    Raises:
-        CheckpointError: Missing, damaged or of another version.
-    """
-    try:
-        state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-    except FileNotFoundError as error:
-        raise CheckpointError(f"{path}: no checkpoint there") from error
-    except Exception as error:  # torch.load raises many types for a damaged file
-        raise CheckpointError(f"{path}: not a readable checkpoint ({error})") from error
-    if not isinstance(state, dict) or state.get("version") != CHECKPOINT_VERSION:
-        raise CheckpointError(f"{path}: checkpoint version is not {CHECKPOINT_VERSION}")
-    return state
+def _is_out_of_memory(error: BaseException) -> bool:
+    return isinstance(error, MemoryError) or any(text in str(error) for text in _NO_MEMORY)
 
 
 @contextmanager
-def open_trainer(data: TrainingData, config: TrainConfig, run_dir: Path) -> Iterator[Trainer]:
+def open_trainer(
+    data: TrainingData,
+    config: TrainConfig,
+    run_dir: Path,
+    *,
+    device: torch.device | str = "cpu",
+    ranks: Ranks | None = None,
+) -> Iterator[Trainer]:
     """A trainer whose GL context is released at the end."""
-    trainer = Trainer(data, config, run_dir)
+    trainer = Trainer(data, config, run_dir, device=device, ranks=ranks)
     try:
         yield trainer
     finally:

@@ -11,6 +11,9 @@ Ours, so that no loss depends on the size of images, maps or meshes:
     mesh        weighted mean squared distance, square millimetres
     smoothness  root mean squares, millimetres (`gradient_smoothness` here, `laplacian`)
     KL          mean over latent entries, nats
+
+Every loss is made of one term for each image or mesh of the batch, and their mean: a batch cut in
+two equal halves gives the mean of the halves' losses and gradients.
 """
 
 from __future__ import annotations
@@ -26,14 +29,38 @@ _LEAST_SQUARE = 1e-12
 """Keeps the root of a mean square differentiable where everything is smooth, square mm."""
 
 
-def image_loss(predicted: Tensor, observed: Tensor) -> Tensor:
+def equal_shares(
+    image: Tensor,
+    num_images: int,
+    mask: Tensor | None = None,
+    *,
+    dtype: torch.dtype = torch.float32,
+) -> Tensor:
+    """Weights of pixels by which each image's pixels add up to 1 / N.
+
+    Args:
+        image: Which image each pixel is of, int64 ``[P]``.
+        num_images: N.
+        mask: Pixels that count, bool ``[P]``; all without it. An image without any adds up to 0.
+        dtype: Of the result.
+
+    Returns:
+        ``[P]``.
+    """
+    counted = torch.ones_like(image, dtype=dtype) if mask is None else mask.to(dtype)
+    counts = counted.new_zeros(num_images).index_add(0, image, counted)
+    return counted / (num_images * counts.clamp_min(1))[image]
+
+
+def image_loss(predicted: Tensor, observed: Tensor, share: Tensor) -> Tensor:
     """Mean squared difference of colours, where 1.0 is 255 of 8-bit sRGB.
 
     Args:
         predicted: ``[P, 3]``.
         observed: ``[P, 3]``.
+        share: From `equal_shares`, ``[P]``.
     """
-    return (predicted - observed).square().mean()
+    return ((predicted - observed).square().mean(1) * share).sum()
 
 
 def depth_mask(predicted_m: Tensor, observed_m: Tensor, limit_m: float = DEPTH_LIMIT_M) -> Tensor:
@@ -47,7 +74,7 @@ def depth_mask(predicted_m: Tensor, observed_m: Tensor, limit_m: float = DEPTH_L
     return (observed_m > 0) & ((predicted_m.detach() - observed_m).abs() < limit_m)
 
 
-def depth_loss(predicted_m: Tensor, observed_m: Tensor, mask: Tensor) -> Tensor:
+def depth_loss(predicted_m: Tensor, observed_m: Tensor, mask: Tensor, share: Tensor) -> Tensor:
     """Mean absolute depth error, millimetres, over pixels of known depth.
 
     Pixels outside `mask` count as 0: the more of them, the weaker the loss. 0 where nothing is
@@ -57,10 +84,10 @@ def depth_loss(predicted_m: Tensor, observed_m: Tensor, mask: Tensor) -> Tensor:
         predicted_m: ``[P]``.
         observed_m: ``[P]``, 0 where unknown.
         mask: From `depth_mask`, ``[P]``.
+        share: From `equal_shares` of the pixels with known depth, ``[P]``.
     """
     error = (predicted_m - observed_m).abs() * MILLIMETRES
-    known = (observed_m > 0).sum().clamp_min(1)
-    return torch.where(mask, error, torch.zeros_like(error)).sum() / known
+    return (torch.where(mask, error, torch.zeros_like(error)) * share).sum()
 
 
 def screen_normals(points: Tensor, right: Tensor, below: Tensor) -> Tensor:
@@ -80,17 +107,16 @@ def screen_normals(points: Tensor, right: Tensor, below: Tensor) -> Tensor:
     return unit
 
 
-def normal_loss(predicted: Tensor, observed: Tensor, mask: Tensor) -> Tensor:
-    """Mean squared distance of unit normals, 0 to 4, over the pixels of `mask`.
+def normal_loss(predicted: Tensor, observed: Tensor, share: Tensor) -> Tensor:
+    """Mean squared distance of unit normals, 0 to 4.
 
     Args:
         predicted: ``[P, 3]``.
         observed: ``[P, 3]``.
-        mask: Pixels whose own depth and neighbours' depths pass `depth_mask`, bool ``[P]``.
+        share: From `equal_shares` of the pixels whose own depth and neighbours' depths pass
+            `depth_mask`, ``[P]``.
     """
-    distance = (predicted - observed).square().sum(1)
-    count = mask.sum().clamp_min(1)
-    return torch.where(mask, distance, torch.zeros_like(distance)).sum() / count
+    return ((predicted - observed).square().sum(1) * share).sum()
 
 
 def mesh_loss(predicted_m: Tensor, tracked_m: Tensor, weights: Tensor) -> Tensor:
@@ -106,9 +132,10 @@ def mesh_loss(predicted_m: Tensor, tracked_m: Tensor, weights: Tensor) -> Tensor
     return (distance * weights).sum() / (weights.sum().clamp_min(1e-12) * len(distance))
 
 
-def root_mean_square(values: Tensor) -> Tensor:
-    """A norm divided by the root of the number of entries; smooth at 0."""
-    return (values.square().mean() + _LEAST_SQUARE).sqrt()
+def mean_norm(values: Tensor) -> Tensor:
+    """The root mean square of each of N arrays ``[N, ...]``, averaged over them; smooth at 0."""
+    squares = values.square().flatten(1).mean(1)
+    return (squares + _LEAST_SQUARE).sqrt().mean()
 
 
 def gradient_smoothness(position_map_m: Tensor) -> Tensor:
@@ -122,7 +149,7 @@ def gradient_smoothness(position_map_m: Tensor) -> Tensor:
     map_mm = position_map_m * MILLIMETRES
     along_x = map_mm[..., :, 1:] - map_mm[..., :, :-1]
     along_y = map_mm[..., 1:, :] - map_mm[..., :-1, :]
-    return root_mean_square(along_x) + root_mean_square(along_y)
+    return mean_norm(along_x) + mean_norm(along_y)
 
 
 def kl_loss(mean: Tensor, log_variance: Tensor) -> Tensor:

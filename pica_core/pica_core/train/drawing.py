@@ -1,0 +1,275 @@
+"""The pixels that a step looks at: which ones, what lies under them, what the capture shows there.
+
+The driver says once a step which triangle covers which pixel. From then on everything is a list of
+P pixels of all images together, on the device of the meshes.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from pica_core.camera import Camera
+from pica_core.model.interface import Surface
+from pica_core.train.edge_gradient import Edges, find_edges, screen_positions
+from pica_core.train.losses import screen_normals
+from pica_core.train.rasterise import Hits, Rasteriser, Views, hit_points
+
+IndexArray = npt.NDArray[np.int64]
+NORMAL_SHARE = 4
+"""Where pixels are drawn, every fourth has a normal: it needs the depth of two neighbours."""
+EDGE_PAIRS = 2048
+"""Most pairs of pixels at boundaries that a step looks at in one image."""
+
+
+class PixelList(NamedTuple):
+    """P pixels of N images, sorted.
+
+    Attributes:
+        image: int64 ``[P]``.
+        pixel: Flat index within the image, int64 ``[P]``.
+    """
+
+    image: IndexArray
+    pixel: IndexArray
+
+
+class DrawnPixels(NamedTuple):
+    """What interpolation finds at the pixels of a step.
+
+    Attributes:
+        pixels: Those whose colour is asked for.
+        surface: Their surface points.
+        depth_pixels: Those whose depth is asked for: the same and, with normals, neighbours.
+        depth_m: Their depths; differentiable, ``[Q]``.
+        depth_image: Which image they are of, int64 ``[Q]``.
+        rays: Their directions, z = 1, ``[Q, 3]``.
+        centre: Indices into these Q of pixels with both neighbours, int64 ``[R]``.
+        right: Of their right neighbours.
+        below: Of the neighbours below.
+    """
+
+    pixels: PixelList
+    surface: Surface
+    depth_pixels: PixelList
+    depth_m: Tensor
+    depth_image: Tensor
+    rays: Tensor
+    centre: Tensor
+    right: Tensor
+    below: Tensor
+
+    def normals(self, depth_m: Tensor) -> Tensor:
+        """Screen-space normals at `centre` of depths ``[Q]``: the mesh's or the capture's."""
+        points = self.rays * depth_m[:, None]
+        return screen_normals(points[self.centre], points[self.right], points[self.below])
+
+
+class EdgePixels(NamedTuple):
+    """Pairs of pixels at boundaries, and the covered pixels among them.
+
+    Attributes:
+        pixels: The covered ones, each once.
+        surface: Their surface points, without gradient.
+        image: Which image each pair is of, int64 ``[E]``.
+        front: The pairs' covering pixels, as indices into `pixels`, int64 ``[E]``.
+        back: The covered ones, or -1 for the background, int64 ``[E]``.
+        back_pixel: The same as flat indices within the image.
+        along: Screen coordinate of the covering points along the pair's axis; differentiable, px.
+        sign: As `Edges.sign`, ``[E]``.
+        scale: How many pairs each stands for, over the number of images and of the image's covered
+            pixels, ``[E]``.
+    """
+
+    pixels: PixelList
+    surface: Surface
+    image: Tensor
+    front: Tensor
+    back: Tensor
+    back_pixel: IndexArray
+    along: Tensor
+    sign: Tensor
+    scale: Tensor
+
+
+class MeshDrawer:
+    """Draws the meshes of one topology.
+
+    Args:
+        faces: int64 ``[F, 3]``.
+        vertex_uv: ``[V, 2]``.
+        face_weights: How much more often than others a pixel of each triangle is drawn, ``[F]``.
+        device: Where the meshes will be.
+    """
+
+    def __init__(
+        self,
+        faces: Tensor,
+        vertex_uv: Tensor,
+        face_weights: npt.NDArray[np.float32],
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self.rasteriser = Rasteriser(faces.numpy().astype(np.int32), len(vertex_uv))
+        self._faces = faces.to(device)
+        self._face_uv = vertex_uv[faces].to(device)
+        self._face_weights = np.append(face_weights, 0).astype(np.float32)
+        self._ids = np.zeros((0, 0), np.int32)
+        self._cameras: list[Camera] = []
+
+    def look(self, vertices_m: Tensor, cameras: list[Camera]) -> None:
+        """Find the triangle of every pixel of N images.
+
+        Args:
+            vertices_m: ``[N, V, 3]``.
+            cameras: One for each.
+        """
+        meshes = vertices_m.detach().to("cpu", torch.float32).numpy()
+        self._ids = self.rasteriser.batch_ids(meshes, cameras).reshape(len(cameras), -1)
+        self._cameras = cameras
+
+    def draw(
+        self,
+        vertices_m: Tensor,
+        rngs: list[np.random.Generator],
+        *,
+        pixels_per_image: int,
+        normals: bool,
+        detach_xyz: bool,
+    ) -> DrawnPixels:
+        """Draw covered pixels of the images that `look` found, and interpolate there.
+
+        Args:
+            vertices_m: As for `look`; gradients flow there.
+            rngs: Source of choice for each image.
+            pixels_per_image: About how many; 0 for all.
+            normals: Whether normals will be asked for.
+            detach_xyz: Give `Surface.xyz_m` no gradient.
+        """
+        size = self._ids.shape[1]
+        chosen = np.concatenate(
+            [
+                index * size + self._choose(ids, rng, pixels_per_image)
+                for index, (ids, rng) in enumerate(zip(self._ids, rngs, strict=True))
+            ]
+        )
+        centre = np.zeros(0, np.int64)
+        width = self._cameras[0].width
+        wanted = chosen
+        if normals:
+            centre = self._with_neighbours(
+                chosen if pixels_per_image == 0 else chosen[::NORMAL_SHARE]
+            )
+            mark = np.zeros(self._ids.size, bool)
+            for places in (chosen, centre + 1, centre + width):
+                mark[places] = True
+            wanted = np.flatnonzero(mark)
+            place = np.cumsum(mark) - 1
+        hits, triangles = self._hits(vertices_m, wanted)
+        pixels = self._list(chosen)
+        if normals:
+            own = torch.from_numpy(place[chosen]).to(hits.image.device)
+            at = [
+                torch.from_numpy(place[p]).to(own.device)
+                for p in (centre, centre + 1, centre + width)
+            ]
+        else:
+            own = torch.arange(len(chosen), device=hits.image.device)
+            at = [own[:0]] * 3
+        surface = self._surface(vertices_m, hits, triangles, own, detach_xyz=detach_xyz)
+        return DrawnPixels(
+            pixels, surface, self._list(wanted), hits.depth_m, hits.image, hits.rays, *at
+        )
+
+    def edges(self, vertices_m: Tensor, rngs: list[np.random.Generator]) -> EdgePixels:
+        """Boundaries of the images that `look` found; arguments as for `draw`."""
+        size = self._ids.shape[1]
+        parts: list[tuple[int, Edges, npt.NDArray[np.float32]]] = []
+        depths_m = self.rasteriser.batch_depths_m(self._cameras)
+        for index in range(len(depths_m)):
+            pairs = find_edges(depths_m[index])
+            found = len(pairs.front)
+            if found > EDGE_PAIRS:
+                pairs = pairs.chosen(np.sort(rngs[index].choice(found, EDGE_PAIRS, replace=False)))
+            covered = max(1, int((self._ids[index] >= 0).sum()))
+            each = found / max(1, len(pairs.front)) / (covered * len(self._cameras))
+            parts.append((index * size, pairs, np.full(len(pairs.front), each, np.float32)))
+        front = np.concatenate([offset + pairs.front for offset, pairs, _ in parts])
+        back = np.concatenate([offset + pairs.back for offset, pairs, _ in parts])
+        flat_ids = self._ids.reshape(-1)
+        covered_back = flat_ids[back] >= 0
+        wanted = np.unique(np.concatenate([front, back[covered_back]]))
+        with torch.no_grad():
+            hits, triangles = self._hits(vertices_m, wanted)
+            every = torch.arange(len(wanted), device=hits.image.device)
+            surface = self._surface(vertices_m, hits, triangles, every, detach_xyz=True)
+        at_front = torch.from_numpy(np.searchsorted(wanted, front)).to(every)
+        at_back = np.where(covered_back, np.searchsorted(wanted, back), -1)
+        views = Views.of(self._cameras, vertices_m)
+        image = hits.image[at_front]
+        positions = screen_positions(
+            views.see(vertices_m).reshape(-1, 3),
+            hits.corners[at_front],
+            hits.weights[at_front],
+            views.intrinsics[image],
+        )
+        axis = np.concatenate([pairs.axis for _, pairs, _ in parts])
+        sign = np.concatenate([pairs.sign for _, pairs, _ in parts])
+        return EdgePixels(
+            pixels=self._list(wanted),
+            surface=surface,
+            image=image,
+            front=at_front,
+            back=torch.from_numpy(at_back).to(every),
+            back_pixel=back % size,
+            along=positions.gather(1, torch.from_numpy(axis).to(every)[:, None])[:, 0],
+            sign=torch.from_numpy(sign).to(vertices_m),
+            scale=torch.from_numpy(np.concatenate([each for _, _, each in parts])).to(vertices_m),
+        )
+
+    def _hits(self, vertices_m: Tensor, wanted: IndexArray) -> tuple[Hits, Tensor]:
+        pixels, device = self._list(wanted), vertices_m.device
+        triangles = torch.from_numpy(self._ids.reshape(-1)[wanted].astype(np.int64)).to(device)
+        views = Views.of(self._cameras, vertices_m)
+        image, pixel = (torch.from_numpy(values).to(device) for values in pixels)
+        hits = hit_points(views.see(vertices_m), self._faces, views, image, pixel, triangles)
+        return hits, triangles
+
+    def _surface(
+        self, vertices_m: Tensor, hits: Hits, triangles: Tensor, own: Tensor, *, detach_xyz: bool
+    ) -> Surface:
+        uv = (hits.weights[own][:, :, None] * self._face_uv[triangles[own]]).sum(1)
+        depth_m = hits.depth_m.detach() if detach_xyz else hits.depth_m
+        views = Views.of(self._cameras, vertices_m)
+        image = hits.image[own]
+        xyz_m = views.to_head(image, hits.rays[own] * depth_m[own][:, None])
+        return Surface(image, uv, xyz_m)
+
+    def _list(self, flat: IndexArray) -> PixelList:
+        image = flat // self._ids.shape[1]
+        return PixelList(image, flat - image * self._ids.shape[1])
+
+    def _choose(
+        self, ids: npt.NDArray[np.int32], rng: np.random.Generator, wanted: int
+    ) -> IndexArray:
+        """Covered pixels of an image, each with its chance, so that about `wanted` come."""
+        covered: IndexArray = np.flatnonzero(ids >= 0)
+        if wanted == 0 or len(covered) <= wanted:
+            return covered
+        weights = self._face_weights[ids[covered]]
+        drawn = rng.random(len(covered), np.float32) * np.float32(weights.sum() / wanted) < weights
+        chosen: IndexArray = covered[drawn]
+        return chosen
+
+    def _with_neighbours(self, places: IndexArray) -> IndexArray:
+        """Those of some pixels whose right and lower neighbours are covered, too."""
+        camera = self._cameras[0]
+        column = places % camera.width
+        row = places // camera.width % camera.height
+        places = places[(column + 1 < camera.width) & (row + 1 < camera.height)]
+        flat = self._ids.reshape(-1)
+        kept: IndexArray = places[(flat[places + 1] >= 0) & (flat[places + camera.width] >= 0)]
+        return kept

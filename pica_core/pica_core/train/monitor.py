@@ -1,0 +1,76 @@
+"""What a run tells about itself: lines of JSON, and TensorBoard where it is installed."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import logging
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+logger = logging.getLogger(__name__)
+
+
+class Monitor:
+    """Writes ``metrics.jsonl`` and ``pictures/STEP.png`` into a run's folder, and the same into
+    ``board/`` for TensorBoard if that package is there.
+
+    Args:
+        run_dir: The run's folder.
+        is_silent: Write nothing: another process does.
+    """
+
+    def __init__(self, run_dir: Path, *, is_silent: bool = False) -> None:
+        self._run_dir = run_dir
+        self._file = None if is_silent else (run_dir / "metrics.jsonl").open("a")
+        self._board: Any = None
+        if not is_silent:
+            self._board = _open_board(run_dir / "board")
+
+    def close(self) -> None:
+        """Close all files."""
+        if self._file is not None:
+            self._file.close()
+        if self._board is not None:
+            self._board.close()
+
+    def row(self, step: int, kind: str, values: Mapping[str, Any]) -> None:
+        """Write a line; its numbers become curves."""
+        if self._file is None:
+            return
+        self._file.write(json.dumps({"step": step, "kind": kind, **values}) + "\n")
+        self._file.flush()
+        if self._board is not None:
+            for name, value in values.items():
+                if isinstance(value, int | float):
+                    self._board.add_scalar(f"{kind}/{name}", value, step)
+
+    def note(self, step: int, text: str) -> None:
+        """Say something once, in the file and in the log."""
+        if self._file is not None:
+            logger.warning("step %d: %s", step, text)
+            self.row(step, "note", {"text": text})
+
+    def picture(self, step: int, image: npt.NDArray[np.uint8]) -> None:
+        """Keep a picture, uint8 ``[H, W, 3]``."""
+        if self._file is None:
+            return
+        folder = self._run_dir / "pictures"
+        folder.mkdir(exist_ok=True)
+        Image.fromarray(image).save(folder / f"{step:07d}.png")
+        if self._board is not None:
+            self._board.add_image("held out", image, step, dataformats="HWC")
+
+
+def _open_board(folder: Path) -> Any:
+    """A TensorBoard writer, or None where the package is not installed."""
+    if importlib.util.find_spec("tensorboard") is None:
+        return None
+    from torch.utils.tensorboard import SummaryWriter
+
+    return SummaryWriter(folder)

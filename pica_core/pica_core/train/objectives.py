@@ -1,0 +1,311 @@
+"""The losses of each phase, from frames to weighted numbers.
+
+geometry    mesh, KL, smoothness
+joint       image, depth, normal, mesh, smoothness, KL
+driver      code, mesh
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pica_core.model.encoder import reparameterise, resize_texture
+from pica_core.model.interface import AvatarModel, DecodedMesh
+from pica_core.train.config import TrainConfig
+from pica_core.train.data import TrainingData, important_vertices, view_direction
+from pica_core.train.drawing import DrawnPixels, MeshDrawer, PixelList
+from pica_core.train.edge_gradient import edge_term
+from pica_core.train.laplacian import (
+    MeshLaplacian,
+    follow_mean,
+    laplacian_smoothness,
+    smoothness_weights,
+)
+from pica_core.train.losses import (
+    depth_loss,
+    depth_mask,
+    equal_shares,
+    gradient_smoothness,
+    image_loss,
+    kl_loss,
+    mesh_loss,
+    normal_loss,
+)
+from pica_core.train.parallel import Ranks
+from pica_core.train.stopwatch import Stopwatch
+
+DRIVER_MESHES = 4
+"""Meshes that a step of the driver phase decodes, of its batch."""
+MASKED_REGION = "mouth"
+"""Where a tracked mesh teaches nothing (paper 5, W_M)."""
+Images = list[tuple[int, str]]
+"""Frame and camera of each image of a batch."""
+
+
+class Objectives:
+    """Losses of one model on one capture.
+
+    Args:
+        data: The capture.
+        config: Weights, batch sizes.
+        model: On `device`.
+        ranks: Which part of every batch is this process's.
+        device: Where models and batches are.
+
+    Attributes:
+        drawer: Draws the model's mesh; `close` releases it.
+        mean_m: V_mu of the smoothness loss, ``[V, 3]``; part of a checkpoint.
+        notes: What had to be switched off, in words.
+    """
+
+    def __init__(
+        self,
+        data: TrainingData,
+        config: TrainConfig,
+        model: AvatarModel,
+        ranks: Ranks,
+        device: torch.device,
+    ) -> None:
+        self.data = data
+        self.config = config
+        self.model = model
+        self.ranks = ranks
+        self.device = device
+        self.stopwatch = Stopwatch()
+        self.notes: list[str] = []
+        losses = config.losses
+        if not data.use_meshes(config.mesh_source):
+            self.notes.append("the capture has no exact meshes: the tracked ones teach the mesh")
+        self._has_depth = data.capture.has_depth
+        if (losses.depth or losses.normal) and not self._has_depth:
+            self.notes.append("the capture has no depth: depth and normal losses are off")
+        topology = data.topology(model.topology)
+        faces = torch.from_numpy(topology.faces.astype(np.int64))
+        uv = torch.from_numpy(np.ascontiguousarray(topology.vertex_uv, np.float32))
+        important_faces = important_vertices(topology)[topology.faces].all(1)
+        face_weights = np.where(important_faces, losses.region_weight, 1.0).astype(np.float32)
+        self.drawer = MeshDrawer(faces, uv, face_weights, device)
+        self._vertex_weights = self._mesh_weights().to(device)
+        neutral_m = data.neutral_m(model.topology)
+        self.mean_m = torch.tensor(neutral_m, device=device)
+        self._laplacian: MeshLaplacian | None = None
+        if losses.smooth and losses.laplacian:
+            self._laplacian = MeshLaplacian(neutral_m, topology.faces, device=device)
+            self._rough = torch.from_numpy(smoothness_weights(topology.regions, len(uv))).to(device)
+        self._codes: tuple[dict[int, Tensor], Tensor] | None = None
+
+    def close(self) -> None:
+        """Release the GL context."""
+        self.drawer.rasteriser.release()
+
+    def forget_codes(self) -> None:
+        """The model changed: encode the training frames anew when they are needed."""
+        self._codes = None
+
+    def encode(self, frames: list[int]) -> tuple[Tensor, Tensor]:
+        """The encoder's mean and log-variance of frames, ``[N, 4, 8, 8]`` each."""
+        textures = self.data.textures(frames).to(self.device)
+        maps = self.data.position_maps(frames).to(self.device)
+        textures = resize_texture(textures, self.model.encoder.texture_size)
+        mean, log_variance = self.model.encoder(textures, maps)
+        return mean, log_variance
+
+    def geometry(self, rng: np.random.Generator, noise: torch.Generator) -> dict[str, Tensor]:
+        """Losses of a step without images."""
+        frames, _ = self._draw(self.config.schedule.geometry_batch, rng)
+        with self.stopwatch("encode"):
+            latent, kl = self._latent(frames, noise)
+        with self.stopwatch("decode"):
+            mesh = self.model.decode_mesh(latent)
+        with self.stopwatch("loss"):
+            return {"mesh": self._mesh(mesh, frames), **self._priors(mesh, kl)}
+
+    def joint(
+        self, rng: np.random.Generator, noise: torch.Generator, pixel_seed: list[int]
+    ) -> dict[str, Tensor]:
+        """Losses of a step with images.
+
+        Args:
+            rng: Draws frames and cameras, the same in all processes.
+            noise: Draws latents, the same in all processes.
+            pixel_seed: Seed of the choice of pixels; the image's number in the batch is added.
+        """
+        config, weights = self.config, self.config.losses
+        frames, numbers = self._draw(config.schedule.joint_batch, rng)
+        names = rng.choice(self.data.camera_names, len(frames) * self.ranks.count).tolist()
+        images = list(zip(frames, self.ranks.mine(names), strict=True))
+        rngs = [np.random.default_rng([*pixel_seed, number]) for number in numbers]
+        cameras = [self.data.camera(frame, name) for frame, name in images]
+        view = torch.from_numpy(np.stack([view_direction(camera) for camera in cameras]))
+        with self.stopwatch("encode"):
+            latent, kl = self._latent(frames, noise)
+        with self.stopwatch("decode"):
+            mesh = self.model.decode_mesh(latent)
+            appearance = self.model.appearance(latent, view.to(self.device))
+        with self.stopwatch("raster"):
+            self.drawer.look(mesh.vertices_m, cameras)
+            drawn = self.drawer.draw(
+                mesh.vertices_m,
+                rngs,
+                pixels_per_image=config.schedule.pixels_per_image,
+                normals=weights.normal > 0 and self._has_depth,
+                detach_xyz=config.detach_pixel_xyz,
+            )
+        with self.stopwatch("data"):
+            observed = self.colours(images, drawn.pixels)
+        with self.stopwatch("pixel"):
+            colours = self.model.shade(
+                appearance, drawn.surface, detach_xyz=config.detach_pixel_xyz
+            )
+        with self.stopwatch("loss"):
+            share = equal_shares(drawn.surface.image, len(frames))
+            losses = {"image": weights.image * image_loss(colours, observed, share)}
+            losses |= self._depth(images, drawn)
+            losses["mesh"] = self._mesh(mesh, frames)
+            losses |= self._priors(mesh, kl)
+        if weights.edge:
+            with self.stopwatch("raster"):
+                losses["edge"] = self._edges(images, mesh.vertices_m, appearance, rngs)
+        return losses
+
+    def driver(self, rng: np.random.Generator) -> dict[str, Tensor]:
+        """Losses of the live encoder, on the codes of the model's own."""
+        codes, spread = self._model_codes()
+        frames, _ = self._draw(self.config.schedule.driver_batch, rng)
+        latent = self.model.expression_encoder(self.data.arkit[frames].to(self.device))
+        wanted = torch.stack([codes[frame] for frame in frames])
+        few = slice(0, DRIVER_MESHES)
+        mesh = self.model.decode_mesh(latent[few])
+        return {
+            "code": ((latent - wanted) / spread).square().mean(),
+            "mesh": self._mesh(mesh, frames[few]),
+        }
+
+    def colours(self, images: Images, pixels: PixelList) -> Tensor:
+        """What the capture shows at pixels, 0 to 1, ``[P, 3]``."""
+        parts = []
+        for index, (frame, name) in enumerate(images):
+            here = pixels.pixel[pixels.image == index]
+            parts.append(self.data.image(frame, name).reshape(-1, 3)[here])
+        values = torch.from_numpy(np.concatenate(parts)).to(self.device)
+        return values.to(torch.float32) / 255
+
+    def _draw(self, count: int, rng: np.random.Generator) -> tuple[list[int], list[int]]:
+        """This process's frames of a batch, and their numbers in the whole batch."""
+        balance = self.config.schedule.frame_balance
+        frames = self.data.draw_frames(count * self.ranks.count, balance, rng)
+        return self.ranks.mine(frames), self.ranks.mine(list(range(len(frames))))
+
+    def _latent(self, frames: list[int], noise: torch.Generator) -> tuple[Tensor, Tensor]:
+        mean, log_variance = self.encode(frames)
+        shape = (len(mean) * self.ranks.count, *mean.shape[1:])
+        whole = torch.randn(shape, generator=noise)
+        part = slice(self.ranks.rank * len(mean), (self.ranks.rank + 1) * len(mean))
+        sample = reparameterise(mean, log_variance, whole[part].to(self.device))
+        return sample, kl_loss(mean, log_variance)
+
+    def _mesh_weights(self) -> Tensor:
+        """Importance of vertices in the mesh loss."""
+        losses, data = self.config.losses, self.data
+        if data.mesh_source == "tracked":
+            regions = data.topology("tracked").regions
+            weights = np.ones(len(data.topology("tracked").vertex_uv), np.float32)
+            if MASKED_REGION in regions:
+                weights[regions[MASKED_REGION]] = 0
+            return torch.from_numpy(weights)
+        topology = data.topology(self.model.topology)
+        weights = np.where(important_vertices(topology), losses.region_weight, 1.0)
+        if "lids" in topology.regions:
+            weights[topology.regions["lids"]] = losses.lid_weight
+        return torch.from_numpy(weights.astype(np.float32))
+
+    def _mesh(self, mesh: DecodedMesh, frames: list[int]) -> Tensor:
+        if self.data.mesh_source == "truth" and self.model.topology == "dense":
+            predicted, wanted = mesh.vertices_m, self.data.meshes(frames)
+        else:
+            predicted, wanted = mesh.tracked_m, self.data.tracked_meshes(frames)
+        loss = mesh_loss(predicted, wanted.to(self.device), self._vertex_weights)
+        return self.config.losses.mesh * loss
+
+    def _priors(self, mesh: DecodedMesh, kl: Tensor) -> dict[str, Tensor]:
+        """KL, and smoothness; V_mu takes its step."""
+        weights = self.config.losses
+        losses = {"kl": weights.kl * kl}
+        if not weights.smooth:
+            return losses
+        smooth = torch.zeros((), device=self.device)
+        if weights.gradient and mesh.position_map_m is not None:
+            smooth = smooth + weights.gradient * gradient_smoothness(mesh.position_map_m)
+        if self._laplacian is not None:
+            smooth = smooth + weights.laplacian * laplacian_smoothness(
+                self._laplacian, mesh.vertices_m, self.mean_m, self._rough
+            )
+            batch_mean = mesh.vertices_m.detach().mean(0, keepdim=True)
+            follow_mean(self.mean_m, self.ranks.average(batch_mean))
+        losses["smooth"] = weights.smooth * smooth
+        return losses
+
+    def _depth(self, images: Images, drawn: DrawnPixels) -> dict[str, Tensor]:
+        weights = self.config.losses
+        if not (weights.depth or weights.normal) or not self._has_depth:
+            return {}
+        parts = []
+        for index, (frame, name) in enumerate(images):
+            here = drawn.depth_pixels.pixel[drawn.depth_pixels.image == index]
+            depth_m = self.data.depth_m(frame, name)
+            parts.append(np.zeros(len(here), np.float32) if depth_m is None else depth_m.flat[here])
+        observed_m = torch.from_numpy(np.concatenate(parts)).to(self.device)
+        mask = depth_mask(drawn.depth_m, observed_m)
+        losses = {}
+        if weights.depth:
+            share = equal_shares(drawn.depth_image, len(images), observed_m > 0)
+            loss = depth_loss(drawn.depth_m, observed_m, mask, share)
+            losses["depth"] = weights.depth * loss
+        if weights.normal:
+            known = mask[drawn.centre] & mask[drawn.right] & mask[drawn.below]
+            share = equal_shares(drawn.depth_image[drawn.centre], len(images), known)
+            predicted, observed = drawn.normals(drawn.depth_m), drawn.normals(observed_m)
+            losses["normal"] = weights.normal * normal_loss(predicted, observed, share)
+        return losses
+
+    def _edges(
+        self,
+        images: Images,
+        vertices_m: Tensor,
+        appearance: Tensor,
+        rngs: list[np.random.Generator],
+    ) -> Tensor:
+        """What boundaries add to the image loss's gradient; its value is 0."""
+        edges = self.drawer.edges(vertices_m, rngs)
+        observed = self.colours(images, edges.pixels)
+        with torch.no_grad():
+            shown = self.model.shade(appearance.detach(), edges.surface)
+        plain = np.stack([self.data.background(frame, name) for frame, name in images])
+        background = torch.from_numpy(plain).to(self.device)[edges.image]
+        places = PixelList(edges.image.cpu().numpy(), edges.back_pixel)
+        is_covered = (edges.back >= 0)[:, None]
+        back = torch.where(is_covered, shown[edges.back.clamp_min(0)], background)
+        front = shown[edges.front]
+        # d/dC of the image loss over every covered pixel: 2/3 (C - I), by the pair's share.
+        scale = self.config.losses.edge * self.config.losses.image * 2 / 3 * edges.scale[:, None]
+        return edge_term(
+            front,
+            back,
+            scale * (front - observed[edges.front]),
+            scale * (back - self.colours(images, places)),
+            edges.along,
+            edges.sign,
+        )
+
+    def _model_codes(self) -> tuple[dict[int, Tensor], Tensor]:
+        """The encoder's mean of each training frame, and the overall deviation of all."""
+        if self._codes is None:
+            frames = self.data.train_frames
+            with torch.no_grad():
+                means = [self.encode(frames[i : i + 16])[0] for i in range(0, len(frames), 16)]
+            codes = torch.cat(means)
+            by_frame = dict(zip(frames, codes, strict=True))
+            self._codes = by_frame, codes.std().clamp_min(1e-6)
+        return self._codes
