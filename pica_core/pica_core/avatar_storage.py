@@ -6,7 +6,7 @@ tables stand in the file's metadata. Integers that are integers anyway stay so.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -41,6 +41,30 @@ rest of it in float32.
 8 bits over the range of a channel are 0.004 of that range; 16 bits over a head are 5 micrometres
 and over a UV 1/64 of a texel, where fp16 would be 60 micrometres and half a texel.
 """
+
+
+Precision = Literal["mixed", "f32", "f16", "u8"]
+"""Ways to store a whole avatar: see `storage_of`."""
+_ALWAYS: Mapping[str, Storage] = MappingProxyType({"geometry.mean": "u16", "mesh.vertex_uv": "u16"})
+
+
+def storage_of(precision: Precision, names: Iterable[str]) -> dict[str, Storage]:
+    """How to store tensors of these names so that all of an avatar has one precision.
+
+    Args:
+        precision: mixed is `DEFAULT_STORAGE`. f32 rounds nothing. f16 and u8 store decoders,
+            encodings and expression encoder so; positions and UVs stay at 16-bit integers, and the
+            two small sine networks at float32: they are 343 numbers.
+        names: Of the avatar's tensors.
+    """
+    if precision == "mixed":
+        return dict(DEFAULT_STORAGE)
+    own = [name for name in names if not name.startswith((STREAM_PREFIX, LEVEL_PREFIX))]
+    own = [name for name in own if not is_index(name)]
+    if precision == "f32":
+        return dict.fromkeys(own, "f32")
+    weights = [name for name in own if not name.startswith(("xyz.", "pixel."))]
+    return {**dict.fromkeys(weights, precision), **_ALWAYS}
 
 
 def to_storage(

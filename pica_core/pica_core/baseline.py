@@ -11,8 +11,9 @@ decoder alone, since that is what a receiver runs and what the paper's runtime t
 A LeakyReLU (slope 0.2) follows every layer but the two that end in vertices and texture. At z = 256
 and 7,306 vertices these are 17.4 M parameters and 755 M multiply-adds in the convolutions.
 
-Nobody trained the avatars made here: `baseline_like` dresses random weights in somebody's mean face
-so that they look right and cost what trained ones cost. Their motion means nothing.
+Trained ones come out of `pica train --variant baseline` and `pica export` (`baseline_file`). Where
+none is at hand, `baseline_like` dresses random weights in somebody's mean face so that they look
+right and cost what trained ones cost. Their motion means nothing.
 """
 
 from __future__ import annotations
@@ -122,7 +123,8 @@ class BaselineAvatar:
 
     spec: BaselineSpec
     tensors: Mapping[str, Array]
-    """As `BaselineSpec.tensor_shapes` names and shapes them, float32."""
+    """As `BaselineSpec.tensor_shapes` names and shapes them, float32; a trained one has
+    ``encoder.{i}.weight`` and ``.bias`` beside them, from 52 ARKit values to the latent."""
     vertex_uv: FloatArray
     """Where vertices lie in the texture, in [0, 1], row 0 is v = 0. float32 ``[V, 2]``."""
     faces: npt.NDArray[np.int32]

@@ -1,9 +1,9 @@
-"""`pica avatar info` and `pica avatar verify`."""
+"""`pica avatar info`, `pica avatar verify` and `pica avatar precision`."""
 
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import tyro
 
 from pica_core.arkit import NUM_ARKIT
 from pica_core.avatar_file import Avatar, avatar_id, load_avatar
+from pica_core.avatar_precision import measure_precisions
 from pica_core.decoder_layers import decoder_layers
 from pica_core.errors import AvatarFileError
 from pica_core.expression_encoder import ExpressionEncoder
@@ -36,6 +37,20 @@ class AvatarVerifyOptions:
     """Avatar file (.pica)."""
     sha256: str = ""
     """Expected identity, hexadecimal; empty to accept any."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AvatarPrecisionOptions:
+    """Options of `pica avatar precision`."""
+
+    file: tyro.conf.Positional[Path]
+    """The avatar file, best one that was exported with --precision f32."""
+    frames: int = 8
+    """Frames of a sentence to decode, at 30 a second."""
+
+    def __post_init__(self) -> None:
+        if not 2 <= self.frames <= 10_000:
+            raise AvatarFileError(f"frames is {self.frames}; 2 to 10000 is allowed")
 
 
 def avatar_info(options: AvatarInfoOptions) -> dict[str, Any]:
@@ -65,6 +80,19 @@ def avatar_verify(options: AvatarVerifyOptions) -> dict[str, Any]:
     beyond = float((np.abs(latents) > np.asarray(avatar.manifest.latent_scale)).mean())
     print(f"{options.file}: ok, {identity}", file=sys.stderr)
     return {"file": str(options.file), "ok": True, "sha256": identity, "clamped_ratio": beyond}
+
+
+def avatar_precision(options: AvatarPrecisionOptions) -> dict[str, Any]:
+    """Measure what storing an avatar in 32, 16 or 8 bits costs in error and in flicker."""
+    avatar = load_avatar(options.file)
+    found = [asdict(cost) for cost in measure_precisions(avatar, options.frames)]
+    for row in found:
+        print(
+            f"{row['precision']:6} {row['bytes'] / 1e6:7.3f} MB  MSE {row['mse']:9.5f}  "
+            f"flicker {row['flicker_mse']:9.5f}  positions {row['position_error_um']:7.2f} um",
+            file=sys.stderr,
+        )
+    return {"file": str(options.file), "rows": found}
 
 
 def _describe(path: Path, avatar: Avatar) -> dict[str, Any]:

@@ -10,22 +10,32 @@ numpy is fast enough and a sender needs no inference library.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from pica_core.arkit import NUM_ARKIT
-from pica_core.avatar_file import Avatar
 from pica_core.errors import ShapeError
 from pica_core.spec import LATENT_SHAPE, LEAKY_SLOPE
 
 FloatArray = npt.NDArray[np.float32]
 
 
+class HasTensors(Protocol):
+    """An avatar of any kind, with ``encoder.{i}.weight`` and ``.bias`` among its tensors."""
+
+    @property
+    def tensors(self) -> Mapping[str, npt.NDArray[Any]]:
+        """By name."""
+        ...
+
+
 class ExpressionEncoder:
     """The expression encoder of one avatar. Keeps no state between calls."""
 
-    def __init__(self, avatar: Avatar) -> None:
+    def __init__(self, avatar: HasTensors) -> None:
         self._layers: list[tuple[FloatArray, FloatArray]] = []
         for index in itertools.count():
             if f"encoder.{index}.weight" not in avatar.tensors:

@@ -10,18 +10,24 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from pica_core.avatar_file import avatar_id, save_avatar
+from pica_core.avatar_storage import Precision, storage_of
+from pica_core.baseline_file import save_baseline
 from pica_core.capture.dataset import Capture
 from pica_core.errors import CheckpointError, TrainingOptionError
+from pica_core.model.avatar import PixelCodecAvatar
+from pica_core.model.baseline import DeepAppearanceModel
 from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data import TrainingData
+from pica_core.train.eval_judge import drawn_topology
 from pica_core.train.eval_run import RUN_FILE
 from pica_core.train.evaluate import evaluate, mean_mse
-from pica_core.train.export import make_avatar
+from pica_core.train.export import make_avatar, make_baseline
 from pica_core.train.level_commands import describe
 from pica_core.train.levels import LevelReport, add_levels
 from pica_core.train.loop import Losses, Trainer, open_trainer, read_checkpoint
@@ -86,6 +92,9 @@ class ExportOptions:
     levels: bool = True
     """Fit levels of detail (a minute or two). Without them far heads cost as much as near ones;
     `pica avatar levels` adds them to a file later."""
+    precision: Precision = "mixed"
+    """How weights and maps are stored: mixed is the smallest that shows no difference
+    (docs/variants.md)."""
     threads: int = 2
     """CPU threads of torch."""
 
@@ -136,16 +145,22 @@ def train(options: TrainOptions) -> dict[str, Any]:
 
 
 def export(options: ExportOptions) -> dict[str, Any]:
-    """Write the avatar file of a trained run."""
+    """Write the avatar file of a trained run; of a baseline, the file that benches read."""
     state = read_checkpoint(options.run / "checkpoint.pt")
     config = TrainConfig.from_json(json.loads(state["config"]))
     torch.set_num_threads(options.threads)
     data = TrainingData(Capture.open(options.capture), config.model.spec().map_size)
     with open_trainer(data, config, options.run) as trainer:
         trainer.restore()
+        model = trainer.model
+        if isinstance(model, DeepAppearanceModel):
+            save_baseline(options.out, make_baseline(model, data))
+            return _written(options.out)
+        assert isinstance(model, PixelCodecAvatar)
         card = {
             "capture": str(data.capture.info["source"]),
             "training": f"{trainer.step} of {trainer.total_steps} steps, seed {config.seed}",
+            "variant": config.model.variant,
             "block": config.model.block,
             "encoder": config.model.encoder,
         }
@@ -156,31 +171,39 @@ def export(options: ExportOptions) -> dict[str, Any]:
         stream = None
         if options.stream:
             print("learning the latent stream", file=sys.stderr)
+            topology = drawn_topology(data.capture, model)
             stream = make_stream_profile(
-                trainer.model, trainer.rasteriser, data.faces, data.vertex_uv
+                model,
+                trainer.rasteriser,
+                torch.from_numpy(topology.faces.astype(np.int64)),
+                torch.from_numpy(np.ascontiguousarray(topology.vertex_uv, np.float32)),
             )
         avatar = make_avatar(
-            trainer.model,
+            model,
             data,
             name=options.name,
             identity=str(data.capture.info["head"]),
             licence=options.licence,
             model_card=card,
+            variant=config.model.variant,
             stream=stream,
         )
     reports: list[LevelReport] = []
     if options.levels:
         avatar, reports = add_levels(avatar, show=lambda text: print(text, file=sys.stderr))
         print("\n".join(map(describe, reports)), file=sys.stderr)
-    save_avatar(options.out, avatar)
-    size = options.out.stat().st_size
-    print(f"{options.out}: {size / 1e6:.2f} MB", file=sys.stderr)
+    save_avatar(options.out, avatar, storage_of(options.precision, avatar.tensors))
     return {
-        "path": str(options.out),
-        "bytes": size,
+        **_written(options.out),
         "id": avatar_id(options.out),
         "levels": [asdict(report) for report in reports],
     }
+
+
+def _written(path: Path) -> dict[str, Any]:
+    size = path.stat().st_size
+    print(f"{path}: {size / 1e6:.2f} MB", file=sys.stderr)
+    return {"path": str(path), "bytes": size}
 
 
 def _check_variant(run: Path, variant: str) -> None:

@@ -11,11 +11,17 @@ from torch import Tensor
 
 from pica_core.avatar_file import Avatar
 from pica_core.avatar_manifest import Manifest
+from pica_core.baseline import BaselineAvatar
 from pica_core.model.avatar import PixelCodecAvatar
+from pica_core.model.baseline import DeepAppearanceModel
+from pica_core.model.interface import AvatarModel
 from pica_core.model.pixel_decoder import XYZ_UNIT_M
 from pica_core.stream_profile import StreamProfile
 from pica_core.train.data import TrainingData
+from pica_core.train.eval_judge import drawn_topology
 
+MARGIN_M = 0.02
+"""How far decoded positions may leave the box of the training meshes."""
 LATENT_HEADROOM = 1.25
 """The 8-bit range of a latent channel, against the largest value over the training frames."""
 
@@ -45,11 +51,9 @@ def avatar_tensors(
         **pixel.colour.named_tensors("pixel"),
     }
     tensors["xyz.0.weight"] = tensors["xyz.0.weight"] / XYZ_UNIT_M
-    for name, values in model.expression_encoder.layers.named_parameters():
-        tensors[f"encoder.{name}"] = values
+    tensors |= _encoder_tensors(model)
     arrays: dict[str, npt.NDArray[np.generic]] = {
-        name: np.ascontiguousarray(values.detach().numpy(), np.float32)
-        for name, values in tensors.items()
+        name: _array(values) for name, values in tensors.items()
     }
     arrays["mesh.vertex_uv"] = np.ascontiguousarray(vertex_uv, np.float32)
     arrays["mesh.faces"] = np.ascontiguousarray(faces, np.int32)
@@ -64,9 +68,11 @@ def make_avatar(
     identity: str,
     licence: str,
     model_card: Mapping[str, str],
+    variant: str = "full",
     stream: StreamProfile | None = None,
 ) -> Avatar:
-    """The avatar of a trained model, with the tables of its latent stream if there are any.
+    """The avatar of a trained model, with the mesh that it draws, and the tables of its latent
+    stream if there are any.
 
     The latent's 8-bit range comes from the expression encoder's codes of all training frames, since
     those are what a sender sends.
@@ -74,8 +80,7 @@ def make_avatar(
     with torch.no_grad():
         codes = model.expression_encoder(data.arkit[data.train_frames])
     scale = codes.abs().amax(dim=(0, 2, 3)).clamp_min(1e-3) * LATENT_HEADROOM
-    train = data.vertices_m[data.train_frames]
-    margin_m = 0.02
+    low_m, high_m = _bounds_m(data)
     manifest = Manifest(
         name=name,
         identity=identity,
@@ -83,15 +88,49 @@ def make_avatar(
         spec=model.spec,
         position_scale_m=model.position_scale_m,
         latent_scale=_four(scale.tolist()),
-        bounds_min_m=_three((train.min((0, 1)) - margin_m).tolist()),
-        bounds_max_m=_three((train.max((0, 1)) + margin_m).tolist()),
+        bounds_min_m=low_m,
+        bounds_max_m=high_m,
+        variant=variant,
         model_card=dict(model_card),
     )
-    faces = data.faces.numpy().astype(np.int32)
-    tensors = avatar_tensors(model, data.vertex_uv.numpy(), faces)
+    topology = drawn_topology(data.capture, model)
+    tensors = avatar_tensors(model, topology.vertex_uv, topology.faces)
     if stream is not None:
         tensors |= stream.to_tensors()
     return Avatar(manifest, tensors)
+
+
+def make_baseline(model: DeepAppearanceModel, data: TrainingData) -> BaselineAvatar:
+    """A trained baseline as the object that receivers measure."""
+    topology = drawn_topology(data.capture, model)
+    low_m, high_m = _bounds_m(data)
+    tensors = {**model.named_tensors(), **_encoder_tensors(model)}
+    return BaselineAvatar(
+        spec=model.baseline_spec,
+        tensors={name: _array(values) for name, values in tensors.items()},
+        vertex_uv=np.ascontiguousarray(topology.vertex_uv, np.float32),
+        faces=np.ascontiguousarray(topology.faces, np.int32),
+        bounds_min_m=low_m,
+        bounds_max_m=high_m,
+    )
+
+
+def _encoder_tensors(model: AvatarModel) -> dict[str, Tensor]:
+    layers = model.expression_encoder.layers.named_parameters()
+    return {f"encoder.{name}": values for name, values in layers}
+
+
+def _array(values: Tensor) -> npt.NDArray[np.float32]:
+    return np.ascontiguousarray(values.detach().cpu().numpy(), np.float32)
+
+
+def _bounds_m(
+    data: TrainingData,
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """A box around all training meshes, head frame, metres."""
+    train = data.vertices_m[data.train_frames]
+    low, high = train.min((0, 1)) - MARGIN_M, train.max((0, 1)) + MARGIN_M
+    return _three(low.tolist()), _three(high.tolist())
 
 
 def _three(values: list[float]) -> tuple[float, float, float]:
