@@ -87,7 +87,7 @@ def test_a_flow_gives_triangles_the_area_they_need_and_folds_none() -> None:
     assert (after > 0).all()
     assert before[important].sum() / before.sum() == pytest.approx(0.125, abs=0.02)
     wanted = need[important].sum() / need.sum()
-    assert after[important].sum() / after.sum() == pytest.approx(wanted, abs=0.1)
+    assert after[important].sum() / after.sum() == pytest.approx(wanted, abs=0.06)
 
 
 def test_a_map_holds_exactly_what_lies_on_its_texel_centres() -> None:
@@ -196,10 +196,11 @@ def test_the_ict_head_is_mapped_placed_and_packed(ict: RigHead) -> None:
     for name, least in (("lips", 400), ("lids", 300), ("teeth", 4000), ("tongue", 400)):
         assert ict.topology.regions[name].sum() >= least, name
     error = chart_error_mm(ict, poses=3)
-    assert error["all"]["mean"] < 0.06
-    assert error["all"]["p99"] < 1.0
+    assert error["all"]["mean"] < 0.05
+    assert error["all"]["p99"] < 0.5
+    assert error["face"]["p99"] < 0.4
     assert error["lips"]["p99"] < 0.05
-    assert error["lids"]["p99"] < 0.3
+    assert error["lids"]["p99"] < 0.1
 
 
 @needs_ict

@@ -32,6 +32,8 @@ FLOW_GRIDS = ((2000, 128), (0, 48))
 FLOW_MARGIN = 0.3
 """Sea around an island, as a share of its size, in which its outline may move."""
 FLOW_STEPS = 64
+FLOW_ROUNDS = 2
+"""Flows one after the other: the first leaves what its grid could not see of crowded places."""
 FLOW_CONTRAST = 40.0
 """Largest and smallest density against the mean: limits how far texels may crowd."""
 MIN_FLOW_FACES = 40
@@ -127,6 +129,13 @@ def equalise(uv: Float64Array, faces: IntArray, need: Float64Array) -> Float64Ar
     Source: Gastner & Newman, "Diffusion-based method for producing density-equalizing maps", PNAS
         101(20), 2004.
     """
+    for _ in range(FLOW_ROUNDS):
+        uv = _flow(uv, faces, need)
+    return uv
+
+
+def _flow(uv: Float64Array, faces: IntArray, need: Float64Array) -> Float64Array:
+    """One round of `equalise`."""
     low, high = uv.min(0), uv.max(0)
     span = float((high - low).max()) * (1 + 2 * FLOW_MARGIN)
     start = 0.5 * (low + high) - 0.5 * span
