@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from pica_core.capture.check import check_capture
 from pica_core.capture.dataset import Capture
 from pica_core.capture.multiface import krt_text
 from pica_core.capture.original import for_looking
 from pica_core.capture.reader import CaptureReader, Request
+from pica_core.capture.sheet import write_sheet
 from pica_core.capture.stage import dome_cameras
 from pica_core.errors import CaptureError
 
@@ -178,6 +180,23 @@ def test_a_picture_for_looking_at_is_not_green() -> None:
     looked = for_looking(raw)
     assert np.ptp(looked[0, 0].astype(int)) <= 2
     assert looked[0, 0].mean() > raw[0, 0].mean()
+
+
+def test_a_published_directory_has_a_sheet_and_can_be_checked(
+    original: Path, tmp_path: Path
+) -> None:
+    (original / "images" / SEGMENTS[1] / "left" / "000002.png").unlink()
+    (original / "images" / SEGMENTS[0] / "front" / "000000.png").write_bytes(b"no image")
+
+    result = write_sheet(original, tmp_path / "sheet.png")
+    found = check_capture(original)
+
+    with Image.open(tmp_path / "sheet.png") as image:
+        assert image.width > 1000
+    assert result["frames"] == 12
+    assert found["images"] == 35  # a missing camera is no problem here
+    bad = [problem for problem in found["problems"] if "not a complete image" in problem["what"]]
+    assert [problem["where"] for problem in bad] == [f"images/{SEGMENTS[0]}/front/000000.png"]
 
 
 def requests_of(capture: Capture) -> list[Request]:

@@ -133,6 +133,22 @@ def test_the_dome_starts_with_the_five_evaluation_views_in_front_of_the_face() -
     assert all(camera.centre_m[2] > 0.2 for camera in cameras)
 
 
+def test_a_dome_of_one_lens_looks_at_the_head_from_all_its_cameras() -> None:
+    cameras = dome_cameras(40, 1334, 2048, "one")
+    assert [camera.name for camera in cameras[:5]] == ["front", "left", "right", "up", "down"]
+    assert len({camera.name for camera in cameras}) == 40
+    assert len({float(camera.intrinsics[0, 0]) for camera in cameras}) == 1
+    for camera in cameras:
+        pixels, distance = camera.project(np.array([[0.0, 0.0, 0.02]]))
+        assert np.abs(pixels - [667, 1024]).max() < 80
+        assert 0.9 < distance[0] < 1.1
+    apart = [np.delete(cameras, k) for k in range(40)]
+    for camera, others in zip(cameras, apart, strict=True):
+        assert min(np.linalg.norm(camera.centre_m - c.centre_m) for c in others) > 0.03
+    with pytest.raises(CaptureError, match="lenses is 'two'; there are mixed, one"):
+        dome_cameras(5, 64, 64, "two")
+
+
 def test_krt_text_reads_back(tmp_path: Path) -> None:
     cameras = dome_cameras(3, 128, 96)
     (tmp_path / "KRT").write_text(krt_text(cameras))

@@ -35,10 +35,15 @@ class SynthOptions:
     """Cameras; the first five are the evaluation views front, left, right, up, down."""
     size: str = "512x384"
     """Image size, columns x rows, pixels."""
+    lenses: str = "mixed"
+    """mixed: some cameras look at mouth and eyes from near; one: all have one lens and look at the
+    head, as in the paper's dome."""
     texture_size: int = 256
     """Side of the average textures, texels."""
     seed: int = 0
-    """Fixes the performance."""
+    """Fixes performance, head motion and the errors of tracking and depth."""
+    depth_every: int = 4
+    """Depth as a stereo method finds it for every so many frames of a take; exact depth for all."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -78,8 +83,10 @@ def synth(options: SynthOptions) -> dict[str, Any]:
         cameras=options.cameras,
         width=width,
         height=height,
+        lenses=options.lenses,
         texture_size=options.texture_size,
         seed=options.seed,
+        depth_every=options.depth_every,
     )
     started = time.monotonic()
     console = Console(stderr=True)

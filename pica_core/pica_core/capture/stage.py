@@ -1,8 +1,12 @@
 """The dome: cameras on a section of a sphere around the front of a head.
 
 Five evaluation views bear names (front, up, down, left, right; left is the camera on the subject's
-left). Three more look at mouth, eyes and bust; the others fill the section evenly and take turns at
-what they look at.
+left). Two plans fill the rest:
+
+- ``mixed`` lenses: three more look at mouth, eyes and bust, and the others take turns at what they
+  look at. Few cameras of few pixels then show small parts, too.
+- ``one`` lens: all have the same lens and look at the head, as in the paper's dome of 40 cameras of
+  50 mm. Where those stood is not published; ours fill the section evenly.
 """
 
 from __future__ import annotations
@@ -10,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from pica_core.camera import Camera, look_at
+from pica_core.errors import CaptureError
 
 EVALUATION_VIEWS: dict[str, tuple[float, float]] = {
     "front": (0.0, 0.0),
@@ -35,6 +40,7 @@ NAMED_VIEWS: tuple[tuple[str, float, float, str], ...] = (
     ("bust", 0.0, 12.0, "bust"),
 )
 """Name, azimuth, elevation (degrees) and aim of the first cameras."""
+LENSES = ("mixed", "one")
 FILLING_AIMS = ("head", "bust", "head", "eyes", "head", "mouth")
 """Aims of the cameras after the named ones, in turn."""
 
@@ -56,22 +62,29 @@ def _camera(
     )
 
 
-def dome_cameras(count: int, width: int, height: int) -> tuple[Camera, ...]:
+def dome_cameras(count: int, width: int, height: int, lenses: str = "mixed") -> tuple[Camera, ...]:
     """The first `count` cameras of the dome: the named views, then an even filling.
 
     Args:
         count: At least 1.
         width: Image columns, pixels.
         height: Image rows, pixels.
+        lenses: One of `LENSES`.
+
+    Raises:
+        CaptureError: No such plan.
     """
-    plan = list(NAMED_VIEWS)
+    if lenses not in LENSES:
+        raise CaptureError(f"lenses is {lenses!r}; there are {', '.join(LENSES)}")
+    one = lenses == "one"
+    plan = list(NAMED_VIEWS[: len(EVALUATION_VIEWS)] if one else NAMED_VIEWS)
     golden = 0.618033988749895
     for index in range(max(count - len(plan), 0)):
         # Low-discrepancy filling of azimuth and elevation; more cameras leave the first ones where
         # they are.
         azimuth = -75.0 + 150.0 * ((0.5 + index * golden) % 1.0)
         elevation = -30.0 + 66.0 * ((0.25 + index * 0.7548776662466927) % 1.0)
-        aim = FILLING_AIMS[index % len(FILLING_AIMS)]
+        aim = "head" if one else FILLING_AIMS[index % len(FILLING_AIMS)]
         if aim in ("mouth", "eyes"):
             azimuth, elevation = 0.5 * azimuth, 0.5 * elevation
         plan.append((f"dome{index:02d}", azimuth, elevation, aim))

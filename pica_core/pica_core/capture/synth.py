@@ -32,7 +32,7 @@ from pica_core.capture.gpu import BAKE_SIZE, View
 from pica_core.capture.head_motion import HeadMotion, camera_in_head
 from pica_core.capture.mvs_depth import MvsErrors, find_depth
 from pica_core.capture.reading import Topology, read_tracked
-from pica_core.capture.stage import EVALUATION_VIEWS, dome_cameras
+from pica_core.capture.stage import EVALUATION_VIEWS, LENSES, dome_cameras
 from pica_core.capture.subject import HeadSubject, Subject
 from pica_core.capture.tracked_topology import NUM_VERTICES, track_topology
 from pica_core.capture.tracker import Tracker, lagged_arkit
@@ -63,6 +63,9 @@ class RenderOptions:
     """Frames in all."""
     cameras: int = 8
     """Cameras; the first five are the evaluation views."""
+    lenses: str = "mixed"
+    """``mixed``: some cameras look at mouth and eyes from near; ``one``: all have one lens and look
+    at the head."""
     width: int = 512
     """Image columns, pixels."""
     height: int = 384
@@ -88,6 +91,8 @@ class RenderOptions:
             ("tracked_vertices", 100, 100_000),
         ):
             _check_range(self, name, low, high)
+        if self.lenses not in LENSES:
+            raise CaptureError(f"lenses is {self.lenses!r}; there are {', '.join(LENSES)}")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -179,7 +184,7 @@ class _Rendering:
         self, subject: Subject, options: RenderOptions, out: Path, writer: BackgroundWriter
     ) -> None:
         self.subject, self.options, self.out, self.writer = subject, options, out, writer
-        self.cameras = dome_cameras(options.cameras, options.width, options.height)
+        self.cameras = dome_cameras(options.cameras, options.width, options.height, options.lenses)
         names = subject.describe()["mask"]
         self.materials = {int(value): name for value, name in names.items()}
         shapes = np.stack([subject.pose(arkit) for arkit in OPENING])
