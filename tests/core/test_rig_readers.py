@@ -272,6 +272,39 @@ def test_a_glb_of_numbers_that_cannot_be_is_refused(tmp_path: Path) -> None:
         read_glb(write_glb(tmp_path / "still.glb", rig))
 
 
+def test_a_document_with_wrong_entries_is_read_or_refused_and_nothing_else(tmp_path: Path) -> None:
+    document, binary = glb_parts(RIG, image=b"no image")
+    random = np.random.default_rng(4)
+    values = (None, -1, 1, 1.5, 10**18, True, "x", [], {}, [1], [[1]], {"a": 1}, 1e300, [None])
+
+    def places(node: object, at: tuple[str | int, ...] = ()) -> list[tuple[str | int, ...]]:
+        below = (
+            node.items()
+            if isinstance(node, dict)
+            else enumerate(node)
+            if isinstance(node, list)
+            else ()
+        )
+        return [at] * bool(at) + [p for key, child in below for p in places(child, (*at, key))]
+
+    every = places(document)
+    path = tmp_path / "wrong.glb"
+    refused = 0
+    for _ in range(150):
+        changed = copy.deepcopy(document)
+        place = every[int(random.integers(len(every)))]
+        at: object = changed
+        for key in place[:-1]:
+            at = at[key]  # type: ignore[index]
+        at[place[-1]] = values[int(random.integers(len(values)))]  # type: ignore[index]
+        path.write_bytes(glb_bytes(changed, binary))
+        try:
+            read_glb(path)
+        except CaptureError:
+            refused += 1
+    assert refused > 50
+
+
 def test_sparse_targets_are_read(tmp_path: Path) -> None:
     document, binary = glb_parts(RIG)
     target = document["meshes"][0]["primitives"][0]["targets"][0]["POSITION"]

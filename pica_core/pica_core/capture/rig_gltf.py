@@ -60,7 +60,8 @@ class _File:
         if not isinstance(self.root, dict):
             raise CaptureError(f"{path}: the JSON chunk is no object")
         self.binary = chunks.get(BINARY_CHUNK, b"")
-        strange = [e for e in self.root.get("extensionsRequired", []) if e not in UNDERSTOOD]
+        required = self.entries(self.root, "extensionsRequired")
+        strange = [e for e in required if e not in UNDERSTOOD]
         if strange:
             raise CaptureError(
                 f"{path}: needs the extension {strange[0]!r}; export without compression"
@@ -75,6 +76,13 @@ class _File:
         if not isinstance(entry, dict):
             raise CaptureError(f"{self.path}: {kind} {index} is no object")
         return entry
+
+    def entries(self, owner: dict[str, Any], name: str) -> list[Any]:
+        """A list inside an entry; empty where it is missing."""
+        value = owner.get(name, [])
+        if not isinstance(value, list):
+            raise CaptureError(f"{self.path}: field {name!r} is {value!r}; a list is needed")
+        return value
 
     def number(self, owner: dict[str, Any], name: str, default: int | None = None) -> int:
         """A count, offset or index that is not negative."""
@@ -115,9 +123,10 @@ class _File:
     def accessor(self, index: Any, width: int, limit: int) -> npt.NDArray[Any]:
         """An accessor's numbers, ``[count, width]``; integers that are normalised become floats."""
         entry = self.item("accessors", index)
-        dtype = COMPONENT.get(entry.get("componentType", 0))
+        dtype = _component(entry)
         count = self.number(entry, "count")
-        if dtype is None or WIDTH.get(entry.get("type", "")) != width:
+        kind = entry.get("type")
+        if dtype is None or not isinstance(kind, str) or WIDTH.get(kind) != width:
             raise CaptureError(
                 f"{self.path}: accessors {index} is {entry.get('type')!r} of "
                 f"{entry.get('componentType')!r}; {width} numbers per element are needed"
@@ -149,7 +158,7 @@ class _File:
         places, numbers = sparse.get("indices"), sparse.get("values")
         if not isinstance(places, dict) or not isinstance(numbers, dict) or few > len(values):
             raise CaptureError(f"{self.path}: accessors {index}: field 'sparse' cannot be read")
-        place_type = COMPONENT.get(places.get("componentType", 0))
+        place_type = _component(places)
         if place_type not in ("<u1", "<u2", "<u4"):
             raise CaptureError(f"{self.path}: accessors {index}: sparse indices are no integers")
         offset = self.number(places, "byteOffset", 0)
@@ -162,6 +171,12 @@ class _File:
         offset = self.number(numbers, "byteOffset", 0)
         width = values.shape[1]
         values[at] = self._elements(numbers.get("bufferView"), offset, dtype, few, width)
+
+
+def _component(entry: dict[str, Any]) -> str | None:
+    """The numpy type of an accessor's numbers, or None."""
+    kind = entry.get("componentType")
+    return COMPONENT.get(kind) if isinstance(kind, int) else None
 
 
 def _matrix(file: _File, node: dict[str, Any]) -> Float64Array:
@@ -189,9 +204,10 @@ def _matrix(file: _File, node: dict[str, Any]) -> Float64Array:
 
 def _placed_meshes(file: _File) -> list[tuple[int, Float64Array]]:
     """Mesh and transform of every node of the scene."""
-    nodes = file.root.get("nodes", [])
+    nodes = file.entries(file.root, "nodes")
     scene = file.item("scenes", file.root.get("scene", 0)) if file.root.get("scenes") else {}
-    stack = [(k, np.eye(4), 0) for k in scene.get("nodes", range(len(nodes)))]
+    roots = file.entries(scene, "nodes") if "nodes" in scene else list(range(len(nodes)))
+    stack = [(k, np.eye(4), 0) for k in roots]
     placed: list[tuple[int, Float64Array]] = []
     while stack:
         index, parent, depth = stack.pop()
@@ -202,7 +218,7 @@ def _placed_meshes(file: _File) -> list[tuple[int, Float64Array]]:
         if "mesh" in node:
             # The glTF rule: a skinned mesh ignores its node's transform.
             placed.append((node["mesh"], np.eye(4) if "skin" in node else world))
-        stack.extend((child, world, depth + 1) for child in node.get("children", []))
+        stack.extend((child, world, depth + 1) for child in file.entries(node, "children"))
     return placed
 
 
@@ -238,8 +254,11 @@ class _Builder:
         attributes = primitive.get("attributes")
         if not isinstance(attributes, dict) or "POSITION" not in attributes:
             raise CaptureError(f"{file.path}: a primitive has no attribute POSITION")
-        targets = primitive.get("targets", [])
+        targets = file.entries(primitive, "targets")
         at = [t.get("POSITION") if isinstance(t, dict) else None for t in targets]
+        for index in (attributes["POSITION"], attributes.get("TEXCOORD_0"), *at):
+            if index is not None and not isinstance(index, int):
+                raise CaptureError(f"{file.path}: accessors {index!r} does not exist")
         key = (attributes["POSITION"], attributes.get("TEXCOORD_0"), *at, place.tobytes())
         limit = 3 * 1_000_000
         if key not in self.shared:
@@ -301,7 +320,7 @@ class _Builder:
 def _images(file: _File) -> dict[int, bytes]:
     """Encoded base colour images by material."""
     found: dict[int, bytes] = {}
-    for index in range(len(file.root.get("materials", []))):
+    for index in range(len(file.entries(file.root, "materials"))):
         pbr = file.item("materials", index).get("pbrMetallicRoughness")
         texture = pbr.get("baseColorTexture") if isinstance(pbr, dict) else None
         if not isinstance(texture, dict):
@@ -319,15 +338,19 @@ def read_glb(path: Path) -> RigSource:
     Raises:
         CaptureError: Not a whole binary glTF file, no morph targets, or numbers out of range.
     """
-    file = _File(path)
+    with np.errstate(all="ignore"):  # what is not finite is found by `check_source`
+        return check_source(_read(_File(path)))
+
+
+def _read(file: _File) -> RigSource:
+    path = file.path
     builder = _Builder(file)
     for mesh_index, place in _placed_meshes(file):
         mesh = file.item("meshes", mesh_index)
-        primitives = mesh.get("primitives", [])
-        for primitive in primitives:
+        for primitive in file.entries(mesh, "primitives"):
             if not isinstance(primitive, dict):
                 raise CaptureError(f"{path}: meshes {mesh_index}: a primitive is no object")
-            count = len(primitive.get("targets", []))
+            count = len(file.entries(primitive, "targets"))
             builder.add(primitive, _target_names(file, mesh, count) if count else [], place)
     if not builder.faces:
         raise CaptureError(f"{path}: no triangles")
@@ -345,23 +368,21 @@ def read_glb(path: Path) -> RigSource:
     has_uv = all(uv is not None for uv in builder.uv)
     faces = np.concatenate(builder.faces)
     material = np.concatenate(builder.material)
-    entries = file.root.get("materials", [])
+    entries = [file.item("materials", k) for k in range(len(file.entries(file.root, "materials")))]
     names = [str(entry.get("name", f"material {k}")) for k, entry in enumerate(entries)]
     if (material < 0).any():
         material = np.where(material < 0, len(names), material).astype(np.int32)
         names.append("default")
-    return check_source(
-        RigSource(
-            path=path,
-            positions=np.concatenate(builder.positions),
-            faces=faces,
-            uv=np.concatenate([uv for uv in builder.uv if uv is not None]) if has_uv else None,
-            uv_faces=faces if has_uv else None,
-            materials=tuple(names),
-            face_material=material,
-            shapes=shapes,
-            split_at_seams=True,
-            copyright=str(asset.get("copyright", ""))[:500] if isinstance(asset, dict) else "",
-            images=_images(file),
-        )
+    return RigSource(
+        path=path,
+        positions=np.concatenate(builder.positions),
+        faces=faces,
+        uv=np.concatenate([uv for uv in builder.uv if uv is not None]) if has_uv else None,
+        uv_faces=faces if has_uv else None,
+        materials=tuple(names),
+        face_material=material,
+        shapes=shapes,
+        split_at_seams=True,
+        copyright=str(asset.get("copyright", ""))[:500] if isinstance(asset, dict) else "",
+        images=_images(file),
     )
