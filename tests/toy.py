@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.avatar_file import Avatar, Manifest, spec_tensor_shapes
-from pica_core.level_tensors import NUM_TEXELS, error_tensors, exit_shapes, faces_name, sheet_rows
+from pica_core.level_tensors import error_tensors, exit_shapes, faces_name, sheet_rows
 from pica_core.levels import default_errors, level_sizes
 from pica_core.spec import AvatarSpec
 from pica_core.variants import VARIANTS
@@ -94,14 +94,14 @@ def with_toy_levels(avatar: Avatar, *, seed: int = 8, errors: bool = True) -> Av
         index = (corner[:, None] * grid + corner).reshape(-1).astype(np.int32)
         tensors[faces_name(level)] = index[grid_faces(len(corner), len(corner))]
         rows = sheet_rows(len(index), level)
-        for name, shape in exit_shapes(avatar.spec, level, rows).items():
+        for name, shape in exit_shapes(avatar.spec, level, rows, 2).items():
             inputs = shape[-1] / 3 if "geometry" in name else np.prod(shape[1:])
             spread = np.sqrt(1.5 / inputs) if name.endswith("weight") else 0.05
             tensors[name] = (rng.standard_normal(shape) * spread).astype(np.float32)
         rest = np.zeros((rows * level, 3), np.float32)
         rest[: len(index)] = head_surface(*tensors["mesh.vertex_uv"][index].T)
         tensors[f"level.{level}.geometry.mean"] = rest.reshape(rows, level, 3)
-        texel = rng.integers(level * level, size=(rows, level, NUM_TEXELS))
+        texel = rng.integers(level * level, size=(rows, level, 2))
         tensors[f"level.{level}.geometry.texel"] = texel.astype(np.int32)
     if errors:
         tensors |= error_tensors(default_errors((*exits, full)))

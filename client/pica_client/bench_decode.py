@@ -173,7 +173,8 @@ def random_decoders(avatar: Avatar, block: str, seed: int) -> Avatar:
         for layer in decoder_layers(spec, decoder):
             shapes |= layer.tensor_shapes()
     for level in avatar.levels[:-1]:
-        shapes |= exit_shapes(spec, level, avatar.position_rows(level))
+        texels = avatar.tensors[f"level.{level}.geometry.texel"].shape[-1]
+        shapes |= exit_shapes(spec, level, avatar.position_rows(level), texels)
     rng = np.random.default_rng(seed)
     tensors: dict[str, npt.NDArray[Any]] = {
         "geometry.mean": np.zeros((spec.map_size, spec.map_size, 3), np.float32)

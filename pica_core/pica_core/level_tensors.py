@@ -1,12 +1,12 @@
 """The tensors that levels of detail have in an avatar file: names, shapes, checks.
 
 All of them may be absent; float32 in memory unless stated. S is a level below the full one, C the
-channels of the trunk there, R the rows that hold the vertices of its mesh.
+channels of the trunk there, R the rows that hold the vertices of its mesh, T is 1 to 4.
 
     level.{S}.faces              [F, 3] int32, over mesh.vertex_uv
     level.{S}.geometry.mean      [R, S, 3] metres
-    level.{S}.geometry.texel     [R, S, 2] int32: which two texels of the trunk, row * S + column
-    level.{S}.geometry.weight    [R, S, 3 * C * 2]: of x, of its first channel, of the first texel
+    level.{S}.geometry.texel     [R, S, T] int32: which texels of the trunk, row * S + column
+    level.{S}.geometry.weight    [R, S, 3 * C * T]: of x, of its first channel, of the first texel
     level.{S}.expression.weight  [4, C, 3, 3]
     level.{S}.expression.bias    [4, S, S]
     level.head_px                [K] heights of the head on screen, pixels, ascending
@@ -37,9 +37,8 @@ Array = npt.NDArray[Any]
 PREFIX = "level."
 MAX_HEIGHTS = 64
 """Entries of an error table along the height of the head."""
-NUM_TEXELS = 2
-"""Of the trunk that a vertex is made of (chosen: vertices are 0.08, 0.05 and 0.04 mm off with one,
-two and four on one avatar; each costs 0.34 MB)."""
+MAX_TEXELS = 4
+"""Of the trunk that a vertex is made of."""
 _TABLE = ("head_px", "errors", "sensitivity")
 
 
@@ -71,15 +70,23 @@ def faces_name(level: int) -> str:
     return f"{PREFIX}{level}.faces"
 
 
-def exit_shapes(spec: AvatarSpec, level: int, rows: int) -> dict[str, tuple[int, ...]]:
-    """Name and shape of the tensors that make an exit with a sheet of so many rows, its mesh
-    excepted."""
+def exit_shapes(
+    spec: AvatarSpec, level: int, rows: int, num_texels: int
+) -> dict[str, tuple[int, ...]]:
+    """Name and shape of the tensors that make an exit, its mesh excepted.
+
+    Args:
+        spec: Sizes of the avatar.
+        level: Columns of its sheet.
+        rows: Of its sheet.
+        num_texels: That a vertex is made of.
+    """
     channels, prefix = trunk_channels(spec, level), f"{PREFIX}{level}"
     codes = spec.expression_channels
     return {
-        f"{prefix}.geometry.weight": (rows, level, POSITION_CHANNELS * channels * NUM_TEXELS),
+        f"{prefix}.geometry.weight": (rows, level, POSITION_CHANNELS * channels * num_texels),
         f"{prefix}.geometry.mean": (rows, level, POSITION_CHANNELS),
-        f"{prefix}.geometry.texel": (rows, level, NUM_TEXELS),
+        f"{prefix}.geometry.texel": (rows, level, num_texels),
         f"{prefix}.expression.weight": (codes, channels, 3, 3),
         f"{prefix}.expression.bias": (codes, level, level),
     }
@@ -89,7 +96,7 @@ def levels_of(spec: AvatarSpec, names: Iterable[str]) -> tuple[int, ...]:
     """The levels of an avatar with tensors of these names, ascending; the full one is the last."""
     there = set(names)
     exits = level_sizes(spec)[:-1]
-    found = (size for size in exits if there.intersection(exit_shapes(spec, size, 1)))
+    found = (size for size in exits if there.intersection(exit_shapes(spec, size, 1, 1)))
     return (*found, spec.map_size)
 
 
@@ -114,7 +121,9 @@ def wanted_shapes(
         faces, mean = faces_name(size), f"{PREFIX}{size}.geometry.mean"
         if size in levels or faces in shapes:
             rows = _rows(where, mean, shapes.get(mean, (1,)), sheet_rows(3 * max_faces, size))
-            wanted |= exit_shapes(spec, size, rows)
+            texel = shapes.get(f"{PREFIX}{size}.geometry.texel", (1,))
+            num_texels = min(max(texel[-1] if texel else 1, 1), MAX_TEXELS)
+            wanted |= exit_shapes(spec, size, rows, num_texels)
             wanted[faces] = (_rows(where, faces, shapes.get(faces, (1,)), max_faces), 3)
     table = {name: PREFIX + name for name in _TABLE}
     if shapes.keys() & table.values():

@@ -84,14 +84,14 @@ def decoder_graph(
     if parts != "expression":
         layers, tensors = _geometry(avatar, size, fold=not plain)
         value = arrange(graph, layers, tensors, grid)
-        rows = len(tensors["mean"])
-        if size != avatar.spec.map_size:
+        if size == avatar.spec.map_size:
+            value = _channel_last(graph, value, size, POSITION_CHANNELS)
+        else:
             value = _weigh_per_vertex(graph, avatar, size, value, fold=not plain)
-        value = _channel_last(graph, value, (rows, size), POSITION_CHANNELS)
         if plain:
             value = graph.add("Mul", value, graph.floats(avatar.manifest.position_scale_m))
         graph.add("Add", value, graph.floats(tensors["mean"]), output="position_map")
-        outputs["position_map"] = [rows, size, POSITION_CHANNELS]
+        outputs["position_map"] = [len(tensors["mean"]), size, POSITION_CHANNELS]
     if parts != "geometry":
         inputs["view_direction"] = [1, VIEW_CHANNELS]
         view = graph.add("Reshape", "view_direction", graph.sizes(1, VIEW_CHANNELS, 1, 1))
@@ -99,7 +99,7 @@ def decoder_graph(
         layers, tensors = _expression(avatar, size)
         value = arrange(graph, layers, tensors, graph.add("Concat", grid, tiled, axis=1))
         channels = layers[-1].out_channels
-        _channel_last(graph, value, (size, size), channels, output="expression_map")
+        _channel_last(graph, value, size, channels, output="expression_map")
         outputs["expression_map"] = [size, size, channels]
     return graph.serialise(inputs, outputs)
 
@@ -148,31 +148,32 @@ def _expression(avatar: Avatar, size: int) -> tuple[list[Layer], dict[str, Array
 def _weigh_per_vertex(
     graph: GraphBuilder, avatar: Avatar, size: int, value: str, *, fold: bool
 ) -> str:
-    """The geometry's exit: for every vertex its own product of weights and trunk, ``[3, R * S]``."""
+    """The geometry's exit: for every vertex its own product of weights and trunk, ``[R, S, 3]``."""
     prefix = f"level.{size}.geometry"
     texel, weight = avatar.tensors[f"{prefix}.texel"], avatar.tensors[f"{prefix}.weight"]
-    num_slots, num_texels = texel.shape[0] * texel.shape[1], texel.shape[2]
-    weight = weight.reshape(num_slots, POSITION_CHANNELS, -1).transpose(1, 2, 0)
+    rows, num_slots, num_texels = len(texel), texel.shape[0] * size, texel.shape[2]
+    weight = weight.reshape(num_slots, POSITION_CHANNELS, -1, num_texels).transpose(1, 3, 2, 0)
+    weight = weight.reshape(POSITION_CHANNELS, -1, num_slots)
     if fold:
         weight = weight * np.float64(avatar.manifest.position_scale_m)
     inputs = weight.shape[1]
-    flat = graph.add("Reshape", value, graph.sizes(inputs // num_texels, size * size))
-    places = graph.constant(texel.reshape(num_slots, num_texels).T.reshape(-1))
-    read = graph.add("Gather", flat, places, axis=1)
-    read = graph.add("Reshape", read, graph.sizes(inputs, num_slots))
+    # A lookup copies all channels of a texel at once; products and sums run along the vertices.
+    planes = graph.add("Reshape", value, graph.sizes(inputs // num_texels, size * size))
+    texels = graph.add("Transpose", planes, perm=[1, 0])
+    read = graph.add("Gather", texels, graph.constant(texel.reshape(-1)), axis=0)
+    read = graph.add("Reshape", read, graph.sizes(num_slots, inputs))
+    read = graph.add("Transpose", read, perm=[1, 0])
     weighed = graph.add("Mul", read, graph.floats(weight))
-    return graph.add("ReduceSum", weighed, graph.sizes(1), keepdims=0)
+    summed = graph.add("ReduceSum", weighed, graph.sizes(1), keepdims=0)
+    planes = graph.add("Reshape", summed, graph.sizes(POSITION_CHANNELS, rows, size))
+    return graph.add("Transpose", planes, perm=[1, 2, 0])
 
 
 def _channel_last(
-    graph: GraphBuilder,
-    value: str,
-    size: tuple[int, int],
-    channels: int,
-    output: str | None = None,
+    graph: GraphBuilder, value: str, size: int, channels: int, output: str | None = None
 ) -> str:
     # Reshaped first: a reshape that makes an output is a copy.
-    planes = graph.add("Reshape", value, graph.sizes(channels, *size))
+    planes = graph.add("Reshape", value, graph.sizes(channels, size, size))
     return graph.add("Transpose", planes, perm=[1, 2, 0], output=output)
 
 

@@ -225,7 +225,7 @@ def test_vertices_stand_in_the_middle_of_their_texels_row_by_row() -> None:
 
 
 def test_an_avatar_with_one_exit_alone_is_whole(tmp_path: Path) -> None:
-    lacking = {*exit_shapes(SPEC, 64, 1), faces_name(64), *error_tensors(default_errors((256,)))}
+    lacking = {*exit_shapes(SPEC, 64, 1, 1), faces_name(64), *error_tensors(default_errors((256,)))}
     tensors = {name: array for name, array in TOY.tensors.items() if name not in lacking}
     save_avatar(tmp_path / "one.pica", Avatar(TOY.manifest, tensors))
     assert load_avatar(tmp_path / "one.pica").levels == (128, 256)

@@ -34,7 +34,9 @@ SMALL = AvatarSpec(
     map_size=128, hidden_channels=(8, 6, 4), uv_encoding_size=16, axis_encoding_size=20
 )
 TOY = make_toy_avatar(grid=20, spec=SMALL)
-QUICK = LevelOptions(faces=64, rounds=1, points=500, mesh_ratios=(0.3, 0.6), check_faces=4)
+QUICK = LevelOptions(
+    faces=64, rounds=1, points=500, mesh_ratios=(0.3, 0.6), texels=(2, 2), check_faces=4
+)
 SHIPPED = Path(str(resources.files("pica_core"))) / "avatars" / "ines.pica"
 
 
@@ -102,6 +104,12 @@ def test_an_option_out_of_its_limits_is_refused(field: str) -> None:
 def test_meshes_of_no_proper_sizes_are_refused(ratios: tuple[float, ...]) -> None:
     with pytest.raises(TrainingOptionError, match="mesh_ratios is"):
         LevelOptions(mesh_ratios=ratios)
+
+
+@pytest.mark.parametrize("texels", [(1,), (0, 1), (1, 5)])
+def test_vertices_of_no_or_too_many_texels_are_refused(texels: tuple[int, ...]) -> None:
+    with pytest.raises(TrainingOptionError, match="texels is"):
+        LevelOptions(texels=texels)
 
 
 # Maps that are read at points

@@ -27,7 +27,6 @@ from torch.nn import functional
 
 from pica_core.avatar_file import Avatar
 from pica_core.decoder_layers import trunk_layers
-from pica_core.level_tensors import NUM_TEXELS
 from pica_core.model.decoders import MapDecoder, sample_map, tile_view_direction
 from pica_core.pixel_reference import decode_pixels
 
@@ -163,7 +162,12 @@ def fit_convolution(
 
 
 def fit_sheet(
-    decoder: FrozenDecoder, faces: FaceSet, level: int, vertex_uv: Tensor, rest: Tensor
+    decoder: FrozenDecoder,
+    faces: FaceSet,
+    level: int,
+    vertex_uv: Tensor,
+    rest: Tensor,
+    num_texels: int,
 ) -> SheetHead:
     """Fit every vertex by itself to where the decoder's own output has it.
 
@@ -173,11 +177,12 @@ def fit_sheet(
         level: Rows of the trunk.
         vertex_uv: Where the vertices are in the full map, UV in [0, 1]. ``[V, 2]``.
         rest: Map to add to the decoder's output, ``[3, S, S]``; it goes into the rest.
+        num_texels: That a vertex is made of, the nearest.
     """
     index, share = _taps(vertex_uv, level)
-    nearest = torch.argsort(share, dim=1, descending=True, stable=True)[:, :NUM_TEXELS]
+    nearest = torch.argsort(share, dim=1, descending=True, stable=True)[:, :num_texels]
     mean_trunk, mean_full = _means(decoder, faces, level)
-    width, outputs = mean_trunk.shape[0] * NUM_TEXELS, mean_full.shape[0]
+    width, outputs = mean_trunk.shape[0] * num_texels, mean_full.shape[0]
     head = SheetHead(
         texel=index.gather(1, nearest),
         weight=torch.zeros(len(vertex_uv), outputs, width),

@@ -23,7 +23,7 @@ from pica_core.avatar_file import Avatar
 from pica_core.capture.practice import practice_performances
 from pica_core.errors import TrainingOptionError
 from pica_core.expression_encoder import ExpressionEncoder
-from pica_core.level_tensors import PREFIX, faces_name, sheet_rows
+from pica_core.level_tensors import MAX_TEXELS, PREFIX, faces_name, sheet_rows
 from pica_core.levels import EXIT_DIVISORS, level_sizes
 from pica_core.model.decoders import sample_map
 from pica_core.pixel_reference import decode_pixels
@@ -64,6 +64,9 @@ class LevelOptions:
     mesh_ratios: tuple[float, ...] = (0.16, 0.375)
     """Triangles of the levels' meshes, the coarsest first, as shares of the full mesh (chosen: at
     heads 256 pixels high they leave 3 to 4 and 1 more MSE; with 0.08 it would be 20)."""
+    texels: tuple[int, ...] = (1, 2)
+    """Of the trunk that a vertex is made of, the coarsest level first (chosen: at 64 one leaves
+    0.07 mm and two 0.05, at 128 it is 0.09 and 0.06; two take twice as long)."""
     check_faces: int = 48
     """Other faces, to report the error on."""
     seed: int = 0
@@ -79,6 +82,12 @@ class LevelOptions:
                 raise TrainingOptionError(
                     f"{name} is {getattr(self, name)}; {low} to {high} is allowed"
                 )
+        if len(self.texels) != len(EXIT_DIVISORS) or not all(
+            1 <= count <= MAX_TEXELS for count in self.texels
+        ):
+            raise TrainingOptionError(
+                f"texels is {self.texels}; {len(EXIT_DIVISORS)} of 1 to {MAX_TEXELS} are allowed"
+            )
         ratios = self.mesh_ratios
         proper = len(ratios) == len(EXIT_DIVISORS) and list(ratios) == sorted(ratios)
         if not (proper and ratios[0] > 0 and ratios[-1] <= 1):
@@ -131,9 +140,11 @@ def add_levels(
     levels = level_sizes(avatar.spec)[:-1]
     meshes = _simplify(bare, surface.moving_vertices_m, options)
     reports = []
-    for level, mesh in zip(levels, meshes[-len(levels) :], strict=True):
+    for level, mesh, texels in zip(
+        levels, meshes[-len(levels) :], options.texels[-len(levels) :], strict=True
+    ):
         show(f"level {level}: exits")
-        geometry = _fit_geometry(bare, decoders["geometry"], faces, level, mesh)
+        geometry = _fit_geometry(bare, decoders["geometry"], faces, level, mesh, texels)
         expression = fit_convolution(
             decoders["expression"], faces, level, surface.points, surface.metric, seed=options.seed
         )
@@ -258,12 +269,18 @@ def _simplify(avatar: Avatar, shapes_m: Array, options: LevelOptions) -> list[Ar
 
 
 def _fit_geometry(
-    avatar: Avatar, decoder: FrozenDecoder, faces: FaceSet, level: int, mesh: Array
+    avatar: Avatar,
+    decoder: FrozenDecoder,
+    faces: FaceSet,
+    level: int,
+    mesh: Array,
+    texels: int,
 ) -> SheetHead:
     """Fit the vertices of the level's mesh."""
     vertex_uv = torch.from_numpy(np.array(avatar.tensors["mesh.vertex_uv"][np.unique(mesh)]))
     mean = torch.from_numpy(np.array(avatar.tensors["geometry.mean"])).permute(2, 0, 1)
-    return fit_sheet(decoder, faces, level, vertex_uv, mean / avatar.manifest.position_scale_m)
+    rest = mean / avatar.manifest.position_scale_m
+    return fit_sheet(decoder, faces, level, vertex_uv, rest, texels)
 
 
 def _exit_tensors(
