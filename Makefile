@@ -25,8 +25,10 @@ types: .venv/.ready-test
 imports: .venv/.ready-test
 	$(BIN)/lint-imports
 
+# Tests on a real clock run alone: two at once would slow each other down.
 pytest: .venv/.ready-test
-	$(BIN)/python -m pytest $(PYTEST)
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not realtime" $(PYTEST)
+	$(BIN)/python -m pytest -m realtime $(PYTEST)
 
 # Each part alone in an environment of its own: the relay without numpy, the client without torch.
 extras: .venv/.ready-test
