@@ -162,7 +162,20 @@ def test_a_rig_without_texture_coordinates_gets_some(tmp_path: Path) -> None:
 
     head = make_rig(read_rig(folder))
 
-    assert head.made_islands
+    assert head.mended == len(head.mesh.faces)
+    assert_no_overlap(head.chart)
+
+
+def test_islands_that_hold_no_place_get_new_coordinates(tmp_path: Path) -> None:
+    rig = toy_rig()
+    eye = np.unique(rig.quads["eye_left"])
+    rig.uv[eye] = [1.5, 0.5]  # all of it on one point
+    skin = np.unique(rig.quads["skin"])
+    rig.uv[skin, 0] = 0.02 + np.abs(rig.uv[skin, 0] - 0.5)  # one half on the other
+
+    head = make_rig(read_rig(write_glb(tmp_path / "folded.glb", rig)))
+
+    assert head.mended == 2 * (len(rig.quads["eye_left"]) + len(rig.quads["skin"]))
     assert_no_overlap(head.chart)
 
 

@@ -38,6 +38,8 @@ FLOW_CONTRAST = 40.0
 """Largest and smallest density against the mean: limits how far texels may crowd."""
 MIN_FLOW_FACES = 40
 """Smaller islands are scaled only."""
+MAX_FOLDED = 0.1
+"""Share of an island that may be folded over, at most; more and it gets new coordinates."""
 PADDING_TEXELS = 1
 """Empty texels between islands beyond those that bilinear lookup reads: it never mixes two."""
 
@@ -90,6 +92,43 @@ def make_islands(points: Float64Array, faces: IntArray) -> tuple[Float64Array, I
     if len(index) != len(faces):
         raise CaptureError(f"only {len(index)} of {len(faces)} triangles could be laid flat")
     return uv.astype(np.float64), index.astype(np.int32)
+
+
+def mend_islands(
+    points: Float64Array, faces: IntArray, uv: Float64Array, uv_faces: IntArray
+) -> tuple[Float64Array, IntArray, int]:
+    """Replace islands that lie on a point, on a line, or folded over themselves (mirrored halves).
+
+    Args:
+        points: Vertices. ``[P, 3]``.
+        faces: Triangles in `points`. ``[F, 3]``.
+        uv: Texture coordinates. ``[T, 2]``.
+        uv_faces: The same triangles in `uv`. ``[F, 3]``.
+
+    Returns:
+        Coordinates, triangles in them, and how many triangles got new ones.
+    """
+    area = _areas(uv, uv_faces)
+    label = components(uv_faces, len(uv))[uv_faces[:, 0]]
+    _, island = np.unique(label, return_inverse=True)
+    flat = np.bincount(island, np.abs(area))
+    folded = flat - np.abs(np.bincount(island, area))
+    ratio = flat / np.maximum(np.bincount(island, _areas_in_space(points, faces)), 1e-12)
+    usual = float(np.median(ratio[island]))
+    bad = (flat <= 0) | (folded > MAX_FOLDED * flat) | (ratio < 1e-4 * usual)
+    if not bad.any():
+        return uv, uv_faces, 0
+    mend = bad[island]
+    new_uv, new_faces = make_islands(points, np.ascontiguousarray(faces[mend]))
+    mended = uv_faces.copy()
+    mended[mend] = new_faces + len(uv)
+    return np.concatenate([uv, new_uv]), mended, int(np.count_nonzero(mend))
+
+
+def _areas_in_space(points: Float64Array, faces: IntArray) -> Float64Array:
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    result: Float64Array = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return result
 
 
 def _density_modes(size: int) -> tuple[Float64Array, Float64Array, Float64Array]:

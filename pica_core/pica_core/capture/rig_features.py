@@ -117,10 +117,7 @@ def find_mouth(mesh: RigMesh) -> Mouth | None:
     high = np.flatnonzero(front & (drop < 0.25 * most) & (drop > -1))
     if not len(low) or not len(high):
         return None
-    if len(low) * len(high) > 20_000_000:
-        low = low[:: 1 + len(low) * len(high) // 20_000_000]
-    apart = np.linalg.norm(rest[low][:, None] - rest[high][None], axis=2)
-    partner, gap = apart.argmin(1), apart.min(1)
+    partner, gap = _nearest(rest[low], rest[high])
     limit = max(0.003, 2.0 * float(np.quantile(gap, 0.02)))
     touching = gap < limit
     if touching.sum() < 3:
@@ -137,6 +134,20 @@ def find_mouth(mesh: RigMesh) -> Mouth | None:
         rows.append(foremost.mean(0))
     knots = np.array(rows)[np.argsort([row[0] for row in rows])]
     return Mouth(half_m=half, x=knots[:, 0], y=knots[:, 1], z=knots[:, 2], centre_x=centre)
+
+
+def _nearest(
+    points: Float64Array, others: Float64Array
+) -> tuple[npt.NDArray[np.int64], Float64Array]:
+    """The nearest of `others` to each point, and how far it is; a part of the table at a time."""
+    index = np.empty(len(points), np.int64)
+    distance = np.empty(len(points))
+    rows = max(1_000_000 // len(others), 1)
+    for first in range(0, len(points), rows):
+        apart = np.linalg.norm(points[first : first + rows, None] - others[None], axis=2)
+        index[first : first + rows] = apart.argmin(1)
+        distance[first : first + rows] = apart.min(1)
+    return index, distance
 
 
 def _eye_gaps(mesh: RigMesh, view: FrontView, part: IntArray) -> tuple[Float64Array, BoolArray]:
@@ -157,10 +168,8 @@ def _eye_gaps(mesh: RigMesh, view: FrontView, part: IntArray) -> tuple[Float64Ar
         near = np.flatnonzero(
             (np.abs(offset[:, :2]).max(1) < 2.2 * eye.radius_m) & (offset[:, 2] > 0)
         )
-        for some in np.array_split(near, max(len(near) // 1500, 1)):
-            flat = mesh.rest_m[some, :2]
-            distance = np.linalg.norm(flat[:, None] - here[None], axis=2).min(1)
-            gap[some] = np.minimum(gap[some], np.maximum(distance - view.cell_m, 0.0))
+        _, distance = _nearest(mesh.rest_m[near, :2], here)
+        gap[near] = np.minimum(gap[near], np.maximum(distance - view.cell_m, 0.0))
         # The canthi lie on the line between lids: what is above is the upper lid.
         tilt = (
             np.polyfit(here[:, 0], here[:, 1], 1)

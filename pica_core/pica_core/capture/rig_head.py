@@ -14,7 +14,7 @@ import numpy.typing as npt
 from pica_core.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.capture.heads import EYE_PITCH_DOWN, EYE_PITCH_UP, EYE_YAW
 from pica_core.capture.reading import Topology
-from pica_core.capture.rig_chart import PackedChart, make_islands, pack
+from pica_core.capture.rig_chart import PackedChart, make_islands, mend_islands, pack
 from pica_core.capture.rig_features import Features, find_features
 from pica_core.capture.rig_gltf import read_glb
 from pica_core.capture.rig_mesh import RigMesh, build_mesh
@@ -113,6 +113,7 @@ class RigHead:
         names: How its shapes were mapped.
         features: What was found on it.
         chart: Its one chart; ``chart.source`` leads from split to welded vertices.
+        mended: Triangles whose texture coordinates were made here.
         topology: What models draw.
         corrective_close: True when mouthClose takes back a part of jawOpen, as ARKit's does.
     """
@@ -123,9 +124,11 @@ class RigHead:
         self.name, self.mesh, self.names = name, mesh, names
         self.features = find_features(mesh)
         uv, uv_faces = mesh.uv, mesh.uv_faces
-        self.made_islands = uv is None or uv_faces is None
         if uv is None or uv_faces is None:
             uv, uv_faces = make_islands(mesh.rest_m, mesh.faces)
+            self.mended = len(mesh.faces)
+        else:
+            uv, uv_faces, self.mended = mend_islands(mesh.rest_m, mesh.faces, uv, uv_faces)
         need = None if own_chart else texel_need(mesh, self.features)
         self.chart: PackedChart = pack(uv, uv_faces, mesh.faces, need)
         source = self.chart.source

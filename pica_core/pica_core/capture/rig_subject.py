@@ -121,7 +121,7 @@ class RigSubject:
                 "eyeballs_turned_by_importer": head.eyes_turned_here,
                 "mouth_close_is_corrective": head.corrective_close,
                 "islands": head.chart.islands,
-                "islands_made_here": head.made_islands,
+                "triangles_with_new_coordinates": head.mended,
                 "position_map_error_mm": chart_error_mm(head),
             },
             "position_map_size": MAP_SIZE,
