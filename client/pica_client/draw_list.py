@@ -197,14 +197,18 @@ def _arrange(
         )
         return [stand_in]
     blend = min(max(placement.blend, 0.0), 1.0)
-    if not (position.has_before or expression.has_before):
+    newest = (position.level, position.newest, expression.newest)
+    before = (position.level_before, position.before, expression.before)
+    if placement.is_same_maps:
+        before = newest
+    elif not (position.has_before or expression.has_before):
         blend = 1.0
     layers = (
-        (position.level, position.newest, expression.newest, (0.0, blend)),
-        (position.level_before, position.before, expression.before, (blend, 1.0)),
+        (*newest, placement.mesh_level, (0.0, blend)),
+        (*before, placement.mesh_before, (blend, 1.0)),
     )
     heads: list[DecodedHead | PaintedHead] = []
-    for level, shape, codes, share in layers:
+    for level, shape, codes, mesh_level, share in layers:
         if share[0] == share[1]:
             continue
         head = DecodedHead(
@@ -214,7 +218,7 @@ def _arrange(
             mark=number,
             share=share,
             body=body,
-            mesh=body.mesh(level, placement.mesh_level),
+            mesh=body.mesh(level, mesh_level),
             position=shape,
             expression=codes,
         )

@@ -71,8 +71,12 @@ class Placement:
     """Level whose mesh to draw with the full maps; None for the full one. Maps of other levels are
     always drawn with their own."""
     blend: float = 1.0
-    """Part of the pixels that show the maps that came last; the others show those of the level
-    before."""
+    """Part of the pixels that show the maps that came last on `mesh_level`; the others show those
+    of the level before, on `mesh_before`."""
+    mesh_before: int | None = None
+    """As `mesh_level`, of what fades out."""
+    is_same_maps: bool = False
+    """Whether only the mesh fades: what fades out are the maps that came last, too."""
 
 
 def arrange_seats(count: int) -> list[Float64Array]:

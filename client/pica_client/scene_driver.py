@@ -12,8 +12,8 @@ The scheduler knows numbers; this knows matrices, latents and what was asked of 
 remembers of each head which latent its maps are made of and from where it was looked at then, so
 that it can say how far both have moved. Pure: no GPU, no clock, no threads.
 
-When maps of another level arrive they fade in over `BLEND_S`: a level that comes and goes is never
-a jump of the picture.
+When maps of another level arrive, or the mesh changes, the new ones fade in over `BLEND_S`: a level
+that comes and goes is never a jump of the picture.
 """
 
 from __future__ import annotations
@@ -78,10 +78,20 @@ class _Entry:
     asked_s: float = -math.inf
     captured_us: int = 0
     shown_level: int | None = None
+    shown_mesh: int | None = None
+    mesh_before: int | None = None
+    """Of what fades out."""
+    is_same_maps: bool = False
+    """Whether that are the same maps."""
     blend_from_s: float = -math.inf
     centre_px: tuple[float, float] | None = None
     speed_px_s: float = 0.0
     choice: Choice | None = None
+
+    def fade(self, now: float, *, is_same_maps: bool) -> None:
+        """What is shown now fades out."""
+        self.mesh_before, self.is_same_maps = self.shown_mesh, is_same_maps
+        self.blend_from_s = now
 
 
 class SceneDriver:
@@ -163,7 +173,8 @@ class SceneDriver:
         costs.observe_decode(entry.model, result.level, result.parts, result.decode_s)
         costs.observe_upload(result.level, result.parts, upload_s)
         if entry.shown_level is not None and entry.shown_level != result.level:
-            entry.blend_from_s = now
+            entry.fade(now, is_same_maps=False)
+            entry.shown_mesh = None
         entry.shown_level = result.level
 
     def note_drawn(self, num_triangles: int, shaded_px: float, draw_s: float) -> None:
@@ -193,9 +204,16 @@ class SceneDriver:
         if entry is None or entry.choice is None:
             return placement
         choice = entry.choice
+        # A mesh that is meant for maps still to come waits for them.
+        if choice.level == entry.shown_level and choice.mesh_level != entry.shown_mesh:
+            if entry.shown_mesh is not None:
+                entry.fade(now, is_same_maps=True)
+            entry.shown_mesh = choice.mesh_level
         return replace(
             placement,
-            mesh_level=choice.mesh_level,
+            mesh_level=entry.shown_mesh,
+            mesh_before=entry.mesh_before,
+            is_same_maps=entry.is_same_maps,
             blend=min((now - entry.blend_from_s) / BLEND_S, 1.0),
         )
 

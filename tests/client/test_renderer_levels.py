@@ -217,6 +217,26 @@ def test_while_levels_mix_each_has_its_own_mesh(context: moderngl.Context, maps:
     assert [head.level for head in renderer.draw([placed()], NEAR).heads] == [64]
 
 
+def test_a_mesh_fades_out_under_the_same_maps(context: moderngl.Context, maps: Maps) -> None:
+    renderer = renderer_with(context, maps, 256)
+    old, new = (drawn(renderer, placed(mesh_level=level)) for level in (64, 256))
+    fade = placed(mesh_level=256, mesh_before=64, is_same_maps=True)
+    ends = [drawn(renderer, replace(fade, blend=share)) for share in (0.0, 1.0)]
+    np.testing.assert_array_equal(ends[0], old)
+    np.testing.assert_array_equal(ends[1], new)
+    stats = renderer.draw([replace(fade, blend=0.5)], NEAR, count_pixels=True)
+    assert [head.level for head in stats.heads] == [256, 64]
+    assert stats.shaded_pixels == (renderer.read_surface()[2] >= 0).sum()
+    mixed = renderer.read_image()
+    assert ((mixed == new).all(axis=-1) | (mixed == old).all(axis=-1)).mean() > 0.99
+
+
+def test_maps_that_fade_out_keep_their_mesh(context: moderngl.Context, maps: Maps) -> None:
+    renderer = renderer_with(context, maps, 256, 64)
+    fade = placed(mesh_level=64, mesh_before=128, blend=0.5)
+    assert [head.level for head in renderer.draw([fade], NEAR).heads] == [64, 128]
+
+
 def test_without_a_level_before_a_blend_shows_the_newest(
     context: moderngl.Context, maps: Maps
 ) -> None:

@@ -135,6 +135,25 @@ def test_maps_of_another_level_fade_in_and_those_of_the_same_do_not(avatar: Avat
     assert driver.dressed(placement, 3.0).blend == 1.0
 
 
+def test_a_change_of_mesh_fades_in_too(avatar: Avatar) -> None:
+    driver, far = SceneDriver(Scheduler()), head(avatar)
+    far.world_from_head[2, 3] = -40.0
+    near = head(avatar)
+    placement = Placement(slot="ada", world_from_head=np.eye(4, dtype=np.float32))
+    meshes = []
+    for frame in range(60):
+        now = frame * FRAME_S
+        plan = planned(driver, near if frame < 20 else far, now=now)
+        for _, request in driver.requests(plan, now):
+            driver.note_decoded(decoded("ada", request.level), 1e-4, now=now)
+        meshes.append(driver.dressed(placement, now))
+    held = [each for each in meshes if each.is_same_maps]
+    assert held, "a far head draws the maps that it has with fewer triangles"
+    first = held[0]
+    assert (first.mesh_level, first.mesh_before, first.blend) == (128, 256, 0.0)
+    assert meshes[-1].blend == 1.0
+
+
 def test_what_is_measured_reaches_the_cost_model(avatar: Avatar) -> None:
     driver = SceneDriver(Scheduler())
     planned(driver, head(avatar))
