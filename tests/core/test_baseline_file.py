@@ -17,7 +17,7 @@ from pica_core.baseline_file import KEY, load_baseline, save_baseline
 from pica_core.baseline_graph import baseline_graph
 from pica_core.errors import AvatarFileError
 from pica_core.expression_encoder import ExpressionEncoder
-from pica_core.model.baseline import DeepAppearanceModel
+from pica_core.model.baseline import USUAL_INPUTS, Connected, DeepAppearanceModel
 from pica_core.model.interface import flat_latent
 from pica_core.model.variants import make_model
 from pica_core.spec import AvatarSpec
@@ -166,3 +166,18 @@ def test_smaller_textures_leave_out_layers() -> None:
 def test_an_unknown_encoder_is_refused() -> None:
     with pytest.raises(ValueError, match="encoder is 'heavy'"):
         make_model("baseline", SPEC, replace(PRIOR), encoder="heavy", texture_size=64)
+
+
+def test_a_layer_of_many_inputs_moves_no_further_in_a_step_than_a_usual_one() -> None:
+    moved = []
+    for inputs in (USUAL_INPUTS, 100 * USUAL_INPUTS):
+        torch.manual_seed(0)
+        layer, ones = Connected(inputs, 1), torch.ones(1, inputs)
+        optimiser = torch.optim.Adam([layer.held], lr=1e-3)
+        before = layer(ones)
+        before.sum().backward()
+        optimiser.step()
+        moved.append(float((before - layer(ones)).detach()))
+
+    assert moved[0] == pytest.approx(1e-3 * USUAL_INPUTS, rel=1e-3)
+    assert moved[1] == pytest.approx(moved[0], rel=0.01)

@@ -15,12 +15,12 @@ Our choices: the latent is the grid of all our models, flattened to z = 256, so 
 trackers serve it too; vertices are the mean mesh plus the position scale times the output; the
 texture begins as the capture's mean texture (the bias of its last layer has a value for every
 texel); the light encoder takes a texture of 256 and leaves out the two convolutions that a larger
-one needs; a smaller texture leaves out the decoder's last but one layers.
+one needs; a smaller texture leaves out the decoder's last but one layers; layers with very many
+inputs learn more slowly (`_Tamed`), without which the baseline does not bear the others' rates.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import pairwise
 
 import torch
@@ -54,14 +54,70 @@ _ENCODERS: dict[str, tuple[int, tuple[int, ...]]] = {
     "paper": (1024, (16, 16, 32, 32, 64, 64, 128, 128)),
     "light": (256, (16, 32, 64, 64, 128, 128)),
 }
+USUAL_INPUTS = 288
+"""Inputs of an output in the full model's decoders: 32 channels, 3x3 (see `_Tamed`)."""
 _GAIN = (2 / (1 + LEAKY_SLOPE**2)) ** 0.5
 
 
-def _connected(inputs: int, outputs: int, gain: float = _GAIN) -> nn.Linear:
-    layer = nn.Linear(inputs, outputs)
-    nn.init.normal_(layer.weight, std=gain / inputs**0.5)
-    nn.init.zeros_(layer.bias)
-    return layer
+class _Tamed(nn.Module):
+    """A layer whose weights are held larger than they act, by the factor that its number of inputs
+    exceeds `USUAL_INPUTS`.
+
+    Adam moves every weight by about the learning rate, whatever its gradient, so a sum over 22,000
+    vertex coordinates would move a hundred times as far as one over a convolution's window, and
+    does not bear the rates that the full model's layers do. Held so, all layers move alike.
+
+    Args:
+        shape: Of the weights.
+        inputs: How many inputs meet at an output.
+        outputs: Biases; 0 for none.
+        gain: Deviation of an output, for inputs of deviation 1.
+    """
+
+    def __init__(self, shape: tuple[int, ...], inputs: int, outputs: int, gain: float) -> None:
+        super().__init__()
+        self.scale = min(1.0, USUAL_INPUTS / inputs)
+        self.held = nn.Parameter(torch.empty(shape))
+        nn.init.normal_(self.held, std=gain / inputs**0.5 / self.scale)
+        self.bias = nn.Parameter(torch.zeros(outputs)) if outputs else None
+
+    @property
+    def weight(self) -> Tensor:
+        """The weights as they act."""
+        return self.scale * self.held
+
+
+class Connected(_Tamed):
+    """A fully connected layer."""
+
+    def __init__(self, inputs: int, outputs: int, gain: float = _GAIN) -> None:
+        super().__init__((outputs, inputs), inputs, outputs, gain)
+
+    def forward(self, values: Tensor) -> Tensor:
+        """``[N, inputs]`` to ``[N, outputs]``."""
+        return functional.linear(values, self.weight, self.bias)
+
+
+class Halving(_Tamed):
+    """A convolution 4x4 of stride 2."""
+
+    def __init__(self, c_in: int, c_out: int) -> None:
+        super().__init__((c_out, c_in, 4, 4), 16 * c_in, c_out, _GAIN)
+
+    def forward(self, values: Tensor) -> Tensor:
+        """``[N, c_in, S, S]`` to ``[N, c_out, S / 2, S / 2]``."""
+        return functional.conv2d(values, self.weight, self.bias, stride=2, padding=1)
+
+
+class Doubling(_Tamed):
+    """A transposed convolution 4x4 of stride 2, without a bias of its own."""
+
+    def __init__(self, c_in: int, c_out: int, gain: float = _GAIN) -> None:
+        super().__init__((c_in, c_out, 4, 4), 4 * c_in, 0, gain)
+
+    def forward(self, values: Tensor) -> Tensor:
+        """``[N, c_in, S, S]`` to ``[N, c_out, 2 S, 2 S]``."""
+        return functional.conv_transpose2d(values, self.weight, stride=2, padding=1)
 
 
 class DeepAppearanceEncoder(LatentEncoder):
@@ -86,16 +142,13 @@ class DeepAppearanceEncoder(LatentEncoder):
         self.register_buffer("_uv", uv_buffer(prior.tracked_uv), persistent=False)
         steps: list[nn.Module] = []
         for c_in, c_out in pairwise((3, *channels)):
-            convolution = nn.Conv2d(c_in, c_out, 4, stride=2, padding=1)
-            nn.init.normal_(convolution.weight, std=_GAIN / (16 * c_in) ** 0.5)
-            nn.init.zeros_(convolution.bias)  # type: ignore[arg-type]
-            steps += [convolution, nn.LeakyReLU(LEAKY_SLOPE)]
+            steps += [Halving(c_in, c_out), nn.LeakyReLU(LEAKY_SLOPE)]
         self.texture = nn.Sequential(*steps)
         size = self.texture_size >> len(channels)
-        self.texture_feature = _connected(channels[-1] * size * size, HIDDEN)
-        self.mesh_feature = _connected(3 * len(prior.tracked_uv), HIDDEN)
-        self.mean = _connected(2 * HIDDEN, NUM_LATENT, gain=1.0)
-        self.log_variance = _connected(2 * HIDDEN, NUM_LATENT, gain=0.1)
+        self.texture_feature = Connected(channels[-1] * size * size, HIDDEN)
+        self.mesh_feature = Connected(3 * len(prior.tracked_uv), HIDDEN)
+        self.mean = Connected(2 * HIDDEN, NUM_LATENT, gain=1.0)
+        self.log_variance = Connected(2 * HIDDEN, NUM_LATENT, gain=0.1)
 
     def forward(self, texture: Tensor, position_map: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and log-variance of the latent."""
@@ -115,7 +168,7 @@ class TextureDecoder(nn.Module):
     def __init__(self, spec: BaselineSpec) -> None:
         super().__init__()
         self._first = spec.num_latent
-        self.grid = _connected(
+        self.grid = Connected(
             spec.num_latent + VIEW_FEATURES, spec.num_latent * FIRST_SIZE * FIRST_SIZE
         )
         self.convolutions = nn.ModuleList()
@@ -123,18 +176,15 @@ class TextureDecoder(nn.Module):
         size = FIRST_SIZE
         for c_in, c_out in pairwise((spec.num_latent, *spec.channels)):
             size *= 2
-            convolution = nn.ConvTranspose2d(c_in, c_out, 4, stride=2, padding=1, bias=False)
-            nn.init.normal_(convolution.weight, std=_GAIN / (4 * c_in) ** 0.5)
-            self.convolutions.append(convolution)
+            gain = 0.1 * _GAIN if size == spec.texture_size else _GAIN
+            self.convolutions.append(Doubling(c_in, c_out, gain))
             self.biases.append(UntiedBias(c_out, size))
-        with torch.no_grad():
-            convolution.weight.mul_(0.1)
 
-    def layers(self) -> list[tuple[nn.ConvTranspose2d, UntiedBias]]:
+    def layers(self) -> list[tuple[Doubling, UntiedBias]]:
         """Convolutions with the biases behind them."""
         pairs = []
         for convolution, bias in zip(self.convolutions, self.biases, strict=True):
-            assert isinstance(convolution, nn.ConvTranspose2d)
+            assert isinstance(convolution, Doubling)
             assert isinstance(bias, UntiedBias)
             pairs.append((convolution, bias))
         return pairs
@@ -185,9 +235,9 @@ class DeepAppearanceModel(AvatarModel):
         self.register_buffer("tracked_mean_m", mean.clone())
         self.encoder = DeepAppearanceEncoder(encoder, prior)
         code = self.baseline_spec.num_latent
-        self.latent = _connected(code, code)
-        self.mesh = _connected(code, 3 * self.baseline_spec.num_vertices, gain=0.1)
-        self.view = _connected(VIEW_CHANNELS, VIEW_FEATURES)
+        self.latent = Connected(code, code)
+        self.mesh = Connected(code, 3 * self.baseline_spec.num_vertices, gain=0.1)
+        self.view = Connected(VIEW_CHANNELS, VIEW_FEATURES)
         self.texture = TextureDecoder(self.baseline_spec)
         texture = torch.as_tensor(prior.texture_mean, dtype=torch.float32).permute(2, 0, 1)[None]
         self._texel_bias.data.copy_(resize_texture(texture, texture_size)[0] / TEXTURE_SCALE)
@@ -240,13 +290,13 @@ class DeepAppearanceModel(AvatarModel):
         """The decoder as `BaselineSpec.tensor_shapes` names it: outputs in metres and in colours,
         with mean and units folded into the last weights."""
         tensors: dict[str, Tensor] = {}
-        connected: Sequence[tuple[str, nn.Linear]] = (
+        for name, layer in (
             ("view", self.view),
             ("latent", self.latent),
             ("mesh", self.mesh),
             ("grid", self.texture.grid),
-        )
-        for name, layer in connected:
+        ):
+            assert layer.bias is not None
             tensors[f"{name}.weight"], tensors[f"{name}.bias"] = layer.weight, layer.bias
         for part in ("weight", "bias"):
             tensors[f"mesh.{part}"] = self.position_scale_m * tensors[f"mesh.{part}"]
