@@ -7,6 +7,7 @@ import pytest
 from PIL import Image
 
 from pica_command.main import main
+from pica_core.capture.capture_writer import BackgroundWriter
 from pica_core.capture.coordinates import MATERIALS
 from pica_core.capture.dataset import Capture
 from pica_core.capture.expressions import blend
@@ -283,3 +284,13 @@ def test_an_unknown_camera_lists_the_known_ones(rendered: Path) -> None:
 def test_a_size_out_of_range_is_refused() -> None:
     with pytest.raises(CaptureError, match="frames is 1; allowed are 4 to"):
         StageOptions(frames=1)
+
+
+def test_an_image_that_cannot_be_written_ends_the_render(tmp_path: Path) -> None:
+    (tmp_path / "images").write_text("in the way")
+    picture = np.zeros((4, 4, 3), np.uint8)
+    with BackgroundWriter() as writer:
+        writer.image(tmp_path / "images" / "SEG" / "0.png", lambda: picture)
+        with pytest.raises(CaptureError, match=r"0\.png: cannot write \(Not a directory\)"):
+            writer.finish()
+    assert sorted(tmp_path.iterdir()) == [tmp_path / "images"]
