@@ -142,6 +142,11 @@ def build_hair(identity: Identity, field: HeadField, chart: Chart) -> Float64Arr
         hanging = scalp - drop[..., None] * [0.0, 1.0, 0.0]
         inwards = (hanging - lying_at) * [1.0, 0.0, 1.0]
         scalp = scalp - hug * inwards * smoothstep(0.0, 26.0, drop)[..., None]
+        # Where the neck is wider than the hang of the hair, hair lies on it.
+        reach = np.hypot(hanging[..., 0], hanging[..., 2])
+        neck_reach = np.hypot(lying_at[..., 0], lying_at[..., 2])
+        lift = np.maximum(neck_reach - reach, 0.0) * (drop > 0) * (1.0 - hug[..., 0])
+        scalp = scalp + lift[..., None] * flat
     else:
         scalp = np.where((drop > 0)[..., None], lying_at, scalp)
         drop, hang = np.zeros_like(drop), np.zeros_like(hang)
@@ -186,7 +191,10 @@ def build_hair(identity: Identity, field: HeadField, chart: Chart) -> Float64Arr
     thickness = thickness + lying * (grown - thickness)
     points: Float64Array = scalp + away * thickness[..., None]
     points[..., 1] -= drop
-    # Tuck the edge back under, so that the shell shows a rim and no gap.
-    points -= away * (tuck * np.where(hang > 1, 7.0, np.maximum(thickness, 0) + 2.5))[..., None]
+    # Tuck the edge back under, so that the shell shows a rim and no gap; below hanging hair the
+    # shell closes against the neck.
+    short = away * (np.maximum(thickness, 0) + 2.5)[..., None]
+    closing = (points - lying_at) * [0.95, 0.0, 0.95]
+    points -= tuck[..., None] * np.where((hang > 1)[..., None], closing, short)
     points[..., 1] += tuck * 1.5
     return points

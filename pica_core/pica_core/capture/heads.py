@@ -131,7 +131,7 @@ class Head:
             parts[f"eye_{name}"] = eyeball(self.charts[f"eye_{name}"], self._eye_surface, side)
             parts[f"ear_{name}"] = ear(self.charts[f"ear_{name}"], field, shape, side)
         self._eye_centre = np.asarray(field.eye_centre)
-        self._eye_fixed = eye_fixed(self.charts["eye_left"]).reshape(-1, 1).astype(np.float32)
+        self._eye_turns = 1.0 - eye_fixed(self.charts["eye_left"]).ravel().astype(np.float32)
         rest = np.concatenate([parts[name].reshape(-1, 3) for name in self.charts])
         return rest
 
@@ -213,14 +213,12 @@ class Head:
             span = self.charts[f"eye_{name.lower()}"].span
             centre = self._eye_centre * [side, 1.0, 1.0]
             local = (self._rest[span] - centre).astype(np.float32)
-            sp, cp = np.sin(pitch)[:, None], np.cos(pitch)[:, None]
-            sy, cy = np.sin(yaw)[:, None], np.cos(yaw)[:, None]
+            yaws, pitches = yaw[:, None] * self._eye_turns, pitch[:, None] * self._eye_turns
+            sp, cp, sy, cy = np.sin(pitches), np.cos(pitches), np.sin(yaws), np.cos(yaws)
             y = cp * local[:, 1] + sp * local[:, 2]
             z = cp * local[:, 2] - sp * local[:, 1]
             turned = np.stack([cy * local[:, 0] + sy * z, y, cy * z - sy * local[:, 0]], -1)
-            points[:, span] = (
-                turned + self._eye_fixed * (local - turned) + centre.astype(np.float32)
-            )
+            points[:, span] = turned + centre.astype(np.float32)
             pose = LidPose(
                 blink=self._shape(values, f"eyeBlink{name}").astype(np.float64),
                 wide=self._shape(values, f"eyeWide{name}").astype(np.float64),

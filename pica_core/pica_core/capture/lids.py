@@ -88,7 +88,7 @@ class Lids:
         self._thickness = thickness + beside * (LID_THICKNESS + 0.3 - thickness)
         self._opening = np.maximum(upper - lower, 0.0)
         self._slide = np.clip(1.0 - self._place, 0.0, 1.0) ** 0.8
-        self._at_edge = smoothstep(1.6, 0.2, steps)
+        self._at_edge = smoothstep(1.6, 0.2, steps) * smoothstep(0.3, 2.5, self._opening)
 
     def margins(self, pose: LidPose) -> tuple[Float64Array, Float64Array]:
         """Heights of the upper and lower margin at every lid vertex, mm. Two ``[N, L]``."""
@@ -101,7 +101,7 @@ class Lids:
         upper = self._upper + shape * (
             2.4 * wide - 0.5 * squint + 5.5 * np.minimum(pitch, 0.0) + 2.6 * np.maximum(pitch, 0)
         )
-        lower = self._lower + shape * (1.6 * squint + 2.2 * np.minimum(pitch, 0.0) - 0.4 * wide)
+        lower = self._lower + shape * (2.2 * squint + 2.2 * np.minimum(pitch, 0.0) - 0.4 * wide)
         upper = upper + blink * (meet - upper)
         lower = lower + blink * (meet - lower)
         middle = 0.5 * (upper + lower)

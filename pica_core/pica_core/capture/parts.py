@@ -50,19 +50,22 @@ def eyeball(chart: Chart, surface: EyeSurface, side: float) -> Float64Array:
     z = radius * np.cos(angle)
     # Beyond what gaze can show, the ball flares into a skirt just under the lids, which fills the
     # corners of the eye from every side.
-    flare = smoothstep(np.radians(58.0), np.radians(112.0), angle)
+    flare = smoothstep(np.radians(62.0), np.radians(112.0), angle)
     nasal = np.clip(-side * right, 0.0, 1.0)
     x = x + flare * ((18.0 + 1.5 * nasal) * right - x)
     y = y + flare * (13.5 * up - y)
     under = surface.depth(side * x, surface.centre[1] + y, 0.0) - surface.centre[2] - 0.9
-    z = z + smoothstep(np.radians(54.0), np.radians(72.0), angle) * (under - z)
+    z = z + smoothstep(np.radians(62.0), np.radians(76.0), angle) * (under - z)
     centre = surface.centre
     return np.stack([x + side * centre[0], y + centre[1], z + centre[2]], -1)
 
 
 def eye_fixed(chart: Chart) -> Float64Array:
-    """How firmly eye vertices stay as the eye turns: 0 on the ball, 1 on its skirt. ``[R, C]``."""
-    return smoothstep(np.radians(58.0), np.radians(76.0), _polar(chart)[0])
+    """How firmly eye vertices stay as the eye turns: 0 in front, 1 on the skirt. ``[R, C]``.
+
+    The ball twists between: it stays a sphere.
+    """
+    return smoothstep(np.radians(48.0), np.radians(63.0), _polar(chart)[0])
 
 
 def teeth(chart: Chart, front_z: float, edge_y: float, *, upper: bool) -> Float64Array:

@@ -126,7 +126,8 @@ def _sided(s: _Strokes, face: FaceShape, field: HeadField) -> dict[str, Float64A
         + _vector(s.spot(9, 8, 6, 9), -0.6, 1.5, 1.2)
         + _vector(upper * bump(s.x, 13, 10), 0.3, 2.8, 0.5)
         + _vector(inner_brow, -0.5, -1.5, 0.4),
-        "eyeSquint": _vector(below_eye, 0.0, 1.8, 0.8) + _vector(brow, 0.0, -1.0, 0.2),
+        "eyeSquint": _vector(s.spot(eye_x + 4, 8.0, 12.0, 6.0), 0.0, 2.0, 0.9)
+        + _vector(brow, 0.0, -0.5, 0.1),
         "eyeWide": _vector(brow, 0.0, 1.6, 0.0),
         "eyeBlink": _vector(brow, 0.0, -0.5, 0.0) + _vector(below_eye, 0.0, 0.4, 0.0),
     }

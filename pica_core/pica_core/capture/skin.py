@@ -216,7 +216,8 @@ def _heights(
     spread = 8.0 * (1.0 - np.exp(-((past / 9.0) ** 1.5)))
     parted = 8.0 * (1.0 - np.exp(-((np.maximum(ax - skin_half, 0.0) / 9.0) ** 1.2)))
     # Lips press into each other by a hair's breadth, so that nothing shines through a closed mouth.
-    closed = -0.06 + 0.2 * smoothstep(skin_half, skin_half + 1.6, ax)
+    closed = -0.06 + 0.12 * smoothstep(0.84 * skin_half, 0.97 * skin_half, ax)
+    closed = closed + 0.08 * smoothstep(skin_half, skin_half + 1.6, ax)
     subnasale = field.subnasale_y
     wing = smoothstep(20.0, 12.0, ax)
     anchors: list[tuple[float, Float64Array]] = [
@@ -266,6 +267,8 @@ def _rays(
     y_front = _heights(
         face, field, chart, half, corners, np.where(q > 0, side * (edge + 32 * q), x0)
     )
+    # The neck is narrower than the face: its columns lie closer together.
+    narrow = 1.0 - max(1.0 - 0.66 * face.neck_breadth / 2 / edge, 0.0) * smoothstep(147, 158, rows)
     # Behind the ears rows level out: the row of the chin climbs to the jaw angle and the nape.
     y_back = np.interp(
         rows,
@@ -282,7 +285,7 @@ def _rays(
     shrink = np.cos(np.radians(np.interp(rows, [0, 40], [88.5, 0])))
     z0 = np.interp(q, [0, 0.2, 0.5, 1], [38, 28, 2, -12])[None]
     z0 = z0 * shrink + 4.0 * (1 - shrink)
-    origin = np.stack(np.broadcast_arrays(x0[None] * shrink, y0, z0), -1)
+    origin = np.stack(np.broadcast_arrays(x0[None] * shrink * narrow, y0, z0), -1)
     direction = np.stack(
         np.broadcast_arrays(
             np.cos(lift) * np.sin(turn)[None], np.sin(lift), np.cos(lift) * np.cos(turn)[None]
@@ -326,7 +329,7 @@ def _relax(
         target = points.copy()
         target[1:-1] = 0.5 * (vertical + sideways)
         points = points + step * free[..., None] * (target - points)
-        if sweep % 2 == 1 or sweep > 64:
+        if sweep % 5 == 4 or sweep > 66:
             p = points[chosen]
             value = field(p)
             points[chosen] = p - np.clip(value, -3, 3)[:, None] * gradient(field, p)
@@ -359,8 +362,8 @@ def _lay_lips(
         profile = rise + belly - fall - 0.15 * smoothstep(1.0, 1.3, s)
         points[..., 2] += np.where(front & is_lip[:, None], gain * pout * profile, 0.0)
     # Inner edges: back into the mouth and away from each other.
-    depth = 0.5 + 6.9 * np.maximum(1 - t**3, 0.0) ** 0.7
-    depth = np.where(t < 1, depth, 0.5 * smoothstep(half + 3.2, half, ax))
+    depth = 0.1 + 7.3 * np.maximum(1 - t**3, 0.0) ** 0.7
+    depth = np.where(t < 1, depth, 0.1 * smoothstep(half + 3.2, half, ax))
     k_upper = np.clip((rows - UPPER_CONTACT_ROW) / (MOUTH_ROW - UPPER_CONTACT_ROW), 0, 1)
     k_upper = np.where(rows <= MOUTH_ROW, k_upper, 0.0)[:, None]
     k_lower = np.clip((LOWER_CONTACT_ROW - rows) / (LOWER_CONTACT_ROW - MOUTH_ROW - 1), 0, 1)

@@ -37,13 +37,17 @@ def smooth_max(a: Float64Array, b: Float64Array, k: float) -> Float64Array:
     return -smooth_min(-a, -b, k)
 
 
+def _length(v: Float64Array) -> Float64Array:
+    length: Float64Array = np.sqrt(np.einsum("...i,...i->...", v, v))
+    return length
+
+
 def _ellipsoid(
     p: Float64Array, centre: tuple[float, ...], radii: tuple[float, ...]
 ) -> Float64Array:
     q = p - np.asarray(centre)
     r = np.asarray(radii)
-    k0 = np.linalg.norm(q / r, axis=-1)
-    k1 = np.linalg.norm(q / (r * r), axis=-1)
+    k0, k1 = _length(q / r), _length(q / (r * r))
     distance: Float64Array = k0 * (k0 - 1.0) / np.maximum(k1, 1e-9)
     return distance
 
@@ -55,7 +59,7 @@ def _cone(
     start, end = np.asarray(a), np.asarray(b)
     axis = end - start
     t = np.clip((p - start) @ axis / (axis @ axis), 0.0, 1.0)
-    gap: Float64Array = np.linalg.norm(p - start - t[..., None] * axis, axis=-1)
+    gap = _length(p - start - t[..., None] * axis)
     distance: Float64Array = gap - (radius_a + (radius_b - radius_a) * t)
     return distance
 
@@ -224,18 +228,31 @@ def cast(
         Surface points, mm. float64 ``[N, 3]``.
     """
     distance = np.broadcast_to(np.asarray(reach, np.float64), len(origin)).copy()
+    moving = np.arange(len(origin))
     for _ in range(48):  # sphere tracing from outside; 0.85 because blends overestimate a little
-        value = field(origin + distance[:, None] * direction)
-        distance -= np.clip(0.85 * value, -4.0, 40.0)
-        distance = np.maximum(distance, 1.0)
-        if float(np.abs(value).max()) < 1e-3:
+        value = field(origin[moving] + distance[moving, None] * direction[moving])
+        distance[moving] = np.maximum(distance[moving] - np.clip(0.85 * value, -4.0, 40.0), 1.0)
+        moving = moving[np.abs(value) > 1e-3]
+        if len(moving) == 0:
             break
     return origin + distance[:, None] * direction
 
 
+_CORNERS = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+
+
 def gradient(field: HeadField, points: Float64Array, step: float = 0.5) -> Float64Array:
-    """Outward unit normals by central differences over `step` mm. float64 ``[N, 3]``."""
-    axes = np.eye(3) * step
-    slope = np.stack([field(points + axis) - field(points - axis) for axis in axes], -1)
+    """Outward unit normals by differences over `step` mm between a tetrahedron's corners.
+
+    Args:
+        field: The head.
+        points: ``[N, 3]``.
+        step: Half the edge of the cube around the tetrahedron, mm.
+
+    Returns:
+        float64 ``[N, 3]``.
+    """
+    values = np.stack([field(points + step * corner) for corner in _CORNERS], -1)
+    slope = values @ _CORNERS
     normals: Float64Array = slope / np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-9)
     return normals

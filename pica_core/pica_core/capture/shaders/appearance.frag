@@ -141,10 +141,10 @@ void skin(out vec3 rgb, out float gloss, out float height, out float translucent
     float line_y = mix(nose_y - 15.0, nose_y - 2.0, smoothstep(mouth_half + 2.0, mouth_half + 34.0, ax));
     line_y = mix(line_y, 30.0, smoothstep(14.0, 2.0, p.z));   // joins the hair before the ear
     float grow = (1.0 - smoothstep(line_y - 9.0, line_y + 2.0, p.y + 6.0 * fbm(p * 0.2) - 2.0))
-        * smoothstep(-15.0, -3.0, p.y + 4.0 * fbm(p * 0.2) - mix(chin_y + 26.0, chin_y, smoothstep(20.0, 88.0, p.z))) * smoothstep(-4.0, 10.0, p.z + 6.0 * fbm(p * 0.25) - 3.0);
-    float droop = mouth_y + upper_lip + 4.0 - 0.012 * ax * ax;
-    float moustache = (1.0 - smoothstep(2.5, 5.5, abs(p.y - droop))) * (1.0 - smoothstep(mouth_half + 1.0, mouth_half + 7.0, ax))
-        * (1.0 - 0.45 * bell(p.x, 0.0, 2.0));
+        * smoothstep(-15.0, -3.0, p.y + 4.0 * fbm(p * 0.2) - mix(chin_y + 26.0, chin_y, smoothstep(20.0, 88.0, p.z))) * smoothstep(-6.0, 8.0, p.z + 6.0 * fbm(p * 0.25) - 3.0 - 0.12 * min(p.y + 20.0, 0.0));
+    float top = nose_y - 5.5 - 0.010 * ax * ax + 2.0 * fbm(p * 0.5);
+    float moustache = smoothstep(mouth_y - 3.0, mouth_y + 1.0, p.y) * (1.0 - smoothstep(top - 2.0, top + 1.5, p.y))
+        * (1.0 - smoothstep(mouth_half + 2.0, mouth_half + 9.0, ax)) * (1.0 - 0.35 * bell(p.x, 0.0, 1.6));
     grow = max(grow, moustache * front) * (is_ear ? 0.0 : 1.0);
     grow *= 1.0 - smoothstep(0.3, 0.8, spot(vec2(p.x, p.y), vec2(0.0, mouth_y - lower_lip - 4.5), vec2(9.0, 2.0))) * 0.45;
     float lay = noise(vec3((p.x + 0.35 * p.y * sign(p.x)) * 1.7, p.y * 0.35, p.z * 1.1 + seed));
@@ -194,7 +194,8 @@ void skin(out vec3 rgb, out float gloss, out float height, out float translucent
     float hairs = noise(vec3(p.x * 2.6, p.y * 0.30, p.z * 2.2) + seed) * 0.6 + noise(vec3(p.x * 4.8, p.y * 0.5, p.z * 4.2) + seed) * 0.4;
     float scalp = smoothstep(0.92 - 0.95 * density, 1.10 - 0.90 * density, hairs) * step(0.004, density);
     scalp = max(scalp, 0.55 * density * density);
-    rgb = mix(rgb, hair_rgb * (0.55 + 0.7 * noise(vec3(p.x * 3.0, p.y * 0.4, p.z * 2.0))), 0.96 * scalp);
+    vec3 root_rgb = mix(hair_rgb, vec3(0.24, 0.23, 0.22), 0.8 * grey);
+    rgb = mix(rgb, root_rgb * (0.75 + 0.9 * noise(vec3(p.x * 3.0, p.y * 0.4, p.z * 2.0))), 0.94 * scalp);
     gloss *= 1.0 - 0.8 * scalp;
 }
 
@@ -256,6 +257,7 @@ void main() {
         eye(rgb, gloss, height);
     } else if (material_id == 2) {
         teeth(rgb, gloss, height);
+        translucent = smoothstep(0.25, 0.62, abs(surface.x));   // how deep in the mouth
     } else if (material_id == 3) {
         float papillae = noise(p * 1.6) * 0.6 + noise(p * 3.1) * 0.4;
         rgb = vec3(0.62, 0.24, 0.21) * (0.75 + 0.5 * papillae);

@@ -46,7 +46,7 @@ void main() {
     vec3 v = normalize(camera_m - point_m);
     float sky = open_sky.x, key = open_sky.y;
     // Shadow is known per vertex for a few expressions only; inside the mouth keep what bounces around.
-    if (material_id == 2) { sky = max(sky, 0.42); key = max(key, 0.24); }
+    if (material_id == 2) { sky = max(sky, 0.42) * (1.0 - 0.85 * relief.g); key = max(key, 0.24) * (1.0 - 0.95 * relief.g); }
     else if (material_id == 1) { sky = max(sky, 0.20); key = max(key, 0.08); }
     else if (material_id == 3) { sky = max(sky, 0.30); key = max(key, 0.12); }
     else if (material_id == 4) { sky = max(sky, 0.22); }
@@ -70,9 +70,10 @@ void main() {
     } else {
         float bump = material_id == 0 ? 0.00075 : (material_id == 5 ? 0.0006 : 0.0002);
         vec3 nb = bumped(n, relief.r, bump);
-        vec3 wrap = relief.g * vec3(0.42, 0.16, 0.08);
-        vec3 occluded = pow(vec3(sky), mix(vec3(1.0), vec3(0.72, 1.0, 1.08), relief.g)); // light bleeds red in creases
-        lit = wrapped(nb, key_direction, wrap) * key_light * mix(vec3(key), vec3(sqrt(key), key, key), 0.5 * relief.g)
+        float under = material_id == 0 ? relief.g : 0.0;   // light that passes under the surface
+        vec3 wrap = under * vec3(0.42, 0.16, 0.08);
+        vec3 occluded = pow(vec3(sky), mix(vec3(1.0), vec3(0.72, 1.0, 1.08), under)); // light bleeds red in creases
+        lit = wrapped(nb, key_direction, wrap) * key_light * mix(vec3(key), vec3(sqrt(key), key, key), 0.5 * under)
             + wrapped(nb, fill_direction, wrap) * fill_light * occluded
             + wrapped(nb, rim_direction, wrap) * rim_light * occluded
             + dome(nb) * occluded;
