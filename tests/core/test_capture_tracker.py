@@ -73,13 +73,11 @@ def test_the_mouth_of_the_tracked_mesh_opens(
     assert np.ptp(opened[middle, 1]) > 0.01
 
 
-def test_the_tracked_mesh_is_the_same_every_time(
-    head: Head, dense: Topology, tracked: tuple[Topology, np.ndarray]
-) -> None:
-    shapes = [blend(), blend(jawOpen=0.7), blend(eyeBlink=1.0)]
-    again, index = track_topology(dense, head.vertices_batch(np.stack(shapes)))
-    np.testing.assert_array_equal(index, tracked[1])
-    np.testing.assert_array_equal(again.faces, tracked[0].faces)
+def test_the_tracked_mesh_is_the_same_every_time(head: Head, dense: Topology) -> None:
+    shapes = head.vertices_batch(np.stack([blend(), blend(jawOpen=0.7)]))
+    (one, index), (other, other_index) = (track_topology(dense, shapes, 400) for _ in range(2))
+    np.testing.assert_array_equal(index, other_index)
+    np.testing.assert_array_equal(one.faces, other.faces)
 
 
 def test_a_tracker_errs_smoothly_by_less_than_a_millimetre(
