@@ -9,7 +9,7 @@ import pytest
 from pica_core.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.capture.expressions import blend
 from pica_core.capture.heads import EYE_YAW
-from pica_core.capture.rig_chart import PackedChart, equalise, pack
+from pica_core.capture.rig_chart import equalise, pack
 from pica_core.capture.rig_head import RigHead, make_rig, read_rig
 from pica_core.capture.rig_map_error import map_error_m
 from pica_core.capture.rig_subject import chart_error_mm
@@ -41,10 +41,12 @@ def signed_areas(
     return 0.5 * result
 
 
-def assert_no_overlap(chart: PackedChart, size: int = 256) -> None:
-    """No texel centre lies in two triangles, but for those on rims."""
+def assert_no_overlap(head: RigHead, size: int = 256) -> None:
+    """No texel centre lies in two triangles of the mesh, but for those on rims; skirts may."""
+    chart = head.chart
     hits = np.zeros((size, size), np.int32)
-    corners = chart.vertex_uv[chart.faces].astype(np.float64) * size - 0.5
+    own = chart.faces[: len(head.mesh.faces)]
+    corners = chart.vertex_uv[own].astype(np.float64) * size - 0.5
     for a, b, c in corners:
         low = np.maximum(np.ceil(np.min([a, b, c], axis=0)), 0).astype(int)
         high = np.floor(np.max([a, b, c], axis=0)).astype(int)
@@ -66,8 +68,26 @@ def test_the_chart_holds_every_triangle_once(toy: RigHead) -> None:
     assert chart.vertex_uv.min() >= 0
     assert chart.vertex_uv.max() <= 1
     assert chart.islands == 4  # skin, two eyes that share their place in the file, a tooth
-    assert (chart.source[chart.faces] == toy.mesh.faces).all()
-    assert_no_overlap(chart)
+    own = len(toy.mesh.faces)
+    assert (chart.source[chart.faces[:own]] == toy.mesh.faces).all()
+    assert (chart.face_source[:own] == np.arange(own)).all()
+    assert_no_overlap(toy)
+
+
+def test_islands_reach_under_each_other_at_seams_that_are_seen(toy: RigHead) -> None:
+    chart, own = toy.chart, len(toy.mesh.faces)
+    skirts = chart.faces[own:]
+    copied = chart.face_source[own:]
+
+    assert 10 < len(skirts) <= 2 * 35  # the seam at the back of the toy's head, as far as seen
+    assert (toy.features.part[copied] == 0).all()
+    welded = np.sort(chart.source[skirts], 1)
+    np.testing.assert_array_equal(welded, np.sort(toy.mesh.faces[copied], 1))
+    rest = toy.vertices(np.zeros(NUM_ARKIT))
+    a, b, c = (rest[skirts[:, k]] for k in range(3))
+    d, e, f = (rest[chart.faces[copied][:, k]] for k in range(3))
+    turned = (np.cross(b - a, c - a) * np.cross(e - d, f - d)).sum(1)
+    assert (turned > 0).all()  # they face where the triangles face that they copy
 
 
 def test_a_flow_gives_triangles_the_area_they_need_and_folds_none() -> None:
@@ -163,7 +183,7 @@ def test_a_rig_without_texture_coordinates_gets_some(tmp_path: Path) -> None:
     head = make_rig(read_rig(folder))
 
     assert head.mended == len(head.mesh.faces)
-    assert_no_overlap(head.chart)
+    assert_no_overlap(head)
 
 
 def test_islands_that_hold_no_place_get_new_coordinates(tmp_path: Path) -> None:
@@ -176,7 +196,7 @@ def test_islands_that_hold_no_place_get_new_coordinates(tmp_path: Path) -> None:
     head = make_rig(read_rig(write_glb(tmp_path / "folded.glb", rig)))
 
     assert head.mended == 2 * (len(rig.quads["eye_left"]) + len(rig.quads["skin"]))
-    assert_no_overlap(head.chart)
+    assert_no_overlap(head)
 
 
 def test_islands_that_are_folded_are_packed_without_a_flow() -> None:

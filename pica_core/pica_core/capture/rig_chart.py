@@ -21,6 +21,7 @@ import xatlas
 
 from pica_core.capture.layout import MAP_SIZE
 from pica_core.capture.rig_mesh import components
+from pica_core.capture.rig_skirts import MAX_SKIRT_TEXELS, add_skirts
 from pica_core.errors import CaptureError
 
 FloatArray = npt.NDArray[np.float32]
@@ -38,6 +39,8 @@ FLOW_CONTRAST = 40.0
 """Largest and smallest density against the mean: limits how far texels may crowd."""
 MIN_FLOW_FACES = 40
 """Smaller islands are scaled only."""
+USUAL_FILL = 0.55
+"""Share of the square that islands cover in the end, about."""
 MAX_FOLDED = 0.1
 """Share of an island that may be folded over, at most; more and it gets new coordinates."""
 PADDING_TEXELS = 1
@@ -51,6 +54,7 @@ class PackedChart:
     Attributes:
         vertex_uv: Texture coordinates in [0, 1], v downwards. float32 ``[V, 2]``.
         faces: Triangles of the split vertices. int32 ``[F, 3]``.
+        face_source: The triangle of the mesh that each triangle is, or copies. int64 ``[F]``.
         source: The welded vertex of each split vertex. int64 ``[V]``.
         islands: Number of islands.
         fill: Share of the square that triangles cover.
@@ -58,6 +62,7 @@ class PackedChart:
 
     vertex_uv: FloatArray
     faces: IntArray
+    face_source: npt.NDArray[np.int64]
     source: npt.NDArray[np.int64]
     islands: int
     fill: float
@@ -252,6 +257,8 @@ def pack(
     need: Float64Array | None,
     *,
     flow: bool = True,
+    rest: Float64Array | None = None,
+    seen: npt.NDArray[np.bool_] | None = None,
 ) -> PackedChart:
     """Put all islands into one square.
 
@@ -261,6 +268,8 @@ def pack(
         faces: The same triangles in welded vertices. ``[F, 3]``.
         need: Wanted share of each triangle; None keeps the areas that the file gives. ``[F]``.
         flow: False scales islands as a whole only.
+        rest: Welded vertices in space, for skirts; None makes none. ``[P, 3]``.
+        seen: Triangles whose seams need skirts. bool ``[F]``.
 
     Raises:
         CaptureError: An island cannot be packed.
@@ -289,11 +298,22 @@ def pack(
                 signed = _areas(island, local)
             island *= np.sqrt(need[mine].sum() / max(np.abs(signed).sum(), floor))
         points[used] = island
+    source = pairs[:, 1]
+    face_source = np.arange(len(faces))
+    if rest is not None and seen is not None:
+        texel = np.sqrt(np.abs(_areas(points, split)).sum() / USUAL_FILL) / MAP_SIZE
+        tips, skirts, far, copied = add_skirts(
+            points, split, rest, faces, seen, MAX_SKIRT_TEXELS * texel
+        )
+        points, split = np.concatenate([points, tips]), np.concatenate([split, skirts])
+        source = np.concatenate([source, far])
+        face_source = np.concatenate([face_source, copied])
     packed, covered = _place(points, split)
     return PackedChart(
         vertex_uv=packed.astype(np.float32),
         faces=split,
-        source=pairs[:, 1],
+        face_source=face_source,
+        source=source,
         islands=len(names),
         fill=covered,
     )

@@ -132,7 +132,8 @@ class RigRenderer:
         c.enable_only(moderngl.NOTHING)
         framebuffer.clear(0, 0, 0, 0)
         for material in np.unique(mesh.material):
-            faces = c.buffer(head.chart.faces[mesh.material == material].astype("i4").tobytes())
+            mine = mesh.material[head.chart.face_source] == material
+            faces = c.buffer(head.chart.faces[mine].astype("i4").tobytes())
             array = c.vertex_array(program, [(buffer, "2f 3f 4f 2f 1f", *names)], faces)
             image = albedo.get(int(material))
             program["has_albedo"].value = 0.0 if image is None else 1.0
@@ -158,7 +159,9 @@ class RigRenderer:
         mesh, chart = self.head.mesh, self.head.chart
         result = np.zeros((len(chart.source), 2), np.float32)
         if mesh.uv is not None and mesh.uv_faces is not None:
-            result[chart.faces] = mesh.uv[mesh.uv_faces]
+            result[chart.faces] = mesh.uv[mesh.uv_faces[chart.face_source]]
+            own = chart.faces[: len(mesh.faces)]  # a skirt's edge belongs to its own island
+            result[own] = mesh.uv[mesh.uv_faces]
         return result
 
     def pose(self, arkit: npt.ArrayLike) -> FloatArray:

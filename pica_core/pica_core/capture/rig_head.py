@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.arkit import ARKIT_INDEX, NUM_ARKIT
+from pica_core.capture.coordinates import MATERIALS
 from pica_core.capture.heads import EYE_PITCH_DOWN, EYE_PITCH_UP, EYE_YAW
 from pica_core.capture.reading import Topology
 from pica_core.capture.rig_chart import PackedChart, make_islands, mend_islands, pack
@@ -55,11 +56,19 @@ def read_rig(path: Path) -> RigSource:
     raise CaptureError(f"{path}: a .glb file or a folder of OBJ files is needed")
 
 
-def texel_need(mesh: RigMesh, features: Features) -> Float64Array:
-    """Share of the chart that each triangle should get. ``[F]``, sum 1."""
+def texel_need(mesh: RigMesh, features: Features, seen: Float64Array) -> Float64Array:
+    """Share of the chart that each triangle should get.
+
+    Args:
+        mesh: The rig.
+        features: What was found on it.
+        seen: `visibility` of each triangle. ``[F]``.
+
+    Returns:
+        Shares, ``[F]``, sum 1.
+    """
     a, b, c = (mesh.rest_m[mesh.faces[:, k]] for k in range(3))
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    seen = visibility(_look_poses(mesh), mesh.faces)
     importance = np.ones(len(mesh.faces))
     for name, value in IMPORTANCE.items():
         here = features.regions[name][mesh.faces].any(1)
@@ -129,8 +138,15 @@ class RigHead:
             self.mended = len(mesh.faces)
         else:
             uv, uv_faces, self.mended = mend_islands(mesh.rest_m, mesh.faces, uv, uv_faces)
-        need = None if own_chart else texel_need(mesh, self.features)
-        self.chart: PackedChart = pack(uv, uv_faces, mesh.faces, need)
+        if own_chart:
+            self.chart: PackedChart = pack(uv, uv_faces, mesh.faces, None)
+        else:
+            seen = visibility(_look_poses(mesh), mesh.faces)
+            need = texel_need(mesh, self.features, seen)
+            skin = self.features.part == MATERIALS.index("skin")
+            self.chart = pack(
+                uv, uv_faces, mesh.faces, need, rest=mesh.rest_m, seen=skin & (seen > SEEN_ENOUGH)
+            )
         source = self.chart.source
         regions = {key: mask[source] for key, mask in self.features.regions.items()}
         self.topology = Topology(

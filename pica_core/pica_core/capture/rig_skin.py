@@ -45,7 +45,8 @@ def split_parts(head: RigHead) -> npt.NDArray[np.int32]:
     """Part of each split vertex: that of its triangles. ``[V]``."""
     part = np.zeros(head.num_vertices, np.int32)
     for corner in range(3):  # where parts share an island, the later part of the table wins
-        np.maximum.at(part, head.chart.faces[:, corner], head.features.part)
+        chart = head.chart
+        np.maximum.at(part, chart.faces[:, corner], head.features.part[chart.face_source])
     return part
 
 
