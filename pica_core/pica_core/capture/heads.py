@@ -299,8 +299,8 @@ class Head:
 
 @functools.lru_cache(maxsize=8)
 def make_head(name: str) -> Head:
-    """Build a built-in head by identity name (``S1``, ``S2``). Heads do not change, so calls share
-    them.
+    """Build a built-in head by identity name (``S1`` to ``S6``). Heads do not change, so calls
+    share them.
 
     Raises:
         CaptureError: No identity has this name.

@@ -1,14 +1,15 @@
 """Who the built-in heads are: every identity is one row of numbers.
 
 The measures are millimetres and start from the means of published surveys of living people, moved
-within about one standard deviation per identity:
+within one or two standard deviations per identity:
 
 - Farkas, "Anthropometry of the Head and Face" (2nd ed., 1994): face height sellion-menton, nose,
-lips, eye fissure; - Zhuang & Bradtmiller, "Head-and-face anthropometric survey of U.S. respirator
-users", J. Occup. Environ. Hyg. 2(11),
-  2005: head breadth and length, bizygomatic and bigonial breadth, interpupillary distance, by sex;
+  lips, eye fissure, ears;
+- Zhuang & Bradtmiller, "Head-and-face anthropometric survey of U.S. respirator users", J. Occup.
+  Environ. Hyg. 2(11), 2005: head breadth and length, bizygomatic and bigonial breadth,
+  interpupillary distance, by sex;
 - Bekerman, Gottlieb & Vaiman, "Variations in eyeball diameters of the healthy adults", J.
-Ophthalmol. 2014: 24 mm.
+  Ophthalmol. 2014: 24 mm.
 
 The heads are invented. None of them is a likeness of a person, and none was measured from one.
 """

@@ -252,7 +252,10 @@ def gradient(field: HeadField, points: Float64Array, step: float = 0.5) -> Float
     Returns:
         float64 ``[N, 3]``.
     """
-    values = np.stack([field(points + step * corner) for corner in _CORNERS], -1)
-    slope = values @ _CORNERS
+    # The right half uses the mirrored tetrahedron, so that both halves are alike.
+    mirror = np.ones_like(points)
+    mirror[:, 0] = np.where(points[:, 0] < 0, -1.0, 1.0)
+    values = np.stack([field(points + step * corner * mirror) for corner in _CORNERS], -1)
+    slope = values @ _CORNERS * mirror
     normals: Float64Array = slope / np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-9)
     return normals

@@ -1,7 +1,7 @@
 #version 330
 // What each point of a built-in head is made of. Run once per identity into two textures:
 //   colour  square root of linear diffuse colour; alpha: gloss (0 matt to 1 wet)
-//   relief  red: height (bump), green: how much light passes under the surface, blue: strand direction noise
+//   relief  red: height (bump), green: how much light passes under the surface (teeth: how deep in the mouth), blue: strand direction noise
 // Lengths are millimetres in the head frame at rest; all chance comes from `seed`.
 #include "noise.glsl"
 in vec3 rest_mm;
