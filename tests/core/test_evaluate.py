@@ -5,9 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -17,6 +16,8 @@ from pica_core.capture.dataset import Capture
 from pica_core.capture.subject import HeadSubject
 from pica_core.capture.synth import StageOptions, render_capture
 from pica_core.errors import CheckpointError, TrainingOptionError
+from pica_core.train.checkpoint import write_checkpoint
+from pica_core.train.commands import TrainOptions, train
 from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data import TrainingData
 from pica_core.train.eval_commands import EvalOptions, eval_runs
@@ -39,8 +40,9 @@ from pica_core.train.eval_truth import (
     near_field,
 )
 from pica_core.train.evaluate import successor
-from pica_core.train.loop import CHECKPOINT_VERSION
+from pica_core.train.loop import open_trainer
 from pica_core.train.prior import face_prior
+from pica_core.variants import VARIANTS
 
 pytestmark = pytest.mark.train
 
@@ -93,12 +95,11 @@ def runs(
         config = config_of(variant)
         torch.manual_seed(config.seed)
         state = {
-            "version": CHECKPOINT_VERSION,
             "config": json.dumps(config.to_json()),
             "step": 0,
             "model": config.model.build(face_prior(data)).state_dict(),
         }
-        torch.save(state, folder / "checkpoint.pt")
+        write_checkpoint(folder / "checkpoint.pt", state)
         (folder / RUN_FILE).write_text(json.dumps({"capture": str(capture)}))
     return folders
 
@@ -210,14 +211,25 @@ def test_the_near_camera_is_closer_than_any_of_the_capture(data: TrainingData) -
     assert 0.2 * min(distances) > NEAR_DISTANCE_M
 
 
-def test_near_field_pictures_are_skipped_where_the_stage_draws_another_picture(
-    data: TrainingData,
-) -> None:
-    frames = data.test_frames[:1]
-    make = partial(HeadSubject, bake_size=STAGE.bake_size, self_shadow=False)
+class KeptSubject(HeadSubject):
+    """A head that stays for another go: baking one takes seconds."""
 
-    other = near_field(data, frames, lambda name: make("S2"))
-    same = near_field(data, frames, make)
+    def release(self) -> None:
+        """Not yet."""
+
+
+def test_near_field_pictures_are_skipped_where_the_stage_draws_another_picture(
+    data: TrainingData, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    subject = KeptSubject("S1", bake_size=STAGE.bake_size, self_shadow=False)
+    frames = data.test_frames[:1]
+    try:
+        same = near_field(data, frames, lambda name: subject)
+        image = data.image
+        monkeypatch.setattr(data, "image", lambda frame, view: image(frame, view) // 2)
+        other = near_field(data, frames, lambda name: subject)
+    finally:
+        HeadSubject.release(subject)
 
     assert "no longer draws what the capture holds" in str(other.skipped)
     assert same.skipped is None
@@ -301,3 +313,36 @@ def test_a_run_that_does_not_say_its_capture_is_refused(
 
     with pytest.raises(CheckpointError, match="which capture"):
         open_run(tmp_path)
+
+
+def test_a_checkpoint_of_another_variant_is_refused_by_name(
+    runs: dict[str, Path], capture: Path
+) -> None:
+    options = TrainOptions(
+        capture=capture, out=runs["full"], variant="pe_2d", preset="tiny", resume=True
+    )
+
+    with pytest.raises(CheckpointError, match="of variant 'full', not 'pe_2d'"):
+        train(options)
+
+
+def test_the_command_knows_every_variant_and_preset() -> None:
+    hints = get_type_hints(TrainOptions)
+
+    assert set(get_args(hints["variant"])) == set(VARIANTS)
+    assert set(get_args(hints["preset"])) == set(PRESETS)
+
+
+@pytest.mark.parametrize("variant", ["baseline", "coarse"])
+def test_other_variants_train_through_all_phases(
+    data: TrainingData, variant: str, tmp_path: Path
+) -> None:
+    config = config_of(variant)
+    schedule = replace(config.schedule, geometry_steps=1, joint_steps=1, driver_steps=1)
+    with open_trainer(data, replace(config, schedule=schedule), tmp_path) as trainer:
+        before = {k: v.clone() for k, v in trainer.model.state_dict().items()}
+        trainer.run()
+        moved = [k for k, v in trainer.model.state_dict().items() if not v.equal(before[k])]
+
+    grouped = [p for group in trainer.model.parameter_groups().values() for p in group]
+    assert len(moved) >= len(grouped)

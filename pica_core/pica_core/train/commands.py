@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import sys
 import threading
@@ -31,6 +32,7 @@ from pica_core.train.export import make_avatar, make_baseline
 from pica_core.train.level_commands import describe
 from pica_core.train.levels import LevelReport, add_levels
 from pica_core.train.loop import Losses, Trainer, open_trainer, read_checkpoint
+from pica_core.train.parallel import Ranks, open_ranks
 from pica_core.train.stream_metric import make_stream_profile
 
 VariantName = Literal["full", "no_uv", "coarse", "uv_nope", "nerf_pe", "pe_2d", "pe_1d", "baseline"]
@@ -46,9 +48,10 @@ class TrainOptions:
     """Folder of the run: checkpoint, metrics, held-out error."""
     variant: VariantName = "full"
     """Which model of the paper's tables: full, the baseline, or full with one part replaced."""
-    preset: Literal["tiny", "small", "long", "refine", "lids"] = "small"
-    """How much to train: tiny (seconds), small (minutes on two cores), long; refine and lids
-    go on from the weights of another run (--start-from)."""
+    preset: Literal["tiny", "small", "long", "refine", "lids", "paper"] = "small"
+    """How much to train: tiny (seconds), small (minutes on two cores), long, paper (its settings to
+    the letter; days on a GPU); refine and lids go on from the weights of another run
+    (--start-from)."""
     start_from: Path | None = None
     """Folder of another run whose weights to start from."""
     block: Literal["B", "H2", "C"] | None = None
@@ -59,6 +62,9 @@ class TrainOptions:
     """Seed of initial weights, batches and noise."""
     threads: int = 2
     """CPU threads of torch."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where to compute; auto takes a GPU where there is one. Under torchrun each process takes one
+    GPU and its part of every batch."""
     resume: bool = False
     """Go on from the run's checkpoint."""
     eval_frames: int = 25
@@ -119,13 +125,21 @@ def train(options: TrainOptions) -> dict[str, Any]:
     for before in [options.out] if options.resume else [options.start_from]:
         if before is not None:
             _check_variant(before, options.variant)
-    _note_run(options, str(data.capture.info.get("head", options.capture.name)))
-    with open_trainer(data, config, options.out) as trainer:
+    with (
+        open_ranks(os.environ) as ranks,
+        open_trainer(
+            data, config, options.out, device=_device(options.device, ranks), ranks=ranks
+        ) as trainer,
+    ):
+        if ranks.is_first:
+            _note_run(options, str(data.capture.info.get("head", options.capture.name)))
         if options.resume:
             trainer.restore()
         elif options.start_from is not None:
             trainer.start_from(options.start_from)
-        _run_with_progress(trainer)
+        _run_with_progress(trainer, is_shown=ranks.is_first)
+        if not ranks.is_first:
+            return {"rank": ranks.rank}
         rows = evaluate(trainer, max_frames=options.eval_frames)
         steps = trainer.step
     (options.out / "evaluation.json").write_text(json.dumps(rows, indent=1) + "\n")
@@ -206,6 +220,20 @@ def _written(path: Path) -> dict[str, Any]:
     return {"path": str(path), "bytes": size}
 
 
+def _device(wished: str, ranks: Ranks) -> torch.device:
+    """Where to compute; several processes take one GPU each.
+
+    Raises:
+        TrainingOptionError: A GPU was asked for and there is none.
+    """
+    has_gpu = torch.cuda.is_available()
+    if wished == "cuda" and not has_gpu:
+        raise TrainingOptionError("device is cuda, but torch finds no GPU here; use cpu or auto")
+    if wished == "cpu" or not has_gpu:
+        return torch.device("cpu")
+    return torch.device("cuda", ranks.rank % torch.cuda.device_count())
+
+
 def _check_variant(run: Path, variant: str) -> None:
     """Refuse to go on from another model.
 
@@ -243,8 +271,8 @@ def _config(options: TrainOptions) -> TrainConfig:
     return replace(config, model=model)
 
 
-def _run_with_progress(trainer: Trainer) -> None:
-    """Run with a bar on stderr: phase, losses, time left.
+def _run_with_progress(trainer: Trainer, *, is_shown: bool) -> None:
+    """Run with a bar on stderr: phase, losses, time left; without, where another process shows it.
 
     An interrupt is taken between two steps, so that the checkpoint it leaves is whole.
     """
@@ -257,7 +285,8 @@ def _run_with_progress(trainer: Trainer) -> None:
         TimeRemainingColumn(),
         TextColumn("{task.fields[losses]}"),
     )
-    with Progress(*columns, console=Console(stderr=True), refresh_per_second=2) as progress:
+    console = Console(stderr=True, quiet=not is_shown)
+    with Progress(*columns, console=console, refresh_per_second=2) as progress:
         task = progress.add_task("", total=trainer.total_steps, completed=trainer.step, losses="")
 
         def show(step: int, phase: str, losses: Losses) -> bool:

@@ -177,6 +177,7 @@ def measure(
         progress: Told what is being done.
     """
     data, model = truth.data, build(run, truth)
+    data.use_meshes(run.config.mesh_source)
     cost = model.cost
     with model_rasteriser(data.capture, model) as rasteriser:
         judge = Judge(data, model, rasteriser)

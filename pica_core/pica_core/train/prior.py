@@ -16,9 +16,6 @@ def face_prior(data: TrainingData) -> FacePrior:
     """The prior of a capture, from its training frames alone."""
     capture = data.capture
     frames = [capture.frames[index] for index in data.train_frames]
-    tracked = np.zeros((len(capture.tracked_topology.vertex_uv), 3))
-    for frame in frames:
-        tracked += capture.vertices_m(frame)
     some = frames[:: -(-len(frames) // TEXTURE_FRAMES)]
     texture = np.zeros((capture.texture_size, capture.texture_size, 3))
     for frame in some:
@@ -28,7 +25,7 @@ def face_prior(data: TrainingData) -> FacePrior:
         position_scale_m=data.position_scale_m,
         dense_uv=_float32(capture.topology.vertex_uv),
         tracked_uv=_float32(capture.tracked_topology.vertex_uv),
-        tracked_mean_m=_float32(tracked / len(frames)),
+        tracked_mean_m=_float32(data.tracked_mean_m),
         texture_mean=_float32(texture / (255 * len(some))),
     )
 
