@@ -256,7 +256,6 @@ def pack(
     faces: IntArray,
     need: Float64Array | None,
     *,
-    flow: bool = True,
     rest: Float64Array | None = None,
     seen: npt.NDArray[np.bool_] | None = None,
 ) -> PackedChart:
@@ -267,7 +266,6 @@ def pack(
         uv_faces: Triangles in `uv`. ``[F, 3]``.
         faces: The same triangles in welded vertices. ``[F, 3]``.
         need: Wanted share of each triangle; None keeps the areas that the file gives. ``[F]``.
-        flow: False scales islands as a whole only.
         rest: Welded vertices in space, for skirts; None makes none. ``[P, 3]``.
         seen: Triangles whose seams need skirts. bool ``[F]``.
 
@@ -293,7 +291,7 @@ def pack(
             signed = -signed
         if need is not None:
             clean = bool((signed > 0).all())
-            if flow and clean and len(mine) >= MIN_FLOW_FACES:
+            if clean and len(mine) >= MIN_FLOW_FACES:
                 island = equalise(island, local, need[mine])
                 signed = _areas(island, local)
             island *= np.sqrt(need[mine].sum() / max(np.abs(signed).sum(), floor))

@@ -113,8 +113,6 @@ class RigHead:
         mesh: The welded rig.
         names: How its shapes were mapped.
         name: What to call it.
-        own_chart: True packs the islands as the file sizes them, without allocating texels; for
-            comparisons.
 
     Attributes:
         name: Name.
@@ -127,9 +125,7 @@ class RigHead:
         corrective_close: True when mouthClose takes back a part of jawOpen, as ARKit's does.
     """
 
-    def __init__(
-        self, mesh: RigMesh, names: NameMap, name: str, *, own_chart: bool = False
-    ) -> None:
+    def __init__(self, mesh: RigMesh, names: NameMap, name: str) -> None:
         self.name, self.mesh, self.names = name, mesh, names
         self.features = find_features(mesh)
         uv, uv_faces = mesh.uv, mesh.uv_faces
@@ -138,15 +134,12 @@ class RigHead:
             self.mended = len(mesh.faces)
         else:
             uv, uv_faces, self.mended = mend_islands(mesh.rest_m, mesh.faces, uv, uv_faces)
-        if own_chart:
-            self.chart: PackedChart = pack(uv, uv_faces, mesh.faces, None)
-        else:
-            seen = visibility(_look_poses(mesh), mesh.faces)
-            need = texel_need(mesh, self.features, seen)
-            skin = self.features.part == MATERIALS.index("skin")
-            self.chart = pack(
-                uv, uv_faces, mesh.faces, need, rest=mesh.rest_m, seen=skin & (seen > SEEN_ENOUGH)
-            )
+        seen = visibility(_look_poses(mesh), mesh.faces)
+        need = texel_need(mesh, self.features, seen)
+        skin = self.features.part == MATERIALS.index("skin")
+        self.chart: PackedChart = pack(
+            uv, uv_faces, mesh.faces, need, rest=mesh.rest_m, seen=skin & (seen > SEEN_ENOUGH)
+        )
         source = self.chart.source
         regions = {key: mask[source] for key, mask in self.features.regions.items()}
         self.topology = Topology(
@@ -246,19 +239,16 @@ def _turned(turn: _Turn, values: FloatArray) -> FloatArray:
     return result
 
 
-def make_rig(
-    source: RigSource, table: dict[str, str | None] | None = None, *, own_chart: bool = False
-) -> RigHead:
+def make_rig(source: RigSource, table: dict[str, str | None] | None = None) -> RigHead:
     """Make a head of a rig.
 
     Args:
         source: The rig as its file has it.
         table: The user's table of names (`rig_names.read_names`).
-        own_chart: As `RigHead`.
 
     Raises:
         CaptureError: The rig is no head, or the table does not fit.
     """
     names = map_names(list(source.shapes), table)
     mesh = build_mesh(source, names)
-    return RigHead(mesh, names, source.path.stem or source.path.name, own_chart=own_chart)
+    return RigHead(mesh, names, source.path.stem or source.path.name)
