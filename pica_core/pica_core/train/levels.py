@@ -61,9 +61,9 @@ class LevelOptions:
     """Practice performances of each kind to draw them from."""
     points: int = 24_000
     """Points of the surface at which colours are compared."""
-    mesh_ratios: tuple[float, ...] = (0.16, 0.375)
+    mesh_ratios: tuple[float, ...] = (0.16, 0.28)
     """Triangles of the levels' meshes, the coarsest first, as shares of the full mesh (chosen: at
-    heads 256 pixels high they leave 3 to 4 and 1 more MSE; with 0.08 it would be 20)."""
+    heads 256 pixels high they leave 4 and 2 more MSE; with 0.08 it would be 20)."""
     texels: tuple[int, ...] = (1, 2)
     """Of the trunk that a vertex is made of, the coarsest level first (chosen: at 64 one leaves
     0.07 mm and two 0.05, at 128 it is 0.09 and 0.06; two take twice as long)."""
