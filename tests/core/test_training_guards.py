@@ -16,11 +16,15 @@ from pica_core.capture.dataset import Capture
 from pica_core.capture.synth import StageOptions, render_capture
 from pica_core.errors import CheckpointError, TrainingDivergedError, TrainingMemoryError
 from pica_core.train.checkpoint import read_checkpoint, write_checkpoint
-from pica_core.train.config import PRESETS, LossConfig, TrainConfig
+from pica_core.train.config import PAPER_LOSSES, PRESETS, LossConfig, TrainConfig
 from pica_core.train.data import TrainingData
+from pica_core.train.failures import FAILURES
 from pica_core.train.guard import EXPLOSION_FACTOR, PATIENCE, DivergenceGuard
 from pica_core.train.loop import Losses, Trainer, open_trainer
 from pica_core.train.monitor import Monitor
+from pica_core.train.profile import profile_steps
+from pica_core.train.recipes import RECIPES
+from pica_core.train.stopwatch import PARTS
 
 pytestmark = pytest.mark.train
 
@@ -212,3 +216,71 @@ def test_without_tensorboard_lines_and_pictures_are_still_written(tmp_path: Path
 
     assert rows(tmp_path, "train") == [{"step": 1, "kind": "train", "image": 0.5}]
     assert (tmp_path / "pictures" / "0000001.png").exists()
+
+
+@pytest.mark.parametrize("variant", ["full", "coarse", "baseline"])
+def test_a_model_takes_a_step_with_all_losses_on_tracked_meshes(
+    data: TrainingData, tmp_path: Path, variant: str
+) -> None:
+    losses = replace(PAPER_LOSSES, edge=1.0)
+    model = replace(PRESETS["tiny"].model, variant=variant)
+    config = short(0, 1, losses=losses, model=model, mesh_source="tracked")
+
+    with open_trainer(data, config, tmp_path) as trainer:
+        mean_m = trainer.objectives.mean_m.clone()
+        found = trainer.train_step()
+
+    assert set(found) == {"image", "depth", "normal", "mesh", "kl", "smooth", "edge"}
+    assert all(np.isfinite(value) for value in found.values())
+    assert found["edge"] == 0  # only its gradient is something
+    moved_mm = 1000 * (trainer.objectives.mean_m - mean_m).norm(dim=1).mean()
+    assert 0 < moved_mm < 0.1  # V_mu follows at 1e-4 a step
+
+
+def test_the_paper_preset_is_the_papers_settings() -> None:
+    paper = PRESETS["paper"]
+
+    assert paper.model.encoder == "paper"
+    assert paper.model.encoding_amplitude == 1.0
+    assert paper.model.uv_encoding_size == 1024
+    assert paper.model.axis_encoding_size == 10_000
+    losses = paper.losses
+    weights = (losses.image, losses.depth, losses.normal, losses.mesh, losses.smooth, losses.kl)
+    assert weights == (2, 10, 1, 0.1, 1, 0.001)
+    assert (losses.gradient, losses.laplacian) == (1, 0.1)
+    assert (losses.region_weight, losses.lid_weight, paper.schedule.frame_balance) == (1, 1, 0)
+    schedule = paper.schedule
+    assert (schedule.geometry_steps, schedule.joint_steps) == (0, 400_000)
+    assert (schedule.joint_batch, schedule.pixels_per_image) == (4, 0)
+    rates = (schedule.joint_rate, schedule.pixel_rate, schedule.encoding_rate)
+    assert rates == (1e-3, 1e-3, 1e-3)
+    assert schedule.constant_rate
+    assert schedule.clip_norm == 0
+    assert paper.mesh_source == "tracked"
+    assert paper.detach_pixel_xyz
+
+
+def test_a_profile_of_steps_names_every_part(data: TrainingData, tmp_path: Path) -> None:
+    with open_trainer(data, short(0, 3), tmp_path) as trainer:
+        row = profile_steps(trainer, 2, warm_up=1)
+
+    parts = sum(row[f"{part}_ms"] for part in PARTS)
+    assert all(row[f"{part}_ms"] > 0 for part in PARTS)
+    assert 0.5 * row["step_ms"] < parts < 1.5 * row["step_ms"]
+    assert trainer.step == 3
+
+
+def test_every_recipe_and_every_failure_is_a_run_that_can_be() -> None:
+    tiny = PRESETS["tiny"]
+
+    recipes = {name: change(tiny) for name, change in RECIPES.items()}
+    failures = {name: failure.config(tiny) for name, failure in FAILURES.items()}
+
+    assert recipes.pop("as_is") == tiny
+    assert all(config != tiny for config in recipes.values())
+    spoilt_in_the_data = {"depth_outliers", "wrong_camera", "nothing"}
+    assert {name for name, config in failures.items() if config == tiny} == (
+        spoilt_in_the_data | {"no_smoothness"}  # tiny has none
+    )
+    for config in (*recipes.values(), *failures.values()):
+        assert TrainConfig.from_json(config.to_json()) == config

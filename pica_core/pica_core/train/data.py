@@ -34,7 +34,7 @@ MAX_RARITY = 8.0
 TEXEL_TOLERANCE = 1e-2
 """How far from a texel centre a vertex may lie to own the texel, texels."""
 IMAGE_CACHE_BYTES = 4 << 30
-"""Decoded images kept in memory; the least recently used go first."""
+"""Decoded images and position maps kept in memory; the least recently used go first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,12 +280,22 @@ class TrainingData:
     def position_maps(self, frames: list[int]) -> Tensor:
         """What encoders see of a frame's shape: offsets from the mean, in position scales, as maps
         ``[N, 3, 256, 256]``; of the meshes that `mesh_source` names."""
-        if self.mesh_source == "tracked":
-            offsets, raster = self.tracked_m[frames] - self.tracked_mean_m, self._tracked_raster
-        else:
-            offsets, raster = self.vertices_m[frames] - self.mean_vertices_m, self.uv_raster
-        maps = np.stack([raster.position_map(mesh / self.position_scale_m) for mesh in offsets])
+        maps = np.stack(
+            [self._cached((index, "", self.mesh_source), self._map_of(index)) for index in frames]
+        )
         return torch.from_numpy(maps).permute(0, 3, 1, 2).contiguous()
+
+    def _map_of(self, frame: int) -> Callable[[], FloatArray]:
+        """Makes a frame's map for `position_maps`."""
+
+        def make() -> FloatArray:
+            if self.mesh_source == "tracked":
+                offset, raster = self.tracked_m[frame] - self.tracked_mean_m, self._tracked_raster
+            else:
+                offset, raster = self.vertices_m[frame] - self.mean_vertices_m, self.uv_raster
+            return raster.position_map(offset / self.position_scale_m)
+
+        return make
 
     def meshes(self, frames: list[int]) -> Tensor:
         """The best dense meshes there are, in metres, ``[N, V, 3]``."""

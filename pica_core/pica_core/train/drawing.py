@@ -65,8 +65,11 @@ class DrawnPixels(NamedTuple):
 
     def normals(self, depth_m: Tensor) -> Tensor:
         """Screen-space normals at `centre` of depths ``[Q]``: the mesh's or the capture's."""
-        points = self.rays * depth_m[:, None]
-        return screen_normals(points[self.centre], points[self.right], points[self.below])
+        corners = [
+            self.rays[places] * depth_m.index_select(0, places)[:, None]
+            for places in (self.centre, self.right, self.below)
+        ]
+        return screen_normals(*corners)
 
 
 class EdgePixels(NamedTuple):
@@ -150,19 +153,17 @@ class MeshDrawer:
             detach_xyz: Give `Surface.xyz_m` no gradient.
         """
         size = self._ids.shape[1]
-        chosen = np.concatenate(
-            [
-                index * size + self._choose(ids, rng, pixels_per_image)
-                for index, (ids, rng) in enumerate(zip(self._ids, rngs, strict=True))
-            ]
-        )
+        parts = [
+            index * size + self._choose(ids, rng, pixels_per_image)
+            for index, (ids, rng) in enumerate(zip(self._ids, rngs, strict=True))
+        ]
+        chosen = np.concatenate(parts)
         centre = np.zeros(0, np.int64)
         width = self._cameras[0].width
         wanted = chosen
         if normals:
-            centre = self._with_neighbours(
-                chosen if pixels_per_image == 0 else chosen[::NORMAL_SHARE]
-            )
+            every = 1 if pixels_per_image == 0 else NORMAL_SHARE
+            centre = self._with_neighbours(np.concatenate([part[::every] for part in parts]))
             mark = np.zeros(self._ids.size, bool)
             for places in (chosen, centre + 1, centre + width):
                 mark[places] = True
@@ -170,15 +171,12 @@ class MeshDrawer:
             place = np.cumsum(mark) - 1
         hits, triangles = self._hits(vertices_m, wanted)
         pixels = self._list(chosen)
+        own, at = None, [hits.image[:0]] * 3
         if normals:
-            own = torch.from_numpy(place[chosen]).to(hits.image.device)
-            at = [
-                torch.from_numpy(place[p]).to(own.device)
-                for p in (centre, centre + 1, centre + width)
-            ]
-        else:
-            own = torch.arange(len(chosen), device=hits.image.device)
-            at = [own[:0]] * 3
+            own, *at = (
+                torch.from_numpy(place[places]).to(hits.image.device)
+                for places in (chosen, centre, centre + 1, centre + width)
+            )
         surface = self._surface(vertices_m, hits, triangles, own, detach_xyz=detach_xyz)
         return DrawnPixels(
             pixels, surface, self._list(wanted), hits.depth_m, hits.image, hits.rays, *at
@@ -204,9 +202,9 @@ class MeshDrawer:
         wanted = np.unique(np.concatenate([front, back[covered_back]]))
         with torch.no_grad():
             hits, triangles = self._hits(vertices_m, wanted)
-            every = torch.arange(len(wanted), device=hits.image.device)
-            surface = self._surface(vertices_m, hits, triangles, every, detach_xyz=True)
-        at_front = torch.from_numpy(np.searchsorted(wanted, front)).to(every)
+            surface = self._surface(vertices_m, hits, triangles, None, detach_xyz=True)
+        device = vertices_m.device
+        at_front = torch.from_numpy(np.searchsorted(wanted, front)).to(device)
         at_back = np.where(covered_back, np.searchsorted(wanted, back), -1)
         views = Views.of(self._cameras, vertices_m)
         image = hits.image[at_front]
@@ -223,9 +221,9 @@ class MeshDrawer:
             surface=surface,
             image=image,
             front=at_front,
-            back=torch.from_numpy(at_back).to(every),
+            back=torch.from_numpy(at_back).to(device),
             back_pixel=back % size,
-            along=positions.gather(1, torch.from_numpy(axis).to(every)[:, None])[:, 0],
+            along=positions.gather(1, torch.from_numpy(axis).to(device)[:, None])[:, 0],
             sign=torch.from_numpy(sign).to(vertices_m),
             scale=torch.from_numpy(np.concatenate([each for _, _, each in parts])).to(vertices_m),
         )
@@ -239,13 +237,23 @@ class MeshDrawer:
         return hits, triangles
 
     def _surface(
-        self, vertices_m: Tensor, hits: Hits, triangles: Tensor, own: Tensor, *, detach_xyz: bool
+        self,
+        vertices_m: Tensor,
+        hits: Hits,
+        triangles: Tensor,
+        own: Tensor | None,
+        *,
+        detach_xyz: bool,
     ) -> Surface:
-        uv = (hits.weights[own][:, :, None] * self._face_uv[triangles[own]]).sum(1)
-        depth_m = hits.depth_m.detach() if detach_xyz else hits.depth_m
-        views = Views.of(self._cameras, vertices_m)
-        image = hits.image[own]
-        xyz_m = views.to_head(image, hits.rays[own] * depth_m[own][:, None])
+        """Surface points of all hits, or of some by their indices."""
+        weights, depth_m, rays, image = hits.weights, hits.depth_m, hits.rays, hits.image
+        if own is not None:
+            weights, depth_m = weights.index_select(0, own), depth_m.index_select(0, own)
+            rays, image, triangles = rays[own], image[own], triangles[own]
+        uv = (weights[:, :, None] * self._face_uv.index_select(0, triangles)).sum(1)
+        if detach_xyz:
+            depth_m = depth_m.detach()
+        xyz_m = Views.of(self._cameras, vertices_m).to_head(image, rays * depth_m[:, None])
         return Surface(image, uv, xyz_m)
 
     def _list(self, flat: IndexArray) -> PixelList:

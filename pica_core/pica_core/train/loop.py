@@ -71,6 +71,7 @@ class Trainer:
 
     Attributes:
         rollbacks: How often the run went back to a checkpoint.
+        seconds: Time spent in steps since the run's beginning; looks and checkpoints not counted.
     """
 
     def __init__(
@@ -92,6 +93,7 @@ class Trainer:
         self.model = config.model.build(face_prior(data)).to(self.device)
         self.step = 0
         self.rollbacks = 0
+        self.seconds = 0.0
         self._rate_scale = 1.0
         self.objectives = Objectives(data, config, self.model, self.ranks, self.device)
         self._optimisers = {
@@ -143,11 +145,13 @@ class Trainer:
 
     def _run(self, monitor: Monitor, on_step: Callable[[int, str, Losses], bool] | None) -> None:
         guard = DivergenceGuard()
-        first, started = self.step, time.perf_counter()
+        first, first_s = self.step, self.seconds
         saved_at = -1
         while self.step < self.total_steps:
             phase, _, _ = self.phase_of(self.step)
+            started = time.perf_counter()
             losses = self.train_step()
+            self.seconds += time.perf_counter() - started
             problem = guard.judge(phase, losses)
             is_due = self.step % self.config.checkpoint_every == 0
             if problem is None and is_due and not self._is_finite():
@@ -155,12 +159,12 @@ class Trainer:
             if problem is not None:
                 self._go_back(monitor, phase, problem)
                 guard.forget()
-                first, started = self.step, time.perf_counter()
+                first, first_s = self.step, self.seconds
                 continue
             if self.step % METRICS_EVERY == 0:
-                seconds = time.perf_counter() - started
-                rate = (self.step - first) / max(seconds, 1e-9)
-                row: dict[str, Any] = {"phase": phase, "seconds": round(seconds, 2)}
+                rate = (self.step - first) / max(self.seconds - first_s, 1e-9)
+                first, first_s = self.step, self.seconds
+                row: dict[str, Any] = {"phase": phase, "seconds": round(self.seconds, 2)}
                 row |= {"steps_per_s": round(rate, 3)}
                 row |= {"left_s": round((self.total_steps - self.step) / rate), **losses}
                 monitor.row(self.step, "train", row)
@@ -244,6 +248,7 @@ class Trainer:
                 "mean_mesh_m": self.objectives.mean_m,
                 "rate_scale": self._rate_scale,
                 "rollbacks": self.rollbacks,
+                "seconds": self.seconds,
             }
             write_checkpoint(path, state)
         self.ranks.wait()
@@ -276,6 +281,7 @@ class Trainer:
         self.step = state["step"]
         self._rate_scale = state["rate_scale"]
         self.rollbacks = state["rollbacks"]
+        self.seconds = state["seconds"]
 
     def start_from(self, run_dir: Path) -> None:
         """Take the weights of another run, as a start instead of random ones.
@@ -306,7 +312,9 @@ class Trainer:
                 f"{where}; {tries}: lower the learning rates and resume from {self.run_dir}"
             )
         count, scale, diverged_at = self.rollbacks + 1, self._rate_scale, self.step
+        seconds = self.seconds
         self.restore()
+        self.seconds = seconds
         self.rollbacks, self._rate_scale = count, scale * ROLLBACK_RATE
         monitor.note(
             diverged_at,
@@ -328,7 +336,7 @@ class Trainer:
     def _watch(self, monitor: Monitor) -> None:
         if self.ranks.is_first:
             mse, picture = look(self)
-            monitor.row(self.step, "held_out", {"mse": mse})
+            monitor.row(self.step, "held_out", {"seconds": round(self.seconds, 2), "mse": mse})
             monitor.picture(self.step, picture)
         self.ranks.wait()
 

@@ -36,8 +36,8 @@ from pica_core.train.losses import (
 from pica_core.train.parallel import Ranks
 from pica_core.train.stopwatch import Stopwatch
 
-DRIVER_MESHES = 4
-"""Meshes that a step of the driver phase decodes, of its batch."""
+DRIVER_MESHES = 8
+"""A step of the driver phase decodes the mesh of every eighth frame of its batch."""
 MASKED_REGION = "mouth"
 """Where a tracked mesh teaches nothing (paper 5, W_M)."""
 Images = list[tuple[int, str]]
@@ -176,7 +176,7 @@ class Objectives:
         frames, _ = self._draw(self.config.schedule.driver_batch, rng)
         latent = self.model.expression_encoder(self.data.arkit[frames].to(self.device))
         wanted = torch.stack([codes[frame] for frame in frames])
-        few = slice(0, DRIVER_MESHES)
+        few = slice(None, None, DRIVER_MESHES)
         mesh = self.model.decode_mesh(latent[few])
         return {
             "code": ((latent - wanted) / spread).square().mean(),

@@ -1,0 +1,183 @@
+"""Trainings that should go wrong, and by how much they do: each is a run with one part spoilt.
+
+What a row shows is what this model does on one small capture in few steps; it says nothing of other
+data. `run_failures` trains them all alike and gives rows to compare with the first, which nothing
+spoils.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from pica_core.camera import Camera
+from pica_core.errors import TrainingDivergedError
+from pica_core.train.config import PAPER_LOSSES, TrainConfig
+from pica_core.train.data import FloatArray, TrainingData
+from pica_core.train.loop import open_trainer
+from pica_core.train.watch import look
+
+OUTLIER_RATIO = 0.3
+"""Part of the known depths that are made wrong."""
+OUTLIER_M = 0.05
+"""By how much, on one side."""
+CAMERA_TURN = 0.02
+"""How far the wrong camera is turned, radians: 20 mm at 1 m."""
+SIGMAS = (3.0, 6.0)
+"""Codes that far out are decoded, in deviations of the training frames' codes."""
+ConfigChange = Callable[[TrainConfig], TrainConfig]
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """What is spoilt."""
+
+    config: ConfigChange = lambda config: config
+    """Options."""
+    depth_outliers: bool = False
+    """Depth is wrong at `OUTLIER_RATIO` of the pixels."""
+    wrong_camera: bool = False
+    """One training camera stands where its calibration does not say."""
+
+
+def _losses(**changes: float) -> ConfigChange:
+    return lambda config: replace(config, losses=replace(config.losses, **changes))
+
+
+def _frequency(value: float) -> ConfigChange:
+    return lambda config: replace(config, model=replace(config.model, first_frequency=value))
+
+
+FAILURES: dict[str, Failure] = {
+    "nothing": Failure(),
+    "siren_frequency_60": Failure(_frequency(60.0)),
+    "kl_off": Failure(_losses(kl=0.0)),
+    "kl_1000_times": Failure(_losses(kl=1.0)),
+    "no_mesh_loss": Failure(_losses(mesh=0.0)),
+    "no_smoothness": Failure(_losses(smooth=0.0)),
+    "both_gradient_paths": Failure(lambda config: replace(config, detach_pixel_xyz=False)),
+    "depth_outliers": Failure(depth_outliers=True),
+    "wrong_camera": Failure(wrong_camera=True),
+}
+
+
+class SpoiltData:
+    """Replaces a capture's depth and camera while a run goes on; the files stay as they are."""
+
+    def __init__(self, data: TrainingData, failure: Failure) -> None:
+        self._data = data
+        self._failure = failure
+        self._depth_m, self._camera = data.depth_m, data.camera
+
+    def depth_m(self, frame: int, camera: str) -> FloatArray | None:
+        """Depth with outliers, the same ones each time."""
+        depth_m = self._depth_m(frame, camera)
+        if depth_m is None or not self._failure.depth_outliers:
+            return depth_m
+        rng = np.random.default_rng([frame, *camera.encode()])
+        wrong = (depth_m > 0) & (rng.random(depth_m.shape) < OUTLIER_RATIO)
+        return np.where(wrong, depth_m + np.float32(OUTLIER_M), depth_m)
+
+    def camera(self, frame: int, name: str) -> Camera:
+        """The camera; one of them turned about its x axis."""
+        camera = self._camera(frame, name)
+        if not self._failure.wrong_camera or name != self._data.camera_names[-1]:
+            return camera
+        sine, cosine = np.sin(CAMERA_TURN), np.cos(CAMERA_TURN)
+        turn = np.array([[1, 0, 0], [0, cosine, -sine], [0, sine, cosine]])
+        rotation, translation = turn @ camera.rotation, turn @ camera.translation_m
+        return replace(camera, rotation=rotation, translation_m=translation)
+
+
+@contextmanager
+def spoil(data: TrainingData, failure: Failure) -> Iterator[None]:
+    """Let `data` give what `failure` says, for the time of a block."""
+    spoilt = SpoiltData(data, failure)
+    data.depth_m, data.camera = spoilt.depth_m, spoilt.camera  # type: ignore[method-assign]
+    try:
+        yield
+    finally:
+        del data.depth_m, data.camera
+
+
+def run_failures(
+    data: TrainingData,
+    config: TrainConfig,
+    folder: Path,
+    names: Iterable[str] = tuple(FAILURES),
+    seeds: Iterable[int] = (0,),
+) -> Iterator[dict[str, Any]]:
+    """Train one run for each failure and seed.
+
+    Args:
+        data: A capture with depth and exact meshes.
+        config: Of all runs; the paper's six losses take the place of its losses.
+        folder: Runs go into folders of their own.
+        names: Keys of `FAILURES`.
+        seeds: Of weights and batches.
+
+    Yields:
+        Rows of {failure, seed, steps, diverged, mse, vertex_error_mm, code_deviation, rollbacks,
+        reach_3_sigma_mm, reach_6_sigma_mm}: held-out error, deviation of the training codes' values
+        (KL pulls it to 1), and how far the face goes at codes far out; None after divergence.
+    """
+    for name in names:
+        for seed in seeds:
+            whole = replace(FAILURES[name].config(replace(config, losses=PAPER_LOSSES)), seed=seed)
+            yield {
+                "failure": name,
+                "seed": seed,
+                **_run(data, whole, folder / f"{name}-{seed}", FAILURES[name]),
+            }
+
+
+def _run(data: TrainingData, config: TrainConfig, run: Path, failure: Failure) -> dict[str, Any]:
+    row: dict[str, Any] = {"diverged": False, "mse": None, "vertex_error_mm": None}
+    with open_trainer(data, config, run) as trainer:
+        try:
+            with spoil(data, failure):
+                trainer.run()
+        except TrainingDivergedError:
+            row["diverged"] = True
+        row |= {"steps": trainer.step, "rollbacks": trainer.rollbacks}
+        if row["diverged"]:
+            return row
+        row["mse"], _ = look(trainer)
+        with torch.no_grad():
+            frames = data.test_frames
+            latent, _ = trainer.encode(frames)
+            offset = trainer.model.vertices(latent) - data.meshes(frames)
+            row["vertex_error_mm"] = float(offset.norm(dim=2).mean()) * 1000
+            codes, _ = trainer.encode(data.train_frames)
+            row["code_deviation"] = float(codes.std())
+        for sigma in SIGMAS:
+            reach_mm = far_codes_reach_mm(trainer.model.vertices, codes, sigma)
+            row[f"reach_{sigma:g}_sigma_mm"] = reach_mm
+    return row
+
+
+@torch.no_grad()
+def far_codes_reach_mm(
+    decode: Callable[[torch.Tensor], torch.Tensor], codes: torch.Tensor, sigma: float
+) -> float:
+    """How far vertices go at codes far out, against the mean code's mesh.
+
+    Args:
+        decode: Latents ``[N, 4, 8, 8]`` to vertices in metres ``[N, V, 3]``.
+        codes: Codes of real frames, ``[T, 4, 8, 8]``.
+        sigma: How far out, in deviations of each value; 16 random directions.
+
+    Returns:
+        The largest distance, millimetres; NaN if anything is not finite.
+    """
+    mean, deviation = codes.mean(0, keepdim=True), codes.std(0, keepdim=True)
+    noise = torch.randn((16, *mean.shape[1:]), generator=torch.Generator().manual_seed(0))
+    sign = noise.sign().to(mean)
+    offset = decode(mean + sigma * deviation * sign) - decode(mean)
+    return float(offset.norm(dim=2).max()) * 1000
