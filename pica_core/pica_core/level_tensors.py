@@ -59,10 +59,10 @@ def sheet_rows(num_vertices: int, level: int) -> int:
 
 def sheet_uv(num_vertices: int, level: int) -> npt.NDArray[np.float32]:
     """Where vertices stand in their sheet, as texture coordinates. float32 ``[V, 2]``."""
-    number = np.arange(num_vertices)
-    place = np.stack([number % level / level, number // level / sheet_rows(num_vertices, level)], 1)
-    half = np.array([0.5 / level, 0.5 / sheet_rows(num_vertices, level)])
-    return (place + half).astype(np.float32)
+    number, rows = np.arange(num_vertices), sheet_rows(num_vertices, level)
+    across, down = (number % level + 0.5) / level, (number // level + 0.5) / rows
+    places: npt.NDArray[np.float32] = np.stack([across, down], axis=1).astype(np.float32)
+    return places
 
 
 def faces_name(level: int) -> str:
