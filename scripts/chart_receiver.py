@@ -89,7 +89,9 @@ def _draw_render(line: Line) -> Figure:
         kind = (fit["model"], fit["level"])
         rows = [row for row in result["sweep"] if (row["model"], row["level"]) == kind]
         pixels = [row["pixels"] / 1e3 for row in rows]
-        label = f"PiCA, level {fit['level']}" if fit["level"] else "textured baseline"
+        name = f"PiCA, level {fit['level']}" if fit["level"] else "textured baseline"
+        formula = f"{fit['intercept_ms']:.1f} ms + {fit['ns_per_pixel']:.0f} ns/pixel"
+        label = f"{name}: {formula}, r² {fit['r2']:.3f}"
         axis.plot(pixels, [row[time] for row in rows], "o", color=colour, label=label)
         ends = [0.0, max(pixels)]
         axis.plot(
@@ -97,15 +99,6 @@ def _draw_render(line: Line) -> Figure:
             [fit["intercept_ms"] + fit["ns_per_pixel"] * 1e-3 * end for end in ends],
             color=colour,
             linewidth=0.8,
-        )
-        formula = f"{fit['intercept_ms']:.1f} ms + {fit['ns_per_pixel']:.0f} ns/pixel"
-        axis.annotate(
-            f"{formula}, r² {fit['r2']:.3f}",
-            (ends[1], fit["intercept_ms"] + fit["ns_per_pixel"] * 1e-3 * ends[1]),
-            ha="right",
-            va="bottom",
-            fontsize=7,
-            color=colour,
         )
     axis.set_xlabel("covered pixels, thousands")
     axis.set_ylabel(what)
