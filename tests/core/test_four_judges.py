@@ -18,7 +18,7 @@ from pica_core.onnx_graph import decoder_graph
 from pica_core.pixel_graph import pixel_decoder_graph
 from pica_core.pixel_reference import count_parameters, decode_pixels, sample_bilinear
 from pica_core.spec import BLOCKS, AvatarSpec
-from pica_core.train.exits import FaceSet, FrozenDecoder, Head
+from pica_core.train.exits import FaceSet, FrozenDecoder, Head, SheetHead
 from pica_core.train.export import avatar_tensors
 from tolerances import EXPRESSION_ONNX, MAP_TORCH_M, PIXEL_FLOAT32, PIXEL_ONNX
 from toy import grid_faces, with_toy_levels
@@ -97,19 +97,24 @@ def test_torch_and_onnx_leave_by_the_same_exit(block: str, level: int, plain: bo
     avatar = with_toy_levels(exported(trained_looking_model(block)))
     torch.manual_seed(4)
     faces = FaceSet(torch.randn(1, 4, 8, 8), torch.nn.functional.normalize(torch.randn(1, 3)))
-    maps = {}
-    for decoder, bias in (("geometry", "mean"), ("expression", "bias")):
-        weight, rest = (
-            torch.from_numpy(avatar.tensors[f"level.{level}.{decoder}.{part}"])
-            for part in ("weight", bias)
-        )
-        ((trunk, _),) = FrozenDecoder(avatar, decoder).run(faces, level)
-        if decoder == "geometry":
-            weight = weight.unflatten(2, (3, -1)).permute(2, 3, 0, 1)
-            offset = Head(weight, torch.zeros(1))(trunk)[0].permute(1, 2, 0)
-            maps[decoder] = rest + avatar.manifest.position_scale_m * offset
-        else:
-            maps[decoder] = Head(weight, rest)(trunk)[0].permute(1, 2, 0)
+    tensors = {
+        name.removeprefix(f"level.{level}."): torch.from_numpy(array)
+        for name, array in avatar.tensors.items()
+        if name.startswith(f"level.{level}.")
+    }
+    ((trunk, _),) = FrozenDecoder(avatar, "geometry").run(faces, level)
+    sheet = SheetHead(
+        texel=tensors["geometry.texel"].flatten(0, 1).long(),
+        weight=avatar.manifest.position_scale_m
+        * tensors["geometry.weight"].flatten(0, 1).unflatten(1, (3, -1)),
+        rest=tensors["geometry.mean"].flatten(0, 1),
+    )
+    ((seen, _),) = FrozenDecoder(avatar, "expression").run(faces, level)
+    codes = Head(tensors["expression.weight"], tensors["expression.bias"])(seen)
+    maps = {
+        "geometry": sheet(trunk)[0].reshape(tensors["geometry.mean"].shape),
+        "expression": codes[0].permute(1, 2, 0),
+    }
     inputs = {
         "latent": faces.latents.permute(0, 2, 3, 1).numpy(),
         "view_direction": faces.views.numpy(),
