@@ -10,9 +10,9 @@ from typing import Annotated, Any
 
 import tyro
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from pica_core.capture.check import PIXEL_FRAMES, check_capture
+from pica_core.capture.rendering_bar import rendering_bar
 from pica_core.capture.sheet import write_sheet
 from pica_core.capture.synth import StageOptions, render_capture
 from pica_core.errors import CaptureError
@@ -90,18 +90,8 @@ def synth(options: SynthOptions) -> dict[str, Any]:
     )
     started = time.monotonic()
     console = Console(stderr=True)
-    columns = (
-        TextColumn("rendering"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("frames"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task("render", total=options.frames)
-        counts = render_capture(
-            stage, options.out, lambda done, total: bar.update(task, completed=done, total=total)
-        )
+    with rendering_bar(console, options.frames) as show:
+        counts = render_capture(stage, options.out, show)
     seconds = time.monotonic() - started
     console.print(f"{counts['images']} images of {options.head} in {options.out}, {seconds:.1f} s")
     return {"out": str(options.out), "seconds": round(seconds, 3), **counts}

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from pica_core.capture.rendering_bar import rendering_bar
 from pica_core.capture.rig_subject import RigSubject
 from pica_core.capture.synth import RenderOptions, render_subject
 from pica_core.errors import CaptureError
@@ -63,13 +63,6 @@ def rig(options: RigOptions) -> dict[str, Any]:
     )
     started = time.monotonic()
     console = Console(stderr=True)
-    columns = (
-        TextColumn("rendering"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("frames"),
-        TimeRemainingColumn(),
-    )
     about: dict[str, Any] = {}
 
     def make() -> RigSubject:
@@ -81,14 +74,8 @@ def rig(options: RigOptions) -> dict[str, Any]:
         _tell(console, about)
         return subject
 
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task("render", total=options.frames)
-        counts = render_subject(
-            make,
-            stage,
-            options.out,
-            lambda done, total: bar.update(task, completed=done, total=total),
-        )
+    with rendering_bar(console, options.frames) as show:
+        counts = render_subject(make, stage, options.out, show)
     seconds = time.monotonic() - started
     console.print(f"{counts['images']} images in {options.out}, {seconds:.1f} s")
     return {"out": str(options.out), "seconds": round(seconds, 3), **counts, **about}
