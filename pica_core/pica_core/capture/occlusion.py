@@ -8,71 +8,22 @@ know: shadow of combinations that no single expression has.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import numpy.typing as npt
 
 from pica_core.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.capture.heads import Head
 from pica_core.capture.layout import EYE_ROW
+from pica_core.capture.shadow import POSES, DrawDepth, lit, softbox, sphere
 from pica_core.capture.skin import smoothstep
 
 FloatArray = npt.NDArray[np.float32]
-DrawDepth = Callable[[FloatArray, FloatArray, int], FloatArray]
-
-KEY_DIRECTION = np.array([0.50, 0.55, 0.80]) / np.linalg.norm([0.50, 0.55, 0.80])
-"""Must agree with shaders/stage.frag."""
 DOME_DIRECTIONS = 32
 KEY_DIRECTIONS = 7
-KEY_SPREAD = 0.22
-"""Half angle of the key light, radians: a softbox, so shadows have soft edges."""
 SMOOTHING = 2
 """Passes of averaging over neighbours."""
-MAP_SIZE = 192
-SPAN_M = 0.36
-BIAS_M = 0.0022
-POSES: tuple[tuple[str, ...], ...] = (
-    ("jawOpen",),
-    ("mouthFunnel",),
-    ("mouthPucker",),
-    ("mouthSmileLeft", "mouthSmileRight"),
-    ("eyeBlinkLeft",),
-    ("eyeBlinkRight",),
-    ("browDownLeft", "browDownRight"),
-    ("mouthUpperUpLeft", "mouthUpperUpRight", "mouthLowerDownLeft", "mouthLowerDownRight"),
-)
-"""Expressions whose shadow is measured; each is set to 1 as a whole."""
-
-
-def _orthographic(direction: npt.NDArray[np.float64]) -> FloatArray:
-    """Clip matrix that looks against `direction` at the head's middle."""
-    up = np.array([0.0, 0.0, 1.0]) if abs(direction[1]) > 0.9 else np.array([0.0, 1.0, 0.0])
-    right = np.cross(up, direction)
-    right /= np.linalg.norm(right)
-    rows = np.stack([right, np.cross(direction, right), -direction]) / (0.5 * SPAN_M)
-    centre = np.array([0.0, -0.01, 0.0])
-    clip = np.eye(4, dtype=np.float32)
-    clip[:3, :3] = rows
-    clip[:3, 3] = -rows @ centre
-    return clip
-
-
-def _directions() -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Even directions over the sphere, and a disc of directions around the key light."""
-    k = np.arange(DOME_DIRECTIONS) + 0.5
-    y = 1 - 2 * k / DOME_DIRECTIONS
-    turn = np.pi * (1 + 5**0.5) * k
-    ring = np.sqrt(1 - y * y)
-    sphere = np.stack([ring * np.cos(turn), y, ring * np.sin(turn)], -1)
-    a = np.cross(KEY_DIRECTION, [0.0, 1.0, 0.0])
-    a /= np.linalg.norm(a)
-    b = np.cross(KEY_DIRECTION, a)
-    j = np.arange(KEY_DIRECTIONS) + 0.5
-    reach = KEY_SPREAD * np.sqrt(j / KEY_DIRECTIONS)
-    spin = np.pi * (1 + 5**0.5) * j
-    disc = KEY_DIRECTION + reach[:, None] * (np.cos(spin)[:, None] * a + np.sin(spin)[:, None] * b)
-    return sphere, disc / np.linalg.norm(disc, axis=1, keepdims=True)
+SPAN_M, CENTRE_M = 0.36, (0.0, -0.01, 0.0)
+"""Of the depth maps."""
 
 
 def shade_eyes(head: Head, vertices: FloatArray, shade: FloatArray) -> None:
@@ -123,15 +74,15 @@ class Occlusion:
     def _measure(self, arkit: FloatArray) -> FloatArray:
         vertices = self._head.vertices(arkit)
         normals = self._head.normals(vertices)
-        sphere, disc = _directions()
         sky = np.zeros(len(vertices))
         sky_weight = np.full(len(vertices), 1e-6)
-        for direction in sphere:
+        for direction in sphere(DOME_DIRECTIONS):
             facing = np.maximum(normals @ direction, 0.0)
             # Light from above counts more: a dome, not a fog.
             facing = facing * (0.65 + 0.35 * direction[1])
             sky += facing * self._visible(vertices, normals, direction)
             sky_weight += facing
+        disc = softbox(KEY_DIRECTIONS)
         key = np.mean([self._visible(vertices, normals, direction) for direction in disc], 0)
         return self._smoothed(np.stack([sky / sky_weight, key], -1)).astype(np.float32)
 
@@ -154,17 +105,8 @@ class Occlusion:
 
     def _visible(
         self, vertices: FloatArray, normals: FloatArray, direction: npt.NDArray[np.float64]
-    ) -> npt.NDArray[np.float64]:
-        clip = _orthographic(direction)
-        depth = self._draw_depth(vertices, clip, MAP_SIZE)
-        lifted = vertices + 0.0015 * normals
-        seen = lifted @ clip[:3, :3].T + clip[:3, 3]
-        at = np.clip(((seen[:, :2] * 0.5 + 0.5) * MAP_SIZE).astype(int), 0, MAP_SIZE - 1)
-        nearest = depth[at[:, 1], at[:, 0]]
-        lit: npt.NDArray[np.float64] = (0.5 + 0.5 * seen[:, 2] <= nearest + BIAS_M / SPAN_M).astype(
-            np.float64
-        )
-        return lit
+    ) -> npt.NDArray[np.bool_]:
+        return lit(self._draw_depth, vertices, normals, direction, span_m=SPAN_M, centre_m=CENTRE_M)
 
     def at(self, arkit: FloatArray) -> FloatArray:
         """Share of dome and key light that reaches each vertex. float32 ``[V, 2]``."""

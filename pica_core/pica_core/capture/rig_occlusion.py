@@ -7,71 +7,18 @@ single expression has is not known.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import numpy.typing as npt
 
 from pica_core.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.capture.rig_head import RigHead
+from pica_core.capture.shadow import POSES, DrawDepth, lit, softbox, sphere
 
 FloatArray = npt.NDArray[np.float32]
-Float64Array = npt.NDArray[np.float64]
-DrawDepth = Callable[[FloatArray, FloatArray, int], FloatArray]
-
-KEY_DIRECTION = np.array([0.50, 0.55, 0.80]) / np.linalg.norm([0.50, 0.55, 0.80])
-"""Must agree with shaders/rig_stage.frag."""
 DOME_DIRECTIONS = 28
 KEY_DIRECTIONS = 6
-KEY_SPREAD = 0.22
-"""Half angle of the key light, radians: a softbox, so shadows have soft edges."""
-MAP_SIZE = 192
-SPAN_M = 0.42
-BIAS_M, LIFT_M = 0.0022, 0.0015
-POSES: tuple[tuple[str, ...], ...] = (
-    ("jawOpen",),
-    ("mouthFunnel",),
-    ("mouthPucker",),
-    ("mouthSmileLeft", "mouthSmileRight"),
-    ("eyeBlinkLeft",),
-    ("eyeBlinkRight",),
-    ("browDownLeft", "browDownRight"),
-    ("mouthUpperUpLeft", "mouthUpperUpRight", "mouthLowerDownLeft", "mouthLowerDownRight"),
-)
-"""Expressions whose shadow is measured; each is set to 1 as a whole. Those that the rig does not
-have cost nothing."""
-
-
-def _orthographic(direction: Float64Array) -> FloatArray:
-    """Clip matrix that looks against `direction` at the head's middle."""
-    up = np.array([0.0, 0.0, 1.0]) if abs(direction[1]) > 0.9 else np.array([0.0, 1.0, 0.0])
-    right = np.cross(up, direction)
-    right /= np.linalg.norm(right)
-    rows = np.stack([right, np.cross(direction, right), -direction]) / (0.5 * SPAN_M)
-    clip = np.eye(4, dtype=np.float32)
-    clip[:3, :3] = rows
-    clip[:3, 3] = -rows @ np.array([0.0, -0.03, 0.0])
-    return clip
-
-
-def _sphere() -> Float64Array:
-    """Even directions over the sphere. ``[n, 3]``."""
-    k = np.arange(DOME_DIRECTIONS) + 0.5
-    y = 1 - 2 * k / DOME_DIRECTIONS
-    turn, ring = np.pi * (1 + 5**0.5) * k, np.sqrt(1 - y * y)
-    return np.stack([ring * np.cos(turn), y, ring * np.sin(turn)], 1)
-
-
-def _softbox() -> Float64Array:
-    """Even directions over the key light's disc. ``[n, 3]``."""
-    a = np.cross(KEY_DIRECTION, [0.0, 1.0, 0.0])
-    a /= np.linalg.norm(a)
-    b = np.cross(KEY_DIRECTION, a)
-    k = np.arange(KEY_DIRECTIONS) + 0.5
-    reach, spin = KEY_SPREAD * np.sqrt(k / KEY_DIRECTIONS), np.pi * (1 + 5**0.5) * k
-    disc = KEY_DIRECTION + reach[:, None] * (np.cos(spin)[:, None] * a + np.sin(spin)[:, None] * b)
-    result: Float64Array = disc / np.linalg.norm(disc, axis=1, keepdims=True)
-    return result
+SPAN_M, CENTRE_M = 0.42, (0.0, -0.03, 0.0)
+"""Of the depth maps."""
 
 
 class RigOcclusion:
@@ -87,6 +34,7 @@ class RigOcclusion:
         self._draw_depth = draw_depth
         zero = np.zeros(NUM_ARKIT, np.float32)
         self._rest = self._measure(zero)
+        # Expressions that the rig does not have cost nothing.
         self._poses = [p for p in POSES if set(p) <= set(head.names.drivers)]
         changes = []
         for names in self._poses:
@@ -98,27 +46,21 @@ class RigOcclusion:
     def _measure(self, arkit: FloatArray) -> FloatArray:
         vertices = self._head.vertices(arkit)
         normals = self._head.normals(vertices)
-        lifted = vertices + LIFT_M * normals
         sky = np.zeros(len(vertices))
         weight = np.full(len(vertices), 1e-6)
-        for direction in _sphere():
+        for direction in sphere(DOME_DIRECTIONS):
             # Light from above counts more: a dome, not a fog.
             facing = np.maximum(normals @ direction, 0.0) * (0.65 + 0.35 * direction[1])
-            sky += facing * self._lit(vertices, lifted, direction)
+            sky += facing * self._lit(vertices, normals, direction)
             weight += facing
-        key = np.mean([self._lit(vertices, lifted, direction) for direction in _softbox()], axis=0)
+        disc = softbox(KEY_DIRECTIONS)
+        key = np.mean([self._lit(vertices, normals, direction) for direction in disc], axis=0)
         return np.stack([sky / weight, key], 1).astype(np.float32)
 
     def _lit(
-        self, vertices: FloatArray, lifted: FloatArray, direction: Float64Array
+        self, vertices: FloatArray, normals: FloatArray, direction: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.bool_]:
-        clip = _orthographic(direction)
-        depth = self._draw_depth(vertices, clip, MAP_SIZE)
-        seen = lifted @ clip[:3, :3].T + clip[:3, 3]
-        at = np.clip(((seen[:, :2] * 0.5 + 0.5) * MAP_SIZE).astype(int), 0, MAP_SIZE - 1)
-        nearest = depth[at[:, 1], at[:, 0]]
-        lit: npt.NDArray[np.bool_] = 0.5 + 0.5 * seen[:, 2] <= nearest + BIAS_M / SPAN_M
-        return lit
+        return lit(self._draw_depth, vertices, normals, direction, span_m=SPAN_M, centre_m=CENTRE_M)
 
     def at(self, arkit: FloatArray) -> FloatArray:
         """Share of dome and key light that reaches each vertex. float32 ``[V, 2]``."""
