@@ -7,12 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from pica_core.camera import Camera
 from pica_core.capture.coordinates import MATERIALS
 from pica_core.capture.expressions import sample_takes
-from pica_core.capture.gpu import View
 from pica_core.capture.layout import MAP_SIZE
 from pica_core.capture.rig_gpu import BAKE_SIZE, RigRenderer
 from pica_core.capture.rig_head import RigHead, make_rig, read_rig
@@ -20,10 +17,8 @@ from pica_core.capture.rig_map_error import map_error_m
 from pica_core.capture.rig_names import read_names
 from pica_core.capture.rig_skin import read_albedos
 from pica_core.capture.rig_source import RigSource
+from pica_core.capture.subject import Drawn
 
-FloatArray = npt.NDArray[np.float32]
-ByteArray = npt.NDArray[np.uint8]
-BoolArray = npt.NDArray[np.bool_]
 
 ERROR_POSES = 8
 """Expressions over which the error that the position map leaves is measured."""
@@ -52,7 +47,7 @@ def chart_error_mm(head: RigHead, poses: int = ERROR_POSES) -> dict[str, dict[st
     }
 
 
-class RigSubject:
+class RigSubject(Drawn):
     """A rig on the stage. Its GL context is made with the first pose.
 
     Args:
@@ -75,12 +70,12 @@ class RigSubject:
         bake_size: int = BAKE_SIZE,
         self_shadow: bool = True,
     ) -> None:
+        super().__init__()
         names = read_names(table) if table is not None else None
         source = read_rig(path)
         self._albedo = read_albedos(source, albedo)
         self.head = make_rig(source, names)
         self._bake_size, self._self_shadow = bake_size, self_shadow
-        self._renderer: RigRenderer | None = None
         self.name = self.head.name
         self.topology = self.head.topology
         self._about = self._describe(path, source)
@@ -128,27 +123,7 @@ class RigSubject:
             "mask": {"0": "background"} | {str(k + 1): name for k, name in enumerate(MATERIALS)},
         }
 
-    def _stage(self) -> RigRenderer:
-        if self._renderer is None:
-            self._renderer = RigRenderer(
-                self.head, self._albedo, bake_size=self._bake_size, occlusion=self._self_shadow
-            )
-        return self._renderer
-
-    def pose(self, arkit: npt.ArrayLike) -> FloatArray:
-        """Pose the rig; vertices in metres ``[V, 3]``."""
-        return self._stage().pose(arkit)
-
-    def draw(self, camera: Camera) -> View:
-        """Image, depth and mask of the posed rig."""
-        return self._stage().draw(camera)
-
-    def unwrap(self, images: list[tuple[Camera, View]], size: int) -> tuple[ByteArray, BoolArray]:
-        """Average texture of the posed rig, and where it is known."""
-        return self._stage().unwrap(images, size)
-
-    def release(self) -> None:
-        """Give the GL context back."""
-        if self._renderer is not None:
-            self._renderer.release()
-            self._renderer = None
+    def _make_renderer(self) -> RigRenderer:
+        return RigRenderer(
+            self.head, self._albedo, bake_size=self._bake_size, occlusion=self._self_shadow
+        )

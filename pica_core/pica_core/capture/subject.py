@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any, Protocol
 
 import numpy as np
@@ -58,7 +59,61 @@ class Subject(Protocol):
         ...
 
 
-class HeadSubject:
+class Renderer(Protocol):
+    """Draws a subject, in a GL context of its own."""
+
+    def pose(self, arkit: npt.ArrayLike) -> FloatArray:
+        """As `Subject.pose`."""
+        ...
+
+    def draw(self, camera: Camera) -> View:
+        """As `Subject.draw`."""
+        ...
+
+    def unwrap(self, images: list[tuple[Camera, View]], size: int) -> tuple[ByteArray, BoolArray]:
+        """As `Subject.unwrap`."""
+        ...
+
+    def release(self) -> None:
+        """Give the context back."""
+        ...
+
+
+class Drawn(ABC):
+    """The half of a `Subject` that a renderer does, which is made with the first pose."""
+
+    def __init__(self) -> None:
+        self._renderer: Renderer | None = None
+
+    @abstractmethod
+    def _make_renderer(self) -> Renderer:
+        """Open a context and put the subject into it."""
+
+    def _stage(self) -> Renderer:
+        if self._renderer is None:
+            self._renderer = self._make_renderer()
+        return self._renderer
+
+    def pose(self, arkit: npt.ArrayLike) -> FloatArray:
+        """See `Subject.pose`."""
+        return self._stage().pose(arkit)
+
+    def draw(self, camera: Camera) -> View:
+        """See `Subject.draw`."""
+        return self._stage().draw(camera)
+
+    def unwrap(self, images: list[tuple[Camera, View]], size: int) -> tuple[ByteArray, BoolArray]:
+        """See `Subject.unwrap`."""
+        return self._stage().unwrap(images, size)
+
+    def release(self) -> None:
+        """See `Subject.release`."""
+        if self._renderer is not None:
+            self._renderer.release()
+            self._renderer = None
+
+
+class HeadSubject(Drawn):
     """A built-in head on the stage. Its GL context is made with the first pose.
 
     Args:
@@ -71,9 +126,9 @@ class HeadSubject:
     """
 
     def __init__(self, head: str, *, bake_size: int = BAKE_SIZE, self_shadow: bool = True) -> None:
+        super().__init__()
         self.head = make_head(head)
         self._bake_size, self._self_shadow = bake_size, self_shadow
-        self._renderer: StageRenderer | None = None
         self.name = head
         self.topology = Topology(
             vertex_uv=self.head.vertex_uv, faces=self.head.faces, regions=self.head.regions
@@ -96,27 +151,5 @@ class HeadSubject:
             },
         }
 
-    def _stage(self) -> StageRenderer:
-        if self._renderer is None:
-            self._renderer = StageRenderer(
-                self.head, bake_size=self._bake_size, occlusion=self._self_shadow
-            )
-        return self._renderer
-
-    def pose(self, arkit: npt.ArrayLike) -> FloatArray:
-        """Pose the head; vertices in metres ``[V, 3]``."""
-        return self._stage().pose(arkit)
-
-    def draw(self, camera: Camera) -> View:
-        """Image, depth and mask of the posed head."""
-        return self._stage().draw(camera)
-
-    def unwrap(self, images: list[tuple[Camera, View]], size: int) -> tuple[ByteArray, BoolArray]:
-        """Average texture of the posed head, and where it is known."""
-        return self._stage().unwrap(images, size)
-
-    def release(self) -> None:
-        """Give the GL context back."""
-        if self._renderer is not None:
-            self._renderer.release()
-            self._renderer = None
+    def _make_renderer(self) -> StageRenderer:
+        return StageRenderer(self.head, bake_size=self._bake_size, occlusion=self._self_shadow)
