@@ -84,9 +84,8 @@ def avatar_measure(options: AvatarMeasureOptions) -> dict[str, Any]:
     rows: list[dict[str, Any]] = []
     full = avatar.levels[-1]
     for mesh, by_maps in zip(errors.levels, errors.mse.tolist(), strict=True):
-        for level, by_height in zip((mesh, full), by_maps, strict=True):
-            if level == mesh == full and rows and rows[-1]["mesh"] == full:
-                continue
+        ways = {mesh: by_maps[0], full: by_maps[1]}  # the full level's two are one
+        for level, by_height in ways.items():
             rows.append({"level": level, "mesh": mesh, "mse": by_height})
             figures = "  ".join(
                 f"{height:g} px {error:.1f}"

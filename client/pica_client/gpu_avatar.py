@@ -117,13 +117,8 @@ def upload_avatar(
     weights = None
     if weights_place == "block":
         weights = context.buffer(pack_weights(avatar.spec, tensors))
-    full = avatar.levels[-1]
-    pairs = dict.fromkeys((position, mesh) for mesh in avatar.levels for position in (mesh, full))
     return Body(
-        meshes={
-            (position, mesh): _level_mesh(context, mesh_programs, avatar, position, mesh)
-            for position, mesh in pairs
-        },
+        meshes=_level_meshes(context, mesh_programs, avatar),
         shade=program,
         shade_rect=context.vertex_array(program, []),
         textures=textures,
@@ -184,23 +179,25 @@ def upload_placeholder(context: moderngl.Context, mesh_programs: MeshPrograms) -
     )
 
 
-def _level_mesh(
-    context: moderngl.Context,
-    programs: MeshPrograms,
-    avatar: Avatar,
-    position_level: int,
-    mesh_level: int,
-) -> Mesh:
-    """The triangles of a level, with the vertices that they use and no others."""
+def _level_meshes(
+    context: moderngl.Context, programs: MeshPrograms, avatar: Avatar
+) -> dict[tuple[int, int], Mesh]:
+    """The triangles of each level, with the vertices that they use and no others: for the full
+    positions, and for the level's own."""
     vertex_uv = avatar.tensors["mesh.vertex_uv"]
-    # Neighbours together: in the order of a shuffled file five heads take half as long again to
-    # draw.
-    ordered = order_faces(avatar.level_faces(mesh_level), vertex_uv)
-    used, renumbered = np.unique(ordered, return_inverse=True)
-    is_sheet = position_level != avatar.levels[-1]
-    places = sheet_uv(len(used), position_level) if is_sheet else vertex_uv[used]
-    faces = renumbered.reshape(-1, 3)
-    return upload_mesh(context, programs, mesh_level, faces, vertex_uv[used], places)
+    full = avatar.levels[-1]
+    meshes = {}
+    for level in avatar.levels:
+        # Neighbours together: in the order of a shuffled file five heads take half as long again to
+        # draw.
+        ordered = order_faces(avatar.level_faces(level), vertex_uv)
+        used, renumbered = np.unique(ordered, return_inverse=True)
+        faces, uv = renumbered.reshape(-1, 3), vertex_uv[used]
+        meshes[full, level] = upload_mesh(context, programs, level, faces, uv, uv)
+        if level != full:
+            places = sheet_uv(len(used), level)
+            meshes[level, level] = upload_mesh(context, programs, level, faces, uv, places)
+    return meshes
 
 
 def upload_mesh(
