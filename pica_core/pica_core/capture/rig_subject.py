@@ -19,7 +19,6 @@ from pica_core.capture.rig_skin import read_albedos
 from pica_core.capture.rig_source import RigSource
 from pica_core.capture.subject import Drawn
 
-
 ERROR_POSES = 8
 """Expressions over which the error that the position map leaves is measured."""
 ERROR_REGIONS = ("face", "lips", "lids", "eyeballs", "teeth", "tongue", "mouth_interior")
