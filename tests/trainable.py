@@ -21,8 +21,10 @@ def toy_prior(
     """
     texel = (np.arange(map_size, dtype=np.float32) + 0.5) / map_size
     tracked_uv = grid_uv(tracked)
+    position_mean = head_surface(*np.meshgrid(texel, texel))
     return FacePrior(
-        position_mean=head_surface(*np.meshgrid(texel, texel)),
+        position_mean=position_mean,
+        tracked_position_mean=position_mean,
         position_scale_m=scale_m,
         dense_uv=grid_uv(dense),
         tracked_uv=tracked_uv,

@@ -30,6 +30,7 @@ from pica_core.capture.reading import (
     load_image,
     read_frames,
     read_topology,
+    read_tracked,
     read_transform,
     read_vertices,
 )
@@ -63,6 +64,8 @@ class Capture:
         left_out: What is wrong with the others.
         topology: The mesh that models draw.
         tracked_topology: The tracked mesh; the same object where a capture has one mesh only.
+        dense_vertex: Which vertex of `topology` each tracked vertex is, int64 ``[Vt]``; None where
+            that is not known.
         has_truth: Exact meshes and exact depth are there (synthetic captures).
         has_depth: At least one frame has depth.
         has_masks: Masks are there.
@@ -80,6 +83,7 @@ class Capture:
         arkit: FloatArray | None,
         topology: Topology,
         tracked_topology: Topology,
+        dense_vertex: IntArray | None,
         mesh_vertex: IntArray | None,
         num_mesh_vertices: int,
     ) -> None:
@@ -97,6 +101,7 @@ class Capture:
         self._cameras = {camera.name: camera for camera in self.cameras}
         self.topology = topology
         self.tracked_topology = tracked_topology
+        self.dense_vertex = dense_vertex
         self._mesh_vertex = mesh_vertex
         self._num_mesh_vertices = num_mesh_vertices
         self.is_original = mesh_vertex is not None
@@ -171,9 +176,9 @@ class Capture:
                 f"{where}: schema is {info.get('schema')!r}; {multiface.SCHEMA} is known"
             )
         topology = read_topology(root / multiface.TOPOLOGY)
-        tracked = topology
+        tracked, dense_vertex = topology, None
         if (root / multiface.TRACKED_TOPOLOGY).is_file():
-            tracked = read_topology(root / multiface.TRACKED_TOPOLOGY)
+            tracked, dense_vertex = read_tracked(root, len(topology.vertex_uv))
         frames, arkit = read_frames(root)
         return cls(
             root,
@@ -182,6 +187,7 @@ class Capture:
             arkit=arkit,
             topology=topology,
             tracked_topology=tracked,
+            dense_vertex=dense_vertex,
             mesh_vertex=None,
             num_mesh_vertices=len(tracked.vertex_uv),
         )
@@ -196,6 +202,7 @@ class Capture:
             arkit=None,
             topology=found.topology,
             tracked_topology=found.topology,
+            dense_vertex=None,
             mesh_vertex=found.mesh_vertex,
             num_mesh_vertices=found.num_mesh_vertices,
         )

@@ -215,8 +215,12 @@ def read_topology(path: Path) -> Topology:
     return Topology(vertex_uv=uv.astype(np.float32), faces=faces.astype(np.int32), regions=regions)
 
 
-def read_tracked(root: Path) -> tuple[Topology, npt.NDArray[np.int64]]:
+def read_tracked(root: Path, num_dense: int) -> tuple[Topology, npt.NDArray[np.int64]]:
     """The tracked mesh of a synthetic capture, and the dense vertex that each of its vertices is.
+
+    Args:
+        root: The capture.
+        num_dense: Vertices of its dense mesh.
 
     Raises:
         CaptureError: Missing or damaged.
@@ -224,7 +228,8 @@ def read_tracked(root: Path) -> tuple[Topology, npt.NDArray[np.int64]]:
     path = root / multiface.TRACKED_TOPOLOGY
     topology = read_topology(path)
     index = read_arrays(path).get("dense_vertex", np.zeros(0))
-    if index.shape != (len(topology.vertex_uv),) or index.dtype.kind != "i" or index.min() < 0:
+    is_index = index.shape == (len(topology.vertex_uv),) and index.dtype.kind == "i"
+    if not is_index or index.min() < 0 or index.max() >= num_dense:
         raise CaptureError(f"{path}: field 'dense_vertex' is no index for each vertex")
     return topology, index.astype(np.int64)
 

@@ -191,7 +191,9 @@ class _Rendering:
         self.tracked_topology, self.tracked = track_topology(
             subject.topology, shapes, options.tracked_vertices
         )
-        self.tracker = Tracker(self.tracked_topology, shapes[0, self.tracked], options.seed)
+        self.tracker = Tracker(
+            self.tracked_topology, shapes[0, self.tracked], options.seed, self.tracked
+        )
         multiface.write_aside(out / multiface.KRT, multiface.krt_text(self.cameras).encode())
         write_topology(out / multiface.TOPOLOGY, subject.topology)
         write_topology(
@@ -277,7 +279,7 @@ def _render(
                 else:
                     rendering = rendering or _Rendering(subject, options, out, writer)
                     rendering.draw_frame(take, number, index)
-                tracked = tracked or read_tracked(out)
+                tracked = tracked or read_tracked(out, len(subject.topology.vertex_uv))
                 _sum_up(out, options, take, frame, tracked[1], sums, errors)
                 done += 1
                 if progress is not None:

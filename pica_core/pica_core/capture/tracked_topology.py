@@ -6,7 +6,8 @@ there is a triangle (the dual of a Voronoi diagram on the mesh). The result is a
 dense vertices with their UVs, so the exact position of a tracked vertex is always known.
 
 Both sides of a UV seam keep the same seeds, and vertices of a border or slit join seeds of their
-border only, so lips and lids keep their slits and seams do not open.
+border only, so lips and lids keep their slits and seams do not open. A surface from lip to lip
+covers the mouth (`mouth_cover`); its vertices are vertices of the lips once more.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pica_core.capture.mouth_cover import cover_mouth
 from pica_core.capture.reading import Topology
 
 FloatArray = npt.NDArray[np.float32]
@@ -26,6 +28,8 @@ NUM_VERTICES = 7000
 """Vertices that are aimed at (paper: 5K; the published Multiface meshes have 7,306)."""
 UNTRACKED = "mouth_interior"
 """Region that a tracker cannot follow (paper, section 3: no vertices for tongue and teeth)."""
+COVER = "mouth_cover"
+"""Region of the surface that covers the mouth instead."""
 DENSITY: dict[str, float] = {
     "hair": 0.6,
     "scalp": 0.6,
@@ -51,7 +55,8 @@ def track_topology(
 
     Args:
         topology: The dense mesh.
-        shapes_m: It in a few expressions that open what is closed at rest, metres. ``[K, V, 3]``.
+        shapes_m: It in a few expressions that open what is closed at rest, metres; the second opens
+            the jaw. ``[K, V, 3]``.
         num_vertices: How many to aim at; a mesh that has no more stays whole.
 
     Returns:
@@ -77,15 +82,34 @@ def track_topology(
     )
     turned = turned[np.unique(np.sort(turned, axis=1), axis=0, return_index=True)[1]]
     chosen, renamed = np.unique(turned, return_inverse=True)
+    tracked = Topology(
+        vertex_uv=topology.vertex_uv[chosen],
+        faces=renamed.reshape(-1, 3).astype(np.int32),
+        regions={
+            name: mask[chosen] for name, mask in topology.regions.items() if name != UNTRACKED
+        },
+    )
+    return _with_mouth_cover(tracked, chosen, twins[chosen], shapes_m[min(1, len(shapes_m) - 1)])
+
+
+def _with_mouth_cover(
+    tracked: Topology, chosen: IntArray, places: IntArray, open_m: FloatArray
+) -> tuple[Topology, IntArray]:
+    """The tracked mesh with its mouth covered, where it has lips."""
+    lips = tracked.regions.get("lips", np.zeros(len(chosen), np.bool_))
+    faces = tracked.faces.astype(np.int64)
+    cover = cover_mouth(faces, tracked.vertex_uv, places, open_m[chosen], lips)
+    if cover is None:
+        return tracked, chosen
+    every = np.concatenate([np.arange(len(chosen)), cover.source])
     return (
         Topology(
-            vertex_uv=topology.vertex_uv[chosen],
-            faces=renamed.reshape(-1, 3).astype(np.int32),
-            regions={
-                name: mask[chosen] for name, mask in topology.regions.items() if name != UNTRACKED
-            },
+            vertex_uv=np.concatenate([tracked.vertex_uv, cover.uv]),
+            faces=np.concatenate([faces, len(chosen) + cover.faces]).astype(np.int32),
+            regions={name: mask[every] for name, mask in tracked.regions.items()}
+            | {COVER: np.arange(len(every)) >= len(chosen)},
         ),
-        chosen,
+        chosen[every],
     )
 
 

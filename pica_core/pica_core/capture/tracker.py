@@ -58,14 +58,23 @@ class Tracker:
         topology: The tracked mesh.
         rest_m: It at rest, metres. ``[Vt, 3]``.
         seed: Fixes everything.
+        places: Vertices with the same number are one point, and stay together. ``[Vt]``.
     """
 
-    def __init__(self, topology: Topology, rest_m: FloatArray, seed: int) -> None:
+    def __init__(
+        self,
+        topology: Topology,
+        rest_m: FloatArray,
+        seed: int,
+        places: npt.NDArray[np.int64],
+    ) -> None:
         random = np.random.default_rng([seed, 0x7AC4])
         self._seed = seed
         self._field = SpaceTimeWaves(random, rest_m, FIELD_SCALE_M)
         self._lasting = random.normal(size=3 * self._field.waves)
         self._faces = topology.faces
+        _, first, number = np.unique(places, return_index=True, return_inverse=True)
+        self._one_point = first[number.reshape(-1)]
         spread = np.full(len(rest_m), ELSEWHERE_MM)
         for name, value in SPREAD_MM.items():
             if name in topology.regions:
@@ -96,7 +105,7 @@ class Tracker:
         error += self.lag_weight[:, None] * (lagged_m.astype(np.float64) - exact_m)
         limit = 0.001 * LIMIT_MM
         error *= limit / np.sqrt(limit**2 + (error**2).sum(axis=1, keepdims=True))
-        tracked: FloatArray = (exact_m + error).astype(np.float32)
+        tracked: FloatArray = (exact_m + error[self._one_point]).astype(np.float32)
         return tracked
 
 

@@ -69,6 +69,8 @@ class FacePrior:
 
     position_mean: FloatArray
     """Mean position map, head frame, metres, float32 ``[S, S, 3]``."""
+    tracked_position_mean: FloatArray
+    """The same of the tracked mesh, which may cover other texels, float32 ``[S, S, 3]``."""
     position_scale_m: float
     """Unit of decoded offsets from the mean, metres."""
     dense_uv: FloatArray

@@ -209,7 +209,7 @@ class TrainingData:
         if not self.one_mesh:
             tracked = capture.tracked_topology
             self._tracked_raster = rasterise_uv(tracked.vertex_uv, tracked.faces, map_size)
-        self.tracked_mean_m = self.tracked_m[self.train_frames].mean(0)
+        self.tracked_mean_m: FloatArray = self.tracked_m[self.train_frames].mean(0)
         if capture.has_truth:
             self.vertices_m = np.stack([capture.true_vertices_m(frame) for frame in frames])
         elif self.one_mesh:
@@ -240,6 +240,13 @@ class TrainingData:
         capture = self.capture
         return capture.topology if name == "dense" else capture.tracked_topology
 
+    def tracked_position_mean(self) -> FloatArray:
+        """The mean of the tracked topology's meshes as a map, metres, ``[S, S, 3]``."""
+        mean = self.tracked_mean_m
+        if self.capture.dense_vertex is not None:
+            mean = self.mean_vertices_m[self.capture.dense_vertex]
+        return self._tracked_raster.position_map(mean)
+
     def neutral_m(self, name: TopologyName) -> FloatArray:
         """The mesh of the training frame nearest to a neutral expression, on a topology, as
         `mesh_source` says; metres, ``[V, 3]``."""
@@ -247,17 +254,18 @@ class TrainingData:
         expressions = self.arkit[self.train_frames].square().sum(1)
         frame = self.train_frames[int(expressions.argmin())]
         if name == "tracked":
-            return self.tracked_m[frame] if tracked else self._true_at_tracked(frame)
+            return self.tracked_m[frame] if tracked else self.true_at_tracked(frame)
         if tracked and not self.one_mesh:
             return self._dense_of_tracked(frame)
         mesh: FloatArray = (self.tracked_m if tracked else self.vertices_m)[frame]
         return mesh
 
-    def _true_at_tracked(self, frame: int) -> FloatArray:
-        """The best mesh at the vertices of the tracked topology."""
-        if self.one_mesh:
+    def true_at_tracked(self, frame: int) -> FloatArray:
+        """The best mesh at the vertices of the tracked topology, metres, ``[Vt, 3]``."""
+        index = self.capture.dense_vertex
+        if self.one_mesh or index is not None:
             mesh: FloatArray = self.vertices_m[frame]
-            return mesh
+            return mesh if index is None else mesh[index]
         if frame not in self._true_tracked:
             values = self.uv_raster.position_map(self.vertices_m[frame])
             self._true_tracked[frame] = _look_up(values, self.capture.tracked_topology.vertex_uv)
@@ -306,7 +314,7 @@ class TrainingData:
         the best surface there is at its vertices, as `mesh_source` says."""
         if self.mesh_source == "tracked":
             return torch.from_numpy(self.tracked_m[frames])
-        return torch.from_numpy(np.stack([self._true_at_tracked(frame) for frame in frames]))
+        return torch.from_numpy(np.stack([self.true_at_tracked(frame) for frame in frames]))
 
     def depth_m(self, frame: int, camera: str) -> FloatArray | None:
         """Measured depth, 0 where unknown, float32 ``[H, W]``; None where the image has none."""

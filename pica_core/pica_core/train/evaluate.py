@@ -151,7 +151,7 @@ def _vertex_error_mm(judge: Judge, source: Source, frame: int) -> float:
     capture = judge.data.capture
     wanted = judge.data.vertices_m[frame]
     if judge.model.topology == "tracked" and capture.tracked_topology is not capture.topology:
-        wanted = capture.vertices_m(capture.frames[frame])
+        wanted = judge.data.true_at_tracked(frame)
     found = judge.vertices_m(_latent(judge, source, frame))
     return float(np.linalg.norm(found - wanted, axis=1).mean()) * 1000
 

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pica_core.capture.tracked_topology import COVER
 from pica_core.model.encoder import reparameterise, resize_texture
 from pica_core.model.interface import AvatarModel, DecodedMesh
 from pica_core.train.config import TrainConfig
@@ -214,6 +215,8 @@ class Objectives:
             weights = np.ones(len(data.topology("tracked").vertex_uv), np.float32)
             if MASKED_REGION in regions:
                 weights[regions[MASKED_REGION]] = 0
+            if self.model.topology == "tracked" and COVER in regions:
+                weights[regions[COVER]] = 1
             return torch.from_numpy(weights)
         topology = data.topology(self.model.topology)
         weights = np.where(important_vertices(topology), losses.region_weight, 1.0)

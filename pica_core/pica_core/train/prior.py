@@ -22,6 +22,7 @@ def face_prior(data: TrainingData) -> FacePrior:
         texture += capture.average_texture(frame)
     return FacePrior(
         position_mean=data.position_mean,
+        tracked_position_mean=data.tracked_position_mean(),
         position_scale_m=data.position_scale_m,
         dense_uv=_float32(capture.topology.vertex_uv),
         tracked_uv=_float32(capture.tracked_topology.vertex_uv),
