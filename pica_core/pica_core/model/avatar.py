@@ -43,6 +43,8 @@ class PixelCodecAvatar(AvatarModel):
         encoder: "paper" or "light".
         encoding_amplitude: Half-width of the encodings' uniform start (paper: 1).
         first_frequency: Scale of the first sine layers.
+        texture_contrast: Begin m_uv with the mean texture, of this contrast; 0 for a uniform start,
+            as the paper.
     """
 
     position_mean: Tensor
@@ -58,14 +60,18 @@ class PixelCodecAvatar(AvatarModel):
         encoder: str = "light",
         encoding_amplitude: float = 1.0,
         first_frequency: float = FIRST_FREQUENCY,
+        texture_contrast: float = 0.0,
     ) -> None:
         super().__init__()
         self.spec = spec
         self.topology = topology
         self.position_scale_m = prior.position_scale_m
-        mean = torch.as_tensor(prior.position_mean, dtype=torch.float32).permute(2, 0, 1)
+        drawn, mean_map = {
+            "dense": (prior.dense_uv, prior.position_mean),
+            "tracked": (prior.tracked_uv, prior.tracked_position_mean),
+        }[topology]
+        mean = torch.as_tensor(mean_map, dtype=torch.float32).permute(2, 0, 1)
         self.register_buffer("position_mean", mean.contiguous())
-        drawn = {"dense": prior.dense_uv, "tracked": prior.tracked_uv}[topology]
         self.register_buffer("_drawn_uv", uv_buffer(drawn), persistent=False)
         self.register_buffer("_tracked_uv", uv_buffer(prior.tracked_uv), persistent=False)
         self._draws_tracked = drawn is prior.tracked_uv
@@ -75,6 +81,9 @@ class PixelCodecAvatar(AvatarModel):
         self.pixel_decoder = PixelDecoder(
             spec, encoding_amplitude=encoding_amplitude, first_frequency=first_frequency
         )
+        if texture_contrast:
+            texture = torch.as_tensor(prior.texture_mean, dtype=torch.float32).permute(2, 0, 1)
+            self.pixel_decoder.encoding.start_from(texture, texture_contrast)
         self.expression_encoder = ExpressionEncoder()
 
     def decode_geometry(self, latent: Tensor) -> Tensor:

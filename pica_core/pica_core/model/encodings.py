@@ -13,6 +13,7 @@ from typing import final
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from pica_core.model.decoders import sample_map
 from pica_core.spec import NUM_FREQUENCIES, AvatarSpec
@@ -28,6 +29,14 @@ class SurfaceEncoding(nn.Module, ABC):
     def forward(self, uv: Tensor) -> Tensor:
         """Encode points ``[P, 2]`` to ``[P, channels]``."""
 
+    def start_from(self, texture: Tensor, contrast: float) -> None:
+        """Begin with a person's mean texture, in parts that can hold one.
+
+        Args:
+            texture: 0 to 1, row 0 is v = 0, ``[3, T, T]``.
+            contrast: What black and white become: minus and plus this.
+        """
+
     @abstractmethod
     def named_tensors(self) -> dict[str, Tensor]:
         """The weights under their names, and in the shapes, of the avatar file."""
@@ -42,6 +51,14 @@ class JointMap(SurfaceEncoding):
         size, self.channels = spec.uv_encoding_size, spec.uv_encoding_channels
         self.values = nn.Parameter(torch.empty(1, self.channels, size, size))
         nn.init.uniform_(self.values, -amplitude, amplitude)
+
+    @torch.no_grad()
+    def start_from(self, texture: Tensor, contrast: float) -> None:
+        """Colours in the first three channels; the others stay as they are."""
+        size = self.values.shape[2:]
+        resized = functional.interpolate(texture[None], size, mode="bilinear", antialias=True)
+        colours = min(3, self.channels)
+        self.values[:, :colours] = contrast * (2 * resized[:, :colours] - 1)
 
     def forward(self, uv: Tensor) -> Tensor:
         """Bilinear lookup."""
@@ -127,6 +144,12 @@ class SideBySide(SurfaceEncoding):
         super().__init__()
         self.parts = nn.ModuleList(parts)
         self.channels = sum(part.channels for part in parts)
+
+    def start_from(self, texture: Tensor, contrast: float) -> None:
+        """Each part for itself."""
+        for part in self.parts:
+            assert isinstance(part, SurfaceEncoding)
+            part.start_from(texture, contrast)
 
     def forward(self, uv: Tensor) -> Tensor:
         """All parts' codes."""

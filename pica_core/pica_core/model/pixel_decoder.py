@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from pica_core.model.encodings import make_encoding
+from pica_core.model.encodings import SurfaceEncoding, make_encoding
 from pica_core.spec import AvatarSpec
 
 XYZ_UNIT_M = 0.1
@@ -82,7 +82,7 @@ class PixelDecoder(nn.Module):
         first_frequency: float = FIRST_FREQUENCY,
     ) -> None:
         super().__init__()
-        self.encoding = make_encoding(spec, encoding_amplitude)
+        self.encoding: SurfaceEncoding = make_encoding(spec, encoding_amplitude)
         self.xyz = Siren(3, spec.xyz_channels, linear_output=False, first_frequency=first_frequency)
         self.colour = Siren(
             spec.expression_channels + spec.xyz_channels[-1] + self.encoding.channels,

@@ -22,6 +22,7 @@ def make_model(
     encoder: str = "light",
     encoding_amplitude: float = 1.0,
     first_frequency: float = FIRST_FREQUENCY,
+    texture_contrast: float = 0.0,
     texture_size: int = 1024,
 ) -> AvatarModel:
     """Build a model.
@@ -33,6 +34,7 @@ def make_model(
         encoder: "paper" or "light".
         encoding_amplitude: Half-width of the learned encodings' uniform start.
         first_frequency: Scale of the first sine layers.
+        texture_contrast: Of the mean texture that m_uv begins with; 0 for a uniform start.
         texture_size: Side of the baseline's texture, texels.
 
     Raises:
@@ -51,6 +53,7 @@ def make_model(
                 encoder=encoder,
                 encoding_amplitude=encoding_amplitude,
                 first_frequency=first_frequency,
+                texture_contrast=texture_contrast,
             )
         case "deep_appearance":
             return DeepAppearanceModel(spec, prior, encoder=encoder, texture_size=texture_size)

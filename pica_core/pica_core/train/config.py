@@ -43,6 +43,9 @@ class ModelConfig:
     texels that few images saw."""
     first_frequency: float = FIRST_FREQUENCY
     """Scale of the first sine layers."""
+    texture_contrast: float = 0.3
+    """Begin m_uv with the mean texture, black and white at minus and plus this; 0 for a uniform
+    start, as the paper."""
     texture_size: int = 512
     """Rows and columns of the baseline's texture; 1024 in the paper."""
 
@@ -70,6 +73,7 @@ class ModelConfig:
             encoder=self.encoder,
             encoding_amplitude=self.encoding_amplitude,
             first_frequency=self.first_frequency,
+            texture_contrast=self.texture_contrast,
             texture_size=self.texture_size,
         )
 
@@ -301,6 +305,7 @@ PRESETS["paper"] = replace(
         encoder="paper",
         uv_encoding_size=1024,
         encoding_amplitude=1.0,
+        texture_contrast=0.0,
         texture_size=1024,
     ),
     losses=PAPER_LOSSES,
