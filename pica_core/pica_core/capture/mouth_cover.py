@@ -1,8 +1,8 @@
 """A surface across the mouth of a mesh that has nothing inside it, from lip to lip.
 
 Trackers follow lips, not teeth and tongue; models that draw a tracker's mesh paint the inside of
-the mouth on such a surface. It is spanned by the border that the lips have without their inside: the
-same places again, with texture coordinates of their own in a free part of the UV square. So it
+the mouth on such a surface. It is spanned by the border that the lips have without their inside:
+the same places again, with texture coordinates of their own in a free part of the UV square. So it
 moves as the lips do, closes with them, and needs no position that a tracker does not give.
 """
 
