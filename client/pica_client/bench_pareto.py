@@ -41,13 +41,12 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_client.bench_decode import random_decoders
-from pica_client.bench_render import front_camera
+from pica_client.bench_head import check_distances, front_camera, talk_frames
 from pica_client.decoder import FloatArray, OnnxDecoder
 from pica_client.errors import OptionError
 from pica_client.render_error import masked_mse
 from pica_client.renderer import Renderer, RenderOptions
-from pica_client.scene import Placement, head_matrix, view_direction
-from pica_client.sources.performances import make_performance
+from pica_client.scene import Placement, view_direction
 from pica_client.stats import describe_machine
 from pica_core.avatar_file import Avatar, load_avatar, save_avatar
 from pica_core.avatar_storage import DEFAULT_STORAGE, Storage
@@ -60,7 +59,6 @@ Mask = npt.NDArray[np.bool_]
 
 SAMPLES = 3
 """Of the truth, along each side of a pixel."""
-FRAME_S = 1 / 30
 WARM_UP_FRAMES = 2
 SAME_COST = 0.05
 """Costs closer than this share are taken to be the same."""
@@ -82,8 +80,7 @@ class ParetoBenchConfig:
     """Where in it the frames begin."""
 
     def __post_init__(self) -> None:
-        if not self.distances_cm or not all(1 <= d <= 1000 for d in self.distances_cm):
-            raise OptionError(f"distances_cm are {self.distances_cm}; 1 to 1000 are allowed")
+        check_distances(self.distances_cm)
         for name, low, high in (("image_size", 64, 2048), ("frames", 3, 1000)):
             if not low <= getattr(self, name) <= high:
                 raise OptionError(f"{name} is {getattr(self, name)}; {low} to {high} is allowed")
@@ -159,13 +156,11 @@ class _Bench:
     def run(self, progress: Callable[[float], None]) -> list[dict[str, Any]]:
         """Show all frames in all ways."""
         config, encoder = self._config, ExpressionEncoder(self._avatar)
-        source = make_performance(config.performance)
         truths: dict[float, tuple[Image, Mask]] = {}
         count = WARM_UP_FRAMES + config.frames
-        for index in range(count):
-            face = source.frame_at(config.start_s + (index - WARM_UP_FRAMES) * FRAME_S)
-            latent = encoder.encode(face.arkit)
-            matrix = head_matrix(np.eye(4), face.rotation, face.translation_m)
+        talk = talk_frames(config.performance, config.start_s, WARM_UP_FRAMES, config.frames)
+        for index, (arkit, matrix) in enumerate(talk):
+            latent = encoder.encode(arkit)
             before, truths = truths, {}
             for distance in config.distances_cm:
                 truths[distance] = self._truth(latent, matrix, distance)
@@ -247,7 +242,7 @@ class _Bench:
         return mean, share >= 0.5
 
     def _camera(self, distance_cm: float, pixels: int) -> Camera:
-        return front_camera(self._avatar, distance_cm, (pixels, pixels))
+        return front_camera(self._avatar.manifest, distance_cm, (pixels, pixels))
 
 
 def with_precision(avatar: Avatar, precision: Storage) -> tuple[Avatar, int]:

@@ -36,7 +36,6 @@ from __future__ import annotations
 
 import math
 import os
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import median, quantiles
@@ -46,17 +45,24 @@ import moderngl
 import numpy as np
 import numpy.typing as npt
 
+from pica_client.bench_head import (
+    FIELD_OF_VIEW,
+    Took,
+    check_distances,
+    front_camera,
+    textured_mesh,
+    timed,
+)
 from pica_client.bench_relay_processes import memory_bytes
 from pica_client.decoder import OnnxDecoder
 from pica_client.errors import OptionError
-from pica_client.gpu_textured import TexturedMesh
 from pica_client.renderer import Renderer, RenderOptions
 from pica_client.scene import Placement, view_direction
 from pica_client.stats import describe_machine
 from pica_core.arkit import NUM_ARKIT
 from pica_core.avatar_file import Avatar
 from pica_core.baseline import BaselineAvatar, baseline_like
-from pica_core.camera import Camera, look_at
+from pica_core.camera import Camera
 from pica_core.expression_encoder import ExpressionEncoder
 from pica_core.gl import create_context, wait_for_gpu
 
@@ -65,8 +71,6 @@ Draw = Callable[[], object]
 Model = Literal["pica", "baseline"]
 Weights = Literal["auto", "block", "constants", "turns"]
 
-FIELD_OF_VIEW = math.radians(50)
-"""Of the square image, both ways."""
 HEAD = np.eye(4, dtype=np.float32)
 WARM_UP_FRAMES = 3
 EXTRA_TIMES = 8
@@ -97,8 +101,7 @@ class RenderBenchConfig:
         ):
             if not low <= getattr(self, name) <= high:
                 raise OptionError(f"{name} is {getattr(self, name)}; {low} to {high} is allowed")
-        if not self.distances_cm or not all(1 <= d <= 1000 for d in self.distances_cm):
-            raise OptionError(f"distances_cm are {self.distances_cm}; 1 to 1000 are allowed")
+        check_distances(self.distances_cm)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -110,12 +113,6 @@ class _Case:
     """Level of the triangles; 0 for the baseline."""
     weights: Weights
     distance_cm: float
-
-
-@dataclass(frozen=True, slots=True)
-class _Took:
-    wall_s: float
-    cpu_s: float
 
 
 def run_render_bench(config: RenderBenchConfig, avatar: Avatar) -> dict[str, Any]:
@@ -236,13 +233,13 @@ class _Bench:
     def measure(self, cases: Sequence[_Case]) -> list[dict[str, Any]]:
         """Draw all cases in turns."""
         draws = [self._prepare(case) for case in cases]
-        times: list[list[_Took]] = [[] for _ in cases]
-        vertex_times: list[list[_Took]] = [[] for _ in cases]
+        times: list[list[Took]] = [[] for _ in cases]
+        vertex_times: list[list[Took]] = [[] for _ in cases]
         for index in range(WARM_UP_FRAMES + self._config.rounds):
             for number, (draw, draw_vertices, draw_once) in enumerate(draws):
                 frame = self._time(draw)
                 many, once = self._time(draw_vertices), self._time(draw_once)
-                vertex = _Took(
+                vertex = Took(
                     (many.wall_s - once.wall_s) / EXTRA_TIMES,
                     (many.cpu_s - once.cpu_s) / EXTRA_TIMES,
                 )
@@ -313,11 +310,12 @@ class _Bench:
             lambda: renderer.draw_vertices(placements, camera),
         )
 
-    def _time(self, draw: Draw) -> _Took:
-        wall_s, cpu_s = time.perf_counter(), time.process_time()
-        draw()
-        wait_for_gpu(self._context)
-        return _Took(time.perf_counter() - wall_s, time.process_time() - cpu_s)
+    def _time(self, draw: Draw) -> Took:
+        def draw_and_wait() -> None:
+            draw()
+            wait_for_gpu(self._context)
+
+        return timed(draw_and_wait)[0]
 
     def _placement(self, case: _Case) -> Placement:
         return Placement(
@@ -328,44 +326,15 @@ class _Bench:
 
     def _camera(self, distance_cm: float, size: int | None = None) -> Camera:
         pixels = size or self._config.image_size
-        return front_camera(self._avatar, distance_cm, (pixels, pixels))
-
-
-def front_camera(
-    avatar: Avatar, distance_cm: float, size: tuple[int, int], *, away: bool = False
-) -> Camera:
-    """A camera before the middle of a head.
-
-    Args:
-        avatar: Whose head.
-        distance_cm: From the front of its bounding box.
-        size: Columns and rows of the image, pixels.
-        away: Look the other way.
-    """
-    low, high = avatar.manifest.bounds_min_m, avatar.manifest.bounds_max_m
-    height, distance_m = (low[1] + high[1]) / 2, high[2] + distance_cm / 100
-    return look_at(
-        centre_m=(0.0, height, distance_m),
-        target_m=(0.0, height, 2 * distance_m if away else 0.0),
-        vertical_fov=FIELD_OF_VIEW,
-        width=size[0],
-        height=size[1],
-    )
+        return front_camera(self._avatar.manifest, distance_cm, (pixels, pixels))
 
 
 def add_baseline(renderer: Renderer, slot: str, baseline: BaselineAvatar) -> None:
     """Put a baseline at rest into a renderer: what its decoder makes of a latent of zeros, but for
     the little that its random weights add."""
-    mesh = TexturedMesh(
-        vertex_uv=baseline.vertex_uv,
-        faces=baseline.faces,
-        low_m=baseline.bounds_min_m,
-        high_m=baseline.bounds_max_m,
-        texture_size=baseline.spec.texture_size,
-    )
     last = len(baseline.spec.channels) - 1
     texture = baseline.tensors[f"texture.{last}.bias"].transpose(1, 2, 0)
-    renderer.add_textured(slot, mesh)
+    renderer.add_textured(slot, textured_mesh(baseline))
     renderer.update_textured(
         slot,
         baseline.tensors["mesh.bias"].reshape(-1, 3).astype(np.float32),

@@ -46,7 +46,7 @@ import moderngl
 import numpy as np
 import numpy.typing as npt
 
-from pica_client.bench_render import FIELD_OF_VIEW, front_camera
+from pica_client.bench_head import FIELD_OF_VIEW, front_camera
 from pica_client.bench_scene_summary import AWAY, FULL_SCREEN_CM, summarise
 from pica_client.decode_pool import DecodeRequest, DecodeResult
 from pica_client.decoder import OnnxDecoder
@@ -416,7 +416,7 @@ class _Bench:
     def _camera(self, case: _Case) -> Camera:
         """Before the middle head of the line."""
         size = self._config.size
-        return front_camera(self._avatars[0], case.distance_cm, size, away=case.is_away)
+        return front_camera(self._avatars[0].manifest, case.distance_cm, size, away=case.is_away)
 
 
 def _write_sheet(path: Path, config: SceneBenchConfig, cases: Sequence[_Case]) -> None:
