@@ -16,6 +16,7 @@ from pica_core.capture.dataset import Capture
 from pica_core.capture.subject import HeadSubject
 from pica_core.capture.synth import StageOptions, render_capture
 from pica_core.errors import CheckpointError, TrainingOptionError
+from pica_core.spec import BLOCKS
 from pica_core.train.checkpoint import write_checkpoint
 from pica_core.train.commands import TrainOptions, train
 from pica_core.train.config import PRESETS, TrainConfig
@@ -258,7 +259,9 @@ def test_rows_of_a_table_have_what_the_charts_need(
 ) -> None:
     rows = table["result"]["rows"]
 
-    wanted = "identity variant view mse mse_low mse_high psnr_db ssim temporal_mse parameters "
+    wanted = (
+        "identity variant block view mse mse_low mse_high psnr_db ssim temporal_mse parameters "
+    )
     wanted += "macs steps seed"
     assert len(rows) == len(VARIANTS_HERE) * len(data.evaluation_views)
     for row in rows:
@@ -270,6 +273,9 @@ def test_rows_of_a_table_have_what_the_charts_need(
     parameters = {row["variant"]: row["parameters"] for row in rows}
     assert parameters["baseline"] > 10 * parameters["full"]
     assert parameters["coarse"] == parameters["full"]
+    blocks = {row["variant"]: row["block"] for row in rows}
+    assert blocks["baseline"] is None
+    assert blocks["full"] in BLOCKS
 
 
 def test_the_report_names_every_model_and_is_written(table: dict[str, Any]) -> None:
@@ -299,6 +305,16 @@ def test_the_best_of_a_view_is_bold() -> None:
 
     assert "| S1 | full | **2.00** (0.00 to 9.00) |" in text
     assert "| S1 | baseline | 3.00 (0.00 to 9.00) |" in text
+
+
+def test_blocks_of_one_variant_are_told_apart() -> None:
+    row = {"identity": "S1", "view": "front", "mse_low": 0.0, "mse_high": 9.0, "seed": 0}
+    rows = [{**row, "variant": "full", "block": block, "mse": 2.0} for block in ("C", "H2")]
+
+    text = error_table(rows, ("full",))
+
+    assert "| S1 | full, block C |" in text
+    assert "| S1 | full, block H2 |" in text
 
 
 def test_runs_of_no_row_of_the_table_are_an_error(runs: dict[str, Path]) -> None:

@@ -29,6 +29,7 @@ from pica_core.train.eval_truth import (
 from pica_core.train.evaluate import measure_views, spaced_frames
 from pica_core.train.loop import read_checkpoint
 from pica_core.train.prior import face_prior
+from pica_core.variants import VARIANTS
 
 RUN_FILE = "run.json"
 """What `pica train` writes down of a run beside its checkpoint."""
@@ -52,6 +53,12 @@ class Run:
     def variant(self) -> str:
         """Which model it trained."""
         return self.config.model.variant
+
+    @property
+    def block(self) -> str | None:
+        """Block of its per-object decoders; None where there are none."""
+        is_codec = VARIANTS[self.variant].network == "pixel_codec"
+        return self.config.model.block if is_codec else None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -187,7 +194,7 @@ def measure(
         depth = _depth_errors(judge, truth)
         progress("near field")
         near, pictures = _near(judge, truth.near)
-    shared = {"identity": truth.identity, "variant": run.variant}
+    shared = {"identity": truth.identity, "variant": run.variant, "block": run.block}
     costs = {
         "parameters": cost.parameters,
         "macs": cost.per_object_multiply_adds,

@@ -11,8 +11,8 @@ from pica_core.train.eval_truth import DEPTH_CAP_MM, NEAR_DISTANCE_M, REGIONS
 from pica_core.variants import TABLE_1, TABLE_2
 
 Rows = Sequence[Mapping[str, Any]]
-Key = tuple[str, str, int]
-"""Identity, variant and seed: a run."""
+Key = tuple[str, str, str, int]
+"""Identity, variant, block of the decoders ("" where it is not told) and seed: a run."""
 
 TABLES: Mapping[int, tuple[str, ...]] = {1: TABLE_1, 2: TABLE_2}
 QUANTILES = (100, 90, 75, 50, 25, 10, 0)
@@ -143,7 +143,7 @@ _MEANS = (("mse", 2), ("psnr_db", 2), ("ssim", 4))
 
 
 def _key(row: Mapping[str, Any]) -> Key:
-    return row["identity"], row["variant"], row["seed"]
+    return row["identity"], row["variant"], row.get("block") or "", row["seed"]
 
 
 def _runs(rows: Rows, variants: Sequence[str]) -> list[Key]:
@@ -153,12 +153,19 @@ def _runs(rows: Rows, variants: Sequence[str]) -> list[Key]:
 def _sorted(keys: Iterable[Key], variants: Sequence[str]) -> list[Key]:
     """By identity, then in the table's order; variants that it does not name are left out."""
     known = [key for key in keys if key[1] in variants]
-    return sorted(known, key=lambda key: (key[0], variants.index(key[1]), key[2]))
+    return sorted(known, key=lambda key: (key[0], variants.index(key[1]), *key[2:]))
 
 
 def _label(key: Key, rows: Rows) -> str:
-    seeds = {row["seed"] for row in rows if (row["identity"], row["variant"]) == key[:2]}
-    return f"{key[1]}, seed {key[2]}" if len(seeds) > 1 else key[1]
+    """The variant, with block and seed where it has several."""
+    _, variant, block, seed = key
+    alike = {other for other in map(_key, rows) if other[:2] == key[:2]}
+    label = variant
+    if len({other[2] for other in alike}) > 1:
+        label += f", block {block}"
+    if len({other[3] for other in alike}) > 1:
+        label += f", seed {seed}"
+    return label
 
 
 def _millimetres(errors: Mapping[str, float | None]) -> list[str]:
