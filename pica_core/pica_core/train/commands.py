@@ -20,7 +20,7 @@ from pica_core.avatar_file import avatar_id, save_avatar
 from pica_core.avatar_storage import Precision, storage_of
 from pica_core.baseline_file import save_baseline
 from pica_core.capture.dataset import Capture
-from pica_core.errors import CheckpointError, TrainingOptionError
+from pica_core.errors import CaptureError, CheckpointError, TrainingOptionError
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.baseline import DeepAppearanceModel
 from pica_core.train.config import PRESETS, TrainConfig
@@ -150,11 +150,10 @@ def train(options: TrainOptions) -> dict[str, Any]:
         "vertex_error_mm": rows[0]["vertex_error_mm"],
         "rows": rows,
     }
-    print(
-        f"held-out MSE (0-255, rasterised pixels): {result['mse']:.1f} by the model's encoder, "
-        f"{result['driver_mse']:.1f} from ARKit values",
-        file=sys.stderr,
-    )
+    told = f"held-out MSE (0-255, rasterised pixels): {result['mse']:.1f} by the model's encoder"
+    if result["driver_mse"] is not None:
+        told += f", {result['driver_mse']:.1f} from ARKit values"
+    print(told, file=sys.stderr)
     return result
 
 
@@ -164,6 +163,11 @@ def export(options: ExportOptions) -> dict[str, Any]:
     config = TrainConfig.from_json(json.loads(state["config"]))
     torch.set_num_threads(options.threads)
     data = TrainingData(Capture.open(options.capture), config.model.spec().map_size)
+    if not data.capture.has_expressions:
+        raise CaptureError(
+            f"{options.capture}: no expressions, so nothing could drive the avatar; a capture with "
+            "expressions.csv is needed"
+        )
     with open_trainer(data, config, options.run) as trainer:
         trainer.restore()
         model = trainer.model
@@ -180,8 +184,8 @@ def export(options: ExportOptions) -> dict[str, Any]:
         }
         evaluation = options.run / "evaluation.json"
         if evaluation.exists():
-            rows = json.loads(evaluation.read_text())
-            card["held_out_mse"] = f"{mean_mse(rows, 'driver'):.1f} (0-255, from ARKit values)"
+            error = mean_mse(json.loads(evaluation.read_text()), "driver")
+            card["held_out_mse"] = f"{error:.1f} (0-255, from ARKit values)"
         stream = None
         if options.stream:
             print("learning the latent stream", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""A capture as tensors: meshes and textures in memory, images on demand, batches by step number.
+"""A capture as tensors: meshes in memory, images and textures through a cache of bounded size.
 
 Every random choice of step n comes from a generator seeded with (seed, n), so a resumed run draws
 what an uninterrupted one would have drawn.
@@ -7,18 +7,19 @@ what an uninterrupted one would have drawn.
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from pica_core.arkit import NUM_ARKIT
 from pica_core.camera import Camera
 from pica_core.capture import multiface
 from pica_core.capture.dataset import Capture, Topology
+from pica_core.capture.reader import CaptureReader, Request
 from pica_core.errors import CaptureError
 from pica_core.model.decoders import sample_map
 from pica_core.train.rasterise import Rasteriser
@@ -34,7 +35,9 @@ MAX_RARITY = 8.0
 TEXEL_TOLERANCE = 1e-2
 """How far from a texel centre a vertex may lie to own the texel, texels."""
 IMAGE_CACHE_BYTES = 4 << 30
-"""Decoded images and position maps kept in memory; the least recently used go first."""
+"""Decoded images, depth and textures kept in memory; the least recently used go first."""
+MAX_MAPS = 2048
+"""Position maps kept in memory, 0.8 MB each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,11 +187,13 @@ class TrainingData:
         self.position_scale_m = float(np.sqrt(np.square(train - self.mean_vertices_m).mean()) * 2)
         self.important = important_vertices(topology)
         self.frame_weights = rarity(train - self.mean_vertices_m, topology.regions)
-        self.arkit = torch.from_numpy(np.stack([capture.arkit(f) for f in capture.frames]))
-        self._images: OrderedDict[tuple[int, str, str], npt.NDArray[Any]] = OrderedDict()
+        self.arkit = torch.zeros(len(capture.frames), NUM_ARKIT)
+        if capture.has_expressions:
+            self.arkit = torch.from_numpy(np.stack([capture.arkit(f) for f in capture.frames]))
+        self.reader = CaptureReader(capture, IMAGE_CACHE_BYTES)
+        self._maps: OrderedDict[tuple[int, MeshSource], FloatArray] = OrderedDict()
+        self._cameras_of: dict[int, tuple[str, ...]] = {}
         self._backgrounds: dict[str, FloatArray] = {}
-        self._image_bytes = 0
-        self._textures: dict[int, npt.NDArray[np.uint8]] = {}
         self._head_poses: dict[int, npt.NDArray[np.float64]] = {}
         self.camera_names = [camera.name for camera in capture.cameras]
         named = capture.info.get("evaluation_views", [])
@@ -251,14 +256,23 @@ class TrainingData:
         """The mesh of the training frame nearest to a neutral expression, on a topology, as
         `mesh_source` says; metres, ``[V, 3]``."""
         tracked = self.mesh_source == "tracked"
-        expressions = self.arkit[self.train_frames].square().sum(1)
-        frame = self.train_frames[int(expressions.argmin())]
+        frame = self._neutral_frame()
         if name == "tracked":
             return self.tracked_m[frame] if tracked else self.true_at_tracked(frame)
         if tracked and not self.one_mesh:
             return self._dense_of_tracked(frame)
         mesh: FloatArray = (self.tracked_m if tracked else self.vertices_m)[frame]
         return mesh
+
+    def _neutral_frame(self) -> int:
+        """The training frame nearest to a neutral expression; to the mean mesh, where expressions
+        are unknown."""
+        if self.capture.has_expressions:
+            away = self.arkit[self.train_frames].square().sum(1).numpy()
+        else:
+            offsets = self.tracked_m[self.train_frames] - self.tracked_mean_m
+            away = np.square(offsets).sum((1, 2))
+        return self.train_frames[int(away.argmin())]
 
     def true_at_tracked(self, frame: int) -> FloatArray:
         """The best mesh at the vertices of the tracked topology, metres, ``[Vt, 3]``."""
@@ -279,31 +293,29 @@ class TrainingData:
 
     def textures(self, frames: list[int]) -> Tensor:
         """Average textures of frames, about [-1, 1], ``[N, 3, S, S]``."""
-        for index in frames:
-            if index not in self._textures:
-                self._textures[index] = self.capture.average_texture(self.capture.frames[index])
-        stacked = torch.from_numpy(np.stack([self._textures[index] for index in frames]))
+        found = [self.reader.read(Request("texture", index)) for index in frames]
+        stacked = torch.from_numpy(np.stack(found))
         return stacked.permute(0, 3, 1, 2).to(torch.float32) / 127.5 - 1
 
     def position_maps(self, frames: list[int]) -> Tensor:
         """What encoders see of a frame's shape: offsets from the mean, in position scales, as maps
         ``[N, 3, 256, 256]``; of the meshes that `mesh_source` names."""
-        maps = np.stack(
-            [self._cached((index, "", self.mesh_source), self._map_of(index)) for index in frames]
-        )
+        maps = np.stack([self._map_of(index) for index in frames])
         return torch.from_numpy(maps).permute(0, 3, 1, 2).contiguous()
 
-    def _map_of(self, frame: int) -> Callable[[], FloatArray]:
-        """Makes a frame's map for `position_maps`."""
-
-        def make() -> FloatArray:
+    def _map_of(self, frame: int) -> FloatArray:
+        """A frame's map for `position_maps`, ``[256, 256, 3]``."""
+        key = frame, self.mesh_source
+        if key not in self._maps:
             if self.mesh_source == "tracked":
                 offset, raster = self.tracked_m[frame] - self.tracked_mean_m, self._tracked_raster
             else:
                 offset, raster = self.vertices_m[frame] - self.mean_vertices_m, self.uv_raster
-            return raster.position_map(offset / self.position_scale_m)
-
-        return make
+            self._maps[key] = raster.position_map(offset / self.position_scale_m)
+            if len(self._maps) > MAX_MAPS:
+                self._maps.popitem(last=False)
+        self._maps.move_to_end(key)
+        return self._maps[key]
 
     def meshes(self, frames: list[int]) -> Tensor:
         """The best dense meshes there are, in metres, ``[N, V, 3]``."""
@@ -318,17 +330,15 @@ class TrainingData:
 
     def depth_m(self, frame: int, camera: str) -> FloatArray | None:
         """Measured depth, 0 where unknown, float32 ``[H, W]``; None where the image has none."""
+        if not self._has_depth(frame, camera):
+            return None
+        depth_m: FloatArray = self.reader.read(Request("depth", frame, camera))
+        return depth_m
+
+    def _has_depth(self, frame: int, camera: str) -> bool:
         where = self.capture.frames[frame]
         path = multiface.image_path("depth", where.segment, camera, where.name)
-        if not (self.capture.path / path).is_file():
-            return None
-        units = self._cached(
-            (frame, camera, "depth"),
-            lambda: np.rint(
-                self.capture.depth_m(where, camera) / np.float32(multiface.DEPTH_UNIT_M)
-            ).astype(np.uint16),
-        )
-        return units * np.float32(multiface.DEPTH_UNIT_M)
+        return self.capture.has_depth and (self.capture.path / path).is_file()
 
     def background(self, frame: int, camera: str) -> FloatArray:
         """Colour of what is not the head: the median over the mask's empty pixels, 0 to 1, ``[3]``.
@@ -347,22 +357,42 @@ class TrainingData:
         return self._backgrounds[camera]
 
     def image(self, frame: int, camera: str) -> npt.NDArray[np.uint8]:
-        """An image, through the cache; uint8 ``[H, W, 3]``."""
-        where = self.capture.frames[frame]
-        return self._cached((frame, camera, "image"), lambda: self.capture.image(where, camera))
+        """An image; uint8 ``[H, W, 3]``.
 
-    def _cached(
-        self, key: tuple[int, str, str], read: Callable[[], npt.NDArray[Any]]
-    ) -> npt.NDArray[Any]:
-        if key in self._images:
-            self._images.move_to_end(key)
-            return self._images[key]
-        image = read()
-        self._images[key] = image
-        self._image_bytes += image.nbytes
-        while self._image_bytes > IMAGE_CACHE_BYTES:
-            self._image_bytes -= self._images.popitem(last=False)[1].nbytes
-        return image
+        Raises:
+            CaptureError: It cannot be read.
+        """
+        return self.reader.read(Request("image", frame, camera))
+
+    def cameras_of(self, frame: int) -> tuple[str, ...]:
+        """Cameras that have an image of a frame, of those that can be read as far as is known."""
+        if frame not in self._cameras_of:
+            self._cameras_of[frame] = self.capture.cameras_of(self.capture.frames[frame])
+        return self._cameras_of[frame]
+
+    def leave_out(self, frame: int, camera: str) -> None:
+        """Ask for an image no more: it cannot be read.
+
+        Raises:
+            CaptureError: It was the last one of its frame.
+        """
+        rest = tuple(name for name in self.cameras_of(frame) if name != camera)
+        if not rest:
+            where = self.capture.frames[frame]
+            raise CaptureError(
+                f"{self.capture.path}: no image of {where.segment} {where.name} can be read"
+            )
+        self._cameras_of[frame] = rest
+
+    def expect(self, images: list[tuple[int, str]], *, depth: bool) -> None:
+        """Have images decoded while something else goes on."""
+        self.reader.ask(Request("image", frame, camera) for frame, camera in images)
+        if depth:
+            self.reader.ask(
+                Request("depth", frame, camera)
+                for frame, camera in images
+                if self._has_depth(frame, camera)
+            )
 
     def camera(self, frame: int, name: str) -> Camera:
         """The camera of an image in the frame's head axes: head to camera."""

@@ -93,6 +93,9 @@ def measure_views(
         frames: Which frames.
         source: Whose latents: the model's own encoder's, as in the paper, or what a live sender
             makes of ARKit values.
+
+    Returns:
+        Errors by view, of those views that have an image of any of the frames.
     """
     data = judge.data
     found = {view: ViewErrors() for view in data.evaluation_views}
@@ -100,19 +103,22 @@ def measure_views(
         after = successor(data, frame)
         latent = _latent(judge, source, frame)
         later = None if after is None else _latent(judge, source, after)
-        for view, errors in found.items():
+        for view in data.cameras_of(frame):
+            if view not in found:
+                continue
+            errors = found[view]
             camera, image = data.camera(frame, view), data.image(frame, view)
             picture = judge.draw(latent, camera)
             seen = judge.seen(picture, frame, view)
             errors.mse.append(mse(picture.colours, seen))
             laid = picture.on(image)
             errors.ssim.append(ssim(laid, image, picture.covered(camera)))
-            if after is not None and later is not None:
+            if after is not None and later is not None and view in data.cameras_of(after):
                 second = judge.draw(later, data.camera(after, view))
                 errors.change_mse.append(
                     _change(picture, second, seen, judge.seen(second, after, view))
                 )
-    return found
+    return {view: errors for view, errors in found.items() if errors.mse}
 
 
 def evaluate(trainer: Trained, *, max_frames: int = 25) -> list[dict[str, Any]]:
@@ -127,7 +133,9 @@ def evaluate(trainer: Trained, *, max_frames: int = 25) -> list[dict[str, Any]]:
     data = trainer.data
     judge = Judge(data, trainer.model, trainer.rasteriser)
     frames = spaced_frames(data, max_frames)
-    sources: tuple[Source, ...] = ("encoder", "driver")
+    sources: tuple[Source, ...] = ("encoder",)
+    if data.capture.has_expressions:
+        sources = ("encoder", "driver")
     rows: list[dict[str, Any]] = []
     for source in sources:
         distance = float(np.mean([_vertex_error_mm(judge, source, frame) for frame in frames]))
@@ -138,9 +146,10 @@ def evaluate(trainer: Trained, *, max_frames: int = 25) -> list[dict[str, Any]]:
     return rows
 
 
-def mean_mse(rows: list[dict[str, Any]], source: str = "encoder") -> float:
-    """The mean over views of one source's MSE."""
-    return float(np.mean([row["mse"] for row in rows if row["source"] == source]))
+def mean_mse(rows: list[dict[str, Any]], source: str = "encoder") -> float | None:
+    """The mean over views of one source's MSE; None where it was not measured."""
+    errors = [row["mse"] for row in rows if row["source"] == source]
+    return float(np.mean(errors)) if errors else None
 
 
 def _latent(judge: Judge, source: Source, frame: int) -> Tensor:

@@ -91,6 +91,8 @@ class Trainer:
         run_dir.mkdir(parents=True, exist_ok=True)
         torch.manual_seed(config.seed)
         self.model = config.model.build(face_prior(data)).to(self.device)
+        geometry, joint, driver = config.schedule.steps
+        self._steps = geometry, joint, driver if data.capture.has_expressions else 0
         self.step = 0
         self.rollbacks = 0
         self.seconds = 0.0
@@ -112,11 +114,11 @@ class Trainer:
     @property
     def total_steps(self) -> int:
         """Steps of all phases together."""
-        return sum(self.config.schedule.steps)
+        return sum(self._steps)
 
     def phase_of(self, step: int) -> tuple[str, int, int]:
         """Phase of a global step, the step within it, and the phase's length."""
-        for phase, length in zip(PHASES, self.config.schedule.steps, strict=True):
+        for phase, length in zip(PHASES, self._steps, strict=True):
             if step < length:
                 return phase, step, length
             step -= length
@@ -194,6 +196,9 @@ class Trainer:
         set_rates(optimiser, self._rate_scale * ratio)
         optimiser.zero_grad(set_to_none=True)
         stopwatch = self.objectives.stopwatch
+        after = self.step + 1
+        if after < self.total_steps and self.phase_of(after)[0] == "joint":
+            self.objectives.expect(np.random.default_rng([self.config.seed, after]))
         try:
             losses = self._losses(phase, rng, noise)
             with stopwatch("backward"):

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from pica_core.capture.tracked_topology import COVER
+from pica_core.errors import CaptureError
 from pica_core.model.encoder import reparameterise, resize_texture
 from pica_core.model.interface import AvatarModel, DecodedMesh
 from pica_core.train.config import TrainConfig
@@ -41,7 +42,8 @@ DRIVER_MESHES = 8
 """A step of the driver phase decodes the mesh of every eighth frame of its batch."""
 MASKED_REGION = "mouth"
 """Where a tracked mesh teaches nothing (paper 5, W_M)."""
-Images = list[tuple[int, str]]
+Image = tuple[int, str]
+Images = list[Image]
 """Frame and camera of each image of a batch."""
 
 
@@ -77,6 +79,8 @@ class Objectives:
         self.stopwatch = Stopwatch()
         self.notes: list[str] = []
         losses = config.losses
+        if not data.capture.has_expressions:
+            self.notes.append("the capture has no expressions: no driver phase")
         if not data.use_meshes(config.mesh_source):
             self.notes.append("the capture has no exact meshes: the tracked ones teach the mesh")
         self._has_depth = data.capture.has_depth
@@ -134,10 +138,11 @@ class Objectives:
             pixel_seed: Seed of the choice of pixels; the image's number in the batch is added.
         """
         config, weights = self.config, self.config.losses
-        frames, numbers = self._draw(config.schedule.joint_batch, rng)
-        names = rng.choice(self.data.camera_names, len(frames) * self.ranks.count).tolist()
-        images = list(zip(frames, self.ranks.mine(names), strict=True))
+        images, numbers = self._draw_images(rng)
         rngs = [np.random.default_rng([*pixel_seed, number]) for number in numbers]
+        with self.stopwatch("data"):
+            images = [self._readable(image, rng_) for image, rng_ in zip(images, rngs, strict=True)]
+        frames = [frame for frame, _ in images]
         cameras = [self.data.camera(frame, name) for frame, name in images]
         view = torch.from_numpy(np.stack([view_direction(camera) for camera in cameras]))
         with self.stopwatch("encode"):
@@ -170,6 +175,34 @@ class Objectives:
             with self.stopwatch("raster"):
                 losses["edge"] = self._edges(images, mesh.vertices_m, appearance, rngs)
         return losses
+
+    def expect(self, rng: np.random.Generator) -> None:
+        """Have the images decoded that a joint step with this `rng` will need."""
+        weights = self.config.losses
+        images, _ = self._draw_images(rng)
+        self.data.expect(images, depth=self._has_depth and bool(weights.depth or weights.normal))
+
+    def _draw_images(self, rng: np.random.Generator) -> tuple[Images, list[int]]:
+        """This process's images of a joint batch, and their numbers in the whole batch."""
+        frames, numbers = self._draw(self.config.schedule.joint_batch, rng)
+        places = self.ranks.mine(rng.random(len(frames) * self.ranks.count).tolist())
+        images = []
+        for frame, place in zip(frames, places, strict=True):
+            names = self.data.cameras_of(frame)
+            images.append((frame, names[int(place * len(names))]))
+        return images, numbers
+
+    def _readable(self, image: Image, rng: np.random.Generator) -> Image:
+        """The image, or one of another camera if it cannot be read."""
+        frame, name = image
+        while True:
+            try:
+                self.data.image(frame, name)
+            except CaptureError:
+                self.data.leave_out(frame, name)
+                name = str(rng.choice(self.data.cameras_of(frame)))
+            else:
+                return frame, name
 
     def driver(self, rng: np.random.Generator) -> dict[str, Tensor]:
         """Losses of the live encoder, on the codes of the model's own."""

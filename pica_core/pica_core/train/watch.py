@@ -26,10 +26,11 @@ def look(trainer: Trainer) -> tuple[float, npt.NDArray[np.uint8]]:
         one row a frame: predicted, captured. uint8 ``[WATCHED_FRAMES H, 2 W, 3]``.
     """
     data, objectives, model = trainer.data, trainer.objectives, trainer.model
-    view = data.evaluation_views[0]
     places = np.linspace(0, len(data.test_frames) - 1, min(WATCHED_FRAMES, len(data.test_frames)))
     errors, rows = [], []
     for frame in [data.test_frames[int(place)] for place in places]:
+        cameras = data.cameras_of(frame)
+        view = next((name for name in data.evaluation_views if name in cameras), cameras[0])
         camera = data.camera(frame, view)
         latent, _ = objectives.encode([frame])
         mesh = model.decode_mesh(latent)
