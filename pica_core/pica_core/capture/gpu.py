@@ -17,7 +17,7 @@ import numpy.typing as npt
 from pica_core.camera import Camera
 from pica_core.capture.heads import Head
 from pica_core.capture.occlusion import Occlusion, shade_eyes
-from pica_core.gl import create_context, link_program
+from pica_core.gl import create_context, link_program, wait_for_gpu
 
 FloatArray = npt.NDArray[np.float32]
 ByteArray = npt.NDArray[np.uint8]
@@ -79,12 +79,13 @@ class StageRenderer:
         self.head = head
         self._context = create_context() if context is None else context
         self._framebuffers: dict[tuple[str, int, int], Any] = {}
+        self._views: dict[tuple[int, int], tuple[Any, Any]] = {}
         c = self._context
         self._programs: dict[str, Any] = {
             name: link_program(
                 c, vertex=shader_text(f"{name}.vert"), fragment=shader_text(f"{name}.frag")
             )
-            for name in ("stage", "depth", "unwrap")
+            for name in ("stage", "depth", "unwrap", "resolve")
         }
         self._faces = c.buffer(head.faces.tobytes())
         coordinates = head.coordinates
@@ -100,6 +101,7 @@ class StageRenderer:
             "depth": self._array("depth", "3f 3x4 3x4 2x4", moving[:1], "2x4 1f", ["material"]),
             "unwrap": self._array("unwrap", "3f 3f 3x4 2x4", moving[:2], "2f 1x4", ["vertex_uv"]),
         }
+        self._resolving = c.vertex_array(self._programs["resolve"], [])
         self._colour, self._relief = self._bake(bake_size)
         self._vertices: FloatArray = np.zeros((0, 3), np.float32)
         self._occlusion = Occlusion(head, self._draw_depth_map) if occlusion else None
@@ -107,6 +109,7 @@ class StageRenderer:
     def release(self) -> None:
         """Give the context back; the stage is useless afterwards."""
         self._framebuffers.clear()
+        self._views.clear()
         self._context.gc()
         self._context.release()
 
@@ -153,12 +156,11 @@ class StageRenderer:
         c.disable(moderngl.DEPTH_TEST | moderngl.CULL_FACE | moderngl.BLEND)
         framebuffer.clear(0, 0, 0, 0)
         array.render()
-        covered: npt.NDArray[np.bool_] | None = None
+        texels = [np.frombuffer(target.read(), np.uint32) for target in targets]
+        covered = texels[1].view(np.uint8)[3::4].reshape(size, size) > 0
+        nearby = _nearby(covered, 2 * size // 256 + 2)
         for index in (1, 0):
-            texels = np.frombuffer(targets[index].read(), np.uint8).reshape(size, size, 4).copy()
-            if covered is None:
-                covered = texels[..., 3] > 0
-            targets[index].write(_dilate(texels, covered, 2 * size // 256 + 2).tobytes())
+            targets[index].write(texels[index][nearby])
             targets[index].build_mipmaps(max_level=4)
             targets[index].filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
             targets[index].repeat_x = targets[index].repeat_y = False
@@ -230,23 +232,39 @@ class StageRenderer:
         if "depth_plane" in program:
             program["depth_plane"].value = (*camera.rotation[2], camera.translation_m[2])
 
+    def draw(self, camera: Camera) -> View:
+        """Image, depth and mask of the posed head."""
+        geometry = self._draw_geometry(camera)
+        image = self.draw_image(camera)
+        depth, mask = _read_geometry(geometry)
+        return View(image=image, depth_m=depth, mask=mask)
+
+    def draw_image(self, camera: Camera) -> ByteArray:
+        """The camera's sRGB image, supersampled, row 0 on top. uint8 ``[H, W, 3]``."""
+        resolved = self._resolve(self._draw_samples(camera), camera)
+        wait_for_gpu(self._context)  # encoders may run meanwhile
+        image: ByteArray = np.empty((camera.height, camera.width, 3), np.uint8)
+        resolved.read_into(image, components=3, alignment=1)
+        return image
+
     def draw_geometry(self, camera: Camera) -> tuple[FloatArray, ByteArray]:
         """Exact depth in metres and mask at pixel centres, row 0 on top. ``[H, W]`` each."""
-        w, h = camera.width, camera.height
-        framebuffer = self._framebuffer("geometry", w, h)
+        return _read_geometry(self._draw_geometry(camera))
+
+    def _draw_geometry(self, camera: Camera) -> Any:
+        framebuffer = self._framebuffer("geometry", camera.width, camera.height)
         framebuffer.use()
         framebuffer.clear(0.0, 0.0, 0.0, 0.0, depth=1.0)
         self._context.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         self._camera_uniforms(self._programs["depth"], camera)
         self._arrays["depth"].render()
-        raw = np.frombuffer(framebuffer.read(components=2, dtype="f4"), np.float32)
-        both = raw.reshape(h, w, 2)[::-1]
-        return both[..., 0].copy(), np.rint(both[..., 1]).astype(np.uint8)
+        return framebuffer
 
-    def draw_image(self, camera: Camera) -> ByteArray:
-        """The camera's sRGB image, supersampled, row 0 on top. uint8 ``[H, W, 3]``."""
-        w, h, s = camera.width, camera.height, SUPERSAMPLE
-        framebuffer = self._framebuffer("colour", w * s, h * s)
+    def _draw_samples(self, camera: Camera) -> Any:
+        """The camera's image with its samples; returns their texture."""
+        framebuffer = self._framebuffer(
+            "colour", camera.width * SUPERSAMPLE, camera.height * SUPERSAMPLE
+        )
         framebuffer.use()
         framebuffer.clear(*(value / 255 for value in BACKGROUND), 1.0, depth=1.0)
         self._context.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
@@ -256,18 +274,35 @@ class StageRenderer:
         self._colour.use(0)
         self._relief.use(1)
         self._arrays["stage"].render()
-        raw = np.frombuffer(framebuffer.read(components=4), np.uint8).reshape(h, s, w, s, 4)
-        total = np.zeros((h, w, 4), np.uint16)
-        for i in range(s):
-            for j in range(s):
-                total += raw[:, i, :, j]
-        mean = (total + s * s // 2) // (s * s)
-        return np.ascontiguousarray(mean[::-1, :, :3].astype(np.uint8))
+        return framebuffer.color_attachments[0]
 
-    def draw(self, camera: Camera) -> View:
-        """Image, depth and mask of the posed head."""
-        depth, mask = self.draw_geometry(camera)
-        return View(image=self.draw_image(camera), depth_m=depth, mask=mask)
+    def _resolve(self, samples: Any, camera: Camera) -> Any:
+        """Mean of each pixel's samples, row 0 on top, sRGB."""
+        framebuffer = self._framebuffer("colour", camera.width, camera.height)
+        framebuffer.use()
+        self._context.enable_only(moderngl.NOTHING)
+        samples.use(0)
+        self._programs["resolve"]["samples"].value = 0
+        self._programs["resolve"]["side"].value = SUPERSAMPLE
+        self._resolving.render(moderngl.TRIANGLES, vertices=3)
+        return framebuffer
+
+    def _view_textures(self, view: View) -> tuple[Any, Any]:
+        """A view's image, and its depth with its mask, as textures; row 0 at the bottom."""
+        h, w = view.mask.shape
+        if (w, h) not in self._views:
+            c = self._context
+            image, geometry = c.texture((w, h), 3), c.texture((w, h), 2, dtype="f4")
+            geometry.filter = (moderngl.NEAREST, moderngl.NEAREST)
+            for texture in (image, geometry):
+                texture.repeat_x = texture.repeat_y = False
+            self._views[w, h] = image, geometry
+        image, geometry = self._views[w, h]
+        both = np.empty((h, w, 2), np.float32)
+        both[..., 0], both[..., 1] = view.depth_m[::-1], view.mask[::-1]
+        image.write(np.ascontiguousarray(view.image[::-1]), alignment=1)
+        geometry.write(both)
+        return image, geometry
 
     def unwrap(
         self, images: list[tuple[Camera, View]], size: int
@@ -290,14 +325,7 @@ class StageRenderer:
         program["image"].value, program["geometry"].value = 0, 1
         program["tolerance_m"].value = DEPTH_TOLERANCE_M
         for camera, view in images:
-            image = c.texture(
-                (camera.width, camera.height), 3, view.image[::-1].tobytes(), alignment=1
-            )
-            both = np.stack([view.depth_m[::-1], view.mask[::-1].astype(np.float32)], -1)
-            geometry = c.texture((camera.width, camera.height), 2, both.tobytes(), dtype="f4")
-            geometry.filter = (moderngl.NEAREST, moderngl.NEAREST)
-            for texture in (image, geometry):
-                texture.repeat_x = texture.repeat_y = False
+            image, geometry = self._view_textures(view)
             framebuffer.use()
             c.enable_only(moderngl.BLEND)
             c.blend_func = moderngl.ONE, moderngl.ONE
@@ -305,8 +333,6 @@ class StageRenderer:
             image.use(0)
             geometry.use(1)
             self._arrays["unwrap"].render()
-            del image, geometry, texture
-            c.gc()
         c.enable_only(moderngl.NOTHING)
         raw = np.frombuffer(framebuffer.read(components=4, dtype="f4"), np.float32)
         total = raw.reshape(size, size, 4)
@@ -316,13 +342,31 @@ class StageRenderer:
         return texture.astype(np.uint8), seen
 
 
-def _dilate(texels: ByteArray, covered: npt.NDArray[np.bool_], steps: int) -> ByteArray:
-    """Let charts bleed into the empty texels around them, so that filtering finds no background."""
-    result, filled = texels, covered.copy()
+def _read_geometry(framebuffer: Any) -> tuple[FloatArray, ByteArray]:
+    w, h = framebuffer.size
+    both: FloatArray = np.empty((h, w, 2), np.float32)
+    framebuffer.read_into(both, components=2, dtype="f4")
+    return both[::-1, :, 0].copy(), np.rint(both[::-1, :, 1]).astype(np.uint8)
+
+
+def _nearby(covered: npt.NDArray[np.bool_], steps: int) -> npt.NDArray[np.int64]:
+    """Which texel each texel takes: itself, or a covered one next to an empty one, so that charts
+    bleed into the empty texels around them and filtering finds no background.
+
+    Args:
+        covered: Where charts are. ``[S, S]``.
+        steps: How far they bleed, texels.
+
+    Returns:
+        Numbers of texels. ``[S * S]``.
+    """
+    filled = covered.copy()
+    taken = np.arange(covered.size)
     for _ in range(steps):
         for axis, shift in ((0, 1), (0, -1), (1, 1), (1, -1)):
-            moved = np.roll(filled, shift, axis)
-            take = moved & ~filled
-            result[take] = np.roll(result, shift, axis)[take]
-            filled |= take
-    return result
+            take = np.flatnonzero(np.roll(filled, shift, axis) & ~filled)
+            place = list(np.unravel_index(take, covered.shape))
+            place[axis] = (place[axis] - shift) % covered.shape[axis]
+            taken[take] = taken[np.ravel_multi_index(tuple(place), covered.shape)]
+            filled.ravel()[take] = True
+    return taken
