@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+import struct
+import zlib
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager
@@ -13,7 +15,6 @@ from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
 
 from pica_core.arkit import ARKIT_NAMES
 from pica_core.capture import multiface
@@ -27,15 +28,40 @@ ENCODERS = 2
 """Threads that encode images; what they call lets other threads run."""
 MAX_WAITING = 64
 """Images that may wait for them; then drawing waits."""
+PNG_UP = 2
+"""A row's filter: what is kept is the difference to the row above (PNG specification, 9.2)."""
 ERROR_FRAMES = 256
 """Frames that the tracker's errors are summed up over, at most."""
 
 
 def png(array: npt.NDArray[Any]) -> bytes:
-    """An 8-bit or 16-bit image as PNG; fast rather than small."""
-    out = io.BytesIO()
-    Image.fromarray(array).save(out, "PNG", compress_level=1)
-    return out.getvalue()
+    """An image as PNG; fast rather than small.
+
+    Rows hold the difference to the row above. Choosing a filter for each row, as image libraries
+    do, takes as long again as all the rest and saves no bytes (measured on the stage's images:
+    12.2 ms and 146 KiB against 6.5 ms and 145 KiB, depth 7.5 ms and 54 KiB against 3.6 ms and
+    51 KiB).
+
+    Args:
+        array: ``[H, W]`` or ``[H, W, 3]``, uint8 or uint16.
+    """
+    height, width, *channels = array.shape
+    held = np.ascontiguousarray(array, array.dtype.newbyteorder(">"))
+    rows = held.view(np.uint8).reshape(height, -1)
+    filtered = np.empty((height, 1 + rows.shape[1]), np.uint8)
+    filtered[:, 0] = PNG_UP
+    filtered[0, 1:] = rows[0]
+    np.subtract(rows[1:], rows[:-1], out=filtered[1:, 1:])
+    bits, colour = 8 * array.itemsize, 2 if channels else 0
+    header = struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, 0)
+    parts = (b"IHDR", header), (b"IDAT", zlib.compress(filtered.data, 1)), (b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data))
+        + name
+        + data
+        + struct.pack(">I", zlib.crc32(data, zlib.crc32(name)))
+        for name, data in parts
+    )
 
 
 def depth_units(depth_m: FloatArray) -> npt.NDArray[np.uint16]:
