@@ -82,18 +82,19 @@ def find_depth(
     window = max(1, round(e.window_px * side))
     cosine = _facing(depth_m, camera)
     seen = (depth_m > 0) & ~_near_step(depth_m, e.step_m, window) & (cosine > e.least_cosine)
-    blotches = _uniform_blotches(random, depth_m.shape, max(2.0, e.blotch_px * side))
+    blotches = _blotches(random, depth_m.shape, max(2.0, e.blotch_px * side))
     ratio = np.full(256, ELSEWHERE_RATIO, np.float32)
     for value, name in materials.items():
         ratio[value] = HOLE_RATIO.get(name, ELSEWHERE_RATIO)
-    found = seen & (blotches >= ratio[mask])
+    found = seen & (blotches >= _normal_quantile(ratio)[mask])
     noise = _smooth_noise(random, depth_m.shape, window) * e.noise_m / np.maximum(cosine, 0.1)
     result = depth_m + noise
     size = max(2.0, 0.5 * e.blotch_px * side)
     cells = _cell_index(depth_m.shape, size)
     count = int(cells[-1, -1]) + 1
     offset = random.uniform(*e.outlier_m, count) * random.choice((-1.0, 1.0), count)
-    wrong = _uniform_blotches(random, depth_m.shape, size) < e.outlier_ratio
+    least = _normal_quantile(np.array([e.outlier_ratio], np.float32))
+    wrong = _blotches(random, depth_m.shape, size) < least
     result[wrong] += offset.astype(np.float32)[cells[wrong]]
     return np.where(found, result, 0.0).astype(np.float32)
 
@@ -104,16 +105,17 @@ def _facing(depth_m: FloatArray, camera: Camera) -> FloatArray:
     k = camera.intrinsics
     x = ((np.arange(w) + 0.5 - k[0, 2]) / k[0, 0]).astype(np.float32)
     y = ((np.arange(h) + 0.5 - k[1, 2]) / k[1, 1]).astype(np.float32)
-    ray = np.stack(np.broadcast_arrays(x[None], y[:, None], np.float32(1.0)), -1)
-    point = ray * depth_m[..., None]
-    across, down = np.zeros_like(point), np.zeros_like(point)
-    across[:, 1:-1] = point[:, 2:] - point[:, :-2]
-    down[1:-1] = point[2:] - point[:-2]
-    normal = np.cross(down, across)
-    size = np.linalg.norm(normal, axis=2) * np.linalg.norm(ray, axis=2)
-    cosine: FloatArray = np.abs((normal * ray).sum(axis=2)) / np.maximum(size, 1e-20)
+    x, y, inner = x[None], y[:, None], (slice(1, -1), slice(1, -1))
+    point = x * depth_m, y * depth_m, depth_m
+    ax, ay, az = (p[1:-1, 2:] - p[1:-1, :-2] for p in point)  # across
+    dx, dy, dz = (p[2:, 1:-1] - p[:-2, 1:-1] for p in point)  # down
+    nx, ny, nz = dy * az - dz * ay, dz * ax - dx * az, dx * ay - dy * ax
+    x, y = x[:, 1:-1], y[1:-1]
+    size = np.sqrt(nx * nx + ny * ny + nz * nz) * np.sqrt(x * x + y * y + np.float32(1.0))
+    cosine: FloatArray = np.zeros_like(depth_m)
+    cosine[inner] = np.abs(nx * x + ny * y + nz) / np.maximum(size, 1e-20)
     cosine[depth_m <= 0] = 0.0
-    return cosine.astype(np.float32)
+    return cosine
 
 
 def _near_step(depth_m: FloatArray, step_m: float, reach: int) -> BoolArray:
@@ -125,7 +127,15 @@ def _near_step(depth_m: FloatArray, step_m: float, reach: int) -> BoolArray:
     step[:-1] |= down
     step[:, 1:] |= across
     step[:, :-1] |= across
-    return _box_mean(step.astype(np.float32), reach) > 0.25 / (2 * reach + 1) ** 2
+    rows = step.copy()
+    for shift in range(1, reach + 1):
+        rows[shift:] |= step[:-shift]
+        rows[:-shift] |= step[shift:]
+    near = rows.copy()
+    for shift in range(1, reach + 1):
+        near[:, shift:] |= rows[:, :-shift]
+        near[:, :-shift] |= rows[:, shift:]
+    return near
 
 
 def _box_mean(values: FloatArray, reach: int) -> FloatArray:
@@ -158,19 +168,31 @@ def _cell_index(shape: tuple[int, int], size: float) -> npt.NDArray[np.int64]:
     return numbers
 
 
-def _uniform_blotches(
-    random: np.random.Generator, shape: tuple[int, int], size: float
-) -> FloatArray:
-    """Smooth blotches whose values are evenly spread over 0 to 1. ``[H, W]``."""
+def _blotches(random: np.random.Generator, shape: tuple[int, int], size: float) -> FloatArray:
+    """Smooth blotches, normally distributed. ``[H, W]``."""
     rows, columns = (int(n / size) + 3 for n in shape)
     grid = random.standard_normal((rows, columns), np.float32)
     shift = random.random(2)
     r, c = (np.arange(n) / size + s for n, s in zip(shape, shift, strict=True))
     r0, c0 = r.astype(np.int64), c.astype(np.int64)
     fr, fc = (r - r0).astype(np.float32)[:, None], (c - c0).astype(np.float32)[None]
-    value = (grid[r0][:, c0] * (1 - fc) + grid[r0][:, c0 + 1] * fc) * (1 - fr)
-    value += (grid[r0 + 1][:, c0] * (1 - fc) + grid[r0 + 1][:, c0 + 1] * fc) * fr
+    # Along rows first, while there are few of them.
+    along = grid[:, c0] * (1 - fc) + grid[:, c0 + 1] * fc
+    value: FloatArray = along[r0] * (1 - fr) + along[r0 + 1] * fr
     value /= np.sqrt(((1 - fr) ** 2 + fr**2) * ((1 - fc) ** 2 + fc**2))
-    # The normal distribution function, to 1e-3 (Bowling et al. 2009, a logistic in z and z^3).
-    uniform: FloatArray = 1.0 / (1.0 + np.exp(-(1.5976 * value + 0.07056 * value**3)))
-    return uniform
+    return value
+
+
+def _normal_quantile(share: FloatArray) -> FloatArray:
+    """What `share` of a normal distribution lies below; to about 1e-3 of the share.
+
+    Its distribution function is a logistic in z and z^3 (Bowling et al. 2009).
+    """
+    cubic, linear = 0.07056, 1.5976
+    p = share.astype(np.float64)
+    with np.errstate(divide="ignore"):  # nothing lies below minus infinity
+        logit = np.log(p) - np.log1p(-p)
+    # The real root of cubic z^3 + linear z = logit (Cardano, in hyperbolic form).
+    half = np.sqrt(linear / (3 * cubic))
+    root: FloatArray = 2 * half * np.sinh(np.arcsinh(1.5 * logit / (linear * half)) / 3)
+    return root.astype(np.float32)
