@@ -14,6 +14,7 @@ from collections.abc import Callable
 
 from chart_calls import chart_impaired_call
 from chart_codec import chart_codec
+from chart_models import chart_models
 from chart_playout import chart_playout
 from chart_receiver import chart_receiver
 from chart_relay import chart_relay
@@ -24,6 +25,7 @@ CHARTS: dict[str, Callable[[], None]] = {
     "codec": chart_codec,
     "relay": chart_relay,
     "receiver": chart_receiver,
+    "models": chart_models,
 }
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 from charting import (
+    COLOURS,
     RESULTS,
     Line,
     Row,
@@ -19,7 +20,6 @@ from charting import (
 from matplotlib.figure import Figure
 
 PAGE = RESULTS / "receiver.md"
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
 MARKERS = {64: "v", 128: "s", 256: "o"}
 COST_BAR = 1.5
 """Several heads may cost so many times what one costs that fills the screen."""

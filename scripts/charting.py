@@ -18,6 +18,9 @@ ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "docs" / "results"
 LIMITS_PAGE = ROOT / "docs" / "limits-of-the-stream.md"
 
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
+"""Told apart by people who see fewer colours, too."""
+
 Line = dict[str, Any]
 Row = dict[str, Any]
 
