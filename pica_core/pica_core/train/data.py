@@ -22,6 +22,7 @@ from pica_core.capture.dataset import Capture, Topology
 from pica_core.capture.reader import CaptureReader, Request
 from pica_core.errors import CaptureError
 from pica_core.model.decoders import sample_map
+from pica_core.model.encoder import resize_texture
 from pica_core.train.rasterise import Rasteriser
 from pica_core.variants import TopologyName
 
@@ -37,7 +38,7 @@ TEXEL_TOLERANCE = 1e-2
 IMAGE_CACHE_BYTES = 4 << 30
 """Decoded images, depth and textures kept in memory; the least recently used go first."""
 MAX_MAPS = 2048
-"""Position maps kept in memory, 0.8 MB each."""
+"""Position maps and resized textures kept in memory, each; 0.8 MB a map or texture of 256 x 256."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,6 +192,7 @@ class TrainingData:
         if capture.has_expressions:
             self.arkit = torch.from_numpy(np.stack([capture.arkit(f) for f in capture.frames]))
         self.reader = CaptureReader(capture, IMAGE_CACHE_BYTES)
+        self._textures: OrderedDict[tuple[int, int], Tensor] = OrderedDict()
         self._maps: OrderedDict[tuple[int, MeshSource], FloatArray] = OrderedDict()
         self._cameras_of: dict[int, tuple[str, ...]] = {}
         self._backgrounds: dict[str, FloatArray] = {}
@@ -291,11 +293,20 @@ class TrainingData:
         drawn: list[int] = rng.choice(self.train_frames, count, p=weights / weights.sum()).tolist()
         return drawn
 
-    def textures(self, frames: list[int]) -> Tensor:
-        """Average textures of frames, about [-1, 1], ``[N, 3, S, S]``."""
-        found = [self.reader.read(Request("texture", index)) for index in frames]
-        stacked = torch.from_numpy(np.stack(found))
-        return stacked.permute(0, 3, 1, 2).to(torch.float32) / 127.5 - 1
+    def textures(self, frames: list[int], size: int) -> Tensor:
+        """Average textures of frames, about [-1, 1], ``[N, 3, size, size]``."""
+        return torch.stack([self._texture_of(index, size) for index in frames])
+
+    def _texture_of(self, frame: int, size: int) -> Tensor:
+        key = frame, size
+        if key not in self._textures:
+            stored = torch.from_numpy(self.reader.read(Request("texture", frame)).copy())
+            texture = stored.permute(2, 0, 1)[None].to(torch.float32) / 127.5 - 1
+            self._textures[key] = resize_texture(texture, size)[0]
+            if len(self._textures) > MAX_MAPS:
+                self._textures.popitem(last=False)
+        self._textures.move_to_end(key)
+        return self._textures[key]
 
     def position_maps(self, frames: list[int]) -> Tensor:
         """What encoders see of a frame's shape: offsets from the mean, in position scales, as maps

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from pica_core.camera import Camera
 from pica_core.capture.dataset import Capture, Topology
-from pica_core.model.encoder import resize_texture
 from pica_core.model.interface import AvatarModel, Surface
 from pica_core.train.data import TrainingData, view_direction
 from pica_core.train.rasterise import Rasteriser, interpolate
@@ -66,7 +65,7 @@ class Judge:
     @torch.no_grad()
     def encode(self, frame: int) -> Tensor:
         """The encoder's mean for a frame, ``[1, 4, 8, 8]``."""
-        texture = resize_texture(self.data.textures([frame]), self.model.encoder.texture_size)
+        texture = self.data.textures([frame], self.model.encoder.texture_size)
         maps = self.data.position_maps([frame])
         mean: Tensor = self.model.encoder(texture.to(self._device), maps.to(self._device))[0]
         return mean

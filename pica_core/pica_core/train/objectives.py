@@ -13,7 +13,7 @@ from torch import Tensor
 
 from pica_core.capture.tracked_topology import COVER
 from pica_core.errors import CaptureError
-from pica_core.model.encoder import reparameterise, resize_texture
+from pica_core.model.encoder import reparameterise
 from pica_core.model.interface import AvatarModel, DecodedMesh
 from pica_core.train.config import TrainConfig
 from pica_core.train.data import TrainingData, important_vertices, view_direction
@@ -111,9 +111,8 @@ class Objectives:
 
     def encode(self, frames: list[int]) -> tuple[Tensor, Tensor]:
         """The encoder's mean and log-variance of frames, ``[N, 4, 8, 8]`` each."""
-        textures = self.data.textures(frames).to(self.device)
+        textures = self.data.textures(frames, self.model.encoder.texture_size).to(self.device)
         maps = self.data.position_maps(frames).to(self.device)
-        textures = resize_texture(textures, self.model.encoder.texture_size)
         mean, log_variance = self.model.encoder(textures, maps)
         return mean, log_variance
 

@@ -6,6 +6,7 @@ import time
 from typing import Any
 
 import numpy as np
+import torch
 
 from pica_core.train.loop import Trainer
 from pica_core.train.stopwatch import PARTS
@@ -17,13 +18,16 @@ def profile_steps(trainer: Trainer, steps: int, *, warm_up: int = 5) -> dict[str
     Args:
         trainer: Whose current phase is measured; its steps count as trained.
         steps: Measured ones.
-        warm_up: Steps before, in which images are read and buffers grow.
+        warm_up: Steps before, in which buffers grow; textures and meshes are read before them.
 
     Returns:
         ``{part}_ms`` for each of `PARTS` and ``step_ms``: medians; ``{...}_low_ms`` and
         ``{...}_high_ms``: quartiles. "step" holds what no part does, too.
     """
     stopwatch = trainer.objectives.stopwatch
+    with torch.no_grad():  # a run reads each texture and mesh once
+        for frame in trainer.data.train_frames:
+            trainer.objectives.encode([frame])
     stopwatch.synchronise = trainer.device.type == "cuda"
     found: dict[str, list[float]] = {name: [] for name in (*PARTS, "step")}
     for index in range(warm_up + steps):
