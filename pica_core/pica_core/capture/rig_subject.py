@@ -11,12 +11,13 @@ import numpy as np
 from pica_core.capture.coordinates import MATERIALS
 from pica_core.capture.expressions import sample_takes
 from pica_core.capture.layout import MAP_SIZE
-from pica_core.capture.rig_gpu import BAKE_SIZE, RigRenderer
+from pica_core.capture.rig_gpu import RigRenderer
 from pica_core.capture.rig_head import RigHead, make_rig, read_rig
 from pica_core.capture.rig_map_error import map_error_m
 from pica_core.capture.rig_names import read_names
 from pica_core.capture.rig_skin import read_albedos
 from pica_core.capture.rig_source import RigSource
+from pica_core.capture.stage_gpu import BAKE_SIZE
 from pica_core.capture.subject import Drawn
 
 ERROR_POSES = 8
