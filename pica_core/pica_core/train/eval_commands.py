@@ -104,6 +104,7 @@ def _measure(runs: Sequence[Run], options: EvalOptions) -> dict[str, Any]:
                     "run": str(run.folder),
                     "identity": truth.identity,
                     "variant": run.variant,
+                    "block": run.block,
                     "seed": run.config.seed,
                     "source": str(truth.data.capture.info.get("source", capture.name)),
                     "distribution": measured.distribution,
@@ -121,7 +122,8 @@ def _save_near(out: Path, truth: CaptureTruth, run: Run, images: Sequence[Any]) 
     folder = out / "near"
     for index, image in enumerate(images):
         folder.mkdir(parents=True, exist_ok=True)
-        name = f"{truth.identity}_{run.variant}_{run.config.seed}_{index}.png"
+        model = run.variant + (f"_{run.block}" if run.block else "")
+        name = f"{truth.identity}_{model}_{run.config.seed}_{index}.png"
         Image.fromarray(image).save(folder / name)
 
 

@@ -25,7 +25,7 @@ def error_table(rows: Rows, variants: Sequence[str]) -> str:
     cells = {(_key(row), row["view"]): row for row in rows}
     lines: list[list[str]] = []
     for key in _runs(rows, variants):
-        line = [key[0], _label(key, rows)]
+        line = [key[0], _label(key, map(_key, rows))]
         for view in views:
             row = cells.get((key, view))
             best = min(r["mse"] for r in rows if r["view"] == view and r["identity"] == key[0])
@@ -49,7 +49,7 @@ def summary_table(rows: Rows, variants: Sequence[str]) -> str:
         lines.append(
             [
                 key[0],
-                _label(key, rows),
+                _label(key, map(_key, rows)),
                 *(f"{np.mean([row[name] for row in own]):.{digits}f}" for name, digits in _MEANS),
                 f"{np.mean(changes):.2f}" if changes else _NONE,
                 f"{first['parameters'] / 1e6:.3f}",
@@ -70,7 +70,7 @@ def distribution_table(distributions: Mapping[Key, Rows], variants: Sequence[str
     for key in _sorted(distributions, variants):
         values = [item["mse"] for item in distributions[key]]
         shown = [f"{np.percentile(values, quantile):.2f}" for quantile in QUANTILES]
-        lines.append([key[0], key[1], *shown])
+        lines.append([key[0], _label(key, distributions), *shown])
     head = ["worst", *(f"{quantile} %" for quantile in QUANTILES[1:-1]), "best"]
     return _table(["identity", "model", *head], lines)
 
@@ -86,7 +86,11 @@ def geometry_table(
         if errors:
             lines.append([identity, "tracked mesh", *_millimetres(errors)])
         keys = [key for key in _sorted(geometry, variants) if key[0] == identity]
-        lines += [[identity, key[1], *_millimetres(geometry[key])] for key in keys if geometry[key]]
+        lines += [
+            [identity, _label(key, geometry), *_millimetres(geometry[key])]
+            for key in keys
+            if geometry[key]
+        ]
     return _table(["identity", "model", *REGIONS], lines)
 
 
@@ -96,9 +100,10 @@ def near_table(near: Mapping[Key, Mapping[str, Any]], variants: Sequence[str]) -
     for key in _sorted(near, variants):
         found = near[key]
         if "skipped" in found:
-            lines.append([key[0], key[1], _NONE, f"skipped: {found['skipped']}"])
+            told = [_NONE, f"skipped: {found['skipped']}"]
         else:
-            lines.append([key[0], key[1], f"{found['mse']:.2f}", f"{found['frames']} frames"])
+            told = [f"{found['mse']:.2f}", f"{found['frames']} frames"]
+        lines.append([key[0], _label(key, near), *told])
     return _table(["identity", "model", "MSE", ""], lines)
 
 
@@ -156,10 +161,10 @@ def _sorted(keys: Iterable[Key], variants: Sequence[str]) -> list[Key]:
     return sorted(known, key=lambda key: (key[0], variants.index(key[1]), *key[2:]))
 
 
-def _label(key: Key, rows: Rows) -> str:
-    """The variant, with block and seed where it has several."""
+def _label(key: Key, keys: Iterable[Key]) -> str:
+    """The variant, with block and seed where it has several among `keys`."""
     _, variant, block, seed = key
-    alike = {other for other in map(_key, rows) if other[:2] == key[:2]}
+    alike = {other for other in keys if other[:2] == key[:2]}
     label = variant
     if len({other[2] for other in alike}) > 1:
         label += f", block {block}"
