@@ -118,9 +118,9 @@ class ScheduleConfig:
     hundreds; drawn like the others it is not learned."""
     geometry_steps: int = 1000
     """Steps of the geometry phase."""
-    joint_steps: int = 1500
+    joint_steps: int = 1000
     """Steps of the joint phase."""
-    driver_steps: int = 1500
+    driver_steps: int = 1000
     """Steps of the driver phase."""
     geometry_batch: int = 8
     """Frames per step of the geometry phase."""
