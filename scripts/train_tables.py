@@ -3,12 +3,12 @@
     python scripts/train_tables.py --captures captures/S1 captures/S4 --out runs
     pica eval --table 1 --runs runs/* --out table1
 
-Each run goes into ``OUT/CAPTURE-VARIANT`` (``-BLOCK`` after it for `--blocks`), as `pica train` would
-leave it, but for the driver phase, which no table looks at (`pica train --resume` would add it). The
-geometry phase knows nothing of encodings: models that decode the same mesh have the same weights
-until it ends, bit for bit, so it is trained once for all of them. What is finished is left alone, so
-several processes can share the work: each takes what nobody has taken, and a run that was stopped
-goes on.
+Each run goes into ``OUT/CAPTURE-VARIANT`` (``-BLOCK`` after it for `--blocks`), as `pica train`
+would leave it, but for the driver phase, which no table looks at (`pica train --resume` would add
+it). The geometry phase knows nothing of encodings: models that decode the same mesh have the same
+weights until it ends, bit for bit, so it is trained once for all of them. What is finished is left
+alone, so several processes can share the work: each takes what nobody has taken, and a run that
+was stopped goes on.
 """
 
 from __future__ import annotations
