@@ -16,6 +16,7 @@ from pica_core.capture.stage_gpu import (
     FloatArray,
     MeshRenderer,
     View,
+    attributes,
     set_uniforms,
     shader_text,
 )
@@ -58,9 +59,6 @@ class StageRenderer(MeshRenderer):
     def _bake(self) -> tuple[Any, Any]:
         c, head, who = self._context, self.head, self.head.identity
         size = self._bake_size
-        program: Any = link_program(
-            c, vertex=shader_text("bake.vert"), fragment=shader_text("appearance.frag")
-        )
         numbers: dict[str, Any] = {
             "seed": float(who.seed), "skin_rgb": who.skin.rgb, "redness": who.skin.redness,
             "lip_rgb": who.skin.lip_rgb, "freckles": who.skin.freckles, "stubble": who.skin.stubble,
@@ -71,23 +69,25 @@ class StageRenderer(MeshRenderer):
             "sweep": who.hair.sweep,
             "grey": who.hair.grey, **head.landmarks,
         }  # fmt: skip
-        set_uniforms(program, numbers)
         k = head.coordinates
-        data = np.concatenate([head.vertex_uv, k.rest_m, k.local, k.material[:, None]], 1)
-        buffer = c.buffer(data.astype(np.float32).tobytes())
-        array = c.vertex_array(
-            program,
-            [(buffer, "2f 3f 4f 1f", "vertex_uv", "rest_m", "local", "material")],
-            self._faces,
-        )
+        data = np.concatenate([head.vertex_uv, k.rest_m, k.local], 1).astype(np.float32)
+        buffer, layout = c.buffer(data.tobytes()), {"vertex_uv": 2, "rest_m": 3, "local": 4}
         targets = [c.texture((size, size), 4) for _ in range(2)]
         framebuffer = c.framebuffer(targets)
         framebuffer.use()
-        c.disable(moderngl.DEPTH_TEST | moderngl.CULL_FACE | moderngl.BLEND)
+        c.enable_only(moderngl.NOTHING)
         framebuffer.clear(0, 0, 0, 0)
-        array.render()
+        for material, (first, count) in self._spans.items():
+            program: Any = link_program(
+                c,
+                vertex=shader_text("bake.vert"),
+                fragment=shader_text("appearance.frag", material),
+            )
+            set_uniforms(program, numbers)
+            array = c.vertex_array(program, [attributes(program, buffer, layout)], self._faces)
+            array.render(vertices=count, first=first)
         self._settle(targets, [1] * (2 * size // 256 + 2))
-        del framebuffer, array
+        del framebuffer, array, buffer
         c.gc()
         return targets[0], targets[1]
 

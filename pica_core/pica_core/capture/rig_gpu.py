@@ -17,6 +17,7 @@ from pica_core.capture.stage_gpu import (
     ByteArray,
     FloatArray,
     MeshRenderer,
+    attributes,
     set_uniforms,
     shader_text,
 )
@@ -70,9 +71,6 @@ class RigRenderer(MeshRenderer):
 
     def _bake(self) -> tuple[Any, Any]:
         c, head, size = self._context, self.head, self._bake_size
-        program: Any = link_program(
-            c, vertex=shader_text("rig_bake.vert"), fragment=shader_text("rig_appearance.frag")
-        )
         f, mesh = head.features, head.mesh
         eyes = mesh.eyes
         eye = eyes[0].centre_m * [eyes[0].side, 1, 1] if eyes else np.array([0.031, 0.022, 0.074])
@@ -86,30 +84,32 @@ class RigRenderer(MeshRenderer):
             "nose_mm": tuple(1000 * f.nose_tip),
             "mouth_mm": 1000 * mouth_y,
         }
-        set_uniforms(program, numbers)
         uv = self._source_uv()
         rest = mesh.rest_m[head.chart.source]
-        data = np.concatenate(
-            [head.chart.vertex_uv, rest, surface(head), uv, self._material[:, None]], 1
-        )
+        data = np.concatenate([head.chart.vertex_uv, rest, surface(head), uv], 1)
         buffer = c.buffer(data.astype(np.float32).tobytes())
-        names = ("vertex_uv", "rest_m", "local", "source_uv", "material")
+        layout = {"vertex_uv": 2, "rest_m": 3, "local": 4, "source_uv": 2}
         targets = [c.texture((size, size), 4) for _ in range(2)]
         framebuffer = c.framebuffer(targets)
         framebuffer.use()
         c.enable_only(moderngl.NOTHING)
         framebuffer.clear(0, 0, 0, 0)
-        for material in np.unique(mesh.material):
-            mine = mesh.material[head.chart.face_source] == material
-            faces = c.buffer(head.chart.faces[mine].astype("i4").tobytes())
-            array = c.vertex_array(program, [(buffer, "2f 3f 4f 2f 1f", *names)], faces)
-            image = self._albedo.get(int(material))
-            program["has_albedo"].value = 0.0 if image is None else 1.0
+        faces, part = head.chart.faces, self._material[head.chart.faces[:, 2]]
+        material = mesh.material[head.chart.face_source]
+        for painted, name in sorted(set(zip(part.tolist(), material.tolist(), strict=True))):
+            program: Any = link_program(
+                c,
+                vertex=shader_text("rig_bake.vert"),
+                fragment=shader_text("rig_appearance.frag", int(painted)),
+            )
+            mine = c.buffer(faces[(part == painted) & (material == name)].astype("i4").tobytes())
+            array = c.vertex_array(program, [attributes(program, buffer, layout)], mine)
+            image = self._albedo.get(name)
+            set_uniforms(program, {**numbers, "albedo": 0, "has_albedo": float(image is not None)})
             if image is not None:
                 picture = c.texture(image.shape[1::-1], 3, image.tobytes(), alignment=1)
                 picture.build_mipmaps()
                 picture.use(0)
-                program["albedo"].value = 0
             array.render()
         self._settle(targets, _doubling(2 * size // 256 + 2))
         del framebuffer, buffer

@@ -35,10 +35,17 @@ DEPTH_TOLERANCE_M = 0.0015
 """How far behind the nearest surface a texel may lie and still count as seen."""
 
 
-def shader_text(name: str) -> str:
-    """A shader of this package with its includes resolved (one level)."""
+def shader_text(name: str, material: int | None = None) -> str:
+    """A shader of this package with its includes resolved (one level).
+
+    Args:
+        name: File.
+        material: What ``MATERIAL`` stands for in it.
+    """
     folder = files("pica_core.capture") / "shaders"
     text = (folder / name).read_text(encoding="utf-8")
+    if material is not None:
+        text = text.replace("\n", f"\n#define MATERIAL {material}\n#line 2\n", 1)
     return re.sub(
         r'^#include "([\w.]+)"$',
         lambda found: (folder / found.group(1)).read_text(encoding="utf-8"),
@@ -52,6 +59,19 @@ def set_uniforms(program: Any, values: Mapping[str, Any]) -> None:
     for name, value in values.items():
         if name in program:
             program[name].value = value
+
+
+def attributes(program: Any, buffer: Any, layout: Mapping[str, int]) -> tuple[Any, ...]:
+    """What the program has of a buffer's attributes, for `Context.vertex_array`; may be empty.
+
+    Args:
+        program: The program.
+        buffer: float32, interleaved.
+        layout: Names and numbers of components, in order.
+    """
+    used = [name for name in layout if name in program]
+    parts = [f"{n}f" if name in used else f"{n}x4" for name, n in layout.items()]
+    return (buffer, " ".join(parts), *used) if used else ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -99,11 +119,14 @@ class MeshRenderer(ABC):
         self._framebuffers: dict[tuple[str, int, int], Any] = {}
         self._view_textures: dict[tuple[int, int], tuple[Any, Any]] = {}
         self._layout = moving
-        self._faces = c.buffer(np.ascontiguousarray(faces, np.int32).tobytes())
+        by_face = np.rint(material[faces[:, 2]]).astype(np.int64)
+        order = np.argsort(by_face, kind="stable")
+        self._faces = c.buffer(np.ascontiguousarray(faces[order], np.int32).tobytes())
+        self._spans = _spans(by_face[order])
         static = np.concatenate([vertex_uv, material[:, None]], 1)
         self._static = c.buffer(static.astype(np.float32).tobytes())
         self._moving = c.buffer(reserve=len(vertex_uv) * sum(moving.values()) * 4, dynamic=True)
-        self._shade = self._over_mesh(shader)
+        self._shade = {k: self._over_mesh(shader, k) for k in self._spans}
         self._depth = self._over_mesh("depth")
         self._unwrap = self._over_mesh("unwrap")
         resolve = link_program(
@@ -128,21 +151,17 @@ class MeshRenderer(ABC):
         self._context.gc()
         self._context.release()
 
-    def _over_mesh(self, shader: str) -> Any:
+    def _over_mesh(self, shader: str, material: int | None = None) -> Any:
         """The mesh with a program that takes what it wants of the vertices."""
         program = link_program(
             self._context,
             vertex=shader_text(f"{shader}.vert"),
-            fragment=shader_text(f"{shader}.frag"),
+            fragment=shader_text(f"{shader}.frag", material),
         )
-        content = []
         fixed = {"vertex_uv": 2, "material": 1}
-        for buffer, layout in ((self._moving, self._layout), (self._static, fixed)):
-            used = [name for name in layout if name in program]
-            parts = [f"{n}f" if name in used else f"{n}x4" for name, n in layout.items()]
-            if used:
-                content.append((buffer, " ".join(parts), *used))
-        return self._context.vertex_array(program, content, self._faces)
+        buffers = (self._moving, self._layout), (self._static, fixed)
+        content = [attributes(program, *pair) for pair in buffers]
+        return self._context.vertex_array(program, [each for each in content if each], self._faces)
 
     def _write_moving(self, vertices: FloatArray, *rest: npt.NDArray[Any]) -> None:
         """Upload vertices and what goes with them, in the order of the layout."""
@@ -249,9 +268,11 @@ class MeshRenderer(ABC):
         self._context.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         self._colour.use(0)
         self._relief.use(1)
-        self._aim(self._shade.program, camera)
-        set_uniforms(self._shade.program, {"colour_map": 0, "relief_map": 1})
-        self._shade.render()
+        for material, (first, count) in self._spans.items():
+            array = self._shade[material]
+            self._aim(array.program, camera)
+            set_uniforms(array.program, {"colour_map": 0, "relief_map": 1})
+            array.render(vertices=count, first=first)
         return framebuffer.color_attachments[0]
 
     def unwrap(
@@ -312,6 +333,15 @@ def _read_geometry(framebuffer: Any) -> tuple[FloatArray, ByteArray]:
     both: FloatArray = np.empty((h, w, 2), np.float32)
     framebuffer.read_into(both, components=2, dtype="f4")
     return both[::-1, :, 0].copy(), np.rint(both[::-1, :, 1]).astype(np.uint8)
+
+
+def _spans(materials: npt.NDArray[np.int64]) -> dict[int, tuple[int, int]]:
+    """First index of each material's triangles, and how many indices they take."""
+    names, first, count = np.unique(materials, return_index=True, return_counts=True)
+    return {
+        int(name): (3 * int(begin), 3 * int(number))
+        for name, begin, number in zip(names, first, count, strict=True)
+    }
 
 
 def _nearby(covered: BoolArray, steps: Iterable[int]) -> npt.NDArray[np.int64]:

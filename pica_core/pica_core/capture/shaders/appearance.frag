@@ -6,7 +6,7 @@
 #include "noise.glsl"
 in vec3 rest_mm;
 in vec4 surface;
-flat in int material_id;
+const int material_id = MATERIAL;   // a program each: software GL runs every branch
 layout(location = 0) out vec4 colour_out;
 layout(location = 1) out vec4 relief_out;
 uniform float seed;

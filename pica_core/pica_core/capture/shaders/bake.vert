@@ -3,13 +3,10 @@
 in vec2 vertex_uv;
 in vec3 rest_m;
 in vec4 local;
-in float material;
 out vec3 rest_mm;
 out vec4 surface;
-flat out int material_id;
 void main() {
     rest_mm = rest_m * 1000.0;
     surface = local;
-    material_id = int(material + 0.5);
     gl_Position = vec4(vertex_uv * 2.0 - 1.0, 0.0, 1.0);
 }

@@ -9,7 +9,7 @@ in vec3 rest_mm;
 // eye: direction from the centre, side.   tongue: 0 root to 1 tip.   mouth lining: mm behind the lips
 in vec4 surface;
 in vec2 albedo_uv;
-flat in int material_id;
+const int material_id = MATERIAL;   // a program each: software GL runs every branch
 layout(location = 0) out vec4 colour_out;
 layout(location = 1) out vec4 relief_out;
 uniform float has_albedo;

@@ -4,7 +4,7 @@ in vec3 point_m;
 in vec3 shading_normal;
 in vec2 open_sky;     // x: share of the dome that is seen, y: share of the key light
 in vec2 uv;
-flat in int material_id;
+const int material_id = MATERIAL;   // a program each: software GL runs every branch
 out vec4 colour_out;
 uniform vec3 camera_m;
 uniform sampler2D colour_map;

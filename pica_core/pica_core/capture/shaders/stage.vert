@@ -4,20 +4,17 @@ in vec3 normal;
 in vec3 tangent;
 in vec2 occlusion;
 in vec2 vertex_uv;
-in float material;
 uniform mat4 clip_from_head;
 out vec3 point_m;
 out vec3 shading_normal;
 out vec3 strand_tangent;
 out vec2 open_sky;
 out vec2 uv;
-flat out int material_id;
 void main() {
     point_m = position_m;
     shading_normal = normal;
     strand_tangent = tangent;
     open_sky = occlusion;
     uv = vertex_uv;
-    material_id = int(material + 0.5);
     gl_Position = clip_from_head * vec4(position_m, 1.0);
 }
