@@ -44,7 +44,7 @@ void main() {
     float gloss = stored.a;
     vec3 n = normalize(shading_normal);
     vec3 v = normalize(camera_m - point_m);
-    float sky = open_sky.x, key = open_sky.y;
+    float sky = max(open_sky.x, 0.0), key = max(open_sky.y, 0.0);   // rounding goes below 0, roots do not
     // Shadow is known per vertex for a few expressions only; inside the mouth keep what bounces around.
     if (material_id == 2) { sky = max(sky, 0.42) * (1.0 - 0.85 * relief.g); key = max(key, 0.24) * (1.0 - 0.95 * relief.g); }
     else if (material_id == 1) { sky = max(sky, 0.20); key = max(key, 0.08); }
