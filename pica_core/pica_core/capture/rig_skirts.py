@@ -90,5 +90,11 @@ def add_skirts(
     away = np.minimum(away, reach / length)
     tip = points[begin] + np.clip(along, 0.0, 1.0)[:, None] * flat + away[:, None] * normal
     index = len(points) + np.arange(len(tip))
-    triangles = np.stack([end, begin, index], 1).astype(np.int32)
-    return tip, triangles, far, (theirs // 3).astype(np.int64)
+    skirts = np.stack([end, begin, index], 1)
+    return tip, _as_copied(skirts, theirs % 3), far, (theirs // 3).astype(np.int64)
+
+
+def _as_copied(triangles: IndexArray, corner: IndexArray) -> IntArray:
+    """Turn triangles until their first vertex is in this corner, as in what they copy."""
+    turned = np.take_along_axis(triangles, (np.arange(3) - corner[:, None]) % 3, 1)
+    return turned.astype(np.int32)
