@@ -12,6 +12,7 @@ from pica_core.capture.heads import EYE_YAW
 from pica_core.capture.rig_chart import equalise, pack
 from pica_core.capture.rig_head import RigHead, make_rig, read_rig
 from pica_core.capture.rig_map_error import map_error_m
+from pica_core.capture.rig_skirts import add_skirts
 from pica_core.capture.rig_subject import chart_error_mm
 from pica_core.errors import CaptureError, ShapeError
 from rig_toy import toy_rig, write_glb, write_obj_folder
@@ -87,6 +88,32 @@ def test_islands_reach_under_each_other_at_seams_that_are_seen(toy: RigHead) -> 
     d, e, f = (rest[chart.faces[copied][:, k]] for k in range(3))
     turned = (np.cross(b - a, c - a) * np.cross(e - d, f - d)).sum(1)
     assert (turned > 0).all()  # they face where the triangles face that they copy
+
+
+def test_skirts_leave_no_gap_at_the_vertices_of_a_seam() -> None:
+    rows, columns = 6, 4
+    index = np.arange((rows + 1) * (columns + 1)).reshape(rows + 1, columns + 1)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    faces = np.stack([a, b, d, a, d, c], -1).reshape(-1, 3).astype(np.int32)
+    y, x = np.divmod(np.arange(index.size), columns + 1)
+    rest = np.stack([x, y, np.zeros_like(x)], 1).astype(np.float64)
+    # Cut in the middle: the right half gets its own vertices and lies elsewhere in the plane.
+    right = rest[faces].mean(1)[:, 0] > columns / 2
+    split = faces.copy()
+    split[right] += len(rest)
+    points = np.concatenate([rest[:, :2], rest[:, :2] + 10.0])
+
+    tips, skirts, far, copied = add_skirts(
+        points, split, rest, faces, np.ones(len(faces), np.bool_), 9.0
+    )
+
+    plane = np.concatenate([points, tips])
+    areas = signed_areas(plane.astype(np.float32), skirts)
+    assert (areas > 0).all()
+    # A strip of one column on either side, but for a triangle at one of its ends.
+    assert areas.sum() == pytest.approx(2 * (rows - 0.5))
+    source = np.concatenate([np.tile(np.arange(len(rest)), 2), far])
+    np.testing.assert_array_equal(source[skirts], faces[copied])
 
 
 def test_a_flow_gives_triangles_the_area_they_need_and_folds_none() -> None:

@@ -2,7 +2,9 @@
 
 A decoder that is not perfect puts the two copies of a vertex at a seam in slightly different
 places, and a gap opens along the seam. So each island gets copies of the triangles on the far side
-of its seams, unfolded into its own plane: they close the gap from below.
+of its seams, unfolded into its own plane: they close the gap from below. Where such a copy and the
+next along the seam leave a triangle between them, at the vertex that they share, that is copied,
+too; it needs no point of its own.
 """
 
 from __future__ import annotations
@@ -91,10 +93,56 @@ def add_skirts(
     tip = points[begin] + np.clip(along, 0.0, 1.0)[:, None] * flat + away[:, None] * normal
     index = len(points) + np.arange(len(tip))
     skirts = np.stack([end, begin, index], 1)
-    return tip, _as_copied(skirts, theirs % 3), far, (theirs // 3).astype(np.int64)
+    welded = np.stack([faces[face, (corner + 1) % 3], far], 1).astype(np.int64)
+    between, copied = _between(np.concatenate([points, tip]), faces, skirts, welded)
+    triangles = np.concatenate([_as_copied(skirts, theirs % 3), between])
+    return tip, triangles, far, np.concatenate([theirs // 3, copied]).astype(np.int64)
 
 
 def _as_copied(triangles: IndexArray, corner: IndexArray) -> IntArray:
     """Turn triangles until their first vertex is in this corner, as in what they copy."""
     turned = np.take_along_axis(triangles, (np.arange(3) - corner[:, None]) % 3, 1)
     return turned.astype(np.int32)
+
+
+def _between(
+    points: Float64Array, faces: IntArray, skirts: IndexArray, welded: IndexArray
+) -> tuple[IntArray, IndexArray]:
+    """Triangles between skirts that follow each other along a seam.
+
+    Args:
+        points: Split vertices and tips in the plane. ``[V, 2]``.
+        faces: The mesh's triangles in welded vertices. ``[F, 3]``.
+        skirts: End and begin of each skirt's edge, and its tip, in `points`. ``[N, 3]``.
+        welded: Its edge's end and its tip, in welded vertices. ``[N, 2]``.
+
+    Returns:
+        Triangles in `points` ``[M, 3]``, and what each copies. Where the far side has more than one
+        triangle between two skirts there is none.
+    """
+    end, begin, tip = skirts.T
+    next_skirt = np.full(len(points), -1)
+    next_skirt[begin] = np.arange(len(skirts))
+    single = np.bincount(begin, minlength=len(points))[end] == 1
+    one = np.flatnonzero(single & (np.bincount(end, minlength=len(points))[end] == 1))
+    other = next_skirt[end[one]]
+    # Triangles of the mesh by two corners that follow each other; the third must fit as well.
+    count = int(faces.max()) + 1
+    start = faces.astype(np.int64)
+    key = (start * count + np.roll(start, -1, axis=1)).ravel()
+    order = np.argsort(key, kind="stable")
+    wanted = welded[one, 0] * count + welded[one, 1]
+    place = order[np.minimum(np.searchsorted(key[order], wanted), len(order) - 1)]
+    third = faces[place // 3, (place % 3 + 2) % 3]
+    triangles = np.stack([end[one], tip[one], tip[other]], 1)
+    flipped = _turn(points, triangles) * _turn(points, skirts[one]) <= 0  # skirts overlap here
+    fits = (key[place] == wanted) & (third == welded[other, 1]) & ~flipped
+    return _as_copied(triangles[fits], place[fits] % 3), place[fits] // 3
+
+
+def _turn(points: Float64Array, triangles: IndexArray) -> Float64Array:
+    """Twice the signed area. ``[N]``."""
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    result: Float64Array = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1])
+    result -= (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+    return result
