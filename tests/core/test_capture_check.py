@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from pica_core.camera import look_at
 from pica_core.capture.check import check_capture
+from pica_core.capture.check_geometry import silhouette_problem
 from pica_core.capture.commands import CheckOptions, check
 from pica_core.capture.dataset import Capture
 from pica_core.capture.synth import StageOptions, render_capture
@@ -250,3 +252,30 @@ def test_the_command_tells_people_and_programs(
     assert "not ok, 5 frames" in said
     with pytest.raises(CaptureError, match="no such directory"):
         check(CheckOptions(capture=damaged / "nowhere"))
+
+
+@pytest.mark.parametrize(("turned_away", "is_fine"), [(True, True), (False, False)])
+def test_only_what_faces_the_camera_has_to_lie_on_the_mask(
+    turned_away: bool, is_fine: bool
+) -> None:
+    camera = look_at(
+        name="front",
+        centre_m=np.array([0.0, 0.0, 1.0]),
+        target_m=np.zeros(3),
+        vertical_fov=0.5,
+        width=64,
+        height=64,
+    )
+    corner = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32)
+    vertices = np.concatenate([0.1 * corner, [0.15, 0, 0] + 0.02 * corner]).astype(np.float32)
+    square = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    beside = square[:, ::-1] if turned_away else square
+    faces = np.concatenate([square, beside + 4])
+    seen, _ = camera.project(0.1 * corner)
+    mask = np.zeros((64, 64), np.uint8)
+    (left, top), (right, bottom) = seen.min(0).astype(int), seen.max(0).astype(int)
+    mask[top:bottom, left:right] = 1
+
+    problem = silhouette_problem(camera, vertices, faces, mask)
+
+    assert (problem is None) == is_fine

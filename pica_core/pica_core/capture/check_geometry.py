@@ -17,7 +17,7 @@ LEAST_OVERLAP = 0.85
 """Intersection of silhouette and mask over their union. Captures of the stage have 0.95 (64 pixels)
 to 0.98 (512 pixels) at least; two centimetres aside is 0.84 on average (measured on S1)."""
 MOST_OUTSIDE = 0.02
-"""Share of the mesh's vertices in the picture that may lie beside the mask."""
+"""Share of the vertices that face the camera, in the picture, that may lie beside the mask."""
 LEAST_INSIDE = 0.03
 """Share of the vertices that a camera of the capture sees at least."""
 DEPTH_TOLERANCE_M = 0.01
@@ -50,8 +50,11 @@ def silhouette_problem(
         return f"{len(row) / len(vertices_m):.1%} of the tracked mesh lies in the picture"
     if mask is None:
         return None
+    # An open mesh covers nothing from within, such as a collar from below.
+    facing = _facing(camera, vertices_m, faces) > 0
+    row, column = _inside(camera, pixels[facing], distance[facing])
     wide = _grow(mask > 0, max(2, round(0.01 * min(mask.shape))))
-    outside = float((~wide[row, column]).mean())
+    outside = float((~wide[row, column]).mean()) if len(row) else 0.0
     if outside > MOST_OUTSIDE:
         return f"{outside:.1%} of the tracked mesh in the picture lies beside the mask"
     overlap = _overlap(camera, pixels, distance, faces, mask > 0)
@@ -159,6 +162,8 @@ def _overlap(
     ahead = (distance > 0)[faces].all(axis=1)
     scaled = pixels * [size[0] / camera.width, size[1] / camera.height] - 0.5
     corners = scaled[faces[ahead]]
+    one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    corners = corners[one[:, 0] * other[:, 1] < one[:, 1] * other[:, 0]]  # rows go down
     seen = (corners.max(axis=1) >= -1).all(axis=1) & (corners.min(axis=1) <= size).all(axis=1)
     for triangle in corners[seen].reshape(-1, 6).tolist():
         draw.polygon(triangle, fill=1)
