@@ -200,6 +200,7 @@ def test_regions_lie_where_their_names_say(toy: RigHead) -> None:
     assert toy.features.mouth is not None
     assert np.mean(toy.features.mouth.y) == pytest.approx(-0.045 - 0.008, abs=0.006)
     assert regions["lips"].any()
+    assert not regions["ears"].any()  # the toy has none
     assert (mesh.rest_m[regions["left"], 0] > 0).all()
 
 
@@ -272,6 +273,24 @@ def test_the_ict_head_is_mapped_placed_and_packed(ict: RigHead) -> None:
     assert error["face"]["p99"] < 0.4
     assert error["lips"]["p99"] < 0.05
     assert error["lids"]["p99"] < 0.1
+
+
+@needs_ict
+def test_neck_scalp_and_ears_of_the_ict_head_lie_where_they_should(ict: RigHead) -> None:
+    regions, rest = ict.features.regions, ict.mesh.rest_m
+    eye_y = float(np.mean([eye.centre_m[1] for eye in ict.mesh.eyes]))
+
+    for side in (1.0, -1.0):  # an ear is about 64 mm high (Farkas 1994) and lies behind the face
+        ear = rest[regions["ears"] & (side * rest[:, 0] > 0)]
+        assert 500 < len(ear) < 700
+        assert 0.055 < np.ptp(ear[:, 1]) < 0.075
+        assert 0.025 < np.ptp(ear[:, 2]) < 0.050
+        assert ear[:, 2].max() < 0.02
+    assert rest[regions["neck"], 1].max() < eye_y - 0.05
+    assert not (regions["neck"] & (rest[:, 2] > 0.09)).any()  # the chin is none of it
+    assert rest[regions["scalp"], 1].max() == rest[:, 1].max()
+    for one, other in (("neck", "scalp"), ("neck", "ears"), ("neck", "lips"), ("scalp", "lids")):
+        assert not (regions[one] & regions[other]).any(), (one, other)
 
 
 @needs_ict

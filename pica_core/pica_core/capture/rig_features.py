@@ -16,8 +16,9 @@ import numpy.typing as npt
 
 from pica_core.arkit import ARKIT_INDEX, ARKIT_NAMES
 from pica_core.capture.coordinates import MATERIALS
-from pica_core.capture.rig_mesh import RigMesh, components
+from pica_core.capture.rig_mesh import RigMesh, components, nearest
 from pica_core.capture.rig_visibility import FrontView, front_view, visibility
+from pica_core.capture.rig_zones import find_ears, find_neck, hair_coverage
 
 FloatArray = npt.NDArray[np.float32]
 Float64Array = npt.NDArray[np.float64]
@@ -117,7 +118,7 @@ def find_mouth(mesh: RigMesh) -> Mouth | None:
     high = np.flatnonzero(front & (drop < 0.25 * most) & (drop > -1))
     if not len(low) or not len(high):
         return None
-    partner, gap = _nearest(rest[low], rest[high])
+    partner, gap = nearest(rest[low], rest[high])
     limit = max(0.003, 2.0 * float(np.quantile(gap, 0.02)))
     touching = gap < limit
     if touching.sum() < 3:
@@ -134,20 +135,6 @@ def find_mouth(mesh: RigMesh) -> Mouth | None:
         rows.append(foremost.mean(0))
     knots = np.array(rows)[np.argsort([row[0] for row in rows])]
     return Mouth(half_m=half, x=knots[:, 0], y=knots[:, 1], z=knots[:, 2], centre_x=centre)
-
-
-def _nearest(
-    points: Float64Array, others: Float64Array
-) -> tuple[npt.NDArray[np.int64], Float64Array]:
-    """The nearest of `others` to each point, and how far it is; a part of the table at a time."""
-    index = np.empty(len(points), np.int64)
-    distance = np.empty(len(points))
-    rows = max(1_000_000 // len(others), 1)
-    for first in range(0, len(points), rows):
-        apart = np.linalg.norm(points[first : first + rows, None] - others[None], axis=2)
-        index[first : first + rows] = apart.argmin(1)
-        distance[first : first + rows] = apart.min(1)
-    return index, distance
 
 
 def _eye_gaps(mesh: RigMesh, view: FrontView, part: IntArray) -> tuple[Float64Array, BoolArray]:
@@ -168,7 +155,7 @@ def _eye_gaps(mesh: RigMesh, view: FrontView, part: IntArray) -> tuple[Float64Ar
         near = np.flatnonzero(
             (np.abs(offset[:, :2]).max(1) < 2.2 * eye.radius_m) & (offset[:, 2] > 0)
         )
-        _, distance = _nearest(mesh.rest_m[near, :2], here)
+        _, distance = nearest(mesh.rest_m[near, :2], here)
         gap[near] = np.minimum(gap[near], np.maximum(distance - view.cell_m, 0.0))
         # The canthi lie on the line between lids: what is above is the upper lid.
         tilt = (
@@ -261,8 +248,13 @@ def find_features(mesh: RigMesh) -> Features:
         "teeth": of("teeth"),
         "tongue": of("tongue"),
         "hair": of("hair"),
+        "scalp": skin & (hair_coverage(rest) > 0),
         "left": rest[:, 0] > 0,
     }
+    nothing = np.zeros(len(rest), np.bool_)
+    known = mouth is not None and bool(mesh.eyes) and eye_y > mouth_y
+    regions["neck"] = find_neck(rest, skin, mouth_y, eye_y) if known else nothing
+    regions["ears"] = find_ears(rest, mesh.faces, skin, mouth_y, eye_y) if known else nothing
     return Features(
         mouth=mouth,
         lips=lips,

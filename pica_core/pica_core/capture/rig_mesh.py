@@ -110,6 +110,20 @@ def components(faces: IntArray, count: int) -> npt.NDArray[np.int64]:
         label = spread
 
 
+def nearest(
+    points: Float64Array, others: Float64Array
+) -> tuple[npt.NDArray[np.int64], Float64Array]:
+    """The nearest of `others` to each point, and how far it is; a part of the table at a time."""
+    index = np.empty(len(points), np.int64)
+    distance = np.empty(len(points))
+    rows = max(1_000_000 // len(others), 1)
+    for first in range(0, len(points), rows):
+        apart = np.linalg.norm(points[first : first + rows, None] - others[None], axis=2)
+        index[first : first + rows] = apart.argmin(1)
+        distance[first : first + rows] = apart.min(1)
+    return index, distance
+
+
 def fit_sphere(points: Float64Array) -> tuple[Float64Array, float, float]:
     """Least-squares sphere: centre, radius, and mean distance from its surface."""
     middle = points.mean(0)

@@ -16,29 +16,16 @@ from PIL import Image, UnidentifiedImageError
 from pica_core.capture.coordinates import MATERIALS
 from pica_core.capture.rig_head import RigHead
 from pica_core.capture.rig_source import RigSource, read_bytes
+from pica_core.capture.rig_zones import hair_coverage
 from pica_core.errors import CaptureError
 
 FloatArray = npt.NDArray[np.float32]
-Float64Array = npt.NDArray[np.float64]
 ByteArray = npt.NDArray[np.uint8]
 
 MAX_ALBEDO_SIDE = 8192
 ALBEDO_MODES = ("RGB", "RGBA", "L", "LA", "P")
-HAIRLINE = (
-    (0.0, 0.100), (25.0, 0.102), (45.0, 0.092), (62.0, 0.072), (72.0, 0.030),
-    (80.0, 0.004), (90.0, 0.034), (118.0, 0.036), (132.0, -0.012), (155.0, -0.045), (180.0, -0.052),
-)  # fmt: skip
-"""Height of the hairline, metres above the ears, over the azimuth from the front in degrees."""
 IRIS_RADIUS_M = 0.0060
 """11.7 mm across (Rüfer et al. 2005), a little more for eyeballs that are larger than life."""
-
-
-def hair_coverage(points: Float64Array) -> Float64Array:
-    """How far above the hairline each point of a scalp lies: 0 at the line, 1 is 14 mm. ``[P]``."""
-    azimuth = np.degrees(np.abs(np.arctan2(points[:, 0], points[:, 2] + 0.005)))
-    line = np.interp(azimuth, *np.array(HAIRLINE).T)
-    result: Float64Array = np.clip((points[:, 1] - line) / 0.014, -1.0, 1.0)
-    return result
 
 
 def split_parts(head: RigHead) -> npt.NDArray[np.int32]:
