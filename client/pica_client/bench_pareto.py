@@ -7,7 +7,7 @@ contender decodes the same latents and draws the same frames; contenders take tu
 
 Rows:
 
-    model            "pica": the avatar; "block B", "block H2": the paper's sizes with another block
+    model            "pica": the avatar; "block B" and so on: the paper's sizes with another block
                      and random weights: they have a cost and no error
     level            texels per side of the maps
     mesh             level of the triangles; other than `level` with the full maps alone
@@ -53,6 +53,7 @@ from pica_core.avatar_storage import DEFAULT_STORAGE, Storage
 from pica_core.camera import Camera
 from pica_core.expression_encoder import ExpressionEncoder
 from pica_core.gl import create_context, wait_for_gpu
+from pica_core.spec import BLOCKS
 
 Image = npt.NDArray[np.uint8]
 Mask = npt.NDArray[np.bool_]
@@ -62,7 +63,6 @@ SAMPLES = 3
 WARM_UP_FRAMES = 2
 SAME_COST = 0.05
 """Costs closer than this share are taken to be the same."""
-OTHER_BLOCKS = ("B", "H2")
 PRECISIONS: tuple[Storage, ...] = ("f32", "f16", "u8")
 
 
@@ -176,7 +176,9 @@ class _Bench:
             stored, file_bytes = with_precision(avatar, precision)
             levels = avatar.levels
             found.append(("pica", precision, OnnxDecoder(stored), True, file_bytes, levels))
-        for block in OTHER_BLOCKS:
+        for block in BLOCKS:
+            if block == avatar.spec.block:
+                continue
             other = random_decoders(avatar, block, seed=0)
             found.append((f"block {block}", "f32", OnnxDecoder(other), False, None, (full,)))
         return [

@@ -8,6 +8,8 @@ by name in the spec:
     H2   conv 3x3, untied bias at input size, leaky; then B
     C    conv 3x3, untied bias at input size, leaky; conv 1x1 to 4c; pixel shuffle
          (the cheapest: 3-4 times fewer multiply-adds)
+    G    C, and a factor per channel and location ("untied gain") at its output: what moves how far,
+         such as lips beside each other that an opening jaw parts, need not be made of biases
 
 A LeakyReLU follows every block but the last, whose output is the map itself.
 """
@@ -19,7 +21,9 @@ from typing import Literal
 
 from pica_core.spec import LATENT_SIZE, AvatarSpec
 
-LayerKind = Literal["conv3", "conv1", "deconv4", "untied_bias", "leaky_relu", "pixel_shuffle"]
+LayerKind = Literal[
+    "conv3", "conv1", "deconv4", "untied_bias", "untied_gain", "leaky_relu", "pixel_shuffle"
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,8 +31,8 @@ class Layer:
     """One operation of a decoder; weighted ones own ``{name}.weight`` (and ``{name}.bias``).
 
     Tensor shapes, float32, torch's layout: conv weight ``[out, in, k, k]`` and bias ``[out]``;
-    deconv weight ``[in, out, 4, 4]`` and bias ``[out]`` (padding 1); untied_bias ``{name}.weight``
-    ``[out, size, size]``. A convolution directly before an untied bias has no bias of its own:
+    deconv weight ``[in, out, 4, 4]`` and bias ``[out]`` (padding 1); untied_bias and untied_gain
+    ``{name}.weight`` ``[out, size, size]``. A convolution directly before an untied bias has no bias of its own:
     `has_bias` is False.
     """
 
@@ -50,7 +54,7 @@ class Layer:
                 shapes = {weight: (self.out_channels, self.in_channels, kernel, kernel)}
             case "deconv4":
                 shapes = {weight: (self.in_channels, self.out_channels, 4, 4)}
-            case "untied_bias":
+            case "untied_bias" | "untied_gain":
                 return {weight: (self.out_channels, self.size, self.size)}
             case _:
                 return {}
@@ -61,6 +65,8 @@ class Layer:
     @property
     def multiply_adds(self) -> int:
         """Multiply-adds of one evaluation at batch 1; biases and activations are not counted."""
+        if self.kind == "untied_gain":
+            return self.out_channels * self.size * self.size
         taps = {"conv3": 9, "conv1": 1, "deconv4": 4}.get(self.kind, 0)
         return taps * self.in_channels * self.out_channels * self.size * self.size
 
@@ -128,10 +134,13 @@ def _block(block: str, prefix: str, c_in: int, c_out: int, size: int) -> list[La
             Layer("leaky_relu", f"{prefix}.first_act", c_out, c_out, size),
             *_block("B", prefix, c_out, c_out, size),
         ]
-    return [
+    layers = [
         Layer("conv3", f"{prefix}.first", c_in, c_out, size),
         Layer("untied_bias", f"{prefix}.first_bias", c_out, c_out, size),
         Layer("leaky_relu", f"{prefix}.first_act", c_out, c_out, size),
         Layer("conv1", f"{prefix}.expand", c_out, 4 * c_out, size, has_bias=True),
         Layer("pixel_shuffle", f"{prefix}.shuffle", 4 * c_out, c_out, size * 2),
     ]
+    if block == "G":
+        layers.append(Layer("untied_gain", f"{prefix}.gain", c_out, c_out, size * 2))
+    return layers

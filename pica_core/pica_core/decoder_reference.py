@@ -111,6 +111,8 @@ def _run(layer: Layer, weights: list[Array], value: Array) -> Array:
             value = _deconvolve(value, weights[0])
         case "untied_bias":
             value = value + weights[0]
+        case "untied_gain":
+            value = value * weights[0]
         case "leaky_relu":
             value = np.where(value > 0, value, LEAKY_SLOPE * value)
         case "pixel_shuffle":

@@ -188,6 +188,8 @@ def _plain(graph: GraphBuilder, layers: list[Layer], tensors: dict[str, Array], 
                 value = graph.add("ConvTranspose", value, *weights, strides=[2, 2], pads=[1] * 4)
             case "untied_bias":
                 value = graph.add("Add", value, *weights)
+            case "untied_gain":
+                value = graph.add("Mul", value, *weights)
             case "leaky_relu":
                 value = graph.add("LeakyRelu", value, alpha=LEAKY_SLOPE)
             case "pixel_shuffle":

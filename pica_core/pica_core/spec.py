@@ -22,7 +22,7 @@ POSITION_CHANNELS = 3
 RGB_CHANNELS = 3
 LEAKY_SLOPE = 0.2
 """Negative slope of every LeakyReLU (paper A.1)."""
-BLOCKS = ("B", "H2", "C")
+BLOCKS = ("B", "H2", "C", "G")
 """Building blocks of the decoders that we know. The paper draws its block in Fig. 3b, which the
 text does not give.
 """

@@ -22,7 +22,7 @@ from pica_client.decoder import OnnxOptions
 from pica_client.errors import OptionError
 from pica_core.avatar_file import Avatar
 from pica_core.levels import default_errors
-from pica_core.spec import AvatarSpec
+from pica_core.spec import BLOCKS, AvatarSpec
 from toy import make_toy_avatar, with_toy_levels
 
 pytestmark = pytest.mark.unit
@@ -102,7 +102,7 @@ def test_an_export_that_differs_is_noticed(monkeypatch: pytest.MonkeyPatch) -> N
     assert export_difference(TOY, 64, latents, OnnxOptions()) > 1e-3
 
 
-@pytest.mark.parametrize("block", ["B", "H2", "C"])
+@pytest.mark.parametrize("block", BLOCKS)
 def test_random_decoders_have_every_level_of_their_block(block: str) -> None:
     avatar = random_decoders(TOY, block, seed=1)
     assert (avatar.spec.block, avatar.levels) == (block, TOY.levels)

@@ -24,7 +24,7 @@ from pica_core.avatar_file import (
     spec_tensor_shapes,
 )
 from pica_core.errors import AvatarFileError
-from pica_core.spec import PAPER_SPEC, AvatarSpec
+from pica_core.spec import BLOCKS, PAPER_SPEC, AvatarSpec
 from stream_toy import toy_profile
 from toy import make_toy_avatar
 
@@ -122,7 +122,7 @@ def test_what_did_not_change_is_stored_as_it_stood(tmp_path: Path, toy_bytes: by
         np.testing.assert_array_equal(again.tensors[name], loaded.tensors[name], err_msg=name)
 
 
-@pytest.mark.parametrize("block", ["B", "H2", "C"])
+@pytest.mark.parametrize("block", BLOCKS)
 def test_the_spec_fixes_every_tensor_of_every_block(block: str) -> None:
     shapes = spec_tensor_shapes(AvatarSpec(block=block))
     assert shapes["pixel.0.weight"] == (8, 16)

@@ -27,6 +27,18 @@ class UntiedBias(nn.Module):
         return features + self.weight
 
 
+class UntiedGain(nn.Module):
+    """A factor per channel and location, ``[C, H, W]``; 1 at first."""
+
+    def __init__(self, channels: int, size: int) -> None:
+        super().__init__()
+        self.weight = nn.Parameter(torch.ones(channels, size, size))
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Features ``[N, C, H, W]`` times the factors."""
+        return features * self.weight
+
+
 def _module(layer: Layer) -> nn.Module:
     match layer.kind:
         case "conv3":
@@ -41,6 +53,8 @@ def _module(layer: Layer) -> nn.Module:
             )
         case "untied_bias":
             return UntiedBias(layer.out_channels, layer.size)
+        case "untied_gain":
+            return UntiedGain(layer.out_channels, layer.size)
         case "leaky_relu":
             return nn.LeakyReLU(LEAKY_SLOPE)
         case "pixel_shuffle":
