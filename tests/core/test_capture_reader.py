@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from tests.published_capture import HEIGHT, PLACES_MM, SEGMENTS, TEXTURE, WIDTH, write_original
 
 from pica_core.capture.check import check_capture
 from pica_core.capture.dataset import Capture
@@ -17,6 +16,7 @@ from pica_core.capture.original import for_looking
 from pica_core.capture.reader import CaptureReader, Request
 from pica_core.capture.sheet import write_sheet
 from pica_core.errors import CaptureError
+from published_capture import HEIGHT, PLACES_MM, SEGMENTS, TEXTURE, WIDTH, write_original
 
 pytestmark = pytest.mark.unit
 

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.published_capture import SEGMENTS, write_original
 
 from pica_core.capture.dataset import Capture
 from pica_core.errors import CaptureError
@@ -19,6 +18,7 @@ from pica_core.train.config import PRESETS
 from pica_core.train.data import TrainingData
 from pica_core.train.evaluate import evaluate
 from pica_core.train.loop import open_trainer
+from published_capture import SEGMENTS, write_original
 
 pytestmark = pytest.mark.unit
 
