@@ -8,6 +8,7 @@ from typing import Any
 from pica_client.bench_commands import load_bench_avatar
 from pica_client.errors import OptionError
 from pica_client.output import say
+from pica_core.spec import BLOCKS
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -20,7 +21,7 @@ class BenchDecodeOptions:
     """Decodes of each contender."""
     threads: str = "1,2"
     """Threads of ONNX Runtime, separated by commas."""
-    blocks: str = "B,H2,C"
+    blocks: str = ",".join(BLOCKS)
     """Candidate blocks to measure with random weights, separated by commas; empty for none."""
     head_px: float = 640.0
     """Height of the head on screen, pixels, that errors and the scheduler's level are told for."""

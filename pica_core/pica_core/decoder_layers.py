@@ -8,8 +8,9 @@ by name in the spec:
     H2   conv 3x3, untied bias at input size, leaky; then B
     C    conv 3x3, untied bias at input size, leaky; conv 1x1 to 4c; pixel shuffle
          (the cheapest: 3-4 times fewer multiply-adds)
-    G    C, and a factor per channel and location ("untied gain") at its output: what moves how far,
-         such as lips beside each other that an opening jaw parts, need not be made of biases
+    G    C, and in the geometry decoder a factor per channel and location ("untied gain") at its
+         output: what moves how far, such as lips beside each other that an opening jaw parts, need
+         not be made of biases
 
 A LeakyReLU follows every block but the last, whose output is the map itself.
 """
@@ -83,6 +84,9 @@ def decoder_layers(spec: AvatarSpec, decoder: str) -> list[Layer]:
     for index, out_channels in enumerate(outputs):
         layers += _block(spec.block, f"{decoder}.{index}", in_channels, out_channels, size)
         size *= 2
+        if spec.block == "G" and decoder == "geometry":
+            name = f"{decoder}.{index}.gain"
+            layers.append(Layer("untied_gain", name, out_channels, out_channels, size))
         in_channels = out_channels
         if index + 1 < len(outputs):
             name = f"{decoder}.{index}.out"
@@ -134,13 +138,10 @@ def _block(block: str, prefix: str, c_in: int, c_out: int, size: int) -> list[La
             Layer("leaky_relu", f"{prefix}.first_act", c_out, c_out, size),
             *_block("B", prefix, c_out, c_out, size),
         ]
-    layers = [
+    return [
         Layer("conv3", f"{prefix}.first", c_in, c_out, size),
         Layer("untied_bias", f"{prefix}.first_bias", c_out, c_out, size),
         Layer("leaky_relu", f"{prefix}.first_act", c_out, c_out, size),
         Layer("conv1", f"{prefix}.expand", c_out, 4 * c_out, size, has_bias=True),
         Layer("pixel_shuffle", f"{prefix}.shuffle", 4 * c_out, c_out, size * 2),
     ]
-    if block == "G":
-        layers.append(Layer("untied_gain", f"{prefix}.gain", c_out, c_out, size * 2))
-    return layers

@@ -54,7 +54,7 @@ class TrainOptions:
     (--start-from)."""
     start_from: Path | None = None
     """Folder of another run whose weights to start from."""
-    block: Literal["B", "H2", "C"] | None = None
+    block: Literal["B", "H2", "C", "G"] | None = None
     """Block of the decoders, if not the preset's."""
     encoder: Literal["light", "paper"] | None = None
     """Encoder, if not the preset's."""

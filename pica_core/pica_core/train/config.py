@@ -30,8 +30,8 @@ class ModelConfig:
 
     variant: str = "full"
     """Which model of the paper's tables (`VARIANTS`)."""
-    block: str = "C"
-    """Block of the per-object decoders: B, H2 or C."""
+    block: str = "G"
+    """Block of the per-object decoders: B, H2, C or G (docs/training.md has the reason)."""
     encoder: str = "light"
     """"paper" (161.7 G multiply-adds a frame) or "light"."""
     uv_encoding_size: int = 512
@@ -116,15 +116,15 @@ class ScheduleConfig:
     """How much more often frames are drawn whose eyes or mouth lie far from their mean: 1 in
     proportion to that distance, 0 all frames alike (as the paper). A blink is a few frames of
     hundreds; drawn like the others it is not learned."""
-    geometry_steps: int = 1000
+    geometry_steps: int = 2400
     """Steps of the geometry phase."""
-    joint_steps: int = 1000
+    joint_steps: int = 1500
     """Steps of the joint phase."""
     driver_steps: int = 1000
     """Steps of the driver phase."""
-    geometry_batch: int = 8
-    """Frames per step of the geometry phase."""
-    joint_batch: int = 4
+    geometry_batch: int = 2
+    """Frames per step of the geometry phase: small batches and many steps learn fastest."""
+    joint_batch: int = 2
     """Images per step of the joint phase (paper 4)."""
     driver_batch: int = 32
     """Frames per step of the driver phase."""
@@ -268,7 +268,7 @@ PRESETS: dict[str, TrainConfig] = {
     "small": _SMALL,
     "long": replace(
         _SMALL,
-        schedule=replace(_SMALL.schedule, geometry_steps=2000, joint_steps=5500, driver_steps=3000),
+        schedule=replace(_SMALL.schedule, geometry_steps=6000, joint_steps=8000, driver_steps=3000),
     ),
 }
 PRESETS["lids"] = replace(
@@ -277,7 +277,9 @@ PRESETS["lids"] = replace(
         _SMALL.schedule,
         frame_balance=1.5,
         geometry_steps=2200,
+        geometry_batch=8,
         joint_steps=600,
+        joint_batch=4,
         driver_steps=1200,
         joint_rate=1e-3,
         pixel_rate=1e-3,
@@ -289,7 +291,9 @@ PRESETS["refine"] = replace(
     schedule=replace(
         _SMALL.schedule,
         geometry_steps=800,
+        geometry_batch=8,
         joint_steps=2500,
+        joint_batch=4,
         driver_steps=2500,
         geometry_rate=2e-3,
         joint_rate=1.5e-3,
