@@ -33,8 +33,8 @@ class Layer:
 
     Tensor shapes, float32, torch's layout: conv weight ``[out, in, k, k]`` and bias ``[out]``;
     deconv weight ``[in, out, 4, 4]`` and bias ``[out]`` (padding 1); untied_bias and untied_gain
-    ``{name}.weight`` ``[out, size, size]``. A convolution directly before an untied bias has no bias of its own:
-    `has_bias` is False.
+    ``{name}.weight`` ``[out, size, size]``. A convolution directly before an untied bias has no
+    bias of its own: `has_bias` is False.
     """
 
     kind: LayerKind
