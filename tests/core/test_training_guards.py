@@ -13,7 +13,6 @@ import pytest
 import torch
 
 from pica_core.capture.dataset import Capture
-from pica_core.capture.synth import StageOptions, render_capture
 from pica_core.errors import CheckpointError, TrainingDivergedError, TrainingMemoryError
 from pica_core.train.checkpoint import read_checkpoint, write_checkpoint
 from pica_core.train.config import PAPER_LOSSES, PRESETS, LossConfig, TrainConfig
@@ -25,6 +24,7 @@ from pica_core.train.monitor import Monitor
 from pica_core.train.profile import profile_steps
 from pica_core.train.recipes import RECIPES
 from pica_core.train.stopwatch import PARTS
+from small_capture import render_small
 
 pytestmark = pytest.mark.train
 
@@ -39,12 +39,7 @@ def _one_thread() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("capture")
-    options = StageOptions(
-        frames=6, cameras=2, width=64, height=64, texture_size=64, bake_size=256, self_shadow=False
-    )
-    render_capture(options, folder)
-    return folder
+    return render_small(tmp_path_factory.mktemp("capture"))
 
 
 @pytest.fixture(scope="module")

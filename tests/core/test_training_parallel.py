@@ -15,13 +15,13 @@ import torch
 
 import train_part
 from pica_core.capture.dataset import Capture
-from pica_core.capture.synth import StageOptions, render_capture
 from pica_core.errors import TrainingOptionError
 from pica_core.train.checkpoint import read_checkpoint
 from pica_core.train.config import PAPER_LOSSES, PRESETS, TrainConfig
 from pica_core.train.data import TrainingData
 from pica_core.train.loop import open_trainer
 from pica_core.train.parallel import Ranks, open_ranks
+from small_capture import render_small
 
 pytestmark = pytest.mark.train
 
@@ -55,11 +55,7 @@ def free_port() -> int:
 
 
 def test_two_processes_train_as_one_with_the_doubled_batch(tmp_path: Path) -> None:
-    capture = tmp_path / "capture"
-    options = StageOptions(
-        frames=6, cameras=2, width=64, height=64, texture_size=64, bake_size=256, self_shadow=False
-    )
-    render_capture(options, capture)
+    capture = render_small(tmp_path / "capture")
     shared = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port())}
     command = [sys.executable, train_part.__file__, str(capture), str(tmp_path / "two")]
     parts = [

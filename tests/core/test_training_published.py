@@ -20,7 +20,7 @@ from pica_core.train.evaluate import evaluate
 from pica_core.train.loop import open_trainer
 from published_capture import SEGMENTS, write_original
 
-pytestmark = pytest.mark.unit
+pytestmark = pytest.mark.train
 
 TINY = PRESETS["tiny"]
 CONFIG = replace(

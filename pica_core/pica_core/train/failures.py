@@ -21,6 +21,7 @@ from pica_core.errors import TrainingDivergedError
 from pica_core.train.config import PAPER_LOSSES, TrainConfig
 from pica_core.train.data import FloatArray, TrainingData
 from pica_core.train.loop import open_trainer
+from pica_core.train.monitor import curve
 from pica_core.train.watch import look
 
 OUTLIER_RATIO = 0.3
@@ -123,9 +124,10 @@ def run_failures(
         seeds: Of weights and batches.
 
     Yields:
-        Rows of {failure, seed, steps, diverged, mse, vertex_error_mm, code_deviation, rollbacks,
-        reach_3_sigma_mm, reach_6_sigma_mm}: held-out error, deviation of the training codes' values
-        (KL pulls it to 1), and how far the face goes at codes far out; None after divergence.
+        Rows of {failure, seed, curve, steps, diverged, mse, vertex_error_mm, code_deviation,
+        rollbacks, reach_3_sigma_mm, reach_6_sigma_mm}: looks at held-out frames ({step, seconds,
+        mse} each), held-out error, deviation of the training codes' values (KL pulls it to 1), and
+        how far the face goes at codes far out; None after divergence.
     """
     for name in names:
         for seed in seeds:
@@ -145,6 +147,7 @@ def _run(data: TrainingData, config: TrainConfig, run: Path, failure: Failure) -
                 trainer.run()
         except TrainingDivergedError:
             row["diverged"] = True
+        row["curve"] = curve(run)
         row |= {"steps": trainer.step, "rollbacks": trainer.rollbacks}
         if row["diverged"]:
             return row

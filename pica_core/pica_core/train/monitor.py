@@ -15,6 +15,8 @@ from PIL import Image
 
 logger = logging.getLogger(__name__)
 
+METRICS = "metrics.jsonl"
+
 
 class Monitor:
     """Writes ``metrics.jsonl`` and ``pictures/STEP.png`` into a run's folder, and the same into
@@ -27,7 +29,7 @@ class Monitor:
 
     def __init__(self, run_dir: Path, *, is_silent: bool = False) -> None:
         self._run_dir = run_dir
-        self._file = None if is_silent else (run_dir / "metrics.jsonl").open("a")
+        self._file = None if is_silent else (run_dir / METRICS).open("a")
         self._board: Any = None
         if not is_silent:
             self._board = _open_board(run_dir / "board")
@@ -74,3 +76,13 @@ def _open_board(folder: Path) -> Any:
     from torch.utils.tensorboard import SummaryWriter
 
     return SummaryWriter(folder)
+
+
+def curve(run_dir: Path) -> list[dict[str, Any]]:
+    """What the looks at held-out frames found, {step, seconds, mse}, oldest first."""
+    rows = [json.loads(line) for line in (run_dir / METRICS).read_text().splitlines()]
+    return [
+        {key: row[key] for key in ("step", "seconds", "mse")}
+        for row in rows
+        if row["kind"] == "held_out"
+    ]

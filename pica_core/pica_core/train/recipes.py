@@ -6,7 +6,6 @@ the points of their curves; a curve is honest only if nothing else ran on the ma
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any
 from pica_core.train.config import PAPER_LOSSES, LossConfig, ScheduleConfig, TrainConfig
 from pica_core.train.data import TrainingData
 from pica_core.train.loop import open_trainer
+from pica_core.train.monitor import curve
 
 Recipe = Callable[[TrainConfig], TrainConfig]
 
@@ -27,8 +27,24 @@ def _losses(change: Callable[[LossConfig], LossConfig]) -> Recipe:
     return lambda config: replace(config, losses=change(config.losses))
 
 
+def _model(**changes: Any) -> Recipe:
+    return lambda config: replace(config, model=replace(config.model, **changes))
+
+
 RECIPES: dict[str, Recipe] = {
     "as_is": lambda config: config,
+    "block_C": _model(block="C"),
+    "block_H2": _model(block="H2"),
+    "large_batches": _schedule(
+        lambda schedule: replace(
+            schedule,
+            geometry_batch=4 * schedule.geometry_batch,
+            geometry_steps=schedule.geometry_steps // 4,
+            joint_batch=2 * schedule.joint_batch,
+            joint_steps=schedule.joint_steps // 2,
+        )
+    ),
+    "no_texture_at_start": _model(texture_contrast=0.0),
     "all_at_once": _schedule(
         lambda schedule: replace(
             schedule,
@@ -40,9 +56,7 @@ RECIPES: dict[str, Recipe] = {
         lambda losses: replace(losses, region_weight=1.0, lid_weight=1.0)
     ),
     "all_frames_alike": _schedule(lambda schedule: replace(schedule, frame_balance=0.0)),
-    "encodings_from_one": lambda config: replace(
-        config, model=replace(config.model, encoding_amplitude=1.0)
-    ),
+    "papers_start": _model(encoding_amplitude=1.0, texture_contrast=0.0),
     "papers_rates": _schedule(
         lambda schedule: replace(
             schedule, joint_rate=1e-3, pixel_rate=1e-3, encoding_rate=1e-3, constant_rate=True
@@ -58,6 +72,7 @@ RECIPES: dict[str, Recipe] = {
     ),
     "silhouettes": _losses(lambda losses: replace(losses, edge=1.0)),
     "all_pixels": _schedule(lambda schedule: replace(schedule, pixels_per_image=0)),
+    "tracked_meshes": lambda config: replace(config, mesh_source="tracked"),
 }
 """all_at_once takes about the same time: a step without images costs a third of one with them."""
 
@@ -86,8 +101,5 @@ def run_recipes(
             run = folder / f"{name}-{seed}"
             with open_trainer(data, replace(RECIPES[name](config), seed=seed), run) as trainer:
                 trainer.run()
-            for line in (run / "metrics.jsonl").read_text().splitlines():
-                row = json.loads(line)
-                if row["kind"] == "held_out":
-                    values = {key: row[key] for key in ("step", "seconds", "mse")}
-                    yield {"recipe": name, "seed": seed, **values}
+            for point in curve(run):
+                yield {"recipe": name, "seed": seed, **point}
