@@ -18,6 +18,8 @@ from chart_models import chart_models
 from chart_playout import chart_playout
 from chart_receiver import chart_receiver
 from chart_relay import chart_relay
+from chart_tables import chart_tables
+from chart_training import chart_failures, chart_recipes
 
 CHARTS: dict[str, Callable[[], None]] = {
     "playout": chart_playout,
@@ -26,6 +28,9 @@ CHARTS: dict[str, Callable[[], None]] = {
     "relay": chart_relay,
     "receiver": chart_receiver,
     "models": chart_models,
+    "tables": chart_tables,
+    "recipes": chart_recipes,
+    "failures": chart_failures,
 }
 
 

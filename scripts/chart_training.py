@@ -1,0 +1,161 @@
+"""Ways to train against each other, and runs spoilt on purpose: curves of held-out error."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from statistics import median
+
+import matplotlib.pyplot as plt
+from charting import (
+    COLOURS,
+    ROOT,
+    Line,
+    Row,
+    fill_in,
+    markdown_table,
+    plain_ticks,
+    read_lines,
+    save,
+    source_line,
+)
+from matplotlib.figure import Figure
+
+PAGE = ROOT / "docs" / "training.md"
+STYLES = ("-", "--", ":")
+PANEL_COLUMNS = 3
+UNSPOILT = "nothing"
+
+
+def chart_recipes() -> None:
+    """The newest curves of each recipe."""
+    if lines := read_lines("recipes"):
+        rows = newest(lines, "recipe")
+        save(_draw_recipes(rows, lines[-1]), "recipes")
+        text = "![error against seconds of training, by recipe](results/recipes.svg)"
+        fill_in(PAGE, "recipes", f"{text}\n\n{_recipe_table(rows)}")
+
+
+def chart_failures() -> None:
+    """The newest curves of each failure."""
+    if lines := read_lines("failures"):
+        rows = newest(lines, "failure")
+        save(_draw_failures(rows, lines[-1]), "failures")
+        text = "![error of spoilt runs over their steps](results/failures.svg)"
+        fill_in(PAGE, "failures", f"{text}\n\n{_failure_table(rows)}")
+
+
+def newest(lines: Iterable[Line], key: str) -> list[Row]:
+    """Rows by name; what a later line measures again replaces what an earlier one has."""
+    found: dict[str, list[Row]] = {}
+    for line in lines:
+        rows = line["result"]["rows"]
+        for name in dict.fromkeys(row[key] for row in rows):
+            found[name] = [row for row in rows if row[key] == name]
+    return [row for rows in found.values() for row in rows]
+
+
+def _draw_recipes(rows: Sequence[Row], line: Line) -> Figure:
+    figure, axis = plt.subplots(figsize=(7.2, 4.6), layout="constrained")
+    names = list(dict.fromkeys(row["recipe"] for row in rows))
+    for number, name in enumerate(names):
+        for seed in sorted({row["seed"] for row in rows if row["recipe"] == name}):
+            points = [row for row in rows if (row["recipe"], row["seed"]) == (name, seed)]
+            axis.plot(
+                [row["seconds"] for row in points],
+                [row["mse"] for row in points],
+                color=COLOURS[number % len(COLOURS)],
+                linestyle=STYLES[number // len(COLOURS) % len(STYLES)],
+                linewidth=2.0 if name == "as_is" else 1.0,
+                label=name.replace("_", " ") if seed == 0 else None,
+            )
+    worst = max(_ends(rows, name) for name in names)
+    axis.set_yscale("log")
+    axis.set_ylim(top=4 * worst)  # before images are seen, colours are noise
+    plain_ticks(axis.yaxis)
+    axis.set_xlabel("seconds of training")
+    axis.set_ylabel("MSE, 0–255, held-out frames from the front")
+    axis.legend(frameon=False, fontsize=7, ncols=2)
+    figure.supxlabel(source_line(line), fontsize=6, color="#555555")
+    return figure
+
+
+def _ends(rows: Iterable[Row], name: str) -> float:
+    """The median over seeds of the last error of a recipe."""
+    last: dict[int, float] = {}
+    for row in rows:
+        if row["recipe"] == name:
+            last[row["seed"]] = row["mse"]
+    return median(last.values())
+
+
+def _recipe_table(rows: Sequence[Row]) -> str:
+    names = dict.fromkeys(row["recipe"] for row in rows)
+    lines = []
+    for name in sorted(names, key=lambda name: _ends(rows, name)):
+        own = [row for row in rows if row["recipe"] == name]
+        seconds = max(row["seconds"] for row in own)
+        lines.append([name.replace("_", " "), f"{seconds:.0f}", f"{_ends(rows, name):.1f}"])
+    return markdown_table(["recipe", "seconds", "MSE at the end"], lines)
+
+
+def _draw_failures(rows: Sequence[Row], line: Line) -> Figure:
+    """A panel for each failure; the runs that nothing spoils lie behind."""
+    names = [name for name in dict.fromkeys(row["failure"] for row in rows) if name != UNSPOILT]
+    height = math.ceil(len(names) / PANEL_COLUMNS)
+    figure, axes = plt.subplots(
+        height,
+        PANEL_COLUMNS,
+        figsize=(2.6 * PANEL_COLUMNS, 2.0 * height),
+        sharex=True,
+        sharey=True,
+        squeeze=False,
+        layout="constrained",
+    )
+    for axis in axes.flat[len(names) :]:
+        axis.remove()
+    for axis, name in zip(axes.flat, names, strict=False):
+        for row in rows:
+            if row["failure"] not in (name, UNSPOILT) or not row["curve"]:
+                continue
+            points = [(point["step"], point["mse"]) for point in row["curve"]]
+            colour = COLOURS[1] if row["failure"] == name else "#999999"
+            axis.plot(*zip(*points, strict=True), color=colour, linewidth=0.9)
+            if row["diverged"]:
+                axis.plot(*points[-1], "x", color=colour)
+        axis.set_title(name.replace("_", " "), fontsize=8)
+        axis.set_yscale("log")
+    ends = [row["mse"] for row in rows if row["mse"] is not None]
+    axes[0, 0].set_ylim(top=10 * max(ends))
+    plain_ticks(axes[0, 0].yaxis)
+    figure.supylabel("MSE, held-out frames from the front; grey: nothing spoilt", fontsize=8)
+    figure.supxlabel(f"step\n{source_line(line)}", fontsize=6, color="#555555")
+    return figure
+
+
+def _failure_table(rows: Sequence[Row]) -> str:
+    lines = []
+    for name in dict.fromkeys(row["failure"] for row in rows):
+        own = [row for row in rows if row["failure"] == name]
+        lines.append(
+            [
+                name.replace("_", " "),
+                f"{sum(row['diverged'] for row in own)} of {len(own)}",
+                _range(own, "mse", 1),
+                _range(own, "vertex_error_mm", 2),
+                _range(own, "code_deviation", 2),
+                _range(own, "reach_3_sigma_mm", 0),
+                _range(own, "reach_6_sigma_mm", 0),
+            ]
+        )
+    head = ["spoilt", "diverged", "MSE", "vertices, mm", "deviation of codes"]
+    return markdown_table([*head, "reach at 3 σ, mm", "at 6 σ, mm"], lines)
+
+
+def _range(rows: Iterable[Row], key: str, digits: int) -> str | None:
+    """Least and largest value over seeds."""
+    values = [row[key] for row in rows if row.get(key) is not None]
+    if not values:
+        return None
+    low, high = f"{min(values):.{digits}f}", f"{max(values):.{digits}f}"
+    return low if low == high else f"{low} to {high}"
