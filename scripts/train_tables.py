@@ -16,12 +16,12 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
+from claims import give_back, take
 
 from pica_core.capture.dataset import Capture
 from pica_core.train.config import PRESETS, TrainConfig
@@ -51,7 +51,7 @@ def main() -> None:
             note = {"capture": str(path.resolve()), "identity": data.capture.info.get("head")}
             (out / RUN_FILE).write_text(json.dumps(note) + "\n")
             train(data, config, out, shared_geometry(options.out, path.name, variant, block))
-            (out / "taken").unlink()
+            give_back(out)
 
 
 def read_options() -> Any:
@@ -86,17 +86,6 @@ def is_done(out: Path, config: TrainConfig) -> bool:
     """Whether a run has its steps."""
     path = out / "checkpoint.pt"
     return path.exists() and read_checkpoint(path)["step"] >= wanted_steps(config)
-
-
-def take(out: Path) -> bool:
-    """Claim a run; False if a process that still lives has it."""
-    out.mkdir(parents=True, exist_ok=True)
-    mark = out / "taken"
-    with suppress(FileNotFoundError, ValueError, ProcessLookupError):
-        os.kill(int(mark.read_text()), 0)
-        return False
-    mark.write_text(str(os.getpid()))
-    return True
 
 
 def shared_geometry(out: Path, capture: str, variant: str, block: str) -> Path | None:
