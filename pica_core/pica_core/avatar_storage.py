@@ -34,9 +34,9 @@ DEFAULT_STORAGE: Mapping[str, Storage] = MappingProxyType(
         "mesh.vertex_uv": "u16",
     }
 )
-"""How `save_avatar` stores these; decoder and encoder weights are fp16, gains 8 bits, the two SIRENs
-float32. A level's mean is stored like the full one, its weights per vertex in 8 bits, its bias in
-fp16, the rest of it in float32.
+"""How `save_avatar` stores these; decoder and encoder weights are fp16, gains 8 bits, the two
+SIRENs float32. A level's mean is stored like the full one, its weights per vertex in 8 bits, its
+bias in fp16, the rest of it in float32.
 
 8 bits over the range of a channel are 0.004 of that range; 16 bits over a head are 5 micrometres
 and over a UV 1/64 of a texel, where fp16 would be 60 micrometres and half a texel.
