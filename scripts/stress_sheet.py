@@ -1,0 +1,94 @@
+"""Draw a trained model where no training was: codes far out, grazing views, the mouth from near.
+
+    python scripts/stress_sheet.py runs/S1-full docs/results/stress.png
+
+Rows: codes of held-out frames; codes 3 and 6 deviations out, in random directions; views that
+graze the face; true and drawn pictures from 12 cm before the lips, where no camera stood.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from PIL import Image
+from torch import Tensor
+
+from pica_core.camera import Camera, look_at
+from pica_core.train.eval_judge import Judge, model_rasteriser
+from pica_core.train.eval_run import EvalLimits, build, open_run, prepare
+
+TILE_PX = 192
+COLUMNS = 6
+SIGMAS = (3.0, 6.0)
+GRAZING = ((86.0, 0.0), (-86.0, 0.0), (70.0, 40.0), (-70.0, -35.0), (0.0, 75.0), (0.0, -65.0))
+"""Azimuth towards the subject's left and elevation, degrees."""
+BACKGROUND = 40
+
+Picture = npt.NDArray[np.uint8]
+
+
+def main() -> None:
+    """Draw the sheet of a run."""
+    if len(sys.argv) != 3:
+        sys.exit(__doc__)
+    run = open_run(Path(sys.argv[1]))
+    limits = EvalLimits(frames=COLUMNS, geometry_frames=0, near_frames=COLUMNS // 2)
+    truth = prepare(run.capture, run.config.model.spec().map_size, limits)
+    data, model = truth.data, build(run, truth)
+    data.use_meshes(run.config.mesh_source)
+    with model_rasteriser(data.capture, model) as rasteriser:
+        judge = Judge(data, model, rasteriser)
+        codes = [judge.encode(frame) for frame in truth.frames]
+        front = camera(0.0, 0.0)
+        rows = [[draw(judge, code, front) for code in codes]]
+        rows += [[draw(judge, code, front) for code in far_codes(judge, sigma)] for sigma in SIGMAS]
+        rows.append([draw(judge, codes[0], camera(*angles)) for angles in GRAZING])
+        near = []
+        for frame, (view, image) in truth.near.images.items():
+            near += [image, draw(judge, judge.encode(frame), view)]
+        rows.append(near)
+    tiles = [[np.asarray(Image.fromarray(tile).resize((TILE_PX, TILE_PX))) for tile in row]
+             for row in rows if row]  # fmt: skip
+    sheet = np.concatenate([np.concatenate(pad(row), 1) for row in tiles])
+    Image.fromarray(sheet).quantize(256).save(sys.argv[2], optimize=True)
+
+
+def camera(azimuth: float, elevation: float) -> Camera:
+    """A metre away from the head."""
+    a, e = np.radians([azimuth, elevation])
+    target = np.array([0.0, -0.008, 0.02])
+    away = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
+    return look_at(
+        centre_m=target + away,
+        target_m=target,
+        vertical_fov=2 * np.arctan(0.5 * 0.32),
+        width=2 * TILE_PX,
+        height=2 * TILE_PX,
+    )
+
+
+def far_codes(judge: Judge, sigma: float) -> list[Tensor]:
+    """Codes `sigma` deviations of the training codes away from their mean, in every entry."""
+    known = torch.cat([judge.encode(frame) for frame in judge.data.train_frames[::4]])
+    mean, deviation = known.mean(0, keepdim=True), known.std(0, keepdim=True)
+    noise = torch.randn((COLUMNS, *mean.shape[1:]), generator=torch.Generator().manual_seed(0))
+    return list((mean + sigma * deviation * noise.sign())[:, None])
+
+
+def draw(judge: Judge, code: Tensor, view: Camera) -> Picture:
+    """The picture of a code on a plain background, uint8 ``[H, W, 3]``."""
+    plain = np.full((view.height, view.width, 3), BACKGROUND, np.uint8)
+    return judge.draw(code, view).on(plain).round().astype(np.uint8)
+
+
+def pad(row: list[Picture]) -> list[Picture]:
+    """A row of `COLUMNS` tiles."""
+    return row + [np.zeros_like(row[0])] * (COLUMNS - len(row))
+
+
+if __name__ == "__main__":
+    main()
