@@ -2,19 +2,49 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from charting import RESULTS, Line, fill_in, read_lines, source_line
 
-from pica_core.train.eval_tables import report
+from pica_core.train.eval_tables import TABLES, report
 
 PAGE = RESULTS / "tables.md"
 
 
 def chart_tables() -> None:
-    """The newest line of each table."""
-    newest: dict[int, Line] = {line["result"]["table"]: line for line in read_lines("tables")}
-    for number, line in sorted(newest.items()):
-        text = report(number, line["result"]).replace("# Table", "## Table", 1)
-        text = text.replace("\n## ", "\n### ")
-        machine = line["machine"]
-        source = f"{source_line(line)} · {machine['processor']}, Python {machine['python']}"
-        fill_in(PAGE, f"table {number}", f"{text.strip()}\n\n`{source}`")
+    """The newest evaluation of each person, in each table."""
+    lines = read_lines("tables")
+    for number in TABLES:
+        own = [line for line in lines if line["result"]["table"] == number]
+        if not own:
+            continue
+        used, result = merge(own)
+        text = report(number, result).replace("# Table", "## Table", 1)
+        text = text.replace("\n## ", "\n### ").strip()
+        sources = "\n\n".join(f"`{source_line(line)} · {_machine(line)}`" for line in used)
+        fill_in(PAGE, f"table {number}", f"{text}\n\n{sources}")
+
+
+def merge(lines: list[Line]) -> tuple[list[Line], dict[str, Any]]:
+    """Evaluations of several people as one; of one person the newest counts.
+
+    Returns:
+        The lines that something was taken of, and the whole.
+    """
+    newest = {
+        identity: line
+        for line in lines
+        for identity in dict.fromkeys(row["identity"] for row in line["result"]["rows"])
+    }
+    whole: dict[str, Any] = {"rows": [], "runs": [], "tracked_mesh": {}}
+    for identity, line in sorted(newest.items()):
+        result = line["result"]
+        for part in ("rows", "runs"):
+            whole[part] += [each for each in result[part] if each["identity"] == identity]
+        whole["tracked_mesh"][identity] = result["tracked_mesh"].get(identity, {})
+    return [line for line in lines if line in newest.values()], whole
+
+
+def _machine(line: Line) -> str:
+    machine = line["machine"]
+    return f"{machine['processor']}, {machine['cores']} cores, Python {machine['python']}"
