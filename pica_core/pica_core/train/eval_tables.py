@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from pica_core.train.eval_metrics import bootstrap_interval
 from pica_core.train.eval_truth import DEPTH_CAP_MM, NEAR_DISTANCE_M, REGIONS
 from pica_core.variants import TABLE_1, TABLE_2
 
@@ -75,6 +76,32 @@ def distribution_table(distributions: Mapping[Key, Rows], variants: Sequence[str
     return _table(["identity", "model", *head], lines)
 
 
+def paired_table(distributions: Mapping[Key, Rows], variants: Sequence[str]) -> str:
+    """How much worse than the full model each other one is, frame by frame: the interval of the
+    mean difference is narrower than those of the means, which share what makes a frame hard."""
+    lines = []
+    for key in _sorted(distributions, variants):
+        full = next((k for k in distributions if k[0] == key[0] and k[1] == "full"), None)
+        if full is None or key[1] == "full":
+            continue
+        known = {item["frame"]: item["mse"] for item in distributions[full]}
+        both = [item for item in distributions[key] if item["frame"] in known]
+        if not both:
+            continue
+        differences = [item["mse"] - known[item["frame"]] for item in both]
+        low, high = bootstrap_interval(differences)
+        worse = sum(difference > 0 for difference in differences)
+        lines.append(
+            [
+                key[0],
+                _label(key, distributions),
+                f"{np.mean(differences):+.2f} ({low:+.2f} to {high:+.2f})",
+                f"{worse} of {len(both)}",
+            ]
+        )
+    return _table(["identity", "model", "MSE above full's", "worse frames"], lines)
+
+
 def geometry_table(
     geometry: Mapping[Key, Mapping[str, float | None]],
     tracked: Mapping[str, Mapping[str, float | None]],
@@ -130,6 +157,9 @@ def report(number: int, result: Mapping[str, Any], commands: Iterable[str] = ())
         "## Over expressions",
         "MSE of single frames, mean over views, sorted.",
         distribution_table({key: run["distribution"] for key, run in runs.items()}, variants),
+        "## Against the full model",
+        "Frame by frame, mean over views; 95 % bootstrap interval of the mean difference.",
+        paired_table({key: run["distribution"] for key, run in runs.items()}, variants),
         "## Geometry",
         f"Mean depth error in mm (capped at {DEPTH_CAP_MM:g} mm) against the true mesh, at pixels "
         "that both cover, by region of the true mesh.",
