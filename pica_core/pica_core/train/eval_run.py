@@ -19,6 +19,7 @@ from pica_core.train.data import TrainingData
 from pica_core.train.eval_judge import Judge, model_rasteriser
 from pica_core.train.eval_metrics import mse, psnr_db
 from pica_core.train.eval_truth import (
+    NOT_ASKED,
     DepthErrors,
     NearField,
     TrueView,
@@ -150,7 +151,7 @@ def prepare(capture: Path, map_size: int, limits: EvalLimits) -> CaptureTruth:
     if some and data.capture.has_truth:
         views = true_views(data, some)
         tracked = tracked_errors(data, some, views).means_mm()
-    near = NearField(skipped="not asked for")
+    near = NearField(skipped=NOT_ASKED)
     if limits.near_frames:
         near = near_field(data, _some(frames, limits.near_frames))
     return CaptureTruth(data=data, frames=frames, views=views, near=near, tracked_mm=tracked)

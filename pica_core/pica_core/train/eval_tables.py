@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pica_core.train.eval_metrics import bootstrap_interval
-from pica_core.train.eval_truth import DEPTH_CAP_MM, NEAR_DISTANCE_M, REGIONS
+from pica_core.train.eval_truth import DEPTH_CAP_MM, NEAR_DISTANCE_M, NOT_ASKED, REGIONS
 from pica_core.variants import TABLE_1, TABLE_2
 
 Rows = Sequence[Mapping[str, Any]]
@@ -160,18 +160,39 @@ def report(number: int, result: Mapping[str, Any], commands: Iterable[str] = ())
         "## Against the full model",
         "Frame by frame, mean over views; 95 % bootstrap interval of the mean difference.",
         paired_table({key: run["distribution"] for key, run in runs.items()}, variants),
-        "## Geometry",
-        f"Mean depth error in mm (capped at {DEPTH_CAP_MM:g} mm) against the true mesh, at pixels "
-        "that both cover, by region of the true mesh.",
-        geometry_table(
-            {key: run["geometry"] for key, run in runs.items()}, result["tracked_mesh"], variants
-        ),
-        "## Near field",
-        f"From {100 * NEAR_DISTANCE_M:g} cm in front of the lips, where no camera stood.",
-        near_table({key: run["near"] for key, run in runs.items()}, variants),
+        *(_geometry_part(runs, result["tracked_mesh"], variants)),
+        *(_near_part(runs, variants)),
         *(f"`{command}`" for command in commands),
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def _geometry_part(
+    runs: Mapping[Key, Mapping[str, Any]],
+    tracked: Mapping[str, Mapping[str, float | None]],
+    variants: Sequence[str],
+) -> list[str]:
+    """Nothing where geometry was not measured."""
+    if not any(run["geometry"] for run in runs.values()):
+        return []
+    return [
+        "## Geometry",
+        f"Mean depth error in mm (capped at {DEPTH_CAP_MM:g} mm) against the true mesh, at pixels "
+        "that both cover, by region of the true mesh.",
+        geometry_table({key: run["geometry"] for key, run in runs.items()}, tracked, variants),
+    ]
+
+
+def _near_part(runs: Mapping[Key, Mapping[str, Any]], variants: Sequence[str]) -> list[str]:
+    """Nothing where nobody asked for it."""
+    near = {key: run["near"] for key, run in runs.items()}
+    if all(found.get("skipped") == NOT_ASKED for found in near.values()):
+        return []
+    return [
+        "## Near field",
+        f"From {100 * NEAR_DISTANCE_M:g} cm in front of the lips, where no camera stood.",
+        near_table(near, variants),
+    ]
 
 
 _MEANS = (("mse", 2), ("psnr_db", 2), ("ssim", 4))

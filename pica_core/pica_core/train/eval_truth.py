@@ -32,6 +32,8 @@ DEPTH_CAP_MM = 20.0
 REGIONS = ("mouth", "eyes", "rest")
 _REST = len(REGIONS) - 1
 _NOTHING = 255
+NOT_ASKED = "not asked for"
+"""Why there is no near field, if nobody wanted one."""
 NEAR_DISTANCE_M = 0.12
 """From the lips to the camera (chosen: the paper's user at 18 cm sees the face fill the screen)."""
 NEAR_DIRECTION = (0.25, -0.12, 1.0)
