@@ -1,0 +1,46 @@
+"""Models that decode the same mesh go through the same geometry phase, whatever they draw on it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from pica_core.capture.dataset import Capture
+from pica_core.train.config import PRESETS
+from pica_core.train.data import TrainingData
+from pica_core.train.loop import open_trainer
+from small_capture import render_small
+
+pytestmark = pytest.mark.train
+
+TINY = PRESETS["tiny"]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_thread() -> Iterator[None]:
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+def test_encodings_leave_the_geometry_phase_alone_bit_for_bit(tmp_path: Path) -> None:
+    data = TrainingData(Capture.open(render_small(tmp_path / "capture")), 256)
+    schedule = replace(TINY.schedule, geometry_steps=3, joint_steps=0, driver_steps=0)
+    states = []
+    for variant in ("full", "no_uv", "pe_1d", "nerf_pe"):
+        config = replace(
+            TINY, schedule=schedule, model=replace(TINY.model, variant=variant), seed=5
+        )
+        with open_trainer(data, config, tmp_path / variant) as trainer:
+            trainer.run()
+            states.append(trainer.model.state_dict())
+
+    shape = [name for name in states[0] if name.startswith(("encoder.", "geometry."))]
+    assert len(shape) > 20
+    for state in states[1:]:
+        assert all(torch.equal(state[name], states[0][name]) for name in shape)
