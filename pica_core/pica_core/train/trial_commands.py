@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -75,31 +75,40 @@ class TrialOptions:
 
 def bench_recipes(options: TrialOptions) -> dict[str, Any]:
     """Train with each recipe and give held-out error against seconds of training."""
-    names = options.chosen(RECIPES)
-    with tempfile.TemporaryDirectory() as folder:
-        rows = []
-        data = _open(options)
-        for row in run_recipes(
-            data, options.config(), options.out or Path(folder), names, range(options.seeds)
-        ):
-            rows.append(row)
-            told = f"{row['recipe']} {row['seed']}: {row['seconds']:.0f} s, MSE {row['mse']:.1f}"
-            print(told, file=sys.stderr)
-    return _result(options, data, rows)
+    return _trial(
+        options,
+        RECIPES,
+        run_recipes,
+        lambda row: f"{row['recipe']} {row['seed']}: {row['seconds']:.0f} s, MSE {row['mse']:.1f}",
+    )
 
 
 def bench_failures(options: TrialOptions) -> dict[str, Any]:
     """Spoil runs on purpose and say what comes of it."""
-    names = options.chosen(FAILURES)
+
+    def told(row: dict[str, Any]) -> str:
+        end = "diverged" if row["diverged"] else f"MSE {row['mse']:.1f}"
+        return f"{row['failure']} {row['seed']}: {end}"
+
+    return _trial(options, FAILURES, run_failures, told)
+
+
+def _trial(
+    options: TrialOptions,
+    known: Iterable[str],
+    run: Callable[..., Iterator[dict[str, Any]]],
+    told: Callable[[dict[str, Any]], str],
+) -> dict[str, Any]:
+    """Do the runs that are asked for, saying of each row what `told` makes of it."""
+    names = options.chosen(known)
     with tempfile.TemporaryDirectory() as folder:
         rows = []
         data = _open(options)
-        for row in run_failures(
+        for row in run(
             data, options.config(), options.out or Path(folder), names, range(options.seeds)
         ):
             rows.append(row)
-            end = "diverged" if row["diverged"] else f"MSE {row['mse']:.1f}"
-            print(f"{row['failure']} {row['seed']}: {end}", file=sys.stderr)
+            print(told(row), file=sys.stderr)
     return _result(options, data, rows)
 
 
