@@ -68,14 +68,15 @@ class Relay:
         config: RelayConfig,
         *,
         unix_time: Callable[[], float] = time.time,
-        processor_time: Callable[[], float] = time.thread_time,
+        processor_time: Callable[[], float] | None = None,
     ) -> None:
         """Prepare to listen.
 
         Args:
             config: Where, and the limits.
             unix_time: The clock that tokens are checked against.
-            processor_time: What the event loop's thread has used of its core until now, seconds.
+            processor_time: What the event loop's thread has used of its core until now, seconds;
+                `time.thread_time` by default.
         """
         self.config = config
         keys: KeyRing | None = None if config.keys is None else load_keys(config.keys)
@@ -129,7 +130,7 @@ class Relay:
         self._server: Server | None = None
         self._cluster: Cluster | None = None
         self._watch = LoopWatch()
-        self._processor_time = processor_time
+        self._processor_time = processor_time or time.thread_time
         self._pages = StatusPages(self.hub, self._watch, config, self.store)
         self._watching: asyncio.TimerHandle | None = None
 

@@ -186,7 +186,7 @@ def test_a_webhook_that_fails_hangs_and_comes_back_hears_all_of_it_in_order(
 ) -> None:
     @in_virtual_time
     async def hold() -> None:
-        relay_with_hooks = Relay(webhook(tmp_path, timeout_s=2.0), processor_time=lambda: 0.0)
+        relay_with_hooks = Relay(webhook(tmp_path, timeout_s=2.0))
         async with relay_with_hooks as relay:
             async with peer_in_room(URL, "Ada") as ada, peer_in_room(URL, "Bob") as bob:
                 await asyncio.sleep(10)  # nobody listens

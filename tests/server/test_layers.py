@@ -200,7 +200,7 @@ async def test_a_slow_reader_of_a_layered_stream_gets_fewer_frames_that_it_can_d
     network.route("modem", down=Link(rate_bps=8_000, window_bytes=2048))
     config = RelayConfig(slow_keyframe_interval_s=2.0)
     async with (
-        Relay(config, processor_time=lambda: 0.0) as relay,
+        Relay(config) as relay,
         peer_in_room(URL, "Fast", tracks=()) as fast,
         peer_in_room("ws://modem:8765", "Slow", tracks=()) as slow,
         publishing(seconds=60, num_bytes=40) as ada,  # 13.4 kbit/s with headers

@@ -140,7 +140,7 @@ async def test_a_slow_reader_gets_fewer_but_fresh_frames_and_costs_nobody_else_a
     network = current_network()
     network.route("modem", down=Link(rate_bps=16_000, window_bytes=2048))
     async with (
-        Relay(RelayConfig(), processor_time=lambda: 0.0) as relay,
+        Relay(RelayConfig()) as relay,
         peer_in_room(URL, "Ada") as ada,
         peer_in_room("ws://modem:8765", "Slow", tracks=()) as slow,
         peer_in_room(URL, "Fast", tracks=()) as fast,
@@ -164,7 +164,7 @@ async def test_a_reader_that_stops_is_closed_and_nobody_else_notices() -> None:
     current_network().route("stuck", down=Link(window_bytes=2048))
     config = RelayConfig(stall_timeout_s=5, close_timeout_s=1)
     async with (
-        Relay(config, processor_time=lambda: 0.0) as relay,
+        Relay(config) as relay,
         peer_in_room(URL, "Ada") as ada,
         peer_in_room(URL, "Bob", tracks=()) as bob,
         peer_in_room("ws://stuck:8765", "Stuck", tracks=()) as stuck,
@@ -339,7 +339,7 @@ async def test_a_fast_publisher_does_not_keep_the_others_waiting() -> None:
 async def test_a_publisher_at_a_hundred_times_its_rate_is_closed_and_nobody_else_notices() -> None:
     async with (
         # The thread's real processor time is no part of a time that is not real.
-        Relay(RelayConfig(), processor_time=lambda: 0.0) as relay,
+        Relay(RelayConfig()) as relay,
         peer_in_room(URL, "Ada") as ada,
         peer_in_room(URL, "Bob", tracks=()) as bob,
         peer_in_room(URL, "Flood") as flood,

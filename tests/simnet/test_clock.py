@@ -1,4 +1,5 @@
 import asyncio
+import time
 
 import pytest
 
@@ -20,6 +21,14 @@ async def test_an_hour_of_sleep_ends_at_exactly_one_hour() -> None:
         await asyncio.sleep(1)
     await asyncio.sleep(0.1 + 0.2)
     assert now() == 3599.3
+
+
+@in_virtual_time
+async def test_work_takes_no_time_of_the_processor_either() -> None:
+    begin_s, begin_real_s = time.thread_time(), time.process_time()
+    while time.process_time() < begin_real_s + 0.02:
+        pass
+    assert time.thread_time() == begin_s
 
 
 def test_waiting_for_nothing_fails_instead_of_hanging() -> None:
