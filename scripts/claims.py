@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
-import os
-from contextlib import suppress
+import fcntl
 from pathlib import Path
+from typing import IO
 
 MARK = "taken"
 
+_held: dict[Path, IO[str]] = {}
+
 
 def take(folder: Path) -> bool:
-    """Claim a folder, made if missing; False if a process that still lives has it."""
+    """Claim a folder, made if missing; False if another process has it.
+
+    A process that ends, however it does, gives back what it has.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    mark = folder / MARK
-    with suppress(FileNotFoundError, ValueError, ProcessLookupError):
-        os.kill(int(mark.read_text()), 0)
+    mark = (folder / MARK).open("w")
+    try:
+        fcntl.flock(mark, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        mark.close()
         return False
-    mark.write_text(str(os.getpid()))
+    _held[folder] = mark
     return True
 
 
 def give_back(folder: Path) -> None:
     """The work on a folder has ended."""
-    (folder / MARK).unlink(missing_ok=True)
+    _held.pop(folder).close()

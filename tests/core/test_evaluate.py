@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
@@ -45,7 +44,7 @@ from pica_core.train.loop import open_trainer
 from pica_core.train.prior import face_prior
 from pica_core.variants import VARIANTS
 
-pytestmark = pytest.mark.train
+pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
 VARIANTS_HERE = ("full", "baseline", "coarse")
 STAGE = StageOptions(
@@ -58,14 +57,6 @@ STAGE = StageOptions(
     self_shadow=False,
     tracked_vertices=400,
 )
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _one_thread() -> Iterator[None]:
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
 
 
 @pytest.fixture(scope="module")

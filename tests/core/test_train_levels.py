@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,7 @@ from pica_core.train.levels import LevelOptions, LevelReport, add_levels
 from pica_core.train.simplify import Simplifier, boundary_edges, weld
 from toy import grid_faces, make_toy_avatar, with_toy_levels
 
-pytestmark = pytest.mark.train
+pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
 Array = np.ndarray[Any, Any]
 
@@ -38,14 +37,6 @@ QUICK = LevelOptions(
     faces=64, rounds=1, points=500, mesh_ratios=(0.3, 0.6), texels=(2, 2), check_faces=4
 )
 SHIPPED = Path(str(resources.files("pica_core"))) / "avatars" / "ines.pica"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _one_thread() -> Iterator[None]:
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
 
 
 @functools.cache

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,18 +26,10 @@ from pica_core.train.loop import Trainer, open_trainer, rate_ratio, read_checkpo
 from pica_core.train.losses import DEPTH_LIMIT_M, depth_loss, depth_mask
 from pica_core.train.watch import look
 
-pytestmark = pytest.mark.train
+pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
 LEARNED_FACTOR = 8.0
 """How far the held-out error must fall in the smallest preset (seen: more than 20)."""
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _one_thread() -> Iterator[None]:
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
 
 
 @pytest.fixture(scope="module")
