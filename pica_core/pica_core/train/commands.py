@@ -32,6 +32,7 @@ from pica_core.train.export import make_avatar, make_baseline
 from pica_core.train.level_commands import describe
 from pica_core.train.levels import LevelReport, add_levels
 from pica_core.train.loop import Losses, Trainer, open_trainer, read_checkpoint
+from pica_core.train.model_card import EVALUATION_FILE, model_card
 from pica_core.train.parallel import Ranks, open_ranks
 from pica_core.train.stream_metric import make_stream_profile
 
@@ -142,7 +143,7 @@ def train(options: TrainOptions) -> dict[str, Any]:
             return {"rank": ranks.rank}
         rows = evaluate(trainer, max_frames=options.eval_frames)
         steps = trainer.step
-    (options.out / "evaluation.json").write_text(json.dumps(rows, indent=1) + "\n")
+    (options.out / EVALUATION_FILE).write_text(json.dumps(rows, indent=1) + "\n")
     result = {
         "steps": steps,
         "mse": mean_mse(rows, "encoder"),
@@ -175,17 +176,6 @@ def export(options: ExportOptions) -> dict[str, Any]:
             save_baseline(options.out, make_baseline(model, data))
             return _written(options.out)
         assert isinstance(model, PixelCodecAvatar)
-        card = {
-            "capture": str(data.capture.info["source"]),
-            "training": f"{trainer.step} of {trainer.total_steps} steps, seed {config.seed}",
-            "variant": config.model.variant,
-            "block": config.model.block,
-            "encoder": config.model.encoder,
-        }
-        evaluation = options.run / "evaluation.json"
-        if evaluation.exists():
-            error = mean_mse(json.loads(evaluation.read_text()), "driver")
-            card["held_out_mse"] = f"{error:.1f} (0-255, from ARKit values)"
         stream = None
         if options.stream:
             print("learning the latent stream", file=sys.stderr)
@@ -202,7 +192,7 @@ def export(options: ExportOptions) -> dict[str, Any]:
             name=options.name,
             identity=str(data.capture.info["head"]),
             licence=options.licence,
-            model_card=card,
+            model_card=model_card(trainer, options.run),
             variant=config.model.variant,
             stream=stream,
         )

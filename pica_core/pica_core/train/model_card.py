@@ -1,0 +1,56 @@
+"""What an avatar file says of its making: data, training, held-out error (the model card)."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from pica_core.train.data import TrainingData
+from pica_core.train.evaluate import mean_mse
+from pica_core.train.loop import Trainer
+
+EVALUATION_FILE = "evaluation.json"
+
+
+def model_card(trainer: Trainer, run: Path) -> dict[str, str]:
+    """Entries in words, for `pica avatar info` and whoever gets the file.
+
+    Args:
+        trainer: The model with what it was trained on.
+        run: Its folder; without an evaluation there nothing is said about errors.
+    """
+    model, data = trainer.config.model, trainer.data
+    seconds = f", {trainer.seconds / 60:.0f} minutes" if trainer.seconds >= 60 else ""
+    card = {
+        "capture": str(data.capture.info["source"]),
+        "frames": _frames(data),
+        "training": f"{trainer.step} of {trainer.total_steps} steps, seed {trainer.config.seed}"
+        + seconds,
+        "variant": model.variant,
+        "block": model.block,
+        "encoder": model.encoder,
+    }
+    path = run / EVALUATION_FILE
+    return card | (_errors(json.loads(path.read_text())) if path.exists() else {})
+
+
+def _frames(data: TrainingData) -> str:
+    camera = data.capture.cameras[0]
+    return (
+        f"{len(data.train_frames)} to train on, {len(data.test_frames)} held out, "
+        f"{len(data.capture.cameras)} cameras of {camera.width} x {camera.height}"
+    )
+
+
+def _errors(rows: list[dict[str, Any]]) -> dict[str, str]:
+    """What `evaluate` found, of the model's own encoder and of what a live sender runs."""
+    views = [f"{row['view']} {row['mse']:.1f}" for row in rows if row["source"] == "encoder"]
+    found = {
+        "held_out_mse": f"{mean_mse(rows):.1f} (0-255, rasterised pixels): {', '.join(views)}",
+        "vertex_error": f"{rows[0]['vertex_error_mm']:.2f} mm on average",
+    }
+    driven = mean_mse(rows, "driver")
+    if driven is not None:
+        found["held_out_mse_live"] = f"{driven:.1f}, sent from ARKit values"
+    return found
