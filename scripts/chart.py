@@ -12,6 +12,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
+from chart_avatars import chart_avatars
 from chart_calls import chart_impaired_call
 from chart_codec import chart_codec
 from chart_models import chart_models
@@ -29,6 +30,7 @@ CHARTS: dict[str, Callable[[], None]] = {
     "receiver": chart_receiver,
     "models": chart_models,
     "tables": chart_tables,
+    "avatars": chart_avatars,
     "recipes": chart_recipes,
     "failures": chart_failures,
 }
