@@ -11,7 +11,7 @@ from websockets.typing import Origin, Subprotocol
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.client_session import ClientSession
 from pica_protocol.codec import encode_message
-from pica_protocol.errors import CloseCode, LocalProtocolError
+from pica_protocol.errors import CloseCode
 from pica_protocol.frames import Frame
 from pica_protocol.messages import (
     Hello,
@@ -20,10 +20,9 @@ from pica_protocol.messages import (
     PeerBack,
     PeerJoined,
     PeerLeft,
-    Whisper,
 )
 from pica_protocol.session import Closed
-from pica_server.config import LimitsConfig, RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 from pica_server.tokens import Admission, KeyRing, load_keys, mint
 from simnet.clock import current_network, in_virtual_time
@@ -316,183 +315,6 @@ async def test_a_relay_stops_in_time_although_a_peer_does_not_read() -> None:
         await relay.__aexit__(None, None, None)
         assert now() - start == pytest.approx(2, abs=0.01)
         stuck.websocket.transport.abort()
-
-
-@in_virtual_time
-async def test_a_fast_publisher_does_not_keep_the_others_waiting() -> None:
-    limits = LimitsConfig(messages_per_s=1e6, bytes_per_s=1e9)
-    async with (
-        Relay(RelayConfig(limits=limits)),
-        peer_in_room(URL, "Flood") as flood,
-        peer_in_room(URL, "Ada") as ada,
-        peer_in_room(URL, "Bob", tracks=()) as bob,
-    ):
-        for _ in range(2000):
-            await flood.send_frame(b"x" * 1000)
-        await ada.send_frame(b"mine")
-        await asyncio.sleep(0.1)
-        own = ada.session.tracks[0].stream
-        assert [frame.payload for _, frame in bob.arrivals if frame.stream == own] == [b"mine"]
-
-
-@in_virtual_time
-async def test_a_publisher_at_a_hundred_times_its_rate_is_closed_and_nobody_else_notices() -> None:
-    async with (
-        # The thread's real processor time is no part of a time that is not real.
-        Relay(RelayConfig()) as relay,
-        peer_in_room(URL, "Ada") as ada,
-        peer_in_room(URL, "Bob", tracks=()) as bob,
-        peer_in_room(URL, "Flood") as flood,
-    ):
-        flooding = asyncio.create_task(flood.publish(num_frames=30_000, fps=3000))
-        await ada.publish(num_frames=60, fps=30)
-        await asyncio.sleep(0.001)
-        assert (await flood.until(Closed)).code == CloseCode.TOO_FAST
-        (ended,) = await asyncio.gather(flooding, return_exceptions=True)
-        assert isinstance(ended, LocalProtocolError)
-        own = ada.session.tracks[0].stream
-        delays_s = [at - f.captured_us / 1e6 for at, f in bob.arrivals if f.stream == own]
-        assert len(delays_s) == 60
-        assert max(delays_s) < 0.001
-        assert relay.stats()["limits_hit"] == {"messages": 1}
-
-
-@in_virtual_time
-async def test_sockets_that_never_speak_do_not_pile_up_and_free_their_places() -> None:
-    loop = asyncio.get_running_loop()
-    config = RelayConfig(handshake_timeout_s=3, limits=LimitsConfig(handshakes=10))
-    async with Relay(config) as relay, peer_in_room(URL, "Ada") as ada:
-        lost = []
-
-        class Mute(asyncio.Protocol):
-            def connection_lost(self, exc: Exception | None) -> None:
-                lost.append(now())
-
-        for _ in range(50):
-            await loop.create_connection(Mute, "relay", 8765)
-        await asyncio.sleep(0.1)
-        assert len(lost) == 40
-        assert relay.stats()["limits_hit"] == {"sockets": 40}
-        await asyncio.sleep(3)
-        assert len(lost) == 50
-        async with peer_in_room(URL, "Bob"):
-            assert len(ada.session.peers) == 1
-
-
-@in_virtual_time
-async def test_a_relay_that_stops_does_not_wait_for_sockets_that_say_nothing() -> None:
-    loop = asyncio.get_running_loop()
-    async with Relay(RelayConfig(handshake_timeout_s=300)):
-        for _ in range(50):
-            await loop.create_connection(asyncio.Protocol, "relay", 8765)
-        await asyncio.sleep(1)
-        stops_s = now()
-    assert now() - stops_s < 1
-
-
-@in_virtual_time
-async def test_two_frames_that_come_together_both_reach_a_reader_that_keeps_up() -> None:
-    async with (
-        Relay(RelayConfig()),
-        peer_in_room(URL, "Ada") as ada,
-        peer_in_room(URL, "Bob", tracks=()) as bob,
-    ):
-        await ada.send_frame(b"one")
-        await ada.send_frame(b"two")
-        await asyncio.sleep(0.001)
-        assert [frame.payload for _, frame in bob.arrivals] == [b"one", b"two"]
-
-
-@in_virtual_time
-async def test_under_load_frames_share_messages_and_wait_no_longer_than_the_window() -> None:
-    async def messages_per_frame(busy_ratio: float, phase_s: float) -> tuple[float, float]:
-        config = RelayConfig(coalesce_above_busy=0.8, coalesce_longest_s=0.008)
-        async with (
-            Relay(config, processor_time=lambda: busy_ratio * now()) as relay,
-            peer_in_room(URL, "Ada") as ada,
-            peer_in_room(URL, "Bob") as bob,
-            peer_in_room(URL, "Cyd", tracks=()) as cyd,
-        ):
-            await asyncio.sleep(2.0)  # the window opens within a second
-            start = now()
-            for i in range(90):
-                for peer, offset_s in ((ada, 0.0), (bob, phase_s)):
-                    await asyncio.sleep(start + i / 30 + offset_s - now())
-                    await peer.send_frame(b"x")
-            await asyncio.sleep(0.01)
-            assert len(cyd.arrivals) == 180
-            stats = relay.stats()
-            return stats["messages_out"] / stats["frames_out"], max(cyd.delays_s)
-
-    light, delay_s = await messages_per_frame(busy_ratio=0.5, phase_s=0.004)
-    assert light > 1
-    assert delay_s < 0.001
-    heavy, delay_s = await messages_per_frame(busy_ratio=1.0, phase_s=0.004)
-    assert heavy < 0.85  # Cyd's share a message; Ada and Bob get one frame each as before
-    assert delay_s < 0.0085
-
-
-@in_virtual_time
-async def test_what_comes_late_and_all_at_once_is_passed_on_whole_under_load_too() -> None:
-    config = RelayConfig(coalesce_above_busy=0.8, coalesce_longest_s=0.008)
-    async with (
-        Relay(config, processor_time=now),
-        peer_in_room(URL, "Ada") as ada,
-        peer_in_room(URL, "Bob", tracks=()) as bob,
-    ):
-        await asyncio.sleep(2.0)  # the window opens within a second
-        payloads = [bytes([index]) for index in range(12)]
-        messages: list[bytes] = []
-        for index, payload in enumerate(payloads):
-            captured_us, layer = round(now() * 1e6), index % 2
-            ada.session.send_frame(payload, captured_us, layer=layer, is_keyframe=index == 0)
-            messages += ada.session.messages_to_send(now())
-        for message in messages:
-            await ada.websocket.send(message)
-        await asyncio.sleep(0.05)
-        assert [frame.payload for _, frame in bob.arrivals] == payloads
-
-
-@in_virtual_time
-async def test_a_peer_that_sends_much_at_once_does_not_make_others_wait_for_all_of_it() -> None:
-    async with (
-        Relay(RelayConfig()),
-        peer_in_room(URL, "Flood") as flood,
-        peer_in_room(URL, "Ada") as ada,
-        peer_in_room(URL, "Bob", tracks=()) as bob,
-    ):
-        messages: list[bytes] = []
-        for _ in range(100):
-            flood.session.send_frame(b"much", round(now() * 1e6), is_keyframe=True)
-            messages += flood.session.messages_to_send(now())
-        for message in messages:
-            await flood.websocket.send(message)
-        await asyncio.sleep(0)  # a turn of the loop: the relay has begun with the hundred
-        await ada.send_frame(b"little")
-        await asyncio.sleep(0.05)
-        payloads = [frame.payload for _, frame in bob.arrivals]
-        assert sorted(payloads) == [b"little"] + [b"much"] * 100
-        assert payloads.index(b"little") < 50
-        await flood.send_frame(b"more")  # and it is read on
-        await asyncio.sleep(0.05)
-        assert bob.arrivals[-1][1].payload == b"more"
-
-
-@in_virtual_time
-async def test_control_does_not_wait_for_company() -> None:
-    config = RelayConfig(coalesce_above_busy=0.8, coalesce_longest_s=0.1)
-    async with (
-        Relay(config, processor_time=now),
-        peer_in_room(URL, "Ada") as ada,
-        peer_in_room(URL, "Bob", tracks=()) as bob,
-    ):
-        await ada.publish(num_frames=30, fps=30)
-        await ada.send_frame(b"held")
-        ada.session.whisper(bob.session.peer_id, b"at once")
-        await ada.flush()
-        start = now()
-        await bob.until(Whisper)
-        assert now() - start < 0.001
 
 
 @in_virtual_time
