@@ -49,12 +49,12 @@ class TrainOptions:
     """Folder of the run: checkpoint, metrics, held-out error."""
     variant: VariantName = "full"
     """Which model of the paper's tables: full, the baseline, or full with one part replaced."""
-    preset: Literal["tiny", "small", "long", "refine", "lids", "paper"] = "small"
-    """How much to train: tiny (seconds), small (minutes on two cores), long, paper (its settings to
-    the letter; days on a GPU); refine and lids go on from the weights of another run
-    (--start-from)."""
+    preset: Literal["tiny", "small", "long", "paper"] = "small"
+    """How much to train: tiny (seconds), small (minutes on two cores), long (half an hour), paper
+    (its settings to the letter; days on a GPU)."""
     start_from: Path | None = None
-    """Folder of another run whose weights to start from."""
+    """Folder of another run whose weights to start from: to go on with another preset, or on
+    another capture."""
     block: Literal["B", "H2", "C", "G"] | None = None
     """Block of the decoders, if not the preset's."""
     encoder: Literal["light", "paper"] | None = None

@@ -271,36 +271,6 @@ PRESETS: dict[str, TrainConfig] = {
         schedule=replace(_SMALL.schedule, geometry_steps=6000, joint_steps=8000, driver_steps=3000),
     ),
 }
-PRESETS["lids"] = replace(
-    _SMALL,
-    schedule=replace(
-        _SMALL.schedule,
-        frame_balance=1.5,
-        geometry_steps=2200,
-        geometry_batch=8,
-        joint_steps=600,
-        joint_batch=4,
-        driver_steps=1200,
-        joint_rate=1e-3,
-        pixel_rate=1e-3,
-        encoding_rate=1e-2,
-    ),
-)
-PRESETS["refine"] = replace(
-    _SMALL,
-    schedule=replace(
-        _SMALL.schedule,
-        geometry_steps=800,
-        geometry_batch=8,
-        joint_steps=2500,
-        joint_batch=4,
-        driver_steps=2500,
-        geometry_rate=2e-3,
-        joint_rate=1.5e-3,
-        pixel_rate=2e-3,
-        encoding_rate=2e-2,
-    ),
-)
 PRESETS["paper"] = replace(
     _SMALL,
     model=replace(
@@ -329,7 +299,5 @@ PRESETS["paper"] = replace(
     checkpoint_every=2000,
     watch_every=2000,
 )
-"""tiny: seconds, for tests. small: minutes on two cores. long: half an hour. refine: from the
-weights of another run, at half the rates. lids: from another run too, geometry above all. paper:
-the paper's settings to the letter (section 5, appendix A): days on a GPU; only the driver phase is
-ours."""
+"""tiny: seconds, for tests. small: minutes on two cores. long: half an hour. paper: the paper's
+settings to the letter (section 5, appendix A): days on a GPU; only the driver phase is ours."""
