@@ -1,4 +1,4 @@
-"""Make the avatars that ship: render, train, export and verify each.
+"""Make the avatars that ship: render, train, export, measure and verify each.
 
     python scripts/make_avatars.py --work work                # an hour each on one core
     python scripts/make_avatars.py --work work --names Sam    # one of them
@@ -49,6 +49,7 @@ def make(name: str, place: Path, threads: int) -> None:
         pica("train", *words, "--threads", str(threads), *resume)
     words = ["--run", str(run), "--capture", str(capture), "--out", str(file)]
     pica("export", *words, "--name", name, "--threads", str(threads))
+    pica("avatar", "measure", str(file), "--out", str(file))
     pica("avatar", "verify", str(file))
 
 

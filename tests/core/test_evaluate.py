@@ -21,6 +21,7 @@ from pica_core.train.commands import TrainOptions, train
 from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data import TrainingData
 from pica_core.train.eval_commands import EvalOptions, eval_runs
+from pica_core.train.eval_judge import Judge, model_rasteriser
 from pica_core.train.eval_metrics import (
     BEST_PSNR_DB,
     bootstrap_interval,
@@ -38,6 +39,7 @@ from pica_core.train.eval_truth import (
     TrueView,
     near_camera,
     near_field,
+    one_sample_mse,
 )
 from pica_core.train.evaluate import successor
 from pica_core.train.loop import open_trainer
@@ -228,12 +230,62 @@ def test_near_field_pictures_are_skipped_where_the_stage_draws_another_picture(
     assert same.images[frames[0]][1].std() > 10
 
 
-def test_near_field_pictures_of_a_real_capture_are_skipped(
+def test_what_needs_the_head_itself_is_skipped_for_a_real_capture(
     data: TrainingData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(data.capture.info, "head", "a real person")
 
     assert "nobody can draw" in str(near_field(data, data.test_frames[:1]).skipped)
+    assert one_sample_mse(data, data.test_frames[:1]) is None
+
+
+def test_one_sample_a_pixel_errs_by_less_than_a_picture_half_a_pixel_off(
+    data: TrainingData,
+) -> None:
+    subject = KeptSubject("S1", bake_size=STAGE.bake_size, self_shadow=False)
+    frame = data.test_frames[0]
+    errors = []
+    try:
+        error = one_sample_mse(data, [frame], lambda name: subject)
+        for view in data.evaluation_views:
+            camera, shift = data.camera(frame, view), np.zeros((3, 3))
+            shift[0, 2] = 0.5
+            moved = subject.draw(replace(camera, intrinsics=camera.intrinsics + shift)).image
+            is_head = data.capture.mask(data.capture.frames[frame], view) > 0
+            seen = data.image(frame, view)[is_head].astype(float)
+            errors.append(mse(moved[is_head].astype(float), seen))
+    finally:
+        HeadSubject.release(subject)
+
+    assert error is not None
+    assert 1 < error < np.mean(errors)
+
+
+def test_several_samples_a_pixel_are_the_mean_of_a_finer_picture(data: TrainingData) -> None:
+    torch.manual_seed(0)
+    model = config_of("full").model.build(face_prior(data)).eval()
+    frame, view = data.test_frames[0], data.evaluation_views[0]
+    camera = data.camera(frame, view)
+    with model_rasteriser(data.capture, model) as rasteriser:
+        judge = Judge(data, model, rasteriser)
+        latent = judge.encode(frame)
+        once = judge.draw(latent, camera)
+        several = judge.draw(latent, camera, samples=3)
+        fine_camera = camera.scaled(3 * camera.width, 3 * camera.height)
+        fine = judge.draw(latent, fine_camera)
+
+    height, width = camera.height, camera.width
+    parts = fine.on(np.zeros((3 * height, 3 * width, 3), np.uint8))
+    means = parts.reshape(height, 3, width, 3, 3).mean((1, 3)).reshape(-1, 3)
+    samples = fine.covered(fine_camera).reshape(height, 3, width, 3).sum((1, 3)).reshape(-1)
+    inside = samples[once.pixels] == 9
+    assert inside.mean() > 0.8
+    assert np.array_equal(several.pixels, once.pixels)
+    assert np.array_equal(several.depth_m, once.depth_m)
+    apart = np.abs(several.colours - means[once.pixels])[inside]
+    # Rounding may give a sample to the other side of an edge.
+    assert np.quantile(apart, 0.995) < 0.1
+    assert np.abs(several.colours - once.colours).mean() > 0.3
 
 
 @pytest.fixture(scope="module")
@@ -253,7 +305,7 @@ def test_rows_of_a_table_have_what_the_charts_need(
     wanted = (
         "identity variant block view mse mse_low mse_high psnr_db ssim temporal_mse parameters "
     )
-    wanted += "macs steps seed"
+    wanted += "macs steps seed samples"
     assert len(rows) == len(VARIANTS_HERE) * len(data.evaluation_views)
     for row in rows:
         assert set(wanted.split()) <= set(row)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -51,12 +53,16 @@ class Judge:
         data: The capture.
         model: Trained, or not.
         rasteriser: Of the topology that the model draws; it stays its owner's.
+        samples: Along each side of a pixel, odd; the paper draws with one.
     """
 
-    def __init__(self, data: TrainingData, model: AvatarModel, rasteriser: Rasteriser) -> None:
+    def __init__(
+        self, data: TrainingData, model: AvatarModel, rasteriser: Rasteriser, *, samples: int = 1
+    ) -> None:
         self.data = data
         self.model = model
         self._rasteriser = rasteriser
+        self._samples = samples
         topology = drawn_topology(data.capture, model)
         self._uv = torch.from_numpy(np.ascontiguousarray(topology.vertex_uv, np.float32))
         self._faces = torch.from_numpy(topology.faces.astype(np.int64))
@@ -84,9 +90,33 @@ class Judge:
         return vertices
 
     @torch.no_grad()
-    def draw(self, latent: Tensor, camera: Camera) -> Picture:
-        """The picture of one latent through a camera in head axes."""
+    def draw(self, latent: Tensor, camera: Camera, *, samples: int | None = None) -> Picture:
+        """The picture of one latent through a camera in head axes.
+
+        Args:
+            latent: ``[1, 4, 8, 8]``.
+            camera: In head axes.
+            samples: Along each side of a pixel, odd; the judge's own by default. A pixel belongs to
+                the picture if its centre does, however many there are; its colour is the mean of
+                those samples that see the head, its depth the centre's.
+        """
         vertices_m = self.model.vertices(latent)[0].cpu()
+        direction = torch.from_numpy(view_direction(camera))[None].to(self._device)
+        appearance = self.model.appearance(latent, direction)
+        centre = self._sample(vertices_m, appearance, camera)
+        side = self._samples if samples is None else samples
+        if side == 1:
+            return centre
+        sums = np.zeros((camera.height * camera.width, 4))
+        for moved in _within_pixels(camera, side):
+            sample = self._sample(vertices_m, appearance, moved)
+            sums[sample.pixels, :3] += sample.colours
+            sums[sample.pixels, 3] += 1
+        mean = sums[centre.pixels, :3] / sums[centre.pixels, 3:]
+        return centre._replace(colours=mean.astype(np.float32))
+
+    def _sample(self, vertices_m: Tensor, appearance: Tensor, camera: Camera) -> Picture:
+        """One sample at the centre of each pixel."""
         ids = self._rasteriser.triangle_ids(vertices_m.numpy(), camera)
         pixels = np.flatnonzero(ids >= 0)
         if not len(pixels):
@@ -94,8 +124,7 @@ class Judge:
         uv, xyz_m, depth_m = interpolate(vertices_m, self._uv, self._faces, camera, ids, pixels)
         image = torch.zeros(len(pixels), dtype=torch.int64, device=self._device)
         surface = Surface(image, uv.to(self._device), xyz_m.to(self._device))
-        direction = torch.from_numpy(view_direction(camera))[None].to(self._device)
-        colours = self.model.shade(self.model.appearance(latent, direction), surface)
+        colours = self.model.shade(appearance, surface)
         shown = 255 * colours.clamp(0, 1).cpu().numpy()
         return Picture(pixels, shown.astype(np.float32), depth_m.numpy())
 
@@ -103,6 +132,16 @@ class Judge:
         """What the camera saw at a picture's pixels, 0-255, float32 ``[P, 3]``."""
         image = self.data.image(frame, view)
         return image.reshape(-1, 3)[picture.pixels].astype(np.float32)
+
+
+def _within_pixels(camera: Camera, side: int) -> Iterator[Camera]:
+    """The camera moved by parts of a pixel: a grid with the centre in its middle."""
+    steps = (np.arange(side) - side // 2) / side
+    for down in steps:
+        for right in steps:
+            shift = np.zeros((3, 3))
+            shift[:2, 2] = right, down
+            yield replace(camera, intrinsics=camera.intrinsics + shift)
 
 
 def drawn_topology(capture: Capture, model: AvatarModel) -> Topology:

@@ -24,6 +24,7 @@ from pica_core.train.eval_truth import (
     NearField,
     TrueView,
     near_field,
+    one_sample_mse,
     tracked_errors,
     true_views,
 )
@@ -72,6 +73,8 @@ class EvalLimits:
     """Of these, how many to judge the geometry of; 0 leaves it out."""
     near_frames: int = 4
     """Of these, how many to draw from close to the mouth; 0 leaves it out."""
+    floor_frames: int = 0
+    """Of these, for how many to draw the head itself with one sample a pixel; 0 leaves it out."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -85,6 +88,8 @@ class CaptureTruth:
     near: NearField
     tracked_mm: dict[str, float | None]
     """Depth error of the tracked mesh itself, by region; empty as `views`."""
+    one_sample_mse: float | None
+    """`eval_truth.one_sample_mse`; None if not asked for, too."""
 
     @property
     def identity(self) -> str:
@@ -154,7 +159,12 @@ def prepare(capture: Path, map_size: int, limits: EvalLimits) -> CaptureTruth:
     near = NearField(skipped=NOT_ASKED)
     if limits.near_frames:
         near = near_field(data, _some(frames, limits.near_frames))
-    return CaptureTruth(data=data, frames=frames, views=views, near=near, tracked_mm=tracked)
+    floor = None
+    if limits.floor_frames:
+        floor = one_sample_mse(data, _some(frames, limits.floor_frames))
+    return CaptureTruth(
+        data=data, frames=frames, views=views, near=near, tracked_mm=tracked, one_sample_mse=floor
+    )
 
 
 def build(run: Run, truth: CaptureTruth) -> AvatarModel:
@@ -175,7 +185,11 @@ def build(run: Run, truth: CaptureTruth) -> AvatarModel:
 
 
 def measure(
-    run: Run, truth: CaptureTruth, progress: Callable[[str], None] = lambda text: None
+    run: Run,
+    truth: CaptureTruth,
+    progress: Callable[[str], None] = lambda text: None,
+    *,
+    samples: int = 1,
 ) -> RunResult:
     """Measure a run by the paper's protocol, on its own encoder's latents.
 
@@ -183,12 +197,13 @@ def measure(
         run: What to measure.
         truth: Of its capture.
         progress: Told what is being done.
+        samples: Along each side of a pixel, odd; the paper draws with one.
     """
     data, model = truth.data, build(run, truth)
     data.use_meshes(run.config.mesh_source)
     cost = model.cost
     with model_rasteriser(data.capture, model) as rasteriser:
-        judge = Judge(data, model, rasteriser)
+        judge = Judge(data, model, rasteriser, samples=samples)
         progress("views")
         found = measure_views(judge, truth.frames)
         progress("geometry")
@@ -202,6 +217,7 @@ def measure(
         "macs_per_pixel": cost.per_pixel_multiply_adds,
         "steps": run.steps,
         "seed": run.config.seed,
+        "samples": samples,
     }
     rows = [{**shared, "view": view, **errors.row(), **costs} for view, errors in found.items()]
     per_frame = np.mean([errors.mse for errors in found.values()], axis=0)
@@ -223,7 +239,8 @@ def _some(frames: list[int], count: int) -> list[int]:
 def _depth_errors(judge: Judge, truth: CaptureTruth) -> dict[str, float | None]:
     errors = DepthErrors()
     for (frame, view), true in truth.views.items():
-        picture = judge.draw(judge.encode(frame), truth.data.camera(frame, view))
+        camera = truth.data.camera(frame, view)
+        picture = judge.draw(judge.encode(frame), camera, samples=1)
         errors.add(true, picture.pixels, picture.depth_m)
     return errors.means_mm() if truth.views else {}
 

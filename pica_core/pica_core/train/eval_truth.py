@@ -12,7 +12,8 @@ Near-field pictures are drawn from a place much closer to the mouth than any cam
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -24,6 +25,7 @@ from pica_core.capture.dataset import Capture, Topology
 from pica_core.capture.identity import IDENTITIES
 from pica_core.capture.subject import HeadSubject
 from pica_core.train.data import TrainingData
+from pica_core.train.eval_metrics import mse
 from pica_core.train.rasterise import Rasteriser
 
 FloatArray = npt.NDArray[np.float32]
@@ -167,29 +169,67 @@ def near_field(
             settings need their own.
     """
     capture = data.capture
-    name = str(capture.info.get("head", ""))
-    if name not in IDENTITIES or not capture.has_truth:
-        return NearField(
-            skipped="nobody can draw this capture's subject from a place without a camera"
-        )
     if not {"lips", "mouth"} & set(capture.topology.regions):
         return NearField(skipped="the capture's topology names no lips")
     images: dict[int, tuple[Camera, npt.NDArray[np.uint8]]] = {}
-    subject = make_subject(name)
-    try:
-        view = data.evaluation_views[0]
-        subject.pose(capture.arkit(capture.frames[frames[0]]))
-        drawn = subject.draw(data.camera(frames[0], view)).image.astype(np.float64)
-        difference = float(np.abs(drawn - data.image(frames[0], view)).mean())
-        if difference > SAME_PICTURE:
-            return NearField(
-                skipped=f"the stage no longer draws what the capture holds: {difference:.1f} of "
-                "255 apart on average"
-            )
+    with _on_stage(data, frames[0], make_subject) as subject:
+        if isinstance(subject, str):
+            return NearField(skipped=subject)
         for frame in frames:
             vertices_m = subject.pose(capture.arkit(capture.frames[frame]))
             camera = near_camera(capture, vertices_m)
             images[frame] = camera, subject.draw(camera).image
+    return NearField(images=images)
+
+
+def one_sample_mse(
+    data: TrainingData,
+    frames: list[int],
+    make_subject: Callable[[str], HeadSubject] = HeadSubject,
+) -> float | None:
+    """What the head itself leaves if each pixel is one sample of it (the middle ninth of the
+    pixel), against the capture's images, whose pixels are means: no model that is drawn so can be
+    expected below. On 0-255 values over the head's pixels, mean over evaluation views and frames;
+    None where nobody can draw the head. Makes and releases a GL context.
+    """
+    capture = data.capture
+    errors = []
+    with _on_stage(data, frames[0], make_subject) as subject:
+        if isinstance(subject, str):
+            return None
+        for frame in frames:
+            subject.pose(capture.arkit(capture.frames[frame]))
+            for view in data.evaluation_views:
+                camera = data.camera(frame, view)
+                fine = subject.draw(camera.scaled(3 * camera.width, 3 * camera.height)).image
+                is_head = capture.mask(capture.frames[frame], view) > 0
+                once = fine[1::3, 1::3][is_head].astype(np.float32)
+                errors.append(mse(once, data.image(frame, view)[is_head].astype(np.float32)))
+    return float(np.mean(errors))
+
+
+@contextmanager
+def _on_stage(
+    data: TrainingData, frame: int, make_subject: Callable[[str], HeadSubject]
+) -> Iterator[HeadSubject | str]:
+    """The capture's subject, or why nobody can draw it."""
+    capture = data.capture
+    name = str(capture.info.get("head", ""))
+    if name not in IDENTITIES or not capture.has_truth:
+        yield "nobody can draw this capture's subject from a place without a camera"
+        return
+    subject = make_subject(name)
+    try:
+        view = data.evaluation_views[0]
+        subject.pose(capture.arkit(capture.frames[frame]))
+        drawn = subject.draw(data.camera(frame, view)).image.astype(np.float64)
+        difference = float(np.abs(drawn - data.image(frame, view)).mean())
+        if difference <= SAME_PICTURE:
+            yield subject
+        else:
+            yield (
+                f"the stage no longer draws what the capture holds: {difference:.1f} of 255 apart "
+                "on average"
+            )
     finally:
         subject.release()
-    return NearField(images=images)
