@@ -55,7 +55,8 @@ def row_of(folder: Path) -> list[Picture]:
 
         def pair(frame: int, view: str, region: str = "") -> list[Picture]:
             seen, view_camera = data.image(frame, view), data.camera(frame, view)
-            drawn = judge.draw(judge.drive(frame), view_camera).on(np.full_like(seen, seen[0, 0]))
+            picture = judge.draw(judge.drive(frame), view_camera, samples=3)
+            drawn = picture.on(np.full_like(seen, seen[0, 0]))
             box = (0, 0, view_camera.width, view_camera.height)
             if region:
                 points = data.vertices_m[frame][data.capture.topology.regions[region]]
@@ -66,7 +67,7 @@ def row_of(folder: Path) -> list[Picture]:
             *pair(widest, front),
             *pair(first, side),
             *pair(widest, front, "lips"),
-            *pair(first, front, "lids"),
+            *pair(first, front, "eyeballs"),
         ]
 
 

@@ -10,37 +10,53 @@ REGIONS = ("mouth", "eyes", "rest")
 
 
 def chart_avatars() -> None:
-    """The newest evaluation of each run."""
+    """The newest evaluation of each run with one sample a pixel, and with several."""
     lines = read_lines("avatars")
-    newest = {run["run"]: line for line in lines for run in line["result"]["runs"]}
-    if not newest:
+    by_samples: dict[int, dict[str, Line]] = {}
+    for line in lines:
+        own = by_samples.setdefault(line["result"]["rows"][0]["samples"], {})
+        own |= {run["run"]: line for run in line["result"]["runs"]}
+    if not lines:
         return
-    used = [line for line in lines if line in newest.values()]
+    parts = [
+        part
+        for samples, newest in sorted(by_samples.items())
+        for part in (f"**{_number(samples)} a pixel**", _errors(newest))
+    ]
+    used = [line for line in lines if any(line in own.values() for own in by_samples.values())]
     sources = "\n\n".join(f"`{source_line(line)}`" for line in used)
-    text = f"{_errors(newest)}\n\n{_geometry(newest)}\n\n{sources}"
+    geometry = (
+        "Mean error of depth where the true and the decoded mesh are seen, beside that of the "
+        "tracked mesh that a dome would give:"
+    )
+    text = "\n\n".join([*parts, geometry, _geometry(by_samples[1]), sources])
     fill_in(PAGE, "avatars", text)
 
 
 def _errors(newest: dict[str, Line]) -> str:
     """MSE by view, with its interval, and what stands beside it."""
-    views = list(dict.fromkeys(row["view"] for line in newest.values() for row in _rows(line, "")))
-    header = ["avatar", *views, "mean", "PSNR dB", "SSIM", "MSE of the change", "from 12 cm", "MB"]
+    views = list(dict.fromkeys(row["view"] for line in newest.values() for row in _rows(line)))
+    has_floor = any(_floor(run, line) is not None for run, line in newest.items())
+    header = ["avatar", *views, "mean", "PSNR dB", "SSIM", "change", "frames"]
+    header += ["the head itself", "from 12 cm", "MB"] if has_floor else []
     table = []
     for run, line in newest.items():
         name, rows = _name(run), _rows(line, run)
-        near = _run(line, run)["near"].get("mse")
-        table.append(
-            [
-                name,
-                *(f"{row['mse']:.1f} ({row['mse_low']:.1f}–{row['mse_high']:.1f})" for row in rows),
-                f"{_mean(rows, 'mse'):.1f}",
-                f"{_mean(rows, 'psnr_db'):.1f}",
-                f"{_mean(rows, 'ssim'):.3f}",
-                f"{_mean(rows, 'temporal_mse'):.1f}",
-                None if near is None else f"{near:.0f}",
-                f"{(AVATARS / f'{name.lower()}.pica').stat().st_size / 1e6:.2f}",
-            ]
-        )
+        cells = [name]
+        cells += [f"{row['mse']:.1f} ({row['mse_low']:.1f}–{row['mse_high']:.1f})" for row in rows]
+        cells += [
+            f"{_mean(rows, 'mse'):.1f}",
+            f"{_mean(rows, 'psnr_db'):.1f}",
+            f"{_mean(rows, 'ssim'):.3f}",
+            f"{_mean(rows, 'temporal_mse'):.1f}",
+            str(rows[0]["frames"]),
+        ]
+        if has_floor:
+            floor, near = _floor(run, line), _run(line, run)["near"].get("mse")
+            size = (AVATARS / f"{name.lower()}.pica").stat().st_size / 1e6
+            cells += ["–" if value is None else f"{value:.1f}" for value in (floor, near)]
+            cells.append(f"{size:.2f}")
+        table.append(cells)
     return markdown_table(header, table)
 
 
@@ -71,10 +87,21 @@ def _run(line: Line, run: str) -> Row:
     return dict(found)
 
 
-def _rows(line: Line, run: str) -> list[Row]:
+def _rows(line: Line, run: str = "") -> list[Row]:
     """Of one run, or of all; a person is captured once in a line."""
     rows: list[Row] = line["result"]["rows"]
     return [row for row in rows if not run or row["identity"] == _run(line, run)["identity"]]
+
+
+def _floor(run: str, line: Line) -> float | None:
+    """What the head itself leaves with one sample a pixel."""
+    error: float | None = line["result"]["one_sample_mse"].get(_run(line, run)["identity"])
+    return error
+
+
+def _number(samples: int) -> str:
+    """Of so many along each side."""
+    return "One sample" if samples == 1 else f"{samples**2} samples"
 
 
 def _mean(rows: list[Row], field: str) -> float:

@@ -43,8 +43,8 @@ class EvalOptions:
     near_frames: int = 4
     """Of these, how many to draw from close to the mouth; 0 leaves it out."""
     floor_frames: int = 0
-    """Of these, for how many to draw the head itself with one sample a pixel: the error below which
-    no model drawn so can be expected. 0 leaves it out."""
+    """Of these, for how many to draw the head itself with one sample a pixel: about what a model
+    drawn so can hope for. 0 leaves it out."""
     samples: Literal[1, 3, 5] = 1
     """Samples of a model along each side of a pixel. The paper draws with one; captures are
     means over pixels, and at small images the difference is most of the error."""

@@ -188,9 +188,11 @@ def one_sample_mse(
     make_subject: Callable[[str], HeadSubject] = HeadSubject,
 ) -> float | None:
     """What the head itself leaves if each pixel is one sample of it (the middle ninth of the
-    pixel), against the capture's images, whose pixels are means: no model that is drawn so can be
-    expected below. On 0-255 values over the head's pixels, mean over evaluation views and frames;
-    None where nobody can draw the head. Makes and releases a GL context.
+    pixel), against the capture's images, whose pixels are means: what a model that is drawn so can
+    hope for, or a little less, for it may learn colours that are means already.
+
+    On 0-255 values over the head's pixels, mean over evaluation views and frames; None where nobody
+    can draw the head. Makes and releases a GL context.
     """
     capture = data.capture
     errors = []
