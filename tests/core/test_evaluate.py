@@ -31,7 +31,7 @@ from pica_core.train.eval_metrics import (
     ssim,
 )
 from pica_core.train.eval_run import RUN_FILE, open_run
-from pica_core.train.eval_tables import error_table
+from pica_core.train.eval_tables import error_table, report
 from pica_core.train.eval_truth import (
     DEPTH_CAP_MM,
     NEAR_DISTANCE_M,
@@ -328,6 +328,21 @@ def test_the_report_names_every_model_and_is_written(table: dict[str, Any]) -> N
         assert f"| S1 | {variant} |" in text
     assert "tracked mesh" in text
     assert json.loads((table["out"] / "eval.json").read_text())["table"] == 1
+
+
+def test_the_report_says_so_where_it_was_not_drawn_as_the_paper_draws(
+    table: dict[str, Any],
+) -> None:
+    result = table["result"]
+    finer = {
+        **result,
+        "rows": [{**row, "samples": 3} for row in result["rows"]],
+        "one_sample_mse": {"S1": 20.04},
+    }
+
+    assert "a pixel." not in report(1, result)
+    assert "Drawn with 9 samples a pixel." in report(1, finer)
+    assert "one sample a pixel: S1 20.0." in report(1, finer)
 
 
 def test_geometry_is_judged_by_region_beside_the_trackers(table: dict[str, Any]) -> None:

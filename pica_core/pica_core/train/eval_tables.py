@@ -150,6 +150,7 @@ def report(number: int, result: Mapping[str, Any], commands: Iterable[str] = ())
         "MSE on 0-255 values over rasterised pixels, held-out frames, mean and 95 % bootstrap "
         "interval over frames. The captures' own note on what they are: "
         + "; ".join(sorted({str(run["source"]) for run in runs.values()})),
+        *_sampling_part(rows[0].get("samples", 1), result.get("one_sample_mse", {})),
         error_table(rows, variants),
         "## Beside it",
         "Means over views. The change is the one from a frame to the next of its take.",
@@ -165,6 +166,16 @@ def report(number: int, result: Mapping[str, Any], commands: Iterable[str] = ())
         *(f"`{command}`" for command in commands),
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def _sampling_part(samples: int, floors: Mapping[str, float | None]) -> list[str]:
+    """How many samples a pixel is, unless it is the paper's one, and what one costs the heads
+    themselves."""
+    parts = [f"Drawn with {samples**2} samples a pixel."] if samples > 1 else []
+    known = [f"{who} {error:.1f}" for who, error in floors.items() if error is not None]
+    if known:
+        parts.append(f"The heads themselves, drawn with one sample a pixel: {', '.join(known)}.")
+    return parts
 
 
 def _geometry_part(
