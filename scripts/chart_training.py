@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Iterable, Sequence
 from statistics import median
 
@@ -76,7 +77,7 @@ def _draw_recipes(rows: Sequence[Row], line: Line) -> Figure:
     axis.set_xlabel("seconds of training")
     axis.set_ylabel("MSE, 0–255, held-out frames from the front")
     axis.legend(frameon=False, fontsize=7, ncols=2)
-    figure.supxlabel(source_line(line), fontsize=6, color="#555555")
+    figure.supxlabel(textwrap.fill(source_line(line), 110), fontsize=6, color="#555555")
     return figure
 
 
@@ -129,7 +130,7 @@ def _draw_failures(rows: Sequence[Row], line: Line) -> Figure:
     axes[0, 0].set_ylim(top=10 * max(ends))
     plain_ticks(axes[0, 0].yaxis)
     figure.supylabel("MSE, held-out frames from the front; grey: nothing spoilt", fontsize=8)
-    figure.supxlabel(f"step\n{source_line(line)}", fontsize=6, color="#555555")
+    figure.supxlabel(f"step\n{textwrap.fill(source_line(line), 110)}", fontsize=6, color="#555555")
     return figure
 
 
