@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from PIL import Image
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from pica_core.capture.dataset import Capture
 from pica_core.errors import CheckpointError, TrainingDivergedError, TrainingMemoryError
@@ -194,14 +197,20 @@ def test_a_look_at_held_out_frames_is_written_and_changes_nothing(
     assert len(list((tmp_path / "watched" / "pictures").iterdir())) == 2
 
 
-def test_without_tensorboard_lines_and_pictures_are_still_written(tmp_path: Path) -> None:
+def test_lines_and_pictures_stand_on_tensorboards_board_too(tmp_path: Path) -> None:
     monitor = Monitor(tmp_path)
     monitor.row(1, "train", {"image": 0.5})
-    monitor.picture(1, np.zeros((4, 4, 3), np.uint8))
+    monitor.picture(2, np.full((4, 4, 3), 200, np.uint8))
     monitor.close()
 
     assert rows(tmp_path, "train") == [{"step": 1, "kind": "train", "image": 0.5}]
-    assert (tmp_path / "pictures" / "0000001.png").exists()
+    assert (tmp_path / "pictures" / "0000002.png").exists()
+    board = EventAccumulator(str(tmp_path / "board")).Reload()
+    assert [(point.step, point.value) for point in board.Scalars("train/image")] == [(1, 0.5)]
+    (shown,) = board.Images("held out")
+    assert shown.step == 2
+    with Image.open(io.BytesIO(shown.encoded_image_string)) as image:
+        assert np.asarray(image).tolist() == np.full((4, 4, 3), 200).tolist()
 
 
 @pytest.mark.parametrize("variant", ["full", "coarse", "baseline"])

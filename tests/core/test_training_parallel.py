@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import socket
 import subprocess
 import sys
@@ -56,23 +55,18 @@ def free_port() -> int:
 
 def test_two_processes_train_as_one_with_the_doubled_batch(tmp_path: Path) -> None:
     capture = render_small(tmp_path / "capture")
-    shared = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port())}
-    command = [sys.executable, train_part.__file__, str(capture), str(tmp_path / "two")]
-    parts = [
-        subprocess.Popen(
-            [*command, json.dumps(config(1).to_json())],
-            env={**os.environ, **shared, "RANK": str(rank)},
-            stderr=subprocess.PIPE,
-        )
-        for rank in range(2)
-    ]
+    torchrun = ["torch.distributed.run", "--nproc-per-node", "2", "--master-port", str(free_port())]
+    words = [train_part.__file__, str(capture), str(tmp_path / "two")]
+    together = subprocess.Popen(
+        [sys.executable, "-m", *torchrun, *words, json.dumps(config(1).to_json())],
+        stderr=subprocess.PIPE,
+    )
     data = TrainingData(Capture.open(capture), 256)
     with open_trainer(data, config(2), tmp_path / "one") as trainer:
         start = {name: values.clone() for name, values in trainer.model.state_dict().items()}
         trainer.run()
-    for part in parts:
-        _, errors = part.communicate(timeout=120)
-        assert part.returncode == 0, errors.decode()[-2000:]
+    _, errors = together.communicate(timeout=120)
+    assert together.returncode == 0, errors.decode()[-4000:]
 
     one, two = (read_checkpoint(tmp_path / n / "checkpoint.pt")["model"] for n in ("one", "two"))
     apart = sum(float((one[name] - two[name]).square().sum()) for name in one)

@@ -1,17 +1,19 @@
-"""What a run tells about itself: lines of JSON, and TensorBoard where it is installed."""
+"""What a run tells about itself: lines of JSON, pictures, and the same for TensorBoard."""
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import logging
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
+
+if TYPE_CHECKING:
+    from torch.utils.tensorboard import SummaryWriter
 
 logger = logging.getLogger(__name__)
 
@@ -20,7 +22,7 @@ METRICS = "metrics.jsonl"
 
 class Monitor:
     """Writes ``metrics.jsonl`` and ``pictures/STEP.png`` into a run's folder, and the same into
-    ``board/`` for TensorBoard if that package is there.
+    ``board/`` for TensorBoard.
 
     Args:
         run_dir: The run's folder.
@@ -30,9 +32,7 @@ class Monitor:
     def __init__(self, run_dir: Path, *, is_silent: bool = False) -> None:
         self._run_dir = run_dir
         self._file = None if is_silent else (run_dir / METRICS).open("a")
-        self._board: Any = None
-        if not is_silent:
-            self._board = _open_board(run_dir / "board")
+        self._board = None if is_silent else _open_board(run_dir / "board")
 
     def close(self) -> None:
         """Close all files."""
@@ -69,10 +69,8 @@ class Monitor:
             self._board.add_image("held out", image, step, dataformats="HWC")
 
 
-def _open_board(folder: Path) -> Any:
-    """A TensorBoard writer, or None where the package is not installed."""
-    if importlib.util.find_spec("tensorboard") is None:
-        return None
+def _open_board(folder: Path) -> SummaryWriter:
+    """A TensorBoard writer, loaded only here: it takes seconds that readers of runs do not owe."""
     from torch.utils.tensorboard import SummaryWriter
 
     return SummaryWriter(folder)
