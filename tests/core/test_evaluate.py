@@ -345,6 +345,21 @@ def test_the_report_says_so_where_it_was_not_drawn_as_the_paper_draws(
     assert "one sample a pixel: S1 20.0." in report(1, finer)
 
 
+def test_frames_that_were_trained_on_can_be_measured_and_are_called_so(
+    runs: dict[str, Path], data: TrainingData
+) -> None:
+    result = eval_runs(
+        EvalOptions(runs=(runs["full"],), split="train", frames=2, geometry_frames=0, near_frames=0)
+    )
+
+    trained_on = [data.capture.frames[frame] for frame in data.train_frames]
+    measured = [item["frame"] for item in result["runs"][0]["distribution"]]
+    assert 0 < len(measured) <= 2
+    assert set(measured) <= {f"{frame.segment}/{frame.name}" for frame in trained_on}
+    assert "frames that were trained on" in report(1, result)
+    assert "held-out" not in report(1, result)
+
+
 def test_geometry_is_judged_by_region_beside_the_trackers(table: dict[str, Any]) -> None:
     result = table["result"]
 

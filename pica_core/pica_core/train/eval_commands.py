@@ -36,8 +36,10 @@ class EvalOptions:
     """The capture of all runs, if it is not where it was when they were trained."""
     out: Path | None = None
     """Folder for table.md, eval.json and near-field pictures."""
+    split: Literal["test", "train"] = "test"
+    """Held-out frames, or for comparison those that were trained on."""
     frames: int = 25
-    """Test frames, evenly spaced."""
+    """How many of them, evenly spaced."""
     geometry_frames: int = 8
     """Of these, how many to judge the geometry of; 0 leaves it out."""
     near_frames: int = 4
@@ -68,7 +70,7 @@ class EvalOptions:
 
 
 def eval_runs(options: EvalOptions) -> dict[str, Any]:
-    """Measure finished runs on held-out frames and print one of the paper's tables."""
+    """Measure finished runs and print one of the paper's tables."""
     torch.set_num_threads(options.threads)
     runs = [open_run(folder, options.capture) for folder in options.runs]
     wanted = [run for run in runs if run.variant in TABLES[options.table]]
@@ -90,6 +92,7 @@ def eval_runs(options: EvalOptions) -> dict[str, Any]:
 
 def _measure(runs: Sequence[Run], options: EvalOptions) -> dict[str, Any]:
     limits = EvalLimits(
+        split=options.split,
         frames=options.frames,
         geometry_frames=options.geometry_frames,
         near_frames=options.near_frames,
@@ -131,6 +134,7 @@ def _measure(runs: Sequence[Run], options: EvalOptions) -> dict[str, Any]:
                 _save_near(options.out, truth, run, measured.near_images)
     return {
         "table": options.table,
+        "split": options.split,
         "rows": rows,
         "runs": found,
         "tracked_mesh": tracked,

@@ -28,7 +28,7 @@ from pica_core.train.eval_truth import (
     tracked_errors,
     true_views,
 )
-from pica_core.train.evaluate import measure_views, spaced_frames
+from pica_core.train.evaluate import Split, measure_views, spaced_frames
 from pica_core.train.loop import read_checkpoint
 from pica_core.train.prior import face_prior
 from pica_core.variants import VARIANTS
@@ -67,8 +67,10 @@ class Run:
 class EvalLimits:
     """How much to measure."""
 
+    split: Split = "test"
+    """Which frames: held-out ones, or those that were trained on."""
     frames: int = 25
-    """Test frames, evenly spaced."""
+    """How many of them, evenly spaced."""
     geometry_frames: int = 8
     """Of these, how many to judge the geometry of; 0 leaves it out."""
     near_frames: int = 4
@@ -149,7 +151,7 @@ def prepare(capture: Path, map_size: int, limits: EvalLimits) -> CaptureTruth:
         CaptureError: It cannot be read, or has no test frames.
     """
     data = TrainingData(Capture.open(capture), map_size)
-    frames = spaced_frames(data, limits.frames)
+    frames = spaced_frames(data, limits.frames, limits.split)
     views: dict[tuple[int, str], TrueView] = {}
     tracked: dict[str, float | None] = {}
     some = _some(frames, limits.geometry_frames)

@@ -17,6 +17,7 @@ Key = tuple[str, str, str, int]
 
 TABLES: Mapping[int, tuple[str, ...]] = {1: TABLE_1, 2: TABLE_2}
 QUANTILES = (100, 90, 75, 50, 25, 10, 0)
+_SPLITS = {"test": "held-out frames", "train": "frames that were trained on"}
 _NONE = "–"
 
 
@@ -147,8 +148,8 @@ def report(number: int, result: Mapping[str, Any], commands: Iterable[str] = ())
     runs = {_key(run): run for run in result["runs"]}
     parts = [
         f"# Table {number}",
-        "MSE on 0-255 values over rasterised pixels, held-out frames, mean and 95 % bootstrap "
-        "interval over frames. The captures' own note on what they are: "
+        f"MSE on 0-255 values over rasterised pixels, {_SPLITS[result.get('split', 'test')]}, mean "
+        "and 95 % bootstrap interval over frames. The captures' own note on what they are: "
         + "; ".join(sorted({str(run["source"]) for run in runs.values()})),
         *_sampling_part(rows[0].get("samples", 1), result.get("one_sample_mse", {})),
         error_table(rows, variants),

@@ -25,6 +25,7 @@ from pica_core.train.rasterise import Rasteriser
 
 FloatArray = npt.NDArray[np.float32]
 Source = Literal["encoder", "driver"]
+Split = Literal["train", "test"]
 
 
 class Trained(Protocol):
@@ -53,7 +54,7 @@ class ViewErrors:
     mse: list[float] = field(default_factory=list)
     ssim: list[float] = field(default_factory=list)
     change_mse: list[float] = field(default_factory=list)
-    """One for each frame whose successor is a test frame of the same take."""
+    """One for each frame whose successor is of the same take and split."""
 
     def row(self) -> dict[str, Any]:
         """Means, with the interval of the first."""
@@ -69,16 +70,17 @@ class ViewErrors:
         }
 
 
-def spaced_frames(data: TrainingData, max_frames: int) -> list[int]:
-    """At most so many test frames, evenly spaced."""
-    step = max(1, -(-len(data.test_frames) // max_frames))
-    return data.test_frames[::step]
+def spaced_frames(data: TrainingData, max_frames: int, split: Split = "test") -> list[int]:
+    """At most so many frames of a split, evenly spaced."""
+    frames = {"test": data.test_frames, "train": data.train_frames}[split]
+    step = max(1, -(-len(frames) // max_frames))
+    return frames[::step]
 
 
 def successor(data: TrainingData, frame: int) -> int | None:
-    """The test frame that follows directly in the same take, if there is one."""
+    """The frame that follows directly in the same take, if there is one of the same split."""
     frames = data.capture.frames
-    if frame + 1 >= len(frames) or frames[frame + 1].split != "test":
+    if frame + 1 >= len(frames) or frames[frame + 1].split != frames[frame].split:
         return None
     return frame + 1 if frames[frame + 1].segment == frames[frame].segment else None
 
