@@ -16,6 +16,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from pica_core.capture.dataset import Capture
 from pica_core.errors import CheckpointError, TrainingDivergedError, TrainingMemoryError
+from pica_core.model.encoder import MAX_LOG_VARIANCE, hold_log_variance
 from pica_core.train.checkpoint import read_checkpoint, write_checkpoint
 from pica_core.train.config import PAPER_LOSSES, PRESETS, LossConfig, TrainConfig
 from pica_core.train.data import TrainingData
@@ -98,6 +99,30 @@ def test_a_run_that_diverges_again_and_again_gives_up_and_keeps_its_checkpoint(
         trainer.run(Poison(trainer, 99))
 
     assert read_checkpoint(tmp_path / "checkpoint.pt")["step"] == 3
+
+
+def test_a_frame_of_unheard_of_variance_spoils_no_weights(
+    data: TrainingData, tmp_path: Path
+) -> None:
+    with open_trainer(data, short(2), tmp_path) as trainer:
+        with torch.no_grad():
+            trainer.model.encoder.get_parameter("log_variance.bias").fill_(200.0)
+        losses = trainer.train_step()
+
+        assert all(np.isfinite(value) for value in losses.values())
+        assert losses["kl"] < 0.1  # exp(200) would be
+        assert all(torch.isfinite(p).all() for p in trainer.model.parameters())
+
+
+def test_log_variances_are_bent_only_where_they_are_too_large() -> None:
+    usual, large = torch.linspace(-40, 0, 50), torch.tensor([4.0, 60.0, 1e6], requires_grad=True)
+
+    assert (hold_log_variance(usual) - usual).abs().max() < 0.02
+    held = hold_log_variance(large)
+    assert held.max() <= MAX_LOG_VARIANCE
+    held[0].backward()
+    assert large.grad is not None
+    assert large.grad[0] == 0.5  # a way back
 
 
 def test_weights_that_are_not_finite_are_never_saved(data: TrainingData, tmp_path: Path) -> None:

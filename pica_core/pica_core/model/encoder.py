@@ -17,6 +17,9 @@ from torch.nn import functional
 from pica_core.model.interface import LatentEncoder
 from pica_core.spec import LATENT_CHANNELS, LEAKY_SLOPE
 
+MAX_LOG_VARIANCE = 4.0
+"""A deviation of 7, against the prior's 1; trained encoders say -3 on average, 0 at most."""
+
 
 def _halving(channels: Sequence[int]) -> nn.Sequential:
     """Convolutions 4x4 of stride 2 with LeakyReLU, each halving the resolution."""
@@ -78,6 +81,15 @@ def make_encoder(name: str) -> PaperEncoder | LightEncoder:
         case "light":
             return LightEncoder()
     raise ValueError(f"encoder is {name!r}; known are 'paper' and 'light'")
+
+
+def hold_log_variance(log_variance: Tensor) -> Tensor:
+    """Bend log-variances so that none exceeds `MAX_LOG_VARIANCE`; well below they stay as they are.
+
+    Of a frame that is unlike the others an encoder may say 60 of a sudden; its exponential and the
+    gradient of that are not numbers any more.
+    """
+    return MAX_LOG_VARIANCE - functional.softplus(MAX_LOG_VARIANCE - log_variance)
 
 
 def reparameterise(mean: Tensor, log_variance: Tensor, noise: Tensor) -> Tensor:

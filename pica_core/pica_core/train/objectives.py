@@ -13,7 +13,7 @@ from torch import Tensor
 
 from pica_core.capture.tracked_topology import COVER
 from pica_core.errors import CaptureError
-from pica_core.model.encoder import reparameterise
+from pica_core.model.encoder import hold_log_variance, reparameterise
 from pica_core.model.interface import AvatarModel, DecodedMesh
 from pica_core.train.config import TrainConfig
 from pica_core.train.data import TrainingData, important_vertices, view_direction
@@ -114,7 +114,7 @@ class Objectives:
         textures = self.data.textures(frames, self.model.encoder.texture_size).to(self.device)
         maps = self.data.position_maps(frames).to(self.device)
         mean, log_variance = self.model.encoder(textures, maps)
-        return mean, log_variance
+        return mean, hold_log_variance(log_variance)
 
     def geometry(self, rng: np.random.Generator, noise: torch.Generator) -> dict[str, Tensor]:
         """Losses of a step without images."""
