@@ -23,6 +23,9 @@ from pica_core.latent_sample import LatentSample
 WAY_S = 0.04
 FAR_CLOCK_US = 5_000_000_000
 DISPLAY_HZ = 90
+FRAME_S = 1 / 30
+TICK_S = 2e-6
+"""Capture times are whole microseconds: no test asks for more."""
 
 
 class Arrival(NamedTuple):
@@ -135,3 +138,29 @@ def between(ticks: Sequence[Tick], begin_s: float, end_s: float) -> list[Tick]:
 def concealed_ratio(ticks: Sequence[Tick]) -> float:
     shown = [tick.played for tick in ticks if tick.played is not None]
     return sum(played.is_concealed for played in shown) / len(shown)
+
+
+def captured(index: float) -> int:
+    return FAR_CLOCK_US + round(index * FRAME_S * 1e6)
+
+
+def receive(
+    playout: Playout, index: int, now: float, *, value: float | None = None, is_still: bool = False
+) -> None:
+    """Frame i is captured at our i / 30 s."""
+    sample = face(float(index) if value is None else value, is_still=is_still)
+    playout.receive_frame(index % 65536, captured(index), sample, now)
+
+
+def shown(playout: Playout, now: float) -> PlayedFace:
+    played = playout.sample_at(now)
+    assert played is not None
+    return played
+
+
+def steady(playout: Playout, count: int, *, transit_s: float = 0.01) -> None:
+    """`count` frames on a perfect network, on a display at 90 Hz."""
+    for index in range(count):
+        receive(playout, index, index * FRAME_S + transit_s)
+        for third in range(3):
+            playout.sample_at((index + third / 3) * FRAME_S + transit_s + TICK_S)

@@ -139,3 +139,8 @@ async def until_counted(relay: Relay, what: str) -> None:
             return
         await asyncio.sleep(0.001)
     raise AssertionError(f"no {what}: {relay.stats()['store']}")
+
+
+def left_in(folder: Path) -> set[str]:
+    """Names below a folder that are no folders."""
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
