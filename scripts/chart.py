@@ -20,7 +20,7 @@ from chart_playout import chart_playout
 from chart_receiver import chart_receiver
 from chart_relay import chart_relay
 from chart_tables import chart_tables
-from chart_training import chart_failures, chart_recipes
+from chart_training import chart_failures, chart_recipes, chart_step
 
 CHARTS: dict[str, Callable[[], None]] = {
     "playout": chart_playout,
@@ -33,6 +33,7 @@ CHARTS: dict[str, Callable[[], None]] = {
     "avatars": chart_avatars,
     "recipes": chart_recipes,
     "failures": chart_failures,
+    "training-step": chart_step,
 }
 
 

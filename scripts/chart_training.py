@@ -1,4 +1,4 @@
-"""Ways to train against each other, and runs spoilt on purpose: curves of held-out error."""
+"""Ways to train against each other, runs spoilt on purpose, and where a step's time goes."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ PAGE = ROOT / "docs" / "training.md"
 STYLES = ("-", "--", ":")
 PANEL_COLUMNS = 3
 UNSPOILT = "nothing"
+STEP_PARTS = ("data", "encode", "decode", "raster", "pixel", "loss", "backward", "optimiser")
 
 
 def chart_recipes() -> None:
@@ -44,6 +45,13 @@ def chart_failures() -> None:
         save(_draw_failures(rows, lines[-1]), "failures")
         text = "![error of spoilt runs over their steps](results/failures.svg)"
         fill_in(PAGE, "failures", f"{text}\n\n{_failure_table(rows)}")
+
+
+def chart_step() -> None:
+    """The newest times of a training step, by the options that they were measured with."""
+    if lines := read_lines("training-step"):
+        newest_by_command = {line["command"]: line for line in lines}
+        fill_in(PAGE, "training-step", _step_table(list(newest_by_command.values())))
 
 
 def newest(lines: Iterable[Line], key: str) -> list[Row]:
@@ -151,6 +159,20 @@ def _failure_table(rows: Sequence[Row]) -> str:
         )
     head = ["spoilt", "diverged", "MSE", "vertices, mm", "deviation of codes"]
     return markdown_table([*head, "reach at 3 σ, mm", "at 6 σ, mm"], lines)
+
+
+def _step_table(lines: Sequence[Line]) -> str:
+    """Medians of each part in milliseconds, and of the whole step with its quartiles."""
+    rows = []
+    for line in lines:
+        found = line["result"]
+        whole = (
+            f"{found['step_ms']:.0f} ({found['step_low_ms']:.0f} to {found['step_high_ms']:.0f})"
+        )
+        options = line["command"].partition("--preset ")[2].split(" --steps")[0]
+        rows.append([options, *(f"{found[f'{part}_ms']:.0f}" for part in STEP_PARTS), whole])
+    head = ["preset and options", *(f"{part}, ms" for part in STEP_PARTS), "step"]
+    return f"{markdown_table(head, rows)}\n\nMedians of 40 steps. {source_line(lines[-1])}"
 
 
 def _range(rows: Iterable[Row], key: str, digits: int) -> str | None:
