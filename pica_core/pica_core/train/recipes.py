@@ -70,6 +70,7 @@ RECIPES: dict[str, Recipe] = {
             smooth=PAPER_LOSSES.smooth,
         )
     ),
+    "kl_4_times": _losses(lambda losses: replace(losses, kl=4 * losses.kl)),
     "silhouettes": _losses(lambda losses: replace(losses, edge=1.0)),
     "all_pixels": _schedule(lambda schedule: replace(schedule, pixels_per_image=0)),
     "tracked_meshes": lambda config: replace(config, mesh_source="tracked"),
