@@ -7,29 +7,32 @@ from charting import ROOT, Line, Row, fill_in, markdown_table, read_lines, sourc
 PAGE = ROOT / "docs" / "avatars.md"
 AVATARS = ROOT / "pica_core" / "pica_core" / "avatars"
 REGIONS = ("mouth", "eyes", "rest")
+Kind = tuple[str, int]
+"""Split of the frames, and samples along each side of a pixel."""
 
 
 def chart_avatars() -> None:
-    """The newest evaluation of each run with one sample a pixel, and with several."""
+    """The newest evaluation of each run with one sample a pixel, with several, and on frames that
+    it was trained on."""
     lines = read_lines("avatars")
-    by_samples: dict[int, dict[str, Line]] = {}
+    by_kind: dict[Kind, dict[str, Line]] = {}
     for line in lines:
-        own = by_samples.setdefault(line["result"]["rows"][0]["samples"], {})
+        own = by_kind.setdefault(_kind(line), {})
         own |= {run["run"]: line for run in line["result"]["runs"]}
     if not lines:
         return
     parts = [
         part
-        for samples, newest in sorted(by_samples.items())
-        for part in (f"**{_number(samples)} a pixel**", _errors(newest))
+        for kind, newest in sorted(by_kind.items())
+        for part in (f"**{_title(kind)}**", _errors(newest))
     ]
-    used = [line for line in lines if any(line in own.values() for own in by_samples.values())]
+    used = [line for line in lines if any(line in own.values() for own in by_kind.values())]
     sources = "\n\n".join(f"`{source_line(line)}`" for line in used)
     geometry = (
         "Mean error of depth where the true and the decoded mesh are seen, beside that of the "
         "tracked mesh that a dome would give:"
     )
-    text = "\n\n".join([*parts, geometry, _geometry(by_samples[1]), sources])
+    text = "\n\n".join([*parts, geometry, _geometry(by_kind["test", 1]), sources])
     fill_in(PAGE, "avatars", text)
 
 
@@ -99,9 +102,15 @@ def _floor(run: str, line: Line) -> float | None:
     return error
 
 
-def _number(samples: int) -> str:
-    """Of so many along each side."""
-    return "One sample" if samples == 1 else f"{samples**2} samples"
+def _kind(line: Line) -> Kind:
+    result = line["result"]
+    return result.get("split", "test"), result["rows"][0]["samples"]
+
+
+def _title(kind: Kind) -> str:
+    split, side = kind
+    samples = "One sample" if side == 1 else f"{side**2} samples"
+    return f"{samples} a pixel{', frames that were trained on' if split == 'train' else ''}"
 
 
 def _mean(rows: list[Row], field: str) -> float:
