@@ -1,6 +1,6 @@
 """Make the avatars that ship: render, train, export, measure and verify each.
 
-    python scripts/make_avatars.py --work work                # an hour each on one core, two for Sam
+    python scripts/make_avatars.py --work work                # an hour each on a core, two for Sam
     python scripts/make_avatars.py --work work --names Sam    # one of them
 
 What is done is left alone and what was stopped goes on, so several processes can share the work.

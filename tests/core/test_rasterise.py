@@ -101,15 +101,50 @@ def test_gradients_of_weights_and_depth_agree_with_finite_differences() -> None:
     generator = torch.Generator().manual_seed(1)
     corners = torch.rand(4, 3, 3, dtype=torch.float64, generator=generator)
     corners = (corners + torch.tensor([0.0, 0.0, 1.0])).requires_grad_()
-    rays = torch.cat(
-        [
-            torch.rand(4, 2, dtype=torch.float64, generator=generator),
-            torch.ones(4, 1, dtype=torch.float64),
-        ],
-        1,
-    )
+    inside = torch.rand(4, 3, 1, dtype=torch.float64, generator=generator)
+    points = (inside * corners.detach()).sum(1)
+    rays = points / points[:, 2:]
 
     assert torch.autograd.gradcheck(lambda c: interpolation_weights(c, rays), (corners,))
+
+
+def test_weights_keep_their_digits_in_small_triangles_far_away() -> None:
+    generator = torch.Generator().manual_seed(1)
+    middle = torch.tensor([0.1, -0.2, 1.0], dtype=torch.float64)
+    corners = middle + 5e-4 * torch.rand(100, 3, 3, dtype=torch.float64, generator=generator)
+    points = corners.mean(1)
+    single = corners.float(), (points / points[:, 2:]).float()
+
+    wanted, _ = interpolation_weights(*(values.double() for values in single))
+    found, _ = interpolation_weights(*single)
+
+    assert (found - wanted).abs().median() < 1e-4  # without offsets from the ray: 1e-2
+
+
+@pytest.mark.parametrize(
+    "corners",
+    [
+        pytest.param([[-1, 0, 1], [0, 0, 2], [1, 0, 3]], id="edge-on"),
+        pytest.param([[-1, 0, 1], [0, 1e-9, 2], [1, -1e-9, 3]], id="all but edge-on"),
+        pytest.param([[0, 0, 1]] * 3, id="of no area"),
+    ],
+)
+def test_a_triangle_that_cannot_be_looked_into_is_met_in_its_middle(
+    corners: list[list[float]],
+) -> None:
+    triangle = torch.tensor([corners], dtype=torch.float32, requires_grad=True)
+
+    weights, _ = interpolation_weights(triangle, torch.tensor([[0.0, 0.0, 1.0]]))
+
+    assert torch.equal(weights, torch.full((1, 3), 1 / 3))
+    (gradient,) = torch.autograd.grad(weights[0, 0], triangle)
+    assert torch.equal(gradient, torch.zeros(1, 3, 3))
+
+
+def test_corners_that_are_no_numbers_have_weights_that_are() -> None:
+    weights, _ = interpolation_weights(torch.full((1, 3, 3), torch.nan), torch.ones(1, 3))
+
+    assert torch.equal(weights, torch.full((1, 3), 1 / 3))
 
 
 def test_a_rasteriser_serves_images_of_changing_size() -> None:

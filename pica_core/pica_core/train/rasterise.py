@@ -9,8 +9,9 @@ in camera axes and the ray d, the hit point is w0 p0 + w1 p1 + w2 p2 with
 
     w0 : w1 : w2  =  d . (p1 x p2)  :  d . (p2 x p0)  :  d . (p0 x p1)
 
-which is perspective-correct by construction and needs no division but the last. Coverage itself has
-no gradient here; `edge_gradient` has it.
+which is perspective-correct by construction and needs no division but the last. What a corner has
+along d does not change the volumes, so they are made of what it lies beside the ray: small numbers,
+whose differences keep their digits. Coverage itself has no gradient here; `edge_gradient` has it.
 
 Ids come back to the CPU once an image, as GL gives them; everything after is torch and follows the
 device of the vertices.
@@ -44,6 +45,9 @@ void main() { triangle = float(gl_PrimitiveID + 1); }
 NEAR_M = 0.02
 FAR_M = 20.0
 """Nothing nearer or further is drawn."""
+EDGE_ON = 0.5
+"""A pixel in a triangle has volumes of one sign, so their sum is the sum of their sizes. Where
+rounding leaves no more than this part of it, the triangle is seen edge-on."""
 _MAX_TRIANGLES = 1 << 24
 """Whole numbers that a float32 target holds exactly."""
 
@@ -303,18 +307,19 @@ def interpolation_weights(corners: Tensor, rays: Tensor) -> tuple[Tensor, Tensor
         Weights summing to 1, ``[P, 3]``, and depth along z in metres, ``[P]``. Differentiable in
         `corners`.
 
-    Not checked: a triangle seen exactly edge-on, or of no area, has no answer; GL draws no pixel of
-    it, so it never comes here from `Rasteriser`.
+    A triangle of no area, or seen edge-on as far as 32 bits can tell, has no answer. GL, which
+    rounds otherwise, draws a pixel of one now and then: it gets the triangle's middle. Corners that
+    are no numbers get the same weights, for torch's lookups crash at NaN.
     """
-    p0, p1, p2 = corners.unbind(1)
-    normals = torch.stack(
-        [torch.linalg.cross(p1, p2), torch.linalg.cross(p2, p0), torch.linalg.cross(p0, p1)], 1
-    )
-    volumes = (normals * rays[:, None]).sum(2)
+    depths = corners[:, :, 2]
+    x, y = (corners[:, :, :2] - depths[:, :, None] * rays[:, None, :2]).unbind(2)
+    volumes = x.roll(-1, 1) * y.roll(-2, 1) - x.roll(-2, 1) * y.roll(-1, 1)
     total = volumes.sum(1)
-    weights = volumes / total[:, None]
-    depth = (p0 * normals[:, 0]).sum(1) / total
-    return weights, depth
+    # Within a triangle volumes have one sign; on its border rounding may turn a small one.
+    is_sound = total.detach().abs() > EDGE_ON * volumes.detach().abs().sum(1)
+    total = torch.where(is_sound, total, 1.0)
+    weights = torch.where(is_sound[:, None], volumes / total[:, None], 1 / 3)
+    return weights, (weights * depths).sum(1)
 
 
 def interpolate(
