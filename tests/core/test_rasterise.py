@@ -125,7 +125,9 @@ def test_weights_keep_their_digits_in_small_triangles_far_away() -> None:
     "corners",
     [
         pytest.param([[-1, 0, 1], [0, 0, 2], [1, 0, 3]], id="edge-on"),
-        pytest.param([[-1, 0, 1], [0, 1e-9, 2], [1, -1e-9, 3]], id="all but edge-on"),
+        pytest.param(
+            [[-1, 0, 1], [0, 1e-9, 2], [1, 1e-9, 3]], id="all but edge-on, beside the ray"
+        ),
         pytest.param([[0, 0, 1]] * 3, id="of no area"),
     ],
 )
