@@ -140,6 +140,11 @@ def rarity(offsets_m: FloatArray, regions: dict[str, npt.NDArray[np.bool_]]) -> 
     return np.minimum(ratios, MAX_RARITY)
 
 
+def spaced(frames: list[int], count: int) -> list[int]:
+    """At most `count` of some frames, evenly spaced."""
+    return frames[:: -(-len(frames) // count)] if count else []
+
+
 def important_vertices(topology: Topology) -> npt.NDArray[np.bool_]:
     """Vertices of `IMPORTANT_REGIONS`. bool ``[V]``."""
     important = np.zeros(len(topology.vertex_uv), bool)

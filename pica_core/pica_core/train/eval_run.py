@@ -15,7 +15,7 @@ from pica_core.capture.dataset import Capture
 from pica_core.errors import CheckpointError
 from pica_core.model.interface import AvatarModel
 from pica_core.train.config import TrainConfig
-from pica_core.train.data import TrainingData
+from pica_core.train.data import TrainingData, spaced
 from pica_core.train.eval_judge import Judge, model_rasteriser
 from pica_core.train.eval_metrics import mse, psnr_db
 from pica_core.train.eval_truth import (
@@ -154,16 +154,16 @@ def prepare(capture: Path, map_size: int, limits: EvalLimits) -> CaptureTruth:
     frames = spaced_frames(data, limits.frames, limits.split)
     views: dict[tuple[int, str], TrueView] = {}
     tracked: dict[str, float | None] = {}
-    some = _some(frames, limits.geometry_frames)
+    some = spaced(frames, limits.geometry_frames)
     if some and data.capture.has_truth:
         views = true_views(data, some)
         tracked = tracked_errors(data, some, views).means_mm()
     near = NearField(skipped=NOT_ASKED)
     if limits.near_frames:
-        near = near_field(data, _some(frames, limits.near_frames))
+        near = near_field(data, spaced(frames, limits.near_frames))
     floor = None
     if limits.floor_frames:
-        floor = one_sample_mse(data, _some(frames, limits.floor_frames))
+        floor = one_sample_mse(data, spaced(frames, limits.floor_frames))
     return CaptureTruth(
         data=data, frames=frames, views=views, near=near, tracked_mm=tracked, one_sample_mse=floor
     )
@@ -231,11 +231,6 @@ def measure(
     return RunResult(
         rows=rows, distribution=distribution, geometry=depth, near=near, near_images=pictures
     )
-
-
-def _some(frames: list[int], count: int) -> list[int]:
-    """At most `count` of the frames, evenly spaced."""
-    return frames[:: -(-len(frames) // count)] if count else []
 
 
 def _depth_errors(judge: Judge, truth: CaptureTruth) -> dict[str, float | None]:

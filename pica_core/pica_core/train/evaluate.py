@@ -18,7 +18,7 @@ import numpy.typing as npt
 from torch import Tensor
 
 from pica_core.model.interface import AvatarModel
-from pica_core.train.data import TrainingData
+from pica_core.train.data import TrainingData, spaced
 from pica_core.train.eval_judge import Judge, Picture
 from pica_core.train.eval_metrics import bootstrap_interval, change_mse, mse, psnr_db, ssim
 from pica_core.train.rasterise import Rasteriser
@@ -73,8 +73,7 @@ class ViewErrors:
 def spaced_frames(data: TrainingData, max_frames: int, split: Split = "test") -> list[int]:
     """At most so many frames of a split, evenly spaced."""
     frames = {"test": data.test_frames, "train": data.train_frames}[split]
-    step = max(1, -(-len(frames) // max_frames))
-    return frames[::step]
+    return spaced(frames, max_frames)
 
 
 def successor(data: TrainingData, frame: int) -> int | None:

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.model.interface import FacePrior
-from pica_core.train.data import TrainingData
+from pica_core.train.data import TrainingData, spaced
 
 TEXTURE_FRAMES = 32
 """Training frames whose average textures make the mean one: evenly spaced, enough for a start."""
@@ -15,8 +15,7 @@ TEXTURE_FRAMES = 32
 def face_prior(data: TrainingData) -> FacePrior:
     """The prior of a capture, from its training frames alone."""
     capture = data.capture
-    frames = [capture.frames[index] for index in data.train_frames]
-    some = frames[:: -(-len(frames) // TEXTURE_FRAMES)]
+    some = [capture.frames[index] for index in spaced(data.train_frames, TEXTURE_FRAMES)]
     texture = np.zeros((capture.texture_size, capture.texture_size, 3))
     for frame in some:
         texture += capture.average_texture(frame)
