@@ -43,14 +43,13 @@ class Monitor:
 
     def row(self, step: int, kind: str, values: Mapping[str, Any]) -> None:
         """Write a line; its numbers become curves."""
-        if self._file is None:
+        if self._file is None or self._board is None:
             return
         self._file.write(json.dumps({"step": step, "kind": kind, **values}) + "\n")
         self._file.flush()
-        if self._board is not None:
-            for name, value in values.items():
-                if isinstance(value, int | float):
-                    self._board.add_scalar(f"{kind}/{name}", value, step)
+        for name, value in values.items():
+            if isinstance(value, int | float):
+                self._board.add_scalar(f"{kind}/{name}", value, step)
 
     def note(self, step: int, text: str) -> None:
         """Say something once, in the file and in the log."""
@@ -60,13 +59,12 @@ class Monitor:
 
     def picture(self, step: int, image: npt.NDArray[np.uint8]) -> None:
         """Keep a picture, uint8 ``[H, W, 3]``."""
-        if self._file is None:
+        if self._board is None:
             return
         folder = self._run_dir / "pictures"
         folder.mkdir(exist_ok=True)
         Image.fromarray(image).save(folder / f"{step:07d}.png")
-        if self._board is not None:
-            self._board.add_image("held out", image, step, dataformats="HWC")
+        self._board.add_image("held out", image, step, dataformats="HWC")
 
 
 def _open_board(folder: Path) -> SummaryWriter:
