@@ -22,11 +22,12 @@ from charting import (
 )
 from matplotlib.figure import Figure
 
+from pica_core.train.stopwatch import PARTS
+
 PAGE = ROOT / "docs" / "training.md"
 STYLES = ("-", "--", ":")
 PANEL_COLUMNS = 3
 UNSPOILT = "nothing"
-STEP_PARTS = ("data", "encode", "decode", "raster", "pixel", "loss", "backward", "optimiser")
 
 
 def chart_recipes() -> None:
@@ -85,8 +86,13 @@ def _draw_recipes(rows: Sequence[Row], line: Line) -> Figure:
     axis.set_xlabel("seconds of training")
     axis.set_ylabel("MSE, 0–255, held-out frames from the front")
     axis.legend(frameon=False, fontsize=7, ncols=2)
-    figure.supxlabel(textwrap.fill(source_line(line), 110), fontsize=6, color="#555555")
+    figure.supxlabel(_foot(line), fontsize=6, color="#555555")
     return figure
+
+
+def _foot(line: Line) -> str:
+    """The source line, in as many lines as it takes."""
+    return textwrap.fill(source_line(line), 110)
 
 
 def _ends(rows: Iterable[Row], name: str) -> float:
@@ -138,7 +144,7 @@ def _draw_failures(rows: Sequence[Row], line: Line) -> Figure:
     axes[0, 0].set_ylim(top=10 * max(ends))
     plain_ticks(axes[0, 0].yaxis)
     figure.supylabel("MSE, held-out frames from the front; grey: nothing spoilt", fontsize=8)
-    figure.supxlabel(f"step\n{textwrap.fill(source_line(line), 110)}", fontsize=6, color="#555555")
+    figure.supxlabel(f"step\n{_foot(line)}", fontsize=6, color="#555555")
     return figure
 
 
@@ -170,9 +176,11 @@ def _step_table(lines: Sequence[Line]) -> str:
             f"{found['step_ms']:.0f} ({found['step_low_ms']:.0f} to {found['step_high_ms']:.0f})"
         )
         options = line["command"].partition("--preset ")[2].split(" --steps")[0]
-        rows.append([options, *(f"{found[f'{part}_ms']:.0f}" for part in STEP_PARTS), whole])
-    head = ["preset and options", *(f"{part}, ms" for part in STEP_PARTS), "step"]
-    return f"{markdown_table(head, rows)}\n\nMedians of 40 steps. {source_line(lines[-1])}"
+        rows.append([options, *(f"{found[f'{part}_ms']:.0f}" for part in PARTS), whole])
+    head = ["preset and options", *(f"{part}, ms" for part in PARTS), "step"]
+    last = lines[-1]
+    told = f"Medians of {last['result']['steps']} steps. {source_line(last)}"
+    return f"{markdown_table(head, rows)}\n\n{told}"
 
 
 def _range(rows: Iterable[Row], key: str, digits: int) -> str | None:
