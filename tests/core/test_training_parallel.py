@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 import subprocess
 import sys
 from dataclasses import replace
@@ -46,16 +45,9 @@ def config(batch: int) -> TrainConfig:
     return replace(tiny, schedule=schedule, losses=replace(PAPER_LOSSES, depth=0.0, edge=1.0))
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return port
-
-
 def test_two_processes_train_as_one_with_the_doubled_batch(tmp_path: Path) -> None:
     capture = render_small(tmp_path / "capture")
-    torchrun = ["torch.distributed.run", "--nproc-per-node", "2", "--master-port", str(free_port())]
+    torchrun = ["torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
     words = [train_part.__file__, str(capture), str(tmp_path / "two")]
     together = subprocess.Popen(
         [sys.executable, "-m", *torchrun, *words, json.dumps(config(1).to_json())],
