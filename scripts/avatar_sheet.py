@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from pica_core.arkit import ARKIT_NAMES
-from pica_core.train.eval_judge import Judge, model_rasteriser
-from pica_core.train.eval_run import EvalLimits, build, open_run, prepare
+from pica_core.avatar.arkit import ARKIT_NAMES
+from pica_core.train.eval.judge import Judge, model_rasteriser
+from pica_core.train.eval.run import EvalLimits, build, open_run, prepare
 
 TILE_PX = 224
 FRAMES = 40

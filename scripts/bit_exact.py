@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.avatar_file import load_avatar
-from pica_core.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
-from pica_core.stream_profile import StreamProfile
+from pica_core.avatar.file import load_avatar
+from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
+from pica_core.codec.profile import StreamProfile
 
 GOLDEN = Path(__file__).parents[1] / "tests" / "golden" / "stream_v1.json"
 CONFIGS = {

@@ -6,7 +6,7 @@ from typing import Any
 
 from charting import RESULTS, Line, fill_in, read_lines, source_line
 
-from pica_core.train.eval_tables import TABLES, report
+from pica_core.train.eval.tables import TABLES, report
 
 PAGE = RESULTS / "tables.md"
 

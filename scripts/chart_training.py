@@ -22,7 +22,7 @@ from charting import (
 )
 from matplotlib.figure import Figure
 
-from pica_core.train.stopwatch import PARTS
+from pica_core.train.trials.stopwatch import PARTS
 
 PAGE = ROOT / "docs" / "training.md"
 STYLES = ("-", "--", ":")

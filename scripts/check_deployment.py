@@ -38,7 +38,7 @@ DOCKER = ROOT / "docker"
 TIMEOUT_S = 60.0
 
 sys.path.insert(0, str(ROOT / "tests"))
-from certificates import write_certificate  # noqa: E402
+from helpers.certificates import write_certificate  # noqa: E402
 
 
 def instructions(name: str) -> list[tuple[str, str]]:

@@ -2,7 +2,7 @@
 
     base    `pica relay` starts, and neither numpy nor torch is installed
     view    every module of `pica_client` imports, and torch and cryptography are not installed;
-            those of `pica_client.seal` alone need the extra seal
+            those of `pica_client.e2ee` alone need the extra seal
     seal    with it, a sender's install imports them too
     cluster with it, and without numpy, the relay's way to NATS imports
 
@@ -91,21 +91,21 @@ def check_client(folder: Path) -> None:
     """The viewer's install imports the whole client without torch and without cryptography."""
     python = make_environment(folder, "view")
     assert_absent(python, "torch", "cryptography")
-    print(f"view: {import_modules(python, 'pica_client', 'pica_client.seal.')}")
+    print(f"view: {import_modules(python, 'pica_client', 'pica_client.e2ee.')}")
 
 
 def check_seal(folder: Path) -> None:
     """A sender's install can encrypt with the extra seal, without what only a viewer needs."""
     python = make_environment(folder, "send,seal")
     assert_absent(python, "torch", "onnxruntime", "moderngl")
-    print(f"seal: {import_modules(python, 'pica_client.seal')}")
+    print(f"seal: {import_modules(python, 'pica_client.e2ee')}")
 
 
 def check_cluster(folder: Path) -> None:
     """A relay's install has its way to NATS with the extra cluster."""
     python = make_environment(folder, "cluster")
     assert_absent(python, "numpy", "torch")
-    print(f"cluster: {import_modules(python, 'pica_server.cluster')}")
+    print(f"cluster: {import_modules(python, 'pica_server.cluster.nats')}")
 
 
 def main() -> None:

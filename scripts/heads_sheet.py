@@ -17,14 +17,14 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from pica_core.arkit import ARKIT_NAMES, NUM_ARKIT
+from pica_core.avatar.arkit import ARKIT_NAMES, NUM_ARKIT
 from pica_core.camera import Camera, look_at
-from pica_core.capture.expressions import blend, sample_takes
-from pica_core.capture.gpu import StageRenderer
-from pica_core.capture.head_checks import Faults, HeadChecks
-from pica_core.capture.head_zones import all_motions, zones_of
-from pica_core.capture.heads import make_head
-from pica_core.capture.identity import IDENTITIES
+from pica_core.capture.procedural.gpu import StageRenderer
+from pica_core.capture.procedural.head_checks import Faults, HeadChecks
+from pica_core.capture.procedural.head_zones import all_motions, zones_of
+from pica_core.capture.procedural.heads import make_head
+from pica_core.capture.procedural.identity import IDENTITIES
+from pica_core.capture.stage.expressions import blend, sample_takes
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 TILE_PX = 224

@@ -22,16 +22,16 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from pica_client.avatars import AvatarLibrary
-from pica_client.bench_playout import true_face
-from pica_client.impairment_scenarios import BY_NAME
-from pica_client.playout import POLICIES, Playout
-from pica_client.render_error import FaceRenderer, rendered_mse
+from pica_client.avatars.library import AvatarLibrary
+from pica_client.bench.network.scenarios import BY_NAME
+from pica_client.bench.network.stream_trial import Face, Schedule, deliver, play
+from pica_client.bench.playout import true_face
+from pica_client.bench.render_error import FaceRenderer, rendered_mse
+from pica_client.playout.buffer import POLICIES, Playout
 from pica_client.stats import percentile
-from pica_client.stream_trial import Face, Schedule, deliver, play
-from pica_core.avatar_file import Avatar
-from pica_core.latent_sample import LatentSample
-from pica_core.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
+from pica_core.avatar.file import Avatar
+from pica_core.codec.latent_sample import LatentSample
+from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
 
 OUT = Path(__file__).resolve().parent.parent / "docs" / "limits.png"
 SIZE_PX = 240

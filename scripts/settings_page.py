@@ -14,8 +14,8 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from pica_server.commands import RelayOptions
-from pica_server.settings import Setting, settings_of
+from pica_server.cli.relay import RelayOptions
+from pica_server.config.settings import Setting, settings_of
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "settings.md"
 

@@ -18,8 +18,8 @@ from PIL import Image
 from torch import Tensor
 
 from pica_core.camera import Camera, look_at
-from pica_core.train.eval_judge import Judge, model_rasteriser
-from pica_core.train.eval_run import EvalLimits, build, open_run, prepare
+from pica_core.train.eval.judge import Judge, model_rasteriser
+from pica_core.train.eval.run import EvalLimits, build, open_run, prepare
 
 TILE_PX = 192
 COLUMNS = 6

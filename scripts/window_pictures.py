@@ -20,22 +20,22 @@ from pathlib import Path
 
 from PIL import Image
 
-from pica_client.avatars import AvatarLibrary
-from pica_client.call import Call
-from pica_client.call_monitor import CallMonitor
-from pica_client.controls import KeyPressed, OwnFace
-from pica_client.join_dialog import empty_room
-from pica_client.join_form import Fields, JoinForm
-from pica_client.link_config import LinkConfig
-from pica_client.processes import Children
-from pica_client.receiver import Receiver
-from pica_client.recorder import save_png
-from pica_client.renderer import Renderer
-from pica_client.seats import LAYOUTS
-from pica_client.staging import ROOM, Stage, StageConfig
-from pica_client.view_session import make_publisher
-from pica_client.viewer import Viewer, ViewerOptions
-from pica_client.window import Window
+from pica_client.avatars.library import AvatarLibrary
+from pica_client.call.call import Call
+from pica_client.call.monitor import CallMonitor
+from pica_client.call.receiver import Receiver
+from pica_client.local_call.local_call import ROOM, Stage, StageConfig
+from pica_client.local_call.processes import Children
+from pica_client.render.recorder import save_png
+from pica_client.render.renderer import Renderer
+from pica_client.render.seats import LAYOUTS
+from pica_client.transport.config import LinkConfig
+from pica_client.ui.controls import KeyPressed, OwnFace
+from pica_client.ui.join_dialog import empty_room
+from pica_client.ui.join_form import Fields, JoinForm
+from pica_client.ui.view_session import make_publisher
+from pica_client.ui.viewer import Viewer, ViewerOptions
+from pica_client.ui.window import Window
 
 SIZES = ((1280, 720), (2560, 1440))
 PEOPLE = 5

@@ -19,26 +19,26 @@ from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
 from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
 from pica_protocol.store import AVATARS_PATH, STORE_SUBPROTOCOL
-from pica_server.admin import Admin
-from pica_server.admin_server import AdminServer
-from pica_server.certificate import Certificate
-from pica_server.config import RelayConfig
+from pica_server.admin.admin import Admin
+from pica_server.admin.server import AdminServer
+from pica_server.auth.tokens import KeyRing, admin_scope, admit, admit_upload, load_keys
+from pica_server.config.relay import RelayConfig
 from pica_server.errors import AdmissionError, ListenError
-from pica_server.hub import Hub
-from pica_server.limits import SocketGuard
-from pica_server.loop_watch import PERIOD_S, LoopWatch
-from pica_server.notices import Notice
-from pica_server.proxies import is_in, networks
-from pica_server.relay_pump import Pump
-from pica_server.relay_socket import RelaySocket
-from pica_server.status_pages import StatusPages
-from pica_server.store import open_store
-from pica_server.store_door import StoreDoor
-from pica_server.tokens import KeyRing, admin_scope, admit, admit_upload, load_keys
-from pica_server.webhook_sender import WebhookSender
+from pica_server.hooks.events import Notice
+from pica_server.hooks.sender import WebhookSender
+from pica_server.net.limits import SocketGuard
+from pica_server.net.proxies import is_in, networks
+from pica_server.net.pump import Pump
+from pica_server.net.socket import RelaySocket
+from pica_server.ops.certificate import Certificate
+from pica_server.ops.loop_watch import PERIOD_S, LoopWatch
+from pica_server.ops.status_pages import StatusPages
+from pica_server.room.hub import Hub
+from pica_server.store.store import open_store
+from pica_server.store.transfer import StoreDoor
 
 if TYPE_CHECKING:
-    from pica_server.cluster import Cluster
+    from pica_server.cluster.nats import Cluster
 
 _MAX_QUEUED_MESSAGES = 16
 """Messages read ahead from one websocket before its socket is left alone."""
@@ -156,7 +156,7 @@ class Relay:
         self._pump.start()
         if config.cluster:
             # Only here: a relay alone needs no NATS.
-            from pica_server.cluster import Cluster
+            from pica_server.cluster.nats import Cluster
 
             self._cluster = Cluster(
                 config.cluster, self.hub, config.room_capacity, self._pump.after_turn_soon

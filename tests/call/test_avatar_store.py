@@ -12,22 +12,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pica_client.avatar_cache import AvatarCache
-from pica_client.avatar_fetch import AvatarFetcher
-from pica_client.avatar_push import AvatarGiver, Push
-from pica_client.avatars import AvatarLibrary
-from pica_client.call import Call
-from pica_client.decoder import OnnxDecoder
-from pica_client.faces import FaceState
-from pica_client.link_config import LinkConfig
-from pica_client.receiver import Receiver
-from pica_client.sender import Sender, SenderConfig
+from helpers.store_peers import store_relay
+from helpers.toy import make_toy_avatar
+from pica_client.avatars.cache import AvatarCache
+from pica_client.avatars.fetch import AvatarFetcher
+from pica_client.avatars.library import AvatarLibrary
+from pica_client.avatars.upload import AvatarGiver, Push
+from pica_client.call.call import Call
+from pica_client.call.faces import FaceState
+from pica_client.call.receiver import Receiver
+from pica_client.decode.decoder import OnnxDecoder
+from pica_client.publish.sender import Sender, SenderConfig
 from pica_client.sources import open_source
-from pica_core.avatar_file import avatar_id, load_avatar, save_avatar
+from pica_client.transport.config import LinkConfig
+from pica_core.avatar.file import avatar_id, load_avatar, save_avatar
+from pica_server.auth.tokens import Admission, KeyRing, mint
 from pica_server.relay import Relay
-from pica_server.tokens import Admission, KeyRing, mint
-from store_peers import store_relay
-from toy import make_toy_avatar
 
 pytestmark = pytest.mark.call
 

@@ -4,10 +4,10 @@ import os
 
 import pytest
 
-from pica_client.bench_relay import Load, RelayBenchConfig, relay_target, run_relay_bench
-from pica_client.bench_relay_processes import Workers, memory_bytes, relay_metrics
-from pica_client.bench_relay_soak import SoakConfig, run_soak
-from pica_client.processes import Children
+from pica_client.bench.relay.bench import Load, RelayBenchConfig, relay_target, run_relay_bench
+from pica_client.bench.relay.processes import Workers, memory_bytes, relay_metrics
+from pica_client.bench.relay.soak import SoakConfig, run_soak
+from pica_client.local_call.processes import Children
 
 pytestmark = pytest.mark.realtime
 

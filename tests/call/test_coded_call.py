@@ -21,22 +21,23 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from pica_client import call as call_module
-from pica_client import publisher as publisher_module
-from pica_client.avatars import LoadedAvatars
-from pica_client.call import Call
-from pica_client.faces import FaceState
-from pica_client.link_config import LinkConfig
-from pica_client.load import make_senders
-from pica_client.receiver import Receiver
-from pica_client.sender import Sender, SenderConfig
-from pica_core import latent_encoder, stream_ends
-from pica_core.avatar_file import Avatar, load_avatar
-from pica_core.latent_sample import DecodedFrame, EncodedFrame
-from pica_core.latent_stream import StreamConfig
-from pica_core.stream_ends import FaceDecoder, FaceEncoder
-from pica_core.stream_frames import FrameState, encode_frame
-from pica_server.config import RelayConfig
+from pica_client.avatars.library import LoadedAvatars
+from pica_client.call import call as call_module
+from pica_client.call.call import Call
+from pica_client.call.faces import FaceState
+from pica_client.call.receiver import Receiver
+from pica_client.local_call.load import make_senders
+from pica_client.publish import publisher as publisher_module
+from pica_client.publish.sender import Sender, SenderConfig
+from pica_client.transport.config import LinkConfig
+from pica_core.avatar.file import Avatar, load_avatar
+from pica_core.codec import factory as stream_ends
+from pica_core.codec import latent_encoder
+from pica_core.codec.factory import FaceDecoder, FaceEncoder
+from pica_core.codec.frames import FrameState, encode_frame
+from pica_core.codec.latent_sample import DecodedFrame, EncodedFrame
+from pica_core.codec.latent_stream import StreamConfig
+from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
 from simnet.link import Link as Wire

@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pica_client.avatars import LoadedAvatars
-from pica_client.call import Call
-from pica_client.link_config import LinkConfig
-from pica_client.load import make_senders, run_senders
-from pica_client.receiver import Receiver
-from pica_client.seal.secret import RoomSecret, save_secret
-from pica_client.sender import SenderConfig
-from pica_server.config import RelayConfig
+from helpers.toy import make_toy_avatar
+from pica_client.avatars.library import LoadedAvatars
+from pica_client.call.call import Call
+from pica_client.call.receiver import Receiver
+from pica_client.e2ee.secret import RoomSecret, save_secret
+from pica_client.local_call.load import make_senders, run_senders
+from pica_client.publish.sender import SenderConfig
+from pica_client.transport.config import LinkConfig
+from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
-from toy import make_toy_avatar
 
 pytestmark = pytest.mark.call
 

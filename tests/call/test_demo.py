@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from pica_client.demo import DemoConfig, run_demo
-from pica_client.processes import Children
-from pica_client.staging import StageConfig
-from pica_core.avatar_file import save_avatar
-from toy import make_toy_avatar
+from helpers.toy import make_toy_avatar
+from pica_client.cli.demo import DemoConfig, run_demo
+from pica_client.local_call.local_call import StageConfig
+from pica_client.local_call.processes import Children
+from pica_core.avatar.file import save_avatar
 
 pytestmark = pytest.mark.realtime
 

@@ -18,21 +18,21 @@ from typing import Any
 
 import pytest
 
-from pica_client.avatars import LoadedAvatars
-from pica_client.call import Call
-from pica_client.link import Link
-from pica_client.link_config import LinkConfig
-from pica_client.load import make_senders, run_senders
-from pica_client.receiver import Receiver
-from pica_client.sender import SenderConfig
+from helpers.toy import make_toy_avatar
+from pica_client.avatars.library import LoadedAvatars
+from pica_client.call.call import Call
+from pica_client.call.receiver import Receiver
+from pica_client.local_call.load import make_senders, run_senders
+from pica_client.publish.sender import SenderConfig
 from pica_client.stats import percentile
-from pica_core.avatar_file import Avatar
+from pica_client.transport.config import LinkConfig
+from pica_client.transport.link import Link
+from pica_core.avatar.file import Avatar
 from pica_protocol.messages import Track
-from pica_server.config import RelayConfig
+from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
 from simnet.link import Link as Wire
-from toy import make_toy_avatar
 
 pytestmark = pytest.mark.call
 

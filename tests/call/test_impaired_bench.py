@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pica_client.bench_call import BenchConfig, run_bench
-from pica_client.call_witness import TrueFace
-from pica_client.impairment import Impairment
-from pica_client.staging import StageConfig
-from pica_core.avatar_file import save_avatar
-from pica_core.latent_sample import LatentSample
-from toy import make_toy_avatar
+from helpers.toy import make_toy_avatar
+from pica_client.bench.call import BenchConfig, run_bench
+from pica_client.bench.impaired_call_compare import TrueFace
+from pica_client.bench.network.impairment import Impairment
+from pica_client.local_call.local_call import StageConfig
+from pica_core.avatar.file import save_avatar
+from pica_core.codec.latent_sample import LatentSample
 
 pytestmark = pytest.mark.realtime
 

@@ -12,18 +12,18 @@ import pytest
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.typing import Subprotocol
 
-from pica_client.dial import open_websocket
 from pica_client.errors import OptionError, RelayRefusedError, RelayUnreachableError
-from pica_client.link import Link
-from pica_client.link_config import LinkConfig
+from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import open_websocket
+from pica_client.transport.link import Link
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import Joined, KeyframeRequest, PeerJoined, Whisper
 from pica_protocol.server_session import ServerSession
 from pica_protocol.session import ClientEvent, Closed, State
-from pica_server.config import RelayConfig
+from pica_server.auth.tokens import Admission, KeyRing, load_keys, mint
+from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
-from pica_server.tokens import Admission, KeyRing, load_keys, mint
 from simnet.clock import current_network, in_virtual_time
 from simnet.peers import FACE, peer_in_room
 

@@ -14,21 +14,21 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
-from pica_client.avatars import LoadedAvatars
-from pica_client.call import Call
-from pica_client.call_monitor import CallMonitor
-from pica_client.call_status import CallStatus
+from helpers.toy import make_toy_avatar
+from pica_client.avatars.library import LoadedAvatars
+from pica_client.call.call import Call
+from pica_client.call.faces import FaceState
+from pica_client.call.monitor import CallMonitor
+from pica_client.call.receiver import Receiver
+from pica_client.call.status import CallStatus
 from pica_client.errors import RelayRefusedError
-from pica_client.faces import FaceState
-from pica_client.link_config import LinkConfig
-from pica_client.publisher import FaceMode, Publisher, SenderConfig
-from pica_client.receiver import Receiver
+from pica_client.publish.publisher import FaceMode, Publisher, SenderConfig
 from pica_client.sources import open_source
-from pica_server.config import RelayConfig
+from pica_client.transport.config import LinkConfig
+from pica_server.auth.tokens import Admission, KeyRing, mint
+from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
-from pica_server.tokens import Admission, KeyRing, mint
 from simnet.clock import current_network, in_virtual_time
-from toy import make_toy_avatar
 
 pytestmark = pytest.mark.call
 

@@ -14,16 +14,16 @@ from pathlib import Path
 
 import pytest
 
-from pica_client.avatars import AvatarLibrary, LoadedAvatars
-from pica_client.bench_call import BenchConfig, run_bench
-from pica_client.call import Call
+from helpers.toy import make_toy_avatar
+from pica_client.avatars.library import AvatarLibrary, LoadedAvatars
+from pica_client.bench.call import BenchConfig, run_bench
+from pica_client.call.call import Call
+from pica_client.call.receiver import Receiver
 from pica_client.errors import CallProcessError, RelayUnreachableError
-from pica_client.link_config import LinkConfig
-from pica_client.processes import Child, Children
-from pica_client.receiver import Receiver
-from pica_client.staging import Stage, StageConfig
-from pica_core.avatar_file import avatar_id, save_avatar
-from toy import make_toy_avatar
+from pica_client.local_call.local_call import Stage, StageConfig
+from pica_client.local_call.processes import Child, Children
+from pica_client.transport.config import LinkConfig
+from pica_core.avatar.file import avatar_id, save_avatar
 
 pytestmark = pytest.mark.realtime
 
@@ -72,7 +72,7 @@ def start_sender(children: Children, url: str, avatar: Path, name: str = "Ada") 
 def test_processes_end_with_a_parent_that_was_killed(avatar_file: Path, tmp_path: Path) -> None:
     script = (
         "import sys, time\n"
-        "from pica_client.processes import Children\n"
+        "from pica_client.local_call.processes import Children\n"
         "with Children() as children:\n"
         "    relay, url = children.start_relay()\n"
         "    sender = children.start('sender', 'send', '--url', url, '--avatar', sys.argv[1])\n"

@@ -13,16 +13,16 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
-from pica_client.avatars import AvatarLibrary
-from pica_client.controls import InputEvent, KeyPressed, TextTyped
-from pica_client.join_dialog import ask_where
-from pica_client.join_form import Fields, JoinForm
-from pica_client.link_config import LinkConfig
-from pica_client.preferences import Preferences, PreferencesFile
-from pica_client.processes import Children
-from pica_client.view import ViewConfig
-from pica_client.view_session import Destination, ask_and_look, look
-from pica_client.viewer import ViewerOptions
+from pica_client.avatars.library import AvatarLibrary
+from pica_client.local_call.processes import Children
+from pica_client.transport.config import LinkConfig
+from pica_client.ui.controls import InputEvent, KeyPressed, TextTyped
+from pica_client.ui.join_dialog import ask_where
+from pica_client.ui.join_form import Fields, JoinForm
+from pica_client.ui.preferences import Preferences, PreferencesFile
+from pica_client.ui.view import ViewConfig
+from pica_client.ui.view_session import Destination, ask_and_look, look
+from pica_client.ui.viewer import ViewerOptions
 from pica_core.gl import create_context
 
 pytestmark = pytest.mark.call
@@ -61,7 +61,7 @@ class ScreenlessWindow:
 def window_of(monkeypatch: pytest.MonkeyPatch) -> Callable[[list[InputEvent]], None]:
     def prepare(happened: list[InputEvent]) -> None:
         monkeypatch.setattr(ScreenlessWindow, "happened", list(happened), raising=False)
-        monkeypatch.setattr("pica_client.window.Window", ScreenlessWindow)
+        monkeypatch.setattr("pica_client.ui.window.Window", ScreenlessWindow)
 
     return prepare
 

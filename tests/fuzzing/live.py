@@ -23,12 +23,13 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 from fuzzing.abuse import CLOSE, Conversation, conversation, frame, handshake, http
+from helpers.paths import ROOT
 from pica_protocol.codec import decode_message, decode_store_message
 from pica_protocol.errors import ProtocolError
 from pica_protocol.frames import MEDIA_KIND, Frame, decode_media
 from simnet.peers import WirePeer, peer_in_room
 
-PROTOCOL_PAGE: Final = Path(__file__).parents[2] / "docs" / "protocol.md"
+PROTOCOL_PAGE: Final = ROOT / "docs" / "protocol.md"
 STATUSES: Final = frozenset(
     {101, 200, 206, 304, 400, 403, 404, 405, 414, 416, 426, 431, 501, 503, 505}
 )

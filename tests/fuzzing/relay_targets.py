@@ -19,11 +19,7 @@ from pica_protocol.errors import CloseCode
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Hello, Join, Track
 from pica_protocol.session import State
-from pica_server.config import LimitsConfig, RelayConfig
-from pica_server.connection import Connection
-from pica_server.errors import AdmissionError
-from pica_server.hub import Hub
-from pica_server.tokens import (
+from pica_server.auth.tokens import (
     ALGORITHM,
     ANY_AVATAR,
     AUDIENCE,
@@ -32,6 +28,10 @@ from pica_server.tokens import (
     admit,
     mint,
 )
+from pica_server.config.relay import LimitsConfig, RelayConfig
+from pica_server.errors import AdmissionError
+from pica_server.room.connection import Connection
+from pica_server.room.hub import Hub
 
 SECRET: Final = bytes(range(32))
 KEYS: Final = KeyRing({"old": SECRET[::-1], "new": SECRET})

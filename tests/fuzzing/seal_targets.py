@@ -8,12 +8,12 @@ from typing import Final
 from fuzzing.meter import Meter
 from fuzzing.mutator import Mutator
 from fuzzing.targets import expect
-from pica_client.seal.errors import NoteError, OpenError
-from pica_client.seal.frames import decode_header, derive_key, metadata_of, open_, seal
-from pica_client.seal.guard import Guard
-from pica_client.seal.notes import Note, RoomKeys, Way, decode_note, encode_note
-from pica_client.seal.secret import RoomSecret
-from pica_client.seal.suites import SUITES
+from pica_client.e2ee.errors import NoteError, OpenError
+from pica_client.e2ee.frames import decode_header, derive_key, metadata_of, open_, seal
+from pica_client.e2ee.guard import Guard
+from pica_client.e2ee.notes import Note, RoomKeys, Way, decode_note, encode_note
+from pica_client.e2ee.secret import RoomSecret
+from pica_client.e2ee.suites import SUITES
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, Peer, PeerJoined, Track, Whisper
 

@@ -15,7 +15,7 @@ from pica_protocol.codec import decode_store_message, encode_message
 from pica_protocol.errors import RemoteProtocolError
 from pica_protocol.messages import Peer, Track, Whisper
 from pica_protocol.store import MAX_CHUNK_BYTES, decode_chunk, is_avatar_id
-from pica_server.cluster_messages import (
+from pica_server.cluster.messages import (
     Ask,
     Interest,
     MediaHeader,
@@ -31,8 +31,8 @@ from pica_server.cluster_messages import (
     encode_record,
 )
 from pica_server.errors import ClusterMessageError, UnfitFileError
-from pica_server.store_check import StructureCheck
-from pica_server.store_http import Conditions, answer_for
+from pica_server.store.check import StructureCheck
+from pica_server.store.http import Conditions, answer_for
 
 _STORE_CORPUS: Final = [
     data

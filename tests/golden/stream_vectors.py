@@ -32,11 +32,11 @@ import numpy.typing as npt
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).parents[1]))
 
+from helpers.stream_toy import Publisher, Sent, toy_faces, toy_pose, toy_profile
+from pica_core.codec.frames import FrameState, decode_frame
+from pica_core.codec.latent_stream import StreamConfig
+from pica_core.codec.profile import StreamProfile
 from pica_core.errors import LatentError
-from pica_core.latent_stream import StreamConfig
-from pica_core.stream_frames import FrameState, decode_frame
-from pica_core.stream_profile import StreamProfile
-from stream_toy import Publisher, Sent, toy_faces, toy_pose, toy_profile
 
 GOLDEN = Path(__file__).with_name("stream_v1.json")
 LATENT_UNIT = 2.0**-12

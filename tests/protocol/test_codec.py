@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from helpers.strategies import messages
 from pica_protocol.codec import decode_message, encode_message
 from pica_protocol.errors import ProtocolError, RemoteProtocolError
 from pica_protocol.limits import MAX_CONTROL_BYTES, MAX_PEERS
@@ -20,7 +21,6 @@ from pica_protocol.messages import (
     Track,
     Want,
 )
-from protocol.strategies import messages
 
 pytestmark = pytest.mark.unit
 

@@ -4,6 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from helpers.strategies import frames
 from pica_protocol.errors import RemoteProtocolError
 from pica_protocol.frames import (
     HEADER_BYTES,
@@ -16,7 +17,6 @@ from pica_protocol.frames import (
     sequence_distance,
 )
 from pica_protocol.limits import MAX_FRAME_BYTES, MAX_MEDIA_MESSAGE_BYTES
-from protocol.strategies import frames
 
 pytestmark = pytest.mark.unit
 

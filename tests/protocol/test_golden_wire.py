@@ -1,10 +1,10 @@
 import json
 import re
-from pathlib import Path
 
 import pytest
 
 from golden.wire_samples import FRAMES, GOLDEN, MESSAGES, OLDER, invalid_bytes, wire_bytes
+from helpers.paths import ROOT
 from pica_protocol.codec import decode_message
 from pica_protocol.errors import CloseCode, RemoteProtocolError
 from pica_protocol.frames import decode_media
@@ -14,7 +14,7 @@ from pica_protocol.session import CLIENT_TABLE, SERVER_TABLE
 pytestmark = pytest.mark.unit
 
 VECTORS = json.loads(GOLDEN.read_text())
-DOCUMENT = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text()
+DOCUMENT = (ROOT / "docs" / "protocol.md").read_text()
 
 
 @pytest.mark.parametrize("name", VECTORS["valid"])

@@ -2,6 +2,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from helpers.strategies import messages
 from pica_protocol.client_session import MAX_QUEUED_MESSAGES, ClientSession
 from pica_protocol.codec import decode_message, encode_message
 from pica_protocol.errors import CloseCode, LocalProtocolError, is_worth_retrying
@@ -32,7 +33,6 @@ from pica_protocol.messages import (
 )
 from pica_protocol.server_session import ServerSession
 from pica_protocol.session import CLIENT_TABLE, SERVER_TABLE, Closed, Media, State
-from protocol.strategies import messages
 
 pytestmark = pytest.mark.unit
 

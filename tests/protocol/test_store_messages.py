@@ -2,13 +2,13 @@
 
 import json
 import re
-from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from golden.wire_samples import CHUNK, GOLDEN, STORE_MESSAGES, store_bytes
+from helpers.paths import ROOT
 from pica_protocol.codec import decode_message, decode_store_message, encode_message
 from pica_protocol.errors import RemoteProtocolError
 from pica_protocol.messages import Hello
@@ -24,7 +24,7 @@ from pica_protocol.store import (
 pytestmark = pytest.mark.unit
 
 VECTORS = json.loads(GOLDEN.read_text())["store"]
-DOCUMENT = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text()
+DOCUMENT = (ROOT / "docs" / "protocol.md").read_text()
 ID = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
 
 

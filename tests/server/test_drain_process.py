@@ -12,8 +12,8 @@ from contextlib import contextmanager
 
 import pytest
 
-from pica_client.link import Link
-from pica_client.link_config import LinkConfig
+from pica_client.transport.config import LinkConfig
+from pica_client.transport.link import Link
 from pica_protocol.messages import Joined, PeerJoined, Whisper
 from pica_protocol.session import Closed
 from simnet.peers import WirePeer, peer_in_room

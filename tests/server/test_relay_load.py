@@ -7,7 +7,7 @@ import pytest
 from pica_protocol.errors import CloseCode, LocalProtocolError
 from pica_protocol.messages import Whisper
 from pica_protocol.session import Closed
-from pica_server.config import LimitsConfig, RelayConfig
+from pica_server.config.relay import LimitsConfig, RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import in_virtual_time
 from simnet.peers import now, peer_in_room

@@ -14,10 +14,10 @@ import urllib.request
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager, suppress
 
-from pica_client.dial import open_websocket
 from pica_client.errors import ClientError
-from pica_client.link import Link
-from pica_client.link_config import LinkConfig
+from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import open_websocket
+from pica_client.transport.link import Link
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, KeyframeRequest, PeerJoined, PeerLeft, Track, Whisper
 from pica_protocol.session import ClientEvent

@@ -21,9 +21,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_client.errors import SourceError
-from pica_client.rotation import rotation_vector_from_yaw_pitch_roll
+from pica_client.playout.rotation import rotation_vector_from_yaw_pitch_roll
 from pica_client.sources.source import Recording
-from pica_core.arkit import ARKIT_NAMES
+from pica_core.avatar.arkit import ARKIT_NAMES
 
 TIMECODE_FPS = 60.0
 """What the last field of a timecode counts, whatever the frame rate of the take."""

@@ -24,7 +24,7 @@ from pica_client.errors import SourceError
 from pica_client.sources import tracks
 from pica_client.sources.source import Recording
 from pica_client.sources.tracks import SAMPLE_FPS, Track
-from pica_core.arkit import ARKIT_INDEX, NUM_ARKIT
+from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 
 DURATION_S = 60.0
 """Length of a performance before it repeats."""

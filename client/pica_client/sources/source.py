@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.arkit import NUM_ARKIT, ExpressionFrame
+from pica_core.avatar.arkit import NUM_ARKIT, ExpressionFrame
 
 FloatArray = npt.NDArray[np.float32]
 

@@ -12,6 +12,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from pica_core.avatar.spec import AvatarSpec
+from pica_core.avatar.variants import ModelCost, TopologyName, pixel_codec_cost
 from pica_core.model.decoders import (
     MapDecoder,
     sample_map,
@@ -29,8 +31,6 @@ from pica_core.model.interface import (
     uv_buffer,
 )
 from pica_core.model.pixel_decoder import FIRST_FREQUENCY, PixelDecoder
-from pica_core.spec import AvatarSpec
-from pica_core.variants import ModelCost, TopologyName, pixel_codec_cost
 
 
 class PixelCodecAvatar(AvatarModel):

@@ -14,8 +14,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from pica_core.avatar.spec import LATENT_CHANNELS, LEAKY_SLOPE
 from pica_core.model.interface import LatentEncoder
-from pica_core.spec import LATENT_CHANNELS, LEAKY_SLOPE
 
 MAX_LOG_VARIANCE = 4.0
 """A deviation of 7, against the prior's 1; trained encoders say -3 on average, 0 at most."""

@@ -1,7 +1,7 @@
 """Surface encodings in torch: what the pixel decoder is told about a surface point.
 
 Each class is one part; an encoding is several side by side. What they compute, and the numpy twins:
-`pica_core.surface_encoding`.
+`pica_core.reference.surface_encoding`.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from pica_core.avatar.spec import NUM_FREQUENCIES, AvatarSpec
 from pica_core.model.decoders import sample_map
-from pica_core.spec import NUM_FREQUENCIES, AvatarSpec
 
 
 class SurfaceEncoding(nn.Module, ABC):

@@ -25,9 +25,9 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from pica_core.arkit import NUM_ARKIT
-from pica_core.spec import LATENT_CHANNELS, LATENT_SIZE, LEAKY_SLOPE, NUM_LATENT, AvatarSpec
-from pica_core.variants import ModelCost, TopologyName
+from pica_core.avatar.arkit import NUM_ARKIT
+from pica_core.avatar.spec import LATENT_CHANNELS, LATENT_SIZE, LEAKY_SLOPE, NUM_LATENT, AvatarSpec
+from pica_core.avatar.variants import ModelCost, TopologyName
 
 FloatArray = npt.NDArray[np.float32]
 GroupName = Literal["shape", "appearance", "pixel", "encoding"]

@@ -14,8 +14,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from pica_core.avatar.spec import AvatarSpec
 from pica_core.model.encodings import SurfaceEncoding, make_encoding
-from pica_core.spec import AvatarSpec
 
 XYZ_UNIT_M = 0.1
 """Head-frame coordinates enter the network in this unit, which brings a face to about [-1, 1]."""

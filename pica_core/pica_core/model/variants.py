@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from pica_core.avatar.spec import AvatarSpec
+from pica_core.avatar.variants import VARIANTS, Variant
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.baseline import DeepAppearanceModel
 from pica_core.model.interface import AvatarModel, FacePrior
 from pica_core.model.pixel_decoder import FIRST_FREQUENCY
-from pica_core.spec import AvatarSpec
-from pica_core.variants import VARIANTS, Variant
 
 __all__ = ["VARIANTS", "make_model"]
 

@@ -13,12 +13,12 @@ import math
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, Literal
 
+from pica_core.avatar.spec import AvatarSpec
+from pica_core.avatar.variants import VARIANTS
 from pica_core.errors import CheckpointError, TrainingOptionError
 from pica_core.model.interface import AvatarModel, FacePrior
 from pica_core.model.pixel_decoder import FIRST_FREQUENCY
 from pica_core.model.variants import make_model
-from pica_core.spec import AvatarSpec
-from pica_core.variants import VARIANTS
 
 MeshSource = Literal["truth", "tracked"]
 PHASES = ("geometry", "joint", "driver")

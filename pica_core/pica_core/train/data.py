@@ -15,16 +15,16 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from pica_core.arkit import NUM_ARKIT
+from pica_core.avatar.arkit import NUM_ARKIT
+from pica_core.avatar.variants import TopologyName
 from pica_core.camera import Camera
-from pica_core.capture import multiface
-from pica_core.capture.dataset import Capture, Topology
-from pica_core.capture.reader import CaptureReader, Request
+from pica_core.capture.dataset import multiface
+from pica_core.capture.dataset.dataset import Capture, Topology
+from pica_core.capture.dataset.reader import CaptureReader, Request
 from pica_core.errors import CaptureError
 from pica_core.model.decoders import sample_map
 from pica_core.model.encoder import resize_texture
 from pica_core.train.rasterise import Rasteriser
-from pica_core.variants import TopologyName
 
 FloatArray = npt.NDArray[np.float32]
 Float64Array = npt.NDArray[np.float64]

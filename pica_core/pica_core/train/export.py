@@ -9,16 +9,16 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from pica_core.avatar_file import Avatar
-from pica_core.avatar_manifest import Manifest
-from pica_core.baseline import BaselineAvatar
+from pica_core.avatar.file import Avatar
+from pica_core.avatar.manifest import Manifest
+from pica_core.codec.profile import StreamProfile
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.baseline import DeepAppearanceModel
 from pica_core.model.interface import AvatarModel
 from pica_core.model.pixel_decoder import XYZ_UNIT_M
-from pica_core.stream_profile import StreamProfile
+from pica_core.reference.baseline import BaselineAvatar
 from pica_core.train.data import TrainingData
-from pica_core.train.eval_judge import drawn_topology
+from pica_core.train.eval.judge import drawn_topology
 
 MARGIN_M = 0.02
 """How far decoded positions may leave the box of the training meshes."""

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pica_core.train.data import TrainingData
-from pica_core.train.evaluate import mean_mse
+from pica_core.train.eval.evaluate import mean_mse
 from pica_core.train.loop import Trainer
 
 EVALUATION_FILE = "evaluation.json"

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pica_core.capture.tracked_topology import COVER
+from pica_core.capture.stage.tracked_topology import COVER
 from pica_core.errors import CaptureError
 from pica_core.model.encoder import hold_log_variance, reparameterise
 from pica_core.model.interface import AvatarModel, DecodedMesh
@@ -36,7 +36,7 @@ from pica_core.train.losses import (
     normal_loss,
 )
 from pica_core.train.parallel import Ranks
-from pica_core.train.stopwatch import Stopwatch
+from pica_core.train.trials.stopwatch import Stopwatch
 
 DRIVER_MESHES = 8
 """A step of the driver phase decodes the mesh of every eighth frame of its batch."""

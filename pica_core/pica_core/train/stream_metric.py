@@ -16,15 +16,15 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from pica_core.avatar.spec import LATENT_SHAPE, NUM_LATENT
 from pica_core.camera import Camera
-from pica_core.capture.practice import practice_performances
-from pica_core.capture.stage import dome_cameras
+from pica_core.capture.stage.dome import dome_cameras
+from pica_core.capture.stage.stream_training_faces import practice_performances
+from pica_core.codec.learning import LearningConfig, RenderMetric, learn_profile
+from pica_core.codec.profile import StreamProfile
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.decoders import sample_map
 from pica_core.model.interface import Surface
-from pica_core.spec import LATENT_SHAPE, NUM_LATENT
-from pica_core.stream_learning import LearningConfig, RenderMetric, learn_profile
-from pica_core.stream_profile import StreamProfile
 from pica_core.train.data import view_direction
 from pica_core.train.rasterise import Rasteriser, interpolate
 

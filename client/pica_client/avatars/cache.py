@@ -1,0 +1,126 @@
+"""Avatars of others on this machine's disk, so that each is fetched once.
+
+Files under their hash, in the place that the system has for what can be fetched again; those that
+were used longest ago go first when there are too many bytes of them.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+
+from pica_core.avatar.file import avatar_id
+from pica_core.errors import AvatarFileError
+
+MAX_BYTES = 2**30
+"""Of all files together (chosen: four hundred avatars of the size that ships)."""
+SUFFIX = ".pica"
+UNFINISHED = ".part"
+ABANDONED_AFTER_S = 86_400.0
+
+
+def default_folder(
+    environment: Mapping[str, str] | None = None, platform: str = sys.platform
+) -> Path:
+    """The folder for cached avatars of this user.
+
+    Three lines for three systems; a package that knows more of them would be one more to install
+    for every receiver.
+    """
+    environment = os.environ if environment is None else environment
+    if platform == "win32":
+        base = Path(environment.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+        return base / "pica-telepresence" / "Cache" / "avatars"
+    if platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "pica-telepresence" / "avatars"
+    given = environment.get("XDG_CACHE_HOME", "")
+    base = Path(given) if given.startswith("/") else Path.home() / ".cache"
+    return base / "pica-telepresence" / "avatars"
+
+
+class AvatarCache:
+    """A bounded folder of avatar files by hash. One thread uses it; processes may share it."""
+
+    def __init__(self, folder: Path | None = None, max_bytes: int = MAX_BYTES) -> None:
+        """Prepare the folder.
+
+        Args:
+            folder: Where; by default `default_folder`. When it cannot be written, a temporary one
+                that ends with the cache.
+            max_bytes: Of all files together; the newest is kept whatever its size.
+        """
+        self._max_bytes = max_bytes
+        self._temporary: tempfile.TemporaryDirectory[str] | None = None
+        self.folder = default_folder() if folder is None else folder
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            trial = self.unfinished("trial")
+            trial.touch()
+            trial.unlink()
+            self._delete_abandoned()
+        except OSError:
+            self._temporary = tempfile.TemporaryDirectory(prefix="pica-cache-")
+            self.folder = Path(self._temporary.name)
+
+    def find(self, identity: str) -> Path | None:
+        """The file of an avatar, if it is there and still has its hash."""
+        path = self._path(identity)
+        try:
+            if avatar_id(path) == identity:
+                os.utime(path)
+                return path
+        except (AvatarFileError, OSError):
+            pass
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
+        return None
+
+    def unfinished(self, identity: str) -> Path:
+        """A new path for a file that is on its way."""
+        return self.folder / f"{identity[:16]}-{secrets.token_hex(8)}{UNFINISHED}"
+
+    def keep(self, unfinished: Path, identity: str) -> Path:
+        """Take a file that has come whole, and make room for it.
+
+        Raises:
+            OSError: It cannot be moved.
+        """
+        path = self._path(identity)
+        os.replace(unfinished, path)
+        self._trim(path)
+        return path
+
+    def close(self) -> None:
+        """Delete what was only temporary."""
+        if self._temporary is not None:
+            self._temporary.cleanup()
+
+    def _path(self, identity: str) -> Path:
+        return self.folder / f"{identity}{SUFFIX}"
+
+    def _trim(self, newest: Path) -> None:
+        files = []
+        for path in self.folder.glob(f"*{SUFFIX}"):
+            with suppress(OSError):  # another process trims, too
+                found = path.stat()
+                files.append((found.st_mtime, found.st_size, path))
+        total = sum(size for _, size, _ in files)
+        for _, size, path in sorted(files, key=lambda file: file[0]):
+            if total <= self._max_bytes:
+                return
+            if path != newest:
+                with suppress(OSError):
+                    path.unlink()
+                total -= size
+
+    def _delete_abandoned(self) -> None:
+        for path in self.folder.glob(f"*{UNFINISHED}"):
+            with suppress(OSError):
+                if time.time() - path.stat().st_mtime > ABANDONED_AFTER_S:
+                    path.unlink()

@@ -1,0 +1,185 @@
+"""The avatars a client knows: those that ship with the package, and files the user names.
+
+An avatar travels as the SHA-256 of its file; who has the file, has the avatar. Files are hashed
+when a library is made and loaded when they are first asked for, in a thread: loading takes a tenth
+of a second, in which neither network nor display may stand still.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from importlib import resources
+from pathlib import Path
+from typing import Protocol
+
+from pica_client.errors import AvatarLookupError
+from pica_core.avatar.file import Avatar, avatar_id, load_avatar
+from pica_core.errors import AvatarFileError
+
+SUFFIX = ".pica"
+
+
+class AvatarStore(Protocol):
+    """Where a call finds avatars by hash; any thread may ask."""
+
+    def has(self, identity: str) -> bool:
+        """Whether `get` will give this avatar, now or later."""
+        ...
+
+    def get(self, identity: str) -> Avatar | None:
+        """The avatar, or None while it is being loaded, or for ever if it is unknown.
+
+        Raises:
+            AvatarFileError: The file is there and must not be used, or will not come.
+        """
+        ...
+
+    def note(self, identity: str) -> str:
+        """How far an avatar is on its way, for people; empty when there is nothing to say."""
+        ...
+
+
+def shipped_avatar_files() -> list[Path]:
+    """The avatar files inside the package, by name."""
+    folder = resources.files("pica_core") / "avatars"
+    if not folder.is_dir():
+        return []
+    files = [Path(str(item)) for item in folder.iterdir() if item.name.endswith(SUFFIX)]
+    return sorted(files)
+
+
+class AvatarLibrary:
+    """Avatars in files: the shipped ones first, then those given."""
+
+    def __init__(
+        self,
+        files: Iterable[Path] = (),
+        folder: Path | None = None,
+        *,
+        shipped: Iterable[Path] | None = None,
+    ) -> None:
+        """Hash all files.
+
+        Args:
+            files: Avatar files.
+            folder: A folder whose ``*.pica`` files are known too.
+            shipped: Instead of the package's own; for tests.
+
+        Raises:
+            AvatarFileError: A file cannot be read.
+            AvatarLookupError: The folder is none.
+        """
+        paths = [*(shipped_avatar_files() if shipped is None else shipped), *files]
+        if folder is not None:
+            if not folder.is_dir():
+                raise AvatarLookupError(f"avatar folder {folder} is not there")
+            paths += sorted(folder.glob(f"*{SUFFIX}"))
+        self._paths: dict[str, Path] = {}
+        for path in paths:
+            self._paths.setdefault(avatar_id(path), path)
+        self._loading: dict[str, Future[Avatar]] = {}
+        self._lock = threading.Lock()
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="avatars")
+
+    @property
+    def names(self) -> list[str]:
+        """Names that `find` knows: file names without suffix."""
+        return [path.stem for path in self._paths.values()]
+
+    def find(self, name: str) -> str:
+        """The hash of an avatar by its name or its file.
+
+        Raises:
+            AvatarLookupError: Neither; names the known ones.
+            AvatarFileError: The file cannot be read.
+        """
+        for identity, path in self._paths.items():
+            if path.stem == name:
+                return identity
+        path = Path(name).expanduser()
+        if path.suffix != SUFFIX:
+            known = ", ".join(self.names) or "none"
+            raise AvatarLookupError(
+                f"avatar {name!r} is unknown; shipped are: {known}; or give a {SUFFIX} file"
+            )
+        identity = avatar_id(path)
+        self._paths.setdefault(identity, path)
+        return identity
+
+    def has(self, identity: str) -> bool:
+        """See `AvatarStore.has`."""
+        return identity in self._paths
+
+    def get(self, identity: str) -> Avatar | None:
+        """See `AvatarStore.get`."""
+        if not self.has(identity):
+            return None
+        future = self._begin_loading(identity)
+        if not future.done():
+            return None
+        error = future.exception()
+        if isinstance(error, AvatarFileError):
+            # A fresh one each time: an error raised again and again keeps every traceback.
+            raise AvatarFileError(str(error)) from error
+        return future.result()
+
+    def note(self, identity: str) -> str:
+        """See `AvatarStore.note`; files are here or not."""
+        return ""
+
+    def add(self, identity: str, path: Path) -> None:
+        """Know one more file, whose hash is known already."""
+        self._paths.setdefault(identity, path)
+
+    def path(self, identity: str) -> Path:
+        """The file of an avatar that is known."""
+        return self._paths[identity]
+
+    def load(self, identity: str) -> Avatar:
+        """The avatar, waiting for it.
+
+        Raises:
+            AvatarFileError: It must not be used.
+            AvatarLookupError: Nobody has it.
+        """
+        if not self.has(identity):
+            raise AvatarLookupError(f"no avatar file with the hash {identity[:12]}…")
+        return self._begin_loading(identity).result()
+
+    def loaded(self) -> list[str]:
+        """Hashes of the avatars that were asked for so far."""
+        with self._lock:
+            return list(self._loading)
+
+    def close(self) -> None:
+        """End the loading thread."""
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def _begin_loading(self, identity: str) -> Future[Avatar]:
+        with self._lock:
+            future = self._loading.get(identity)
+            if future is None:
+                future = self._pool.submit(load_avatar, self._paths[identity])
+                self._loading[identity] = future
+        return future
+
+
+class LoadedAvatars:
+    """Avatars that are in memory already, by hash."""
+
+    def __init__(self, avatars: Mapping[str, Avatar]) -> None:
+        self._avatars = dict(avatars)
+
+    def has(self, identity: str) -> bool:
+        """See `AvatarStore.has`."""
+        return identity in self._avatars
+
+    def get(self, identity: str) -> Avatar | None:
+        """See `AvatarStore.get`."""
+        return self._avatars.get(identity)
+
+    def note(self, identity: str) -> str:
+        """See `AvatarStore.note`."""
+        return ""

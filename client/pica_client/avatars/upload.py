@@ -1,0 +1,224 @@
+"""Giving a relay the file of an avatar, so that whoever does not have it can see its wearer.
+
+It goes over a websocket of its own, beside the call: in small messages, and with a small buffer in
+the kernel, because the faces share the way up with it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import socket
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from websockets.asyncio.client import ClientConnection
+from websockets.exceptions import ConnectionClosed, InvalidHandshake
+
+from pica_client.errors import ClientError, RelayError
+from pica_client.transport.backoff import Backoff
+from pica_client.transport.config import read_token
+from pica_client.transport.connect import open_websocket, refusal
+from pica_core.avatar.file import MAX_FILE_BYTES
+from pica_core.errors import AvatarFileError
+from pica_protocol.codec import decode_store_message, encode_message
+from pica_protocol.errors import CloseCode, RemoteProtocolError, is_worth_retrying
+from pica_protocol.messages import Bye
+from pica_protocol.store import (
+    MAX_CHUNK_BYTES,
+    STORE_SUBPROTOCOL,
+    Offer,
+    Ready,
+    Stored,
+    StoreMessage,
+    encode_chunk,
+)
+
+SEND_BUFFER_BYTES = 16 * 2**10
+"""What the kernel may hold of a file, which it may double (chosen: 130 ms of a link with 1 Mbit/s
+up, through which a face goes too; with 50 ms there and back still 2.5 Mbit/s)."""
+ANSWER_TIMEOUT_S = 60.0
+"""For the relay to check a file that it has got whole; others may be before it."""
+MAX_ATTEMPTS = 6
+
+Progress = Callable[[float], None]
+
+
+class PushError(RelayError):
+    """The relay did not take the file; says why."""
+
+    def __init__(self, message: str, *, is_worth_retrying: bool) -> None:
+        super().__init__(message)
+        self.is_worth_retrying = is_worth_retrying
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Push:
+    """What to give to whom."""
+
+    path: Path
+    """The avatar's file."""
+    identity: str
+    """Its SHA-256."""
+    token_file: Path | None = None
+    """With a join token that allows to wear this avatar, for a relay that wants one."""
+    ca_file: Path | None = None
+    """With wss://, certificates to trust instead of the system's."""
+
+
+async def push_avatar(url: str, push: Push, progress: Progress = lambda ratio: None) -> Stored:
+    """Give a relay an avatar's file, unless it has it.
+
+    Args:
+        url: Of the relay, ws:// or wss://.
+        push: The file.
+        progress: Called with the ratio that is on its way.
+
+    Returns:
+        What the relay says: ``checked`` is empty if it had the file.
+
+    Raises:
+        PushError: The relay is not there, keeps no avatars, or does not take this one.
+        AvatarFileError: The file cannot be read.
+        OptionError: The token file, or the certificates, cannot be read.
+    """
+    data = await asyncio.to_thread(_read, push.path)
+    token = read_token(push.token_file)
+    async with _store_socket(url, push.ca_file) as websocket:
+        try:
+            offer = Offer(sha256=push.identity, size=len(data), token=token)
+            await websocket.send(encode_message(offer))
+            answer = await _answer(websocket)
+            if isinstance(answer, Ready):
+                for begin in range(0, len(data), MAX_CHUNK_BYTES):
+                    await websocket.send(encode_chunk(data[begin : begin + MAX_CHUNK_BYTES]))
+                    progress(min(begin + MAX_CHUNK_BYTES, len(data)) / len(data))
+                answer = await _answer(websocket)
+            if not isinstance(answer, Stored):
+                raise _not_understood()
+            return answer
+        except ConnectionClosed as error:
+            # Why, stands in what it said before it closed.
+            code = websocket.close_code or CloseCode.CONNECTION_LOST
+            reason = websocket.close_reason or "the connection broke"
+            raise PushError(reason, is_worth_retrying=is_worth_retrying(code)) from error
+        except RemoteProtocolError as error:
+            raise _not_understood() from error
+
+
+class AvatarGiver:
+    """Gives our avatar to whatever relay we are at; ``begin`` it after each join.
+
+    Attributes:
+        outcome: For the statistics: ``""`` until something happened, then ``known``, ``given`` or
+            why not.
+    """
+
+    def __init__(
+        self,
+        push: Push,
+        relay_url: Callable[[], str],
+        say: Callable[[str], None],
+        *,
+        rng: random.Random | None = None,
+    ) -> None:
+        """Prepare.
+
+        Args:
+            push: What to give.
+            relay_url: Of the relay where we are.
+            say: Takes a line for the user.
+            rng: Spreads further attempts.
+        """
+        self.outcome = ""
+        self._push = push
+        self._relay_url = relay_url
+        self._say = say
+        self._backoff = Backoff((rng or random.Random()).random)
+        self._task: asyncio.Task[None] | None = None
+
+    def begin(self) -> None:
+        """Give it in the background, unless that is going on; another relay may not have it."""
+        if self._task is None or self._task.done():
+            self._task = asyncio.create_task(self._give(), name="avatar push")
+
+    async def close(self) -> None:
+        """Leave it."""
+        if self._task is not None:
+            self._task.cancel()
+            await asyncio.gather(self._task, return_exceptions=True)
+
+    async def _give(self) -> None:
+        for attempt in range(1, MAX_ATTEMPTS + 1):
+            try:
+                stored = await push_avatar(self._relay_url(), self._push)
+            except PushError as error:
+                if error.is_worth_retrying and attempt < MAX_ATTEMPTS:
+                    await asyncio.sleep(self._backoff.next_wait_s(0.0))
+                    continue
+                self._note(str(error))
+            except (AvatarFileError, ClientError) as error:
+                self._note(str(error))
+            else:
+                if stored.checked:
+                    self._say("gave the relay this avatar's file, for those who do not have it")
+                self.outcome = "given" if stored.checked else "known"
+            return
+
+    def _note(self, why: str) -> None:
+        if self.outcome != why:
+            self._say(f"the relay did not get this avatar's file ({why}): others need it, too")
+        self.outcome = why
+
+
+@asynccontextmanager
+async def _store_socket(url: str, ca_file: Path | None) -> AsyncIterator[ClientConnection]:
+    try:
+        websocket = await open_websocket(url, ca_file, subprotocol=STORE_SUBPROTOCOL)
+    except (OSError, TimeoutError, InvalidHandshake, EOFError) as error:
+        why = refusal(error)
+        message = f"{url}: {why or 'nobody answers'}"
+        raise PushError(message, is_worth_retrying=why is None) from error
+    try:
+        if websocket.subprotocol != STORE_SUBPROTOCOL:
+            raise PushError("the relay keeps no avatars", is_worth_retrying=False)
+        raw = websocket.transport.get_extra_info("socket")
+        if raw is not None and raw.family in (socket.AF_INET, socket.AF_INET6):
+            with suppress(OSError):
+                raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+        yield websocket
+        await websocket.close()
+    finally:
+        websocket.transport.abort()  # in case we are cancelled
+
+
+async def _answer(websocket: ClientConnection) -> StoreMessage:
+    try:
+        async with asyncio.timeout(ANSWER_TIMEOUT_S):
+            data = await websocket.recv()
+    except TimeoutError as error:
+        raise PushError("the relay does not answer", is_worth_retrying=True) from error
+    if isinstance(data, str):
+        raise _not_understood()
+    message = decode_store_message(data)
+    if isinstance(message, Bye):
+        retry = is_worth_retrying(message.code)
+        raise PushError(message.reason or "the relay said no", is_worth_retrying=retry)
+    return message
+
+
+def _not_understood() -> PushError:
+    return PushError("the relay does not answer as a store", is_worth_retrying=False)
+
+
+def _read(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_FILE_BYTES + 1)
+    except OSError as error:
+        raise AvatarFileError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if not 0 < len(data) <= MAX_FILE_BYTES:
+        raise AvatarFileError(f"{path}: 1 to {MAX_FILE_BYTES} bytes are allowed")
+    return data

@@ -1,0 +1,258 @@
+"""The same call as the demo's without drawing: every latent that the playout buffer lets go is
+decoded, and the time from the tracker's sample to the decoded maps is what counts.
+
+With an impairment the receiver sits behind a proxy that makes its network worse, and a witness says
+what that does to the rendered faces (`impaired_proxy`, `call_witness`).
+
+What it does not show: real networks (all is loopback), displays, and more machines than one.
+Wall-clock numbers hold for this machine under its present load.
+
+Chosen, with the reason:
+- two decoding threads for all avatars: five peers need 150 decodes a second. One thread is enough
+  for block C (1 to 3 ms each; no difference was measured), two keep up with blocks of up to 10 ms;
+- a decode waits in a queue, first come first served, which drops nothing until it is full.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import sys
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pica_client.avatars.library import AvatarLibrary
+from pica_client.bench.impaired_call_compare import Witness
+from pica_client.bench.network.impairment import Impairment
+from pica_client.bench.network.proxy import ImpairedProxy
+from pica_client.call.call import Call, CallConfig, DueFrame
+from pica_client.call.receiver import Receiver
+from pica_client.decode.decoder import ObjectDecoder, OnnxDecoder
+from pica_client.errors import CallProcessError, OptionError
+from pica_client.local_call.latency import FrameTimes, latency_summary
+from pica_client.local_call.local_call import (
+    CHECK_INTERVAL_S,
+    JOIN_TIMEOUT_S,
+    ROOM,
+    Stage,
+    StageConfig,
+    bitrates,
+    require_all,
+)
+from pica_client.local_call.processes import Children
+from pica_client.playout.buffer import PlayoutConfig
+from pica_client.stats import describe_machine
+from pica_client.transport.config import LinkConfig
+from pica_core.avatar.file import Avatar
+
+MAX_DECODES_WAITING = 64
+"""Decodes waiting for a thread; newer ones are dropped and counted (chosen: 0.4 s of a call)."""
+MAX_FRAMES = 200_000
+"""Frames a bench remembers: 22 minutes of five peers at 30 a second."""
+FRONT = np.array([0, 0, 1], np.float32)
+"""View direction of every decode: the camera in front of the face; it does not change the cost."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BenchConfig:
+    """What to measure."""
+
+    stage: StageConfig = field(default_factory=StageConfig)
+    seconds: float = 20.0
+    """Measured time, after everybody is there and has warmed up."""
+    warm_up_s: float = 2.0
+    """Between the last peer's first frame and the first that counts."""
+    playout: PlayoutConfig = field(default_factory=PlayoutConfig)
+    decode_threads: int = 2
+    """Decodes that may run at once."""
+    impairment: Impairment | None = None
+    """The way from the relay to the receiver; loopback as it is by default."""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.seconds <= 600:
+            raise OptionError(f"seconds is {self.seconds:g}; above 0 and at most 600 is allowed")
+
+
+class DecodeLane:
+    """Decodes frames, first come first served, and remembers their times."""
+
+    def __init__(self, make_decoder: Callable[[Avatar], ObjectDecoder]) -> None:
+        self.frames: list[FrameTimes] = []
+        self.num_dropped = 0
+        self.errors = 0
+        self._make_decoder = make_decoder
+        self._decoders: dict[str, ObjectDecoder] = {}
+        # Drops the newest when full.
+        self._waiting: asyncio.Queue[tuple[DueFrame, float]] = asyncio.Queue(MAX_DECODES_WAITING)
+
+    def prepare(self, avatar_id: str, avatar: Avatar) -> None:
+        """Build and warm up the decoder of an avatar; takes tenths of a second."""
+        decoder = self._decoders[avatar_id] = self._make_decoder(avatar)
+        decoder.decode(np.zeros((8, 8, 4), np.float32), FRONT)
+
+    def submit(self, due: DueFrame, now: float) -> None:
+        """Queue a frame that was released now."""
+        try:
+            self._waiting.put_nowait((due, now))
+        except asyncio.QueueFull:
+            self.num_dropped += 1
+
+    def begin_window(self) -> None:
+        """Let the statistics begin here."""
+        self.frames.clear()
+        self.num_dropped = self.errors = 0
+
+    async def run(self) -> None:
+        """Decode until cancelled, one at a time; as many of these run as there are threads."""
+        loop = asyncio.get_running_loop()
+        while True:
+            due, released_s = await self._waiting.get()
+            decoder, latent = self._decoders[due.avatar_id], due.frame.sample.latent
+            try:
+                await asyncio.to_thread(decoder.decode, latent, FRONT)
+            except Exception:  # whatever a decoder raises, the call goes on and the count shows it
+                self.errors += 1
+                continue
+            if len(self.frames) < MAX_FRAMES:
+                self.frames.append(
+                    FrameTimes(
+                        name=due.name,
+                        captured_us=due.frame.captured_us,
+                        arrived_s=due.frame.arrived_s,
+                        released_s=released_s,
+                        decoded_s=loop.time(),
+                    )
+                )
+
+
+def run_bench(config: BenchConfig, *, avatar_files: list[Path] | None = None) -> dict[str, Any]:
+    """Hold the call and measure it.
+
+    Raises:
+        ClientError: A source, an avatar or a process is not as it must be; a call in which a
+            sender crashed is no measurement.
+    """
+    library = AvatarLibrary(avatar_files or ())
+    try:
+        with Children() as children:
+            stage = Stage(config.stage, library, children)
+            return asyncio.run(_measure(config, stage, library))
+    finally:
+        library.close()
+
+
+async def _measure(config: BenchConfig, stage: Stage, library: AvatarLibrary) -> dict[str, Any]:
+    async with contextlib.AsyncExitStack() as stack:
+        url, witness = stage.url, None
+        if config.impairment is not None:
+            proxy = await stack.enter_async_context(ImpairedProxy(stage.url, config.impairment))
+            url = proxy.url
+            witness = Witness(stage.url, url, library, CallConfig(playout=config.playout))
+        result = await _measure_through(url, witness, config, stage, library)
+    if witness is not None and config.impairment is not None:
+        result["impairment"] = asdict(config.impairment)
+        result["rendered"] = witness.compare(library)
+    return result
+
+
+async def _measure_through(
+    url: str,
+    witness: Witness | None,
+    config: BenchConfig,
+    stage: Stage,
+    library: AvatarLibrary,
+) -> dict[str, Any]:
+    call = Call(library, CallConfig(playout=config.playout))
+    receiver = Receiver(
+        LinkConfig(url=url, room=ROOM, name="bench", connect_timeout_s=JOIN_TIMEOUT_S), call
+    )
+    lane = DecodeLane(OnnxDecoder)
+    for identity in library.loaded():
+        lane.prepare(identity, library.load(identity))
+    loop = asyncio.get_running_loop()
+    tasks = [
+        asyncio.create_task(receiver.run(), name="receiver"),
+        asyncio.create_task(_release(receiver, lane), name="release"),
+        *(asyncio.create_task(lane.run(), name="decode") for _ in range(config.decode_threads)),
+    ]
+    if witness is not None:
+        tasks.append(asyncio.create_task(witness.run(), name="witness"))
+    try:
+        deadline = loop.time() + JOIN_TIMEOUT_S
+        while call.num_live < len(stage.names):
+            await _pause(tasks)
+            stage.check()
+            if stage.crashed or loop.time() > deadline:
+                require_all(stage.names, _missing(call, stage, loop.time()), stage)
+        await _pause(tasks, config.warm_up_s)
+        begin_s = loop.time()
+        call.begin_window(begin_s)
+        lane.begin_window()
+        if witness is not None:
+            witness.begin_window(begin_s)
+        print(f"measuring {config.seconds:g} s of {len(stage.names)} peers", file=sys.stderr)
+        while (left_s := begin_s + config.seconds - loop.time()) > 0:
+            await _pause(tasks, min(left_s, CHECK_INTERVAL_S))
+            stage.check()
+        received = receiver.stats(loop.time())
+        seconds = loop.time() - begin_s
+        frames = [frame for frame in lane.frames if frame.captured_us >= begin_s * 1e6]
+        receiver.stop()
+        await tasks[0]
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+    sent = await asyncio.to_thread(stage.finish)
+    decoded = Counter(frame.name for frame in frames)
+    if stage.crashed:
+        raise CallProcessError("; ".join(stage.failures()))
+    return {
+        "peers": len(stage.names),
+        "decoded_peers": len(decoded),
+        "seconds": round(seconds, 2),
+        "latency_ms": latency_summary(frames, stage.encode_times_s()),
+        "latents_per_s": {name: round(decoded[name] / seconds, 2) for name in stage.names},
+        "bitrate_bps": bitrates(sent),
+        "dropped": received["dropped"] + lane.num_dropped,
+        "concealed": received["concealed"],
+        "errors": received["errors"]
+        + lane.errors
+        + sum(result["errors"] for result in sent.values()),
+        "playout_delay_ms": {peer["name"]: peer["playout_delay_ms"] for peer in received["peers"]},
+        "machine": describe_machine(),
+    }
+
+
+async def _release(receiver: Receiver, lane: DecodeLane) -> None:
+    """Hand each frame to the decoder when its time has come."""
+    loop, call = asyncio.get_running_loop(), receiver.call
+    while True:
+        receiver.arrived.clear()
+        timer = call.next_timer() or math.inf
+        if timer > loop.time():
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout_at(None if timer == math.inf else timer):
+                    await receiver.arrived.wait()
+        # A loop may fire a timer up to its clock's resolution too early: round up, not down.
+        now = loop.time() + 1e-6
+        for due in call.due_frames(now):
+            lane.submit(due, loop.time())
+
+
+async def _pause(tasks: list[asyncio.Task[None]], seconds: float = CHECK_INTERVAL_S) -> None:
+    """Sleep, unless one of the tasks fails: then raise its error."""
+    done, _ = await asyncio.wait(tasks, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
+    for task in done:
+        task.result()
+
+
+def _missing(call: Call, stage: Stage, now: float) -> list[str]:
+    seen = {peer["name"] for peer in call.stats(now)["peers"] if peer["received"]}
+    return [name for name in stage.names if name not in seen]

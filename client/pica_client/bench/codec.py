@@ -1,0 +1,418 @@
+"""Bits against the error of the rendered face, for our stream and for what one would take instead.
+
+Each row is one profile on one source. A profile codes a performance frame by frame at 30 frames a
+second; its latents are decoded and drawn by the real decoder and renderer at some moments, and
+compared with the drawing of the latent as the expression encoder gave it (`mse`) and, where the
+avatar is of a head that the stage can draw, with that head itself (`psnr_loss_db`).
+
+    quality-N            our stream at quality N, all layers
+    quality-N-layer-L    the same with only the layers up to L: what is left after thinning, faces
+                         in between interpolated
+    rate-N               our stream told to keep to N bits a second of payload
+    plain-8-bit          the plain format
+    float-16             latent and pose as 16-bit floats
+    zlib                 each plain frame compressed on its own
+    zstd-dictionary      the same with a dictionary of 110 KB trained on other performances
+
+    payload_bps          payload bits a second over the whole performance, head pose included
+    wire_bps             with media header, websocket frame, and TCP and IP headers, one message a
+                         frame, as a sender's uplink has it
+    mse                  mean over moments and views, 0-255, over covered pixels
+    change_mse           the same of the *change* to the next frame: flicker hides from `mse`
+    psnr_loss_db         PSNR against the truth of the uncoded latent less that of the coded one,
+                         mean over moments; worst_frame_loss_db the largest. Null without a truth
+    pose_mrad, pose_mm   mean error of the head pose, per axis; it is in none of the above errors
+    encode_us, decode_us median time of a frame on this machine
+
+What it does not show: networks (`pica bench playout`), and people: the avatars are synthetic, and
+only the recording is of a face. An error of 8 bits and of the pixels that change owner at edges is
+in every `mse`: about 0.2.
+"""
+
+from __future__ import annotations
+
+import struct
+import sys
+import time
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_client.bench.difference_sheet import Cell, write_sheet
+from pica_client.bench.render_error import (
+    Drawing,
+    FaceRenderer,
+    Image,
+    evaluation_cameras,
+    masked_mse,
+    psnr_db,
+    rendered_mse,
+)
+from pica_client.errors import OptionError
+from pica_client.sources import open_source
+from pica_client.stats import describe_machine, wire_bytes
+from pica_core.avatar.expression_encoder import ExpressionEncoder
+from pica_core.avatar.file import Avatar
+from pica_core.capture.procedural.gpu import StageRenderer
+from pica_core.capture.procedural.heads import make_head
+from pica_core.capture.procedural.identity import IDENTITIES
+from pica_core.capture.stage.stream_training_faces import practice_performances
+from pica_core.codec.latent_sample import LatentSample
+from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
+from pica_core.codec.plain_stream import LatentProfile, decode_latent, encode_latent
+from pica_core.codec.profile import StreamProfile
+from pica_core.errors import ProfileError
+from pica_protocol.frames import HEADER_BYTES, SEQUENCE_MODULUS
+
+FPS = 30
+DICTIONARY_BYTES = 110 * 1024
+"""zstd's own default."""
+VIEWS = ("front", "left")
+SHEET_PROFILES = (
+    *("quality-7", "quality-3", "quality-0", "quality-3-layer-1", "quality-3-layer-0"),
+    *("rate-500", "rate-250", "plain-8-bit"),
+)
+"""What the sheet shows: the ends and the middle, and where it breaks."""
+FloatArray = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CodecConfig:
+    """What to measure."""
+
+    sources: tuple[str, ...] = (
+        "performance:talk",
+        "performance:listen",
+        "performance:range_of_motion",
+    )
+    seconds: float = 60.0
+    """Length of each, counted for the bits."""
+    moments: int = 40
+    """Moments of each that are drawn."""
+    image_size: int = 256
+    """Rows and columns of each drawing."""
+    thinned_quality: int = 3
+    """Quality whose lower layers are measured too."""
+    rates_bps: tuple[int, ...] = (2000, 1000, 500, 250, 125)
+    """Payload bitrates that the stream is told to keep to."""
+    sheet: Path | None = None
+    """Draw every profile at the moment of its largest error into this PNG, if given."""
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("seconds", 1, 600),
+            ("moments", 1, 2000),
+            ("image_size", 16, 2048),
+        ):
+            if not low <= getattr(self, name) <= high:
+                raise OptionError(f"{name} is {getattr(self, name)}; {low} to {high} is allowed")
+
+
+@dataclass(slots=True, eq=False)
+class Coded:
+    """A performance after one profile."""
+
+    latents: list[FloatArray]
+    """What is shown at each frame time, ``[8, 8, 4]`` each."""
+    poses: list[FloatArray]
+    """``[6]`` each."""
+    sizes: list[int] = field(default_factory=list)
+    """Payload bytes of each frame sent."""
+    encode_s: list[float] = field(default_factory=list)
+    decode_s: list[float] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Take:
+    """A performance as a sender has it."""
+
+    arkit: FloatArray
+    latents: FloatArray
+    """``[T, 8, 8, 4]``."""
+    poses: FloatArray
+    """Rotation and translation, ``[T, 6]``."""
+
+
+def run_codec_bench(config: CodecConfig, avatar: Avatar) -> dict[str, Any]:
+    """Measure all profiles on all sources.
+
+    Raises:
+        ProfileError: The avatar has no stream profile.
+        SourceError: A source that cannot be opened.
+        GraphicsError: No GL context.
+    """
+    profile = avatar.stream_profile()
+    if profile is None:
+        raise ProfileError("the avatar has no stream profile; `pica export` learns one")
+    takes = {source: _read(source, config.seconds, avatar) for source in config.sources}
+    moments = {
+        source: np.unique(
+            np.linspace(FPS / 2, len(take.latents) - 2, config.moments).astype(int)
+        ).tolist()
+        for source, take in takes.items()
+    }
+    truth = {
+        source: _draw_truth(avatar, takes[source].arkit, moments[source], config)
+        for source in takes
+    }
+    rows: list[dict[str, Any]] = []
+    cells: list[Cell] = []
+    coders = _coders(profile, avatar, config)
+    with FaceRenderer(avatar, size_px=config.image_size, views=VIEWS) as renderer:
+        for source, take in takes.items():
+            judge = _Judge(renderer, take, moments[source], truth[source])
+            for name, code in coders.items():
+                print(f"{source}: {name}", file=sys.stderr)
+                row = {"profile": name, "source": source, "fps": FPS, **judge.measure(code(take))}
+                rows.append(row)
+                if source == config.sources[0] and name in SHEET_PROFILES:
+                    cells.append(
+                        Cell(f"{name}  {row['payload_bps'] / 1e3:.2f} kbit/s", *judge.worst)
+                    )
+    if config.sheet is not None:
+        write_sheet(config.sheet, cells)
+    return {
+        "avatar": avatar.manifest.identity,
+        "stream_profile": profile.hash,
+        "rows": rows,
+        "seconds": config.seconds,
+        "moments": config.moments,
+        "image_size": config.image_size,
+        "views": list(VIEWS),
+        "machine": describe_machine(),
+    }
+
+
+def _read(source: str, seconds: float, avatar: Avatar) -> Take:
+    player = open_source(source)
+    frames = [player.frame_at(index / FPS) for index in range(round(seconds * FPS))]
+    arkit = np.stack([frame.arkit for frame in frames])
+    poses = np.stack([np.concatenate((f.rotation, f.translation_m)) for f in frames])
+    return Take(arkit, ExpressionEncoder(avatar).encode(arkit), poses.astype(np.float32))
+
+
+def _draw_truth(
+    avatar: Avatar, arkit: FloatArray, moments: Sequence[int], config: CodecConfig
+) -> list[Image] | None:
+    """The head itself at some moments, if the stage knows it. uint8 ``[views, H, W, 3]`` each."""
+    if avatar.manifest.identity not in IDENTITIES:
+        return None
+    # One GL context at a time on this thread: the stage's is gone before the renderer's comes.
+    stage = StageRenderer(make_head(avatar.manifest.identity))
+    try:
+        images = []
+        for moment in moments:
+            stage.pose(arkit[moment])
+            cameras = evaluation_cameras(VIEWS, config.image_size)
+            images.append(np.stack([stage.draw_image(camera) for camera in cameras]))
+        return images
+    finally:
+        stage.release()
+
+
+class _Judge:
+    """Draws what a profile shows beside what it should."""
+
+    def __init__(
+        self,
+        renderer: FaceRenderer,
+        take: Take,
+        moments: Sequence[int],
+        truth: list[Image] | None,
+    ) -> None:
+        self._renderer, self._take, self._moments, self._truth = renderer, take, moments, truth
+        self.worst: tuple[Image, Image] = (np.zeros((1, 1, 3), np.uint8),) * 2
+        """Front view of the largest error of the last measurement: as it should be, as shown."""
+        self._uncoded = [self._draw_pair(take.latents, moment) for moment in moments]
+
+    def _draw_pair(self, latents: Sequence[FloatArray] | FloatArray, at: int) -> list[Drawing]:
+        return [self._renderer.draw(latents[at]), self._renderer.draw(latents[at + 1])]
+
+    def measure(self, coded: Coded) -> dict[str, Any]:
+        errors, changes, losses = [], [], []
+        for index, moment in enumerate(self._moments):
+            plain, plain_next = self._uncoded[index]
+            shown, shown_next = self._draw_pair(coded.latents, moment)
+            errors.append(rendered_mse(plain, shown))
+            if errors[-1] == max(errors):
+                self.worst = (plain.images[0], shown.images[0])
+            changes.append(_change_mse(plain, plain_next, shown, shown_next))
+            if self._truth is not None:
+                truth = self._truth[index]
+                losses.append(
+                    psnr_db(masked_mse(truth, plain.images, plain.covered))
+                    - psnr_db(masked_mse(truth, shown.images, shown.covered))
+                )
+        seconds = len(self._take.latents) / FPS
+        pose = np.abs(np.stack(coded.poses) - self._take.poses).mean(axis=0)
+        wire = sum(wire_bytes(1 + HEADER_BYTES + size, is_masked=True) for size in coded.sizes)
+        return {
+            "payload_bps": round(sum(coded.sizes) * 8 / seconds),
+            "wire_bps": round(wire * 8 / seconds),
+            "frames_per_s": round(len(coded.sizes) / seconds, 2),
+            "mse": round(float(np.mean(errors)), 3),
+            "worst_frame_mse": round(max(errors), 3),
+            "change_mse": round(float(np.mean(changes)), 3),
+            "psnr_loss_db": round(float(np.mean(losses)), 4) if losses else None,
+            "worst_frame_loss_db": round(max(losses), 3) if losses else None,
+            "pose_mrad": round(float(pose[:3].mean()) * 1e3, 3),
+            "pose_mm": round(float(pose[3:].mean()) * 1e3, 3),
+            "encode_us": round(median(coded.encode_s) * 1e6, 1),
+            "decode_us": round(median(coded.decode_s) * 1e6, 1),
+        }
+
+
+def _change_mse(plain: Drawing, plain_next: Drawing, shown: Drawing, shown_next: Drawing) -> float:
+    """MSE between the change of the true picture and that of the shown one."""
+    where = plain.covered | plain_next.covered | shown.covered | shown_next.covered
+
+    def change(before: Drawing, after: Drawing) -> FloatArray:
+        moved: FloatArray = after.images[where].astype(np.float32) - before.images[where]
+        return moved
+
+    return float(np.square(change(plain, plain_next) - change(shown, shown_next)).mean())
+
+
+Coder = Callable[[Take], Coded]
+
+
+def _coders(profile: StreamProfile, avatar: Avatar, config: CodecConfig) -> dict[str, Coder]:
+    """What is compared, by name."""
+
+    def stream(quality: int, highest_layer: int, rate_bps: int | None = None) -> Coder:
+        config = StreamConfig(fps=FPS, quality=quality, target_bps=rate_bps)
+        return lambda take: _code_stream(profile, config, highest_layer, take)
+
+    coders = {f"quality-{q}": stream(q, 2) for q in range(profile.num_qualities)}
+    if config.thinned_quality < profile.num_qualities:
+        for layer in (1, 0):
+            name = f"quality-{config.thinned_quality}-layer-{layer}"
+            coders[name] = stream(config.thinned_quality, layer)
+    for rate_bps in config.rates_bps:
+        coders[f"rate-{rate_bps}"] = stream(0, 2, rate_bps)
+    latent_profile = LatentProfile.from_manifest(avatar.manifest)
+
+    def plain(squeeze: Callable[[bytes], bytes], spread: Callable[[bytes], bytes]) -> Coder:
+        return lambda take: _code_frames(
+            take,
+            lambda latent, pose: squeeze(encode_latent(latent, pose[:3], pose[3:], latent_profile)),
+            lambda payload: decode_latent(spread(payload), latent_profile),
+        )
+
+    coders["plain-8-bit"] = plain(bytes, bytes)
+    coders["float-16"] = lambda take: _code_frames(take, _to_halves, _from_halves)
+    coders["zlib"] = plain(lambda data: zlib.compress(data, 9), zlib.decompress)
+    compress, decompress = _zstd(avatar, latent_profile)
+    coders["zstd-dictionary"] = plain(compress, decompress)
+    return coders
+
+
+def _code_stream(
+    profile: StreamProfile, config: StreamConfig, highest_layer: int, take: Take
+) -> Coded:
+    """Our stream, thinned to some layers."""
+    encoder = LatentEncoder(profile, config)
+    decoder = LatentDecoder(profile)
+    found: dict[int, LatentSample] = {}
+    coded = Coded([], [])
+    sequence = 0
+    for index, (latent, pose) in enumerate(zip(take.latents, take.poses, strict=True)):
+        now_us = index * 1_000_000 // FPS
+        began_s = time.perf_counter()
+        frame = encoder.encode(latent, pose[:3], pose[3:], now_us)
+        coded.encode_s.append(time.perf_counter() - began_s)
+        if frame is None:
+            continue
+        if frame.layer <= highest_layer:
+            began_s = time.perf_counter()
+            (decoded,) = decoder.receive(
+                sequence % SEQUENCE_MODULUS, now_us, frame.layer, frame.is_keyframe, frame.payload
+            )
+            coded.decode_s.append(time.perf_counter() - began_s)
+            found[index] = decoded.sample
+            coded.sizes.append(len(frame.payload))
+        sequence += 1
+    for index in range(len(take.latents)):
+        latent, pose = _between(found, index)
+        coded.latents.append(latent)
+        coded.poses.append(pose)
+    return coded
+
+
+def _between(found: dict[int, LatentSample], index: int) -> tuple[FloatArray, FloatArray]:
+    """The face at a frame time, interpolated where that frame was not sent: as playout does."""
+    before = max(place for place in found if place <= index)
+    sample = found[before]
+    pose = np.concatenate((sample.rotation, sample.translation_m))
+    after = min((place for place in found if place > index), default=None)
+    if before == index or after is None or sample.is_still:
+        return sample.latent, pose
+    share = np.float32((index - before) / (after - before))
+    coming = found[after]
+    there = np.concatenate((coming.rotation, coming.translation_m))
+    return sample.latent + share * (coming.latent - sample.latent), pose + share * (there - pose)
+
+
+def _code_frames(
+    take: Take,
+    encode: Callable[[FloatArray, FloatArray], bytes],
+    decode: Callable[[bytes], LatentSample],
+) -> Coded:
+    """A format that codes every frame on its own."""
+    coded = Coded([], [])
+    for latent, pose in zip(take.latents, take.poses, strict=True):
+        began_s = time.perf_counter()
+        payload = encode(latent, pose)
+        coded.encode_s.append(time.perf_counter() - began_s)
+        began_s = time.perf_counter()
+        sample = decode(payload)
+        coded.decode_s.append(time.perf_counter() - began_s)
+        coded.sizes.append(len(payload))
+        coded.latents.append(sample.latent)
+        coded.poses.append(np.concatenate((sample.rotation, sample.translation_m)))
+    return coded
+
+
+_HALVES = struct.Struct("<262e")
+
+
+def _to_halves(latent: FloatArray, pose: FloatArray) -> bytes:
+    return _HALVES.pack(*latent.reshape(-1).tolist(), *pose.tolist())
+
+
+def _from_halves(payload: bytes) -> LatentSample:
+    values = np.frombuffer(payload, "<f2").astype(np.float32)
+    return LatentSample(
+        latent=values[:256].reshape(8, 8, 4), rotation=values[256:259], translation_m=values[259:]
+    )
+
+
+def _zstd(
+    avatar: Avatar, profile: LatentProfile
+) -> tuple[Callable[[bytes], bytes], Callable[[bytes], bytes]]:
+    """zstd at its best setting, with a dictionary trained on performances that are not measured."""
+    import zstandard  # only this comparison needs it
+
+    encoder = ExpressionEncoder(avatar)
+    samples: list[bytes | bytearray | memoryview] = [
+        encode_latent(latent, np.zeros(3), np.zeros(3), profile)
+        for arkit in practice_performances(rounds=6)
+        for latent in encoder.encode(arkit)
+    ]
+    dictionary = zstandard.train_dictionary(DICTIONARY_BYTES, samples)
+    writer = zstandard.ZstdCompressor(
+        level=19, dict_data=dictionary, write_content_size=False, write_dict_id=False
+    )
+    reader = zstandard.ZstdDecompressor(dict_data=dictionary)
+    return writer.compress, lambda data: reader.decompress(data, max_output_size=1 << 12)
+
+
+def parse_sources(text: str) -> tuple[str, ...]:
+    """Sources separated by commas; a path with a comma in it cannot be given."""
+    return tuple(part.strip() for part in text.split(",") if part.strip())

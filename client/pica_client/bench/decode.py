@@ -1,0 +1,375 @@
+"""What decoding one face costs: every level, the straightforward export, the baseline, the blocks.
+
+All contenders take turns, one decode each in an order drawn anew for every round, so that a busy
+machine is unfair to nobody; a ratio is the median over rounds of two decodes of the same round.
+
+Rows:
+
+    model        "pica": the avatar; "baseline": the paper's baseline of the same face, random
+                 weights; "block B", "block H2", "block C": the paper's sizes with each candidate
+                 block and exits as the avatar could have them, random weights
+    level        texels per side of the maps; None for the baseline
+    parts        "both" maps, or the "expression" map alone; "all" for the baseline
+    threads      of ONNX Runtime
+    ms           median of a decode
+    p95, spread  95th percentile, milliseconds; (upper quartile - lower quartile) / median
+    mse          rendered error of the level at `head_px`, as the avatar's file tells it: 0-255,
+                 over covered pixels, full resolution; None where it was not measured
+    vertex_mm    mean distance of the level's vertices from the full level's, over the latents used;
+                 None where weights are random
+    plain_ms     median of the straightforward export of the same weights, one operator a layer
+    is_equal     whether both exports decode to the same maps, to `EQUAL` of their largest value
+    difference   the largest share of it by which they differ
+
+`summary`, by threads and model, for each level: the baseline over it (`baseline_ratio`), the plain
+export over the fast one (`plain_ratio`), the full level over it (`level_ratio`); and the level that
+the scheduler gives a talking head of `head_px` when it has time (`level_at_head_px`).
+
+What it does not show: uploads and drawing (`pica bench render`), several avatars at once, other
+providers than the one chosen.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from statistics import median, quantiles
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import onnxruntime
+
+from pica_client.decode.decoder import (
+    BaselineDecoder,
+    FloatArray,
+    OnnxDecoder,
+    OnnxOptions,
+    Parts,
+    open_session,
+)
+from pica_client.errors import OptionError
+from pica_client.schedule.error_model import ErrorModel
+from pica_client.schedule.scheduler import HeadView, Scheduler
+from pica_client.sources import open_source
+from pica_client.stats import describe_machine, percentile
+from pica_core.avatar.expression_encoder import ExpressionEncoder
+from pica_core.avatar.file import Avatar
+from pica_core.avatar.level_tensors import exit_shapes, is_index
+from pica_core.avatar.levels import default_errors
+from pica_core.avatar.spec import BLOCKS
+from pica_core.graphs.decoder_layers import decoder_layers
+from pica_core.graphs.onnx_graph import decoder_graph
+from pica_core.reference.baseline import baseline_like
+from pica_core.reference.mesh import sample_vertices
+
+EQUAL = 1e-4
+"""Share of the largest value by which two exports may differ (float32 through some dozen layers,
+summed in another order)."""
+NUM_LATENTS = 16
+"""Faces decoded in turn, spread over the source (chosen: what a decode costs does not depend on
+them)."""
+SOURCE = "performance:talk"
+SOURCE_S = 30.0
+WARM_UP_ROUNDS = 3
+AHEAD = np.array([0, 0, 1], np.float32)
+
+Decode = Callable[[FloatArray], object]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DecodeBenchConfig:
+    """What is measured."""
+
+    rounds: int = 60
+    threads: tuple[int, ...] = (1, 2)
+    blocks: tuple[str, ...] = BLOCKS
+    """Candidate blocks to measure with random weights."""
+    head_px: float = 640.0
+    """Height of a head for `mse` and `level_at_head_px` (chosen: 65 cm before the viewer's camera
+    of 32 degrees, in a window 720 rows high)."""
+    seed: int = 0
+    """Of random weights and of the order of turns."""
+    onnx: OnnxOptions = field(default_factory=OnnxOptions)
+    """Provider; `threads` above counts instead of its own."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.rounds <= 10_000:
+            raise OptionError(f"rounds is {self.rounds}; allowed are 1 to 10000")
+        if not self.threads or not all(1 <= threads <= 64 for threads in self.threads):
+            raise OptionError(f"threads is {self.threads}; one or more of 1 to 64 are needed")
+        for block in self.blocks:
+            if block not in BLOCKS:
+                raise OptionError(f"block is {block!r}; known are {', '.join(BLOCKS)}")
+        if not 0 < self.head_px < 1e5:
+            raise OptionError(f"head-px is {self.head_px:g}; 0 to 100000 is allowed")
+
+
+@dataclass(frozen=True, slots=True)
+class Contender:
+    """Something that is measured."""
+
+    model: str
+    level: int | None
+    parts: str
+    threads: int
+    is_plain: bool = False
+
+
+def run_decode_bench(
+    config: DecodeBenchConfig, avatar: Avatar, say: Callable[[str], None] = lambda _: None
+) -> dict[str, Any]:
+    """Measure; see the module for rows and summary.
+
+    Args:
+        config: What.
+        avatar: Whose decoders.
+        say: Told what is going on.
+
+    Raises:
+        OptionError: The provider cannot be had.
+    """
+    latents = bench_latents(avatar)
+    models = {"pica": avatar} | {
+        f"block {block}": random_decoders(avatar, block, config.seed) for block in config.blocks
+    }
+    decodes = dict(_contenders(config, models))
+    differences = {}
+    for name, model in models.items():
+        say(f"comparing the exports of {name}")
+        for level in model.levels:
+            differences[name, level] = export_difference(model, level, latents[:4], config.onnx)
+    samples_s = measure_in_turns(decodes, latents, config.rounds, config.seed, say)
+    rows = [
+        _row(contender, samples_s, models.get(contender.model), differences, latents, config)
+        for contender in decodes
+        if not contender.is_plain
+    ]
+    return {
+        "avatar": avatar.manifest.name,
+        "block": avatar.spec.block,
+        "provider": config.onnx.provider,
+        "rounds": config.rounds,
+        "head_px": config.head_px,
+        "machine": describe_machine() | {"onnxruntime": onnxruntime.__version__},
+        "rows": rows,
+        "summary": summarise(samples_s, avatar, config),
+    }
+
+
+def bench_latents(avatar: Avatar) -> list[FloatArray]:
+    """Faces of a performance, float32 ``[8, 8, 4]`` each."""
+    source, encoder = open_source(SOURCE), ExpressionEncoder(avatar)
+    times_s = np.linspace(0, SOURCE_S, NUM_LATENTS, endpoint=False).tolist()
+    return [encoder.encode(source.frame_at(time_s).arkit) for time_s in times_s]
+
+
+def random_decoders(avatar: Avatar, block: str, seed: int) -> Avatar:
+    """An avatar of another block with random weights: decoders and exits alone, to be timed."""
+    spec = replace(avatar.spec, block=block)
+    shapes: dict[str, tuple[int, ...]] = {}
+    for decoder in spec.decoder_channels:
+        for layer in decoder_layers(spec, decoder):
+            shapes |= layer.tensor_shapes()
+    for level in avatar.levels[:-1]:
+        texels = avatar.tensors[f"level.{level}.geometry.texel"].shape[-1]
+        shapes |= exit_shapes(spec, level, avatar.position_rows(level), texels)
+    rng = np.random.default_rng(seed)
+    tensors: dict[str, npt.NDArray[Any]] = {
+        "geometry.mean": np.zeros((spec.map_size, spec.map_size, 3), np.float32)
+    }
+    for name, shape in shapes.items():
+        if is_index(name):
+            tensors[name] = avatar.tensors[name]
+            continue
+        spread = np.sqrt(2 / np.prod(shape[1:])) if len(shape) == 4 else 0.05
+        tensors[name] = rng.standard_normal(shape, np.float32) * np.float32(spread)
+    return Avatar(replace(avatar.manifest, spec=spec), tensors)
+
+
+def export_difference(
+    avatar: Avatar, level: int, latents: Sequence[FloatArray], onnx: OnnxOptions
+) -> float:
+    """How far the fast and the straightforward export of a level differ.
+
+    Returns:
+        The largest difference of any value of either map, over the largest value of that map.
+    """
+    fast = OnnxDecoder(avatar, onnx)
+    plain = open_session(decoder_graph(avatar, level=level, plain=True), onnx)
+    worst = 0.0
+    for latent in latents:
+        maps = fast.decode(latent, AHEAD, level)
+        feeds = {"latent": latent[None], "view_direction": AHEAD[None]}
+        wanted = plain.run(["position_map", "expression_map"], feeds)
+        for made, judge in zip((maps.position_map, maps.expression_map), wanted, strict=True):
+            assert made is not None
+            worst = max(worst, float(np.abs(made - judge).max() / np.abs(judge).max()))
+    return worst
+
+
+def measure_in_turns(
+    decodes: dict[Contender, Decode],
+    latents: Sequence[FloatArray],
+    rounds: int,
+    seed: int,
+    say: Callable[[str], None],
+) -> dict[Contender, list[float]]:
+    """Let everybody decode once a round; seconds of each, round after round."""
+    rng = np.random.default_rng(seed)
+    samples_s: dict[Contender, list[float]] = {contender: [] for contender in decodes}
+    everybody = list(decodes)
+    for number in range(-WARM_UP_ROUNDS, rounds):
+        if number >= 0 and number % max(rounds // 5, 1) == 0:
+            say(f"round {number} of {rounds}")
+        latent = latents[number % len(latents)]
+        for index in rng.permutation(len(everybody)).tolist():
+            decode = decodes[everybody[index]]
+            begin_s = time.perf_counter()
+            decode(latent)
+            took_s = time.perf_counter() - begin_s
+            if number >= 0:
+                samples_s[everybody[index]].append(took_s)
+    return samples_s
+
+
+def summarise(
+    samples_s: dict[Contender, list[float]], avatar: Avatar, config: DecodeBenchConfig
+) -> dict[str, Any]:
+    """The ratios that the product is judged by, and the level that the scheduler would choose."""
+
+    def ratio(over: Contender, under: Contender) -> float:
+        pairs = zip(samples_s[over], samples_s[under], strict=True)
+        return round(median(one / other for one, other in pairs), 2)
+
+    by_threads: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
+    for each in samples_s:
+        if each.level is None or each.is_plain or each.parts != "both":
+            continue
+        models = by_threads.setdefault(str(each.threads), {})
+        ratios = models.setdefault(
+            each.model, {"baseline_ratio": {}, "plain_ratio": {}, "level_ratio": {}}
+        )
+        level = str(each.level)
+        full = replace(each, level=avatar.spec.map_size)
+        ratios["baseline_ratio"][level] = ratio(baseline_of(each), each)
+        ratios["plain_ratio"][level] = ratio(replace(each, is_plain=True), each)
+        ratios["level_ratio"][level] = ratio(full, each)
+    return {"by_threads": by_threads, "level_at_head_px": level_for(avatar, config.head_px)}
+
+
+def baseline_of(contender: Contender) -> Contender:
+    """The baseline at the same number of threads."""
+    return Contender("baseline", None, "all", contender.threads)
+
+
+def level_for(avatar: Avatar, head_px: float) -> int:
+    """The level that a scheduler with time enough gives a talking head of this height."""
+    errors = ErrorModel(avatar.level_errors or default_errors(avatar.levels))
+    head = HeadView(
+        slot="head",
+        errors=errors,
+        num_triangles=tuple(len(avatar.level_faces(level)) for level in avatar.levels),
+        is_visible=True,
+        visible_px=0.5 * head_px * head_px,
+        head_px=head_px,
+        latent_change=1.0,
+    )
+    return Scheduler().plan([head], budget_s=10.0, now=0.0).choices["head"].level
+
+
+def _contenders(
+    config: DecodeBenchConfig, models: dict[str, Avatar]
+) -> Iterator[tuple[Contender, Decode]]:
+    baseline = baseline_like(models["pica"], config.seed)
+    for threads in config.threads:
+        onnx = replace(config.onnx, threads=threads)
+        for name, avatar in models.items():
+            decoder = OnnxDecoder(avatar, onnx)
+            parts_of: tuple[Parts, ...] = ("both", "expression") if name == "pica" else ("both",)
+            for level in avatar.levels:
+                for parts in parts_of:
+                    decoder.prepare(level, parts)
+                    yield Contender(name, level, parts, threads), _fast(decoder, level, parts)
+                plain = open_session(decoder_graph(avatar, level=level, plain=True), onnx)
+                yield Contender(name, level, "both", threads, is_plain=True), _plain(plain)
+        textured = BaselineDecoder(baseline, onnx)
+        yield Contender("baseline", None, "all", threads), _textured(textured)
+
+
+def _fast(decoder: OnnxDecoder, level: int, parts: Parts) -> Decode:
+    return lambda latent: decoder.decode(latent, AHEAD, level, parts)
+
+
+def _plain(session: Any) -> Decode:
+    names = ["position_map", "expression_map"]
+    return lambda latent: session.run(
+        names, {"latent": latent[None], "view_direction": AHEAD[None]}
+    )
+
+
+def _textured(decoder: BaselineDecoder) -> Decode:
+    return lambda latent: decoder.decode(latent, AHEAD)
+
+
+def _row(
+    contender: Contender,
+    samples_s: dict[Contender, list[float]],
+    avatar: Avatar | None,
+    differences: dict[tuple[str, int], float],
+    latents: Sequence[FloatArray],
+    config: DecodeBenchConfig,
+) -> dict[str, Any]:
+    ordered = sorted(samples_s[contender])
+    plain = samples_s.get(replace(contender, is_plain=True))
+    level, row = contender.level, {}
+    if plain is not None and level is not None:
+        difference = differences[contender.model, level]
+        row = {
+            "plain_ms": round(median(plain) * 1e3, 3),
+            "is_equal": difference <= EQUAL,
+            "difference": float(f"{difference:.2g}"),
+        }
+    mse = vertex_mm = None
+    if avatar is not None and level is not None and contender.model == "pica":
+        errors = avatar.level_errors
+        mse = None if errors is None else round(errors.at(level, config.head_px), 3)
+        vertex_mm = round(vertex_error_mm(avatar, level, latents), 4)
+    return {
+        "model": contender.model,
+        "level": level,
+        "parts": contender.parts,
+        "threads": contender.threads,
+        "ms": round(median(ordered) * 1e3, 3),
+        "p95": round(percentile(ordered, 95) * 1e3, 3),
+        "spread": round(_spread(ordered), 3),
+        "mse": mse,
+        "vertex_mm": vertex_mm,
+        "plain_ms": None,
+        "is_equal": None,
+        "difference": None,
+    } | row
+
+
+def vertex_error_mm(avatar: Avatar, level: int, latents: Sequence[FloatArray]) -> float:
+    """Mean distance of a level's vertices from those of the full level, millimetres."""
+    if level == avatar.spec.map_size:
+        return 0.0
+    decoder = OnnxDecoder(avatar)
+    uv = avatar.tensors["mesh.vertex_uv"][np.unique(avatar.level_faces(level))]
+    distances_m = []
+    for latent in latents:
+        sheet, full = (decoder.decode(latent, AHEAD, size).position_map for size in (level, None))
+        assert sheet is not None
+        assert full is not None
+        moved = sheet.reshape(-1, 3)[: len(uv)] - sample_vertices(full, uv)
+        distances_m.append(float(np.linalg.norm(moved, axis=1).mean()))
+    return 1e3 * float(np.mean(distances_m))
+
+
+def _spread(ordered: Sequence[float]) -> float:
+    if len(ordered) < 2:
+        return 0.0
+    low, middle, high = quantiles(ordered, n=4)
+    return (high - low) / middle

@@ -1,0 +1,215 @@
+"""What a bad network does to the faces of a real call: two more receivers and a comparison.
+
+The *reference* is connected to the relay directly and keeps every frame: the undisturbed stream.
+The *display* sits behind the bad network and looks at its faces `DISPLAY_HZ` times a second, as a
+viewer would. After the call some of what the display saw is rendered and compared with what the
+reference knows of the same peer, on the clock that all processes of this machine share.
+
+    mse_delayed   against the undisturbed face as long ago as the face on the display usually is
+                  (its median age): what stutter, gaps and concealment cost
+    mse_now       against the undisturbed face now: with the delay in it
+    age_ms        now minus capture of the face on the display
+    largest_step  largest change between two looks over the undisturbed stream's (root mean square)
+
+What it does not show: the loss of the format itself, which both streams share.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import bisect
+from collections import defaultdict, deque
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pica_client.avatars.library import AvatarLibrary
+from pica_client.bench.render_error import FaceRenderer, rendered_mse
+from pica_client.call.call import Call, CallConfig
+from pica_client.call.receiver import Receiver
+from pica_client.local_call.local_call import ROOM
+from pica_client.playout.rotation import blend_rotations
+from pica_client.stats import percentile, summarise_ms
+from pica_client.transport.config import LinkConfig
+from pica_core.codec.latent_sample import LatentSample
+
+DISPLAY_HZ = 60.0
+MAX_LOOKS = 30_000
+"""Faces of the display kept, 1 KB each; drops the oldest: 100 s of five peers."""
+MAX_REFERENCE = 20_000
+"""Frames of each peer kept for comparison; drops the oldest: 11 minutes."""
+RENDERED_PER_PEER = 40
+"""Looks that are rendered, evenly spread (chosen: seconds of rendering in software)."""
+SIZE_PX = 192
+
+
+class Look(NamedTuple):
+    """One face as the display had it."""
+
+    now_us: int
+    captured_us: int
+    sample: LatentSample
+    is_fresh: bool
+
+
+class TrueFace:
+    """The undisturbed stream of one peer, as a function of the sender's time."""
+
+    def __init__(self) -> None:
+        self._times_us: deque[int] = deque(maxlen=MAX_REFERENCE)
+        self._samples: deque[LatentSample] = deque(maxlen=MAX_REFERENCE)
+
+    def add(self, captured_us: int, sample: LatentSample) -> None:
+        """Take the next frame."""
+        self._times_us.append(captured_us)
+        self._samples.append(sample)
+
+    def at(self, time_us: int) -> LatentSample | None:
+        """The face at a moment, between two frames; None before the first and after the last."""
+        after = bisect.bisect_left(self._times_us, time_us)
+        if after == 0 or after == len(self._times_us):
+            return None
+        begin, end = self._samples[after - 1], self._samples[after]
+        begin_us, end_us = self._times_us[after - 1], self._times_us[after]
+        if begin.is_still:  # nothing moved until shortly before the next frame
+            return begin
+        weight = (time_us - begin_us) / (end_us - begin_us)
+        share = np.float32(weight)
+        return LatentSample(
+            latent=begin.latent + share * (end.latent - begin.latent),
+            rotation=blend_rotations(begin.rotation, end.rotation, weight),
+            translation_m=begin.translation_m + share * (end.translation_m - begin.translation_m),
+        )
+
+
+class Witness:
+    """Both receivers. Let `run` run beside the call, then `compare`."""
+
+    def __init__(
+        self, url: str, impaired_url: str, library: AvatarLibrary, config: CallConfig
+    ) -> None:
+        """Prepare.
+
+        Args:
+            url: Of the relay.
+            impaired_url: The way to it through the bad network.
+            library: Avatars of the call.
+            config: How the display plays.
+        """
+        self._reference = Receiver(
+            LinkConfig(url=url, room=ROOM, name="reference"), Call(library, CallConfig())
+        )
+        self._display = Receiver(
+            LinkConfig(url=impaired_url, room=ROOM, name="display", connect_timeout_s=20.0),
+            Call(library, config),
+        )
+        self._true: defaultdict[str, TrueFace] = defaultdict(TrueFace)
+        # Drops its oldest when full.
+        self._looks: deque[tuple[str, str, Look]] = deque(maxlen=MAX_LOOKS)
+
+    async def run(self) -> None:
+        """Watch until cancelled."""
+        async with asyncio.TaskGroup() as tasks:
+            for receiver in (self._reference, self._display):
+                tasks.create_task(receiver.run())
+            tasks.create_task(self._watch())
+
+    def begin_window(self, now: float) -> None:
+        """Let the comparison begin here."""
+        self._looks.clear()
+        self._display.call.begin_window(now)
+
+    def compare(self, library: AvatarLibrary) -> dict[str, Any]:
+        """Render what the display saw, and say how far off it was.
+
+        Raises:
+            GraphicsError: No GL context; names the fix.
+        """
+        by_peer: defaultdict[tuple[str, str], list[Look]] = defaultdict(list)
+        for name, avatar_id, look in self._looks:
+            by_peer[avatar_id, name].append(look)
+        rows = {}
+        for avatar_id in sorted({avatar for avatar, _ in by_peer}):
+            with FaceRenderer(
+                library.load(avatar_id), size_px=SIZE_PX, views=("front",)
+            ) as renderer:
+                for (avatar, name), looks in by_peer.items():
+                    if avatar == avatar_id:
+                        rows[name] = _compare(renderer, looks, self._true[name])
+        return _summary(rows, [look for _, _, look in self._looks])
+
+    async def _watch(self) -> None:
+        loop = asyncio.get_running_loop()
+        next_s = loop.time()
+        while True:
+            next_s = max(next_s + 1 / DISPLAY_HZ, loop.time())
+            await asyncio.sleep(next_s - loop.time())
+            now = loop.time()
+            for due in self._reference.call.due_frames(now):
+                self._true[due.name].add(due.frame.captured_us, due.frame.sample)
+            for face in self._display.call.faces(now):
+                if face.latent is None:
+                    continue
+                sample = LatentSample(
+                    latent=face.latent, rotation=face.rotation, translation_m=face.translation_m
+                )
+                look = Look(round(now * 1e6), face.captured_us, sample, face.status == "live")
+                self._looks.append((face.name, face.avatar_id, look))
+
+
+def _compare(renderer: FaceRenderer, looks: Sequence[Look], true: TrueFace) -> dict[str, float]:
+    """The errors of one peer; empty if the reference saw nothing of it."""
+    ages = sorted(look.now_us - look.captured_us for look in looks)
+    usual_us = round(percentile([float(age) for age in ages], 50))
+    errors = []
+    for look in looks[:: max(len(looks) // RENDERED_PER_PEER, 1)]:
+        delayed, now = true.at(look.now_us - usual_us), true.at(look.now_us)
+        if delayed is None or now is None:
+            continue
+        shown, *wanted = (
+            renderer.draw(sample.latent, sample.rotation, sample.translation_m)
+            for sample in (look.sample, delayed, now)
+        )
+        errors.append([rendered_mse(shown, drawn) for drawn in wanted])
+    if not errors:
+        return {}
+    mean = np.mean(errors, axis=0)
+    row = {"mse_delayed": float(mean[0]), "mse_now": float(mean[1]), "renders": len(errors)}
+    undisturbed = [true.at(look.now_us - usual_us) for look in looks]
+    true_step = _largest_step(renderer, [sample for sample in undisturbed if sample is not None])
+    if true_step > 0:
+        shown_step = _largest_step(renderer, [look.sample for look in looks])
+        row["largest_step"] = (shown_step / true_step) ** 0.5
+    return row
+
+
+def _largest_step(renderer: FaceRenderer, samples: Sequence[LatentSample]) -> float:
+    """MSE between the two neighbours whose latents differ most; 0 if there are not two."""
+    if len(samples) < 2:
+        return 0.0
+    latents = np.stack([sample.latent.ravel() for sample in samples])
+    where = int(np.square(np.diff(latents, axis=0)).sum(axis=1).argmax())
+    first, second = (
+        renderer.draw(sample.latent, sample.rotation, sample.translation_m)
+        for sample in samples[where : where + 2]
+    )
+    return rendered_mse(first, second)
+
+
+def _summary(rows: Mapping[str, dict[str, float]], looks: Sequence[Look]) -> dict[str, Any]:
+    """Means over the peers, and what holds for all looks."""
+    figures = ("mse_delayed", "mse_now", "largest_step")
+    found = {
+        name: [row[name] for row in rows.values() if name in row] for name in (*figures, "renders")
+    }
+    return {
+        **{
+            name: round(float(np.mean(found[name])), 3) if found[name] else None for name in figures
+        },
+        "renders": int(sum(found["renders"])),
+        "concealed_ratio": (
+            round(float(np.mean([not look.is_fresh for look in looks])), 4) if looks else None
+        ),
+        "age_ms": summarise_ms((look.now_us - look.captured_us) / 1e6 for look in looks),
+    }

@@ -1,0 +1,278 @@
+"""Error against milliseconds for trained models: the rows of the paper's tables, and blocks.
+
+Every file is what `pica export` wrote: avatars of any variant and block, and baselines. All of them
+decode and draw the same talking performance in one process, each with its own expression encoder,
+with the renderer of the product; they take turns, frame by frame, in an order drawn anew for every
+frame, so that a busy machine is unfair to nobody. Avatars are shown at their full level.
+
+The error is not measured here: it is the held-out MSE that `pica eval` measured of the same models,
+by the model's own encoder, and comes in with its rows (`eval_rows`).
+
+Models:
+
+    identity variant block      whose, which row of the paper's tables, which decoder block
+    file_bytes parameters macs macs_per_pixel triangles
+    mse mse_low mse_high psnr_db ssim views frames steps seed
+                                means over views of what `pica eval` said; MSE on 0-255 values over
+                                rasterised pixels
+
+Rows, one for each model and distance:
+
+    distance_cm      from the camera to the front of the head's bounding box, as in `bench_render`
+    pixels           coloured in the last frame; a baseline colours some twice
+    decode_ms        ONNX Runtime
+    upload_ms        maps, or vertices and texture; not part of the total, for how it is done
+                     depends on the driver, and a texture's conversion to 8 bits on us
+    draw_ms          until the GPU is done
+    total_ms         decode and draw of a frame; each of the four is a median over frames, with its
+                     quartiles in `*_low` and `*_high`
+    *_cpu_ms         medians of the processor time of all threads of this process: with software GL
+                     what the work costs whoever else runs; meaningless with a GPU
+    is_best          nothing of the same person is both cheaper and better here (`mark_best`)
+
+What it does not show: levels of detail (`pica bench pareto`), what the file's rounding adds to the
+error (`pica avatar precision`), and caches that are warm from the frame before: whoever else is
+measured in between has emptied them.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from statistics import median, quantiles
+from typing import Any
+
+import moderngl
+import numpy as np
+import numpy.typing as npt
+import onnxruntime
+
+from pica_client.bench.eval_rows import EvalRows, HeldOutError
+from pica_client.bench.head import (
+    Took,
+    check_distances,
+    front_camera,
+    talk_frames,
+    timed,
+)
+from pica_client.bench.model_files import Model
+from pica_client.bench.pareto import mark_best
+from pica_client.decode.decoder import OnnxOptions
+from pica_client.errors import OptionError
+from pica_client.render.draw_list import DrawStats
+from pica_client.render.renderer import Renderer
+from pica_client.render.scene import Placement, view_direction
+from pica_client.stats import describe_machine
+from pica_core.camera import Camera
+from pica_core.gl import create_context, wait_for_gpu
+
+FloatArray = npt.NDArray[np.float32]
+
+WARM_UP_FRAMES = 2
+PARTS = ("decode", "upload", "draw", "total")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ModelsBenchConfig:
+    """What to measure."""
+
+    distances_cm: tuple[float, ...] = (18.0, 65.0, 120.0)
+    image_size: int = 768
+    """Rows and columns of the image, pixels."""
+    frames: int = 30
+    """Of each model at each distance, 30 a second."""
+    threads: int = 1
+    """Of ONNX Runtime."""
+    performance: str = "talk"
+    start_s: float = 3.0
+    """Where in it the frames begin."""
+    seed: int = 0
+    """Of the order of turns."""
+
+    def __post_init__(self) -> None:
+        check_distances(self.distances_cm)
+        for name, low, high in (("image_size", 64, 4096), ("frames", 3, 1000), ("threads", 1, 64)):
+            if not low <= getattr(self, name) <= high:
+                raise OptionError(f"{name} is {getattr(self, name)}; {low} to {high} is allowed")
+
+
+def join_errors(models: Sequence[Model], rows: EvalRows) -> list[HeldOutError]:
+    """The held-out error of each model.
+
+    Raises:
+        OptionError: There is none, it is of a model of another size, or two of one person were
+            measured on different views or frames.
+    """
+    errors: list[HeldOutError] = []
+    protocols: dict[str, tuple[int, int | None]] = {}
+    for model in models:
+        key, error = model.key, rows.error_of(model.key)
+        if error.parameters != model.cost.parameters:
+            raise OptionError(
+                f"rows: {key} has {error.parameters} parameters, its file {model.cost.parameters}: "
+                "they are not of one model"
+            )
+        protocol = error.views, error.frames
+        if protocols.setdefault(key.identity, protocol) != protocol:
+            raise OptionError(
+                f"rows: {key} was measured in {error.views} views of {error.frames} frames, others "
+                f"of {key.identity} otherwise; measure all alike"
+            )
+        errors.append(error)
+    return errors
+
+
+def run_models_bench(
+    config: ModelsBenchConfig,
+    models: Sequence[Model],
+    errors: Sequence[HeldOutError],
+    progress: Callable[[float], None] = lambda ratio: None,
+) -> dict[str, Any]:
+    """Measure.
+
+    Args:
+        config: What.
+        models: Of whom, from `bench_model_files.open_models`.
+        errors: Theirs, from `join_errors`.
+        progress: Told how much is done, 0 to 1.
+
+    Raises:
+        GraphicsError: No GL context.
+    """
+    context = create_context()
+    try:
+        bench = _Bench(context, config, models)
+        bench.run(progress)
+        rows, triangles = bench.rows(errors)
+        return {
+            "gl_renderer": bench.gl_renderer,
+            "gl_threads": os.environ.get("LP_NUM_THREADS"),
+            "image_size": config.image_size,
+            "frames": config.frames,
+            "threads": config.threads,
+            "performance": config.performance,
+            "models": [_describe(*each) for each in zip(models, errors, triangles, strict=True)],
+            "rows": rows,
+            "machine": describe_machine() | {"onnxruntime": onnxruntime.__version__},
+        }
+    finally:
+        context.release()
+
+
+def _slot_of(number: int) -> str:
+    """Where a renderer has a model."""
+    return f"model-{number}"
+
+
+@dataclass(slots=True)
+class _Case:
+    """One model at one distance, and what its frames took."""
+
+    number: int
+    """Of the model."""
+    distance_cm: float
+    frames: list[dict[str, Took]] = field(default_factory=list)
+
+    @property
+    def slot(self) -> str:
+        """Of the renderer."""
+        return _slot_of(self.number)
+
+
+class _Bench:
+    def __init__(
+        self, context: moderngl.Context, config: ModelsBenchConfig, models: Sequence[Model]
+    ) -> None:
+        self._context, self._config, self._models = context, config, models
+        size = config.image_size
+        self._renderer = Renderer(context, (size, size))
+        self.gl_renderer = self._renderer.gl_renderer
+        onnx = OnnxOptions(threads=config.threads)
+        for number, model in enumerate(models):
+            model.stage(self._renderer, _slot_of(number), onnx)
+        self._cases = [
+            _Case(number, distance)
+            for number in range(len(models))
+            for distance in config.distances_cm
+        ]
+        self._matrix: FloatArray = np.eye(4, dtype=np.float32)
+
+    def run(self, progress: Callable[[float], None]) -> None:
+        """Show all frames in all ways."""
+        config, rng = self._config, np.random.default_rng(self._config.seed)
+        talk = talk_frames(config.performance, config.start_s, WARM_UP_FRAMES, config.frames)
+        count = WARM_UP_FRAMES + config.frames
+        for index, (arkit, self._matrix) in enumerate(talk):
+            latents = [model.encoder.encode(arkit) for model in self._models]
+            for turn in rng.permutation(len(self._cases)).tolist():
+                case = self._cases[turn]
+                took = self._show(case, latents[case.number])
+                if index >= WARM_UP_FRAMES:
+                    case.frames.append(took)
+            progress((index + 1) / count)
+
+    def rows(self, errors: Sequence[HeldOutError]) -> tuple[list[dict[str, Any]], list[int]]:
+        """A row for each case, and each model's triangles."""
+        rows: list[dict[str, Any]] = []
+        triangles = [0] * len(self._models)
+        for case in self._cases:
+            stats = self._draw(case, count_pixels=True)
+            triangles[case.number] = stats.num_triangles
+            rows.append(
+                {
+                    **self._models[case.number].key._asdict(),
+                    "distance_cm": case.distance_cm,
+                    "pixels": sum(head.shaded_pixels or 0 for head in stats.heads),
+                    **_times(case.frames),
+                    "mse": round(errors[case.number].mse, 4),
+                }
+            )
+        for identity in dict.fromkeys(row["identity"] for row in rows):
+            mark_best([row for row in rows if row["identity"] == identity])
+        return rows, triangles
+
+    def _show(self, case: _Case, latent: FloatArray) -> dict[str, Took]:
+        """Decode and draw one frame."""
+        model = self._models[case.number]
+        direction = view_direction(self._matrix, self._camera(case).centre_m)
+        decoded, _ = timed(lambda: model.decode(latent, direction))
+        uploaded, _ = timed(lambda: model.upload(self._renderer, case.slot))
+        drawn, _ = timed(lambda: self._draw(case))
+        total = Took(decoded.wall_s + drawn.wall_s, decoded.cpu_s + drawn.cpu_s)
+        return dict(zip(PARTS, (decoded, uploaded, drawn, total), strict=True))
+
+    def _draw(self, case: _Case, *, count_pixels: bool = False) -> DrawStats:
+        placement = Placement(slot=case.slot, world_from_head=self._matrix)
+        stats = self._renderer.draw([placement], self._camera(case), count_pixels=count_pixels)
+        wait_for_gpu(self._context)
+        return stats
+
+    def _camera(self, case: _Case) -> Camera:
+        size = self._config.image_size
+        return front_camera(self._models[case.number].box, case.distance_cm, (size, size))
+
+
+def _times(frames: Sequence[dict[str, Took]]) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for part in PARTS:
+        walls_s = [took[part].wall_s for took in frames]
+        low, middle, high = quantiles(walls_s, n=4, method="inclusive")
+        found[f"{part}_ms"] = round(middle * 1e3, 3)
+        found[f"{part}_ms_low"] = round(low * 1e3, 3)
+        found[f"{part}_ms_high"] = round(high * 1e3, 3)
+        found[f"{part}_cpu_ms"] = round(median(took[part].cpu_s for took in frames) * 1e3, 3)
+    return found
+
+
+def _describe(model: Model, error: HeldOutError, triangles: int) -> dict[str, Any]:
+    cost, means = model.cost, asdict(error)
+    return {
+        **model.key._asdict(),
+        "file_bytes": model.file_bytes,
+        **{name: round(x, 4) if isinstance(x, float) else x for name, x in means.items()},
+        "parameters": cost.parameters,
+        "macs": cost.per_object_multiply_adds,
+        "macs_per_pixel": cost.per_pixel_multiply_adds,
+        "triangles": triangles,
+    }

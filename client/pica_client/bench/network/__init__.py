@@ -1,0 +1,1 @@
+"""Troubled networks for benches: a model on a virtual clock, and a proxy on loopback."""

@@ -1,0 +1,158 @@
+"""Sender, relay and receiver of one stream of frames, as a model. Pure: `now` is an argument.
+
+The relay is the real one's decision (`pica_protocol.stream_queue`: upper layers are dropped first,
+a base layer that waits too long is cut until a keyframe) in front of a modelled way (`impairment`).
+While the way takes no more, up to `queue_bytes` wait in front of it, first in, first out; the rest
+waits in the relay, and what waits there together leaves as one message.
+
+`thin_ratio` stands for whatever else makes a relay drop frames, as the congestion of other streams:
+upper layers pay first, and what refers to a dropped frame is dropped with it.
+
+Unrealistic: the sender's own way to the relay is perfect; a message carries the frames of one
+stream only, where a relay puts those of several senders together.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections import Counter, deque
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from pica_client.bench.network.impairment import Impairment, Way
+from pica_client.stats import wire_bytes
+from pica_protocol.frames import Frame, decode_media, encode_frame, media_message
+from pica_protocol.limits import MAX_MEDIA_MESSAGE_BYTES
+from pica_protocol.stream_queue import Put, StreamQueue
+
+MAX_UNDER_WAY = 4096
+"""Messages on the way; beyond it the newest is dropped."""
+SHED_DEBT_FRAMES = (8, 3, 1)
+"""Drops that the relay owes before a frame of layer 0, 1, 2 is dropped (chosen: the base layer pays
+when two turns of the pattern had nothing else to give)."""
+
+
+@dataclass(frozen=True, slots=True)
+class PathCounters:
+    """What became of the frames of one stream."""
+
+    sent: int = 0
+    thinned: int = 0
+    """Dropped to reach `thin_ratio`."""
+    dropped: int = 0
+    """Dropped by the relay because the way is too slow."""
+    lost: int = 0
+    """Datagrams that never came, by frames."""
+
+
+class _Message(NamedTuple):
+    data: bytes
+    num_frames: int
+    num_bytes: int
+    offered_s: float
+
+
+class FramePath:
+    """The way of one stream's frames.
+
+    Attributes:
+        wire_bytes: What left the relay, with all headers.
+    """
+
+    def __init__(self, impairment: Impairment, rng: np.random.Generator) -> None:
+        self.wire_bytes = 0
+        self._sent = self._thinned = self._lost = 0
+        self._drops: Counter[str] = Counter()
+        self._way = Way(impairment, rng)
+        self._rng = rng
+        self._debt = 0
+        self._blocked_above: int | None = None
+        self._relay = StreamQueue(self._drops)
+        self._queue: deque[_Message] = deque()  # behind the relay; bounded by `queue_bytes`
+        self._queue_bytes = 0
+        self._order = 0
+        # Bounded by MAX_UNDER_WAY: (arrival, order, message).
+        self._under_way: list[tuple[float, int, bytes]] = []
+
+    def change(self, impairment: Impairment, now: float) -> None:
+        """Let the way be another from now on; what waits leaves at the new rate."""
+        self._advance(now)
+        self._way.change(impairment)
+
+    def send(self, frame: Frame, now: float) -> bool:
+        """Offer a frame to the relay; True if the relay asks for a keyframe."""
+        self._advance(now)
+        self._sent += 1
+        if self._is_thinned(frame.layer):
+            self._thinned += 1
+            return False
+        put = self._relay.put(encode_frame(frame), frame.layer, frame.is_keyframe, now)
+        self._advance(now)
+        return put in (Put.BEHIND, Put.KEYLESS)
+
+    def arrivals(self, now: float) -> list[tuple[float, Frame]]:
+        """Take all frames that have come, with the time, in the order of arrival."""
+        self._advance(now)
+        arrived = []
+        while self._under_way and self._under_way[0][0] <= now:
+            arrival_s, _, data = heapq.heappop(self._under_way)
+            arrived += [(arrival_s, frame) for frame in decode_media(data)]
+        return arrived
+
+    def next_timer(self) -> float | None:
+        """When there may be something to take, or None."""
+        timers = [self._under_way[0][0]] if self._under_way else []
+        if self._queue:
+            timers.append(self._way.free_s)
+        return min(timers, default=None)
+
+    @property
+    def counters(self) -> PathCounters:
+        """What became of the frames so far."""
+        return PathCounters(self._sent, self._thinned, sum(self._drops.values()), self._lost)
+
+    def _is_thinned(self, layer: int) -> bool:
+        self._debt += bool(self._rng.random() < self._way.impairment.thin_ratio)
+        if self._blocked_above is not None and layer > self._blocked_above:
+            self._debt -= 1  # it refers to a frame that is gone
+            return True
+        self._blocked_above = None
+        if self._debt < SHED_DEBT_FRAMES[min(layer, 2)]:
+            return False
+        self._debt -= 1
+        self._blocked_above = layer or None
+        return True
+
+    def _advance(self, now: float) -> None:
+        """Move what can move up to now: relay -> queue -> way."""
+        self._fill_queue(now)
+        while self._queue and self._way.free_s <= now:
+            message = self._queue.popleft()
+            self._queue_bytes -= message.num_bytes
+            leaves_s = max(self._way.free_s, message.offered_s)
+            self._transmit(message, leaves_s)
+            self._fill_queue(leaves_s)
+
+    def _fill_queue(self, now: float) -> None:
+        """Let the relay write while its socket takes it."""
+        while len(self._relay) and (
+            not self._queue or self._queue_bytes < self._way.impairment.queue_bytes
+        ):
+            frames = [item.frame for item in self._relay.take(MAX_MEDIA_MESSAGE_BYTES - 1)]
+            data = media_message(frames)
+            num_bytes = wire_bytes(len(data), is_masked=False)
+            self._queue.append(_Message(data, len(frames), num_bytes, now))
+            self._queue_bytes += num_bytes
+            self.wire_bytes += num_bytes
+
+    def _transmit(self, message: _Message, now: float) -> None:
+        doubles = bool(self._rng.random() < self._way.impairment.duplicate_ratio)
+        for _ in range(1 + doubles):
+            arrival_s = self._way.transmit(message.num_bytes, now)
+            if arrival_s is None or len(self._under_way) >= MAX_UNDER_WAY:
+                self._lost += message.num_frames
+                continue
+            self._order += 1
+            heapq.heappush(self._under_way, (arrival_s, self._order, message.data))

@@ -1,0 +1,231 @@
+"""One stream of one face through one trouble, on a virtual clock: what comes when, and what a
+playout policy then shows. Pure: no socket, no sleep; the same seed gives the same result.
+
+    delivery = deliver(face, ends, scenario, schedule, seed=0)      sender, relay, network, decoder
+    ticks = play(delivery, Playout(config), schedule)               playout and display
+
+The trouble lasts from the end of the first third of the schedule to the end of the second. The
+frames that come do not depend on the policy, so all policies are given the very same ones.
+
+A keyframe is asked for as soon as the decoder misses a reference, or the relay has cut the stream
+because the way is too slow; again at most every half second, as the relay allows. The decoder's
+request takes the calm way's delay back to the sender, and the next frame captured after that is the
+keyframe.
+
+Unrealistic: code takes no time; the display never misses a refresh; the relay's cached keyframe is
+not used (nobody joins late); the receiver asks for no other layers when the rate falls short.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from pica_client.bench.network.frame_path import FramePath, PathCounters
+from pica_client.bench.network.scenarios import Scenario
+from pica_client.errors import OptionError
+from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
+from pica_core.codec.factory import FaceDecoder, FaceEncoder
+from pica_core.codec.latent_sample import LatentSample
+from pica_protocol.frames import SEQUENCE_MODULUS, Frame
+
+Face = Callable[[float], LatentSample]
+"""The true face at a moment of the sender's clock, seconds."""
+
+KEYFRAME_INTERVAL_S = 0.5
+"""Between two requests for one stream, the relay's default."""
+CLOCK_OFFSET_US = 5_000_000_000
+"""The sender's clock is ahead of the receiver's: nothing may depend on the difference."""
+DISPLAY_PHASE = 0.37
+"""Where in its own period the display's first refresh lies: not in step with the sender."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Schedule:
+    """How long, how often."""
+
+    seconds: float = 30.0
+    """Length of the run; the middle third is troubled."""
+    fps: float = 30.0
+    """Frames captured a second."""
+    display_hz: float = 60.0
+    """Refreshes of the display a second."""
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("seconds", 3, 600),
+            ("fps", 1, 240),
+            ("display_hz", 10, 240),
+        ):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise OptionError(f"{name} is {value:g}; {low} to {high} is allowed")
+
+    @property
+    def begin_s(self) -> float:
+        """When the trouble begins."""
+        return self.seconds / 3
+
+    @property
+    def end_s(self) -> float:
+        """When the trouble ends."""
+        return 2 * self.seconds / 3
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Arrival:
+    """A frame that was decoded when it, or what it refers to, had come."""
+
+    arrived_s: float
+    sequence: int
+    captured_us: int
+    sample: LatentSample
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Delivery:
+    """What came over the network."""
+
+    arrivals: tuple[Arrival, ...]
+    """In the order of arrival."""
+    counters: PathCounters
+    payload_bytes: int
+    """What was sent."""
+    wire_bytes: int
+    """What went on to the receiver, with all headers."""
+    keyframes: int
+    keyframe_requests: int
+    base_delay_s: float
+    """The fastest way through the network."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Tick:
+    """One refresh of the display. Times are the receiver's clock, which runs with the true one."""
+
+    now_s: float
+    played: PlayedFace | None
+    """None before the first frame is due."""
+    report: PlayoutReport
+
+    @property
+    def shown_s(self) -> float:
+        """When the face that is shown was captured; not defined before the first one."""
+        if self.played is None:
+            raise ValueError("nothing is shown yet")
+        return (self.played.captured_us - CLOCK_OFFSET_US) / 1e6
+
+
+def deliver(
+    face: Face,
+    ends: tuple[FaceEncoder, FaceDecoder],
+    scenario: Scenario,
+    schedule: Schedule,
+    *,
+    seed: int = 0,
+) -> Delivery:
+    """Send a face through a scenario and decode what comes.
+
+    Args:
+        face: The true face.
+        ends: Both ends of a codec, fresh.
+        scenario: The trouble in the middle third.
+        schedule: Rates and duration.
+        seed: Of the network.
+    """
+    encoder, decoder = ends
+    rng = np.random.default_rng(seed)
+    path = FramePath(scenario.calm, rng)
+    arrivals: list[Arrival] = []
+    sent = payload_bytes = keyframes = requests = 0
+    wishes_s: list[float] = []  # when requests reach the sender; at most one each half second
+    last_request_s = -KEYFRAME_INTERVAL_S
+    changes = [(schedule.begin_s, scenario.trouble), (schedule.end_s, scenario.calm)]
+
+    def request_keyframe(now: float, way_s: float) -> None:
+        nonlocal last_request_s, requests
+        if now - last_request_s >= KEYFRAME_INTERVAL_S:
+            last_request_s = now
+            requests += 1
+            wishes_s.append(now + way_s)
+
+    def receive(until_s: float) -> None:
+        for arrived_s, frame in path.arrivals(until_s):
+            for read in decoder.receive(
+                frame.sequence, frame.captured_us, frame.layer, frame.is_keyframe, frame.payload
+            ):
+                arrivals.append(
+                    Arrival(
+                        arrived_s=arrived_s,
+                        sequence=read.sequence,
+                        captured_us=read.captured_us,
+                        sample=read.sample,
+                    )
+                )
+            if decoder.needs_keyframe:
+                request_keyframe(arrived_s, scenario.calm.delay_s)
+
+    for index in range(round(schedule.seconds * schedule.fps)):
+        now = index / schedule.fps
+        receive(now)
+        if changes and changes[0][0] <= now:
+            path.change(changes.pop(0)[1], now)
+        if wishes_s and wishes_s[0] <= now:
+            del wishes_s[0]
+            encoder.request_keyframe()
+        true = face(now)
+        captured_us = CLOCK_OFFSET_US + round(now * 1e6)
+        coded = encoder.encode(true.latent, true.rotation, true.translation_m, captured_us)
+        if coded is None:
+            continue
+        frame = Frame(
+            stream=1,
+            sequence=sent % SEQUENCE_MODULUS,
+            captured_us=captured_us,
+            payload=coded.payload,
+            layer=coded.layer,
+            is_keyframe=coded.is_keyframe,
+        )
+        if path.send(frame, now):
+            request_keyframe(now, 0.0)  # the relay stands beside the sender
+        sent += 1
+        payload_bytes += len(coded.payload)
+        keyframes += coded.is_keyframe
+    receive(schedule.seconds)
+    return Delivery(
+        arrivals=tuple(arrivals),
+        counters=path.counters,
+        payload_bytes=payload_bytes,
+        wire_bytes=path.wire_bytes,
+        keyframes=keyframes,
+        keyframe_requests=requests,
+        base_delay_s=scenario.calm.delay_s,
+    )
+
+
+def play(delivery: Delivery, playout: Playout, schedule: Schedule) -> list[Tick]:
+    """Show what came on a display.
+
+    Args:
+        delivery: What came, and when.
+        playout: A fresh buffer.
+        schedule: That of the delivery.
+
+    Returns:
+        All refreshes of the run.
+    """
+    ticks: list[Tick] = []
+    position = 0
+    for index in range(int(schedule.seconds * schedule.display_hz)):
+        now = (index + DISPLAY_PHASE) / schedule.display_hz
+        while position < len(delivery.arrivals) and delivery.arrivals[position].arrived_s <= now:
+            arrival = delivery.arrivals[position]
+            playout.receive_frame(
+                arrival.sequence, arrival.captured_us, arrival.sample, arrival.arrived_s
+            )
+            position += 1
+        played = playout.sample_at(now)
+        ticks.append(Tick(now_s=now, played=played, report=playout.report()))
+    return ticks

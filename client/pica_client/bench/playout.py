@@ -1,0 +1,322 @@
+"""What the receiver's playout makes of a troubled network, in the unit that counts: the error of
+the rendered face. On a virtual clock, so every figure comes out the same on every machine with the
+same renderer.
+
+Each row is one scenario (`impairment_scenarios`) under one policy (`playout.POLICIES`). Unless it
+says otherwise a figure is of the troubled third of the run:
+
+    mse_shown        against the true face at the moment that the policy means to show: the refresh
+                     less the fastest transit less the policy's own delay. What interpolation,
+                     concealment and missing frames cost; a constant delay costs nothing.
+    mse_expression   the same with the head where it truly was: what is wrong with the face itself.
+                     A head that is off by a tenth of a pixel already costs more MSE than anybody
+                     sees.
+    mse_now          against the true face now, so with the delay of network and playout in it.
+    added_delay_ms   age of the face on the display beyond the fastest transit, over all refreshes.
+    concealed_ratio  share of refreshes for which the frame to show was not there.
+    longest_gap_ms   the longest time without such a frame.
+    late             frames that came after a newer one had been shown.
+    recovery_ms      from the end of the trouble to the last refresh that was still concealed; 0 if
+                     there was none, None if that lasts to the end of the run.
+    delay_recovery_ms   the same for the last refresh whose face was more than a frame interval
+                     older than before the trouble.
+    largest_step     largest change of the picture from one refresh to the next, from the beginning
+                     of the trouble to the end of the run, over the largest that the true face makes
+                     there (root mean square); above 1 the face jumps as it never does.
+    payload_bps, wire_bps   over the whole run: what was sent, and what the relay passed on with the
+                     headers of websocket and TCP/IP.
+
+MSE is on 0-255 values over covered pixels of a front view of 192 x 192 pixels, at some refreshes a
+second. Which steps are largest is decided between latents and head poses, the steps themselves are
+rendered.
+
+What it does not show: real networks (see `impairment` for what is modelled), displays that miss
+refreshes, and people: performances and avatars are synthetic.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from pica_client.bench.network.scenarios import BY_NAME, SCENARIOS
+from pica_client.bench.network.stream_trial import (
+    Delivery,
+    Face,
+    Schedule,
+    Tick,
+    deliver,
+    play,
+)
+from pica_client.bench.render_error import Drawing, FaceRenderer, rendered_mse
+from pica_client.errors import OptionError
+from pica_client.playout.buffer import POLICIES, Playout
+from pica_client.sources import open_source
+from pica_client.stats import percentile
+from pica_core.avatar.expression_encoder import ExpressionEncoder
+from pica_core.avatar.file import Avatar
+from pica_core.codec.factory import FaceDecoder, FaceEncoder, open_decoder, open_encoder
+from pica_core.codec.latent_sample import LatentSample
+from pica_core.codec.latent_stream import StreamConfig
+
+SIZE_PX = 192
+MAX_DRAWINGS = 1500
+"""Drawings of the true face kept: 0.15 MB each."""
+POSE_WEIGHT = 3.0
+"""Of a radian or a tenth of a metre against a latent's unit, where steps are compared before they
+are drawn (chosen: only the order of candidates depends on it)."""
+
+CODECS = ("coded", "plain")
+MSE_FIGURES = ("mse_shown", "mse_expression", "mse_now")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BenchPlayoutConfig:
+    """What to compare."""
+
+    source: str = "performance:talk"
+    codec: str = "coded"
+    """Format of the payloads, a name in `CODECS`."""
+    scenarios: tuple[str, ...] = ()
+    """Names of rows; all by default."""
+    schedule: Schedule = field(default_factory=Schedule)
+    renders_per_s: float = 10.0
+    """Refreshes that are rendered for the error, a second."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0.5 <= self.renders_per_s <= self.schedule.display_hz:
+            raise OptionError(
+                f"renders_per_s is {self.renders_per_s:g}; "
+                f"0.5 to {self.schedule.display_hz:g} is allowed"
+            )
+        if self.codec not in CODECS:
+            raise OptionError(f"codec {self.codec!r} is unknown; known are {', '.join(CODECS)}")
+        for name in self.scenarios:
+            if name not in BY_NAME:
+                raise OptionError(f"scenario {name!r} is unknown; known are {', '.join(BY_NAME)}")
+
+
+def open_ends(avatar: Avatar, codec: str, fps: float) -> tuple[FaceEncoder, FaceDecoder]:
+    """Both ends of a stream of an avatar, fresh.
+
+    Raises:
+        OptionError: The avatar cannot be coded.
+    """
+    if codec == "coded" and avatar.stream_profile() is None:
+        raise OptionError(
+            f"avatar {avatar.manifest.name} has no stream profile; take codec plain, "
+            "or export the avatar anew"
+        )
+    encoder, name = open_encoder(avatar, StreamConfig(fps=fps), plain=codec == "plain")
+    return encoder, open_decoder(avatar, name)
+
+
+def run_bench_playout(config: BenchPlayoutConfig, avatar: Avatar) -> dict[str, Any]:
+    """Run all scenarios under all policies.
+
+    Returns:
+        ``rows`` as the module describes them, and what they hold for.
+
+    Raises:
+        ClientError: A source that cannot be read.
+        GraphicsError: No GL context; names the fix.
+    """
+    face = true_face(config.source, avatar)
+    chosen = [BY_NAME[name] for name in config.scenarios] or list(SCENARIOS)
+    rows = []
+    with FaceRenderer(avatar, size_px=SIZE_PX, views=("front",)) as renderer:
+        judge = Judge(renderer, face, config.schedule, config.renders_per_s)
+        for scenario in chosen:
+            ends = open_ends(avatar, config.codec, config.schedule.fps)
+            delivery = deliver(face, ends, scenario, config.schedule, seed=config.seed)
+            for policy, playout in POLICIES.items():
+                ticks = play(delivery, Playout(playout), config.schedule)
+                rows.append(
+                    {
+                        "scenario": scenario.name,
+                        "policy": policy,
+                        "source": config.source,
+                        "codec": config.codec,
+                        **judge.measure(ticks, delivery),
+                        **_network(delivery, config.schedule),
+                    }
+                )
+            _say(f"{scenario.name}: {scenario.note}")
+    return {
+        "rows": rows,
+        "avatar": avatar.manifest.name,
+        "seconds": config.schedule.seconds,
+        "fps": config.schedule.fps,
+        "display_hz": config.schedule.display_hz,
+        "renders_per_s": config.renders_per_s,
+        "size_px": SIZE_PX,
+        "seed": config.seed,
+    }
+
+
+def true_face(source: str, avatar: Avatar) -> Face:
+    """The face that a source shows, as a function of time.
+
+    Raises:
+        SourceError: It cannot be read.
+    """
+    opened, encoder = open_source(source), ExpressionEncoder(avatar)
+
+    def face(time_s: float) -> LatentSample:
+        frame = opened.frame_at(time_s)
+        return LatentSample(
+            latent=encoder.encode(frame.arkit),
+            rotation=frame.rotation,
+            translation_m=frame.translation_m,
+        )
+
+    return face
+
+
+class Judge:
+    """Compares what was shown with the true face. Draws the true face of a moment once."""
+
+    def __init__(
+        self, renderer: FaceRenderer, face: Face, schedule: Schedule, renders_per_s: float
+    ) -> None:
+        self._renderer = renderer
+        self._face = face
+        self._schedule = schedule
+        self._every = max(round(schedule.display_hz / renders_per_s), 1)
+        self._true_drawing = lru_cache(maxsize=MAX_DRAWINGS)(self._draw_true)
+
+    def measure(self, ticks: Sequence[Tick], delivery: Delivery) -> dict[str, Any]:
+        """The figures of one run; see the module."""
+        schedule = self._schedule
+        troubled = [tick for tick in ticks if schedule.begin_s <= tick.now_s < schedule.end_s]
+        added_s = sorted(_added_delay_s(tick, delivery) for tick in troubled)
+        errors = [self._errors(tick, delivery) for tick in troubled[:: self._every]]
+        late = [tick.report.late for tick in (troubled[0], troubled[-1])]
+        return {
+            **{
+                name: round(float(mean), 3)
+                for name, mean in zip(MSE_FIGURES, np.mean(errors, axis=0), strict=True)
+            },
+            "added_delay_ms_p50": round(percentile(added_s, 50) * 1e3, 1),
+            "added_delay_ms_p95": round(percentile(added_s, 95) * 1e3, 1),
+            "concealed_ratio": round(float(np.mean([_is_concealed(tick) for tick in troubled])), 4),
+            "longest_gap_ms": self._longest_gap_ms(troubled),
+            "late": late[1] - late[0],
+            **self._recovery(ticks, delivery),
+            "largest_step": self._largest_step(ticks),
+        }
+
+    def _errors(self, tick: Tick, delivery: Delivery) -> tuple[float, float, float]:
+        """One refresh's `MSE_FIGURES`."""
+        if tick.played is None:
+            raise OptionError("nothing is shown in the troubled third; let the run be longer")
+        shown = tick.played.sample
+        drawn = self._draw(shown)
+        meant_us = round((tick.now_s - delivery.base_delay_s - tick.report.delay_s) * 1e6)
+        pose = self._face(meant_us / 1e6)
+        expression = self._renderer.draw(shown.latent, pose.rotation, pose.translation_m)
+        meant = self._true_drawing(meant_us)
+        return (
+            rendered_mse(drawn, meant),
+            rendered_mse(expression, meant),
+            rendered_mse(drawn, self._true_drawing(round(tick.now_s * 1e6))),
+        )
+
+    def _longest_gap_ms(self, ticks: Sequence[Tick]) -> float:
+        """The longest run of concealed refreshes."""
+        runs = itertools.groupby(ticks, key=_is_concealed)
+        longest = max((sum(1 for _ in run) for is_gap, run in runs if is_gap), default=0)
+        return round(longest / self._schedule.display_hz * 1e3, 1)
+
+    def _recovery(self, ticks: Sequence[Tick], delivery: Delivery) -> dict[str, float | None]:
+        schedule = self._schedule
+        before = [tick for tick in ticks if schedule.begin_s / 2 <= tick.now_s < schedule.begin_s]
+        frame_s = 1 / schedule.fps
+        usual_s = percentile(sorted(_added_delay_s(tick, delivery) for tick in before), 95)
+        after = [tick for tick in ticks if tick.now_s >= schedule.end_s]
+        old = [_added_delay_s(tick, delivery) > usual_s + frame_s for tick in after]
+        return {
+            "recovery_ms": self._last_ms(after, [_is_concealed(tick) for tick in after]),
+            "delay_recovery_ms": self._last_ms(after, old),
+        }
+
+    def _last_ms(self, ticks: Sequence[Tick], flags: Sequence[bool]) -> float | None:
+        """When the last flag was up, after the trouble; 0 for never, None for still."""
+        raised = [tick.now_s for tick, flag in zip(ticks, flags, strict=True) if flag]
+        if not raised:
+            return 0.0
+        if raised[-1] > self._schedule.seconds - 0.5:
+            return None
+        return round((raised[-1] - self._schedule.end_s) * 1e3, 1)
+
+    def _largest_step(self, ticks: Sequence[Tick]) -> float:
+        """The largest step that is shown over the largest true one."""
+        times = [tick.now_s for tick in ticks if tick.now_s >= self._schedule.begin_s]
+        shown = [
+            tick.played.sample
+            for tick in ticks
+            if tick.now_s >= self._schedule.begin_s and tick.played is not None
+        ]
+        true_step = self._drawn_step([self._face(now) for now in times])
+        return round(math.sqrt(self._drawn_step(shown) / true_step), 2)
+
+    def _drawn_step(self, samples: Sequence[LatentSample]) -> float:
+        """MSE between the two neighbours that differ most."""
+        points = np.stack(
+            [
+                np.concatenate(
+                    [
+                        sample.latent.ravel(),
+                        POSE_WEIGHT * sample.rotation,
+                        10 * POSE_WEIGHT * sample.translation_m,
+                    ]
+                )
+                for sample in samples
+            ]
+        )
+        where = int(np.square(np.diff(points, axis=0)).sum(axis=1).argmax())
+        return rendered_mse(self._draw(samples[where]), self._draw(samples[where + 1]))
+
+    def _draw(self, sample: LatentSample) -> Drawing:
+        return self._renderer.draw(sample.latent, sample.rotation, sample.translation_m)
+
+    def _draw_true(self, time_us: int) -> Drawing:
+        return self._draw(self._face(time_us / 1e6))
+
+
+def _network(delivery: Delivery, schedule: Schedule) -> dict[str, Any]:
+    counters = delivery.counters
+    return {
+        "sent": counters.sent,
+        "decoded": len(delivery.arrivals),
+        "thinned": counters.thinned,
+        "dropped": counters.dropped,
+        "lost": counters.lost,
+        "keyframes": delivery.keyframes,
+        "keyframe_requests": delivery.keyframe_requests,
+        "payload_bps": round(delivery.payload_bytes * 8 / schedule.seconds),
+        "wire_bps": round(delivery.wire_bytes * 8 / schedule.seconds),
+    }
+
+
+def _added_delay_s(tick: Tick, delivery: Delivery) -> float:
+    """Age of the face beyond the fastest transit; that of the whole run before the first face."""
+    if tick.played is None:
+        return tick.now_s
+    return tick.now_s - tick.shown_s - delivery.base_delay_s
+
+
+def _is_concealed(tick: Tick) -> bool:
+    return tick.played is None or tick.played.is_concealed
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)

@@ -1,0 +1,455 @@
+"""`pica bench relay`: rooms full of simulated peers, and what they cost the relay.
+
+Every peer is a real websocket that publishes one stream and receives those of the others in its
+room (`bench_relay_peer`); payloads have the sizes and layers of a coded face
+(`bench_relay_traffic`). Without an address the bench starts a relay of its own on a core of its
+own, and keeps the load on the others.
+
+What the figures are:
+
+- ``forward_ms``: from just before a peer's send call to just after another's receive call, of all
+  frames captured in the window (`bench_relay_swarm`). It includes the network, and the time that
+  frames wait in a busy load generator: ``generator.turn_ms`` bounds that.
+- ``relay_forward_ms``: the relay's own, from receipt to the socket's taking it, as the upper bounds
+  of its histogram's buckets.
+- ``dropped``: frames that the relay says it dropped, or, if it says nothing, that did not arrive.
+- ``relay_cpu_s_per_1000``: processor time of the relay's process for 1,000 delivered frames; what
+  the kernel does for it elsewhere is not in it.
+- ``bytes_per_connection``: growth of the relay's resident memory by this many peers in their rooms;
+  the kernel's socket buffers are not in it.
+
+What it does not show: real networks, TLS (unless --url says wss), slow receivers.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+from urllib.parse import urlsplit
+
+from pica_client.bench.relay.figures import (
+    close_codes,
+    describe,
+    is_within,
+    merged,
+    percentiles,
+    relay_percentiles,
+)
+from pica_client.bench.relay.processes import (
+    START_TIMEOUT_S,
+    Worker,
+    Workers,
+    cpu_s,
+    memory_bytes,
+    pin,
+    relay_metrics,
+    share_cores,
+    split_evenly,
+    summed,
+)
+from pica_client.bench.relay.swarm import DRAIN_S, SwarmConfig
+from pica_client.errors import CallProcessError, OptionError
+from pica_client.local_call.processes import Child, Children
+from pica_client.stats import describe_machine
+
+SETTLE_S: Final = 1.5
+"""Between the first frame and the first that counts: queues and windows find their size."""
+OWN_JOINS_PER_S: Final = 400.0
+PATIENCE_S: Final = 30.0
+"""For a swarm's answer, beyond the time that the order takes."""
+GROWTH: Final = 1.25
+"""Of the number of rooms from one try to the next, when capacity is looked for."""
+NO_LIMITS: Final = (
+    *("--limits.joins-per-s", "100000", "--limits.joins-burst", "100000"),
+    *("--limits.handshakes", "4096"),
+)
+"""Arguments of a relay whose limits on joins are not what is measured."""
+COMPARISONS: Final = ("naive", "naive-uvloop", "echo")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RelayBenchConfig:
+    """What to load, and how."""
+
+    url: str | None = None
+    """A relay that runs already; by default one is started."""
+    rooms: int = 20
+    peers: int = 5
+    """In each room."""
+    fps: float = 30.0
+    """Frames a second of each peer."""
+    seconds: float = 10.0
+    """Measured time."""
+    processes: int = 1
+    """Of the load generator."""
+    joins_per_s: float | None = None
+    """How fast peers come; by default 40, as many as a relay lets in, 400 for one of our own."""
+    capacity: bool = False
+    """Look for the most rooms within the bar."""
+    bar_ms: float = 10.0
+    """Longest 99th percentile of the forwarding latency that is good enough."""
+    probe_s: float = 3.0
+    """Measured time of each try when capacity is looked for."""
+    max_rooms: int = 400
+    """Where looking for capacity ends."""
+    compare: tuple[str, ...] = ()
+    """Servers that get the same load in the same run, of `COMPARISONS`."""
+    relay_arguments: tuple[str, ...] = ()
+    """Further arguments of the relay that is started."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        _check("rooms", self.rooms, 1, 10_000)
+        _check("peers", self.peers, 2, 64)
+        _check("fps", self.fps, 1, 240)
+        _check("seconds", self.seconds, 0.5, 7200)
+        _check("processes", self.processes, 1, min(64, self.rooms))
+        _check("bar", self.bar_ms, 0.1, 10_000)
+        _check("max-rooms", self.max_rooms, self.rooms, 10_000)
+        if self.joins_per_s is not None:
+            _check("joins-per-s", self.joins_per_s, 0.1, 10_000)
+        for name in self.compare:
+            if name not in COMPARISONS:
+                raise OptionError(
+                    f"compare {name!r} is unknown; known are {', '.join(COMPARISONS)}"
+                )
+        if self.url is not None:
+            check_url(self.url)
+
+    @property
+    def most_rooms(self) -> int:
+        """Rooms that may be needed."""
+        return self.max_rooms if self.capacity else self.rooms
+
+
+def check_url(url: str) -> None:
+    """Refuse what is no relay address."""
+    try:
+        parts = urlsplit(url)
+        is_usable = parts.scheme in ("ws", "wss") and bool(parts.hostname) and parts.port != 0
+    except ValueError:
+        is_usable = False
+    if not is_usable:
+        raise OptionError(f"url {url!r} is no relay address; write ws://HOST:PORT")
+
+
+def _check(name: str, value: float, low: float, high: float) -> None:
+    if not low <= value <= high:
+        raise OptionError(f"{name} is {value:g}; {low:g} to {high:g} is allowed")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Target:
+    """A server under load."""
+
+    url: str
+    pid: int | None = None
+    """Of its process, if it runs here and is ours."""
+    has_metrics: bool = False
+
+
+class Load:
+    """The swarms on one server: peers that come, send and count.
+
+    Attributes:
+        target: What is loaded.
+    """
+
+    def __init__(self, config: RelayBenchConfig, target: Target, workers: Workers) -> None:
+        """Start the processes; nobody has come yet."""
+        self.target = target
+        self._config = config
+        self._workers = workers
+        self._connected = 0
+        _, cores = share_cores()
+        rate = config.joins_per_s or (40.0 if target.pid is None else OWN_JOINS_PER_S)
+        self._rate = rate
+        names = [self._room(index) for index in range(config.most_rooms)]
+        self._swarms = [
+            workers.start(
+                "bench_relay_swarm",
+                json.dumps(
+                    asdict(
+                        SwarmConfig(
+                            url=target.url,
+                            rooms=rooms,
+                            peers=config.peers,
+                            fps=config.fps,
+                            joins_per_s=rate / config.processes,
+                            seed=f"{config.seed}/{part}",
+                        )
+                    )
+                ),
+                core=cores[part % len(cores)],
+            )
+            for part, rooms in enumerate(split_evenly(names, config.processes))
+        ]
+        self._idle_bytes = None if target.pid is None else memory_bytes(target.pid)
+
+    @property
+    def first_room(self) -> str:
+        """Its name."""
+        return self._room(0)
+
+    @property
+    def num_connections(self) -> int:
+        """Peers that are there."""
+        return self._connected * self._config.peers
+
+    def connect(self, rooms: int) -> None:
+        """Fill the first so many rooms.
+
+        Raises:
+            CallProcessError: Not everybody got in.
+        """
+        if rooms <= self._connected:
+            return
+        new = (rooms - self._connected) * self._config.peers
+        answers = self._ask(
+            lambda part: {"do": "connect", "rooms": part}, rooms, new / self._rate + 10.0
+        )
+        live = sum(answer["live"] for answer in answers)
+        if live < rooms * self._config.peers:
+            raise CallProcessError(
+                f"{live} of {rooms * self._config.peers} peers got in; the others were closed "
+                f"with {close_codes(answers) or 'no code'}: see the limits of the relay"
+            )
+        self._connected = rooms
+
+    def measure(self, rooms: int, seconds: float) -> dict[str, Any]:
+        """Let the first so many rooms send for a while; return the figures."""
+        self.connect(rooms)
+        pid, target = self.target.pid, self.target
+        begin_s = time.monotonic() + SETTLE_S
+        end_s = begin_s + seconds
+        for swarm, part in zip(self._swarms, self._parts(rooms), strict=True):
+            swarm.order(do="window", rooms=part, begin_s=begin_s, end_s=end_s)
+        _sleep_until(begin_s)
+        before = relay_metrics(target.url) if target.has_metrics else {}
+        cpu_before, at_before = None if pid is None else cpu_s(pid), time.monotonic()
+        _sleep_until(end_s)
+        cpu_after, at_after = None if pid is None else cpu_s(pid), time.monotonic()
+        after = relay_metrics(target.url) if target.has_metrics else {}
+        answers = [swarm.answer(DRAIN_S + PATIENCE_S) for swarm in self._swarms]
+        metrics = {name: value - before.get(name, 0.0) for name, value in after.items()}
+        cpu = None
+        if cpu_before is not None and cpu_after is not None:
+            cpu = (cpu_after - cpu_before) / (at_after - at_before)
+        return self._figures(rooms, seconds, answers, metrics, cpu)
+
+    def begin_farewell(self, timeout_s: float) -> None:
+        """Let the peers go on until the relay has closed them."""
+        for swarm in self._swarms:
+            swarm.order(do="farewell", timeout_s=timeout_s)
+
+    def end_farewell(self, timeout_s: float) -> tuple[int, dict[str, int]]:
+        """Return how many are still there, and with which codes the others were closed."""
+        answers = [swarm.answer(timeout_s + PATIENCE_S) for swarm in self._swarms]
+        return sum(answer["live"] for answer in answers), close_codes(answers)
+
+    def leave(self) -> None:
+        """End the swarms."""
+        self._workers.stop(self._swarms)
+
+    def _figures(
+        self,
+        rooms: int,
+        seconds: float,
+        answers: Sequence[dict[str, Any]],
+        metrics: dict[str, float],
+        cpu: float | None,
+    ) -> dict[str, Any]:
+        config = self._config
+        total = {
+            key: sum(answer[key] for answer in answers)
+            for key in ("sent", "blocked", "received", "bytes_in", "reads")
+        }
+        latency, turns = merged(answers, "latency"), merged(answers, "turn")
+        expected = total["sent"] * (config.peers - 1)
+        missing = expected - total["received"]
+        delivered_per_s = total["received"] / seconds
+        forward_ms = percentiles(latency)
+        idle, pid = self._idle_bytes, self.target.pid
+        held = None if pid is None else memory_bytes(pid)
+        per_connection = None
+        if idle is not None and held is not None:
+            per_connection = round(max(held - idle, 0) / self.num_connections)
+        messages = summed(metrics, "pica_messages_out_total")
+        closed = close_codes(answers)
+        return {
+            "rooms": rooms,
+            "peers": config.peers,
+            "fps": config.fps,
+            "seconds": seconds,
+            "connections": self.num_connections,
+            "delivered_per_s": round(delivered_per_s, 1),
+            "sent_per_s": round(total["sent"] / seconds, 1),
+            "forward_ms": forward_ms,
+            "relay_forward_ms": relay_percentiles(metrics),
+            "dropped": round(summed(metrics, "pica_frames_dropped_total")) if metrics else missing,
+            "missing": missing,
+            "blocked": total["blocked"],
+            "relay_cpu_s_per_1000": None
+            if cpu is None or not delivered_per_s
+            else round(cpu / delivered_per_s * 1000, 5),
+            "relay_cpu_ratio": None if cpu is None else round(cpu, 3),
+            "bytes_per_connection": per_connection,
+            "bitrate_bps": round(total["bytes_in"] * 8 / seconds / max(rooms * config.peers, 1)),
+            "frames_per_message": None
+            if not messages
+            else round(summed(metrics, "pica_frames_out_total") / messages, 2),
+            "errors": sum(closed.values()),
+            "close_codes": closed,
+            "within_bar": is_within(forward_ms, missing, expected, config.bar_ms),
+            "generator": {
+                "processes": config.processes,
+                "cpu_ratio": [round(answer["cpu_ratio"], 3) for answer in answers],
+                "turn_ms": percentiles(turns),
+                "reads_per_s": round(total["reads"] / seconds, 1),
+            },
+        }
+
+    def _ask(
+        self, order: Callable[[int], dict[str, Any]], rooms: int, timeout_s: float
+    ) -> list[dict[str, Any]]:
+        for swarm, part in zip(self._swarms, self._parts(rooms), strict=True):
+            swarm.order(**order(part))
+        return [swarm.answer(timeout_s + PATIENCE_S) for swarm in self._swarms]
+
+    def _room(self, index: int) -> str:
+        return f"load-{self._config.seed}-{index}"
+
+    def _parts(self, rooms: int) -> list[int]:
+        """How many rooms of each swarm are the first so many of all."""
+        num = self._config.processes
+        return [(rooms - part + num - 1) // num for part in range(num)]
+
+
+def run_relay_bench(config: RelayBenchConfig) -> dict[str, Any]:
+    """Measure a relay, and what it is compared with.
+
+    Raises:
+        ClientError: The relay does not answer, or does not let everybody in.
+    """
+    with Workers() as workers, Children() as children:
+        with relay_target(config, children) as target:
+            result = _measure(config, target, workers, "relay")
+        result["compare"] = {}
+        for name in config.compare:
+            with _rival(name, result, config, workers) as target:
+                result["compare"][name] = _measure(config, target, workers, name)
+    result["machine"] = describe_machine()
+    return result
+
+
+@contextmanager
+def relay_target(
+    config: RelayBenchConfig, children: Children, limits: Sequence[str] = NO_LIMITS
+) -> Iterator[Target]:
+    """The relay under load: the one at the address, or one of our own on its own core."""
+    if config.url is not None:
+        yield Target(url=config.url, has_metrics=bool(relay_metrics(config.url)))
+        return
+    relay, target = start_relay(config, children, limits)
+    try:
+        yield target
+    finally:
+        relay.let_go()
+        relay.wait(time.monotonic() + START_TIMEOUT_S)
+
+
+def start_relay(
+    config: RelayBenchConfig, children: Children, limits: Sequence[str] = NO_LIMITS
+) -> tuple[Child, Target]:
+    """Start a relay with room for the load, on a core of its own."""
+    connections = config.most_rooms * config.peers + 64
+    relay, url = children.start_relay(
+        *("--max-connections", str(connections)),
+        *("--room-capacity", str(max(config.peers + 2, 16))),
+        *limits,
+        *config.relay_arguments,
+    )
+    core, _ = share_cores()
+    pin(relay.pid, core)
+    return relay, Target(url=url, pid=relay.pid, has_metrics=True)
+
+
+@contextmanager
+def _rival(
+    name: str, result: dict[str, Any], config: RelayBenchConfig, workers: Workers
+) -> Iterator[Target]:
+    """A server to compare with."""
+    core, _ = share_cores()
+    worker: Worker
+    if name == "echo":
+        copies = config.peers - 1
+        per_message = result["frames_per_message"] or 1
+        # As many in a message as the relay puts there, rounded down to what divides.
+        fitting = [n for n in range(1, copies + 1) if copies % n == 0 and n <= per_message + 0.25]
+        worker = workers.start("bench_relay_echo", str(copies), str(fitting[-1]), core=core)
+    else:
+        loop = ["uvloop"] if name == "naive-uvloop" else []
+        worker = workers.start("bench_naive_relay", *loop, core=core)
+    yield Target(url=worker.line(START_TIMEOUT_S), pid=worker.pid)
+    workers.stop([worker])
+
+
+def _measure(
+    config: RelayBenchConfig, target: Target, workers: Workers, name: str
+) -> dict[str, Any]:
+    load = Load(config, target, workers)
+    try:
+        load.connect(config.rooms)
+        _say(f"{name}: {load.num_connections} peers in {config.rooms} rooms")
+        result = load.measure(config.rooms, config.seconds)
+        _say(f"{name}: {describe(result)}")
+        if config.capacity:
+            result["capacity"] = _find_capacity(config, load, result, name)
+    finally:
+        load.leave()
+    return result
+
+
+def _find_capacity(
+    config: RelayBenchConfig, load: Load, first: dict[str, Any], name: str
+) -> dict[str, Any]:
+    """The most rooms within the bar: up or down by a quarter, then halve what is between."""
+    tries: list[dict[str, Any]] = []
+
+    def is_good(rooms: int) -> bool:
+        row = load.measure(rooms, config.probe_s)
+        _say(f"{name}: {describe(row)}{'' if row['within_bar'] else ' - too much'}")
+        tries.append(row)
+        return bool(row["within_bar"])
+
+    good, bad = (config.rooms, None) if first["within_bar"] else (0, config.rooms)
+    rooms = config.rooms
+    while bad is None and rooms < config.max_rooms:
+        rooms = min(max(round(rooms * GROWTH), rooms + 1), config.max_rooms)
+        good, bad = (rooms, None) if is_good(rooms) else (good, rooms)
+    while good == 0 and bad is not None and bad > 1:
+        rooms = max(round(bad / GROWTH / GROWTH), 1)
+        good, bad = (rooms, bad) if is_good(rooms) else (0, rooms)
+    while bad is not None and good and bad - good > max(good // 20, 1):
+        rooms = (good + bad) // 2
+        good, bad = (rooms, bad) if is_good(rooms) else (good, rooms)
+    kept = ("rooms", "delivered_per_s", "forward_ms", "relay_cpu_ratio", "within_bar", "missing")
+    return {
+        "rooms": good,
+        "is_limit": bad is not None,
+        "bar_ms": config.bar_ms,
+        "tries": [{key: row[key] for key in kept} for row in tries],
+    }
+
+
+def _sleep_until(when_s: float) -> None:
+    time.sleep(max(when_s - time.monotonic(), 0.0))
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)

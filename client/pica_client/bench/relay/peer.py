@@ -1,0 +1,247 @@
+"""One simulated peer: a real websocket over TCP with as little of a client around it as possible.
+
+A client of the usual kind costs more for a message than the relay does, and would measure itself.
+So handshake and control messages go the usual way (the websockets library without its loop, the
+session of `pica_protocol`), while media is written and read here, by hand:
+
+- a frame goes out in a websocket message of its own with a masking key of zeros. Valid, and the
+  relay unmasks it as any other; random keys are for the protection of proxies (RFC 6455 10.3);
+- of a message that comes in, the frames' headers are walked, the payloads are not looked at.
+
+No event loop: `bench_relay_swarm` calls `on_readable` when the socket is.
+"""
+
+from __future__ import annotations
+
+import random
+import socket
+import ssl
+import struct
+from typing import Final, Protocol
+from urllib.parse import urlsplit
+
+from websockets.client import ClientProtocol
+from websockets.typing import Subprotocol
+from websockets.uri import parse_uri
+
+from pica_client.bench.relay.traffic import Traffic
+from pica_client.errors import RelayUnreachableError
+from pica_protocol import SUBPROTOCOL
+from pica_protocol.client_session import ClientSession
+from pica_protocol.frames import HEADER_BYTES, MEDIA_KIND
+from pica_protocol.messages import Joined, KeyframeRequest, Track
+from pica_protocol.session import State
+
+CONNECT_TIMEOUT_S: Final = 5.0
+_READ_BYTES: Final = 65_536
+_OUT = struct.Struct(">BBIBHHBBHQ")
+"""Websocket header with a mask of zeros, kind of the message, header of the frame."""
+_IN = struct.Struct(">HHBBHQ")
+_BINARY, _CLOSE, _PING, _PONG = 2, 8, 9, 10
+_FIN = 0x80
+_MASK = 0x80
+
+
+class Tally(Protocol):
+    """Who counts what the peers of one process receive."""
+
+    def received(self, captured_us: int) -> None:
+        """Take note of one frame that has come in."""
+
+    def heard(self, num_bytes: int) -> None:
+        """Take note of bytes that have come in."""
+
+    def closed(self, code: int) -> None:
+        """Take note that the relay closed a connection, with a websocket close code."""
+
+
+class SwarmPeer:
+    """One connection, from the first byte to the last.
+
+    Attributes:
+        sock: Its socket, to wait on.
+        is_live: Whether it is in the room and media may flow.
+        is_closed: Whether it is over.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        room: str,
+        name: str,
+        rng: random.Random,
+        tally: Tally,
+        now: float,
+        timeout_s: float,
+    ) -> None:
+        """Connect, and ask for the websocket.
+
+        Raises:
+            RelayUnreachableError: Nobody listens there.
+        """
+        self.is_live = self.is_closed = False
+        self._tally = tally
+        self._traffic = Traffic(rng)
+        self._stream = 0
+        self._rest = b""
+        self._unsent = b""
+        self._session = ClientSession(
+            room=room, name=name, tracks=(Track(kind="load"),), now=now, timeout_s=timeout_s
+        )
+        self.sock = _connect(url)
+        self._handshake: ClientProtocol | None = ClientProtocol(
+            parse_uri(url), subprotocols=[Subprotocol(SUBPROTOCOL)]
+        )
+        self._handshake.send_request(self._handshake.connect())
+        self._write(b"".join(self._handshake.data_to_send()))
+
+    def send_frame(self, now_us: int) -> bool:
+        """Send the next frame; False when the network does not take it, and it is dropped."""
+        sequence, layer, is_keyframe, payload = self._traffic.next_frame(now_us)
+        size = len(payload)
+        head = _OUT.pack(
+            _FIN | _BINARY,
+            _MASK | (1 + HEADER_BYTES + size),
+            0,
+            MEDIA_KIND,
+            self._stream,
+            sequence,
+            layer,
+            is_keyframe,
+            size,
+            now_us,
+        )
+        if self._unsent:
+            self._write(b"")
+            if self._unsent:
+                return False
+        return self._write(head + payload, may_drop=True)
+
+    def on_readable(self, now: float) -> None:
+        """Read what has come."""
+        self._read(now)
+        # What TLS has decrypted already makes no socket readable.
+        while isinstance(self.sock, ssl.SSLSocket) and not self.is_closed and self.sock.pending():
+            self._read(now)
+
+    def _read(self, now: float) -> None:
+        try:
+            data = self.sock.recv(_READ_BYTES)
+        except (BlockingIOError, InterruptedError, ssl.SSLWantReadError):
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self._end(1006)
+        elif self._handshake is not None:
+            self._shake_hands(self._handshake, data, now)
+        else:
+            self._tally.heard(len(data))
+            self._read_messages(self._rest + data if self._rest else data, now)
+
+    def close(self) -> None:
+        """Cut the connection."""
+        self.is_live, self.is_closed = False, True
+        self.sock.close()
+
+    def _shake_hands(self, handshake: ClientProtocol, data: bytes, now: float) -> None:
+        handshake.receive_data(data)
+        if not handshake.events_received():
+            return  # the answer is not complete
+        if handshake.handshake_exc is not None:
+            self._end(1006)
+            return
+        self._handshake = None
+        self._flush(now)
+
+    def _read_messages(self, data: bytes, now: float) -> None:
+        """Take whole websocket messages off the front and keep the rest."""
+        start, size = 0, len(data)
+        while size - start >= 2:
+            first, length = data[start], data[start + 1]
+            begin = start + 2
+            if length == 126:
+                if size - start < 4:
+                    break
+                length = data[start + 2] << 8 | data[start + 3]
+                begin = start + 4
+            elif length > 126:
+                self._end(1009)  # a message of 64 KiB: no relay of ours sends that
+                return
+            end = begin + length
+            if end > size:
+                break
+            if first == _FIN | _BINARY and length and data[begin] == MEDIA_KIND:
+                received, unpack, at = self._tally.received, _IN.unpack_from, begin + 1
+                while at < end:
+                    _, _, _, _, payload_bytes, captured_us = unpack(data, at)
+                    received(captured_us)
+                    at += HEADER_BYTES + payload_bytes
+            else:
+                self._take(first, data[begin:end], now)
+                if self.is_closed:
+                    return
+            start = end
+        self._rest = data[start:]
+
+    def _take(self, first: int, payload: bytes, now: float) -> None:
+        """Take one message that is not media."""
+        opcode = first & 0x0F
+        if opcode == _PING:
+            self._write(bytes((_FIN | _PONG, _MASK | len(payload))) + bytes(4) + payload)
+        elif opcode == _CLOSE:
+            self._end(int.from_bytes(payload[:2], "big") if len(payload) >= 2 else 1005)
+        elif first == _FIN | _BINARY:
+            for event in self._session.receive_data(payload, now):
+                if isinstance(event, Joined):
+                    self._stream = event.tracks[0].stream
+                    self.is_live = True
+                elif isinstance(event, KeyframeRequest):
+                    self._traffic.request_keyframe()
+            self._flush(now)
+        elif opcode != _PONG:
+            self._end(1002)
+
+    def _flush(self, now: float) -> None:
+        """Send what the session has to say."""
+        for message in self._session.messages_to_send(now):
+            size = len(message)
+            length = bytes((_MASK | size,)) if size < 126 else struct.pack(">BH", _MASK | 126, size)
+            self._write(bytes((_FIN | _BINARY,)) + length + bytes(4) + message)
+        if self._session.state is State.CLOSED:
+            self._end(self._session.closed.code if self._session.closed else 1006)
+
+    def _write(self, data: bytes, *, may_drop: bool = False) -> bool:
+        data = self._unsent + data
+        try:
+            sent = self.sock.send(data)
+        except (BlockingIOError, InterruptedError, ssl.SSLWantWriteError):
+            sent = 0
+        except OSError:
+            return True  # the reader finds out
+        if sent == 0 and may_drop:
+            return False
+        self._unsent = data[sent:]
+        return True
+
+    def _end(self, code: int) -> None:
+        if not self.is_closed:
+            self._tally.closed(code)
+            self.close()
+
+
+def _connect(url: str) -> socket.socket:
+    parts = urlsplit(url)
+    host, is_secure = parts.hostname or "", parts.scheme == "wss"
+    port = parts.port or (443 if is_secure else 80)
+    try:
+        sock = socket.create_connection((host, port), timeout=CONNECT_TIMEOUT_S)
+        if is_secure:
+            sock = ssl.create_default_context().wrap_socket(sock, server_hostname=host)
+    except OSError as error:
+        raise RelayUnreachableError(
+            f"nobody answers at {url}: {error.strerror or error}; start one with: pica relay"
+        ) from error
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    sock.setblocking(False)
+    return sock

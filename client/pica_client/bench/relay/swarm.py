@@ -1,0 +1,303 @@
+"""A process full of simulated peers: ``python -m pica_client.bench.relay.swarm``.
+
+One loop: send the frames that are due, wait, read what has come. It takes its orders from standard
+input, a JSON object a line, and answers each with one on standard output; when the input ends, so
+does it. Orders: ``connect`` (come in, so many a second), ``window`` (send, and count the frames
+captured between two moments), ``farewell`` (until the relay has closed everybody), ``leave``.
+
+What is measured: from just before a frame's ``send`` to just after the ``recv`` that brought it,
+both here, on the clock that all processes of a machine share. So it holds the relay, the kernel on
+both ways, and the time that the frame waited here because this process was busy; ``turn_us`` bounds
+the last: how long the loop needed from one look at the sockets to the next, naps not counted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import random
+import select
+import sys
+import time
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any, Final
+
+from pica_client.bench.relay.peer import SwarmPeer
+from pica_client.errors import ClientError
+
+STEP_US: Final = 10
+"""Width of the latency buckets."""
+NUM_STEPS: Final = 200_000
+"""Latencies up to 2 s; later frames count as that late."""
+NAP_S: Final = 0.0002
+"""Between two looks at the sockets under load: adds as much to the latencies at most (chosen)."""
+DRAIN_S: Final = 1.0
+"""After a window, for frames that are still under way."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SwarmConfig:
+    """Who connects to what."""
+
+    url: str
+    rooms: list[str]
+    """Names of this process's rooms."""
+    peers: int
+    """In each room."""
+    fps: float
+    joins_per_s: float
+    """How fast to come in."""
+    seed: str
+
+
+class Window:
+    """What came of the frames captured between two moments."""
+
+    def __init__(self, begin_us: int, end_us: int) -> None:
+        self.begin_us, self.end_us = begin_us, end_us
+        self.sent = self.num_received = self.blocked = 0
+        self.bytes_in = self.reads = 0
+        self.latencies = [0] * NUM_STEPS
+        self.turns = [0] * NUM_STEPS
+        self._now_us = 0
+
+    def received(self, captured_us: int) -> None:
+        """Count one frame as of the last read."""
+        if self.begin_us <= captured_us < self.end_us:
+            self.num_received += 1
+            step = (self._now_us - captured_us) // STEP_US
+            self.latencies[step if step < NUM_STEPS else -1] += 1
+
+    def heard(self, num_bytes: int) -> None:
+        """Count the bytes of one read."""
+        self.bytes_in += num_bytes
+        self.reads += 1
+        self._now_us = time.monotonic_ns() // 1000
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as JSON: of the buckets only those with something in them."""
+        return {
+            "sent": self.sent,
+            "blocked": self.blocked,
+            "received": self.num_received,
+            "bytes_in": self.bytes_in,
+            "reads": self.reads,
+            "latency": {i: n for i, n in enumerate(self.latencies) if n},
+            "turn": {i: n for i, n in enumerate(self.turns) if n},
+        }
+
+
+class Swarm:
+    """All peers of this process and the loop that drives them."""
+
+    def __init__(self, config: SwarmConfig) -> None:
+        self._config = config
+        self._rng = random.Random(config.seed)
+        self._poller = select.poll() if not hasattr(select, "epoll") else select.epoll()
+        self._by_fd: dict[int, SwarmPeer] = {}
+        self._rooms: list[list[SwarmPeer]] = [[] for _ in config.rooms]
+        # Of each peer that sends: when its next frame is due, in the order of their phases.
+        self._schedule: list[tuple[float, SwarmPeer]] = []
+        self._next = 0
+        self._cycle_s = 0.0
+        self._window = Window(0, 0)
+        self._codes: Counter[int] = Counter()
+        self._input = b""
+        self._is_over = False
+        self._poller.register(sys.stdin.fileno(), select.POLLIN)
+
+    # The window is exchanged between measurements; peers keep counting into the newest.
+    def received(self, captured_us: int) -> None:
+        """See `Window`."""
+        self._window.received(captured_us)
+
+    def heard(self, num_bytes: int) -> None:
+        """See `Window`."""
+        self._window.heard(num_bytes)
+
+    def closed(self, code: int) -> None:
+        """Count a connection that the relay ended."""
+        self._codes[code] += 1
+
+    def run(self) -> None:
+        """Obey until the input ends."""
+        while (order := self._next_order()) is not None:
+            match order.pop("do"):
+                case "connect":
+                    self._connect(**order)
+                case "window":
+                    self._measure(**order)
+                case "farewell":
+                    self._wait_for_the_end(**order)
+                case "leave":
+                    self._leave()
+        self._leave()
+
+    def _connect(self, rooms: int) -> None:
+        """Let the first so many rooms be full, and answer when they are."""
+        config = self._config
+        period_s = 1 / config.joins_per_s
+        due_s = time.monotonic()
+        wanted = [
+            (index, seat)
+            for index in range(rooms)
+            for seat in range(len(self._rooms[index]), config.peers)
+        ]
+        new: list[SwarmPeer] = []
+        for index, seat in wanted:
+            while time.monotonic() < due_s:
+                self._turn(due_s)
+            due_s += period_s
+            peer = SwarmPeer(
+                config.url,
+                config.rooms[index],
+                f"load-{seat}",
+                self._rng,
+                self,
+                time.monotonic(),
+                timeout_s=10.0,
+            )
+            self._rooms[index].append(peer)
+            self._by_fd[peer.sock.fileno()] = peer
+            self._poller.register(peer.sock.fileno(), select.POLLIN)
+            new.append(peer)
+        deadline = time.monotonic() + 10.0
+        while not all(peer.is_live or peer.is_closed for peer in new):
+            if time.monotonic() > deadline or self._is_over:
+                break
+            self._turn(time.monotonic() + 0.05)
+        live = sum(peer.is_live for room in self._rooms for peer in room)
+        _answer({"live": live, "closed": dict(self._codes)})
+
+    def _measure(self, rooms: int, begin_s: float, end_s: float) -> None:
+        """Let the first so many rooms send until the end, and count from the beginning."""
+        self._start_sending(rooms)
+        window = self._window = Window(int(begin_s * 1e6), int(end_s * 1e6))
+        cpu_s = 0.0
+        has_begun = False
+        while (now := time.monotonic()) < end_s and not self._is_over:
+            if not has_begun and now >= begin_s:
+                has_begun, cpu_s = True, time.process_time()
+            self._turn(end_s)
+        cpu_s = time.process_time() - cpu_s
+        drained_s = end_s + DRAIN_S
+        expected = window.sent * (self._config.peers - 1)
+        while time.monotonic() < drained_s and window.num_received < expected:
+            self._turn(time.monotonic() + 0.1)
+        cpu_ratio = cpu_s / max(end_s - begin_s, 1e-9)
+        _answer({**window.as_dict(), "closed": dict(self._codes), "cpu_ratio": cpu_ratio})
+
+    def _wait_for_the_end(self, timeout_s: float) -> None:
+        """Go on until the relay has closed everybody; tell with which codes."""
+        deadline = time.monotonic() + timeout_s
+        while self._by_fd and time.monotonic() < deadline and not self._is_over:
+            self._turn(time.monotonic() + 0.1)
+        _answer({"live": len(self._by_fd), "closed": dict(self._codes)})
+
+    def _start_sending(self, rooms: int) -> None:
+        """Spread the frames of all senders evenly at random over one frame interval."""
+        peers = [peer for room in self._rooms[:rooms] for peer in room]
+        interval_s = 1 / self._config.fps
+        if len(peers) != len(self._schedule):
+            phases = random.Random(f"{self._config.seed}/phases")
+            self._schedule = sorted(
+                ((phases.random() * interval_s, peer) for peer in peers), key=lambda item: item[0]
+            )
+            self._next, self._cycle_s = 0, time.monotonic()
+
+    def _turn(self, until_s: float) -> None:
+        """Send what is due, wait for something to read or for the next frame, and read."""
+        due_s = min(self._send_due(), until_s)
+        if self._schedule:
+            # Under load, look at the sockets now and then instead of waiting for them: waking this
+            # process would be work for the sender of what it waits for, as much as the sending.
+            ready = self._poller.poll(0)
+            if not ready and (left_s := due_s - time.monotonic()) > 0:
+                time.sleep(min(NAP_S, left_s))
+        else:
+            timeout_ms = math.ceil(max(due_s - time.monotonic(), 0.0) * 1e3)
+            is_epoll = isinstance(self._poller, select.epoll)
+            ready = self._poller.poll(timeout_ms / 1e3 if is_epoll else timeout_ms)
+        if not ready:
+            return
+        begin_ns = time.monotonic_ns()
+        now = begin_ns / 1e9
+        for fd, _ in ready:
+            peer = self._by_fd.get(fd)
+            if peer is None:
+                self._read_orders()
+                continue
+            peer.on_readable(now)
+            if peer.is_closed:
+                del self._by_fd[fd]
+                with contextlib.suppress(OSError, KeyError):  # epoll has forgotten it already
+                    self._poller.unregister(fd)
+        step = (time.monotonic_ns() - begin_ns) // (1000 * STEP_US)
+        self._window.turns[step if step < NUM_STEPS else -1] += 1
+
+    def _send_due(self) -> float:
+        """Send the frames that are due; return when the next one is."""
+        schedule, window = self._schedule, self._window
+        if not schedule:
+            return math.inf
+        monotonic_ns = time.monotonic_ns
+        while True:
+            phase_s, peer = schedule[self._next]
+            now_us = monotonic_ns() // 1000
+            due_s = self._cycle_s + phase_s
+            if due_s * 1e6 > now_us:
+                return due_s
+            if peer.is_live:
+                is_sent = peer.send_frame(now_us)
+                if window.begin_us <= now_us < window.end_us:
+                    window.sent += is_sent
+                    window.blocked += not is_sent
+            self._next += 1
+            if self._next == len(schedule):
+                self._next = 0
+                # After a stall frames are skipped, not sent in a burst: a camera does not wait.
+                behind = (now_us / 1e6 - self._cycle_s) * self._config.fps
+                self._cycle_s += max(int(behind), 1) / self._config.fps
+
+    def _leave(self) -> None:
+        for room in self._rooms:
+            for peer in room:
+                if not peer.is_closed:
+                    peer.close()
+            room.clear()
+        self._by_fd.clear()
+        self._schedule = []
+
+    def _next_order(self) -> dict[str, Any] | None:
+        while b"\n" not in self._input and not self._is_over:
+            self._turn(time.monotonic() + 0.5)
+        line, newline, self._input = self._input.partition(b"\n")
+        return json.loads(line) if newline else None
+
+    def _read_orders(self) -> None:
+        data = os.read(sys.stdin.fileno(), 65_536)
+        self._input += data
+        if not data:
+            self._is_over = True
+            self._poller.unregister(sys.stdin.fileno())
+
+
+def _answer(values: dict[str, Any]) -> None:
+    print(json.dumps(values), flush=True)
+
+
+def main() -> None:
+    """Read the configuration from the first argument and obey."""
+    swarm = Swarm(SwarmConfig(**json.loads(sys.argv[1])))
+    try:
+        swarm.run()
+    except ClientError as error:
+        _answer({"error": str(error)})
+        sys.exit(error.exit_code)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,406 @@
+"""What drawing a head costs: near and far, at every level, beside a textured baseline.
+
+The layout is that of the paper's Table 3: one head before a square eye buffer, 18, 65 and 120 cm
+from the camera to the front of its bounding box, looked at from the front. `FIELD_OF_VIEW` is
+chosen so that the three distances cover pixels in about the paper's ratios (2.7 : 0.9 : 0.2
+million). A frame is all that the product draws but texts: surfaces, pixel decoder, smoothed edges;
+its time ends when the GPU is done, and reading the image back is not in it. Cases take turns, one
+frame each, round after round, so that a busy machine is unfair to nobody; medians over the rounds.
+
+Rows:
+
+    model, level    "pica" at one of the avatar's levels, or "baseline": the same head as a textured
+                    mesh drawn in one pass, as `pica_core.reference.baseline` describes it
+    mesh            level of the triangles, where that is another one
+    weights         where the pixel decoder's weights stand, see `RenderOptions`
+    distance_cm
+    pixels          pixels that the head coloured
+    triangles
+    draw_ms         a frame
+    vertex_ms       the meshes of a frame with a scissor of one pixel: vertices, clipping and the
+                    setup of triangles run, pixels do not; nothing is cleared or copied. The
+                    difference of doing it nine times in one call and once, so that calls and
+                    bookkeeping are not in it
+    draw_cpu_ms, vertex_cpu_ms
+                    the same as processor time of all threads of this process: with software GL
+                    what the work costs whoever else runs, and steadier; meaningless with a GPU
+    spread          (upper quartile - lower quartile) / median of draw_ms
+
+Then a sweep over distances of every level and of the baseline, with the line time = intercept_ms +
+ns_per_pixel * pixels fitted to each, and `summary` with the ratios.
+
+What it does not show: decoding and uploads (`pica bench decode`), several heads, window systems.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from statistics import median, quantiles
+from typing import Any, Literal
+
+import moderngl
+import numpy as np
+import numpy.typing as npt
+
+from pica_client.bench.head import (
+    FIELD_OF_VIEW,
+    Took,
+    check_distances,
+    front_camera,
+    textured_mesh,
+    timed,
+)
+from pica_client.bench.relay.processes import memory_bytes
+from pica_client.decode.decoder import OnnxDecoder
+from pica_client.errors import OptionError
+from pica_client.render.renderer import Renderer, RenderOptions
+from pica_client.render.scene import Placement, view_direction
+from pica_client.stats import describe_machine
+from pica_core.avatar.arkit import NUM_ARKIT
+from pica_core.avatar.expression_encoder import ExpressionEncoder
+from pica_core.avatar.file import Avatar
+from pica_core.camera import Camera
+from pica_core.gl import create_context, wait_for_gpu
+from pica_core.reference.baseline import BaselineAvatar, baseline_like
+
+FloatArray = npt.NDArray[np.float32]
+Draw = Callable[[], object]
+Model = Literal["pica", "baseline"]
+Weights = Literal["auto", "block", "constants", "turns"]
+
+HEAD = np.eye(4, dtype=np.float32)
+WARM_UP_FRAMES = 3
+EXTRA_TIMES = 8
+"""How many times more than once vertices are worked through to be timed."""
+SWEEP_NEAREST_CM, SWEEP_FARTHEST_CM = 18.0, 400.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RenderBenchConfig:
+    """What to measure."""
+
+    distances_cm: tuple[float, ...] = (18.0, 65.0, 120.0)
+    image_size: int = 1024
+    """Rows and columns of the image, pixels."""
+    rounds: int = 15
+    """Frames of each case."""
+    sweep_points: int = 12
+    """Distances of the sweep."""
+    soak_frames: int = 0
+    """Then draw so many small frames and watch the memory."""
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("image_size", 64, 4096),
+            ("rounds", 3, 1000),
+            ("sweep_points", 3, 100),
+            ("soak_frames", 0, 10_000_000),
+        ):
+            if not low <= getattr(self, name) <= high:
+                raise OptionError(f"{name} is {getattr(self, name)}; {low} to {high} is allowed")
+        check_distances(self.distances_cm)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Case:
+    model: Model
+    level: int
+    """0 for the baseline."""
+    mesh: int
+    """Level of the triangles; 0 for the baseline."""
+    weights: Weights
+    distance_cm: float
+
+
+def run_render_bench(config: RenderBenchConfig, avatar: Avatar) -> dict[str, Any]:
+    """Measure.
+
+    Raises:
+        GraphicsError: No GL context.
+    """
+    context = create_context()
+    try:
+        bench = _Bench(context, config, avatar)
+        rows = bench.measure(bench.table_cases())
+        sweep = bench.measure(bench.sweep_cases())
+        kinds = dict.fromkeys((row["model"], row["level"]) for row in sweep)
+        lines = [
+            {
+                "model": model,
+                "level": level,
+                "time": time_name,
+                **fit_line(
+                    [row for row in sweep if (row["model"], row["level"]) == (model, level)],
+                    time_name,
+                ),
+            }
+            for model, level in kinds
+            for time_name in ("draw_ms", "draw_cpu_ms")
+        ]
+        result = {
+            "avatar": avatar.manifest.identity,
+            "gl_renderer": bench.gl_renderer,
+            "gl_threads": os.environ.get("LP_NUM_THREADS"),
+            "image_size": config.image_size,
+            "field_of_view_degrees": round(math.degrees(FIELD_OF_VIEW), 1),
+            "rounds": config.rounds,
+            "rows": rows,
+            "sweep": sweep,
+            "lines": lines,
+            "summary": summarise(rows, lines, bench.weights),
+            "machine": describe_machine(),
+        }
+        if config.soak_frames:
+            result["soak"] = bench.soak(config.soak_frames)
+        return result
+    finally:
+        context.release()
+
+
+class _Bench:
+    """One renderer for each place of the weights, with the avatar at every level in it."""
+
+    def __init__(
+        self, context: moderngl.Context, config: RenderBenchConfig, avatar: Avatar
+    ) -> None:
+        self._context = context
+        self._config = config
+        self._avatar = avatar
+        self._renderers: dict[str, Renderer] = {}
+        latent = ExpressionEncoder(avatar).encode(np.zeros(NUM_ARKIT, np.float32))
+        decoder = OnnxDecoder(avatar)
+        direction = view_direction(HEAD, self._camera(100.0).centre_m)
+        baseline = baseline_like(avatar)
+        places: tuple[Weights, ...] = ("auto", "block", "constants", "turns")
+        for place in places:
+            renderer = self._renderers[place] = Renderer(
+                context, (config.image_size, config.image_size), RenderOptions(weights=place)
+            )
+            for level in avatar.levels:
+                maps = decoder.decode(latent, direction, level)
+                renderer.add_avatar(f"pica-{level}", avatar)
+                renderer.update_maps(f"pica-{level}", maps.position_map, maps.expression_map)
+        add_baseline(self._renderers["auto"], "baseline-0", baseline)
+        self.gl_renderer = self._renderers["auto"].gl_renderer
+        self.weights = self._renderers["auto"].weights
+
+    def table_cases(self) -> list[_Case]:
+        """Every level, the full maps on every mesh, and the baseline at every distance; the full
+        level also with its weights in other places."""
+        full = self._avatar.levels[-1]
+        others: list[Weights] = [place for place in ("block", "constants", "turns")]
+        cases = []
+        for distance in self._config.distances_cm:
+            variants: list[tuple[Model, int, int, Weights]] = [
+                *(("pica", level, level, "auto") for level in self._avatar.levels),
+                *(("pica", full, mesh, "auto") for mesh in self._avatar.levels[:-1]),
+                *(("pica", full, full, place) for place in others if place != self.weights),
+                ("baseline", 0, 0, "auto"),
+            ]
+            cases += [
+                _Case(
+                    model=model,
+                    level=level,
+                    mesh=mesh,
+                    weights=place,
+                    distance_cm=distance,
+                )
+                for model, level, mesh, place in variants
+            ]
+        return cases
+
+    def sweep_cases(self) -> list[_Case]:
+        """Every level and the baseline over distances whose pixels are spread evenly on a
+        logarithmic scale."""
+        distances = np.geomspace(SWEEP_NEAREST_CM, SWEEP_FARTHEST_CM, self._config.sweep_points)
+        models: list[tuple[Model, int]] = [("pica", level) for level in self._avatar.levels]
+        models.append(("baseline", 0))
+        return [
+            _Case(
+                model=model,
+                level=level,
+                mesh=level,
+                weights="auto",
+                distance_cm=round(float(distance), 1),
+            )
+            for distance in distances
+            for model, level in models
+        ]
+
+    def measure(self, cases: Sequence[_Case]) -> list[dict[str, Any]]:
+        """Draw all cases in turns."""
+        draws = [self._prepare(case) for case in cases]
+        times: list[list[Took]] = [[] for _ in cases]
+        vertex_times: list[list[Took]] = [[] for _ in cases]
+        for index in range(WARM_UP_FRAMES + self._config.rounds):
+            for number, (draw, draw_vertices, draw_once) in enumerate(draws):
+                frame = self._time(draw)
+                many, once = self._time(draw_vertices), self._time(draw_once)
+                vertex = Took(
+                    (many.wall_s - once.wall_s) / EXTRA_TIMES,
+                    (many.cpu_s - once.cpu_s) / EXTRA_TIMES,
+                )
+                if index >= WARM_UP_FRAMES:
+                    times[number].append(frame)
+                    vertex_times[number].append(vertex)
+        rows = []
+        for case, frames, vertices in zip(cases, times, vertex_times, strict=True):
+            renderer = self._renderers[case.weights]
+            stats = renderer.draw(
+                [self._placement(case)], self._camera(case.distance_cm), count_pixels=True
+            )
+            walls = [took.wall_s for took in frames]
+            low, _, high = quantiles(walls, n=4)
+            rows.append(
+                {
+                    "model": case.model,
+                    "level": case.level,
+                    "mesh": case.mesh,
+                    "weights": renderer.weights if case.model == "pica" else None,
+                    "distance_cm": case.distance_cm,
+                    "pixels": sum(head.shaded_pixels or 0 for head in stats.heads),
+                    "triangles": stats.num_triangles,
+                    "draw_ms": round(median(walls) * 1e3, 3),
+                    "vertex_ms": round(median(took.wall_s for took in vertices) * 1e3, 3),
+                    "draw_cpu_ms": round(median(took.cpu_s for took in frames) * 1e3, 3),
+                    "vertex_cpu_ms": round(median(took.cpu_s for took in vertices) * 1e3, 3),
+                    "spread": round((high - low) / median(walls), 3),
+                }
+            )
+        return rows
+
+    def soak(self, frames: int, size: int = 64) -> dict[str, Any]:
+        """Draw many small frames with fresh maps and read them back; memory before and after.
+
+        The first tenth is not counted: pools of the driver fill up.
+        """
+        renderer = Renderer(self._context, (size, size))
+        renderer.add_avatar("soak", self._avatar)
+        latent = ExpressionEncoder(self._avatar).encode(np.zeros(NUM_ARKIT, np.float32))
+        decoder = OnnxDecoder(self._avatar)
+        direction = np.array([0, 0, 1], np.float32)
+        maps = [decoder.decode(latent, direction, level) for level in self._avatar.levels]
+        samples: list[tuple[int, int]] = []
+        for index in range(frames):
+            fresh = maps[index % len(maps)]
+            renderer.update_maps("soak", fresh.position_map, fresh.expression_map)
+            placement = Placement(slot="soak", world_from_head=HEAD, blend=0.5 + 0.5 * (index % 2))
+            renderer.draw([placement], self._camera(60 + index % 90, size))
+            renderer.read_image()
+            if index % max(frames // 50, 1) == 0:
+                samples.append((index, memory_bytes(os.getpid()) or 0))
+        settled = [size for index, size in samples if index >= frames / 10]
+        return {
+            "frames": frames,
+            "resident_mb_after_a_tenth": round(settled[0] / 1e6, 2),
+            "resident_mb_at_the_end": round(settled[-1] / 1e6, 2),
+            "growth_bytes_a_frame": round((settled[-1] - settled[0]) / (0.9 * frames), 1),
+        }
+
+    def _prepare(self, case: _Case) -> tuple[Draw, Draw, Draw]:
+        """A frame, its vertices alone and many times, and these once."""
+        renderer = self._renderers[case.weights]
+        placements, camera = [self._placement(case)], self._camera(case.distance_cm)
+        return (
+            lambda: renderer.draw(placements, camera),
+            lambda: renderer.draw_vertices(placements, camera, 1 + EXTRA_TIMES),
+            lambda: renderer.draw_vertices(placements, camera),
+        )
+
+    def _time(self, draw: Draw) -> Took:
+        def draw_and_wait() -> None:
+            draw()
+            wait_for_gpu(self._context)
+
+        return timed(draw_and_wait)[0]
+
+    def _placement(self, case: _Case) -> Placement:
+        return Placement(
+            slot=f"{case.model}-{case.level}",
+            world_from_head=HEAD,
+            mesh_level=case.mesh or None,
+        )
+
+    def _camera(self, distance_cm: float, size: int | None = None) -> Camera:
+        pixels = size or self._config.image_size
+        return front_camera(self._avatar.manifest, distance_cm, (pixels, pixels))
+
+
+def add_baseline(renderer: Renderer, slot: str, baseline: BaselineAvatar) -> None:
+    """Put a baseline at rest into a renderer: what its decoder makes of a latent of zeros, but for
+    the little that its random weights add."""
+    last = len(baseline.spec.channels) - 1
+    texture = baseline.tensors[f"texture.{last}.bias"].transpose(1, 2, 0)
+    renderer.add_textured(slot, textured_mesh(baseline))
+    renderer.update_textured(
+        slot,
+        baseline.tensors["mesh.bias"].reshape(-1, 3).astype(np.float32),
+        np.ascontiguousarray(texture, np.float32),
+    )
+
+
+def fit_line(rows: Sequence[dict[str, Any]], field: str = "draw_ms") -> dict[str, float]:
+    """The least-squares line of a time over pixels.
+
+    Returns:
+        ``intercept_ms``, ``ns_per_pixel``, ``r2``, and ``worst_ms``, the largest distance of a row
+        from the line.
+    """
+    pixels = np.array([row["pixels"] for row in rows], np.float64)
+    times = np.array([row[field] for row in rows], np.float64)
+    slope, intercept = np.polyfit(pixels, times, 1)
+    left = times - (intercept + slope * pixels)
+    total = float(np.square(times - times.mean()).sum())
+    return {
+        "intercept_ms": round(float(intercept), 3),
+        "ns_per_pixel": round(float(slope) * 1e6, 3),
+        "r2": round(1 - float(np.square(left).sum()) / total, 5) if total > 0 else 0.0,
+        "worst_ms": round(float(np.abs(left).max()), 3),
+    }
+
+
+def summarise(
+    rows: Sequence[dict[str, Any]], lines: Sequence[dict[str, Any]], weights: str
+) -> dict[str, Any]:
+    """The ratios that matter, per distance and level.
+
+    Args:
+        rows: Of the table.
+        lines: Of every level and the baseline.
+        weights: Those that the renderer chooses here.
+    """
+    own = [row for row in rows if row["weights"] in (weights, None)]
+    full = max(row["level"] for row in own)
+    ratios: list[dict[str, Any]] = []
+    for distance in sorted({row["distance_cm"] for row in own}):
+        there = [row for row in own if row["distance_cm"] == distance]
+        (baseline,) = _of(there, "baseline")
+        (whole,) = (row for row in there if row["level"] == full and row["mesh"] == full)
+        ratios += [
+            {
+                "distance_cm": distance,
+                "level": row["level"],
+                "mesh": row["mesh"],
+                **{
+                    f"draw_{clock}over_baseline": round(
+                        row[f"draw_{clock}ms"] / baseline[f"draw_{clock}ms"], 3
+                    )
+                    for clock in ("", "cpu_")
+                },
+                **{
+                    f"vertex_{clock}over_full": round(
+                        row[f"vertex_{clock}ms"] / whole[f"vertex_{clock}ms"], 3
+                    )
+                    for clock in ("", "cpu_")
+                },
+            }
+            for row in _of(there, "pica")
+        ]
+    return {"ratios": ratios, "lines": lines}
+
+
+def _of(rows: Sequence[dict[str, Any]], model: str) -> list[dict[str, Any]]:
+    return [row for row in rows if row["model"] == model]

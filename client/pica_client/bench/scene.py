@@ -1,0 +1,462 @@
+"""What a scene of several talking heads costs with and without the scheduler, and what error it
+leaves.
+
+Heads stand in a line, `SPACING_M` apart as in the paper's last experiment, the middle one so far
+from the camera; everybody talks, each from elsewhere in a shipped performance. A frame is all that
+follows the latents: plan, decode, upload and draw, one after the other on one thread, so that their
+times add up and none hides behind another (the viewer decodes beside drawing). Reading back is not
+in it. Cases take turns, `TURN_FRAMES` frames each, round after round. Times are means over a turn,
+for a scheduler that decodes now and then has no typical frame, and of the turns the mean of the
+middle half.
+
+Rows:
+
+    avatars, distance_cm    of the middle one, from the camera to the front of its bounding box
+    scheduler               false: everybody is decoded whole, at the full level, in every frame
+    budget_ms               what the scheduler may spend; null is as much as it likes
+    floor_ms                the least that everybody gets costs so much, by what it has learned
+    decode_ms upload_ms draw_ms plan_ms total_ms    of a frame
+    spread                  (upper quartile - lower quartile) / median of a turn's total_ms
+    error                   MSE (0-255, over pixels that heads cover) against the same frame drawn
+                            from full-level maps of the newest latents: what the scheduler gave up
+    payload_bps             of all streams, only the layers that were asked for
+    decodes                 of a frame; expression maps alone count one half
+    limited                 share of visible heads from which the budget kept something
+    levels, meshes          how often what was chosen for a visible head
+    pixels                  covered by heads
+    triangles
+
+`summary` compares: many heads near and far against one that fills the screen, with and without the
+scheduler; half of the unconstrained cost; nobody on the screen.
+
+What it does not show: networks and playout (`pica bench call`), windows, several threads.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import moderngl
+import numpy as np
+import numpy.typing as npt
+
+from pica_client.bench.difference_sheet import Cell, write_sheet
+from pica_client.bench.head import FIELD_OF_VIEW, front_camera
+from pica_client.bench.render_error import masked_mse
+from pica_client.bench.scene_summary import AWAY, FULL_SCREEN_CM, summarise
+from pica_client.decode.decoder import OnnxDecoder
+from pica_client.decode.pool import DecodeRequest, DecodeResult
+from pica_client.errors import OptionError
+from pica_client.render.renderer import Renderer, RenderOptions
+from pica_client.render.scene import Placement, head_matrix, view_direction
+from pica_client.schedule.frame_planner import SceneDriver, SceneHead
+from pica_client.schedule.scheduler import Choice, Scheduler
+from pica_client.sources.performances import make_performance
+from pica_client.stats import describe_machine
+from pica_core.avatar.expression_encoder import ExpressionEncoder
+from pica_core.avatar.file import Avatar
+from pica_core.camera import Camera
+from pica_core.codec.factory import FaceEncoder, open_encoder
+from pica_core.codec.latent_stream import StreamConfig
+from pica_core.gl import create_context, wait_for_gpu
+
+FloatArray = npt.NDArray[np.float32]
+Image = npt.NDArray[np.uint8]
+
+SPACING_M = 0.25
+"""Between neighbours (the paper's section 4.3)."""
+FPS = 30.0
+WARM_UP_FRAMES = 12
+"""Of each case: the costs are learned, the wishes settle."""
+TURN_FRAMES = 5
+"""Frames of a case before the next one has its turn."""
+ERROR_EVERY = 5
+"""Frames between two whose error is measured."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SceneBenchConfig:
+    """What to measure."""
+
+    avatars: tuple[int, ...] = (1, 2, 3, 4, 5)
+    distances_cm: tuple[float, ...] = (65.0, 90.0, 120.0)
+    size: tuple[int, int] = (1280, 720)
+    """Columns and rows of the image, pixels."""
+    rounds: int = 8
+    """Turns of each case, of `TURN_FRAMES` frames."""
+    performance: str = "talk"
+    budget_shares: tuple[float, ...] = (0.75, 0.5, 0.35)
+    """Budgets of the largest scenes, as shares of what they cost unconstrained."""
+    sheet: Path | None = None
+    """PNG of the nearest of the largest scenes as each way of treating it left it, with the
+    differences, amplified."""
+
+    def __post_init__(self) -> None:
+        if not self.avatars or not all(1 <= count <= 16 for count in self.avatars):
+            raise OptionError(f"avatars are {self.avatars}; 1 to 16 are allowed")
+        if not self.distances_cm or not all(1 <= d <= 1000 for d in self.distances_cm):
+            raise OptionError(f"distances_cm are {self.distances_cm}; 1 to 1000 are allowed")
+        if not 2 <= self.rounds <= 1000:
+            raise OptionError(f"rounds is {self.rounds}; 2 to 1000 is allowed")
+        if not all(0 < share <= 1 for share in self.budget_shares):
+            raise OptionError(f"budget_shares are {self.budget_shares}; above 0 to 1 is allowed")
+
+
+@dataclass(slots=True)
+class _Frame:
+    """What one frame took, seconds."""
+
+    plan_s: float = 0.0
+    decode_s: float = 0.0
+    upload_s: float = 0.0
+    draw_s: float = 0.0
+    payload_bits: int = 0
+    decodes: float = 0.0
+    floor_s: float = 0.0
+    error: float | None = None
+
+    @property
+    def total_s(self) -> float:
+        return self.plan_s + self.decode_s + self.upload_s + self.draw_s
+
+
+@dataclass(slots=True, eq=False)
+class _Case:
+    """One scene, treated in one way."""
+
+    num_avatars: int
+    distance_cm: float
+    is_scheduled: bool
+    budget_s: float = math.inf
+    is_away: bool = False
+    """The camera looks the other way."""
+    driver: SceneDriver = field(default_factory=lambda: SceneDriver(Scheduler()))
+    encoders: list[FaceEncoder] = field(default_factory=list)
+    layers: dict[str, int | None] = field(default_factory=dict)
+    frame: int = 0
+    frames: list[_Frame] = field(default_factory=list)
+    levels: Counter[str] = field(default_factory=Counter)
+    meshes: Counter[str] = field(default_factory=Counter)
+    num_limited: int = 0
+    pixels: int = 0
+    triangles: int = 0
+    judged: tuple[Image, Image] | None = None
+    """The last picture whose error was measured, as it should be and as it was."""
+
+
+def run_scene_bench(config: SceneBenchConfig, avatars: Sequence[Avatar]) -> dict[str, Any]:
+    """Measure.
+
+    Args:
+        config: What.
+        avatars: Dealt to the heads in turn.
+
+    Raises:
+        GraphicsError: No GL context.
+    """
+    context = create_context()
+    try:
+        bench = _Bench(context, config, avatars)
+        cases = bench.free_cases()
+        bench.measure(cases)
+        limited = bench.limited_cases(cases)
+        bench.measure(limited)
+        rows = [bench.row(case) for case in [*cases, *limited]]
+        if config.sheet is not None:
+            _write_sheet(config.sheet, config, [*cases, *limited])
+        return {
+            "avatars": [avatar.manifest.identity for avatar in avatars],
+            "gl_renderer": bench.gl_renderer,
+            "size": list(config.size),
+            "field_of_view_degrees": round(math.degrees(FIELD_OF_VIEW), 1),
+            "spacing_cm": SPACING_M * 100,
+            "rounds": config.rounds,
+            "rows": rows,
+            "summary": summarise(rows),
+            "machine": describe_machine(),
+        }
+    finally:
+        context.release()
+
+
+class _Bench:
+    """The heads, on the GPU twice: as they are treated, and as they should look."""
+
+    def __init__(
+        self, context: moderngl.Context, config: SceneBenchConfig, avatars: Sequence[Avatar]
+    ) -> None:
+        self._context, self._config = context, config
+        count = max(config.avatars)
+        self._avatars = [avatars[index % len(avatars)] for index in range(count)]
+        decoders = {id(avatar): OnnxDecoder(avatar) for avatar in avatars}
+        self._decoders = [decoders[id(avatar)] for avatar in self._avatars]
+        self._encoders = [ExpressionEncoder(avatar) for avatar in self._avatars]
+        # Each from elsewhere: five people do not blink together.
+        self._faces = [
+            make_performance(config.performance, seed=index, start_s=2.3 * index)
+            for index in range(count)
+        ]
+        # Smoothed edges cost the same everywhere and would hide errors of silhouettes.
+        options = RenderOptions(smooth_edges=False)
+        self._renderer = Renderer(context, config.size, options)
+        for index, avatar in enumerate(self._avatars):
+            for kind in ("head", "truth"):
+                self._renderer.add_avatar(f"{kind}-{index}", avatar)
+        self.gl_renderer = self._renderer.gl_renderer
+
+    def free_cases(self) -> list[_Case]:
+        """Every scene with and without the scheduler, one head that fills the screen, and nobody
+        on it."""
+        most = max(self._config.avatars)
+        cases = [_Case(1, FULL_SCREEN_CM, scheduled) for scheduled in (False, True)]
+        for distance in self._config.distances_cm:
+            for count in self._config.avatars:
+                cases += [_Case(count, distance, scheduled) for scheduled in (False, True)]
+        return [*cases, _Case(most, self._config.distances_cm[0], True, is_away=True)]
+
+    def limited_cases(self, measured: Sequence[_Case]) -> list[_Case]:
+        """The largest scenes with less than they cost, however much that is here."""
+        most = max(self._config.avatars)
+        return [
+            _Case(
+                most,
+                case.distance_cm,
+                True,
+                budget_s=share * _middle_mean(_turn_means_ms(case.frames, "total")) / 1e3,
+            )
+            for case in measured
+            if case.is_scheduled and not case.is_away and case.num_avatars == most
+            for share in self._config.budget_shares
+        ]
+
+    def measure(self, cases: Sequence[_Case]) -> None:
+        """Run all cases in turns."""
+        for turn in range(self._config.rounds + 1):
+            for case in cases:
+                # Two seconds pass before the streams of heads off the screen are given up.
+                warm_up = round(3 * FPS) if case.is_away else WARM_UP_FRAMES
+                for _ in range(TURN_FRAMES if turn else warm_up):
+                    frame = self._frame(case, is_measured=turn > 0)
+                    if turn:
+                        case.frames.append(frame)
+
+    def row(self, case: _Case) -> dict[str, Any]:
+        """What came out."""
+        frames = case.frames
+        errors = [frame.error for frame in frames if frame.error is not None]
+        totals = _turn_means_ms(frames, "total")
+        low, middle, high = np.percentile(totals, (25, 50, 75))
+        num_seen = sum(case.levels.values())
+        seconds = len(frames) / FPS
+        return {
+            "avatars": case.num_avatars,
+            "distance_cm": case.distance_cm,
+            "view": AWAY if case.is_away else "front",
+            "scheduler": case.is_scheduled,
+            "budget_ms": None if math.isinf(case.budget_s) else round(case.budget_s * 1e3, 2),
+            **{
+                f"{name}_ms": round(_middle_mean(_turn_means_ms(frames, name)), 3)
+                for name in ("floor", "decode", "upload", "draw", "plan", "total")
+            },
+            "spread": round(float((high - low) / middle), 3),
+            "error": round(float(np.mean(errors)), 3) if errors else None,
+            "payload_bps": round(sum(frame.payload_bits for frame in frames) / seconds),
+            "decodes": round(sum(frame.decodes for frame in frames) / len(frames), 2),
+            "limited": round(case.num_limited / num_seen, 3) if num_seen else 0.0,
+            "levels": dict(sorted(case.levels.items())),
+            "meshes": dict(sorted(case.meshes.items())),
+            "pixels": case.pixels,
+            "triangles": case.triangles,
+            "frames": len(frames),
+        }
+
+    def _frame(self, case: _Case, *, is_measured: bool) -> _Frame:
+        now = case.frame / FPS
+        is_judged = is_measured and case.frame % ERROR_EVERY == 0
+        case.frame += 1
+        camera = self._camera(case)
+        heads = self._heads(case, now)
+        frame = _Frame()
+        choices = self._treat(case, heads, camera, now, frame)
+        placements = [
+            Placement(slot=head.slot, world_from_head=head.world_from_head) for head in heads
+        ]
+        if case.is_scheduled:
+            placements = [case.driver.dressed(placement, now) for placement in placements]
+        begin_s = time.perf_counter()
+        stats = self._renderer.draw(placements, camera)
+        wait_for_gpu(self._context)
+        frame.draw_s = time.perf_counter() - begin_s
+        if case.is_scheduled:
+            shaded_px = case.driver.expected_shading_px()
+            case.driver.note_drawn(stats.num_triangles, shaded_px, frame.draw_s)
+        self._send(case, heads, choices, now, frame)
+        case.triangles = stats.num_triangles
+        if is_measured:
+            for choice in choices.values():
+                case.levels[str(choice.level)] += 1
+                case.meshes[str(choice.mesh_level)] += 1
+                case.num_limited += choice.is_limited
+        if is_judged:
+            shown, _ = self._read()
+            frame.error, case.pixels, truth = self._judge(heads, camera, shown)
+            case.judged = (truth, shown)
+        return frame
+
+    def _heads(self, case: _Case, now: float) -> list[SceneHead]:
+        heads = []
+        for index in range(case.num_avatars):
+            face = self._faces[index].frame_at(now)
+            seat = np.eye(4)
+            # Nearest first: the middle, then left and right of it in turn.
+            step = (index + 1) // 2 * (1 if index % 2 else -1)
+            seat[0, 3] = SPACING_M * step
+            heads.append(
+                SceneHead(
+                    slot=f"head-{index}",
+                    avatar=self._avatars[index],
+                    world_from_head=head_matrix(seat, face.rotation, face.translation_m),
+                    latent=self._encoders[index].encode(face.arkit),
+                    captured_us=round(now * 1e6),
+                )
+            )
+        return heads
+
+    def _treat(
+        self,
+        case: _Case,
+        heads: Sequence[SceneHead],
+        camera: Camera,
+        now: float,
+        frame: _Frame,
+    ) -> dict[str, Choice]:
+        """Decode and upload what this way of treating the scene wants; what it chose for those on
+        the screen."""
+        choices: dict[str, Choice] = {}
+        requests: list[tuple[str, DecodeRequest]] = []
+        if case.is_scheduled:
+            begin_s = time.perf_counter()
+            plan = case.driver.plan(heads, [camera], self._config.size, case.budget_s, now)
+            requests = case.driver.requests(plan, now)
+            frame.plan_s = time.perf_counter() - begin_s
+            frame.floor_s = plan.floor_s
+            case.layers = {slot: choice.wanted_layer for slot, choice in plan.choices.items()}
+            choices = {slot: choice for slot, choice in plan.choices.items() if choice.cost_s > 0}
+        else:
+            requests = [(head.slot, _whole(head, camera)) for head in heads]
+        for slot, request in requests:
+            decoder = self._decoders[int(slot.partition("-")[2])]
+            decoder.prepare(request.level, request.parts)
+            begin_s = time.perf_counter()
+            maps = decoder.decode(
+                request.latent, request.view_direction, request.level, request.parts
+            )
+            decoded_s = time.perf_counter()
+            self._renderer.update_maps(slot, maps.position_map, maps.expression_map)
+            upload_s = time.perf_counter() - decoded_s
+            frame.decode_s += decoded_s - begin_s
+            frame.upload_s += upload_s
+            frame.decodes += 1.0 if request.parts == "both" else 0.5
+            if case.is_scheduled:
+                result = DecodeResult(
+                    slot,
+                    maps,
+                    None,
+                    started_s=begin_s,
+                    finished_s=decoded_s,
+                    level=maps.level,
+                    parts=request.parts,
+                )
+                case.driver.note_decoded(result, upload_s, now)
+        return choices
+
+    def _send(
+        self,
+        case: _Case,
+        heads: Sequence[SceneHead],
+        choices: dict[str, Choice],
+        now: float,
+        frame: _Frame,
+    ) -> None:
+        """Code what the senders would send; count what the receiver would get."""
+        if not case.encoders:
+            case.encoders = [open_encoder(head.avatar, StreamConfig())[0] for head in heads]
+        for head, encoder in zip(heads, case.encoders, strict=True):
+            coded = encoder.encode(head.latent, np.zeros(3), np.zeros(3), round(now * 1e6))
+            wanted = case.layers.get(head.slot, 7) if case.is_scheduled else 7
+            if coded is not None and wanted is not None and coded.layer <= wanted:
+                frame.payload_bits += 8 * len(coded.payload)
+
+    def _judge(
+        self, heads: Sequence[SceneHead], camera: Camera, shown: Image
+    ) -> tuple[float, int, Image]:
+        """The error of what was shown, the pixels that heads cover, and what should be shown."""
+        covered = self._renderer.read_surface()[2] >= 0
+        placements = []
+        for index, head in enumerate(heads):
+            request = _whole(head, camera)
+            maps = self._decoders[index].decode(request.latent, request.view_direction)
+            self._renderer.update_maps(f"truth-{index}", maps.position_map, maps.expression_map)
+            placements.append(
+                Placement(slot=f"truth-{index}", world_from_head=head.world_from_head)
+            )
+        self._renderer.draw(placements, camera)
+        truth, is_head = self._read()
+        return masked_mse(shown, truth, covered | is_head), int(is_head.sum()), truth
+
+    def _read(self) -> tuple[Image, npt.NDArray[np.bool_]]:
+        return self._renderer.read_image(), self._renderer.read_surface()[2] >= 0
+
+    def _camera(self, case: _Case) -> Camera:
+        """Before the middle head of the line."""
+        size = self._config.size
+        return front_camera(self._avatars[0].manifest, case.distance_cm, size, away=case.is_away)
+
+
+def _write_sheet(path: Path, config: SceneBenchConfig, cases: Sequence[_Case]) -> None:
+    """The nearest of the largest scenes, one way of treating it under the other."""
+    most, nearest = max(config.avatars), min(config.distances_cm)
+    shown = [
+        (case, *case.judged)
+        for case in cases
+        if case.judged is not None
+        and not case.is_away
+        and (case.num_avatars, case.distance_cm) == (most, nearest)
+    ]
+    cells = []
+    for case, truth, picture in shown:
+        is_free = math.isinf(case.budget_s)
+        budget = "" if is_free else f", budget {case.budget_s * 1e3:.0f} ms"
+        how = f"scheduled{budget}" if case.is_scheduled else "everybody decoded whole"
+        total_ms = _middle_mean(_turn_means_ms(case.frames, "total"))
+        levels = ", ".join(f"{level}: {count}" for level, count in sorted(case.levels.items()))
+        caption = f"{how}: {total_ms:.0f} ms a frame  {levels and 'levels chosen ' + levels}"
+        cells.append(Cell(caption, truth, picture))
+    write_sheet(path, cells, columns=1)
+
+
+def _whole(head: SceneHead, camera: Camera) -> DecodeRequest:
+    """Everything at its best."""
+    return DecodeRequest(
+        head.latent, view_direction(head.world_from_head, camera.centre_m), head.captured_us
+    )
+
+
+def _turn_means_ms(frames: Sequence[_Frame], name: str) -> npt.NDArray[np.float64]:
+    """What a part of a frame took on average, turn by turn."""
+    values = np.array([getattr(frame, f"{name}_s") for frame in frames])
+    means: npt.NDArray[np.float64] = values.reshape(-1, TURN_FRAMES).mean(axis=1) * 1e3
+    return means
+
+
+def _middle_mean(values: npt.NDArray[np.float64]) -> float:
+    """Mean of the middle half: neither moved by a few stalls nor blind to what is done now and
+    then."""
+    quarter = len(values) // 4
+    return float(np.sort(values)[quarter : len(values) - quarter].mean())

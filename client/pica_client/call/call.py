@@ -1,0 +1,396 @@
+"""The receiving half of a call: who is there, their streams, and their faces at display time.
+
+Events of the link go in on the network thread, faces come out on the drawing thread, one lock
+between them. No socket and no clock: `receiver.Receiver` is the shell around it.
+
+What is wrong with one stream stays with that stream: a payload that cannot be read is counted and
+the face is held; a peer whose avatar nobody has gets a seat without a face.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+from pica_client.avatars.library import AvatarStore
+from pica_client.call.connection_quality import StreamHealth
+from pica_client.call.faces import FaceState, FaceStatus
+from pica_client.call.layer_subscription import Told, WishConfig, Wishes
+from pica_client.call.participant import CallSeat
+from pica_client.errors import OptionError
+from pica_client.playout.buffer import PlayoutConfig, TimedSample
+from pica_client.publish.publisher import FACE_TRACK
+from pica_core.avatar.file import Avatar
+from pica_core.codec.factory import open_decoder
+from pica_core.errors import AvatarFileError, LatentError, ProfileError
+from pica_protocol.frames import Frame
+from pica_protocol.messages import (
+    Joined,
+    Peer,
+    PeerAway,
+    PeerBack,
+    PeerJoined,
+    PeerLeft,
+    PeerUpdated,
+    Report,
+    StreamMuted,
+    StreamReport,
+)
+from pica_protocol.session import ClientEvent
+
+KEYFRAME_REQUEST_INTERVAL_S = 0.5
+"""Between two requests for the same stream (chosen: a round trip and the sender's pause fit)."""
+MAX_DEPARTED = 64
+"""Peers remembered for the statistics after they left; drops the oldest."""
+MAX_SHOWN = 100_000
+"""Shown faces remembered for a latency analysis: eleven minutes of five peers at 30 a second."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CallConfig:
+    """How a receiver plays."""
+
+    playout: PlayoutConfig = field(default_factory=PlayoutConfig)
+    wishes: WishConfig = field(default_factory=WishConfig)
+    stale_after_s: float = 2.0
+    """A face without a frame for this long is shown as stale."""
+
+    def __post_init__(self) -> None:
+        if not self.stale_after_s > 0:
+            raise OptionError(f"stale_after_s is {self.stale_after_s:g}; it must be above 0")
+
+
+class Shown(NamedTuple):
+    """One face as it was handed to the display."""
+
+    name: str
+    shown_us: int
+    """The moment shown, sender's clock; `FaceState.captured_us`."""
+    captured_us: int
+    """The newest frame that went into it, sender's clock."""
+    arrived_us: int
+    """When that frame came, our clock."""
+
+
+class DueFrame(NamedTuple):
+    """A frame whose time has come, and whose it is."""
+
+    peer_id: str
+    name: str
+    avatar_id: str
+    frame: TimedSample
+
+
+class Call:
+    """Everybody in the room and how their faces look; a `pica_client.call.faces.FaceSource`.
+
+    Attributes:
+        errors: Payloads that could not be read.
+        without_avatar: Frames whose avatar is not there, or not yet.
+        strays: Frames of streams that nobody owns, as when their peer has just left.
+    """
+
+    def __init__(
+        self,
+        avatars: AvatarStore,
+        config: CallConfig | None = None,
+        *,
+        log_shown: bool = False,
+    ) -> None:
+        self.config = config or CallConfig()
+        self.errors = self.without_avatar = self.strays = 0
+        # Drops its oldest when full.
+        self._shown: deque[Shown] = deque(maxlen=MAX_SHOWN if log_shown else 0)
+        self._avatars = avatars
+        self._lock = threading.Lock()
+        self._seats: dict[str, CallSeat] = {}  # bounded by the protocol's limit on peers
+        self._by_stream: dict[int, CallSeat] = {}
+        self._departed: deque[CallSeat] = deque(maxlen=MAX_DEPARTED)
+        self._window_begin_s: float | None = None
+        self._wishes = Wishes(self.config.wishes)
+
+    # The network's side
+
+    def receive_event(self, event: ClientEvent, now: float) -> None:
+        """Take an event of the link's session."""
+        with self._lock:
+            match event:
+                case Frame():
+                    self._receive_frame(event, now)
+                case Joined(peers=peers):
+                    present = {peer.peer_id: peer for peer in peers}
+                    for peer_id, seat in list(self._seats.items()):
+                        if not seat.stays(present.get(peer_id), is_same_room=event.resumed):
+                            self._remove(peer_id)
+                        seat.is_behind = True
+                        seat.is_away = seat.is_muted = False  # we are told again if it is so
+                        seat.resume(now)
+                    self._wishes.begin(now)
+                    for peer in peers:
+                        self._add(peer)
+                case PeerJoined(peer=peer):
+                    self._add(peer)
+                case PeerLeft(peer_id=peer_id):
+                    self._remove(peer_id)
+                case PeerAway(peer_id=peer_id) | PeerBack(peer_id=peer_id):
+                    if peer_id in self._seats:
+                        self._seats[peer_id].is_away = isinstance(event, PeerAway)
+                case PeerUpdated(peer_id=peer_id, metadata=metadata):
+                    if peer_id in self._seats:
+                        seat = self._seats[peer_id]
+                        seat.peer = replace(seat.peer, metadata=metadata)
+                case StreamMuted(stream=stream, is_muted=is_muted):
+                    if stream in self._by_stream:
+                        self._by_stream[stream].is_muted = is_muted
+                case _:
+                    pass  # a keyframe is all we ever send; a closed session is the link's affair
+
+    def take_report(self) -> Report:
+        """How the streams arrived since the last report, for the relay."""
+        with self._lock:
+            streams = []
+            for stream, seat in self._by_stream.items():
+                report, before = seat.playout.report(), seat.reported
+                seat.reported = report
+                streams.append(
+                    StreamReport(
+                        stream=stream,
+                        received=report.received - before.received,
+                        lost=max(report.lost - before.lost, 0),
+                        concealed=report.concealed - before.concealed,
+                    )
+                )
+            return Report(streams=tuple(streams))
+
+    def take_keyframe_requests(self, now: float) -> list[int]:
+        """Streams that can only go on with a keyframe, each at most once in
+        `KEYFRAME_REQUEST_INTERVAL_S`."""
+        with self._lock:
+            streams = []
+            for stream, seat in self._by_stream.items():
+                decoder = None if seat.is_paused else seat.decoder
+                needs = decoder is not None and decoder.needs_keyframe
+                if needs and now - seat.keyframe_asked_s >= KEYFRAME_REQUEST_INTERVAL_S:
+                    seat.keyframe_asked_s = now
+                    seat.window.keyframe_requests += 1
+                    streams.append(stream)
+            return streams
+
+    def take_wishes(self, now: float) -> list[Told]:
+        """What the relay is to be told now of the layers we want; see `wishes`."""
+        with self._lock:
+            told = self._wishes.due(now)
+            for stream, layer, is_resumption in told:
+                seat = self._by_stream.get(stream)
+                if seat is not None and layer is None:
+                    seat.pause()
+                elif seat is not None and is_resumption:
+                    seat.resume(now)
+            return told
+
+    def note_untold(self, stream: int, now: float) -> None:
+        """Note that the relay could not be told the last wish for a stream."""
+        with self._lock:
+            self._wishes.note_untold(stream, now)
+            seat = self._by_stream.get(stream)
+            if seat is not None and self._wishes.wants(stream):
+                seat.resume(now)
+
+    def next_wish_timer(self) -> float | None:
+        """When `take_wishes` will have something, if nobody wishes anything else."""
+        with self._lock:
+            return self._wishes.next_timer()
+
+    # The display's side
+
+    def wish(self, peer_id: str, layer: int | None, now: float) -> bool:
+        """Say how much of a peer's stream is worth having now; None is nothing at all.
+
+        Returns:
+            Whether `take_wishes` or `next_wish_timer` may say something new.
+        """
+        with self._lock:
+            seat = self._seats.get(peer_id)
+            return seat is not None and self._wishes.wish(seat.track.stream, layer, now)
+
+    def faces(self, now: float) -> list[FaceState]:
+        """See `FaceSource.faces`."""
+        with self._lock:
+            return [self._face(seat, now) for seat in self._seats.values()]
+
+    def avatar(self, avatar_id: str) -> Avatar | None:
+        """See `FaceSource.avatar`; an avatar that nobody here has is an error with the fix."""
+        if not self._avatars.has(avatar_id):
+            raise AvatarFileError(
+                f"avatar {avatar_id[:8] or '(none)'} is not on this machine; "
+                "get its file and name it with --avatar"
+            )
+        return self._avatars.get(avatar_id)
+
+    # Instead of the display: every frame once
+
+    def due_frames(self, now: float) -> list[DueFrame]:
+        """Take every frame that is due; not to be mixed with `faces`."""
+        with self._lock:
+            for seat in self._seats.values():
+                seat.settle()
+            return [
+                DueFrame(seat.peer.peer_id, seat.peer.name, seat.track.avatar, frame)
+                for seat in self._seats.values()
+                for frame in seat.playout.due_frames(now)
+            ]
+
+    def next_timer(self) -> float | None:
+        """When the next frame becomes due, or None."""
+        with self._lock:
+            for seat in self._seats.values():
+                seat.settle()
+            timers = [seat.playout.next_timer() for seat in self._seats.values()]
+        return min((timer for timer in timers if timer is not None), default=None)
+
+    # Statistics
+
+    @property
+    def num_live(self) -> int:
+        """Peers of whom a frame has been read."""
+        with self._lock:
+            return sum(seat.last_arrival_s is not None for seat in self._seats.values())
+
+    @property
+    def num_waiting(self) -> int:
+        """Frames held by all playout buffers together."""
+        with self._lock:
+            return sum(seat.playout.num_waiting for seat in self._seats.values())
+
+    def names(self) -> dict[str, str]:
+        """Name by peer id of everybody with a face."""
+        with self._lock:
+            return {peer_id: seat.peer.name for peer_id, seat in self._seats.items()}
+
+    def health(self) -> dict[str, StreamHealth]:
+        """How the stream of each peer with a face stands, by peer id; counters since it began."""
+        with self._lock:
+            return {peer_id: seat.health() for peer_id, seat in self._seats.items()}
+
+    def begin_window(self, now: float) -> None:
+        """Let the statistics begin here: what came before was warming up."""
+        with self._lock:
+            self._window_begin_s = now
+            self._departed.clear()
+            self._shown.clear()
+            for seat in self._seats.values():
+                seat.begin_window()
+
+    def take_shown(self) -> list[Shown]:
+        """The faces shown in the window, if they were to be logged."""
+        with self._lock:
+            shown = list(self._shown)
+            self._shown.clear()
+        return shown
+
+    def stats(self, now: float) -> dict[str, Any]:
+        """How the streams came in since `begin_window`, or since the call began."""
+        with self._lock:
+            begin_s = self._window_begin_s
+            seconds = None if begin_s is None else now - begin_s
+            peers = [seat.stats(seconds) for seat in self._all_seats()]
+            return {
+                "seconds": None if seconds is None else round(seconds, 3),
+                "peers": peers,
+                "dropped": sum(peer["lost"] for peer in peers),
+                "concealed": sum(peer["concealed"] for peer in peers),
+                "errors": self.errors,
+                "without_avatar": self.without_avatar,
+                "strays": self.strays,
+            }
+
+    def _all_seats(self) -> list[CallSeat]:
+        return [*self._departed, *self._seats.values()]
+
+    def _add(self, peer: Peer) -> None:
+        if peer.peer_id in self._seats:
+            return
+        for track in peer.tracks:
+            if track.kind == FACE_TRACK:
+                # It is loaded by the time the first frame comes. What is wrong with it is the
+                # viewer's news, and no reason to lose the connection.
+                with suppress(AvatarFileError):
+                    self._avatars.get(track.avatar)
+                seat = CallSeat(peer, track, self.config.playout)
+                self._seats[peer.peer_id] = self._by_stream[track.stream] = seat
+                return  # one face a person
+
+    def _remove(self, peer_id: str) -> None:
+        seat = self._seats.pop(peer_id, None)
+        if seat is not None:
+            self._by_stream.pop(seat.track.stream, None)
+            self._wishes.forget(seat.track.stream)
+            self._departed.append(seat)
+
+    def _receive_frame(self, frame: Frame, now: float) -> None:
+        seat = self._by_stream.get(frame.stream)
+        if seat is None:
+            self.strays += 1
+            return
+        if seat.decoder is None and not self._open_decoder(seat):
+            return
+        try:
+            seat.receive_frame(frame, now)
+        except LatentError:
+            self.errors += 1
+
+    def _open_decoder(self, seat: CallSeat) -> bool:
+        """Make the decoder of a stream, if its avatar is there and of the sender's version."""
+        if seat.trouble:
+            self.errors += 1
+            return False
+        try:
+            avatar = self._avatars.get(seat.track.avatar)
+        except AvatarFileError:
+            avatar = None  # the viewer asks for it too, and shows what is wrong with it
+        if avatar is None:
+            self.without_avatar += 1
+            return False
+        try:
+            seat.decoder = open_decoder(avatar, seat.track.profile)
+        except ProfileError as error:
+            seat.trouble = str(error)
+            self.errors += 1
+            return False
+        return True
+
+    def _face(self, seat: CallSeat, now: float) -> FaceState:
+        played, is_held = seat.play(now)
+        if played is None:
+            return FaceState(
+                peer_id=seat.peer.peer_id,
+                name=seat.peer.name,
+                avatar_id=seat.track.avatar,
+                latent=None,
+                status="waiting",
+                note=seat.note or self._avatars.note(seat.track.avatar),
+            )
+        status: FaceStatus = "concealed" if is_held or played.is_concealed else "live"
+        silent_s = 0.0 if seat.last_arrival_s is None else now - seat.last_arrival_s
+        if silent_s > self.config.stale_after_s and not seat.is_paused:
+            status = "stale"
+        newest = played.newest
+        if not is_held:
+            arrived_us = round(newest.arrived_s * 1e6)
+            self._shown.append(
+                Shown(seat.peer.name, played.captured_us, newest.captured_us, arrived_us)
+            )
+        return FaceState(
+            peer_id=seat.peer.peer_id,
+            name=seat.peer.name,
+            avatar_id=seat.track.avatar,
+            latent=played.sample.latent,
+            rotation=played.sample.rotation,
+            translation_m=played.sample.translation_m,
+            captured_us=max(played.captured_us, 0),
+            status=status,
+            note=seat.note,
+        )

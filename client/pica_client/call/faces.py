@@ -1,0 +1,75 @@
+"""What the viewer needs to know of a call: who is there, and how each face looks right now.
+
+This is the whole interface between the network half of the receiver and its drawing half. The
+receiver of a call implements `FaceSource`; so does anything else that has faces to show (a player
+of recordings, a test).
+
+    faces = source.faces(now)            # once per drawn frame, on the drawing thread
+    avatar = source.avatar(face.avatar_id)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.avatar.file import Avatar
+
+FloatArray = npt.NDArray[np.float32]
+
+FaceStatus = Literal["waiting", "live", "concealed", "stale", "away"]
+"""How fresh a face is.
+
+waiting: nothing received yet; live: a received or interpolated sample; concealed: held or
+extrapolated over a hole;
+stale: nothing for so long that it should be shown as such; away: the tracker reports that it sees
+nobody.
+"""
+
+
+def _zeros() -> FloatArray:
+    return np.zeros(3, np.float32)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class FaceState:
+    """One peer's face at display time."""
+
+    peer_id: str
+    """Unique in the call and stable while the peer stays: seats are kept by it."""
+    name: str
+    """Display name; drawn as it is, so the receiver has limited its length already."""
+    avatar_id: str
+    """SHA-256 of the avatar file, hexadecimal."""
+    latent: FloatArray | None
+    """Expression code at display time, float32 ``[8, 8, 4]``; None while nothing has arrived."""
+    rotation: FloatArray = field(default_factory=_zeros)
+    """Head to seat, rotation vector in radians. float32 ``[3]``."""
+    translation_m: FloatArray = field(default_factory=_zeros)
+    """Head offset from its seat, metres, seat axes. float32 ``[3]``."""
+    captured_us: int = 0
+    """Sender's clock at the *newest* sample that went into `latent`, for measuring latency. Between
+    two samples the latent may move on while this stands still."""
+    status: FaceStatus = "live"
+    note: str = ""
+    """What is wrong with the stream, for people; empty when nothing is."""
+
+
+class FaceSource(Protocol):
+    """Where a viewer gets its faces. Called on the drawing thread only; must not block."""
+
+    def faces(self, now: float) -> list[FaceState]:
+        """Everybody who should have a seat at local time `now` (seconds), in order of arrival."""
+        ...
+
+    def avatar(self, avatar_id: str) -> Avatar | None:
+        """The avatar with this id; None while it is still on its way.
+
+        Raises:
+            AvatarFileError: It came, and must not be used. The viewer shows a placeholder with the
+                message.
+        """
+        ...

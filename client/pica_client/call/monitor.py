@@ -1,0 +1,85 @@
+"""How a call stands, out of what receiver and call count: for the texts over the picture."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from pica_client.call.connection_quality import QualityMeter, StreamHealth, own_quality
+from pica_client.call.receiver import Receiver
+from pica_client.call.status import CallStatus, PeerStatus
+
+
+class CallMonitor:
+    """Watches a receiver; keeps a quality meter for each peer.
+
+    Args:
+        receiver: Runs the call.
+    """
+
+    def __init__(self, receiver: Receiver) -> None:
+        self._receiver = receiver
+        self._meters: dict[str, QualityMeter] = {}
+        self._before: tuple[float, dict[str, StreamHealth]] | None = None
+        self._uplink_before = (0, 0)
+        self._away_since_s: float | None = None
+
+    def status(self, now: float) -> CallStatus:
+        """How the call stands at `now`, seconds; to be asked about twice a second."""
+        receiver = self._receiver
+        if receiver.is_connected:
+            self._away_since_s = None
+        elif self._away_since_s is None:
+            self._away_since_s = now
+        health = receiver.call.health()
+        self._meters = {peer_id: self._meters.get(peer_id) or QualityMeter() for peer_id in health}
+        before_s, before = self._before or (now, {})
+        peers = {}
+        for peer_id, found in health.items():
+            peers[peer_id] = PeerStatus(
+                quality=self._meters[peer_id].receive(found, now),
+                payload_bps=_bits_per_s(before.get(peer_id), found, now - before_s),
+                health=found,
+            )
+        if self._before is None or now > before_s:
+            self._before = (now, health)
+        publisher = receiver.publisher
+        return CallStatus(
+            is_connected=receiver.is_connected,
+            away_s=0.0 if self._away_since_s is None else now - self._away_since_s,
+            own_quality=own_quality(
+                [peer.quality for peer in peers.values()], replaced_ratio=self._replaced_ratio()
+            ),
+            is_muted_by_admin=publisher is not None and publisher.is_muted_by_admin,
+            peers=peers,
+            summary=self._summary(now, peers),
+        )
+
+    def _replaced_ratio(self) -> float | None:
+        """Share of our own frames since the last look that the network did not take in time."""
+        publisher = self._receiver.publisher
+        if publisher is None:
+            return None
+        sent, replaced = publisher.num_sent, self._receiver.link.counters.frames_replaced
+        sent_before, replaced_before = self._uplink_before
+        self._uplink_before = (sent, replaced)
+        return (replaced - replaced_before) / max(sent - sent_before, 1)
+
+    def _summary(self, now: float, peers: Mapping[str, PeerStatus]) -> tuple[tuple[str, str], ...]:
+        stats = self._receiver.stats(now)
+        bits = sum(peer.payload_bps or 0.0 for peer in peers.values()) / 1e3
+        delay_ms = max((peer["playout_delay_ms"] for peer in stats["peers"]), default=0.0)
+        refused = sum(peer["refused"] for peer in stats["peers"])
+        return (
+            ("relay", "connected" if self._receiver.is_connected else "away"),
+            ("in", f"{bits:.1f} kbit/s"),
+            ("playout", f"{delay_ms:.0f} ms"),
+            ("lost", str(stats["dropped"])),
+            ("refused", str(refused)),
+            ("errors", str(stats["errors"])),
+        )
+
+
+def _bits_per_s(before: StreamHealth | None, after: StreamHealth, elapsed_s: float) -> float | None:
+    if before is None or elapsed_s <= 0 or after.payload_bytes < before.payload_bytes:
+        return None
+    return (after.payload_bytes - before.payload_bytes) * 8 / elapsed_s

@@ -1,0 +1,199 @@
+"""One peer with a face: what has come of its stream, and the face it makes at display time.
+
+`call.Call` owns the seats and holds its lock around them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from pica_client.call.connection_quality import StreamHealth
+from pica_client.playout.buffer import PlayedFace, Playout, PlayoutConfig, PlayoutReport
+from pica_client.publish.publisher import FACE_KEY
+from pica_core.codec.factory import FaceDecoder
+from pica_core.codec.latent_sample import DecodedFrame
+from pica_protocol.frames import Frame
+from pica_protocol.messages import Peer, Track
+
+CATCH_UP_S = 0.02
+"""Whoever comes late gets the frames since the last keyframe at once, to decode from. They are old;
+only the newest is shown, or the playout would take them for a network that delays."""
+FACE_NOTES = {"muted": "face is off", "frozen": "face is frozen"}
+"""Why a face stands still, by what its owner says under `FACE_KEY`."""
+
+
+@dataclass(kw_only=True, slots=True)
+class StreamWindow:
+    """What one stream did since the statistics began."""
+
+    received: int = 0
+    payload_bytes: int = 0
+    longest_gap_s: float = 0.0
+    keyframe_requests: int = 0
+    before: PlayoutReport = field(default_factory=PlayoutReport)
+
+
+class CallSeat:
+    """One peer with a face, and what has come from it."""
+
+    def __init__(self, peer: Peer, track: Track, config: PlayoutConfig) -> None:
+        self.peer = peer
+        self.track = track
+        self.playout = Playout(config)
+        self.decoder: FaceDecoder | None = None
+        self.trouble = ""
+        self.is_away = False
+        self.is_muted = False
+        self.keyframe_asked_s = -math.inf
+        self.is_behind = True
+        self.catching_up_until_s = -math.inf
+        self.catch_up: tuple[DecodedFrame, float] | None = None
+        self.is_paused = self.is_resuming = False
+        self.played: PlayedFace | None = None
+        self.last_arrival_s: float | None = None
+        self.payload_bytes = 0
+        self.window = StreamWindow()
+        self.reported = PlayoutReport()
+
+    def stays(self, peer: Peer | None, *, is_same_room: bool) -> bool:
+        """Say whether this is still the seat of whoever has its id after we joined again.
+
+        If we have come back to our old place, ids are those of before. Else somebody else may have
+        got an old id, as from another relay: only who is the same in every respect keeps the seat.
+        """
+        if peer is None or (not is_same_room and replace(peer, metadata=()) != self._who):
+            return False
+        self.peer = peer
+        return True
+
+    @property
+    def _who(self) -> Peer:
+        return replace(self.peer, metadata=())
+
+    @property
+    def note(self) -> str:
+        """What is wrong with the stream, for people."""
+        if self.trouble:
+            return self.trouble
+        if self.is_muted:
+            return "muted by an admin"
+        if self.is_away:
+            return "connection lost"
+        return FACE_NOTES.get(self._face_mode, "")
+
+    @property
+    def says_muted(self) -> bool:
+        """Whether its owner has said that nothing is sent."""
+        return self._face_mode == "muted"
+
+    @property
+    def _face_mode(self) -> str:
+        return dict(self.peer.metadata).get(FACE_KEY, "")
+
+    def settle(self) -> None:
+        """Show the newest of the frames that brought a latecomer up to date."""
+        if self.catch_up is not None:
+            frame, arrived_s = self.catch_up
+            self.catch_up = None
+            receive = self.playout.restart if self.is_resuming else self.playout.receive_frame
+            receive(frame.sequence, frame.captured_us, frame.sample, arrived_s)
+
+    def pause(self) -> None:
+        """Note that the relay was told to send nothing: the face stands still on purpose."""
+        self.settle()
+        self.is_paused, self.is_resuming = True, False
+
+    def resume(self, now: float) -> None:
+        """Note that the relay was told to send again: what it kept comes first, all at once."""
+        if self.is_paused:
+            self.is_paused, self.is_resuming, self.is_behind = False, True, True
+            self.catching_up_until_s = -math.inf
+            if self.last_arrival_s is not None:
+                self.last_arrival_s = now
+
+    def receive_frame(self, frame: Frame, now: float) -> None:
+        """Decode a frame and hand it to the playout; there must be a decoder.
+
+        Raises:
+            LatentError: The payload cannot be read.
+        """
+        assert self.decoder is not None
+        decoded = self.decoder.receive(
+            frame.sequence, frame.captured_us, frame.layer, frame.is_keyframe, frame.payload
+        )
+        if self.is_behind and decoded:
+            self.is_behind = False
+            self.catching_up_until_s = now + CATCH_UP_S
+        for each in decoded:
+            if now > self.catching_up_until_s:
+                self.settle()
+                self.is_resuming = False
+            if self.is_paused:
+                continue  # it was on its way when we said that we want nothing
+            if now <= self.catching_up_until_s:
+                self.catch_up = (each, now)
+            else:
+                self.playout.receive_frame(each.sequence, each.captured_us, each.sample, now)
+        window = self.window
+        if window.received and self.last_arrival_s is not None:
+            window.longest_gap_s = max(window.longest_gap_s, now - self.last_arrival_s)
+        self.last_arrival_s = now
+        window.received += 1
+        window.payload_bytes += len(frame.payload)
+        self.payload_bytes += len(frame.payload)
+
+    def play(self, now: float) -> tuple[PlayedFace | None, bool]:
+        """The face to show now, None before the first one; and whether the stream is stopped on
+        purpose: then the face stands still, and nothing is concealed."""
+        self.settle()
+        is_stopped = self.is_paused or (self.is_resuming and self.is_behind)
+        if not is_stopped:
+            self.played = self.playout.sample_at(now)
+        return self.played, is_stopped
+
+    def begin_window(self) -> None:
+        """Begin the statistics anew."""
+        self.window = StreamWindow(before=self.playout.report())
+
+    def health(self) -> StreamHealth:
+        """What judges the connection."""
+        report = self.playout.report()
+        return StreamHealth(
+            received=report.received,
+            lost=report.lost,
+            late=report.late,
+            shown=report.shown,
+            concealed=report.concealed,
+            age_s=report.age_s,
+            payload_bytes=self.payload_bytes,
+            delay_s=report.delay_s,
+            is_paused=self.is_away or self.is_muted or self.says_muted,
+        )
+
+    def stats(self, seconds: float | None) -> dict[str, Any]:
+        """How the stream came in since `begin_window`, so many seconds ago; None: since the call
+        began."""
+        window, report = self.window, self.playout.report()
+        return {
+            "name": self.peer.name,
+            "received": window.received,
+            "latents_per_s": round(window.received / seconds, 2) if seconds else None,
+            "payload_bps": round(window.payload_bytes * 8 / seconds) if seconds else None,
+            "longest_gap_ms": round(window.longest_gap_s * 1e3, 1),
+            "lost": report.lost - window.before.lost,
+            "late": report.late - window.before.late,
+            "keyframe_requests": window.keyframe_requests,
+            "unreferenced": self.decoder.num_unreferenced if self.decoder else 0,
+            "concealed": report.concealed - window.before.concealed,
+            "concealed_ratio": round(report.since(window.before).concealed_ratio, 4),
+            "duplicates": report.duplicates - window.before.duplicates,
+            "refused": report.refused - window.before.refused,
+            "future": report.future - window.before.future,
+            "restarts": report.restarts - window.before.restarts,
+            "playout_delay_ms": round(report.delay_s * 1e3, 2),
+            "jitter_ms": round(report.jitter_s * 1e3, 2),
+            "age_ms": round(report.age_s * 1e3, 2),
+            "clock_drift_ppm": round(report.drift_ppm, 1),
+        }

@@ -1,0 +1,191 @@
+"""The network half of a receiver: runs a link and feeds a call with what comes over it.
+
+Garbage never gets further than here: what breaks the protocol ends the connection, is counted, and
+the link comes back; what breaks a payload is counted by the call.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import random
+import threading
+from types import TracebackType
+from typing import Any, Self
+
+from pica_client.call.call import Call
+from pica_client.publish.publisher import Publisher
+from pica_client.transport.config import LinkConfig
+from pica_client.transport.link import Connector, Link
+from pica_protocol.messages import Joined
+from pica_protocol.session import ClientEvent
+
+RETRY_WISH_S = 0.1
+"""When a wish could not be told, as while the network takes nothing."""
+REPORT_INTERVAL_S = 5.0
+"""Between two reports to the relay."""
+JOIN_TIMEOUT_S = 5.0
+"""For the thread to end: a link that is told to leave is gone within its close timeouts."""
+
+
+class Receiver:
+    """Runs a link for a call.
+
+    On an event loop that is there: ``await receiver.run()``. Beside a drawing loop: ``with
+    receiver: …`` runs it in a thread, and `check` tells the drawing thread what went wrong there.
+    """
+
+    def __init__(
+        self,
+        link_config: LinkConfig,
+        call: Call,
+        *,
+        publisher: Publisher | None = None,
+        connector: Connector | None = None,
+        rng: random.Random | None = None,
+    ) -> None:
+        """Prepare; see `Link` for connector and rng. With a publisher, a face is sent as well, over
+        the same link: the relay does not send it back."""
+        self.call = call
+        self.publisher = publisher
+        tracks = () if publisher is None else (publisher.track,)
+        self.link = Link(link_config, tracks, on_event=self._on_event, connector=connector, rng=rng)
+        self.arrived = asyncio.Event()
+        """Set by every event; for those who wait on the same loop."""
+        self._wished = asyncio.Event()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._thread: threading.Thread | None = None
+        self._error: BaseException | None = None
+
+    async def run(self) -> None:
+        """Receive until `stop`.
+
+        Raises:
+            RelayError: The relay is not there, or will not have us.
+        """
+        self._loop = asyncio.get_running_loop()
+        stopping = asyncio.Event()
+        tasks = [
+            asyncio.create_task(self._report(), name="reports"),
+            asyncio.create_task(self._tell_wishes(), name="wishes"),
+        ]
+        if self.publisher is not None:
+            pacing = self.publisher.pace(self.link, stopping)
+            tasks.append(asyncio.create_task(pacing, name="pacing"))
+        try:
+            await self.link.run()
+        finally:
+            for task in tasks:
+                task.cancel()
+            for task in tasks:
+                with contextlib.suppress(asyncio.CancelledError):
+                    await task
+
+    def stop(self) -> None:
+        """Make `run` leave the room and return; any thread may call it."""
+        if self._loop is not None:
+            with contextlib.suppress(RuntimeError):  # the loop may be closed by now
+                self._loop.call_soon_threadsafe(self.link.leave)
+
+    def wish(self, peer_id: str, layer: int | None) -> None:
+        """Say how much of a peer's stream is worth having from now on; any thread may call it, as
+        often as it likes.
+
+        Args:
+            peer_id: Whose; nobody's is no error.
+            layer: Highest temporal layer to receive; None is nothing at all.
+        """
+        loop = self._loop
+        if loop is not None and self.call.wish(peer_id, layer, loop.time()):
+            with contextlib.suppress(RuntimeError):  # the loop may be closed by now
+                loop.call_soon_threadsafe(self._wished.set)
+
+    def check(self) -> None:
+        """Raise what ended the thread, if anything did.
+
+        Raises:
+            RelayError: As `run`.
+        """
+        if self._error is not None:
+            raise self._error
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the relay has us in the room right now."""
+        return self.link.is_joined
+
+    def stats(self, now: float) -> dict[str, Any]:
+        """`Call.stats`, and the link's side of it."""
+        stats = self.call.stats(now)
+        counters = self.link.counters
+        stats["errors"] += counters.errors
+        stats["reconnects"] = self.link.reconnects
+        stats["resumes"] = counters.resumes
+        stats["received_wire_bytes"] = counters.received_wire_bytes
+        stats["sent"] = None if self.publisher is None else self.publisher.stats()
+        stats["seal"] = None if self.link.guard is None else self.link.guard.stats()
+        return stats
+
+    def __enter__(self) -> Self:
+        started = threading.Event()
+
+        async def main() -> None:
+            self._loop = asyncio.get_running_loop()
+            started.set()
+            await self.run()
+
+        def work() -> None:
+            try:
+                asyncio.run(main())
+            except Exception as error:  # for the other thread to see, see `check`
+                self._error = error
+            finally:
+                started.set()
+
+        self._thread = threading.Thread(target=work, name="receiver", daemon=True)
+        self._thread.start()
+        started.wait()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.stop()
+        if self._thread is not None:
+            self._thread.join(timeout=JOIN_TIMEOUT_S)
+
+    def _on_event(self, event: ClientEvent, now: float) -> None:
+        self.call.receive_event(event, now)
+        if self.publisher is not None:
+            self.publisher.receive_event(event)
+        for stream in self.call.take_keyframe_requests(now):
+            self.link.request_keyframe(stream)
+        if isinstance(event, Joined):
+            self._wished.set()
+        self.arrived.set()
+
+    async def _tell_wishes(self) -> None:
+        """Tell the relay what is wanted, when it changes and when its time has come."""
+        loop = asyncio.get_running_loop()
+        while True:
+            self._wished.clear()
+            timer = None  # who is not in the room waits for the next join
+            if self.link.is_joined:
+                now = loop.time()
+                told = self.call.take_wishes(now)
+                untold = [each.stream for each in told if not self.link.want(*each[:2])]
+                for stream in untold:
+                    self.call.note_untold(stream, now)
+                timer = now + RETRY_WISH_S if untold else self.call.next_wish_timer()
+            with contextlib.suppress(TimeoutError):
+                # A loop may fire a timer up to its clock's resolution too early.
+                async with asyncio.timeout_at(None if timer is None else timer + 1e-6):
+                    await self._wished.wait()
+
+    async def _report(self) -> None:
+        while True:
+            await asyncio.sleep(REPORT_INTERVAL_S)
+            self.link.report(self.call.take_report())

@@ -1,0 +1,48 @@
+"""How the call stands and what its avatars cost, to be shown. Pure data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from pica_client.call.connection_quality import Quality, StreamHealth
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PeerStatus:
+    """How one participant's stream comes in."""
+
+    quality: Quality = "unknown"
+    payload_bps: float | None = None
+    """Bits a second over the last seconds; None before there were any."""
+    health: StreamHealth = field(default_factory=StreamHealth)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CallStatus:
+    """How the call stands."""
+
+    is_connected: bool = True
+    """Whether the relay has us in the room."""
+    away_s: float = 0.0
+    """How long it has not."""
+    own_quality: Quality = "unknown"
+    is_muted_by_admin: bool = False
+    """Whether an admin has stopped our own face."""
+    peers: Mapping[str, PeerStatus] = field(default_factory=dict)
+    """By peer id."""
+    summary: tuple[tuple[str, str], ...] = ()
+    """Further figures for the statistics, name and value."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AvatarFigures:
+    """What one avatar costs, over its latest frames."""
+
+    level: int | None
+    """Rows of the position map shown; None before the first."""
+    decode_ms: float | None
+    latency_ms: float | None
+    """From the sender's sample to its decoded maps; means something on one machine only."""
+    num_decoded: int
+    is_speaking: bool

@@ -1,0 +1,59 @@
+"""``pica avatar push``: give a relay an avatar before anybody wears it."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from pica_client.avatars.upload import Push, push_avatar
+from pica_client.output import say
+from pica_client.transport.config import LinkConfig
+from pica_core.avatar.file import avatar_id, load_avatar
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AvatarPushOptions:
+    """Options of ``pica avatar push``."""
+
+    file: tyro.conf.Positional[Path]
+    """Avatar file (.pica)."""
+    url: str = "ws://127.0.0.1:8765"
+    """Address of the relay, ws:// or wss://."""
+    token_file: Path | None = None
+    """File with a join token that allows to wear this avatar, see pica token."""
+    ca_file: Path | None = None
+    """With a wss:// address, trust the certificates of this PEM file instead of the system's."""
+
+
+def avatar_push(options: AvatarPushOptions) -> dict[str, Any]:
+    """Give a relay an avatar's file, for receivers that do not have it.
+
+    Checks it first, as receivers do. `pica send` gives the avatar that it wears by itself.
+    """
+    LinkConfig(url=options.url, ca_file=options.ca_file)  # refuses what is no address
+    load_avatar(options.file)
+    push = Push(
+        path=options.file,
+        identity=avatar_id(options.file),
+        token_file=options.token_file,
+        ca_file=options.ca_file,
+    )
+    shown = -1
+
+    def show(ratio: float) -> None:
+        nonlocal shown
+        if sys.stderr.isatty() and int(ratio * 100) > shown:
+            shown = int(ratio * 100)
+            print(f"\r{shown} %", end="\n" if ratio == 1 else "", file=sys.stderr, flush=True)
+
+    stored = asyncio.run(push_avatar(options.url, push, show))
+    if stored.checked:
+        say(f"{options.file}: the relay has it now; it checked: {stored.checked}")
+    else:
+        say(f"{options.file}: the relay had it already")
+    return {"sha256": push.identity, "was_there": not stored.checked, "checked": stored.checked}

@@ -1,0 +1,149 @@
+"""The product's main job on one machine: a relay, senders and a viewer, each a process of its own.
+
+The numbers are of this machine under its present load, over loopback; with software GL most of the
+latency is waiting for the picture before.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from pica_client.avatars.library import AvatarLibrary
+from pica_client.errors import CallProcessError, OptionError
+from pica_client.local_call.latency import frame_times, latency_summary
+from pica_client.local_call.local_call import CHECK_INTERVAL_S, ROOM, Stage, StageConfig, bitrates
+from pica_client.local_call.processes import Child, Children
+from pica_client.output import make_folder, writing
+from pica_client.stats import describe_machine
+
+END_TIMEOUT_S = 90.0
+"""For the viewer to start, see everybody and write its files, on top of the call itself."""
+VIEWER_NAME = "viewer"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DemoConfig:
+    """What to show and where to put it."""
+
+    stage: StageConfig = field(default_factory=StageConfig)
+    seconds: float = 20.0
+    """How long the call is drawn."""
+    size: str = "960x540"
+    """Columns x rows of the picture."""
+    is_headless: bool = True
+    out: Path = Path("demo-out")
+    """Folder for call.mp4, frame.png and stats.json."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.seconds <= 3600:
+            raise OptionError(f"seconds is {self.seconds:g}; 1 to 3600 is allowed")
+
+
+def run_demo(config: DemoConfig) -> dict[str, Any]:
+    """Hold the call, and write ``call.mp4``, ``frame.png`` and ``stats.json``.
+
+    Returns:
+        What stands in ``stats.json``.
+
+    Raises:
+        ClientError: A source, an avatar, the folder or a process is not as it must be. When a
+            sender crashed the call goes on without it, the files are written, and then it raises.
+    """
+    make_folder(config.out)
+    library = AvatarLibrary()
+    try:
+        with Children() as children:
+            stage = Stage(config.stage, library, children)
+            log = children.folder / "view.json"
+            viewer = children.start("viewer", *_view_arguments(config, stage, log))
+            _watch(config, stage, viewer)
+            shown = viewer.result()
+            sent = stage.finish()
+            stats = _stats(config, stage, shown, sent, json.loads(log.read_text()))
+            failures = stage.failures()
+    finally:
+        library.close()
+    stats_file = config.out / "stats.json"
+    with writing(stats_file):
+        stats_file.write_text(json.dumps(stats, indent=2) + "\n")
+    if failures:
+        raise CallProcessError("; ".join(failures))
+    return stats
+
+
+def _view_arguments(config: DemoConfig, stage: Stage, log: Path) -> list[str]:
+    arguments = ["view", "--url", stage.url, "--room", ROOM, "--name", VIEWER_NAME]
+    arguments += ["--size", config.size, "--seconds", f"{config.seconds:g}"]
+    arguments += ["--expect", str(config.stage.peers), "--frame-log", str(log)]
+    arguments += ["--record", str(config.out / "call.mp4")]
+    arguments += ["--png", str(config.out / "frame.png")]
+    if config.stage.avatar is not None:
+        arguments += ["--avatar", config.stage.avatar]
+    arguments += stage.secret_arguments
+    if config.is_headless:
+        return [*arguments, "--headless"]
+    return [*arguments, "--statistics", "--no-preferences"]
+
+
+def _watch(config: DemoConfig, stage: Stage, viewer: Child) -> None:
+    """Wait for the viewer to end, looking after everybody meanwhile."""
+    begin_s = time.monotonic()
+    reported: list[str] = []
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        task = bar.add_task(f"a call of {len(stage.names)}", total=config.seconds + 4)
+        while viewer.exit_code is None:
+            stage.check()
+            for failure in stage.failures():
+                if failure not in reported:
+                    reported.append(failure)
+                    console.print(failure, style="red", highlight=False)
+            if time.monotonic() - begin_s > config.seconds + END_TIMEOUT_S:
+                raise CallProcessError(f"the viewer did not end in time: {viewer.last_words()}")
+            bar.update(task, completed=time.monotonic() - begin_s)
+            time.sleep(CHECK_INTERVAL_S)
+
+
+def _stats(
+    config: DemoConfig,
+    stage: Stage,
+    shown: dict[str, Any],
+    sent: dict[str, dict[str, Any]],
+    log: dict[str, Any],
+) -> dict[str, Any]:
+    received = shown["received"]
+    frames = frame_times(log["shown"], log["decodes"])
+    latency = latency_summary(frames, stage.encode_times_s())
+    latency["parts"] |= {"upload": shown["upload_ms"], "draw": shown["draw_ms"]}
+    rates = {peer["name"]: peer["latents_per_s"] for peer in received["peers"]}
+    errors = shown["errors"] + sum(result["errors"] for result in sent.values())
+    return {
+        "peers": config.stage.peers,
+        "rendered_peers": shown["rendered_peers"],
+        "seconds": shown["seconds"],
+        "frames_rendered": shown["frames_rendered"],
+        "render_fps": shown["render_fps"],
+        "latents_per_s": {name: rates.get(name, 0.0) for name in stage.names},
+        "decodes_per_s": round(len(log["decodes"]) / max(shown["seconds"], 0.01), 2),
+        "bitrate_bps": bitrates(sent),
+        "latency_ms": latency,
+        "dropped": received["dropped"],
+        "concealed": received["concealed"],
+        "seal": received["seal"],
+        "errors": errors + len(stage.crashed),
+        "crashed": stage.crashed,
+        "source": config.stage.source or "shipped performances",
+        "size": config.size,
+        "gl_renderer": shown["gl_renderer"],
+        "machine": describe_machine(),
+    }

@@ -1,0 +1,122 @@
+"""What this machine can do, and the fix for each lack."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from pica_client.avatars.library import shipped_avatar_files
+from pica_core.errors import GraphicsError
+
+DISTRIBUTION = "pica-telepresence"
+EXTRAS = {
+    "send": ("numpy", "safetensors"),
+    "view": ("moderngl", "glfw", "onnx", "onnxruntime", "PIL"),
+    "video": ("av",),
+    "train": ("torch",),
+}
+"""Each extra by what its modules are called."""
+
+Level = Literal["good", "lacking"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Finding:
+    """One line of the examination."""
+
+    subject: str
+    level: Level
+    detail: str
+    fix: str = ""
+
+    @property
+    def line(self) -> str:
+        """For people."""
+        mark = "ok  " if self.level == "good" else "LACK"
+        fix = f" -> {self.fix}" if self.fix else ""
+        return f"{mark}  {self.subject}: {self.detail}{fix}"
+
+
+def examine(
+    load: Callable[[str], Any] = importlib.import_module,
+    *,
+    has_display: Callable[[], bool],
+) -> list[Finding]:
+    """Look at everything a sender, a viewer and a trainer need.
+
+    Args:
+        load: Imports a module by name; tests give another.
+        has_display: Whether a window can be expected to open.
+    """
+    findings = [_extra(extra, modules, load) for extra, modules in EXTRAS.items()]
+    findings += [_graphics(load), _inference(load), _display(has_display()), _avatars()]
+    return findings
+
+
+def _extra(extra: str, modules: tuple[str, ...], load: Callable[[str], Any]) -> Finding:
+    lacking = []
+    for module in modules:
+        try:
+            load(module)
+        except Exception as error:  # a broken install fails in ways of its own
+            kind = "" if isinstance(error, ModuleNotFoundError) else f" ({error})"
+            lacking.append(f"{module}{kind}")
+    if not lacking:
+        return Finding(subject=f"extra {extra}", level="good", detail="installed")
+    return Finding(
+        subject=f"extra {extra}",
+        level="lacking",
+        detail=f"no {', '.join(lacking)}",
+        fix=f"pip install '{DISTRIBUTION}[{extra}]'",
+    )
+
+
+def _graphics(load: Callable[[str], Any]) -> Finding:
+    try:
+        context = load("pica_core.gl").create_context()
+    except ModuleNotFoundError:
+        return Finding(subject="OpenGL", level="lacking", detail="see extra view")
+    except GraphicsError as error:
+        return Finding(subject="OpenGL", level="lacking", detail=str(error))
+    try:
+        info = context.info
+        renderer, version = info["GL_RENDERER"], context.version_code
+    finally:
+        context.release()
+    is_software = any(word in renderer.lower() for word in ("llvmpipe", "softpipe", "swiftshader"))
+    return Finding(
+        subject="OpenGL",
+        level="good",
+        detail=f"{renderer}, GL {version / 100:.1f}" + (", in software" if is_software else ""),
+        fix="a graphics driver would draw faster" if is_software else "",
+    )
+
+
+def _inference(load: Callable[[str], Any]) -> Finding:
+    try:
+        onnxruntime = load("onnxruntime")
+    except Exception:
+        return Finding(subject="ONNX Runtime", level="lacking", detail="see extra view")
+    providers = ", ".join(onnxruntime.get_available_providers())
+    return Finding(
+        subject="ONNX Runtime", level="good", detail=f"{onnxruntime.__version__}, {providers}"
+    )
+
+
+def _display(is_there: bool) -> Finding:
+    if is_there:
+        return Finding(subject="display", level="good", detail="one is named, not tried")
+    fix = "set DISPLAY or WAYLAND_DISPLAY, or use --headless" if sys.platform == "linux" else ""
+    return Finding(subject="display", level="lacking", detail="none", fix=fix)
+
+
+def _avatars() -> Finding:
+    names = [path.stem for path in shipped_avatar_files()]
+    if names:
+        return Finding(subject="avatars", level="good", detail=", ".join(names))
+    return Finding(
+        subject="avatars", level="lacking", detail="none ship with this build", fix="--avatar FILE"
+    )

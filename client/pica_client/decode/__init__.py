@@ -1,0 +1,1 @@
+"""Latents to position and expression maps, by ONNX Runtime, off the drawing thread."""

@@ -1,0 +1,307 @@
+"""Decoding off the drawing thread: the newest of every avatar, on worker threads.
+
+`DecodePool` owns the decoders of a call and runs them on worker threads (ONNX Runtime releases the
+interpreter lock while it computes), the avatar that has waited longest first:
+
+    pool = DecodePool(DecodePoolOptions(), OnnxDecoder)
+    pool.add("peer-1", avatar)
+    pool.submit("peer-1", DecodeRequest(latent=..., view_direction=..., captured_us=...))
+    for result in pool.take_results():            # newest per slot; called once per drawn frame
+        result.maps, result.error, result.decode_s
+    pool.close()
+
+Bounded by construction: a slot holds one waiting request and one finished result. A newer request
+takes the place of one that waits, and the replaced ones are counted; it is widened by what the old
+one asked for, so a request for the expression map alone never cancels one for both. A newer result
+takes the place of one that nobody has taken, and keeps the position map of that if it brings none.
+
+Getting ready for a level takes as long as a few frames. A worker with nothing else to do gets ready
+for those that were not asked for yet, one after the other, so that a change of level in the middle
+of a call finds everything there.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+from pica_client.decode.decoder import DecodedMaps, FloatArray, ObjectDecoder, Parts
+from pica_client.errors import OptionError
+from pica_core.avatar.file import Avatar
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DecodeRequest:
+    """One latent to decode."""
+
+    latent: FloatArray
+    """float32 ``[8, 8, 4]``."""
+    view_direction: FloatArray
+    """Camera centre seen from the head, unit length, head frame. float32 ``[3]``."""
+    captured_us: int
+    """Sender's clock at the newest sample in the latent; handed through."""
+    level: int | None = None
+    """Texels per side of the maps, one of the avatar's levels; None is the full one."""
+    parts: Parts = "both"
+    """Which maps to make. Ask for the expression map alone with the latent that the position map
+    was made of."""
+
+    def widened_by(self, former: DecodeRequest) -> DecodeRequest:
+        """This request instead of one that still waits, with the parts of both."""
+        if self.parts == former.parts or self.parts == "both":
+            return self
+        return replace(self, parts="both")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DecodeResult:
+    """What became of a request, or of an avatar. Times are seconds of the pool's clock."""
+
+    slot: str
+    maps: DecodedMaps | None
+    """None after an error."""
+    error: str | None
+    """Why this avatar cannot be decoded; it stays broken until it is added again."""
+    captured_us: int = 0
+    submitted_s: float = 0.0
+    started_s: float = 0.0
+    finished_s: float = 0.0
+    level: int = 0
+    """Of what was decoded; 0 after an error."""
+    parts: Parts = "both"
+    """What was decoded. `maps` may hold more: a position map that nobody had taken yet."""
+
+    @property
+    def decode_s(self) -> float:
+        """Seconds of computing; building a decoder is not counted."""
+        return self.finished_s - self.started_s
+
+    @property
+    def waited_s(self) -> float:
+        """Seconds from submission until a worker took it."""
+        return self.started_s - self.submitted_s
+
+    def completed_by(self, former: DecodeResult | None) -> DecodeResult:
+        """This result instead of one that nobody has taken, with what only that one has."""
+        if former is None or former.maps is None or self.maps is None:
+            return self
+        if self.maps.position_map is not None or former.maps.position_map is None:
+            return self
+        return replace(self, maps=replace(self.maps, position_map=former.maps.position_map))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DecodePoolOptions:
+    """How a call's avatars are decoded."""
+
+    workers: int = 1
+    """Worker threads. One keeps up with five avatars at 30 latents a second (5 x 30 x 1 ms)."""
+    prepares_ahead: bool = True
+    """Whether idle workers get ready for levels that were not asked for yet."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.workers <= 64:
+            raise OptionError(f"workers is {self.workers}; allowed are 1 to 64")
+
+
+@dataclass(slots=True, eq=False)
+class _Slot:
+    """One avatar of the pool; guarded by the pool's lock."""
+
+    avatar: Avatar
+    decoder: ObjectDecoder | None = None
+    broken: bool = False
+    busy: bool = False
+    request: DecodeRequest | None = None
+    submitted_s: float = 0.0
+    result: DecodeResult | None = None
+    unprepared: list[tuple[int, Parts]] = field(default_factory=list)
+    """What to get ready for when there is time; the last first."""
+
+
+class DecodePool:
+    """Decodes the newest latent of every avatar on worker threads.
+
+    Args:
+        options: Number of workers.
+        make_decoder: Builds the decoder of an avatar; runs on a worker, for it may take long.
+        clock: Seconds, monotonic.
+
+    An exception of a decoder breaks its own slot alone: it comes back as `DecodeResult.error`.
+    """
+
+    def __init__(
+        self,
+        options: DecodePoolOptions,
+        make_decoder: Callable[[Avatar], ObjectDecoder],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._make_decoder = make_decoder
+        self._prepares_ahead = options.prepares_ahead
+        self._clock = clock
+        self._slots: dict[str, _Slot] = {}
+        self._order: list[str] = []
+        self._closed = False
+        self._num_replaced = 0
+        self._changed = threading.Condition()
+        self._workers = [
+            threading.Thread(target=self._work, name=f"decode-{index}", daemon=True)
+            for index in range(options.workers)
+        ]
+        for worker in self._workers:
+            worker.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def num_replaced(self) -> int:
+        """Requests that a newer one replaced before a worker took them."""
+        with self._changed:
+            return self._num_replaced
+
+    def add(self, slot: str, avatar: Avatar) -> None:
+        """Prepare a slot for an avatar; replaces what was there. Its decoder is built on a
+        worker."""
+        with self._changed:
+            entry = self._slots[slot] = _Slot(avatar)
+            if self._prepares_ahead:
+                entry.unprepared = [
+                    (level, parts) for level in avatar.levels for parts in ("expression", "both")
+                ]
+            self._enqueue(slot)
+
+    def remove(self, slot: str) -> None:
+        """Forget a slot; an unknown one is no error. A decode under way is dropped when it ends."""
+        with self._changed:
+            self._slots.pop(slot, None)
+
+    def submit(self, slot: str, request: DecodeRequest) -> None:
+        """Ask for a decode; takes the place of a request that still waits, and widens to its parts.
+        Broken or unknown slots ignore it."""
+        with self._changed:
+            entry = self._slots.get(slot)
+            if entry is None or entry.broken:
+                return
+            if entry.request is not None:
+                self._num_replaced += 1
+                request = request.widened_by(entry.request)
+            entry.request = request
+            entry.submitted_s = self._clock()
+            self._enqueue(slot)
+
+    def take_results(self) -> list[DecodeResult]:
+        """The newest result of every slot since the last call."""
+        with self._changed:
+            found = [entry.result for entry in self._slots.values() if entry.result is not None]
+            for entry in self._slots.values():
+                entry.result = None
+        return found
+
+    def wait_idle(self, timeout_s: float) -> bool:
+        """Wait until nothing is waiting or under way; False when the time runs out first."""
+
+        def idle() -> bool:
+            return not self._order and not any(entry.busy for entry in self._slots.values())
+
+        with self._changed:
+            return self._changed.wait_for(idle, timeout_s)
+
+    def close(self) -> None:
+        """Stop the workers and wait for them; what waits is dropped."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        for worker in self._workers:
+            worker.join()
+
+    def _enqueue(self, slot: str) -> None:
+        if slot not in self._order:  # at most one entry per slot: this is what bounds the queue
+            self._order.append(slot)
+            self._changed.notify()
+
+    def _next_slot(self) -> str | None:
+        """The longest waiting slot that no other worker is busy with; under the lock."""
+        for slot in self._order:
+            entry = self._slots.get(slot)
+            if entry is None or not entry.busy:
+                self._order.remove(slot)
+                return slot
+        return None
+
+    def _slot_to_prepare(self) -> str | None:
+        """A slot whose decoder is there and can get ready for more; under the lock."""
+        for slot, entry in self._slots.items():
+            is_free = not entry.busy and not entry.broken and entry.decoder is not None
+            if is_free and entry.unprepared:
+                return slot
+        return None
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                slot = None
+                while not self._closed and (slot := self._next_slot()) is None:
+                    if (slot := self._slot_to_prepare()) is not None:
+                        break
+                    self._changed.wait()
+                if self._closed or slot is None:
+                    return
+                entry = self._slots.get(slot)
+                if entry is None:
+                    continue
+                entry.busy = True
+                request, entry.request = entry.request, None
+                submitted_s = entry.submitted_s
+                ahead = None
+                if request is None and entry.decoder is not None and entry.unprepared:
+                    ahead = entry.unprepared.pop()
+            result = self._run(slot, entry, request, submitted_s, ahead)
+            with self._changed:
+                entry.busy = False
+                if result is not None:
+                    entry.result = result.completed_by(entry.result)
+                self._changed.notify_all()
+
+    def _run(
+        self,
+        slot: str,
+        entry: _Slot,
+        request: DecodeRequest | None,
+        submitted_s: float,
+        ahead: tuple[int, Parts] | None,
+    ) -> DecodeResult | None:
+        """Build what is needed if it is not there, and decode. Only this worker touches the
+        entry's decoder."""
+        try:
+            if entry.decoder is None:
+                entry.decoder = self._make_decoder(entry.avatar)
+            if request is None:
+                if ahead is not None:
+                    entry.decoder.prepare(*ahead)
+                return None
+            entry.decoder.prepare(request.level, request.parts)
+            started_s = self._clock()
+            maps = entry.decoder.decode(
+                request.latent, request.view_direction, request.level, request.parts
+            )
+            return DecodeResult(
+                slot,
+                maps,
+                None,
+                request.captured_us,
+                submitted_s,
+                started_s,
+                self._clock(),
+                maps.level,
+                request.parts,
+            )
+        except Exception as error:  # one avatar's failure must not end the worker of all
+            entry.broken = True
+            return DecodeResult(slot, None, " ".join(str(error).split())[:300])

@@ -1,0 +1,208 @@
+"""All of end-to-end encryption as one object for a link: frames out, events in, whispers between.
+
+What cannot be opened is dropped and counted; a plain frame is never taken for want of a sealed one.
+The counters are those of this side and of one room after the other; they tell no contents.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pica_client.e2ee.errors import (
+    NoteError,
+    OpenError,
+    ReplayedFrameError,
+    UnknownKeyError,
+)
+from pica_client.e2ee.frames import decode_header, metadata_of, open_, seal
+from pica_client.e2ee.keys import KeyExchange
+from pica_client.e2ee.secret import RandomBytes, RoomSecret, load_secret
+from pica_client.e2ee.suites import (
+    AES_128_CTR_HMAC_SHA256_64,
+    AES_128_GCM_SHA256_128,
+    Suite,
+)
+from pica_protocol.frames import Frame
+from pica_protocol.messages import (
+    Joined,
+    KeyframeRequest,
+    Peer,
+    PeerBack,
+    PeerJoined,
+    PeerLeft,
+    Whisper,
+)
+from pica_protocol.session import ClientEvent, Closed
+
+
+@dataclass(kw_only=True, slots=True)
+class SealCounters:
+    """What was sealed, opened and refused since the guard was made."""
+
+    sealed: int = 0
+    overhead_bytes: int = 0
+    """What sealing added to our payloads."""
+    opened: int = 0
+    unreadable: int = 0
+    """Frames whose key we do not have: it is not here yet, or was replaced."""
+    replayed: int = 0
+    """Frames that came a second time, or later than the window reaches."""
+    forged: int = 0
+    """Frames that were changed on their way, or are not sealed at all."""
+    notes_refused: int = 0
+    """Whispers that are no notes of a member."""
+
+
+class Guard:
+    """Seals what a link sends and opens what it receives: a `transport.frame_guard.FrameGuard`.
+
+    One for each link. Pure but for its source of chance.
+
+    Attributes:
+        counters: What it did.
+    """
+
+    def __init__(
+        self,
+        secret: RoomSecret,
+        *,
+        suite: Suite = AES_128_GCM_SHA256_128,
+        random_bytes: RandomBytes = os.urandom,
+    ) -> None:
+        """Start outside any room; see `KeyExchange`."""
+        self.counters = SealCounters()
+        self._keys = KeyExchange(secret, suite=suite, random_bytes=random_bytes)
+        self._owners: dict[int, str] = {}  # by stream; bounded as the peers of a session are
+        self._own_streams: tuple[int, ...] = ()
+
+    @property
+    def members(self) -> frozenset[str]:
+        """The ids of those in the room who have proven to know the secret."""
+        return self._keys.members
+
+    def stats(self) -> dict[str, Any]:
+        """Return the counters and the state of the keys, for people and reports."""
+        return {
+            **asdict(self.counters),
+            "key_changes": self._keys.key_changes,
+            "members": len(self.members),
+        }
+
+    def seal(self, frame: Frame) -> bytes:
+        """See `FrameGuard.seal`.
+
+        Raises:
+            SealError: We are in no room, or have no track in it.
+        """
+        key, counter = self._keys.next_counter()
+        sealed = seal(frame.payload, metadata_of(frame), key, counter)
+        self.counters.sealed += 1
+        self.counters.overhead_bytes += len(sealed) - len(frame.payload)
+        return sealed
+
+    def receive_event(self, event: ClientEvent, now: float) -> list[ClientEvent]:
+        """See `FrameGuard.receive_event`.
+
+        Whispers end here and frames come out plain. A newcomer who can read our frames from now on
+        needs one to begin with: that shows as a `KeyframeRequest` for each of our streams.
+        """
+        match event:
+            case Frame():
+                return self._open(event, now)
+            case Whisper(peer_id=peer_id, data=data):
+                try:
+                    self._keys.receive_note(peer_id, data, now)
+                except NoteError:
+                    self.counters.notes_refused += 1
+                return self._keyframe_requests()
+            case Joined(tracks=tracks, peers=peers):
+                self._keys.receive_joined(event, now)
+                self._own_streams = tuple(track.stream for track in tracks)
+                self._owners.clear()
+                for peer in peers:
+                    self._note_streams(peer)
+            case PeerJoined(peer=peer):
+                self._keys.receive_peer_joined(peer.peer_id, now)
+                self._note_streams(peer)
+            case PeerLeft(peer_id=peer_id):
+                self._keys.receive_peer_left(peer_id, now)
+                self._owners = {s: who for s, who in self._owners.items() if who != peer_id}
+            case PeerBack(peer_id=peer_id):
+                # Back on a new connection, it has forgotten its keys and ours.
+                self._keys.receive_peer_left(peer_id, now)
+                self._keys.receive_peer_joined(peer_id, now)
+            case Closed():
+                self._keys.receive_closed(now)
+                self._owners.clear()
+            case KeyframeRequest():
+                pass
+        return [event]
+
+    def messages_to_send(self, now: float) -> list[tuple[str, bytes]]:
+        """See `FrameGuard.messages_to_send`."""
+        return self._keys.messages_to_send(now)
+
+    def next_timer(self) -> float | None:
+        """See `FrameGuard.next_timer`."""
+        return self._keys.next_timer()
+
+    def handle_timer(self, now: float) -> None:
+        """See `FrameGuard.handle_timer`."""
+        self._keys.handle_timer(now)
+
+    def _note_streams(self, peer: Peer) -> None:
+        for track in peer.tracks:
+            self._owners[track.stream] = peer.peer_id
+
+    def _keyframe_requests(self) -> list[ClientEvent]:
+        if not self._keys.has_newcomer:
+            return []
+        self._keys.has_newcomer = False
+        return [KeyframeRequest(stream=stream) for stream in self._own_streams]
+
+    def _open(self, frame: Frame, now: float) -> list[ClientEvent]:
+        counters, owner = self.counters, self._owners.get(frame.stream)
+        try:
+            payload = self._opened(frame, owner, now)
+        except UnknownKeyError:
+            counters.unreadable += 1
+            if owner is not None:
+                self._keys.receive_unreadable(owner, now)
+        except ReplayedFrameError:
+            counters.replayed += 1
+        except OpenError:
+            counters.forged += 1
+        else:
+            counters.opened += 1
+            return [replace(frame, payload=payload)]
+        return []
+
+    def _opened(self, frame: Frame, owner: str | None, now: float) -> bytes:
+        header, _ = decode_header(frame.payload)
+        if owner is None:
+            raise UnknownKeyError("a frame of nobody in the room")
+        opening = self._keys.opening_key(owner, header.key_id, now)
+        if opening is None:
+            raise UnknownKeyError(f"no key {header.key_id} of this peer")
+        if not opening.window.is_new(header.counter):
+            raise ReplayedFrameError(f"counter {header.counter} came before")
+        payload = open_(frame.payload, metadata_of(frame), opening.key)
+        opening.window.mark(header.counter)
+        return payload
+
+
+def guard_from(secret_file: Path, *, short_tags: bool = False) -> Guard:
+    """Return a guard for a command that was given the file with the room secret.
+
+    Args:
+        secret_file: As `pica secret` writes it.
+        short_tags: Seal with tags of 8 bytes instead of 16, see `pica_client.e2ee.suites`.
+
+    Raises:
+        SecretFileError: The file holds no secret.
+    """
+    suite = AES_128_CTR_HMAC_SHA256_64 if short_tags else AES_128_GCM_SHA256_128
+    return Guard(load_secret(secret_file), suite=suite)

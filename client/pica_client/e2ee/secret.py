@@ -1,0 +1,82 @@
+"""The room secret: what the people of a call share beforehand, on a way that is not the relay's.
+
+It lets the members of a room recognise each other's messages about keys. It does not encrypt
+faces: those keys are made for each call and never derived from it, so a secret that gets known
+later opens no recording of earlier calls.
+
+The file holds one line, ``pica-secret-1:`` and 32 random bytes in URL-safe base64. A password in
+its place is refused: who records the messages could try passwords at leisure.
+"""
+
+from __future__ import annotations
+
+import binascii
+import os
+from base64 import urlsafe_b64decode, urlsafe_b64encode
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from pica_client.e2ee.errors import SecretFileError
+
+SECRET_BYTES: Final = 32
+RandomBytes = Callable[[int], bytes]
+"""Returns so many bytes that nobody can guess; `os.urandom` outside tests."""
+
+_PREFIX: Final = "pica-secret-1:"
+_MAX_FILE_BYTES: Final = 256
+
+
+class RoomSecret:
+    """Thirty-two bytes that do not print themselves."""
+
+    def __init__(self, value: bytes) -> None:
+        if len(value) != SECRET_BYTES:
+            raise ValueError(f"a room secret has {SECRET_BYTES} bytes, got {len(value)}")
+        self.value = value
+
+    @classmethod
+    def new(cls, random_bytes: RandomBytes = os.urandom) -> RoomSecret:
+        """Draw one."""
+        return cls(random_bytes(SECRET_BYTES))
+
+
+def save_secret(path: Path, secret: RoomSecret) -> None:
+    """Write a secret into a new file that its owner alone can read.
+
+    Raises:
+        SecretFileError: There is a file already (a call may depend on it), or none can be made.
+    """
+    line = _PREFIX + urlsafe_b64encode(secret.value).decode() + "\n"
+    try:
+        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with open(handle, "w", encoding="ascii") as file:
+            file.write(line)
+    except FileExistsError as error:
+        raise SecretFileError(f"{path}: is there already; name a new file") from error
+    except OSError as error:
+        raise SecretFileError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def load_secret(path: Path) -> RoomSecret:
+    """Read a secret.
+
+    Raises:
+        SecretFileError: No such file, or one that `save_secret` did not write.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(_MAX_FILE_BYTES + 1)
+    except OSError as error:
+        raise SecretFileError(f"{path}: cannot be read: {error.strerror or error}") from error
+    refusal = f"{path}: is no room secret; make one with `pica secret FILE`"
+    if len(data) > _MAX_FILE_BYTES:
+        raise SecretFileError(refusal)
+    try:
+        text = data.decode("ascii").strip()
+        value = urlsafe_b64decode(text.removeprefix(_PREFIX))
+    except (UnicodeDecodeError, binascii.Error) as error:
+        raise SecretFileError(refusal) from error
+    if not text.startswith(_PREFIX) or len(value) != SECRET_BYTES:
+        raise SecretFileError(refusal)
+    return RoomSecret(value)

@@ -1,0 +1,1 @@
+"""A call on this machine: relay and senders as processes of their own, for demo and bench."""

@@ -1,0 +1,196 @@
+"""A call on this machine: relay and senders as processes of their own, for demo and bench.
+
+What comes out of the senders is joined with what the receiver saw by name and capture time, which
+is unique within a sender: that gives each frame's way its parts. Capture times are subtracted from
+this process's clock: right on one machine, where all processes share the monotonic clock, and on
+one machine only.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pica_client.avatars.library import AvatarLibrary
+from pica_client.errors import AvatarLookupError, CallProcessError, OptionError
+from pica_client.local_call.load import peer_sources
+from pica_client.local_call.processes import Child, Children
+from pica_client.publish.sender import SenderConfig
+from pica_client.sources import open_source
+from pica_core.codec.latent_stream import DEFAULT_QUALITY
+
+NAMES = ("Ada", "Ben", "Cho", "Dee", "Eve", "Fay", "Gus", "Hal")
+ROOM = "demo"
+JOIN_TIMEOUT_S = 30.0
+"""For all peers to be seen; five Pythons that import numpy on two busy cores take some seconds."""
+CHECK_INTERVAL_S = 0.25
+"""Between two looks at whether all processes are alive."""
+
+FrameKey = tuple[str, int]
+"""A frame by its sender's name and its capture time in microseconds."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StageConfig:
+    """Who is in the call."""
+
+    peers: int = 5
+    """Number of senders."""
+    source: str | None = None
+    """What all of them play, each starting elsewhere in it; by default shipped performances."""
+    avatar: str | None = None
+    """Names or files of avatars, separated by commas, dealt in turn; by default the shipped."""
+    fps: float = 30.0
+    """Frames a second of each sender."""
+    quality: int = DEFAULT_QUALITY
+    """Of the coded streams, 0 (coarse) to 7 (fine)."""
+    plain: bool = False
+    """Send 8 bits a value instead of coded streams."""
+    is_encrypted: bool = False
+    """Encrypt end to end, with a secret made for this call. Needs the extra `seal`."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.peers <= 15:
+            raise OptionError(f"peers is {self.peers}; 1 to 15 fit the room")
+        if not 1 <= self.fps <= 240:
+            raise OptionError(f"fps is {self.fps:g}; 1 to 240 is allowed")
+        SenderConfig(quality=self.quality)  # checks it
+
+
+class Stage:
+    """The processes of a call. Start it inside a `Children` block, which ends them.
+
+    Attributes:
+        relay: Its process.
+        url: Where it listens.
+        senders: Their processes, by name.
+        secret_arguments: What senders and viewers are told of the secret, if there is one.
+        names: The senders, in order.
+    """
+
+    def __init__(self, config: StageConfig, library: AvatarLibrary, children: Children) -> None:
+        """Check everything that can be checked, then start relay and senders.
+
+        Raises:
+            SourceError: A source that cannot be opened.
+            AvatarLookupError: An avatar that is not there.
+            CallProcessError: The relay did not start.
+        """
+        sources = peer_sources(config.source, config.peers)
+        for source in dict.fromkeys(sources):
+            open_source(source)  # one clear error here instead of one per sender
+        avatars = choose_avatars(config.avatar, library)
+        self.names = [
+            NAMES[index] if index < len(NAMES) else f"Peer {index + 1}"
+            for index in range(config.peers)
+        ]
+        self._children = children
+        self.secret_arguments = _make_secret(children) if config.is_encrypted else []
+        self.relay, self.url = children.start_relay()
+        self.senders: dict[str, Child] = {}
+        for index, (name, source) in enumerate(zip(self.names, sources, strict=True)):
+            self.senders[name] = children.start(
+                f"sender-{index + 1}",
+                *("send", "--url", self.url, "--room", ROOM, "--name", name),
+                *("--avatar", avatars[index % len(avatars)], "--source", source),
+                *("--fps", f"{config.fps:g}", "--frame-log", str(self._log(name))),
+                *("--give-avatar", "no"),  # the viewer has the same files
+                *("--quality", str(config.quality), *(["--plain"] if config.plain else [])),
+                *self.secret_arguments,
+            )
+        self.crashed: list[str] = []
+
+    def check(self) -> None:
+        """Note who has crashed since the last look.
+
+        Raises:
+            CallProcessError: The relay did: there is no call without it.
+        """
+        self._children.check_first()
+        for name, child in self.senders.items():
+            if child.exit_code is not None and name not in self.crashed:
+                self.crashed.append(name)
+
+    def failures(self) -> list[str]:
+        """A line for each sender that ended before it was asked to, with its last words."""
+        return [
+            f"sender {name} ended early (status {self.senders[name].exit_code}): "
+            f"{self.senders[name].last_words()}"
+            for name in self.crashed
+        ]
+
+    def finish(self) -> dict[str, dict[str, Any]]:
+        """End the senders and collect what they say, by name; crashed ones are left out."""
+        self.check()
+        alive = {name: child for name, child in self.senders.items() if name not in self.crashed}
+        for child in alive.values():
+            child.let_go()
+        deadline = time.monotonic() + 5.0
+        for child in alive.values():
+            child.wait(deadline)
+        return {name: child.result() for name, child in alive.items()}
+
+    def encode_times_s(self) -> dict[FrameKey, float]:
+        """How long each frame took to encode; after `finish`."""
+        times: dict[FrameKey, float] = {}
+        for name in self.names:
+            if self._log(name).exists():
+                for captured_us, encode_us in json.loads(self._log(name).read_text()):
+                    times[name, captured_us] = encode_us / 1e6
+        return times
+
+    def _log(self, name: str) -> Path:
+        return self._children.folder / f"{name.replace(' ', '-')}.frames.json"
+
+
+def _make_secret(children: Children) -> list[str]:
+    """Make the secret of one call, and check that it can be used here."""
+    from pica_client.e2ee.guard import guard_from
+    from pica_client.e2ee.secret import RoomSecret, save_secret
+
+    file = children.folder / "room.secret"
+    save_secret(file, RoomSecret.new())
+    guard_from(file)
+    return ["--secret-file", str(file)]
+
+
+def choose_avatars(names: str | None, library: AvatarLibrary) -> list[str]:
+    """Names or files of the avatars to deal, each known to the library afterwards.
+
+    Raises:
+        AvatarLookupError: None shipped and none given, or one that is not there.
+    """
+    chosen = library.names if names is None else [name for name in names.split(",") if name]
+    if not chosen:
+        raise AvatarLookupError("no avatar ships with this package; name one with --avatar FILE")
+    for name in chosen:
+        library.load(library.find(name))
+    return chosen
+
+
+def bitrates(sent: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Each peer's uplink in bits per second: payload, and on the wire (see `stats.wire_bytes`)."""
+    return {
+        name: {"payload": result["payload_bps"], "wire": result["wire_bps"]}
+        for name, result in sent.items()
+    }
+
+
+def require_all(names: Sequence[str], missing: Sequence[str], stage: Stage) -> None:
+    """Raise when peers did not come in time.
+
+    Raises:
+        CallProcessError: Names them, and quotes those that crashed.
+    """
+    stage.check()
+    if stage.crashed:
+        raise CallProcessError("; ".join(stage.failures()))
+    if missing:
+        raise CallProcessError(
+            f"{len(missing)} of {len(names)} peers were not seen within {JOIN_TIMEOUT_S:g} s: "
+            + ", ".join(missing)
+        )

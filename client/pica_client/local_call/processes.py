@@ -1,0 +1,173 @@
+"""The processes of a demo or bench: started together, watched, and ended together in bounded
+time."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from pica_client.errors import CallProcessError
+
+PARENT_WATCHDOG = "pica_client.local_call.parent_watchdog"
+START_TIMEOUT_S = 20.0
+"""For a relay to say where it listens; an imported numpy on a busy machine takes seconds."""
+STOP_TIMEOUT_S = 6.0
+"""For all processes together to end when asked; more than `parent_watchdog.GRACE_S`. Then they are
+killed."""
+
+
+class Child:
+    """One `pica` command in a process of its own."""
+
+    def __init__(self, name: str, arguments: Sequence[str], folder: Path) -> None:
+        self.name = name
+        self._out, self._err = folder / f"{name}.out", folder / f"{name}.err"
+        with self._out.open("wb") as out, self._err.open("wb") as err:
+            self._process = subprocess.Popen(
+                [
+                    sys.executable,
+                    "-m",
+                    PARENT_WATCHDOG,
+                    *arguments,
+                    "--json",
+                ],
+                stdin=subprocess.PIPE,
+                stdout=out,
+                stderr=err,
+                # Ctrl-C in a terminal goes to the parent, which ends its children in good order.
+                start_new_session=True,
+            )
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self._process.pid
+
+    @property
+    def exit_code(self) -> int | None:
+        """How it ended, or None while it runs."""
+        return self._process.poll()
+
+    def let_go(self) -> None:
+        """Ask it to end: its tether is cut."""
+        if self._process.stdin is not None:
+            with contextlib.suppress(OSError):
+                self._process.stdin.close()
+
+    def wait(self, deadline: float) -> None:
+        """Wait for its end until `deadline` (`time.monotonic`), then kill it."""
+        try:
+            self._process.wait(max(deadline - time.monotonic(), 0.0))
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def result(self) -> dict[str, Any]:
+        """What it printed as its result.
+
+        Raises:
+            CallProcessError: It failed, or printed none.
+        """
+        self.check_alive_or_done()
+        lines = self._out.read_text(errors="replace").splitlines()
+        try:
+            result = json.loads(lines[-1]) if lines else None
+        except json.JSONDecodeError:
+            result = None
+        if not isinstance(result, dict):
+            raise CallProcessError(f"{self.name} gave no result; it said: {self.last_words()}")
+        return result
+
+    def check_alive_or_done(self) -> None:
+        """Raise if it crashed or failed."""
+        code = self.exit_code
+        if code not in (None, 0):
+            how = f"was killed by signal {-code}" if code < 0 else f"ended with status {code}"
+            raise CallProcessError(
+                f"{self.name} {how}: {self.last_words()}", exit_code=2 if code == 2 else 1
+            )
+
+    def last_words(self) -> str:
+        """The last line of its stderr."""
+        lines = self._err.read_text(errors="replace").strip().splitlines()
+        return lines[-1].strip()[:300] if lines else "nothing"
+
+
+class Children:
+    """A group of child processes; leaving the ``with`` block ends all of them."""
+
+    def __init__(self) -> None:
+        self._children: list[Child] = []
+        self._folder = tempfile.TemporaryDirectory(prefix="pica-")
+
+    @property
+    def folder(self) -> Path:
+        """A folder that lives as long as the group."""
+        return Path(self._folder.name)
+
+    def start(self, name: str, *arguments: str) -> Child:
+        """Start ``pica ARGUMENTS``."""
+        child = Child(name, arguments, self.folder)
+        self._children.append(child)
+        return child
+
+    def start_relay(self, *arguments: str) -> tuple[Child, str]:
+        """Start a relay on a free port and wait until it listens.
+
+        Args:
+            arguments: Further arguments of ``pica relay``.
+
+        Returns:
+            The process and its address.
+
+        Raises:
+            CallProcessError: It ended, or did not listen in time.
+        """
+        ready = self.folder / "relay.url"
+        relay = self.start("relay", "relay", "--port", "0", "--ready-file", str(ready), *arguments)
+        deadline = time.monotonic() + START_TIMEOUT_S
+        while not ready.exists():
+            relay.check_alive_or_done()
+            if relay.exit_code is not None or time.monotonic() > deadline:
+                raise CallProcessError(f"relay did not start: {relay.last_words()}")
+            time.sleep(0.02)
+        return relay, ready.read_text().strip()
+
+    def check_first(self) -> None:
+        """Raise if the first process, on which all others depend, has ended.
+
+        Raises:
+            CallProcessError: Names it and quotes its last words.
+        """
+        first = self._children[0]
+        first.check_alive_or_done()
+        if first.exit_code is not None:
+            raise CallProcessError(f"{first.name} ended early: {first.last_words()}")
+
+    def stop(self) -> None:
+        """Ask all to end, wait, and kill who did not."""
+        for child in self._children:
+            child.let_go()
+        deadline = time.monotonic() + STOP_TIMEOUT_S
+        for child in self._children:
+            child.wait(deadline)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.stop()
+        self._folder.cleanup()

@@ -1,0 +1,1 @@
+"""From frames as the network delivers them to a face at display time. Pure."""

@@ -1,0 +1,230 @@
+"""A face on its way out: source -> expression encoder -> payload -> frame, at a steady rate.
+
+Knows a link that somebody else runs: a `sender.Sender`, which does nothing else, or a
+`receiver.Receiver`, which also listens. Encoding takes a fraction of a millisecond and so runs on
+the event loop itself; a thread would cost more than it saves.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import math
+import time
+from collections import deque
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from pica_client.errors import OptionError
+from pica_client.publish.pacer import Pacer
+from pica_client.sources import Source
+from pica_client.stats import Samples
+from pica_client.transport.link import Link
+from pica_core.avatar.arkit import ExpressionFrame
+from pica_core.avatar.expression_encoder import ExpressionEncoder
+from pica_core.avatar.file import Avatar
+from pica_core.codec.factory import open_encoder
+from pica_core.codec.latent_stream import DEFAULT_QUALITY, StreamConfig
+from pica_protocol.messages import Joined, KeyframeRequest, StreamMuted, Track
+from pica_protocol.session import ClientEvent
+
+_log = logging.getLogger(__name__)
+
+FACE_TRACK = "face"
+"""Kind of the tracks whose payloads are latents."""
+FACE_KEY = "face"
+"""What a peer says of itself under this key is why its face stands still: "muted" or "frozen"."""
+MAX_LOGGED_FRAMES = 100_000
+"""Encoding times kept for a latency analysis: 55 minutes at 30 a second."""
+TELL_INTERVAL_S = 1.0
+"""Between two changes of what we say of ourselves: the relay takes no more for long."""
+
+FaceMode = Literal["sent", "frozen", "muted"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SenderConfig:
+    """How fast and how long to send."""
+
+    fps: float = 30.0
+    """Frames a second."""
+    seconds: float = 0.0
+    """How long to send, counted from the first frame; 0 is until stopped."""
+    quality: int = DEFAULT_QUALITY
+    """Of the coded stream, 0 (coarse) to 7 (fine)."""
+    bitrate_bps: float | None = None
+    """Payload bits a second to keep to by changing the quality; None keeps the quality."""
+    plain: bool = False
+    """Send 8 bits a value instead of the coded stream."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.fps <= 240:
+            raise OptionError(f"fps is {self.fps:g}; 1 to 240 is allowed")
+        if not self.seconds >= 0:
+            raise OptionError(f"seconds is {self.seconds:g}; 0 (for ever) or more is allowed")
+        self.stream()
+
+    def stream(self) -> StreamConfig:
+        """How the stream is encoded."""
+        try:
+            return StreamConfig(fps=self.fps, quality=self.quality, target_bps=self.bitrate_bps)
+        except ValueError as error:
+            raise OptionError(str(error).replace("target_bps", "bitrate_bps")) from error
+
+
+class Publisher:
+    """Sends one face over a link.
+
+    Args:
+        config: How fast and how long.
+        source: The face.
+        avatar: Whose face it becomes.
+        avatar_identity: Hash of the avatar's file.
+
+    Attributes:
+        track: What the link has to publish.
+        is_muted_by_admin: Whether an admin has stopped the stream.
+        frame_log: Capture time and encoding time of each frame sent, both in microseconds; drops
+            its oldest when full.
+    """
+
+    def __init__(
+        self, config: SenderConfig, source: Source, avatar: Avatar, avatar_identity: str
+    ) -> None:
+        self.config = config
+        self.frame_log: deque[tuple[int, int]] = deque(maxlen=MAX_LOGGED_FRAMES)
+        self.is_muted_by_admin = False
+        self._source = source
+        self._encoder = ExpressionEncoder(avatar)
+        self._stream, profile = open_encoder(avatar, config.stream(), plain=config.plain)
+        self.track = Track(kind=FACE_TRACK, avatar=avatar_identity, profile=profile)
+        self._encode = Samples()
+        self._first_sent_s: float | None = None
+        self._last_sent_s = 0.0
+        self._sent = self._unheard = self._faceless = self._payload_bytes = 0
+        self._own_streams: tuple[int, ...] = ()
+        self._skipped = self._silent = self._keyframes = 0
+        self._mode: FaceMode = "sent"
+        self._mode_before: FaceMode = "sent"
+        self._frozen: ExpressionFrame | None = None
+        self._told: FaceMode = "sent"
+        self._told_s = -math.inf
+
+    def set_mode(self, mode: FaceMode) -> None:
+        """Mute or freeze the face, or let it go on; holds from the next frame. Any thread may call
+        it."""
+        self._mode = mode
+
+    def receive_event(self, event: ClientEvent) -> None:
+        """Take an event of the link's session."""
+        match event:
+            case KeyframeRequest():
+                self._stream.request_keyframe()
+            case Joined(tracks=tracks):  # nobody here has seen anything of us, or of the last of it
+                self._stream.restart()
+                self._own_streams = tuple(track.stream for track in tracks)
+                self.is_muted_by_admin = False  # we are told again if it is so
+            case StreamMuted(stream=stream, is_muted=is_muted) if stream in self._own_streams:
+                self.is_muted_by_admin = is_muted
+                _log.warning("muted by an admin" if is_muted else "not muted any more")
+            case _:
+                pass
+
+    async def pace(self, link: Link, stopping: asyncio.Event) -> None:
+        """Send until told to stop, or for the configured time."""
+        loop = asyncio.get_running_loop()
+        begin_s = loop.time()
+        pacer = Pacer(self.config.fps, begin_s)
+        while not stopping.is_set():
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout_at(pacer.due_s):
+                    await stopping.wait()
+                return
+            # A loop may fire a timer up to its clock's resolution too early.
+            now = max(loop.time(), pacer.due_s)
+            if self._first_sent_s is not None and 0 < self.config.seconds <= (
+                now - self._first_sent_s
+            ):
+                return
+            self._tell_mode(link, now)
+            self._send_face(link, now - begin_s, now)
+            pacer.advance(max(loop.time(), now))
+            self._skipped = pacer.num_skipped
+
+    def stats(self) -> dict[str, Any]:
+        """What was sent so far; rates are over the time from the first frame to the last."""
+        seconds = self._last_sent_s - (self._first_sent_s or 0.0)
+        return {
+            "seconds": round(seconds, 3),
+            "sent": self._sent,
+            "skipped": self._skipped,
+            "not_connected": self._unheard,
+            "without_face": self._faceless,
+            "silent": self._silent,
+            "keyframes": self._keyframes,
+            "payload_bytes": self._payload_bytes,
+            "payload_bps": round(self._payload_bytes * 8 / seconds) if seconds else None,
+            "encode_ms": self._encode.summary_ms(),
+            "muted": self.is_muted_by_admin,
+        }
+
+    @property
+    def num_sent(self) -> int:
+        """Frames handed to the link."""
+        return self._sent
+
+    @property
+    def seconds_sent(self) -> float:
+        """From the first frame to the last."""
+        return self._last_sent_s - (self._first_sent_s or 0.0)
+
+    def _tell_mode(self, link: Link, now: float) -> None:
+        """Let the others know why the face stands still."""
+        mode = self._mode
+        if mode != self._told and now - self._told_s >= TELL_INTERVAL_S:
+            self._told, self._told_s = mode, now
+            link.update_metadata(() if mode == "sent" else ((FACE_KEY, mode),))
+
+    def _face(self, time_s: float) -> ExpressionFrame:
+        """The face to send: the source's, or the last one of it."""
+        frame = self._source.frame_at(time_s)
+        if self._mode == "frozen" and self._frozen is not None:
+            return replace(self._frozen, captured_us=frame.captured_us)
+        if self._mode == "muted":
+            return replace(frame, has_face=False)
+        self._frozen = frame if frame.has_face else None
+        return frame
+
+    def _send_face(self, link: Link, time_s: float, now: float) -> None:
+        """Sample, encode and offer one face."""
+        if not link.is_joined:
+            self._unheard += 1
+            return
+        if self._mode != self._mode_before:
+            if self._mode_before == "muted":
+                self._stream.request_keyframe()  # they have seen nothing for a while
+            self._mode_before = self._mode
+        began_s = time.perf_counter()
+        frame = self._face(time_s)
+        if not frame.has_face:
+            self._faceless += 1  # nothing to say: the receivers see the stream fall silent
+            return
+        latent = self._encoder.encode(frame.arkit)
+        captured_us = round(now * 1e6)
+        coded = self._stream.encode(latent, frame.rotation, frame.translation_m, captured_us)
+        encode_s = time.perf_counter() - began_s
+        if coded is None:
+            self._silent += 1  # still: the receivers know, and hold the face
+            self._last_sent_s = now
+            return
+        if link.send_frame(
+            coded.payload, captured_us, layer=coded.layer, is_keyframe=coded.is_keyframe
+        ):
+            self._first_sent_s = now if self._first_sent_s is None else self._first_sent_s
+            self._last_sent_s = now
+            self._sent += 1
+            self._keyframes += coded.is_keyframe
+            self._payload_bytes += len(coded.payload)
+            self._encode.add(encode_s)
+            self.frame_log.append((captured_us, round(encode_s * 1e6)))

@@ -1,0 +1,1 @@
+"""Heads on their seats, drawn with moderngl: visible triangles first, then the pixel decoder."""

@@ -1,0 +1,226 @@
+"""Which heads a frame draws, where and with what: from placements and cameras to what the passes
+take, and from there to counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from pica_client.render.gpu_avatar import Body
+from pica_client.render.gpu_maps import MapSeries
+from pica_client.render.gpu_program import UNIT_POSITION
+from pica_client.render.gpu_textured import TexturedHead
+from pica_client.render.passes import WHOLE, DecodedHead, PaintedHead, Place
+from pica_client.render.scene import Placement, clip_from_head, screen_rect
+from pica_client.render.targets import PixelRect, rect_in_view
+from pica_core.avatar.file import Avatar
+from pica_core.camera import Camera
+
+MAX_HEADS = 255
+"""Of one frame, both eyes together; further ones are left out. A head's number fits 8 bits."""
+FADED = (0.16, 0.18, 0.21)
+"""Colour that stale heads fade to: the room's wall."""
+MAX_FADE = 0.75
+"""A head that has faded completely can still be made out."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HeadStats:
+    """What one head of one view took."""
+
+    slot: str
+    level: int
+    """Of the mesh that was drawn; 0 for a placeholder or a textured head."""
+    num_triangles: int
+    shaded_pixels: int | None
+    """Pixels that were coloured; None unless asked for. Textured heads colour a pixel again where
+    they overlap themselves."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DrawStats:
+    """What one frame drew; counts, not times."""
+
+    num_avatars: int
+    """Avatars on the screen with decoded maps."""
+    num_placeholders: int
+    num_triangles: int
+    num_draw_calls: int
+    shaded_pixels: int | None
+    """Pixels that pixel decoders coloured; None unless asked for."""
+    heads: tuple[HeadStats, ...]
+    """Of the heads that are on the screen; an avatar that both eyes see is there twice, as is one
+    while two of its levels are mixed."""
+
+
+@dataclass(slots=True, eq=False)
+class RenderSlot:
+    """What a renderer keeps under one name: an avatar, a textured head, or nothing yet."""
+
+    avatar: Avatar | None = None
+    body: Body | None = None
+    position: MapSeries | None = None
+    expression: MapSeries | None = None
+    textured: TexturedHead | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """A camera and the part of the image that it fills."""
+
+    camera: Camera
+    rect: PixelRect
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawList:
+    """The heads of one frame that are on the screen."""
+
+    decoded: list[DecodedHead] = field(default_factory=list)
+    painted: list[PaintedHead] = field(default_factory=list)
+
+    @property
+    def places(self) -> list[Place]:
+        """Of all of them."""
+        return [head.place for head in self.decoded] + [head.place for head in self.painted]
+
+
+def list_heads(
+    slots: Mapping[str, RenderSlot],
+    placements: Sequence[Placement],
+    views: Sequence[View],
+    placeholder: Body,
+) -> DrawList:
+    """Find what is on the screen, in the order of views and placements; unknown slots are left
+    out."""
+    listed = DrawList()
+    for view in views:
+        for placement in placements:
+            entry = slots.get(placement.slot)
+            num_listed = len(listed.decoded) + len(listed.painted)
+            if entry is None or num_listed + 1 >= MAX_HEADS:  # one may take two numbers
+                continue
+            # Decoded heads count upwards, textured ones downwards from the end.
+            is_painted = entry.textured is not None and entry.textured.has_maps
+            number = MAX_HEADS - len(listed.painted) if is_painted else len(listed.decoded) + 1
+            for head in _arrange(entry, placeholder, placement, view, number):
+                if isinstance(head, DecodedHead):
+                    listed.decoded.append(head)
+                else:
+                    listed.painted.append(head)
+    return listed
+
+
+def count_draws(
+    listed: DrawList,
+    counts: Sequence[int | None],
+    painted_counts: Sequence[int | None],
+    *,
+    is_smooth: bool,
+    num_overlays: int,
+) -> DrawStats:
+    """What a frame drew.
+
+    Args:
+        listed: The heads.
+        counts: Coloured pixels of each decoded head.
+        painted_counts: Of each textured one.
+        is_smooth: Edges were smoothed.
+        num_overlays: Texts on top.
+    """
+    heads = [
+        HeadStats(
+            slot=head.slot,
+            level=head.mesh.level,
+            num_triangles=head.mesh.num_triangles,
+            shaded_pixels=count,
+        )
+        for head, count in zip(listed.decoded, counts, strict=True)
+    ]
+    heads += [
+        HeadStats(
+            slot=head.slot,
+            level=0,
+            num_triangles=head.head.num_triangles,
+            shaded_pixels=count,
+        )
+        for head, count in zip(listed.painted, painted_counts, strict=True)
+    ]
+    num_placeholders = sum(head.expression is None for head in listed.decoded)
+    num_second = sum(head.number != head.mark for head in listed.decoded)
+    counted = [count for count in counts if count is not None]
+    return DrawStats(
+        num_avatars=len(heads) - num_placeholders - num_second,
+        num_placeholders=num_placeholders,
+        num_triangles=sum(head.num_triangles for head in heads),
+        num_draw_calls=(2 + 2 * is_smooth) * len(listed.decoded)
+        + (1 + 2 * is_smooth) * len(listed.painted)
+        + num_overlays,
+        shaded_pixels=sum(counted) if len(counted) == len(counts) else None,
+        heads=tuple(heads),
+    )
+
+
+def _arrange(
+    entry: RenderSlot, placeholder: Body, placement: Placement, view: View, number: int
+) -> list[DecodedHead | PaintedHead]:
+    """One head in one view: none if it is not on the screen, two while levels are mixed."""
+    textured = entry.textured if entry.textured and entry.textured.has_maps else None
+    position, expression = entry.position, entry.expression
+    has_maps = position and expression and position.level and expression.level
+    body = entry.body if entry.body and has_maps else placeholder
+    matrix = clip_from_head(view.camera, placement.world_from_head)
+    bounds = textured or body
+    covered = screen_rect(matrix, bounds.low_m, bounds.high_m)
+    if covered is None:
+        return []
+    place = Place(
+        matrix=matrix,
+        view=view.rect,
+        rect=rect_in_view(covered, view.rect),
+        tint=(*FADED, min(max(placement.fade, 0.0), 1.0) * MAX_FADE),
+    )
+    if textured is not None:
+        return [PaintedHead(slot=placement.slot, place=place, number=number, head=textured)]
+    if position is None or expression is None or not has_maps:
+        stand_in = DecodedHead(
+            slot=placement.slot,
+            place=place,
+            number=number,
+            mark=number,
+            share=WHOLE,
+            body=body,
+            mesh=body.mesh(0, None),
+            position=body.textures[UNIT_POSITION],
+            expression=None,
+        )
+        return [stand_in]
+    blend = min(max(placement.blend, 0.0), 1.0)
+    newest = (position.level, position.newest, expression.newest)
+    before = (position.level_before, position.before, expression.before)
+    if placement.is_same_maps:
+        before = newest
+    elif not (position.has_before or expression.has_before):
+        blend = 1.0
+    layers = (
+        (*newest, placement.mesh_level, (0.0, blend)),
+        (*before, placement.mesh_before, (blend, 1.0)),
+    )
+    heads: list[DecodedHead | PaintedHead] = []
+    for level, shape, codes, mesh_level, share in layers:
+        if share[0] == share[1]:
+            continue
+        head = DecodedHead(
+            slot=placement.slot,
+            place=place,
+            number=number + len(heads),
+            mark=number,
+            share=share,
+            body=body,
+            mesh=body.mesh(level, mesh_level),
+            position=shape,
+            expression=codes,
+        )
+        heads.append(head)
+    return heads

@@ -1,0 +1,295 @@
+"""What the GPU holds of an avatar: its meshes, encodings and program; and of the head that stands
+in for one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import moderngl
+import numpy as np
+import numpy.typing as npt
+
+from pica_client.render.gpu_program import (
+    UNIT_POSITION,
+    UNIT_U_ENCODING,
+    UNIT_UV_ENCODING,
+    UNIT_V_ENCODING,
+    build_program,
+    set_values,
+)
+from pica_client.render.shader_source import AXIS_ROW, axis_levels, compose
+from pica_client.render.shader_weights import pack_weights, siren_source
+from pica_core.avatar.file import Avatar
+from pica_core.avatar.level_tensors import sheet_uv
+from pica_core.avatar.spec import AvatarSpec
+from pica_core.reference.mesh import order_faces
+
+FloatArray = npt.NDArray[np.float32]
+MeshPrograms = tuple[moderngl.Program, moderngl.Program]
+"""Of the surface pass: for a head that is drawn whole, and for one that shares its pixels."""
+WeightsPlace = Literal["block", "constants", "turns"]
+
+BOUNDS_MARGIN_M = 0.01
+"""Positions may leave the bounds of the file by this much; the rest is cut off."""
+
+PLACEHOLDER_RADII_M = (0.078, 0.115, 0.095)
+_PLACEHOLDER_GRID = 33
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """The triangles of one level, for the positions of one level."""
+
+    level: int
+
+    vertices: moderngl.VertexArray
+    sharing: moderngl.VertexArray
+    """The same for the program that leaves part of the pixels to another level."""
+    num_triangles: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Body:
+    """What all seats with the same avatar share. Made by `upload_avatar` and
+    `upload_placeholder`."""
+
+    meshes: dict[tuple[int, int], Mesh]
+    """By the level of the positions and that of the triangles; a placeholder has one."""
+    shade: moderngl.Program
+    shade_rect: moderngl.VertexArray
+    textures: dict[int, moderngl.Texture]
+    """By texture unit."""
+    weights: moderngl.Buffer | None
+    """Bound to uniform block 0; None if the program holds them as constants."""
+    low_m: tuple[float, ...]
+    high_m: tuple[float, ...]
+
+    def mesh(self, position_level: int, mesh_level: int | None) -> Mesh:
+        """The triangles to draw with positions of a level.
+
+        Args:
+            position_level: Of what the decoder made.
+            mesh_level: Wished for; the positions' own serves where there is no such mesh.
+        """
+        own = self.meshes[position_level, position_level]
+        return self.meshes.get((position_level, mesh_level or position_level), own)
+
+    def bind(self) -> None:
+        """Make its textures and weights current."""
+        for unit, texture in self.textures.items():
+            texture.use(unit)
+        if self.weights is not None:
+            self.weights.bind_to_uniform_block(0)
+
+
+def upload_avatar(
+    context: moderngl.Context,
+    mesh_programs: MeshPrograms,
+    avatar: Avatar,
+    weights_place: WeightsPlace,
+    *,
+    filtered: bool = True,
+    program: moderngl.Program | None = None,
+) -> Body:
+    """Put everything of an avatar but its two decoded maps on the GPU.
+
+    Args:
+        context: Of this thread.
+        mesh_programs: Of the surface pass.
+        avatar: Checked avatar.
+        weights_place: See `RenderOptions`.
+        filtered: Encodings are averaged over what a pixel covers.
+        program: Of another avatar of the same spec and variant; weights in a block only.
+
+    Raises:
+        ShaderError: Sizes that the shader does not hold, or a driver that refuses it.
+    """
+    tensors, manifest = avatar.tensors, avatar.manifest
+    program = program or decoder_program(context, avatar, weights_place, filtered=filtered)
+    textures: dict[int, moderngl.Texture] = {}
+    if "uv_encoding" in tensors:
+        encoding = tensors["uv_encoding"]
+        textures[UNIT_UV_ENCODING] = _encoding_texture(context, encoding, filtered)
+    for unit, name in ((UNIT_U_ENCODING, "u_encoding"), (UNIT_V_ENCODING, "v_encoding")):
+        if name in tensors:
+            textures[unit] = _axis_texture(context, tensors[name])
+    weights = None
+    if weights_place == "block":
+        weights = context.buffer(pack_weights(avatar.spec, tensors))
+    return Body(
+        meshes=_level_meshes(context, mesh_programs, avatar),
+        shade=program,
+        shade_rect=context.vertex_array(program, []),
+        textures=textures,
+        weights=weights,
+        low_m=tuple(value - BOUNDS_MARGIN_M for value in manifest.bounds_min_m),
+        high_m=tuple(value + BOUNDS_MARGIN_M for value in manifest.bounds_max_m),
+    )
+
+
+def decoder_program(
+    context: moderngl.Context,
+    avatar: Avatar,
+    weights_place: WeightsPlace,
+    *,
+    filtered: bool = True,
+) -> moderngl.Program:
+    """The program of the second pass for an avatar."""
+    baked = None if weights_place == "block" else avatar.tensors
+    sine: Literal["builtin", "polynomial"] = "builtin"
+    if weights_place == "turns":
+        sine = "polynomial"
+    fragment = compose(
+        "pixel_decoder.frag",
+        avatar.spec,
+        choices={"ENCODING": encoding_file(avatar.spec)},
+        generated={"SIREN": siren_source(avatar.spec, baked, sine)},
+        defines={"FILTERED": ""} if filtered else {},
+    )
+    return build_program(context, compose("rect.vert"), fragment)
+
+
+def encoding_file(spec: AvatarSpec) -> str:
+    """The shader file with a spec's surface encoding."""
+    return f"encoding_{spec.encoding}.glsl"
+
+
+def upload_placeholder(context: moderngl.Context, mesh_programs: MeshPrograms) -> Body:
+    """The head that stands in for an avatar that is not there or cannot be used."""
+    program = build_program(context, compose("rect.vert"), compose("placeholder.frag"))
+    set_values(program, radii_m=PLACEHOLDER_RADII_M)
+    count = _PLACEHOLDER_GRID
+    corner = np.arange(count * count, dtype=np.int32).reshape(count, count)
+    a, b, c, d = corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]
+    faces = np.stack([a, c, b, b, c, d], axis=-1).reshape(-1, 3)
+    # Texel centres, so that the mesh closes exactly on the map's border texels.
+    texel = (np.arange(count, dtype=np.float32) + 0.5) / count
+    vertex_uv = np.stack(np.meshgrid(texel, texel), axis=-1).reshape(-1, 2)
+    ellipsoid = context.texture((count, count), 3, _ellipsoid(count).tobytes(), dtype="f4")
+    _clamp(ellipsoid, moderngl.NEAREST)
+    return Body(
+        meshes={(0, 0): upload_mesh(context, mesh_programs, 0, faces, vertex_uv, vertex_uv)},
+        shade=program,
+        shade_rect=context.vertex_array(program, []),
+        textures={UNIT_POSITION: ellipsoid},
+        weights=None,
+        low_m=tuple(-radius for radius in PLACEHOLDER_RADII_M),
+        high_m=PLACEHOLDER_RADII_M,
+    )
+
+
+def _level_meshes(
+    context: moderngl.Context, programs: MeshPrograms, avatar: Avatar
+) -> dict[tuple[int, int], Mesh]:
+    """The triangles of each level, with the vertices that they use and no others: for the full
+    positions, and for the level's own."""
+    vertex_uv = avatar.tensors["mesh.vertex_uv"]
+    full = avatar.levels[-1]
+    meshes = {}
+    for level in avatar.levels:
+        # Neighbours together: in the order of a shuffled file five heads take half as long again to
+        # draw.
+        ordered = order_faces(avatar.level_faces(level), vertex_uv)
+        used, renumbered = np.unique(ordered, return_inverse=True)
+        faces, uv = renumbered.reshape(-1, 3), vertex_uv[used]
+        meshes[full, level] = upload_mesh(context, programs, level, faces, uv, uv)
+        if level != full:
+            places = sheet_uv(len(used), level)
+            meshes[level, level] = upload_mesh(context, programs, level, faces, uv, places)
+    return meshes
+
+
+def upload_mesh(
+    context: moderngl.Context,
+    programs: MeshPrograms,
+    level: int,
+    faces: npt.NDArray[Any],
+    vertex_uv: npt.NDArray[Any],
+    places: npt.NDArray[Any],
+) -> Mesh:
+    """Put triangles on the GPU.
+
+    Args:
+        context: Of this thread.
+        programs: Of the surface pass.
+        level: Name of the triangles.
+        faces: ``[F, 3]``.
+        vertex_uv: ``[V, 2]``.
+        places: Where the vertices' positions are looked up, ``[V, 2]``.
+    """
+    indices = context.buffer(np.ascontiguousarray(faces, np.int32).tobytes())
+    both = np.concatenate([places, vertex_uv], axis=1)
+    corners = context.buffer(np.ascontiguousarray(both, np.float32).tobytes())
+    content = [(corners, "2f 2f", "vertex_place", "vertex_uv")]
+    whole, sharing = (
+        context.vertex_array(program, content, index_buffer=indices) for program in programs
+    )
+    return Mesh(level, whole, sharing, len(faces))
+
+
+def _ellipsoid(count: int) -> FloatArray:
+    """A closed ellipsoid as a position map, columns around +y and rows from the crown down."""
+    turn = np.linspace(-np.pi, np.pi, count, dtype=np.float32)
+    tilt = np.linspace(0, np.pi, count, dtype=np.float32)[:, None]
+    unit = np.stack(
+        [np.sin(tilt) * np.sin(turn), np.cos(tilt) + 0 * turn, np.sin(tilt) * np.cos(turn)], axis=-1
+    )
+    ellipsoid: FloatArray = np.ascontiguousarray(unit * PLACEHOLDER_RADII_M, np.float32)
+    return ellipsoid
+
+
+def _encoding_texture(
+    context: moderngl.Context, encoding: npt.NDArray[Any], filtered: bool
+) -> moderngl.Texture:
+    """m_uv ``[T, T, C]`` in 16-bit floats, with its mip levels."""
+    half = np.ascontiguousarray(encoding, np.float16)
+    texture = context.texture(
+        half.shape[1::-1], half.shape[2], half.tobytes(), dtype="f2", alignment=1
+    )
+    _clamp(texture, moderngl.LINEAR)
+    if filtered:
+        texture.build_mipmaps()
+        texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+    return texture
+
+
+def axis_table(table: npt.NDArray[Any]) -> FloatArray:
+    """What `axis_table.glsl` reads: all levels of a table, one after another.
+
+    Args:
+        table: ``[L, C]``, C at most 2.
+
+    Returns:
+        float32 ``[2 S, 4]``, S the power of two from L on: an entry in the first two, the way to
+        the next one in the last two. Level k begins at 2 S - (2 S >> k); each of its entries is the
+        mean of 2^k of the table's, the last one of those that are left.
+    """
+    count, channels = table.shape
+    num_levels = axis_levels(count)
+    total = 1 << num_levels
+    found = np.zeros((total, 4), np.float32)
+    sums = np.concatenate([np.zeros((1, channels)), np.cumsum(table, axis=0, dtype=np.float64)])
+    for level in range(num_levels):
+        edges = np.minimum(np.arange(0, count + (1 << level), 1 << level), count)
+        means = np.diff(sums[edges], axis=0) / np.diff(edges)[:, None]
+        start = total - (total >> level)
+        found[start : start + len(means), :channels] = means
+        found[start : start + len(means) - 1, 2 : 2 + channels] = np.diff(means, axis=0)
+    return found
+
+
+def _axis_texture(context: moderngl.Context, table: npt.NDArray[Any]) -> moderngl.Texture:
+    """A table ``[L, C]`` and its levels, folded into rows of `AXIS_ROW` texels, 32-bit floats."""
+    texels = axis_table(table)
+    rows = -(-len(texels) // AXIS_ROW)
+    folded = np.zeros((rows * AXIS_ROW, 4), np.float32)
+    folded[: len(texels)] = texels
+    texture = context.texture((AXIS_ROW, rows), 4, folded.tobytes(), dtype="f4")
+    _clamp(texture, moderngl.NEAREST)
+    return texture
+
+
+def _clamp(texture: moderngl.Texture, filtering: int) -> None:
+    texture.filter = (filtering, filtering)
+    texture.repeat_x = texture.repeat_y = False

@@ -1,0 +1,61 @@
+"""Compiled shaders, and the texture units that all of them agree on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import moderngl
+import numpy as np
+import numpy.typing as npt
+
+from pica_client.errors import ShaderError
+from pica_client.render.shader_source import ShaderSource
+from pica_core.gl import link_program
+
+FloatArray = npt.NDArray[np.float32]
+
+UNIT_VISIBLE_XYZ, UNIT_VISIBLE_UV, UNIT_POSITION, UNIT_EXPRESSION = 0, 1, 2, 3
+UNIT_UV_ENCODING, UNIT_U_ENCODING, UNIT_V_ENCODING = 4, 5, 6
+UNIT_SKIN = 7
+_UNITS = {
+    "visible_xyz": UNIT_VISIBLE_XYZ,
+    "visible_uv": UNIT_VISIBLE_UV,
+    "position_map": UNIT_POSITION,
+    "expression_map": UNIT_EXPRESSION,
+    "uv_encoding": UNIT_UV_ENCODING,
+    "u_encoding": UNIT_U_ENCODING,
+    "v_encoding": UNIT_V_ENCODING,
+    "skin": UNIT_SKIN,
+}
+
+
+def build_program(
+    context: moderngl.Context, vertex: ShaderSource, fragment: ShaderSource
+) -> moderngl.Program:
+    """Compile and link; sampler units of known names are set.
+
+    Raises:
+        ShaderError: The driver refuses; its message names our files and lines.
+    """
+    try:
+        program = link_program(context, vertex=vertex.text, fragment=fragment.text)
+    except moderngl.Error as error:
+        at_fault = vertex if "vertex_shader" in str(error) else fragment
+        raise ShaderError(f"the driver refuses a shader: {at_fault.explain(str(error))}") from error
+    for name, unit in _UNITS.items():
+        if name in program:
+            program[name] = unit
+    return program
+
+
+def set_matrix(program: moderngl.Program, name: str, matrix: FloatArray) -> None:
+    """Set a mat4 uniform from a matrix for column vectors."""
+    member: Any = program[name]
+    member.write(np.ascontiguousarray(matrix.T, np.float32).tobytes())
+
+
+def set_values(program: moderngl.Program, **values: float | tuple[float, ...]) -> None:
+    """Set uniforms by name."""
+    for name, value in values.items():
+        member: Any = program[name]
+        member.value = value

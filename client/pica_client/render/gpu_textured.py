@@ -1,0 +1,86 @@
+"""A head with a texture: how avatars were drawn before pixels were decoded, for comparison.
+
+Its decoder makes vertices and a whole texture for each frame; both are uploaded, and the mesh is
+drawn in one pass.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import moderngl
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.errors import ShapeError
+from pica_core.reference.mesh import order_faces
+
+FloatArray = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TexturedMesh:
+    """What of a textured head never changes."""
+
+    vertex_uv: FloatArray
+    """In [0, 1], row 0 of the texture is v = 0. float32 ``[V, 2]``."""
+    faces: npt.NDArray[np.int32]
+    """Counter-clockwise seen from outside. ``[F, 3]``."""
+    low_m: tuple[float, ...]
+    """Lower corner of all positions, head frame, metres."""
+    high_m: tuple[float, ...]
+    texture_size: int = 1024
+    """Rows and columns of its texture, texels."""
+
+
+class TexturedHead:
+    """A textured head on the GPU.
+
+    Args:
+        context: Of this thread.
+        program: ``textured.vert`` and ``textured.frag``.
+        mesh: See `TexturedMesh`.
+    """
+
+    def __init__(
+        self, context: moderngl.Context, program: moderngl.Program, mesh: TexturedMesh
+    ) -> None:
+        self.low_m, self.high_m = mesh.low_m, mesh.high_m
+        self.num_triangles = len(mesh.faces)
+        self._num_vertices = len(mesh.vertex_uv)
+        self._positions = context.buffer(reserve=12 * self._num_vertices, dynamic=True)
+        corners = context.buffer(np.ascontiguousarray(mesh.vertex_uv, np.float32).tobytes())
+        faces = order_faces(mesh.faces, mesh.vertex_uv)
+        self.vertices = context.vertex_array(
+            program,
+            [(self._positions, "3f", "vertex_xyz_m"), (corners, "2f", "vertex_uv")],
+            index_buffer=context.buffer(np.ascontiguousarray(faces, np.int32).tobytes()),
+        )
+        self.texture = context.texture((mesh.texture_size, mesh.texture_size), 4)
+        self.texture.repeat_x = self.texture.repeat_y = False
+        self._rgba = np.full((mesh.texture_size, mesh.texture_size, 4), 255, np.uint8)
+        self.has_maps = False
+
+    def update(self, vertices_m: FloatArray, texture: FloatArray) -> None:
+        """Upload what a decoder made.
+
+        Args:
+            vertices_m: Head frame, metres. float32 ``[V, 3]``.
+            texture: RGB, 0..1. float32 ``[T, T, 3]``; stored with 8 bits, which draw fastest.
+
+        Raises:
+            ShapeError: Other shapes or types.
+        """
+        for name, array, wanted in (
+            ("vertices_m", vertices_m, (self._num_vertices, 3)),
+            ("texture", texture, (*self._rgba.shape[:2], 3)),
+        ):
+            if array.shape != wanted or array.dtype != np.float32:
+                raise ShapeError(
+                    f"{name} is {array.dtype} {array.shape}; float32 {wanted} is needed"
+                )
+        self._positions.write(np.ascontiguousarray(vertices_m))
+        steps = np.nan_to_num(texture, nan=0.0, posinf=1.0, neginf=0.0)
+        self._rgba[..., :3] = np.clip(steps, 0.0, 1.0) * 255.0 + 0.5
+        self.texture.write(self._rgba)
+        self.has_maps = True

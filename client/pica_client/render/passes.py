@@ -1,0 +1,309 @@
+"""The passes of a frame: the programs they use, and the order of GL calls.
+
+    surfaces    what is visible where, of all avatars
+    shade       the pixel decoder on the pixels that an avatar won
+    texture     textured heads, in one pass, against the depth of the others
+    smooth      stair-steps
+
+All rectangles are of the whole image, so that several views can share it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from typing import Any
+
+import moderngl
+import numpy as np
+import numpy.typing as npt
+
+from pica_client.render.gpu_avatar import Body, Mesh, upload_placeholder
+from pica_client.render.gpu_program import (
+    UNIT_EXPRESSION,
+    UNIT_POSITION,
+    UNIT_SKIN,
+    build_program,
+    set_matrix,
+    set_values,
+)
+from pica_client.render.gpu_textured import TexturedHead
+from pica_client.render.shader_source import compose
+from pica_client.render.targets import (
+    PixelRect,
+    RenderTargets,
+    clip_rect,
+    inset_rect,
+)
+
+FloatArray = npt.NDArray[np.float32]
+
+WHOLE = (0.0, 1.0)
+"""The share of a head that no other level is mixed into."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Place:
+    """Where a head is in one view of a frame."""
+
+    matrix: FloatArray
+    """Clip space of the view from the head frame, ``[4, 4]``."""
+    view: PixelRect
+    """The part of the image that the view fills."""
+    rect: PixelRect
+    """The part of the image that the head may cover."""
+    tint: tuple[float, float, float, float]
+    """A colour, and how far towards it."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class DecodedHead:
+    """A head whose pixels are decoded, or the placeholder of one."""
+
+    slot: str
+    place: Place
+    number: int
+    """Its mark in the surface pass, 1 to 255."""
+    mark: int
+    """Its mark in the image: that of the other level, where two share the pixels of a head."""
+    share: tuple[float, float]
+    """The part of its pixels that it draws, from and to; (0, 1) is all."""
+    body: Body
+    mesh: Mesh
+    position: moderngl.Texture
+    expression: moderngl.Texture | None
+    """None for a placeholder."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PaintedHead:
+    """A head with a texture."""
+
+    slot: str
+    place: Place
+    number: int
+    """Its mark in the image, 1 to 255."""
+    head: TexturedHead
+
+
+class DrawPasses:
+    """All programs that no avatar brings along, and the passes that use them.
+
+    Raises:
+        ShaderError: The driver refuses our shaders.
+    """
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        self.mesh_programs = (
+            build_program(context, compose("mesh.vert"), compose("surface.frag")),
+            build_program(
+                context, compose("mesh.vert"), compose("surface.frag", defines={"SHARED": ""})
+            ),
+        )
+        self.textured_program = build_program(
+            context, compose("textured.vert"), compose("textured.frag")
+        )
+        self._background = self._screen_program("background.frag")
+        self._near_edges = self._screen_program("near_edges.frag")
+        self._smooth = self._screen_program("smooth_edges.frag")
+        self._background_rect = context.vertex_array(self._background, [])
+        self._near_edges_rect = context.vertex_array(self._near_edges, [])
+        self._smooth_rect = context.vertex_array(self._smooth, [])
+        self.placeholder = upload_placeholder(context, self.mesh_programs)
+        self._queries: list[moderngl.Query] = []
+
+    def draw_room(self, targets: RenderTargets, views: Sequence[PixelRect]) -> None:
+        """Draw the background of each view into the image that frames begin with."""
+        targets.room.use()
+        self._context.disable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
+        for view in views:
+            left, bottom, right, top = view
+            set_values(
+                self._background,
+                aspect=(right - left) / (top - bottom),
+                rect=clip_rect(view, targets.size),
+            )
+            self._background_rect.render(moderngl.TRIANGLE_STRIP, vertices=4)
+
+    def surfaces(
+        self, targets: RenderTargets, heads: Sequence[DecodedHead], *, clear: bool
+    ) -> None:
+        """Keep, per pixel, what is nearest.
+
+        Only depth is cleared, unless `clear`: where no mesh lies before the far plane nobody looks
+        at the rest, and clearing 20 bytes a pixel takes as long as shading 50,000 (llvmpipe).
+        """
+        targets.depth.use()
+        targets.depth.clear(depth=1.0)
+        if clear:
+            targets.surface.viewport = (0, 0, *targets.size)
+            targets.surface.clear(depth=1.0)
+        self._draw_meshes(targets, heads)
+
+    def vertices(
+        self,
+        targets: RenderTargets,
+        decoded: Sequence[DecodedHead],
+        painted: Sequence[PaintedHead],
+        times: int,
+    ) -> None:
+        """All meshes of a frame into one pixel, so many times: vertices, clipping and the setup of
+        triangles are worked through, and nearly nothing is drawn. For measuring; it spoils the
+        images."""
+        for target in (targets.surface, targets.textured):
+            target.use()
+            target.scissor = (0, 0, 1, 1)
+        self._draw_meshes(targets, decoded, times)
+        self.texture(targets, painted, times=times)
+        nowhere: Any = None  # moderngl's way to end a scissor; its types do not know it
+        for target in (targets.surface, targets.textured):
+            target.use()
+            target.scissor = nowhere
+
+    def _draw_meshes(
+        self, targets: RenderTargets, heads: Sequence[DecodedHead], times: int = 1
+    ) -> None:
+        targets.surface.use()
+        self._context.enable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
+        # Near ones first: what they hide is tested away before it is written.
+        for head in sorted(heads, key=_depth):
+            is_whole = head.share == WHOLE
+            program = self.mesh_programs[0 if is_whole else 1]
+            left, bottom, right, top = head.place.view
+            targets.surface.viewport = (left, bottom, right - left, top - bottom)
+            head.position.use(UNIT_POSITION)
+            set_matrix(program, "clip_from_head", head.place.matrix)
+            set_values(
+                program, slot=float(head.number), low_m=head.body.low_m, high_m=head.body.high_m
+            )
+            if is_whole:
+                head.mesh.vertices.render(instances=times)
+            else:
+                set_values(program, share=head.share)
+                head.mesh.sharing.render(instances=times)
+
+    def shade(
+        self, targets: RenderTargets, heads: Sequence[DecodedHead], *, count: bool
+    ) -> list[int | None]:
+        """Colour the pixels of each head over the room.
+
+        Returns:
+            Pixels that each head's program coloured; None unless they are to be counted, which
+            waits for the GPU.
+        """
+        context = self._context
+        context.copy_framebuffer(targets.shaded, targets.room)
+        context.disable(moderngl.CULL_FACE)
+        # Only where some mesh lies before the far plane: whole blocks of others are skipped before
+        # any program runs.
+        context.enable(moderngl.DEPTH_TEST)
+        targets.textured.depth_mask = False
+        targets.textured.viewport = (0, 0, *targets.size)
+        for unit, texture in targets.visible.items():
+            texture.use(unit)
+        queries = self._queries_for(heads, count)
+        for head, query in zip(heads, queries, strict=True):
+            with query:
+                self._shade_one(targets, head)
+        targets.textured.use()
+        targets.textured.depth_mask = True
+        context.depth_func = "<"
+        # Asked for at the end: each answer waits for what was drawn before it.
+        return [_samples(query) for query in queries]
+
+    def texture(
+        self,
+        targets: RenderTargets,
+        heads: Sequence[PaintedHead],
+        *,
+        count: bool = False,
+        times: int = 1,
+    ) -> list[int | None]:
+        """Draw textured heads over the shaded image, behind what is nearer.
+
+        Returns:
+            As `shade`; a pixel that is drawn over counts again.
+        """
+        if not heads:
+            return []
+        targets.textured.use()
+        self._context.enable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
+        program = self.textured_program
+        queries = self._queries_for(heads, count)
+        for painted, query in zip(heads, queries, strict=True):
+            place = painted.place
+            left, bottom, right, top = place.view
+            targets.textured.viewport = (left, bottom, right - left, top - bottom)
+            painted.head.texture.use(UNIT_SKIN)
+            set_matrix(program, "clip_from_head", place.matrix)
+            set_values(
+                program,
+                slot=float(painted.number),
+                tint=place.tint,
+                low_m=painted.head.low_m,
+                high_m=painted.head.high_m,
+            )
+            with query:
+                painted.head.vertices.render(instances=times)
+        return [_samples(query) for query in queries]
+
+    def smooth(self, targets: RenderTargets, places: Sequence[Place]) -> None:
+        """Blur the stair-steps of silhouettes within these rectangles of the final image."""
+        context, size = self._context, targets.size
+        context.disable(moderngl.CULL_FACE)
+        context.enable(moderngl.DEPTH_TEST)
+        targets.shaded_image.use(0)
+        set_values(self._smooth, texel=(1 / size[0], 1 / size[1]))
+        targets.depth.use()
+        targets.depth.clear(depth=0.0)
+        for target, program, rectangle, depth_func in (
+            (targets.depth, self._near_edges, self._near_edges_rect, "1"),
+            (targets.marked, self._smooth, self._smooth_rect, "=="),
+        ):
+            target.use()
+            context.depth_func = depth_func
+            for place in places:
+                set_values(program, rect=clip_rect(inset_rect(place.rect, size), size))
+                rectangle.render(moderngl.TRIANGLE_STRIP, vertices=4)
+        context.depth_func = "<"
+        context.disable(moderngl.DEPTH_TEST)
+
+    def _shade_one(self, targets: RenderTargets, head: DecodedHead) -> None:
+        body, program = head.body, head.body.shade
+        body.bind()
+        if head.expression is not None:
+            head.expression.use(UNIT_EXPRESSION)
+        targets.textured.use()
+        self._context.depth_func = ">"
+        set_values(
+            program,
+            slot=float(head.number),
+            mark=float(head.mark),
+            tint=head.place.tint,
+            rect=clip_rect(head.place.rect, targets.size),
+        )
+        body.shade_rect.render(moderngl.TRIANGLE_STRIP, vertices=4)
+
+    def _queries_for(
+        self, heads: Sequence[object], count: bool
+    ) -> Sequence[moderngl.Query | nullcontext[None]]:
+        """One for each head, kept from frame to frame; ones that count nothing if so wished."""
+        if not count:
+            return [nullcontext()] * len(heads)
+        while len(self._queries) < len(heads):
+            self._queries.append(self._context.query(samples=True))
+        return self._queries[: len(heads)]
+
+    def _screen_program(self, name: str) -> moderngl.Program:
+        return build_program(self._context, compose("rect.vert"), compose(name))
+
+
+def _samples(query: moderngl.Query | nullcontext[None]) -> int | None:
+    return None if isinstance(query, nullcontext) else int(query.samples)
+
+
+def _depth(head: DecodedHead) -> float:
+    """Of the head's origin, metres before the camera."""
+    return float(head.place.matrix[3, 3])

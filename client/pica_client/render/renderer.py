@@ -1,0 +1,357 @@
+"""Draw avatars with moderngl: what is visible first, then the pixel decoder on exactly those
+pixels.
+
+    renderer = Renderer(create_context(), (960, 540))
+    renderer.add_avatar("peer-1", avatar)
+    renderer.update_maps("peer-1", maps.position_map, maps.expression_map)
+    stats = renderer.draw([Placement(slot="peer-1", world_from_head=matrix)], camera)
+    image = renderer.read_image()                       # uint8 [H, W, 3], top row first
+
+A frame is: (1) the surface pass draws all meshes and keeps, per pixel, the head-frame position, the
+UV, whose it is and how much of the texture it reaches over; (2) a shade pass per avatar covers the
+rectangle of its head, and runs the pixel decoder where the first pass says the pixel is its own;
+(3) edges are smoothed; (4) overlays are blended. So a hidden pixel costs no decoding, and the pixel
+decoder runs on whole blocks of pixels: drawn triangle by triangle, a mesh whose triangles are as
+small as pixels would run it several times over (llvmpipe and GPUs shade in blocks of 2x2 or 4x4 per
+triangle).
+
+Colours of avatars are sRGB values already and are stored as they come. The renderer belongs to the
+thread of its context. After the first frame nothing is allocated on the GPU until avatars, size or
+texts change: an avatar's maps have a texture for each of its levels from the start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import moderngl
+import numpy as np
+import numpy.typing as npt
+
+from pica_client.errors import OptionError
+from pica_client.render.draw_list import (
+    DrawStats,
+    HeadStats,
+    RenderSlot,
+    View,
+    count_draws,
+    list_heads,
+)
+from pica_client.render.gpu_avatar import WeightsPlace, upload_avatar
+from pica_client.render.gpu_maps import MapSeries
+from pica_client.render.gpu_program import UNIT_VISIBLE_UV, UNIT_VISIBLE_XYZ
+from pica_client.render.gpu_textured import TexturedHead, TexturedMesh
+from pica_client.render.overlay import Overlay, OverlayItem
+from pica_client.render.passes import DrawPasses
+from pica_client.render.scene import Placement
+from pica_client.render.targets import PixelRect, make_targets
+from pica_core.avatar.file import Avatar
+from pica_core.avatar.spec import POSITION_CHANNELS
+from pica_core.camera import Camera
+from pica_core.errors import GraphicsError
+from pica_core.gl import GL_VERSION, wait_for_gpu
+
+__all__ = ["DrawStats", "HeadStats", "RenderOptions", "Renderer"]
+
+FloatArray = npt.NDArray[np.float32]
+Image = npt.NDArray[np.uint8]
+
+MAX_SIDE_PX = 8192
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RenderOptions:
+    """How avatars are drawn."""
+
+    weights: Literal["auto", "block", "constants", "turns"] = "auto"
+    """Where the pixel decoder's weights stand: in a uniform block (one program for all avatars), as
+    constants (one program each), or as constants in turns, for sines by polynomial. "auto" takes
+    the last on software rasterisers and the block elsewhere (`pica bench render`)."""
+    smooth_edges: bool = True
+    """Blur stair-steps after shading."""
+    filter_encodings: bool = True
+    """Average the encoding maps over what a pixel covers of them; else they are looked up at its
+    middle alone."""
+
+
+class Renderer:
+    """Draws avatars into an image of its own.
+
+    Args:
+        context: GL 3.3 or newer, current on this thread.
+        size: Columns and rows, pixels.
+        options: See `RenderOptions`.
+
+    Raises:
+        OptionError: A size that is not between 1 and 8192.
+        ShaderError: The driver refuses our shaders.
+        GraphicsError: The context is older than GL 3.3.
+    """
+
+    def __init__(
+        self,
+        context: moderngl.Context,
+        size: tuple[int, int],
+        options: RenderOptions | None = None,
+    ) -> None:
+        if context.version_code < GL_VERSION:
+            raise GraphicsError(
+                f"the GL context is of version {context.version_code / 100:.1f}; "
+                f"{GL_VERSION / 100:.1f} is needed: install or update the graphics driver"
+            )
+        self._context = context
+        _ = context.error  # what somebody else left is not ours to report
+        self._options = options or RenderOptions()
+        self.gl_renderer = str(context.info["GL_RENDERER"])
+        self.weights = self._choose_weights()
+        self._passes = DrawPasses(context)
+        self._overlay = Overlay(context)
+        self._slots: dict[str, RenderSlot] = {}
+        self._num_decoded = 0
+        self.size = (0, 0)
+        self.resize(size)
+
+    def resize(self, size: tuple[int, int]) -> None:
+        """Draw images of another size from now on."""
+        if size == self.size:
+            return
+        if not all(1 <= side <= MAX_SIDE_PX for side in size):
+            raise OptionError(f"size is {size[0]}x{size[1]}; each side may be 1 to {MAX_SIDE_PX}")
+        self.size = size
+        self._targets = make_targets(self._context, size)
+        self._views: tuple[PixelRect, ...] = ()
+        self._context.gc()
+
+    def add_avatar(self, slot: str, avatar: Avatar) -> None:
+        """Put an avatar on the GPU; replaces what was in the slot. Slots with the same avatar
+        share.
+
+        Until its first maps come, and after an error, the slot is drawn as a placeholder.
+
+        Raises:
+            ShaderError: The avatar cannot be drawn by this driver.
+        """
+        self.add_placeholder(slot)
+        body = next((entry.body for entry in self._slots.values() if entry.avatar is avatar), None)
+        if body is None:
+            body = upload_avatar(
+                self._context,
+                self._passes.mesh_programs,
+                avatar,
+                self.weights,
+                filtered=self._options.filter_encodings,
+                program=self._program_for(avatar),
+            )
+        square = {level: level for level in avatar.levels}
+        self._slots[slot] = RenderSlot(
+            avatar=avatar,
+            body=body,
+            position=MapSeries(
+                self._context,
+                {level: avatar.position_rows(level) for level in avatar.levels},
+                POSITION_CHANNELS,
+                moderngl.NEAREST,
+            ),
+            expression=MapSeries(
+                self._context, square, avatar.spec.expression_channels, moderngl.LINEAR
+            ),
+        )
+
+    def add_textured(self, slot: str, mesh: TexturedMesh) -> None:
+        """Put a textured head into a slot: the baseline. Drawn as a placeholder until its first
+        `update_textured`."""
+        self.add_placeholder(slot)
+        head = TexturedHead(self._context, self._passes.textured_program, mesh)
+        self._slots[slot] = RenderSlot(textured=head)
+
+    def add_placeholder(self, slot: str) -> None:
+        """Show a stand-in for somebody whose avatar is not there or cannot be used."""
+        self.remove(slot)
+        self._slots[slot] = RenderSlot()
+
+    def remove(self, slot: str) -> None:
+        """Forget a slot and free what nobody else uses; an unknown one is no error."""
+        if self._slots.pop(slot, None) is not None:
+            self._context.gc()
+
+    def update_maps(
+        self, slot: str, position_map: FloatArray | None, expression_map: FloatArray | None
+    ) -> None:
+        """Upload freshly decoded maps; the two need not be of one level.
+
+        Args:
+            slot: Has an avatar; otherwise nothing happens (it may have left meanwhile).
+            position_map: Metres, float32 ``[S, S, 3]`` at the full level, the sheet of a coarser
+                one's vertices ``[R, S, 3]``. None keeps the one that is there.
+            expression_map: float32 ``[S, S, C]``, or None.
+
+        Raises:
+            ShapeError: Maps of another size than the avatar's levels. Nothing is changed.
+        """
+        entry = self._slots.get(slot)
+        if entry is None or entry.position is None or entry.expression is None:
+            return
+        pairs = ((entry.position, position_map), (entry.expression, expression_map))
+        for series, array in pairs:
+            if array is not None:
+                series.check(array)
+        for series, array in pairs:
+            if array is not None:
+                series.write(array)
+
+    def update_textured(self, slot: str, vertices_m: FloatArray, texture: FloatArray) -> None:
+        """Upload what a baseline's decoder made; see `TexturedHead.update`."""
+        entry = self._slots.get(slot)
+        if entry is not None and entry.textured is not None:
+            entry.textured.update(vertices_m, texture)
+
+    def draw(
+        self,
+        placements: Sequence[Placement],
+        camera: Camera,
+        overlays: Sequence[OverlayItem] = (),
+        *,
+        count_pixels: bool = False,
+    ) -> DrawStats:
+        """Draw one frame into the renderer's image.
+
+        Args:
+            placements: Heads; unknown slots are left out. The order does not matter.
+            camera: World to image; its size should be the renderer's.
+            overlays: Texts on top, in this order.
+            count_pixels: Count shaded pixels; waits for the GPU.
+        """
+        whole = (0, 0, *self.size)
+        return self._draw(placements, [View(camera, whole)], overlays, count_pixels)
+
+    def draw_stereo(
+        self,
+        placements: Sequence[Placement],
+        cameras: tuple[Camera, Camera],
+        overlays: Sequence[OverlayItem] = (),
+        *,
+        count_pixels: bool = False,
+    ) -> DrawStats:
+        """Draw one frame for two eyes, the left one into the left half of the image. Both see the
+        same maps: one decode serves them.
+
+        Args:
+            placements: Heads.
+            cameras: Left and right; each is half as wide as the image.
+            overlays: Texts on top, placed in the whole image.
+            count_pixels: Count shaded pixels; waits for the GPU.
+        """
+        width, height = self.size
+        middle = width // 2
+        views = [
+            View(cameras[0], (0, 0, middle, height)),
+            View(cameras[1], (middle, 0, width, height)),
+        ]
+        return self._draw(placements, views, overlays, count_pixels)
+
+    def draw_vertices(
+        self, placements: Sequence[Placement], camera: Camera, times: int = 1
+    ) -> None:
+        """Work through the vertices of a frame and nothing else; see `DrawPasses.vertices`. The
+        next frame is drawn as if this had not been."""
+        view = View(camera, (0, 0, *self.size))
+        heads = list_heads(self._slots, placements, [view], self._passes.placeholder)
+        self._passes.vertices(self._targets, heads.decoded, heads.painted, times)
+
+    def read_image(self) -> Image:
+        """The last frame, uint8 ``[H, W, 3]``, top row first. Waits for the GPU.
+
+        Raises:
+            GraphicsError: The driver has lost the context or ran out of memory.
+        """
+        width, height = self.size
+        wait_for_gpu(self._context)
+        self.check()
+        # Four components are read as they lie in memory; three would be repacked pixel by pixel.
+        data = self._targets.final.read(components=4)
+        image = np.frombuffer(data, np.uint8).reshape(height, width, 4)
+        return np.ascontiguousarray(image[::-1, :, :3])
+
+    def read_surface(self) -> tuple[FloatArray, FloatArray, npt.NDArray[np.int32]]:
+        """What the last frame's surface pass saw, top row first; for tests and picking.
+
+        Returns:
+            Head-frame positions in metres ``[H, W, 3]``, UVs ``[H, W, 2]``, and the index of the
+            head among the drawn ones, -1 where there is none, ``[H, W]``.
+        """
+        width, height = self.size
+        visible = self._targets.visible
+        xyz = np.frombuffer(visible[UNIT_VISIBLE_XYZ].read(), np.float32)
+        steps = np.frombuffer(visible[UNIT_VISIBLE_UV].read(), np.uint16)
+        uv = steps.astype(np.float32) / np.float32(65535)
+        xyz = xyz.reshape(height, width, 4)[::-1]
+        marks = np.frombuffer(self._targets.shaded.read(components=4), np.uint8)
+        numbers = 255 - marks.reshape(height, width, 4)[::-1, :, 3].astype(np.int32)
+        heads = np.where(numbers <= self._num_decoded, numbers - 1, -1).astype(np.int32)
+        return xyz[..., :3], uv.reshape(height, width, 2)[::-1], heads
+
+    def present(self, target: moderngl.Framebuffer) -> None:
+        """Copy the last frame to a window's framebuffer of the same size."""
+        self._context.copy_framebuffer(target, self._targets.final)
+
+    def check(self) -> None:
+        """Ask the driver whether all is well; costs as much as waiting for the GPU.
+
+        Raises:
+            GraphicsError: It has lost the context, or ran out of memory.
+        """
+        error = self._context.error
+        if error != "GL_NO_ERROR":
+            raise GraphicsError(
+                f"the graphics driver reports {error}; start again, and if it stays, "
+                "make the window smaller or update the driver"
+            )
+
+    def _program_for(self, avatar: Avatar) -> moderngl.Program | None:
+        """With weights in a block, one program serves all avatars of a spec."""
+        if self.weights != "block":
+            return None
+        kind = (avatar.spec, avatar.manifest.variant)
+        for entry in self._slots.values():
+            other, body = entry.avatar, entry.body
+            if other and body and (other.spec, other.manifest.variant) == kind:
+                return body.shade
+        return None
+
+    def _choose_weights(self) -> WeightsPlace:
+        if self._options.weights != "auto":
+            return self._options.weights
+        name = self.gl_renderer.lower()
+        is_software = any(word in name for word in ("llvmpipe", "softpipe", "swiftshader"))
+        return "turns" if is_software else "block"
+
+    def _draw(
+        self,
+        placements: Sequence[Placement],
+        views: Sequence[View],
+        overlays: Sequence[OverlayItem],
+        count_pixels: bool,
+    ) -> DrawStats:
+        passes, targets = self._passes, self._targets
+        rects = tuple(view.rect for view in views)
+        if rects != self._views:  # the room never changes, so it is drawn once and then copied
+            self._views = rects
+            passes.draw_room(targets, rects)
+        heads = list_heads(self._slots, placements, views, passes.placeholder)
+        # With both kinds of heads depth does not tell whose a pixel is.
+        has_both = bool(heads.decoded and heads.painted)
+        passes.surfaces(targets, heads.decoded, clear=has_both)
+        self._num_decoded = len(heads.decoded)
+        counts = passes.shade(targets, heads.decoded, count=count_pixels)
+        painted_counts = passes.texture(targets, heads.painted, count=count_pixels)
+        self._context.copy_framebuffer(targets.final, targets.shaded)
+        is_smooth = self._options.smooth_edges
+        if is_smooth:
+            passes.smooth(targets, heads.places)
+        targets.final.use()
+        self._overlay.draw(overlays, self.size)
+        return count_draws(
+            heads, counts, painted_counts, is_smooth=is_smooth, num_overlays=len(overlays)
+        )

@@ -1,0 +1,227 @@
+"""Heads on their seats, and where on the picture they are: pure geometry, no GPU.
+
+World: metres, +y up; `seats` says who sits where.
+
+    plan = plan_seats("line", len(faces), width / height)
+    placement = Placement(
+        slot=..., world_from_head=head_matrix(plan.seats[0], rotation, translation_m)
+    )
+    camera = plan_camera(plan, ViewState(), width, height)
+    direction = view_direction(placement.world_from_head, camera.centre_m)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_client.render.seats import (
+    HEAD_HALF_HEIGHT_M,
+    HEAD_HALF_WIDTH_M,
+    SeatPlan,
+    ViewState,
+    plan_camera,
+    plan_seats,
+)
+from pica_core.camera import Camera
+
+FloatArray = npt.NDArray[np.float32]
+Float64Array = npt.NDArray[np.float64]
+Rect = tuple[float, float, float, float]
+
+__all__ = [
+    "FAR_M",
+    "NEAR_M",
+    "Placement",
+    "Rect",
+    "ViewState",
+    "arrange_seats",
+    "clip_from_head",
+    "head_matrix",
+    "head_rect_px",
+    "label_anchor_px",
+    "overlap",
+    "pick_head",
+    "rotation_matrix",
+    "screen_rect",
+    "seat_rects_px",
+    "view_camera",
+    "view_direction",
+]
+
+NEAR_M = 0.02
+FAR_M = 20.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Placement:
+    """One head of a drawn frame."""
+
+    slot: str
+    """Which avatar of the renderer."""
+    world_from_head: FloatArray
+    """Head frame to world, float32 ``[4, 4]`` for column vectors."""
+    fade: float = 0.0
+    """0 is as it is, 1 has faded into the room: for stale faces."""
+    mesh_level: int | None = None
+    """Level whose mesh to draw with the full maps; None for the full one. Maps of other levels are
+    always drawn with their own."""
+    blend: float = 1.0
+    """Part of the pixels that show the maps that came last on `mesh_level`; the others show those
+    of the level before, on `mesh_before`."""
+    mesh_before: int | None = None
+    """As `mesh_level`, of what fades out."""
+    is_same_maps: bool = False
+    """Whether only the mesh fades: what fades out are the maps that came last, too."""
+
+
+def arrange_seats(count: int) -> list[Float64Array]:
+    """Seat frames on the arc around the viewer, left to right: see `seats.plan_seats`."""
+    return list(plan_seats("arc", count, 1.0).seats)
+
+
+def rotation_matrix(rotation: npt.ArrayLike) -> Float64Array:
+    """Rotation vector (axis times angle, radians) ``[3]`` to a matrix, float64 ``[3, 3]``:
+    Rodrigues."""
+    vector = np.asarray(rotation, np.float64)
+    angle = float(np.linalg.norm(vector))
+    if angle < 1e-12:
+        return np.eye(3)
+    x, y, z = vector / angle
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    turned: Float64Array = (
+        np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * np.matmul(cross, cross)
+    )
+    return turned
+
+
+def head_matrix(
+    world_from_seat: Float64Array, rotation: npt.ArrayLike, translation_m: npt.ArrayLike
+) -> FloatArray:
+    """Where a head is: its seat, moved and turned by the tracked pose. float32 ``[4, 4]``."""
+    seat_from_head = np.eye(4)
+    seat_from_head[:3, :3] = rotation_matrix(rotation)
+    seat_from_head[:3, 3] = np.asarray(translation_m, np.float64)
+    world_from_head: FloatArray = np.matmul(world_from_seat, seat_from_head).astype(np.float32)
+    return world_from_head
+
+
+def view_direction(world_from_head: FloatArray, camera_centre_m: npt.ArrayLike) -> FloatArray:
+    """Camera centre as seen from the head: unit length, head frame. float32 ``[3]``.
+
+    From the middle of the head itself there is no direction; straight ahead is returned.
+    """
+    rotation = world_from_head[:3, :3].astype(np.float64)
+    towards = np.asarray(camera_centre_m, np.float64) - world_from_head[:3, 3]
+    seen = np.matmul(rotation.T, towards)
+    length = float(np.linalg.norm(seen))
+    if length < 1e-9:
+        return np.array([0, 0, 1], np.float32)
+    direction: FloatArray = (seen / length).astype(np.float32)
+    return direction
+
+
+def view_camera(view: ViewState, count: int, width: int, height: int) -> Camera:
+    """The camera that shows `count` seats on the arc, moved as the user wants."""
+    return plan_camera(plan_seats("arc", count, width / height), view, width, height)
+
+
+def clip_from_head(camera: Camera, world_from_head: FloatArray) -> FloatArray:
+    """The matrix for one head and one camera, float32 ``[4, 4]`` for column vectors."""
+    matrix: FloatArray = np.matmul(camera.clip_from_world(NEAR_M, FAR_M), world_from_head)
+    return matrix
+
+
+def screen_rect(
+    matrix: FloatArray, low_m: npt.ArrayLike, high_m: npt.ArrayLike
+) -> tuple[float, float, float, float] | None:
+    """The part of the screen that a box may cover.
+
+    Args:
+        matrix: Clip space from the box's frame, ``[4, 4]``.
+        low_m: Lower corner ``[3]``.
+        high_m: Upper corner ``[3]``.
+
+    Returns:
+        Left, bottom, right, top in clip space, within [-1, 1]; None if nothing is on the screen. A
+        box that reaches behind the near plane may cover everything.
+    """
+    low, high = np.asarray(low_m, np.float64), np.asarray(high_m, np.float64)
+    picks = (np.arange(8)[:, None] >> np.arange(3)) & 1
+    corners = np.where(picks == 1, high, low)
+    clip = np.matmul(corners, matrix[:, :3].T.astype(np.float64)) + matrix[:, 3]
+    w = clip[:, 3]
+    if not np.isfinite(clip).all() or (w <= NEAR_M).all():
+        return None
+    if (w <= NEAR_M).any():
+        return (-1.0, -1.0, 1.0, 1.0)
+    places = clip[:, :2] / w[:, None]
+    left, bottom = np.clip(places.min(axis=0), -1, 1).tolist()
+    right, top = np.clip(places.max(axis=0), -1, 1).tolist()
+    if left >= right or bottom >= top:
+        return None
+    return (left, bottom, right, top)
+
+
+def head_rect_px(camera: Camera, world_from_head: npt.ArrayLike) -> Rect | None:
+    """The part of the picture that a head and its movements may cover.
+
+    Args:
+        camera: The viewer's.
+        world_from_head: Of the head, or of its seat, ``[4, 4]``.
+
+    Returns:
+        Left, top, right and bottom in image pixels, y down; None if it is not before the camera.
+    """
+    centre = np.asarray(world_from_head, np.float64)[:3, 3]
+    right, down = camera.rotation[0], camera.rotation[1]
+    reach = np.outer([-1, 1], HEAD_HALF_WIDTH_M * right + HEAD_HALF_HEIGHT_M * down)
+    pixels, depth = camera.project(centre + reach)
+    if (depth <= NEAR_M).any():
+        return None
+    (left, top), (right_px, bottom) = pixels.tolist()
+    return left, top, right_px, bottom
+
+
+def seat_rects_px(plan: SeatPlan, size: tuple[int, int]) -> list[Rect]:
+    """Where on a picture the heads of a plan may be, as long as nobody has moved the view."""
+    camera = plan_camera(plan, ViewState(), *size)
+    found = (head_rect_px(camera, seat) for seat in plan.seats)
+    return [rect for rect in found if rect is not None]
+
+
+def overlap(first: Rect, second: Rect) -> bool:
+    """Whether two rectangles (left, top, right, bottom) have a part in common."""
+    return (
+        first[0] < second[2]
+        and second[0] < first[2]
+        and first[1] < second[3]
+        and second[1] < first[3]
+    )
+
+
+def pick_head(
+    placements: Sequence[Placement], camera: Camera, x_px: float, y_px: float
+) -> str | None:
+    """The slot of the nearest head at a place of the picture; None where there is none."""
+    found: list[tuple[float, str]] = []
+    for placement in placements:
+        rect = head_rect_px(camera, placement.world_from_head)
+        if rect is not None and rect[0] <= x_px <= rect[2] and rect[1] <= y_px <= rect[3]:
+            away = placement.world_from_head[:3, 3].astype(np.float64) - camera.centre_m
+            found.append((float(np.linalg.norm(away)), placement.slot))
+    return min(found)[1] if found else None
+
+
+def label_anchor_px(camera: Camera, world_from_head: FloatArray) -> tuple[float, float] | None:
+    """Where a head's name belongs: image pixels (x right, y down) below the chin; None if
+    behind."""
+    chin = world_from_head[:3, 3].astype(np.float64) - [0.0, HEAD_HALF_HEIGHT_M, 0.0]
+    pixel, depth = camera.project(chin)
+    if depth <= NEAR_M:
+        return None
+    return float(pixel[0]), float(pixel[1])

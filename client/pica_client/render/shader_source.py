@@ -1,0 +1,180 @@
+"""Shader text from package files: includes, a generated header of sizes, and line numbers that
+point at our files.
+
+Pure text work; no GPU is needed to test it. The same files come out as desktop GLSL 3.30 and as
+GLSL ES 3.00, the dialect of a browser.
+
+    source = compose(
+        "pixel_decoder.frag",
+        spec,
+        choices={"ENCODING": "encoding_full.glsl"},
+        generated={"SIREN": siren_source(spec)},
+    )
+    link_program(context, vertex=..., fragment=source.text)
+
+``#include "file"`` takes a file, ``#include NAME`` the file chosen or the text generated for that
+name. A file is included once; naming one that does not exist is an error, as is a chain deeper than
+`MAX_DEPTH`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from types import MappingProxyType
+from typing import Literal
+
+from pica_client.errors import ShaderError
+from pica_core.avatar.spec import AvatarSpec
+
+Dialect = Literal["330 core", "300 es"]
+
+MAX_DEPTH = 8
+LINES_PER_FILE = 10_000
+MAX_ERRORS = 4
+"""How many of a driver's complaints are told; the first is the cause, the others follow from it."""
+AXIS_ROW = 1024
+"""Entries per texture row of the per-axis encodings: the narrowest largest texture of GL 3.3. A
+power of two: the shader takes remainders by its bits."""
+
+_INCLUDE = re.compile(r'\s*#include\s+(?:"(?P<file>[^"]*)"|(?P<choice>\w+))\s*(?://.*)?$')
+_PRECISION = "precision highp float;\nprecision highp int;\nprecision highp sampler2D;\n"
+_NOTHING: Mapping[str, str] = MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class ShaderSource:
+    """Composed text, and the files it came from.
+
+    Line n of file i is numbered ``i * LINES_PER_FILE + n``: drivers keep line numbers but not all
+    keep source numbers.
+    """
+
+    text: str
+    files: tuple[str, ...]
+
+    def explain(self, log: str) -> str:
+        """The errors of a driver's message, with our file names and lines.
+
+        Mesa writes ``0:20017(5): error: …``, Nvidia ``0(20017) : error …``, Apple ``ERROR: 0:20017:
+        …``; all become ``siren.glsl:17: …``.
+        """
+
+        def name(match: re.Match[str]) -> str:
+            number, line = divmod(int(match["line"]), LINES_PER_FILE)
+            return f"{self.files[number]}:{line}:" if number < len(self.files) else match[0]
+
+        pattern = r"^(?:ERROR: )?0[:(](?P<line>\d+)\)?(?:\(\d+\))?\s*:"
+        lines = [line for line in log.splitlines() if "error" in line.lower()]
+        told = [re.sub(pattern, name, line) for line in lines]
+        return "; ".join(told[:MAX_ERRORS]) or log.strip()
+
+
+def compose(
+    name: str,
+    spec: AvatarSpec | None = None,
+    *,
+    dialect: Dialect = "330 core",
+    choices: Mapping[str, str] = _NOTHING,
+    generated: Mapping[str, str] = _NOTHING,
+    defines: Mapping[str, str] = _NOTHING,
+) -> ShaderSource:
+    """Compose one shader.
+
+    Args:
+        name: File in ``pica_client/shaders``.
+        spec: Sizes for the generated header; None for shaders that know no avatar.
+        dialect: Desktop GL or GL ES.
+        choices: File for an ``#include NAME``.
+        generated: Text for an ``#include NAME``, where the text comes from numbers.
+        defines: Further macros.
+
+    Raises:
+        ShaderError: A file or a name is unknown, or includes nest too deeply.
+    """
+    lines = [f"#version {dialect}"]
+    if dialect == "300 es":
+        lines.append(_PRECISION.rstrip())
+    lines += [f"#define {key} {value}".rstrip() for key, value in defines.items()]
+    if spec is not None:
+        lines += [f"#define {key} {value}" for key, value in size_header(spec).items()]
+    composer = _Composer(choices, generated, lines)
+    composer.include(name, depth=0, wanted_by="the renderer")
+    return ShaderSource("\n".join(lines) + "\n", tuple(composer.included))
+
+
+def size_header(spec: AvatarSpec) -> dict[str, str]:
+    """The macros that a spec turns into."""
+    return {
+        "AXIS_SIZE": str(spec.axis_encoding_size),
+        "AXIS_ROW": str(AXIS_ROW),
+        "AXIS_LEVELS": str(axis_levels(spec.axis_encoding_size)),
+        "AXIS_STRIDE": str(1 << (axis_levels(spec.axis_encoding_size) - 1)),
+        "LOG2_AXIS_SIZE": f"{math.log2(spec.axis_encoding_size):.6f}",
+        "LOG2_UV_SIZE": f"{math.log2(spec.uv_encoding_size):.6f}",
+    }
+
+
+def axis_levels(count: int) -> int:
+    """Levels of a table of `count` entries: each has half the entries of the one before, the last
+    one has one."""
+    return (count - 1).bit_length() + 1
+
+
+class _Composer:
+    """Appends files to `lines`; remembers which number each of them got."""
+
+    def __init__(
+        self, choices: Mapping[str, str], generated: Mapping[str, str], lines: list[str]
+    ) -> None:
+        self.included = ["generated header"]
+        self._choices = choices
+        self._generated = generated
+        self._lines = lines
+
+    def include(self, name: str, *, depth: int, wanted_by: str) -> None:
+        """Append a file and what it includes, unless it is there already."""
+        if depth > MAX_DEPTH:
+            raise ShaderError(f"shader {name}: includes nest deeper than {MAX_DEPTH}")
+        if name in self.included:
+            return
+        text = _read(name)
+        if text is None:
+            raise ShaderError(f"shader {name!r}, wanted by {wanted_by}, does not exist")
+        number = len(self.included)
+        self.included.append(name)
+        self._lines.append(f"#line {number * LINES_PER_FILE + 1}")
+        for line_number, line in enumerate(text.splitlines(), start=1):
+            if not line.lstrip().startswith("#include"):
+                self._lines.append(line)
+                continue
+            self._follow(line, f"{name}:{line_number}", depth)
+            self._lines.append(f"#line {number * LINES_PER_FILE + line_number + 1}")
+
+    def _follow(self, line: str, place: str, depth: int) -> None:
+        match = _INCLUDE.match(line)
+        if match is None:
+            raise ShaderError(f"shader {place}: not an include: {line.strip()!r}")
+        choice = match["choice"]
+        if choice in self._generated:
+            self.included.append(f"generated {choice}")
+            self._lines.append(f"#line {(len(self.included) - 1) * LINES_PER_FILE + 1}")
+            self._lines.extend(self._generated[choice].splitlines())
+            return
+        file = match["file"] if choice is None else self._choices.get(choice)
+        if file is None:
+            raise ShaderError(f"shader {place}: nothing chosen for {choice}")
+        self.include(file, depth=depth + 1, wanted_by=place)
+
+
+@cache
+def _read(name: str) -> str | None:
+    # Names come from our own files and code; still, nothing outside the folder is ever read.
+    if not re.fullmatch(r"[a-z0-9_]+\.(vert|frag|glsl)", name):
+        return None
+    file = files("pica_client.render") / "shaders" / name
+    return file.read_text(encoding="utf-8") if file.is_file() else None

@@ -1,0 +1,30 @@
+// Second pass: colour the pixels that this avatar won. Ma et al., "Pixel Codec Avatars" (CVPR 2021),
+// section 3 "Pixel Decoder"; the numpy twin is pica_core/reference/pixel.py.
+
+uniform sampler2D visible_xyz; // what surface.frag wrote
+uniform sampler2D visible_uv;
+uniform sampler2D expression_map;
+uniform float slot;
+uniform float mark; // whose the pixel is, for the passes after this one
+uniform vec4 tint; // colour to fade to, and how far
+
+layout(location = 0) out vec4 colour;
+
+#include "owner.glsl"
+#include "mark.glsl"
+#include "axis_table.glsl"
+#include "footprint.glsl"
+#include SIREN // vec4 encode_xyz(vec3 xyz_m), vec3 decode_pixel(vec4 p0, vec4 p1, vec4 p2, vec4 p3)
+#include ENCODING // vec3 colour_pixel(vec4 expression, vec3 xyz_m, vec2 uv, vec2 reach)
+
+void main() {
+    ivec2 pixel = ivec2(gl_FragCoord.xy);
+    vec4 surface = texelFetch(visible_xyz, pixel, 0);
+    if (!is_owner(surface.w, slot)) {
+        discard;
+    }
+    vec2 uv = texelFetch(visible_uv, pixel, 0).xy;
+    vec4 expression = textureLod(expression_map, uv, 0.0);
+    vec3 rgb = colour_pixel(expression, surface.xyz, uv, unpack_footprint(surface.w));
+    colour = vec4(mix(clamp(rgb, 0.0, 1.0), tint.rgb, tint.a), mark_of(mark));
+}

@@ -1,0 +1,98 @@
+"""The images that a frame of one size passes through."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import moderngl
+
+from pica_client.render.gpu_program import UNIT_VISIBLE_UV, UNIT_VISIBLE_XYZ
+
+PixelRect = tuple[int, int, int, int]
+"""Left, bottom, right, top in pixels of the whole image, rows counted from the bottom as GL
+does."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RenderTargets:
+    """All framebuffers of one size. Made by `make_targets`."""
+
+    size: tuple[int, int]
+    """Columns and rows."""
+    visible: dict[int, moderngl.Texture]
+    """What the surface pass writes, by texture unit."""
+    surface: moderngl.Framebuffer
+    depth: moderngl.Framebuffer
+    """The depth of the surface pass alone."""
+    shaded_image: moderngl.Texture
+    shaded: moderngl.Framebuffer
+    textured: moderngl.Framebuffer
+    """The shaded image with the depth of the surface pass, for heads drawn in one pass."""
+    final: moderngl.Framebuffer
+    marked: moderngl.Framebuffer
+    """The final image with the depth of the surface pass, which by then marks edges."""
+    room: moderngl.Framebuffer
+
+
+def make_targets(context: moderngl.Context, size: tuple[int, int]) -> RenderTargets:
+    """Allocate all images of a size."""
+    visible = {
+        UNIT_VISIBLE_XYZ: context.texture(size, 4, dtype="f4"),
+        # 16 bits a coordinate: 1/7 of an entry of a table of 10,000, while a pixel of a head that
+        # fills the screen reaches over six; writing 32 bits takes half as long again (llvmpipe).
+        UNIT_VISIBLE_UV: context.texture(size, 2, dtype="nu2"),
+    }
+    for texture in visible.values():
+        texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+    depth = context.depth_renderbuffer(size)
+    shaded_image = context.texture(size, 4)
+    shaded_image.repeat_x = shaded_image.repeat_y = False
+    final_image = context.texture(size, 4)
+    return RenderTargets(
+        size=size,
+        visible=visible,
+        surface=context.framebuffer(list(visible.values()), depth),
+        depth=context.framebuffer([], depth),
+        shaded_image=shaded_image,
+        shaded=context.framebuffer([shaded_image]),
+        textured=context.framebuffer([shaded_image], depth),
+        final=context.framebuffer([final_image]),
+        marked=context.framebuffer([final_image], depth),
+        room=context.framebuffer([context.texture(size, 4)]),
+    )
+
+
+def clip_rect(rect: PixelRect, size: tuple[int, int]) -> tuple[float, float, float, float]:
+    """A rectangle of pixels in clip space."""
+    left, bottom, right, top = rect
+    return (
+        2 * left / size[0] - 1,
+        2 * bottom / size[1] - 1,
+        2 * right / size[0] - 1,
+        2 * top / size[1] - 1,
+    )
+
+
+def rect_in_view(clip: tuple[float, float, float, float], view: PixelRect) -> PixelRect:
+    """The whole pixels of a view that touch a rectangle of its clip space."""
+    left, bottom, right, top = view
+    width, height = right - left, top - bottom
+    return (
+        left + math.floor((clip[0] + 1) / 2 * width),
+        bottom + math.floor((clip[1] + 1) / 2 * height),
+        left + math.ceil((clip[2] + 1) / 2 * width),
+        bottom + math.ceil((clip[3] + 1) / 2 * height),
+    )
+
+
+def inset_rect(rect: PixelRect, size: tuple[int, int]) -> PixelRect:
+    """The part of a rectangle, grown by a pixel, that keeps a pixel's distance from the image's
+    border."""
+    left, bottom, right, top = rect
+    return (
+        max(left - 1, 1),
+        max(bottom - 1, 1),
+        max(min(right + 1, size[0] - 1), 1),
+        max(min(top + 1, size[1] - 1), 1),
+    )

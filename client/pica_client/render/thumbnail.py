@@ -1,0 +1,64 @@
+"""One picture of one avatar, drawn like in a call: for lists of avatars, documents and a look after
+training."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_client.decode.decoder import ObjectDecoder, OnnxDecoder
+from pica_client.render.renderer import Renderer, RenderOptions
+from pica_client.render.scene import (
+    Placement,
+    ViewState,
+    arrange_seats,
+    head_matrix,
+    view_camera,
+    view_direction,
+)
+from pica_core.avatar.arkit import NUM_ARKIT
+from pica_core.avatar.expression_encoder import ExpressionEncoder
+from pica_core.avatar.file import Avatar
+from pica_core.gl import create_context
+
+Image = npt.NDArray[np.uint8]
+
+
+def draw_thumbnail(
+    avatar: Avatar,
+    size: tuple[int, int] = (512, 512),
+    *,
+    arkit: npt.ArrayLike | None = None,
+    view: ViewState | None = None,
+    decoder: ObjectDecoder | None = None,
+) -> Image:
+    """Draw an avatar on its own.
+
+    Args:
+        avatar: Checked avatar.
+        size: Columns and rows, pixels.
+        arkit: Expression, ``[52]``; the neutral face by default.
+        view: From where; straight ahead by default.
+        decoder: Its decoder, if there is one already.
+
+    Returns:
+        uint8 ``[H, W, 3]``, top row first.
+
+    Raises:
+        GraphicsError: No GL context; names the fix.
+        ShaderError: The avatar cannot be drawn.
+    """
+    expression = np.zeros(NUM_ARKIT, np.float32) if arkit is None else arkit
+    latent = ExpressionEncoder(avatar).encode(expression)
+    camera = view_camera(view or ViewState(), 1, *size)
+    matrix = head_matrix(arrange_seats(1)[0], np.zeros(3), np.zeros(3))
+    maps = (decoder or OnnxDecoder(avatar)).decode(latent, view_direction(matrix, camera.centre_m))
+    context = create_context()
+    try:
+        renderer = Renderer(context, size, RenderOptions())
+        renderer.add_avatar("avatar", avatar)
+        renderer.update_maps("avatar", maps.position_map, maps.expression_map)
+        renderer.draw([Placement(slot="avatar", world_from_head=matrix)], camera)
+        return renderer.read_image()
+    finally:
+        context.release()

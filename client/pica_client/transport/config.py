@@ -1,0 +1,77 @@
+"""Where a link leads, as whom, and with which pass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from pica_client.errors import OptionError
+from pica_client.transport.backoff import BackoffConfig
+from pica_protocol.limits import check_pass, check_text, check_token
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LinkConfig:
+    """Where to connect, as whom, and how patiently."""
+
+    url: str = "ws://127.0.0.1:8765"
+    """Address of the relay, ws:// or wss://."""
+    room: str = "lobby"
+    """Room to join: 1 to 64 of A-Z a-z 0-9 _ . -"""
+    name: str = "guest"
+    """Name shown to the others."""
+    connect_timeout_s: float | None = 3.0
+    """How long to try the first time before giving up, seconds; None tries for ever."""
+    secret_file: Path | None = None
+    """File with the room secret; with it, payloads are encrypted end to end. Needs the extra
+    `seal`."""
+    short_tags: bool = False
+    """Seal with tags of 8 bytes instead of 16; see `pica_client.e2ee.suites`."""
+    token_file: Path | None = None
+    """File with the token that the relay wants, from `pica token`; read anew for every join, so
+    that a fresh one can be put there."""
+    token: str = field(default="", repr=False)
+    """The token itself, instead of a file; a secret."""
+    ca_file: Path | None = None
+    """With wss://, trust the certificates of this PEM file instead of the system's."""
+    backoff: BackoffConfig = field(default_factory=BackoffConfig)
+
+    def __post_init__(self) -> None:
+        try:
+            parts = urlsplit(self.url)
+            usable = parts.scheme in ("ws", "wss") and bool(parts.hostname) and parts.port != 0
+        except ValueError:
+            usable = False
+        if not usable:
+            raise OptionError(f"url {self.url!r} is no relay address; write ws://HOST:PORT")
+        if self.ca_file is not None and not self.url.startswith("wss://"):
+            raise OptionError(f"ca-file says whom to trust with wss://; url is {self.url}")
+        if self.short_tags and self.secret_file is None:
+            raise OptionError("short-tags says how to encrypt; it needs a secret-file")
+        if self.token and self.token_file is not None:
+            raise OptionError("token and token-file say the same thing; give one of them")
+        try:
+            check_token("room", self.room)
+            check_text("name", self.name, 64, required=True)
+            check_pass("token", self.token)
+        except ValueError as error:
+            raise OptionError(str(error)) from error
+
+
+def read_token(path: Path | None) -> str:
+    """Read a join token; empty without a file.
+
+    Raises:
+        OptionError: There is none in the file.
+    """
+    if path is None:
+        return ""
+    try:
+        token = path.read_text().strip()
+        check_pass("token", token)
+    except OSError as error:
+        raise OptionError(f"token-file {path}: {error.strerror}") from error
+    except ValueError as error:  # no text, or none that can be a token
+        raise OptionError(f"token-file {path}: it holds no token") from error
+    return token

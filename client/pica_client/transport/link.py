@@ -1,0 +1,450 @@
+"""The way to the relay: one websocket after the other, each with a session on top.
+
+The shell around `pica_protocol.session.ClientSession`. It connects, joins, hands events to its
+owner, sends what waits, and comes back by itself when the relay goes away. It keeps nothing for
+later: a frame offered while nobody listens is refused, because a late face is worse than none.
+
+Who lost the connection comes back to the place it had, if the relay still keeps it; else it joins
+anew, with another id. Either way its owner gets a ``Joined`` and begins its streams anew.
+
+Time is that of the event loop, which for asyncio's own loops is `time.monotonic`. On one machine
+all processes share that clock (Linux CLOCK_MONOTONIC, macOS and Windows likewise), so benches there
+may subtract a sender's capture times from a receiver's clock. Across machines nobody may.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import random
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+
+from websockets.asyncio.client import ClientConnection
+from websockets.exceptions import ConnectionClosed, InvalidHandshake
+
+from pica_client.errors import RelayRefusedError, RelayUnreachableError
+from pica_client.stats import wire_bytes
+from pica_client.transport.backoff import Backoff
+from pica_client.transport.config import LinkConfig, read_token
+from pica_client.transport.connect import SOFTWARE, open_websocket, refusal
+from pica_client.transport.frame_guard import FrameGuard
+from pica_protocol import SUBPROTOCOL
+from pica_protocol.client_session import ClientSession, Ticket
+from pica_protocol.errors import CloseCode, is_worth_retrying
+from pica_protocol.limits import check_metadata
+from pica_protocol.messages import Joined, Metadata, Report, Track
+from pica_protocol.session import ClientEvent, Closed, State
+
+_log = logging.getLogger(__name__)
+
+Connector = Callable[[], Awaitable[ClientConnection]]
+EventHandler = Callable[[ClientEvent, float], None]
+
+
+@dataclass(kw_only=True, slots=True)
+class LinkCounters:
+    """What went over the link since it was made."""
+
+    connects: int = 0
+    resumes: int = 0
+    """How many of them led back to the old place in the room."""
+    errors: int = 0
+    """Connections that ended because somebody broke the protocol."""
+    sent_messages: int = 0
+    sent_wire_bytes: int = 0
+    """With all that lies around a message, see `stats.wire_bytes`."""
+    received_messages: int = 0
+    received_wire_bytes: int = 0
+    frames_replaced: int = 0
+    """Frames that newer ones overtook, or that were thinned, before the socket took them."""
+
+
+class Link:
+    """A connection to the relay that comes back by itself.
+
+    Attributes:
+        counters: What went over it.
+        guard: What seals and opens frames, or None.
+        last_closed: How the latest connection ended, or None.
+    """
+
+    def __init__(
+        self,
+        config: LinkConfig,
+        tracks: tuple[Track, ...] = (),
+        *,
+        on_event: EventHandler | None = None,
+        connector: Connector | None = None,
+        rng: random.Random | None = None,
+        guard: FrameGuard | None = None,
+    ) -> None:
+        """Prepare; `run` does the work.
+
+        Args:
+            config: Where to and as whom.
+            tracks: What we publish.
+            on_event: Called on the event loop for every event of every session, if given.
+            connector: Opens one websocket; a plain TCP or TLS connection to `url` by default.
+            rng: Spreads reconnects; seeded by tests.
+            guard: Seals what we send and opens what comes; by default one for the secret of the
+                configuration, and without a secret everything is plain.
+
+        Raises:
+            SecretFileError: There is no secret in the file.
+        """
+        if guard is None and config.secret_file is not None:
+            # Only here: who does not encrypt needs no cryptography.
+            from pica_client.e2ee.guard import guard_from
+
+            guard = guard_from(config.secret_file, short_tags=config.short_tags)
+        self.config = config
+        self.counters = LinkCounters()
+        self.last_closed: Closed | None = None
+        self._tracks = tracks
+        self._on_event = on_event
+        self.guard = guard
+        self._elsewhere = ""
+        self._connector = connector or (lambda: open_websocket(self.url, config.ca_file))
+        self._backoff = Backoff((rng or random.Random()).random, config.backoff)
+        self._session: ClientSession | None = None
+        self._wake = asyncio.Event()
+        self._is_leaving = False
+        self._metadata: Metadata = ()
+        self._ticket: Ticket | None = None
+
+    @property
+    def url(self) -> str:
+        """The relay that we are at, or try next: the configured one, or where that has sent us."""
+        return self._elsewhere or self.config.url
+
+    @property
+    def is_joined(self) -> bool:
+        """Whether frames can be sent right now."""
+        return self._session is not None and self._session.state is State.JOINED
+
+    @property
+    def reconnects(self) -> int:
+        """How often the link came back."""
+        return max(self.counters.connects - 1, 0)
+
+    def send_frame(
+        self, payload: bytes, captured_us: int, *, layer: int = 0, is_keyframe: bool = True
+    ) -> bool:
+        """Offer a frame of our first track.
+
+        When the network is too slow for the stream, and with the first frame of a connection unless
+        it is a keyframe, the frame is dropped and ``on_event`` gets a ``KeyframeRequest``.
+
+        Returns:
+            False while not joined; the frame is gone then.
+        """
+        if self._session is None or not self.is_joined:
+            return False
+        events = self._session.send_frame(
+            payload, captured_us, layer=layer, is_keyframe=is_keyframe
+        )
+        if self._on_event is not None:
+            for event in events:
+                self._on_event(event, asyncio.get_running_loop().time())
+        self._wake.set()
+        return True
+
+    def want(self, stream: int, layer: int | None) -> bool:
+        """Ask the relay for the frames of a stream up to ``layer``, or for none.
+
+        A wish ends with the connection: it must be told anew after each ``Joined``.
+
+        Returns:
+            False if it could not be told: not joined, or the network takes nothing.
+        """
+        session = self._session_for_control()
+        if session is not None:
+            session.want(stream, layer)
+        return session is not None
+
+    def request_keyframe(self, stream: int) -> bool:
+        """Ask the publisher of a stream for a keyframe.
+
+        Returns:
+            As ``want``.
+        """
+        session = self._session_for_control()
+        if session is not None:
+            session.request_keyframe(stream)
+        return session is not None
+
+    def whisper(self, peer_id: str, data: bytes) -> bool:
+        """Send opaque bytes to one peer in the room; it gets a ``Whisper`` with our peer id.
+
+        It may be lost on its way: when the peer has just gone, or when we whisper more than the
+        relay allows.
+
+        Returns:
+            As ``want``.
+
+        Raises:
+            ValueError: More than ``MAX_WHISPER_BYTES``, or no peer id.
+        """
+        session = self._session_for_control()
+        if session is not None:
+            session.whisper(peer_id, data)
+        return session is not None
+
+    def update_metadata(self, metadata: Metadata) -> None:
+        """Say something of ourselves to the others, now and after each join; it replaces what was
+        said before.
+
+        More than once a second, over some time, makes the relay close us.
+
+        Raises:
+            ValueError: It is out of its limits.
+        """
+        check_metadata("metadata", metadata)
+        self._metadata = metadata
+        session = self._session_for_control()
+        if session is not None:
+            session.update_metadata(metadata)
+
+    def report(self, report: Report) -> None:
+        """Tell the relay how streams arrived, if it is there."""
+        session = self._session_for_control()
+        if session is not None:
+            session.report(report)
+
+    def _session_for_control(self) -> ClientSession | None:
+        """Return the session if it takes one more message, and let the writer look."""
+        session = self._session
+        if session is None or not session.can_queue:
+            return None
+        self._wake.set()
+        return session
+
+    def leave(self) -> None:
+        """Make `run` go in good order and return."""
+        self._is_leaving = True
+        self._wake.set()
+
+    async def run(self) -> None:
+        """Connect and stay connected until `leave`.
+
+        Raises:
+            RelayUnreachableError: Nobody answered within the first connect timeout.
+            RelayRefusedError: The relay, or what answers there, will not have us.
+            OptionError: The token file, or that of certificates to trust, cannot be read.
+        """
+        loop = asyncio.get_running_loop()
+        limit_s = self.config.connect_timeout_s
+        give_up_s = None if limit_s is None else loop.time() + limit_s
+        trouble = "it does not let us in"
+        while not self._is_leaving:
+            token = self.config.token or read_token(self.config.token_file)
+            before_first = self.counters.connects == 0
+            joined_s = None
+            try:
+                async with asyncio.timeout_at(give_up_s if before_first else None):
+                    websocket = await self._connect_or_leave()
+            except (OSError, TimeoutError, InvalidHandshake, EOFError) as error:
+                reason = refusal(error)
+                if self._elsewhere:
+                    self._elsewhere = ""  # nobody there; back to where we were sent from
+                elif reason is not None:
+                    raise RelayRefusedError(f"{self.url}: {reason}") from error
+                trouble = str(error) or "nobody answered"
+                _log.debug("relay not reached", extra={"error": type(error).__name__})
+            else:
+                if websocket is None:
+                    return
+                if websocket.subprotocol != SUBPROTOCOL:
+                    websocket.transport.abort()
+                    raise RelayRefusedError(
+                        f"{self.url}: a websocket server that does not speak {SUBPROTOCOL}"
+                    )
+                joined_s = await self._talk(websocket, token)
+            if self._is_leaving:
+                return
+            lasted_s = 0.0 if joined_s is None else loop.time() - joined_s
+            wait_s = self._backoff.next_wait_s(lasted_s)
+            if joined_s is not None and self._is_sent_elsewhere():
+                # The relay that sends us away spreads its clients over time. Two that send us to
+                # and fro are another matter.
+                wait_s = 0.0 if lasted_s >= self.config.backoff.settled_s else wait_s
+            was_never_there = self.counters.connects == 0
+            if was_never_there and give_up_s is not None and loop.time() + wait_s >= give_up_s:
+                raise RelayUnreachableError(
+                    f"no relay answers at {self.config.url} (tried for {limit_s:g} s: {trouble}); "
+                    "start one with `pica relay`, or wait for it with --wait"
+                )
+            await self._sleep(wait_s)
+
+    def _is_sent_elsewhere(self) -> bool:
+        """Whether the latest connection ended with the address of another relay to go to."""
+        closed = self.last_closed
+        if closed is None or closed.code != CloseCode.GOING_AWAY or not closed.url:
+            return False
+        if self.config.url.startswith("wss://") and not closed.url.startswith("wss://"):
+            _log.warning("the relay sends us where connections are not encrypted; not going")
+            return False
+        self._elsewhere = closed.url
+        self._ticket = None  # a secret between us and the relay that gave it
+        return True
+
+    async def _connect_or_leave(self) -> ClientConnection | None:
+        """Open a websocket, unless `leave` is called first."""
+        connecting = asyncio.ensure_future(self._connector())
+        leaving = asyncio.ensure_future(self._until_leaving())
+        try:
+            await asyncio.wait({connecting, leaving}, return_when=asyncio.FIRST_COMPLETED)
+            return await connecting if connecting.done() else None
+        finally:
+            for task in (connecting, leaving):
+                task.cancel()
+            await asyncio.gather(connecting, leaving, return_exceptions=True)
+
+    async def _until_leaving(self) -> None:
+        while not self._is_leaving:
+            self._wake.clear()
+            await self._wake.wait()
+
+    async def _sleep(self, wait_s: float) -> None:
+        try:
+            async with asyncio.timeout(wait_s):
+                await self._until_leaving()
+        except TimeoutError:
+            pass
+
+    async def _talk(self, websocket: ClientConnection, token: str) -> float | None:
+        """One connection from its first byte to its last.
+
+        Returns:
+            When it joined the room, or None if it never did.
+        """
+        loop = asyncio.get_running_loop()
+        session = ClientSession(
+            room=self.config.room,
+            name=self.config.name,
+            tracks=self._tracks,
+            software=SOFTWARE,
+            now=loop.time(),
+            seal=None if self.guard is None else self.guard.seal,
+            token=token,
+            metadata=self._metadata,
+            resumable=True,
+            ticket=self._ticket,
+        )
+        self._session = session
+        joined_s: float | None = None
+
+        def handle(events: list[ClientEvent], now: float) -> None:
+            nonlocal joined_s
+            for event in events:
+                if isinstance(event, Joined):
+                    joined_s = now
+                    self.counters.connects += 1
+                    self.counters.resumes += event.resumed
+                passed = [event]
+                if self.guard is not None:
+                    passed = self.guard.receive_event(event, now)
+                if self._on_event is not None:
+                    for each in passed:
+                        self._on_event(each, now)
+
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._write(session, websocket))
+                await self._read(session, websocket, handle)
+                self._wake.set()  # let the writer see that it is over
+        finally:
+            self._session = None
+            # One that was refused meanwhile does not cost the place: it is kept for a while.
+            self._ticket = session.ticket or self._ticket
+            self.counters.frames_replaced += session.drops.total()
+            # In case we are cancelled: no socket outlives its link.
+            websocket.transport.abort()
+        closed = session.closed
+        self.last_closed = closed
+        if closed is not None and not self._is_leaving:
+            self._judge(closed)
+        return joined_s
+
+    async def _read(
+        self,
+        session: ClientSession,
+        websocket: ClientConnection,
+        handle: Callable[[list[ClientEvent], float], None],
+    ) -> None:
+        """Feed the session until it is over."""
+        loop = asyncio.get_running_loop()
+        while session.closed is None:
+            timer = session.next_timer()
+            try:
+                async with asyncio.timeout_at(timer):
+                    data = await websocket.recv()
+            except TimeoutError:
+                # A loop may fire a timer up to its clock's resolution too early.
+                now = max(loop.time(), timer or 0.0)
+                handle(session.handle_timer(now), now)
+            except ConnectionClosed as error:
+                code, reason = CloseCode.CONNECTION_LOST, ""
+                if error.rcvd is not None:
+                    code, reason = error.rcvd.code, error.rcvd.reason  # type: ignore[assignment]
+                handle(session.receive_close(code, reason, loop.time()), loop.time())
+            else:
+                self.counters.received_messages += 1
+                self.counters.received_wire_bytes += wire_bytes(len(data), is_masked=False)
+                handle(session.receive_data(data, loop.time()), loop.time())
+            self._wake.set()
+
+    async def _write(self, session: ClientSession, websocket: ClientConnection) -> None:
+        """Drain the session into the socket until one of them is over, then close the socket."""
+        loop = asyncio.get_running_loop()
+        try:
+            while True:
+                self._wake.clear()
+                if self._is_leaving:
+                    session.leave(loop.time())
+                self._whisper_keys(session, loop.time())
+                for message in session.messages_to_send(loop.time()):
+                    self.counters.sent_messages += 1
+                    self.counters.sent_wire_bytes += wire_bytes(len(message), is_masked=True)
+                    await websocket.send(message)
+                if session.closed is not None or session.state is State.LEAVING:
+                    break
+                await self._until_woken()
+        except ConnectionClosed:
+            return  # the reader hears of it too, and tells the session
+        closed = session.closed
+        if closed is None or closed.code in (CloseCode.CONNECTION_LOST, 1005):
+            await websocket.close(CloseCode.NORMAL)
+        else:
+            await websocket.close(closed.code, closed.reason)
+
+    def _whisper_keys(self, session: ClientSession, now: float) -> None:
+        """Queue what the guard has to tell others: it goes before the frames that need it."""
+        if self.guard is not None and session.state is State.JOINED:
+            for peer_id, data in self.guard.messages_to_send(now):
+                if session.can_queue:  # else it is lost, as a whisper may be
+                    session.whisper(peer_id, data)
+
+    async def _until_woken(self) -> None:
+        """Wait until there may be something to write, by the guard's timer too."""
+        timer = None if self.guard is None else self.guard.next_timer()
+        try:
+            async with asyncio.timeout_at(timer):
+                await self._wake.wait()
+        except TimeoutError:
+            if self.guard is not None and timer is not None:
+                # A loop may fire a timer up to its clock's resolution too early.
+                self.guard.handle_timer(max(asyncio.get_running_loop().time(), timer))
+
+    def _judge(self, closed: Closed) -> None:
+        """Raise if coming back cannot help."""
+        broken = closed.code in (CloseCode.MALFORMED, CloseCode.UNEXPECTED_MESSAGE)
+        self.counters.errors += broken
+        if is_worth_retrying(closed.code) or (broken and not closed.is_remote):
+            # What we could not read may have been a passing fault of the relay: try again, slower.
+            _log.info("connection to the relay ended", extra={"code": closed.code})
+            return
+        raise RelayRefusedError(
+            f"{self.url}: the relay said no: {closed.reason or 'no reason'} (code {closed.code})"
+        )

@@ -1,0 +1,1 @@
+"""The window of a call: texts over the picture, controls, preferences."""

@@ -1,0 +1,343 @@
+"""The faces of a call on their way to the picture: who is ready, what is decoded, how it came out.
+
+Between a source of faces, a pool of decoders and a renderer; knows no window and no loop:
+
+    stage = FaceStage(source, renderer, pool)
+    scene = stage.arrange(now, SeatWish(...), renderer.size)    # who sits where, seen from where
+    stage.decide(scene)                         # what is decoded this frame
+    stage.collect()                             # what has been decoded goes to the GPU
+    renderer.draw(scene.placements, scene.camera)
+
+Decoding runs beside drawing, so a frame shows the latents of the frame before it. A peer whose
+avatar is missing or broken sits there as a placeholder with the reason; the others do not notice.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from pica_client.call.faces import FaceSource, FaceState
+from pica_client.call.speaking import JawReader, SpeakingMeter
+from pica_client.call.status import AvatarFigures
+from pica_client.decode.pool import DecodePool, DecodeResult
+from pica_client.errors import ShaderError
+from pica_client.render.renderer import Renderer
+from pica_client.render.scene import Placement, head_matrix
+from pica_client.render.seats import (
+    FreeShares,
+    Layout,
+    SeatPlan,
+    ViewState,
+    plan_camera,
+    plan_seats,
+)
+from pica_client.schedule.frame_planner import SceneDriver, SceneHead
+from pica_client.schedule.scheduler import Plan
+from pica_client.stats import Samples, Summary
+from pica_core.avatar.file import Avatar
+from pica_core.camera import Camera
+from pica_core.errors import AvatarFileError
+
+FADE_OF_STATUS = {"waiting": 0.6, "stale": 0.8, "away": 0.4}
+FADE_S = 0.5
+"""How long a face takes to fade all the way, and to come back (chosen: seen, and not a flash)."""
+RECENT_SAMPLES = 60
+"""What the figures of one avatar, and of the panel, are made of."""
+MEASURED = ("decode", "decode_wait", "upload", "draw", "latency")
+
+
+class Meter:
+    """Durations of a call, in seconds: all of them for the report, the latest for the panel."""
+
+    def __init__(self) -> None:
+        self._samples = {name: Samples() for name in MEASURED}
+        self._recent = {name: Samples(RECENT_SAMPLES) for name in MEASURED}
+
+    def add(self, name: str, duration_s: float) -> None:
+        """Take one more duration of one of `MEASURED`."""
+        self._samples[name].add(duration_s)
+        self._recent[name].add(duration_s)
+
+    def clear(self) -> None:
+        """Forget all: what came before was warming up."""
+        for samples in (*self._samples.values(), *self._recent.values()):
+            samples.clear()
+
+    def summaries(self) -> dict[str, Summary]:
+        """Percentiles of all, milliseconds, as ``draw_ms`` and so on."""
+        return {f"{name}_ms": samples.summary_ms() for name, samples in self._samples.items()}
+
+    def recent_ms(self, name: str) -> Summary:
+        """Percentiles of the latest, milliseconds."""
+        return self._recent[name].summary_ms()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SeatWish:
+    """How the user wants everybody to be seated and seen."""
+
+    layout: Layout = "arc"
+    view: ViewState = field(default_factory=ViewState)
+    pinned: str | None = None
+    """The peer who fills the picture."""
+    free: FreeShares = field(default_factory=FreeShares)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class StageScene:
+    """One frame before it is decoded and drawn."""
+
+    now: float
+    faces: list[FaceState]
+    placements: list[Placement]
+    """In the order of the faces."""
+    camera: Camera
+    plan: SeatPlan
+
+
+@dataclass(slots=True, eq=False)
+class _Seat:
+    """What the stage keeps of one peer."""
+
+    avatar_id: str
+    avatar: Avatar | None = None
+    problem: str = ""
+    """Why there is a placeholder instead of the avatar."""
+    captured_us: int = 0
+    """Of the newest sample that was decoded."""
+    num_decoded: int = 0
+    level: int | None = None
+    fade: float = 0.0
+    decode: Samples = field(default_factory=lambda: Samples(RECENT_SAMPLES))
+    latency: Samples = field(default_factory=lambda: Samples(RECENT_SAMPLES))
+    jaw: JawReader | None = None
+    speaking: SpeakingMeter = field(default_factory=SpeakingMeter)
+
+
+class FaceStage:
+    """Keeps the seats of a call.
+
+    Args:
+        source: Who is there.
+        renderer: Where avatars and maps go.
+        pool: Where they are decoded; its slots are peer ids.
+        driver: Says what is decoded, and how finely it is drawn.
+        meter: Where durations go.
+        on_decoded: Told of every decode that reached the GPU; its slot is the peer id.
+        on_wish: Told in every frame the highest layer of a peer's stream that is worth having, None
+            for nothing at all.
+        clock: Seconds, monotonic; see `viewer.Viewer`.
+    """
+
+    def __init__(
+        self,
+        source: FaceSource,
+        renderer: Renderer,
+        pool: DecodePool,
+        driver: SceneDriver,
+        *,
+        meter: Meter | None = None,
+        on_decoded: Callable[[DecodeResult], None] | None = None,
+        on_wish: Callable[[str, int | None], None] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.num_errors = 0
+        self._source = source
+        self._renderer = renderer
+        self._pool = pool
+        self._driver = driver
+        self._on_wish = on_wish
+        self._meter = meter or Meter()
+        self._on_decoded = on_decoded
+        self._clock = clock
+        self._seats: dict[str, _Seat] = {}
+        self._seen: set[str] = set()
+        self._faded_s: float | None = None
+
+    def arrange(self, now: float, wish: SeatWish, size: tuple[int, int]) -> StageScene:
+        """Who is here, where each sits, and from where they are seen, on a picture of this size;
+        avatars are made ready."""
+        faces = self._source.faces(now)
+        self._forget_absent(faces)
+        width, height = size
+        peers = [face.peer_id for face in faces]
+        plan = plan_seats(
+            wish.layout,
+            len(faces),
+            width / height,
+            pinned=peers.index(wish.pinned) if wish.pinned in peers else None,
+            free=wish.free,
+        )
+        step = 1.0 if self._faded_s is None else max(now - self._faded_s, 0.0) / FADE_S
+        self._faded_s = now
+        placements = []
+        for face, seat in zip(faces, plan.seats, strict=True):
+            entry = self._make_ready(face)
+            entry.fade = _towards(FADE_OF_STATUS.get(face.status, 0.0), entry.fade, step)
+            if face.latent is not None and entry.jaw is not None and face.status == "live":
+                entry.speaking.receive(entry.jaw.jaw_open(face.latent), now)
+            placements.append(
+                Placement(
+                    slot=face.peer_id,
+                    world_from_head=head_matrix(seat, face.rotation, face.translation_m),
+                    fade=entry.fade,
+                )
+            )
+        camera = plan_camera(plan, wish.view, width, height)
+        return StageScene(now=now, faces=faces, placements=placements, camera=camera, plan=plan)
+
+    def decide(self, scene: StageScene, cameras: Sequence[Camera], budget_s: float) -> Plan:
+        """Plan a frame: hand what is to be decoded to the pool, and say what is wanted of streams.
+
+        Args:
+            scene: Who is where.
+            cameras: From where it will be drawn: one, or two eyes.
+            budget_s: What decoding and drawing it may take, seconds.
+        """
+        heads = []
+        for face, placement in zip(scene.faces, scene.placements, strict=True):
+            entry = self._seats[face.peer_id]
+            if face.latent is None or entry.avatar is None or entry.problem:
+                continue
+            heads.append(
+                SceneHead(
+                    slot=face.peer_id,
+                    avatar=entry.avatar,
+                    world_from_head=placement.world_from_head,
+                    latent=face.latent,
+                    captured_us=face.captured_us,
+                    is_stale=face.status in FADE_OF_STATUS,
+                )
+            )
+        size = (cameras[0].width, cameras[0].height)
+        plan = self._driver.plan(heads, cameras, size, budget_s, scene.now)
+        for slot, request in self._driver.requests(plan, scene.now):
+            self._pool.submit(slot, request)
+        if self._on_wish is not None:
+            for slot, choice in plan.choices.items():
+                self._on_wish(slot, choice.wanted_layer)
+        return plan
+
+    def collect(self, now: float) -> None:
+        """Upload what has been decoded, and note what could not be."""
+        for result in self._pool.take_results():
+            entry = self._seats.get(result.slot)
+            if entry is None:
+                continue
+            if result.maps is None:
+                self._renderer.add_placeholder(result.slot)
+                self._give_up(entry, result.error or "cannot be decoded")
+                continue
+            begin_s = self._clock()
+            self._renderer.update_maps(
+                result.slot, result.maps.position_map, result.maps.expression_map
+            )
+            upload_s = self._clock() - begin_s
+            self._driver.note_decoded(result, upload_s, now)
+            self._meter.add("upload", upload_s)
+            self._meter.add("decode", result.decode_s)
+            self._meter.add("decode_wait", result.waited_s)
+            entry.decode.add(result.decode_s)
+            if result.captured_us > entry.captured_us:  # a newly shown sample, not a turned view
+                entry.captured_us = result.captured_us
+                latency_s = result.finished_s - result.captured_us * 1e-6
+                self._meter.add("latency", latency_s)
+                entry.latency.add(latency_s)
+            entry.level = result.level
+            entry.num_decoded += 1
+            self._seen.add(result.slot)
+            if self._on_decoded is not None:
+                self._on_decoded(result)
+
+    def dressed(self, scene: StageScene) -> StageScene:
+        """The scene as its plan wants it drawn: meshes, levels that fade in."""
+        dressed = [self._driver.dressed(each, scene.now) for each in scene.placements]
+        return replace(scene, placements=dressed)
+
+    def is_ready(self, scene: StageScene) -> bool:
+        """Whether everybody with a face who can be seen has maps, or will not get any."""
+        for face in scene.faces:
+            entry = self._seats[face.peer_id]
+            is_unseen = entry.avatar is not None and not self._driver.is_visible(face.peer_id)
+            if face.latent is not None and not (entry.num_decoded or entry.problem or is_unseen):
+                return False
+        return True
+
+    @property
+    def problems(self) -> dict[str, str]:
+        """Why peers are drawn as placeholders, by peer id."""
+        return {peer_id: entry.problem for peer_id, entry in self._seats.items() if entry.problem}
+
+    @property
+    def num_seen(self) -> int:
+        """Peers of whom a face was shown."""
+        return len(self._seen)
+
+    def figures(self, now: float) -> Mapping[str, AvatarFigures]:
+        """What each avatar costs, by peer id."""
+        return {
+            peer_id: AvatarFigures(
+                level=entry.level,
+                decode_ms=entry.decode.summary_ms()["p50"],
+                latency_ms=entry.latency.summary_ms()["p50"],
+                num_decoded=entry.num_decoded,
+                is_speaking=entry.speaking.is_speaking(now),
+            )
+            for peer_id, entry in self._seats.items()
+        }
+
+    def speaking(self, now: float) -> set[str]:
+        """Peers whose jaw says that they speak."""
+        return {
+            peer_id for peer_id, entry in self._seats.items() if entry.speaking.is_speaking(now)
+        }
+
+    def num_decoded(self) -> dict[str, int]:
+        """Decodes so far, by peer id."""
+        return {peer_id: entry.num_decoded for peer_id, entry in self._seats.items()}
+
+    def _forget_absent(self, faces: list[FaceState]) -> None:
+        present = {face.peer_id for face in faces}
+        for peer_id in [peer_id for peer_id in self._seats if peer_id not in present]:
+            del self._seats[peer_id]
+            self._pool.remove(peer_id)
+            self._renderer.remove(peer_id)
+
+    def _make_ready(self, face: FaceState) -> _Seat:
+        """The seat of a peer, its avatar on the GPU and in the pool once that is there."""
+        entry = self._seats.get(face.peer_id)
+        if entry is None or entry.avatar_id != face.avatar_id:
+            entry = self._seats[face.peer_id] = _Seat(face.avatar_id)
+            entry.fade = FADE_OF_STATUS.get(face.status, 0.0)
+            self._pool.remove(face.peer_id)
+            self._renderer.add_placeholder(face.peer_id)
+        if entry.avatar is None and not entry.problem:
+            self._prepare(face.peer_id, entry)
+        return entry
+
+    def _prepare(self, peer_id: str, entry: _Seat) -> None:
+        try:
+            avatar = self._source.avatar(entry.avatar_id)
+            if avatar is None:
+                return
+            self._renderer.add_avatar(peer_id, avatar)
+        except (AvatarFileError, ShaderError) as error:
+            self._give_up(entry, str(error))
+            return
+        entry.avatar = avatar
+        known = (
+            other.jaw for other in self._seats.values() if other.avatar is avatar and other.jaw
+        )
+        entry.jaw = next(known, None) or JawReader(avatar)
+        self._pool.add(peer_id, avatar)
+
+    def _give_up(self, entry: _Seat, problem: str) -> None:
+        entry.problem = problem
+        self.num_errors += 1
+
+
+def _towards(goal: float, value: float, step: float) -> float:
+    """A value that goes to its goal by at most a step."""
+    return value + min(max(goal - value, -step), step)

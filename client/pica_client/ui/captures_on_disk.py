@@ -1,0 +1,109 @@
+"""Pictures and recordings that the user asks for during a call, each under a new name.
+
+Names count up and say nothing of the time: ``picture-0001.png``, ``recording-0001.mp4``.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Self
+
+from pica_client.errors import OptionError
+from pica_client.output import make_folder, writing
+from pica_client.render.recorder import Image, Recorder, save_png
+
+MAX_NUMBER = 9999
+
+
+class Keepsakes:
+    """Writes into one folder, which is made when it is first needed.
+
+    Its methods return what to tell the user, empty for nothing.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._recorder: Recorder | None = None
+        self._path = Path()
+        self._began_s = 0.0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop()
+
+    @property
+    def is_recording(self) -> bool:
+        """Whether `write` is wanted."""
+        return self._recorder is not None
+
+    def save_picture(self, image: Image) -> str:
+        """Write a picture, uint8 ``[H, W, 3]``.
+
+        Raises:
+            OptionError: It cannot be written.
+        """
+        path = new_path(self.folder, "picture", ".png")
+        save_png(path, image)
+        return f"Saved {path.name} in {self.folder}"
+
+    def toggle_recording(self, size: tuple[int, int], now: float) -> str:
+        """Begin a recording of images of this size, or end the one under way.
+
+        Raises:
+            OptionError: It cannot be written.
+            ModuleNotFoundError: PyAV is not installed; names the extra.
+        """
+        if self._recorder is not None:
+            return self._stop()
+        try:
+            import av  # noqa: F401
+        except ModuleNotFoundError as error:
+            raise ModuleNotFoundError(
+                "recording needs PyAV: pip install 'pica-telepresence[video]'", name="av"
+            ) from error
+        self._path = new_path(self.folder, "recording", ".mp4")
+        self._recorder = Recorder(self._path, size)
+        self._began_s = now
+        return f"Recording into {self._path.name}"
+
+    def write(self, image: Image, now: float) -> str:
+        """Append a frame to the recording, if there is one.
+
+        Raises:
+            OptionError: The disk is full; the recording is over.
+        """
+        if self._recorder is None:
+            return ""
+        try:
+            self._recorder.write(image, now - self._began_s)
+        except OptionError:
+            self._recorder = None
+            raise
+        return ""
+
+    def _stop(self) -> str:
+        if self._recorder is None:
+            return ""
+        recorder, self._recorder = self._recorder, None
+        recorder.close()
+        return f"Saved {self._path.name} in {self.folder}"
+
+
+def new_path(folder: Path, stem: str, suffix: str) -> Path:
+    """Take the first free name, by making an empty file of it.
+
+    Raises:
+        OptionError: The folder cannot be made or written, or has no name left.
+    """
+    make_folder(folder)
+    for number in range(1, MAX_NUMBER + 1):
+        path = folder / f"{stem}-{number:04d}{suffix}"
+        with writing(path):
+            try:
+                path.open("xb").close()
+            except FileExistsError:
+                continue
+        return path
+    raise OptionError(f"{folder}: all names up to {stem}-{MAX_NUMBER} are taken; move some away")

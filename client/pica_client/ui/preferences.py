@@ -1,0 +1,154 @@
+"""What a user wants to find again in the next call: one small file in the platform's place for it.
+
+A damaged file is no reason not to start: it is said once, and defaults are taken. No secret is ever
+in it: the last address is kept without user, password or query, tokens are not kept at all.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit, urlunsplit
+
+from pica_client.output import say
+from pica_client.render.seats import LAYOUTS, Layout
+
+FILE_NAME = "preferences.json"
+MAX_FILE_BYTES = 65_536
+MAX_TEXT = 1024
+"""Characters of an address, a name or a folder."""
+MIN_SIDE, MAX_SIDE = 160, 8192
+DEFAULT_SIZE = (960, 540)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Preferences:
+    """What is kept from call to call."""
+
+    layout: Layout = "arc"
+    show_statistics: bool = False
+    window_size: tuple[int, int] = DEFAULT_SIZE
+    """Columns and rows, in the screen's units."""
+    url: str = ""
+    """The relay of the last call; empty before the first."""
+    room: str = ""
+    name: str = ""
+    """What the user was called in it."""
+    keep_in: str = ""
+    """Folder for pictures and recordings; empty is `default_keep_folder`."""
+
+    def __post_init__(self) -> None:
+        if self.layout not in LAYOUTS:
+            raise ValueError(f"layout is {self.layout!r}; it may be {', '.join(LAYOUTS)}")
+        if not isinstance(self.show_statistics, bool):
+            raise ValueError(f"show_statistics is {self.show_statistics!r}; true or false")
+        sides = self.window_size
+        if len(sides) != 2 or not all(
+            type(side) is int and MIN_SIDE <= side <= MAX_SIDE for side in sides
+        ):
+            raise ValueError(f"window_size is {sides!r}; two of {MIN_SIDE} to {MAX_SIDE}")
+        for name in ("url", "room", "name", "keep_in"):
+            value = getattr(self, name)
+            if not isinstance(value, str) or len(value) > MAX_TEXT or not value.isprintable():
+                raise ValueError(f"{name} is no text of up to {MAX_TEXT} characters")
+
+
+class PreferencesFile:
+    """The file of one user."""
+
+    def __init__(self, folder: Path | None = None, *, warn: Callable[[str], None] = say) -> None:
+        """Name the file.
+
+        Args:
+            folder: Where it is; by default `default_folder`.
+            warn: Told, at most once, what is wrong with it.
+        """
+        self.path = (default_folder() if folder is None else folder) / FILE_NAME
+        self._warn = warn
+
+    def load(self) -> Preferences:
+        """What is in the file; defaults if there is none, or none that can be used."""
+        try:
+            with self.path.open("rb") as file:
+                content = file.read(MAX_FILE_BYTES + 1)
+            if len(content) > MAX_FILE_BYTES:
+                raise ValueError(f"it is larger than {MAX_FILE_BYTES} bytes")
+            return _from_json(json.loads(content))
+        except FileNotFoundError:
+            return Preferences()
+        except (OSError, ValueError, RecursionError) as error:
+            reason = error.strerror if isinstance(error, OSError) else str(error)
+            self._warn(f"{self.path}: preferences cannot be used, taking defaults: {reason}")
+            return Preferences()
+
+    def save(self, preferences: Preferences) -> None:
+        """Replace the file, whole or not at all. When it cannot be written, the user is told and
+        the call goes on."""
+        kept = asdict(preferences) | {"url": without_secrets(preferences.url)}
+        text = json.dumps(kept, indent=2) + "\n"
+        unfinished = self.path.with_name(f"{FILE_NAME}-{secrets.token_hex(8)}.part")
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                unfinished.write_text(text)
+                os.replace(unfinished, self.path)
+            finally:
+                with suppress(OSError):
+                    unfinished.unlink(missing_ok=True)
+        except OSError as error:
+            self._warn(f"{self.path}: preferences cannot be kept: {error.strerror or error}")
+
+
+def default_folder(
+    environment: Mapping[str, str] | None = None, platform: str = sys.platform
+) -> Path:
+    """The folder for this user's preferences: where the system has them, as for `avatar_cache`."""
+    environment = os.environ if environment is None else environment
+    if platform == "win32":
+        base = Path(environment.get("APPDATA") or Path.home() / "AppData" / "Roaming")
+        return base / "pica-telepresence"
+    if platform == "darwin":
+        return Path.home() / "Library" / "Application Support" / "pica-telepresence"
+    given = environment.get("XDG_CONFIG_HOME", "")
+    base = Path(given) if given.startswith("/") else Path.home() / ".config"
+    return base / "pica-telepresence"
+
+
+def default_keep_folder() -> Path:
+    """Where pictures and recordings go unless the user says otherwise."""
+    return Path.home() / "PiCA Telepresence"
+
+
+def without_secrets(url: str) -> str:
+    """An address without user, password, query and fragment: there might be a token in them."""
+    try:
+        parts = urlsplit(url)
+        host = parts.netloc.rpartition("@")[2]
+        return urlunsplit((parts.scheme, host, parts.path, "", ""))
+    except ValueError:
+        return ""
+
+
+def _from_json(content: Any) -> Preferences:
+    """Preferences out of a file; what a later version has put there is left out.
+
+    Raises:
+        ValueError: Something in it is not as it must be.
+    """
+    if not isinstance(content, dict):
+        raise ValueError("it holds no object")
+    known = {field.name for field in fields(Preferences)}
+    values = {name: value for name, value in content.items() if name in known}
+    size = values.get("window_size")
+    if size is not None:
+        if not isinstance(size, list):
+            raise ValueError("window_size is no pair")
+        values["window_size"] = tuple(size)
+    return Preferences(**values)

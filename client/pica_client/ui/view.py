@@ -1,0 +1,245 @@
+"""One receiver from end to end: network in a thread, decoding in others, drawing in this one."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections import deque
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from pica_client.avatars.cache import AvatarCache
+from pica_client.avatars.fetch import AvatarFetcher
+from pica_client.avatars.library import AvatarLibrary
+from pica_client.call.call import Call, CallConfig
+from pica_client.call.monitor import CallMonitor
+from pica_client.call.receiver import Receiver
+from pica_client.decode.pool import DecodeResult
+from pica_client.errors import OptionError, RelayUnreachableError
+from pica_client.output import check_writable, make_folder, writing
+from pica_client.publish.publisher import Publisher
+from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import trusting
+from pica_client.ui.controls import CloseWanted, ControlState, OwnFace
+from pica_client.ui.viewer import Viewer, ViewerOptions
+from pica_client.ui.window import Window
+from pica_protocol.limits import MAX_PEERS
+
+MAX_LOGGED_DECODES = 100_000
+"""Decodes kept for a latency analysis: eleven minutes of five avatars at 30 a second."""
+POLL_S = 0.02
+PNG_PERIOD_S = 1.0
+"""Between two still images of a series."""
+DRAIN_S = 0.2
+"""What is decoded this soon after the picture began is not measured: decoders are being built."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ViewConfig:
+    """What to show, how, and what to keep of it."""
+
+    link: LinkConfig
+    call: CallConfig = field(default_factory=CallConfig)
+    viewer: ViewerOptions = field(default_factory=ViewerOptions)
+    seconds: float = 0.0
+    """How long to draw; 0 is until stopped."""
+    expect: int = 0
+    """Begin to draw once this many peers are seen."""
+    expect_timeout_s: float = 30.0
+    """Give up waiting for them after this time."""
+    png: Path | None = None
+    """Write the last image here."""
+    png_folder: Path | None = None
+    """Write an image a second into this folder."""
+    frame_log: Path | None = None
+    """Write the times of every frame and decode here, for whoever shares this clock."""
+    fetch: bool = False
+    """Get avatars that are not here from the relay."""
+    avatar_cache: Path | None = None
+    """Where to keep those, instead of this user's folder for such things."""
+
+    def __post_init__(self) -> None:
+        if not self.seconds >= 0:
+            raise OptionError(f"seconds is {self.seconds:g}; 0 (for ever) or more is allowed")
+        if not 0 <= self.expect < MAX_PEERS:
+            raise OptionError(f"expect is {self.expect}; 0 to {MAX_PEERS - 1} is allowed")
+
+
+class View:
+    """Runs a receiver and its viewer; `stop` may come from a signal handler.
+
+    Attributes:
+        last_controls: How the user left the view; None before it was shown.
+        last_window_size: And the window, in the screen's units; None without one.
+    """
+
+    def __init__(
+        self,
+        config: ViewConfig,
+        library: AvatarLibrary,
+        *,
+        publisher: Publisher | None = None,
+        window: Window | None = None,
+    ) -> None:
+        """Check what can be checked before anybody is there.
+
+        Args:
+            config: What to show, and how.
+            library: The avatars of this machine.
+            publisher: Sends a face as well.
+            window: To show it in, which stays open; by default a new one.
+
+        Raises:
+            OptionError: A file or folder that is to be written cannot be.
+        """
+        for path in (config.png, config.frame_log, config.viewer.record):
+            if path is not None:
+                check_writable(path)
+        if config.png_folder is not None:
+            make_folder(config.png_folder)
+        self._config = config
+        self._fetcher = self._make_fetcher(library) if config.fetch else None
+        avatars = self._fetcher or library
+        self._call = Call(avatars, config.call, log_shown=config.frame_log is not None)
+        self._publisher = publisher
+        self._window = window
+        self._receiver = Receiver(config.link, self._call, publisher=publisher)
+        self.last_controls: ControlState | None = None
+        self.last_window_size: tuple[int, int] | None = None
+        self._is_stopping = False
+        # Drops its oldest when full.
+        self._decodes: deque[tuple[str, DecodeResult]] = deque(maxlen=MAX_LOGGED_DECODES)
+
+    def stop(self) -> None:
+        """Make `run` end."""
+        self._is_stopping = True
+
+    def run(self) -> dict[str, Any]:
+        """Show the call.
+
+        Returns:
+            What was drawn (`Viewer.report`) and what was received (`Receiver.stats`).
+
+        Raises:
+            RelayError: The relay is not there, or will not have us.
+            GraphicsError: There is no way to draw.
+            OptionError: A file cannot be written.
+        """
+        try:
+            return self._run()
+        finally:
+            if self._fetcher is not None:
+                self._fetcher.close()
+
+    def _run(self) -> dict[str, Any]:
+        config = self._config
+        with self._receiver:
+            self._wait_for_peers()
+            with Viewer(
+                self._call,
+                replace(config.viewer, sends_face=self._publisher is not None),
+                status=CallMonitor(self._receiver).status,
+                on_decoded=self._note_decode if config.frame_log is not None else None,
+                on_wish=self._receiver.wish,
+                on_own_face=self._set_own_face,
+                window=self._window,
+            ) as viewer:
+                viewer.prepare()
+                begin_s = time.monotonic()
+                self._call.begin_window(begin_s)
+                self._draw(viewer)
+                end_s = time.monotonic()
+                drawn, received = viewer.report(), self._receiver.stats(end_s)
+                problems = list(viewer.problems.values())
+                if config.png is not None and drawn["frames_rendered"]:
+                    viewer.save_image(config.png)
+                self.last_controls = viewer.controls.state
+                self.last_window_size = viewer.windowed_size
+        for problem in problems:
+            print(problem, file=sys.stderr)
+        if config.frame_log is not None:
+            self._write_log(config.frame_log, begin_s)
+        return {
+            **drawn,
+            "seconds": round(end_s - begin_s, 2),
+            "errors": drawn["errors"] + received["errors"],
+            "problems": problems,
+            "received": received,
+            "avatars_fetched": 0 if self._fetcher is None else self._fetcher.num_fetched,
+        }
+
+    def _make_fetcher(self, library: AvatarLibrary) -> AvatarFetcher:
+        config = self._config
+        ca_file = config.link.ca_file
+        return AvatarFetcher(
+            library,
+            lambda: self._receiver.link.url,
+            cache=None if config.avatar_cache is None else AvatarCache(config.avatar_cache),
+            tls=None if ca_file is None else trusting(ca_file),
+        )
+
+    def _wait_for_peers(self) -> None:
+        """Wait for the room, and for the peers that are expected."""
+        config = self._config
+        deadline = time.monotonic() + config.expect_timeout_s
+        while not self._is_stopping:
+            self._receiver.check()
+            if self._receiver.is_connected and self._call.num_live >= config.expect:
+                return
+            if self._window is not None and any(
+                isinstance(event, CloseWanted) for event in self._window.poll()
+            ):
+                self._is_stopping = True
+            if config.expect and time.monotonic() > deadline:
+                raise RelayUnreachableError(
+                    f"{self._call.num_live} of {config.expect} expected peers were seen within "
+                    f"{config.expect_timeout_s:g} s"
+                )
+            time.sleep(POLL_S)
+
+    def _draw(self, viewer: Viewer) -> None:
+        """Draw until the time is over, the user leaves, or the network gives up."""
+        config = self._config
+        begin_s = time.monotonic()
+        index = 0
+        has_ended = False
+
+        def should_stop() -> bool:
+            self._receiver.check()
+            return self._is_stopping
+
+        while not has_ended and not self._is_stopping:
+            left_s = begin_s + config.seconds - time.monotonic() if config.seconds else None
+            if left_s is not None and left_s <= 0:
+                return
+            if config.png_folder is None:
+                viewer.run(left_s, should_stop)
+                return
+            slice_s = PNG_PERIOD_S if left_s is None else min(PNG_PERIOD_S, left_s)
+            slice_begin_s = time.monotonic()
+            viewer.run(slice_s, should_stop)
+            # The viewer returns early only when its user closed the window, or we stopped it.
+            has_ended = time.monotonic() - slice_begin_s < slice_s
+            index += 1
+            viewer.save_image(config.png_folder / f"frame-{index:05d}.png")
+
+    def _set_own_face(self, wanted: OwnFace) -> None:
+        if self._publisher is not None and wanted != "none":
+            self._publisher.set_mode(wanted)
+
+    def _note_decode(self, result: DecodeResult) -> None:
+        name = self._call.names().get(result.slot)
+        if name is not None:
+            self._decodes.append((name, result))
+
+    def _write_log(self, path: Path, begin_s: float) -> None:
+        decodes = [
+            (name, result.captured_us, result.submitted_s, result.finished_s)
+            for name, result in self._decodes
+            if result.captured_us >= (begin_s + DRAIN_S) * 1e6
+        ]
+        log = {"shown": self._call.take_shown(), "decodes": decodes}
+        with writing(path):
+            path.write_text(json.dumps(log))

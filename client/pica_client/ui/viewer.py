@@ -1,0 +1,397 @@
+"""The drawing half of a receiver: faces in, drawn frames out. The loop that owns the GL thread.
+
+    with Viewer(source, ViewerOptions(headless=True, record=Path("call.mp4"))) as viewer:
+        viewer.run(seconds=20.0)
+        print(viewer.report())
+
+Each frame: take what the user did, let `face_stage` arrange and decode the faces, draw them, put
+the texts of `hud_frame` over them, show or record.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from pica_client.call.faces import FaceSource
+from pica_client.call.status import CallStatus
+from pica_client.decode.decoder import OnnxDecoder, OnnxOptions
+from pica_client.decode.pool import DecodePool, DecodePoolOptions, DecodeResult
+from pica_client.errors import ClientError, OptionError
+from pica_client.render.draw_clock import DrawClock
+from pica_client.render.recorder import Recorder, save_png
+from pica_client.render.renderer import DrawStats, Renderer, RenderOptions
+from pica_client.render.scene import pick_head
+from pica_client.render.seats import Layout
+from pica_client.render.stereo import MAX_EYE_DISTANCE_M, side_by_side, stereo_cameras
+from pica_client.schedule.frame_planner import SceneDriver
+from pica_client.schedule.scheduler import Scheduler, SchedulerOptions
+from pica_client.ui.avatar_presenter import FaceStage, Meter, SeatWish, StageScene
+from pica_client.ui.captures_on_disk import Keepsakes
+from pica_client.ui.controls import Controls, ControlState, InputEvent, Order, OwnFace
+from pica_client.ui.hud_frame import HudFrame
+from pica_client.ui.text_raster import OverlayItem
+from pica_client.ui.window import Window
+from pica_core.avatar.file import Avatar
+from pica_core.camera import Camera
+from pica_core.gl import create_context
+
+StatusSource = Callable[[float], CallStatus]
+
+PREPARE_TIMEOUT_S = 5.0
+"""How long the first picture waits for five avatars to be loaded; here they take half a second."""
+PREPARE_POLL_S = 0.01
+BUDGET_SHARE = 0.8
+"""Of the time between two frames: the rest is for texts, the window system and recording."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ViewerOptions:
+    """How a call is shown."""
+
+    size: tuple[int, int] = (960, 540)
+    """Columns and rows of the image or window, pixels."""
+    headless: bool = False
+    """Draw without a window."""
+    record: Path | None = None
+    """MP4 file to record into from the start."""
+    keep_in: Path = Path(".")
+    """Folder for the pictures and recordings that the user asks for meanwhile."""
+    max_fps: float = 30.0
+    """Frames are drawn no more often than this; in a window the display limits too."""
+    frame_budget_ms: float = 0.0
+    """What decoding and drawing a frame may take before detail is given up, milliseconds; 0 is
+    `BUDGET_SHARE` of the time between two frames."""
+    scheduler: SchedulerOptions = field(default_factory=SchedulerOptions)
+    layout: Layout = "arc"
+    """How people sit at first; see `seats`."""
+    show_statistics: bool = False
+    """Show the statistics from the start."""
+    eye_distance_m: float = 0.0
+    """Above 0 the picture is side by side for two eyes so far apart, metres."""
+    sends_face: bool = False
+    """Whether the user's own face is sent: then there are keys to mute and to freeze it."""
+    title: str = "PiCA Telepresence"
+    render: RenderOptions = field(default_factory=RenderOptions)
+    decode: DecodePoolOptions = field(default_factory=DecodePoolOptions)
+    onnx: OnnxOptions = field(default_factory=OnnxOptions)
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.max_fps <= 1000:
+            raise OptionError(f"max_fps is {self.max_fps:g}; allowed are 1 to 1000")
+        if not 0 <= self.frame_budget_ms <= 10_000:
+            raise OptionError(
+                f"frame_budget_ms is {self.frame_budget_ms:g}; 0 (from max_fps) to 10000 is allowed"
+            )
+        if not 0 <= self.eye_distance_m <= MAX_EYE_DISTANCE_M:
+            raise OptionError(
+                f"eye_distance_m is {self.eye_distance_m:g}; 0 to {MAX_EYE_DISTANCE_M:g} is allowed"
+            )
+
+    @property
+    def frame_budget_s(self) -> float:
+        """What decoding and drawing a frame may take, seconds."""
+        return self.frame_budget_ms * 1e-3 or BUDGET_SHARE / self.max_fps
+
+
+@dataclass(slots=True, eq=False)
+class _DrawnFrame:
+    """What a frame was made of, until it is known how long it took."""
+
+    shaded_px: float
+    num_triangles: int = 0
+
+
+class Viewer:
+    """Shows the faces of a source in a window or off the screen.
+
+    Args:
+        source: Who is there.
+        options: See `ViewerOptions`.
+        status: How the call stands, at a time of `clock`; asked twice a second.
+        on_decoded: Told of every decode that reached the GPU, on the drawing thread; its slot is
+            the peer id.
+        on_wish: Told in every frame what is worth having of a peer's stream, see `face_stage`.
+        on_own_face: Told when the user mutes or freezes their own face, or lets it go on.
+        window: To show it in, which stays open afterwards; by default a new one.
+        clock: Seconds, monotonic; the same clock that stamps `FaceState.captured_us` when sender
+            and receiver share a machine (then `report` holds the latency from sample to decoded
+            maps; otherwise it means nothing).
+
+    Raises:
+        GraphicsError: No window or no GL context; names the fix.
+        OptionError: The recording cannot be written.
+        ModuleNotFoundError: Recording without PyAV.
+    """
+
+    def __init__(
+        self,
+        source: FaceSource,
+        options: ViewerOptions | None = None,
+        *,
+        status: StatusSource = lambda now: CallStatus(),
+        on_decoded: Callable[[DecodeResult], None] | None = None,
+        on_wish: Callable[[str, int | None], None] | None = None,
+        on_own_face: Callable[[OwnFace], None] | None = None,
+        window: Window | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.options = options or ViewerOptions()
+        self._clock = clock
+        self._on_own_face = on_own_face
+        self.controls = Controls(
+            ControlState(
+                layout=self.options.layout,
+                show_statistics=self.options.show_statistics,
+                own_face="sent" if self.options.sends_face else "none",
+            )
+        )
+        self._meter = Meter()
+        self._hud = HudFrame(self._meter, status)
+        self._num_frames = 0
+        self._scene: StageScene | None = None
+        self.last_draw: DrawStats | None = None
+        with ExitStack() as stack:
+            self._window = window
+            if self.options.headless:
+                context = create_context()
+                stack.callback(context.release)
+            else:
+                if self._window is None:
+                    self._window = stack.enter_context(
+                        Window(self.options.title, self.options.size)
+                    )
+                context = self._window.context
+            size = self._window.size_px if self._window else self.options.size
+            self._renderer = Renderer(context, size, self.options.render)
+            self._recorder = None
+            if self.options.record is not None:
+                self._recorder = stack.enter_context(Recorder(self.options.record, size))
+            self._keepsakes = stack.enter_context(Keepsakes(self.options.keep_in))
+            self._pool = stack.enter_context(
+                DecodePool(self.options.decode, self._make_decoder, self._clock)
+            )
+            self._draw_clock: DrawClock[_DrawnFrame] = DrawClock(context)
+            self._driver = SceneDriver(Scheduler(self.options.scheduler))
+            self._stage = FaceStage(
+                source,
+                self._renderer,
+                self._pool,
+                self._driver,
+                meter=self._meter,
+                on_decoded=on_decoded,
+                on_wish=on_wish,
+                clock=clock,
+            )
+            self._resources = stack.pop_all()
+        self._started_s = self._clock()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop decoding, finish the recordings, close the window if it is the viewer's own."""
+        self._resources.close()
+
+    def run(
+        self, seconds: float | None = None, should_stop: Callable[[], bool] = lambda: False
+    ) -> None:
+        """Draw until the time is over, `should_stop` says so, or the user closes the window."""
+        period_s = 1 / self.options.max_fps
+        begin_s = next_s = self._clock()
+        while not should_stop():
+            now = self._clock()
+            if seconds is not None and now - begin_s >= seconds:
+                return
+            if now < next_s:
+                time.sleep(min(next_s - now, 0.05))
+                continue
+            # A frame that came late does not make the following ones hurry.
+            next_s = max(next_s + period_s, now)
+            if not self.step(now):
+                return
+
+    def prepare(self, timeout_s: float = PREPARE_TIMEOUT_S) -> None:
+        """Get everybody ready who has a face by now: decoders, shaders, first maps.
+
+        What this costs belongs to no frame: nothing of it is shown, recorded or measured. Whoever
+        is not ready in time sits there as a placeholder until then.
+        """
+        deadline_s = self._clock() + timeout_s
+        while (now := self._clock()) < deadline_s:
+            scene = self._arrange(now)
+            self._decide(scene)
+            self._stage.collect(now)
+            if self._stage.is_ready(scene):
+                self._renderer.draw(scene.placements, scene.camera, [])
+                break
+            time.sleep(PREPARE_POLL_S)
+        self._meter.clear()
+        self._started_s = self._clock()
+
+    def receive(self, event: InputEvent) -> None:
+        """Take something that the user did, as from the window."""
+        faces = [] if self._scene is None else self._scene.faces
+        before = self.controls.state.own_face
+        self.controls.receive(event, peers=[face.peer_id for face in faces], pick=self.pick)
+        wanted = self.controls.state.own_face
+        if wanted != before and self._on_own_face is not None:
+            self._on_own_face(wanted)
+
+    def step(self, now: float) -> bool:
+        """Draw one frame; False once the user wants to leave."""
+        if self._window is not None:
+            for event in self._window.poll():
+                self.receive(event)
+            self._renderer.resize(self._window.size_px)
+        if self.controls.state.wants_close:
+            return False
+        scene = self._scene = self._arrange(now)
+        self.controls.forget_absent([face.peer_id for face in scene.faces])
+        self._decide(scene)
+        self._stage.collect(now)
+        scene = self._stage.dressed(scene)
+        items = self._hud.items(
+            now,
+            scene,
+            self._stage,
+            self.controls.state,
+            self._eye_size,
+            is_recording=self._keepsakes.is_recording,
+        )
+        begin_s = self._clock()
+        # What a frame cost is known some frames later, when the GPU is done with it.
+        drawn = _DrawnFrame(self._driver.expected_shading_px())
+        with self._draw_clock.around(drawn):
+            self.last_draw = self._draw(now, scene, items)
+        drawn.num_triangles = self.last_draw.num_triangles
+        for frame, seconds in self._draw_clock.take():
+            self._driver.note_drawn(frame.num_triangles, frame.shaded_px, seconds)
+        image = None
+        if self._window is None:
+            image = self._renderer.read_image()  # waits for the GPU: the draw time is a true one
+        self._meter.add("draw", self._clock() - begin_s)
+        if self._recorder is not None or self._keepsakes.is_recording:
+            shown = self._renderer.read_image() if image is None else image
+            if self._recorder is not None:
+                self._recorder.write(shown, now - self._started_s)
+            self._keep(lambda: self._keepsakes.write(shown, now))
+        if self._window is not None:
+            self._window.show(self._renderer)
+        for order in self.controls.take_orders():
+            self._obey(order, now)
+        self._num_frames += 1
+        return True
+
+    def pick(self, x_px: float, y_px: float) -> str | None:
+        """The peer whose head is at a place of the picture, pixels, y down."""
+        if self._scene is None:
+            return None
+        x_px %= self._eye_size[0]  # both halves show the same people
+        return pick_head(self._scene.placements, self._scene.camera, x_px, y_px)
+
+    def wait_decoded(self, timeout_s: float) -> bool:
+        """Wait until nothing is being decoded; False when the time runs out first."""
+        return self._pool.wait_idle(timeout_s)
+
+    def save_image(self, path: Path) -> None:
+        """Write the last frame as PNG."""
+        save_png(path, self._renderer.read_image())
+
+    @property
+    def gl_renderer(self) -> str:
+        """What draws, by the driver's own name."""
+        return self._renderer.gl_renderer
+
+    @property
+    def problems(self) -> dict[str, str]:
+        """Why peers are drawn as placeholders, by peer id."""
+        return self._stage.problems
+
+    @property
+    def windowed_size(self) -> tuple[int, int] | None:
+        """Columns and rows of the window, in the screen's units; None without one."""
+        return None if self._window is None else self._window.windowed_size
+
+    def report(self) -> dict[str, Any]:
+        """What was drawn so far; durations in milliseconds."""
+        elapsed_s = self._clock() - self._started_s
+        return {
+            "frames_rendered": self._num_frames,
+            "render_fps": round(self._num_frames / elapsed_s, 2) if elapsed_s > 0 else 0.0,
+            "rendered_peers": self._stage.num_seen,
+            "decodes": self._stage.num_decoded(),
+            "decodes_replaced": self._pool.num_replaced,
+            "errors": self._stage.num_errors,
+            "gl_renderer": self.gl_renderer,
+            "triangles": self.last_draw.num_triangles if self.last_draw else 0,
+            "draw_calls": self.last_draw.num_draw_calls if self.last_draw else 0,
+            **self._meter.summaries(),
+        }
+
+    def _make_decoder(self, avatar: Avatar) -> OnnxDecoder:
+        return OnnxDecoder(avatar, self.options.onnx)
+
+    def _arrange(self, now: float) -> StageScene:
+        state = self.controls.state
+        wish = SeatWish(
+            layout=state.layout, view=state.view, pinned=state.pinned, free=self._hud.free
+        )
+        return self._stage.arrange(now, wish, self._eye_size)
+
+    @property
+    def _eye_size(self) -> tuple[int, int]:
+        """Columns and rows of the picture, or of each eye's."""
+        width, height = self._renderer.size
+        return (max(width // 2, 1), height) if self.options.eye_distance_m > 0 else (width, height)
+
+    def _decide(self, scene: StageScene) -> None:
+        self._stage.decide(scene, self._eyes(scene), self.options.frame_budget_s)
+
+    def _eyes(self, scene: StageScene) -> tuple[Camera, ...]:
+        """From where a scene is drawn: one camera, or the left and the right eye's."""
+        if not self.options.eye_distance_m > 0:
+            return (scene.camera,)
+        away_m = float(np.linalg.norm(scene.plan.target_m - scene.camera.centre_m))
+        return stereo_cameras(scene.camera, self.options.eye_distance_m, away_m)
+
+    def _draw(self, now: float, scene: StageScene, items: list[OverlayItem]) -> DrawStats:
+        """Draw a scene for one eye, or for two."""
+        eyes = self._eyes(scene)
+        if len(eyes) == 1:
+            return self._renderer.draw(scene.placements, eyes[0], items)
+        left, right = (
+            self._hud.names(now, replace(scene, camera=eye), self._stage) for eye in eyes
+        )
+        both = [item for item in items if not item.key.startswith("name:")]
+        texts = side_by_side([*left, *both], [*right, *both], self._eye_size)
+        return self._renderer.draw_stereo(scene.placements, (eyes[0], eyes[1]), texts)
+
+    def _obey(self, order: Order, now: float) -> None:
+        """Do once what the user asked for."""
+        match order:
+            case Order.SCREENSHOT:
+                self._keep(lambda: self._keepsakes.save_picture(self._renderer.read_image()))
+            case Order.TOGGLE_RECORDING:
+                self._keep(lambda: self._keepsakes.toggle_recording(self._renderer.size, now))
+            case Order.TOGGLE_FULL_SCREEN:
+                if self._window is not None:
+                    self._window.toggle_full_screen()
+
+    def _keep(self, action: Callable[[], str]) -> None:
+        """Say what came of something that the user wants to keep; a full disk ends no call."""
+        try:
+            notice = action()
+        except (ClientError, ModuleNotFoundError) as error:
+            notice = str(error)
+        if notice:
+            self._hud.notice(notice, self._clock())

@@ -1,0 +1,1 @@
+"""The avatar file, its sizes, its variants and its levels of detail."""

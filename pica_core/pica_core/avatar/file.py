@@ -1,0 +1,450 @@
+"""The avatar file (``.pica``): weights and tables of one person, and a manifest about them.
+
+The file is plain safetensors; the manifest is JSON in its metadata. It holds numbers only: no
+graph, no shader, no pickle. Whoever reads one rebuilds graphs and shaders from `AvatarSpec`, so a
+stranger's file can look ugly but cannot run. Everything is checked here, once; code behind
+`load_avatar` trusts what it gets.
+
+    avatar = load_avatar(Path("ada.pica"))
+    avatar.manifest.name, avatar.tensors["uv_encoding"].shape
+
+Tensors, float32 in memory unless stated:
+
+    {decoder layers}      as `decoder_layers(spec, "geometry" | "expression")` names and shapes them
+    geometry.mean         [S, S, 3] metres, head frame:
+                          position map = mean + position_scale_m * decoded geometry
+    uv_encoding           [T, T, 4], row 0 is v = 0
+    u_encoding v_encoding [L, 2]; each of the three as the spec's encoding has it
+    xyz.{i}.weight .bias  [out, in], [out]: SIREN over head-frame xyz in *metres*
+    pixel.{i}.weight .bias    [out, in], [out]: the pixel decoder
+    mesh.vertex_uv        [V, 2] in [0, 1]
+    mesh.faces            [F, 3] int32, counter-clockwise seen from outside
+    encoder.{i}.weight .bias  52 ARKit shapes -> ... -> 256 latent values, LeakyReLU between
+    stream.*              tables of the latent bitstream, integers (`stream_profile`); may be absent
+    level.*               levels of detail (`level_tensors`); may be absent
+
+In the file big maps may be smaller than in memory: fp16, or 8 or 16 bit integers q with value =
+offset + scale * q per last-axis channel, the two tables standing in the metadata key ``storage``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import safetensors
+import safetensors.numpy
+
+from pica_core.avatar.arkit import NUM_ARKIT
+from pica_core.avatar.level_tensors import PREFIX as LEVEL_PREFIX
+from pica_core.avatar.level_tensors import (
+    check_sheets,
+    faces_name,
+    is_faces,
+    is_index,
+    levels_of,
+    read_errors,
+    wanted_shapes,
+)
+from pica_core.avatar.levels import LevelErrors
+from pica_core.avatar.manifest import SCHEMA_VERSION, Manifest, manifest_from_json
+from pica_core.avatar.spec import NUM_LATENT, AvatarSpec
+from pica_core.avatar.storage import (
+    DEFAULT_STORAGE,
+    MAX_MAGNITUDE,
+    Storage,
+    to_memory,
+    to_storage,
+)
+from pica_core.codec.profile import PREFIX as STREAM_PREFIX
+from pica_core.codec.profile import StreamProfile, profile_shapes
+from pica_core.errors import AvatarFileError, ProfileError
+from pica_core.graphs.decoder_layers import decoder_layers
+from pica_core.reference.surface_encoding import encoding_shapes
+
+__all__ = [
+    "SCHEMA_VERSION",
+    "Avatar",
+    "Manifest",
+    "avatar_id",
+    "load_avatar",
+    "save_avatar",
+    "spec_tensor_shapes",
+]
+
+Array = npt.NDArray[Any]
+
+MAX_FILE_BYTES = 64 * 2**20
+MAX_HEADER_BYTES = 256 * 2**10
+MAX_VERTICES = 200_000
+MAX_FACES = 400_000
+MAX_ENCODER_LAYERS = 8
+MAX_ENCODER_WIDTH = 2048
+
+_FLOAT_TYPES = {"F32", "F16"}
+_AFFINE_TYPES = {"U8", "U16"}
+_STREAM_TYPES = {"I32", "I16", "U16", "U8"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Avatar:
+    """A checked avatar. Arrays are read-only."""
+
+    manifest: Manifest
+    tensors: Mapping[str, Array]
+
+    @property
+    def spec(self) -> AvatarSpec:
+        """Sizes of the model."""
+        return self.manifest.spec
+
+    @property
+    def levels(self) -> tuple[int, ...]:
+        """Map sizes that it can be decoded to, ascending; ends with `spec.map_size`."""
+        return levels_of(self.spec, self.tensors)
+
+    def level_faces(self, level: int) -> npt.NDArray[np.int32]:
+        """Triangles to draw at a level, int32 ``[F, 3]``.
+
+        Raises:
+            ValueError: The avatar does not have this level.
+        """
+        if level not in self.levels:
+            known = ", ".join(map(str, self.levels))
+            raise ValueError(f"level is {level}; this avatar has {known}")
+        name = "mesh.faces" if level == self.spec.map_size else faces_name(level)
+        faces: npt.NDArray[np.int32] = self.tensors[name]
+        return faces
+
+    def position_rows(self, level: int) -> int:
+        """Rows of what the geometry decoder makes at a level: of the position map at the full one,
+        of a sheet of vertices below it. Both have as many columns as the level has texels.
+
+        Raises:
+            ValueError: The avatar does not have this level.
+        """
+        if level == self.spec.map_size:
+            return level
+        self.level_faces(level)
+        return len(self.tensors[f"{LEVEL_PREFIX}{level}.geometry.mean"])
+
+    @property
+    def level_errors(self) -> LevelErrors | None:
+        """The measured error of its levels; None if it was never measured (`default_errors`)."""
+        return read_errors(self.spec, self.tensors)
+
+    def stream_profile(self) -> StreamProfile | None:
+        """The tables of its latent stream; None if it has none and only the plain format can be."""
+        return StreamProfile.from_tensors(self.tensors)
+
+
+def spec_tensor_shapes(spec: AvatarSpec) -> dict[str, tuple[int, ...]]:
+    """Name and shape of every tensor that the spec fixes: all but mesh and expression encoder."""
+    shapes: dict[str, tuple[int, ...]] = {"geometry.mean": (spec.map_size, spec.map_size, 3)}
+    for decoder in spec.decoder_channels:
+        for layer in decoder_layers(spec, decoder):
+            shapes.update(layer.tensor_shapes())
+    shapes |= encoding_shapes(spec)
+    for prefix, width, outputs in (
+        ("xyz", 3, spec.xyz_channels),
+        ("pixel", spec.pixel_input_channels, spec.pixel_channels),
+    ):
+        for index, out in enumerate(outputs):
+            shapes[f"{prefix}.{index}.weight"] = (out, width)
+            shapes[f"{prefix}.{index}.bias"] = (out,)
+            width = out
+    return shapes
+
+
+def avatar_id(source: Path | str | bytes) -> str:
+    """The identity of an avatar file: SHA-256 of its bytes, hexadecimal.
+
+    Raises:
+        AvatarFileError: The file cannot be read or is larger than any avatar.
+    """
+    data = source if isinstance(source, bytes) else _read(Path(source))
+    return hashlib.sha256(data).hexdigest()
+
+
+def save_avatar(
+    path: Path | str,
+    avatar: Avatar,
+    storage: Mapping[str, Storage] = DEFAULT_STORAGE,
+    *,
+    like: Path | str | bytes | None = None,
+) -> None:
+    """Write an avatar file, after the same checks as when one is read.
+
+    Args:
+        path: Where to; replaced if it exists.
+        avatar: Manifest and tensors in their in-memory form.
+        storage: How to store a tensor, by name. Unnamed ones: fp16 for decoders and expression
+            encoder, else float32.
+        like: An avatar file that this avatar was made from. Tensors that have not changed are
+            stored as they stand there; rounding them anew could move their last bits.
+
+    Raises:
+        AvatarFileError: The avatar is not one that `load_avatar` would accept, or the file cannot
+            be written.
+    """
+    where = str(path)
+    # Row after row: safetensors writes the memory of an array as it lies there.
+    tensors = {name: np.ascontiguousarray(array) for name, array in avatar.tensors.items()}
+    _check_tensors(where, avatar.spec, tensors)
+    kept = _stored_as_they_stand(like, tensors) if like is not None else {}
+    stored: dict[str, Array] = {}
+    affine: dict[str, Any] = {}
+    for name, array in tensors.items():
+        num_vertices = len(tensors["mesh.vertex_uv"])
+        small, table = kept.get(name) or to_storage(name, array, num_vertices, storage.get(name))
+        stored[name] = np.ascontiguousarray(small)
+        if table is not None:
+            affine[name] = table
+    metadata = {
+        "pica": json.dumps(avatar.manifest.to_json(), allow_nan=False),
+        "storage": json.dumps(affine, allow_nan=False),
+    }
+    data = _with_ordered_metadata(safetensors.numpy.save(stored, metadata))
+    load_avatar(data, where)  # what we write, we must be able to read; also checks the manifest
+    try:
+        Path(path).write_bytes(data)
+    except OSError as error:
+        raise AvatarFileError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def load_avatar(source: Path | str | bytes, name: str | None = None) -> Avatar:
+    """Read and check an avatar.
+
+    Args:
+        source: A file, or its content.
+        name: What to call it in messages; the path by default.
+
+    Raises:
+        AvatarFileError: Missing, too large, not safetensors, or anything in it differs from what
+            its spec asks for. The message names file, field and limit.
+    """
+    where = name or ("avatar" if isinstance(source, bytes) else str(source))
+    data = source if isinstance(source, bytes) else _read(Path(source))
+    header = _read_header(where, data)
+    metadata = header.pop("__metadata__", None)
+    if not isinstance(metadata, dict) or "pica" not in metadata:
+        raise AvatarFileError(
+            f"{where}: metadata has no 'pica' manifest; this is not an avatar file"
+        )
+    manifest = manifest_from_json(_parse_json(where, "manifest", metadata["pica"]), where)
+    affine = _parse_json(where, "storage", metadata.get("storage", "{}"))
+    shapes = _check_header(where, manifest.spec, header)
+    try:
+        stored = safetensors.numpy.load(data)
+    except (safetensors.SafetensorError, ValueError, KeyError) as error:
+        raise AvatarFileError(
+            f"{where}: cut or damaged, not valid safetensors ({error}); get the file again"
+        ) from error
+    tensors = {
+        key: to_memory(where, key, stored[key], shapes[key], affine) for key in sorted(shapes)
+    }
+    _check_tensors(where, manifest.spec, tensors)
+    for array in tensors.values():
+        array.flags.writeable = False
+    return Avatar(manifest, MappingProxyType(tensors))
+
+
+def _stored_as_they_stand(
+    source: Path | str | bytes, tensors: Mapping[str, Array]
+) -> dict[str, tuple[Array, dict[str, Any] | None]]:
+    """What a file stores of those tensors that it has just so, and their tables."""
+    data = source if isinstance(source, bytes) else _read(Path(source))
+    before = load_avatar(data, None if isinstance(source, bytes) else str(source)).tensors
+    stored = safetensors.numpy.load(data)
+    metadata = _read_header("avatar", data)["__metadata__"]
+    affine = json.loads(metadata.get("storage", "{}"))
+    return {
+        name: (stored[name], affine.get(name))
+        for name, array in tensors.items()
+        if name in before and np.array_equal(before[name], array)
+    }
+
+
+def _read(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_FILE_BYTES + 1)
+    except OSError as error:
+        raise AvatarFileError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if len(data) > MAX_FILE_BYTES:
+        raise AvatarFileError(f"{path}: file is larger than {MAX_FILE_BYTES} bytes, the limit")
+    return data
+
+
+def _read_header(where: str, data: bytes) -> dict[str, Any]:
+    if len(data) > MAX_FILE_BYTES:
+        raise AvatarFileError(f"{where}: {len(data)} bytes; the limit is {MAX_FILE_BYTES}")
+    if len(data) < 8:
+        raise AvatarFileError(f"{where}: {len(data)} bytes are too few for an avatar file")
+    length = int.from_bytes(data[:8], "little")
+    if length > MAX_HEADER_BYTES:
+        raise AvatarFileError(
+            f"{where}: header of {length} bytes (the limit is {MAX_HEADER_BYTES}); "
+            "this is not an avatar file"
+        )
+    if 8 + length > len(data):
+        raise AvatarFileError(
+            f"{where}: cut: the header alone needs {8 + length} bytes, {len(data)} are there; "
+            "get the file again"
+        )
+    header = _parse_json(where, "header", data[8 : 8 + length])
+    if not isinstance(header, dict):
+        raise AvatarFileError(f"{where}: header is not a JSON object; this is not an avatar file")
+    return header
+
+
+def _parse_json(where: str, field: str, text: object) -> Any:
+    def refuse_constant(constant: str) -> None:
+        raise ValueError(f"the constant {constant} is not allowed")
+
+    def refuse_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        found = dict(pairs)
+        if len(found) != len(pairs):  # two readers could see two different files
+            raise ValueError("a key appears twice")
+        return found
+
+    if not isinstance(text, str | bytes):
+        raise AvatarFileError(f"{where}: {field} is {type(text).__name__}; JSON text is needed")
+    try:
+        return json.loads(text, parse_constant=refuse_constant, object_pairs_hook=refuse_duplicates)
+    except (ValueError, RecursionError) as error:
+        raise AvatarFileError(f"{where}: {field} is not valid JSON: {error}") from error
+
+
+def _check_header(
+    where: str, spec: AvatarSpec, header: Mapping[str, Any]
+) -> dict[str, tuple[int, ...]]:
+    """Names, shapes and stored types of all tensors, before any of them is materialised."""
+    shapes: dict[str, tuple[int, ...]] = {}
+    types: dict[str, str] = {}
+    for name, entry in header.items():
+        shape = entry.get("shape") if isinstance(entry, dict) else None
+        if not isinstance(shape, list) or not all(type(n) is int and n > 0 for n in shape):
+            raise AvatarFileError(f"{where}: tensor {name!r:.80} has no proper shape")
+        shapes[name] = tuple(shape)
+        types[name] = str(entry.get("dtype"))
+    _check_shapes(where, spec, shapes)
+    for name, stored in types.items():
+        allowed = {"I32", "U16"} if is_index(name) else _FLOAT_TYPES | _AFFINE_TYPES
+        if name.startswith(STREAM_PREFIX):
+            allowed = _STREAM_TYPES
+        if stored not in allowed:
+            raise AvatarFileError(
+                f"{where}: tensor {name} is stored as {stored:.20}; "
+                f"allowed are {', '.join(sorted(allowed))}"
+            )
+    return shapes
+
+
+def _check_shapes(where: str, spec: AvatarSpec, shapes: Mapping[str, tuple[int, ...]]) -> None:
+    wanted = spec_tensor_shapes(spec)
+    num_layers = sum(
+        1 for name in shapes if name.startswith("encoder.") and name.endswith(".weight")
+    )
+    if not 1 <= num_layers <= MAX_ENCODER_LAYERS:
+        raise AvatarFileError(
+            f"{where}: encoder has {num_layers} layers; allowed are 1 to {MAX_ENCODER_LAYERS}"
+        )
+    width = NUM_ARKIT
+    for index in range(num_layers):
+        last = index + 1 == num_layers
+        found = shapes.get(f"encoder.{index}.weight", (0,))
+        out = NUM_LATENT if last else found[0]
+        if not 1 <= out <= MAX_ENCODER_WIDTH:
+            raise AvatarFileError(
+                f"{where}: tensor encoder.{index}.weight is missing or has {out} outputs; "
+                f"allowed are 1 to {MAX_ENCODER_WIDTH}"
+            )
+        wanted[f"encoder.{index}.weight"] = (out, width)
+        wanted[f"encoder.{index}.bias"] = (out,)
+        width = out
+    for name, columns, limit in (("mesh.vertex_uv", 2, MAX_VERTICES), ("mesh.faces", 3, MAX_FACES)):
+        rows = shapes.get(name, (0,))[0]
+        if name in shapes and rows > limit:
+            raise AvatarFileError(f"{where}: tensor {name} has {rows} rows; the limit is {limit}")
+        wanted[name] = (rows, columns)
+    wanted |= wanted_shapes(where, spec, shapes, MAX_FACES)
+    stream = {
+        name.removeprefix(STREAM_PREFIX): shape
+        for name, shape in shapes.items()
+        if name.startswith(STREAM_PREFIX)
+    }
+    if stream:
+        try:
+            wanted |= {STREAM_PREFIX + name: s for name, s in profile_shapes(stream).items()}
+        except ProfileError as error:
+            raise AvatarFileError(f"{where}: {error}") from error
+    if missing := sorted(set(wanted) - set(shapes)):
+        raise AvatarFileError(f"{where}: tensor {missing[0]} is missing ({len(missing)} in total)")
+    if unknown := sorted(set(shapes) - set(wanted)):
+        raise AvatarFileError(f"{where}: tensor {unknown[0]!r:.80} is unknown")
+    for name, shape in wanted.items():
+        if shapes[name] != shape:
+            raise AvatarFileError(
+                f"{where}: tensor {name} has shape {list(shapes[name])}; {list(shape)} is needed"
+            )
+
+
+def _check_tensors(where: str, spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
+    _check_shapes(where, spec, {name: array.shape for name, array in tensors.items()})
+    try:
+        StreamProfile.from_tensors(tensors)
+    except ProfileError as error:
+        raise AvatarFileError(f"{where}: {error}") from error
+    for name, array in tensors.items():
+        if name.startswith(STREAM_PREFIX):
+            continue
+        wanted = np.int32 if is_index(name) else np.float32
+        if array.dtype != wanted:
+            raise AvatarFileError(
+                f"{where}: tensor {name} is {array.dtype}; {np.dtype(wanted)} is needed"
+            )
+        if is_index(name):
+            continue
+        # One pass: NaN fails both comparisons' negation.
+        if not (array.min() >= -MAX_MAGNITUDE and array.max() <= MAX_MAGNITUDE):
+            raise AvatarFileError(
+                f"{where}: tensor {name} has values that are not finite or beyond {MAX_MAGNITUDE:g}"
+            )
+    uv = tensors["mesh.vertex_uv"]
+    if uv.min() < 0 or uv.max() > 1:
+        raise AvatarFileError(
+            f"{where}: tensor mesh.vertex_uv spans {uv.min():g} to {uv.max():g}; 0 to 1 is allowed"
+        )
+    for name in filter(is_faces, tensors):
+        faces = tensors[name]
+        if faces.min() < 0 or faces.max() >= len(uv):
+            raise AvatarFileError(
+                f"{where}: tensor {name} names vertices {faces.min()} to {faces.max()}; "
+                f"allowed are 0 to {len(uv) - 1}"
+            )
+    check_sheets(where, spec, tensors)
+    try:
+        read_errors(spec, tensors)
+    except ValueError as error:
+        raise AvatarFileError(f"{where}: {LEVEL_PREFIX}{error}") from error
+
+
+def _with_ordered_metadata(data: bytes) -> bytes:
+    """The same file with its metadata in alphabetical order.
+
+    safetensors leaves that order to chance, and then one avatar would have two identities.
+    """
+    length = int.from_bytes(data[:8], "little")
+    header = json.loads(data[8 : 8 + length])
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
+    text += b" " * (-len(text) % 8)  # as the format wants it: tensors begin at a multiple of 8
+    return len(text).to_bytes(8, "little") + text + data[8 + length :]

@@ -1,0 +1,194 @@
+"""The tensors that levels of detail have in an avatar file: names, shapes, checks.
+
+All of them may be absent; float32 in memory unless stated. S is a level below the full one, C the
+channels of the trunk there, R the rows that hold the vertices of its mesh, T is 1 to 4.
+
+    level.{S}.faces              [F, 3] int32, over mesh.vertex_uv
+    level.{S}.geometry.mean      [R, S, 3] metres
+    level.{S}.geometry.texel     [R, S, T] int32: which texels of the trunk, row * S + column
+    level.{S}.geometry.weight    [R, S, 3 * C * T]: of x, of its first channel, of the first texel
+    level.{S}.expression.weight  [4, C, 3, 3]
+    level.{S}.expression.bias    [4, S, S]
+    level.head_px                [K] heights of the head on screen, pixels, ascending
+    level.errors                 [L, 2, K] MSE by level (ascending, the full one last): of its maps
+                                 and its mesh, and of the full maps on its mesh; and by height
+    level.sensitivity            [2] MSE per squared radian of view, per squared unit of the latent
+
+A level is there as a whole or not at all, and so is the table of errors. The geometry is a *sheet*:
+the k-th vertex that the level's mesh uses, counted from the lowest number, stands in row k // S and
+column k % S. What is left of the last row belongs to nobody.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.avatar.levels import NUM_DRAWINGS, LevelErrors, level_sizes
+from pica_core.avatar.spec import POSITION_CHANNELS, AvatarSpec
+from pica_core.errors import AvatarFileError
+from pica_core.graphs.decoder_layers import trunk_channels
+
+Array = npt.NDArray[Any]
+
+PREFIX = "level."
+MAX_HEIGHTS = 64
+"""Entries of an error table along the height of the head."""
+MAX_TEXELS = 4
+"""Of the trunk that a vertex is made of."""
+_TABLE = ("head_px", "errors", "sensitivity")
+
+
+def is_faces(name: str) -> bool:
+    """Whether a tensor of an avatar holds triangles."""
+    return name == "mesh.faces" or (name.startswith(PREFIX) and name.endswith(".faces"))
+
+
+def is_index(name: str) -> bool:
+    """Whether a tensor of an avatar holds whole numbers: triangles, or texels of a trunk."""
+    return is_faces(name) or (name.startswith(PREFIX) and name.endswith(".geometry.texel"))
+
+
+def sheet_rows(num_vertices: int, level: int) -> int:
+    """Rows of the sheet that holds so many vertices."""
+    return -(-num_vertices // level)
+
+
+def sheet_uv(num_vertices: int, level: int) -> npt.NDArray[np.float32]:
+    """Where vertices stand in their sheet, as texture coordinates. float32 ``[V, 2]``."""
+    number, rows = np.arange(num_vertices), sheet_rows(num_vertices, level)
+    across, down = (number % level + 0.5) / level, (number // level + 0.5) / rows
+    places: npt.NDArray[np.float32] = np.stack([across, down], axis=1).astype(np.float32)
+    return places
+
+
+def faces_name(level: int) -> str:
+    """Name of a level's own triangles."""
+    return f"{PREFIX}{level}.faces"
+
+
+def exit_shapes(
+    spec: AvatarSpec, level: int, rows: int, num_texels: int
+) -> dict[str, tuple[int, ...]]:
+    """Name and shape of the tensors that make an exit, its mesh excepted.
+
+    Args:
+        spec: Sizes of the avatar.
+        level: Columns of its sheet.
+        rows: Of its sheet.
+        num_texels: That a vertex is made of.
+    """
+    channels, prefix = trunk_channels(spec, level), f"{PREFIX}{level}"
+    codes = spec.expression_channels
+    return {
+        f"{prefix}.geometry.weight": (rows, level, POSITION_CHANNELS * channels * num_texels),
+        f"{prefix}.geometry.mean": (rows, level, POSITION_CHANNELS),
+        f"{prefix}.geometry.texel": (rows, level, num_texels),
+        f"{prefix}.expression.weight": (codes, channels, 3, 3),
+        f"{prefix}.expression.bias": (codes, level, level),
+    }
+
+
+def levels_of(spec: AvatarSpec, names: Iterable[str]) -> tuple[int, ...]:
+    """The levels of an avatar with tensors of these names, ascending; the full one is the last."""
+    there = set(names)
+    exits = level_sizes(spec)[:-1]
+    found = (size for size in exits if there.intersection(exit_shapes(spec, size, 1, 1)))
+    return (*found, spec.map_size)
+
+
+def wanted_shapes(
+    where: str, spec: AvatarSpec, shapes: Mapping[str, tuple[int, ...]], max_faces: int
+) -> dict[str, tuple[int, ...]]:
+    """Shapes that the ``level.*`` tensors of a file must have, judged by which of them it has.
+
+    Args:
+        where: Name of the file, for messages.
+        spec: Sizes of the avatar.
+        shapes: Of every tensor of the file.
+        max_faces: Most triangles of a mesh.
+
+    Raises:
+        AvatarFileError: A number of triangles or heights is out of its limits. Names that nobody
+            knows are left to the caller, who compares names.
+    """
+    levels = levels_of(spec, shapes)
+    wanted: dict[str, tuple[int, ...]] = {}
+    for size in level_sizes(spec)[:-1]:
+        faces, mean = faces_name(size), f"{PREFIX}{size}.geometry.mean"
+        if size in levels or faces in shapes:
+            rows = _rows(where, mean, shapes.get(mean, (1,)), sheet_rows(3 * max_faces, size))
+            texel = shapes.get(f"{PREFIX}{size}.geometry.texel", (1,))
+            num_texels = min(max(texel[-1] if texel else 1, 1), MAX_TEXELS)
+            wanted |= exit_shapes(spec, size, rows, num_texels)
+            wanted[faces] = (_rows(where, faces, shapes.get(faces, (1,)), max_faces), 3)
+    table = {name: PREFIX + name for name in _TABLE}
+    if shapes.keys() & table.values():
+        name = table["head_px"]
+        heights = _rows(where, name, shapes.get(name, (1,)), MAX_HEIGHTS)
+        wanted[name] = (heights,)
+        wanted[table["errors"]] = (len(levels), NUM_DRAWINGS, heights)
+        wanted[table["sensitivity"]] = (2,)
+    return wanted
+
+
+def _rows(where: str, name: str, shape: tuple[int, ...], limit: int) -> int:
+    rows = shape[0] if shape else 0
+    if not 1 <= rows <= limit:
+        raise AvatarFileError(f"{where}: tensor {name} has {rows} rows; allowed are 1 to {limit}")
+    return rows
+
+
+def check_sheets(where: str, spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
+    """Compare the sheets of an avatar's levels with their meshes; names and shapes fit already.
+
+    Raises:
+        AvatarFileError: A sheet has more or fewer rows than its vertices need, or a vertex is made
+            of a texel that is not there.
+    """
+    for level in levels_of(spec, tensors)[:-1]:
+        mean, texel = (f"{PREFIX}{level}.geometry.{name}" for name in ("mean", "texel"))
+        num_vertices = len(np.unique(tensors[faces_name(level)]))
+        rows = sheet_rows(num_vertices, level)
+        if len(tensors[mean]) != rows:
+            raise AvatarFileError(
+                f"{where}: tensor {mean} has {len(tensors[mean])} rows; the {num_vertices} "
+                f"vertices of {faces_name(level)} need {rows}"
+            )
+        numbers = tensors[texel]
+        if numbers.min() < 0 or numbers.max() >= level * level:
+            raise AvatarFileError(
+                f"{where}: tensor {texel} names texels {numbers.min()} to {numbers.max()}; "
+                f"allowed are 0 to {level * level - 1}"
+            )
+
+
+def read_errors(spec: AvatarSpec, tensors: Mapping[str, Array]) -> LevelErrors | None:
+    """The table of errors in an avatar's tensors; None if it has none.
+
+    Raises:
+        ValueError: Heights not above 0 and ascending, or an error below 0 or not finite.
+    """
+    if PREFIX + "errors" not in tensors:
+        return None
+    view, latent = (float(value) for value in tensors[PREFIX + "sensitivity"])
+    return LevelErrors(
+        levels=levels_of(spec, tensors),
+        head_px=tensors[PREFIX + "head_px"],
+        mse=tensors[PREFIX + "errors"],
+        view_mse_per_rad2=view,
+        latent_mse_per_unit2=latent,
+    )
+
+
+def error_tensors(errors: LevelErrors) -> dict[str, Array]:
+    """The tensors that hold a table; `read_errors` reads them back."""
+    sensitivity = [errors.view_mse_per_rad2, errors.latent_mse_per_unit2]
+    return {
+        PREFIX + "head_px": np.asarray(errors.head_px, np.float32),
+        PREFIX + "errors": np.asarray(errors.mse, np.float32),
+        PREFIX + "sensitivity": np.array(sensitivity, np.float32),
+    }

@@ -1,0 +1,138 @@
+"""Levels of detail: which maps an avatar can be decoded to, and what each of them costs in error.
+
+A *level* is the size of the decoded expression map in texels per side. The full one is the model
+itself. A level below it is an early exit of both decoders: the trunk is left after the block that
+makes maps of that size, and one linear layer turns what is there into
+
+    expression map = conv3x3(trunk) + bias                       a bias per texel, [S, S, 4]
+    vertices       = mean + position_scale_m * (weight . trunk)  weights per vertex, in a sheet
+
+The vertices are those of the level's own mesh: coarser triangles over some of the same vertices.
+Each is made of the two texels of the trunk that are nearest to it. A position map of that size
+would not do: lids and lips lie closer together than its texels, and with one convolution for all
+of it eyes and lips do not follow (vertices 0.27 mm off on average in a face that moves by 0.86;
+0.05 mm like this). The mesh of a level can also be drawn with the full maps.
+
+An avatar may have exits at a quarter and a half of its full map: 64 and 128 of 256.
+
+    avatar.levels                                   (64, 128, 256)
+    avatar.level_faces(64)                          int32 [F, 3]
+    avatar.level_errors.at(64, head_px=200.0)       MSE, 0-255
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.avatar.spec import LATENT_SIZE, AvatarSpec
+
+FloatArray = npt.NDArray[np.float32]
+
+NUM_DRAWINGS = 2
+"""Ways to draw the mesh of a level: with what the level makes, and with the full maps."""
+EXIT_DIVISORS = (4, 2)
+"""Full map size over the size of each possible exit (chosen: the two last blocks are where the
+work of a decoder is)."""
+LEAST_MSE = 1e-6
+"""Errors below count as this one: their logarithm is needed."""
+SENSITIVITY_HEAD_PX = 512.0
+"""Height of the head at which the two sensitivities were measured, pixels."""
+
+
+def level_sizes(spec: AvatarSpec) -> tuple[int, ...]:
+    """Every level that an avatar of this spec may have, ascending; the full map is the last."""
+    sizes = [spec.map_size // divisor for divisor in EXIT_DIVISORS]
+    return (*(size for size in sizes if size > LATENT_SIZE), spec.map_size)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class LevelErrors:
+    """The rendered error that levels leave, by the size of the head on screen.
+
+    Errors are mean squared differences on 0-255 values over the head's pixels, against the full
+    level drawn with supersampling.
+    """
+
+    levels: tuple[int, ...]
+    """The avatar's levels, ascending, length L."""
+    head_px: FloatArray
+    """Heights of the head's bounding box on screen, pixels, ascending. float32 ``[K]``."""
+    mse: FloatArray
+    """Per level, of its own maps and mesh, and of the full maps drawn with its mesh; and height.
+    float32 ``[L, 2, K]``; the full level's two are the same."""
+    view_mse_per_rad2: float
+    """What an expression map costs that is kept while the view turns: MSE per square radian, at
+    `SENSITIVITY_HEAD_PX`."""
+    latent_mse_per_unit2: float
+    """What maps cost that are kept while the latent moves: MSE per squared RMS distance of latents,
+    at `SENSITIVITY_HEAD_PX`."""
+
+    def __post_init__(self) -> None:
+        num_levels, num_heights = len(self.levels), len(self.head_px)
+        if num_levels < 1 or list(self.levels) != sorted(set(self.levels)):
+            raise ValueError(f"levels are {self.levels}; one or more are needed, ascending")
+        heights = np.asarray(self.head_px)
+        ascending = heights.ndim == 1 and num_heights >= 1 and bool(np.all(np.diff(heights) > 0))
+        if not ascending or not (heights[0] > 0 and np.isfinite(heights[-1])):
+            raise ValueError("head_px must be one or more heights above 0, finite and ascending")
+        wanted = (num_levels, NUM_DRAWINGS, num_heights)
+        if self.mse.shape != wanted:
+            raise ValueError(f"errors have shape {list(self.mse.shape)}; {list(wanted)} is needed")
+        sensitivities = (self.view_mse_per_rad2, self.latent_mse_per_unit2)
+        for name, values in (("errors", self.mse), ("sensitivity", np.array(sensitivities))):
+            if not (np.isfinite(values).all() and values.min() >= 0):
+                raise ValueError(f"{name} must be finite and at least 0")
+
+    def at(self, level: int, head_px: float, *, full_maps: bool = False) -> float:
+        """The error of one choice.
+
+        Args:
+            level: One of `levels`.
+            head_px: Height of the head, pixels.
+            full_maps: Draw the mesh of the level with the full maps.
+
+        Returns:
+            MSE. Between the table's heights its logarithm runs straight over the logarithm of the
+            height; beyond them the nearest entry holds.
+
+        Raises:
+            ValueError: An unknown level.
+        """
+        if level not in self.levels:
+            raise ValueError(f"level {level}; known are {', '.join(map(str, self.levels))}")
+        row = self.mse[self.levels.index(level), int(full_maps)]
+        height = float(np.clip(head_px, self.head_px[0], self.head_px[-1]))
+        known = np.log(np.maximum(row, LEAST_MSE))
+        return float(np.exp(np.interp(np.log(height), np.log(self.head_px), known)))
+
+
+def default_errors(levels: Sequence[int]) -> LevelErrors:
+    """A guess for avatars without a measured table.
+
+    Half of a map's rows lie on what is seen of a head from the front, so a level is sharp up to a
+    head of about half its size in pixels; a map of half the size, or a head of twice the height,
+    leaves twice the error. Half of it is the mesh's. The full level is the truth but for its
+    pixels' edges. No measurement stands behind the factors: they are there so that far heads get
+    less and near ones more.
+
+    Args:
+        levels: The avatar's levels, ascending.
+    """
+    heights = 2.0 ** np.arange(4, 12)
+    full = max(levels)
+    mse = np.empty((len(levels), NUM_DRAWINGS, len(heights)))
+    for index, level in enumerate(levels):
+        blur = 0.0 if level == full else 20.0 * heights / level
+        mse[index, 0] = 5.0 + blur
+        mse[index, 1] = 5.0 + 0.5 * blur
+    return LevelErrors(
+        levels=tuple(levels),
+        head_px=heights.astype(np.float32),
+        mse=mse.astype(np.float32),
+        view_mse_per_rad2=200.0,
+        latent_mse_per_unit2=200.0,
+    )

@@ -1,0 +1,151 @@
+"""How an avatar's tensors are made small in its file, and large again in memory.
+
+fp16, or 8 or 16 bit integers q with value = offset + scale * q per last-axis channel; the two
+tables stand in the file's metadata. Integers that are integers anyway stay so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.avatar.level_tensors import PREFIX as LEVEL_PREFIX
+from pica_core.avatar.level_tensors import is_index
+from pica_core.codec.profile import PREFIX as STREAM_PREFIX
+from pica_core.errors import AvatarFileError
+
+Array = npt.NDArray[Any]
+Storage = Literal["f32", "f16", "u8", "u16"]
+
+MAX_MAGNITUDE = 1e6
+"""Largest absolute value of any weight: trained ones are below 1e3; sums of products stay finite in
+float32."""
+
+DEFAULT_STORAGE: Mapping[str, Storage] = MappingProxyType(
+    {
+        "uv_encoding": "u8",
+        "u_encoding": "f16",
+        "v_encoding": "f16",
+        "geometry.mean": "u16",
+        "mesh.vertex_uv": "u16",
+    }
+)
+"""How `save_avatar` stores these; decoder and encoder weights are fp16, gains 8 bits, the two
+SIRENs float32. A level's mean is stored like the full one, its weights per vertex in 8 bits, its
+bias in fp16, the rest of it in float32.
+
+8 bits over the range of a channel are 0.004 of that range; 16 bits over a head are 5 micrometres
+and over a UV 1/64 of a texel, where fp16 would be 60 micrometres and half a texel.
+"""
+
+
+Precision = Literal["mixed", "f32", "f16", "u8"]
+"""Ways to store a whole avatar: see `storage_of`."""
+_ALWAYS: Mapping[str, Storage] = MappingProxyType({"geometry.mean": "u16", "mesh.vertex_uv": "u16"})
+
+
+def storage_of(precision: Precision, names: Iterable[str]) -> dict[str, Storage]:
+    """How to store tensors of these names so that all of an avatar has one precision.
+
+    Args:
+        precision: mixed is `DEFAULT_STORAGE`. f32 rounds nothing. f16 and u8 store decoders,
+            encodings and expression encoder so; positions and UVs stay at 16-bit integers, and the
+            two small sine networks at float32: they are 343 numbers.
+        names: Of the avatar's tensors.
+    """
+    if precision == "mixed":
+        return dict(DEFAULT_STORAGE)
+    own = [name for name in names if not name.startswith((STREAM_PREFIX, LEVEL_PREFIX))]
+    own = [name for name in own if not is_index(name)]
+    if precision == "f32":
+        return dict.fromkeys(own, "f32")
+    weights = [name for name in own if not name.startswith(("xyz.", "pixel."))]
+    return {**dict.fromkeys(weights, precision), **_ALWAYS}
+
+
+def to_storage(
+    name: str, array: Array, num_vertices: int, kind: Storage | None = None
+) -> tuple[Array, dict[str, Any] | None]:
+    """A tensor as the file holds it.
+
+    Args:
+        name: Of the tensor.
+        array: Its values in memory.
+        num_vertices: Of the mesh: triangles of small meshes take half the bytes.
+        kind: How to store it; None for fp16 or float32, as is usual for its name.
+
+    Returns:
+        What to write, and the table of scales and offsets if there is one.
+    """
+    if name.startswith(STREAM_PREFIX):
+        return array, None
+    if is_index(name):
+        is_short = num_vertices <= 2**16 and array.max() < 2**16
+        return array.astype(np.uint16 if is_short else np.int32), None
+    kind = kind or _usual(name)
+    if kind in ("u8", "u16"):
+        return _to_affine(array, np.uint8 if kind == "u8" else np.uint16)
+    return array.astype(np.float32 if kind == "f32" else np.float16), None
+
+
+def to_memory(where: str, name: str, stored: Array, shape: tuple[int, ...], affine: Any) -> Array:
+    """A tensor as it was before `to_storage`, but for rounding.
+
+    Args:
+        where: Name of the file, for messages.
+        name: Of the tensor.
+        stored: What the file holds.
+        shape: Its shape.
+        affine: The file's tables by tensor, of any type: nothing is trusted.
+
+    Raises:
+        AvatarFileError: The tensor needs a table, and it is missing or not of finite numbers.
+    """
+    if is_index(name):
+        return stored.astype(np.int32)
+    if name.startswith(STREAM_PREFIX):
+        return stored
+    if stored.dtype.kind == "f":
+        return stored.astype(np.float32)
+    entry = affine.get(name) if isinstance(affine, dict) else None
+    channels: list[Array] = []
+    for key in ("scale", "offset"):
+        values = entry.get(key) if isinstance(entry, dict) else None
+        proper = (
+            isinstance(values, list)
+            and len(values) == shape[-1]
+            and all(type(v) in (int, float) and abs(v) <= MAX_MAGNITUDE for v in values)
+        )
+        if not proper:
+            raise AvatarFileError(
+                f"{where}: storage.{name}.{key} must be {shape[-1]} finite numbers "
+                f"up to {MAX_MAGNITUDE:g}"
+            )
+        channels.append(np.asarray(values, np.float32))
+    memory: Array = channels[1] + channels[0] * stored.astype(np.float32)
+    if name == "mesh.vertex_uv":  # the rounding of offset + scale * q may step over the edge
+        np.clip(memory, 0, 1, out=memory)
+    return memory
+
+
+def _usual(name: str) -> Storage:
+    if name.startswith(LEVEL_PREFIX):
+        if name.endswith((".geometry.mean", ".geometry.weight")):
+            return "u16" if name.endswith("mean") else "u8"
+        return "f16" if name.endswith(".expression.bias") else "f32"
+    if name.endswith(".gain.weight"):
+        return "u8"
+    return "f16" if name.startswith(("geometry.", "expression.", "encoder.")) else "f32"
+
+
+def _to_affine(array: Array, dtype: type[np.unsignedinteger[Any]]) -> tuple[Array, dict[str, Any]]:
+    levels = int(np.iinfo(dtype).max)
+    flat = array.reshape(-1, array.shape[-1]).astype(np.float64)
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    scale = np.where(high > low, (high - low) / levels, 1.0)
+    codes = np.rint((flat - low) / scale).astype(dtype).reshape(array.shape)
+    return codes, {"scale": scale.tolist(), "offset": low.tolist()}

@@ -1,0 +1,90 @@
+"""The models of the paper's tables, as rows: each is `FULL` with one part replaced.
+
+    full       the Pixel Codec Avatar (section 3)
+    no_uv      the pixel decoder is not told where on the surface it is
+    coarse     the tracked mesh is drawn, not the dense one
+    uv_nope    (u, v) as they are, without an encoding
+    nerf_pe    sines and cosines of (u, v), 40 values
+    pe_2d      the joint map m_uv alone
+    pe_1d      the per-axis tables m_u and m_v alone
+    baseline   a mesh and a whole texture (Lombardi et al. 2018)
+
+What the paper says of each, what it leaves open and what we chose: `docs/variants.md`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import prod
+from types import MappingProxyType
+from typing import Literal
+
+from pica_core.avatar.spec import AvatarSpec
+from pica_core.graphs.decoder_layers import decoder_layers
+from pica_core.reference.surface_encoding import encoding_shapes
+
+TopologyName = Literal["dense", "tracked"]
+Network = Literal["pixel_codec", "deep_appearance"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Variant:
+    """What may differ between two rows."""
+
+    network: Network = "pixel_codec"
+    """Colours by a pixel decoder, or a whole texture."""
+    encoding: str = "full"
+    """What a pixel decoder is told about the surface point (`spec.ENCODINGS`)."""
+    topology: TopologyName = "dense"
+    """Which mesh of the capture is drawn."""
+
+
+FULL = Variant()
+VARIANTS: Mapping[str, Variant] = MappingProxyType(
+    {
+        "full": FULL,
+        "no_uv": replace(FULL, encoding="none"),
+        "coarse": replace(FULL, topology="tracked"),
+        "uv_nope": replace(FULL, encoding="uv"),
+        "nerf_pe": replace(FULL, encoding="sinusoids"),
+        "pe_2d": replace(FULL, encoding="joint"),
+        "pe_1d": replace(FULL, encoding="axes"),
+        "baseline": replace(FULL, network="deep_appearance", topology="tracked"),
+    }
+)
+TABLE_1 = ("baseline", "full", "no_uv", "coarse")
+"""Rows of the paper's Table 1, in its order."""
+TABLE_2 = ("full", "nerf_pe", "uv_nope", "pe_2d", "pe_1d")
+"""Rows of the paper's Table 2, in its order."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ModelCost:
+    """What a model costs at run time. The latent's encoder is not part of it."""
+
+    parameters: int
+    """Trained numbers of everything that a receiver runs."""
+    per_object_multiply_adds: int
+    """Of one frame of one person; biases and activations are not counted."""
+    per_pixel_multiply_adds: int
+    """Of one pixel; lookups in maps and tables are not counted."""
+
+
+def pixel_codec_cost(spec: AvatarSpec) -> ModelCost:
+    """The cost of a Pixel Codec Avatar: both decoders, the encoding, the two sine networks."""
+    layers = [layer for name in spec.decoder_channels for layer in decoder_layers(spec, name)]
+    shapes = [shape for layer in layers for shape in layer.tensor_shapes().values()]
+    shapes += encoding_shapes(spec).values()
+    widths = ((3, *spec.xyz_channels), (spec.pixel_input_channels, *spec.pixel_channels))
+    per_pixel = 0
+    for network in widths:
+        for inputs, outputs in pairwise(network):
+            shapes += [(outputs, inputs), (outputs,)]
+            per_pixel += inputs * outputs
+    return ModelCost(
+        parameters=sum(map(prod, shapes)),
+        per_object_multiply_adds=sum(layer.multiply_adds for layer in layers),
+        per_pixel_multiply_adds=per_pixel,
+    )

@@ -1,0 +1,327 @@
+"""Find what is wrong with a capture: every file by name, size and header, some by their pixels.
+
+What describes the capture comes first; if that cannot be read, each describing file is named and
+the rest is left. Then every frame: meshes, poses, and headers of all images. Pixels are decoded for
+some frames spread over the capture: there the projected mesh has to lie on the mask and depth on
+the mesh (`check_geometry`).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.capture.dataset import multiface
+from pica_core.capture.dataset.check_geometry import depth_problem, silhouette_problem
+from pica_core.capture.dataset.dataset import Capture, CaptureFrame
+from pica_core.capture.dataset.files import (
+    SPLITS,
+    check_image_header,
+    read_expressions,
+    read_frame_list,
+    read_topology,
+)
+from pica_core.errors import CaptureError
+
+Result = TypeVar("Result")
+FloatArray = npt.NDArray[np.float32]
+
+PIXEL_FRAMES = 16
+"""Frames whose pixels are decoded, unless said otherwise (chosen)."""
+MAX_PROBLEMS = 1000
+"""Problems that are kept; more are only counted."""
+HEAD_SIZE_M = (0.1, 2.0)
+"""Diagonals of a head's bounding box that are believed: else units are wrong."""
+EXPRESSION_RANGE = (-0.5, 1.6)
+"""Expression values that are believed; recordings reach 1.05."""
+SAME_EXPRESSION = 1e-4
+"""Expressions that differ by less in every value are the same."""
+
+
+@dataclass(slots=True)
+class _Findings:
+    """Problems so far."""
+
+    root: Path
+    problems: list[dict[str, str]] = field(default_factory=list)
+    uncounted: int = 0
+
+    def add(self, where: Path | str, what: str) -> None:
+        if len(self.problems) >= MAX_PROBLEMS:
+            self.uncounted += 1
+            return
+        text = str(where)
+        if text.startswith(f"{self.root}{os.sep}"):
+            text = text[len(str(self.root)) + 1 :]
+        self.problems.append({"where": text, "what": what})
+
+    def attempt(self, work: Callable[[], Result]) -> Result | None:
+        """What `work` returns; None where it fails, which is a problem then."""
+        try:
+            return work()
+        except CaptureError as error:
+            self.add_error(str(error))
+        except OSError as error:
+            self.add(error.filename or self.root, error.strerror or str(error))
+        return None
+
+    def add_error(self, message: str) -> None:
+        """A message that starts with the file."""
+        where, _, what = message.partition(": ")
+        self.add(where, what or message)
+
+
+def check_capture(directory: Path, pixel_frames: int = PIXEL_FRAMES) -> dict[str, Any]:
+    """Check a capture directory.
+
+    Args:
+        directory: The capture.
+        pixel_frames: Frames whose pixels are decoded; 0 for all.
+
+    Returns:
+        ``ok`` (bool), ``problems`` (list of maps with ``where`` and ``what``), ``frames``,
+        ``cameras``, ``images``, ``split`` (frames by split), ``decoded`` (images whose pixels were
+        looked at).
+
+    Raises:
+        CaptureError: There is no such directory.
+    """
+    if not directory.is_dir():
+        raise CaptureError(f"{directory}: no such directory")
+    findings = _Findings(directory)
+    _check_leftovers(findings)
+    result: dict[str, Any] = {"frames": 0, "cameras": 0, "images": 0, "decoded": 0}
+    result["split"] = dict.fromkeys(SPLITS, 0)
+    try:
+        capture = Capture.open(directory)
+    except CaptureError as error:
+        _check_descriptions(findings, str(error))
+    else:
+        for problem in capture.left_out:
+            findings.add_error(problem)
+        _check_cameras(findings, capture)
+        _check_tables(findings, capture)
+        _check_split(findings, capture)
+        result["cameras"] = len(capture.cameras)
+        result["frames"] = len(capture.frames)
+        result["split"] = {split: len(capture.frames_of(split)) for split in SPLITS}
+        for frame in capture.frames:
+            result["images"] += _check_frame(findings, capture, frame)
+        for frame in _spread(capture.frames, pixel_frames):
+            result["decoded"] += _check_pixels(findings, capture, frame)
+    if findings.uncounted:
+        findings.problems.append(
+            {"where": str(directory), "what": f"{findings.uncounted} more problems"}
+        )
+    return {"ok": not findings.problems, "problems": findings.problems, **result}
+
+
+def _check_leftovers(findings: _Findings) -> None:
+    root = findings.root
+    if (root / multiface.MARKER).exists():
+        findings.add(root / multiface.MARKER, "the render is not finished; run it again to go on")
+    for path in root.rglob("*.part"):
+        findings.add(path, "a half-written file; an interrupted render leaves one")
+
+
+def _check_descriptions(findings: _Findings, message: str) -> None:
+    """Which describing files cannot be read, beside the first, whose message is given."""
+    root = findings.root
+    findings.add_error(message)
+    first = findings.problems[-1]
+    width = height = 1  # the image size does not matter here
+    attempts: list[tuple[str, Callable[[Path], object]]] = [
+        (multiface.CAPTURE, multiface.read_json),
+        (multiface.KRT, lambda path: multiface.read_krt(path, width, height)),
+        (multiface.TOPOLOGY, read_topology),
+        (multiface.TRACKED_TOPOLOGY, read_topology),
+        (multiface.EXPRESSIONS, read_expressions),
+        (multiface.FRAME_LIST, read_frame_list),
+    ]
+    for name, read in attempts:
+        if (root / name).exists() or name in (multiface.KRT, multiface.FRAME_LIST):
+            before = len(findings.problems)
+            findings.attempt(lambda path=root / name, read=read: read(path))  # type: ignore[misc]
+            if findings.problems[before:] == [first]:
+                del findings.problems[before:]
+
+
+def _check_cameras(findings: _Findings, capture: Capture) -> None:
+    krt = capture.path / multiface.KRT
+    for camera in capture.cameras:
+        k, r = camera.intrinsics, camera.rotation
+        off = float(np.abs(r @ r.T - np.eye(3)).max())
+        if off > 1e-3 or np.linalg.det(r) < 0:
+            findings.add(krt, f"camera {camera.name}: not a rotation (off by {off:.2g})")
+        if k[0, 0] <= 0 or k[1, 1] <= 0 or abs(k[2, 2] - 1) > 1e-6:
+            findings.add(krt, f"camera {camera.name}: focal lengths {k[0, 0]:g}, {k[1, 1]:g}")
+        elif not (0 < k[0, 2] < camera.width and 0 < k[1, 2] < camera.height):
+            findings.add(
+                krt,
+                f"camera {camera.name}: principal point {k[0, 2]:g}, {k[1, 2]:g} outside of "
+                f"{camera.width}x{camera.height}",
+            )
+
+
+def _check_tables(findings: _Findings, capture: Capture) -> None:
+    root = capture.path
+    listed = {(frame.segment, frame.name) for frame in capture.frames}
+    for folder in sorted((root / "tracked_mesh").glob("*")):
+        names = [path.stem for path in folder.glob("*.bin")]
+        extra = sum((folder.name, name) not in listed for name in names)
+        known = sum(problem.startswith(f"{folder}{os.sep}") for problem in capture.left_out)
+        if extra > known:
+            findings.add(folder, f"{extra - known} meshes of frames that are not listed")
+    if capture.is_original:
+        return
+    stated = capture.info.get("num_vertices")
+    if stated != capture.num_vertices:
+        findings.add(
+            root / multiface.CAPTURE,
+            f"num_vertices is {stated!r}, the topology has {capture.num_vertices}",
+        )
+    split = capture.info.get("split")
+    if not isinstance(split, dict):
+        findings.add(root / multiface.CAPTURE, f"split is {split!r:.40}; a map is needed")
+        return
+    for name in SPLITS:
+        found = {frame.segment for frame in capture.frames_of(name)}
+        told = split.get(name, [])
+        if not isinstance(told, list) or not found <= {str(segment) for segment in told}:
+            findings.add(
+                root / multiface.CAPTURE,
+                f"split {name!r} does not hold the segments of {multiface.EXPRESSIONS}",
+            )
+    for frame in capture.frames:
+        values = capture.arkit(frame)
+        if values.min() < EXPRESSION_RANGE[0] or values.max() > EXPRESSION_RANGE[1]:
+            findings.add(
+                root / multiface.EXPRESSIONS,
+                f"{frame.segment} {frame.name}: values from {values.min():g} to {values.max():g}",
+            )
+
+
+def _check_split(findings: _Findings, capture: Capture) -> None:
+    """Segments, expressions or meshes that are in both splits."""
+    train, test = (capture.frames_of(split) for split in SPLITS)
+    for split, frames in (("train", train), ("test", test)):
+        if not frames:
+            findings.add(capture.path, f"no frame is for {split}ing")
+    shared = {frame.segment for frame in train} & {frame.segment for frame in test}
+    for segment in sorted(shared):
+        findings.add(segment, "the segment is in both splits")
+
+    def key(frame: CaptureFrame) -> bytes:
+        if capture.has_expressions:
+            rounded = np.rint(capture.arkit(frame) / SAME_EXPRESSION)
+            return bytes(rounded.astype(np.int64))
+        path = capture.path / multiface.mesh_path(frame.segment, frame.name)
+        return path.read_bytes()
+
+    def compare() -> None:
+        known = {key(frame): frame for frame in train}
+        for frame in test:
+            twin = known.get(key(frame))
+            if twin is not None:
+                findings.add(
+                    f"{frame.segment} {frame.name}",
+                    f"the same expression is for training in {twin.segment} {twin.name}",
+                )
+
+    findings.attempt(compare)
+
+
+def _check_frame(findings: _Findings, capture: Capture, frame: CaptureFrame) -> int:
+    """Everything about a frame but pixels; returns how many images there are."""
+    root = capture.path
+    read = [capture.vertices_m] + ([capture.true_vertices_m] if capture.has_truth else [])
+    for number, vertices_of in enumerate(read):
+        vertices = findings.attempt(lambda of=vertices_of: of(frame))  # type: ignore[misc]
+        if vertices is None:
+            continue
+        size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
+        if not HEAD_SIZE_M[0] <= size <= HEAD_SIZE_M[1]:
+            kind = "tracked_mesh" if number == 0 else multiface.TRUTH_MESH
+            path = multiface.mesh_path(frame.segment, frame.name, kind)
+            findings.add(root / path, f"the mesh is {size:.3g} m large; are its units mm?")
+    pose = findings.attempt(lambda: capture.head_to_world(frame))
+    if pose is not None and np.abs(pose[:, :3] @ pose[:, :3].T - np.eye(3)).max() > 1e-3:
+        path = multiface.transform_path(frame.segment, frame.name)
+        findings.add(root / path, "not a rotation")
+    side = capture.texture_size
+    texture = root / multiface.texture_path(side, frame.segment, frame.name)
+    findings.attempt(lambda: check_image_header(texture, "RGB", (side, side)))
+    kinds = [("images", "RGB")]
+    kinds += [("mask", "L")] if capture.has_masks else []
+    kinds += [(multiface.TRUTH_DEPTH, "I;16")] if capture.has_truth else []
+    kinds += [("depth", "I;16")] if capture.has_depth_of(frame) else []
+    present = capture.cameras_of(frame)
+    if not present:
+        findings.add(f"{frame.segment} {frame.name}", "no camera has an image of the frame")
+    for camera in capture.cameras:
+        if capture.is_original and camera.name not in present:
+            continue  # published captures miss frames of single cameras
+        for kind, mode in kinds:
+            path = root / multiface.image_path(kind, frame.segment, camera.name, frame.name)
+            size_px = (camera.width, camera.height)
+            findings.attempt(
+                lambda path=path, mode=mode, size=size_px: check_image_header(  # type: ignore[misc]
+                    path, mode, size
+                )
+            )
+    return len(present)
+
+
+def _check_pixels(findings: _Findings, capture: Capture, frame: CaptureFrame) -> int:
+    """Decode a frame's images and compare them with its mesh; returns how many were decoded."""
+    vertices = findings.attempt(lambda: capture.vertices_m(frame))
+    findings.attempt(lambda: capture.average_texture(frame))
+    decoded = 0
+    for name in capture.cameras_of(frame):
+
+        def where(kind: str, name: str = name) -> Path:
+            return capture.path / multiface.image_path(kind, frame.segment, name, frame.name)
+
+        def compare(name: str = name, where: Callable[[str], Path] = where) -> None:
+            image = capture.image(frame, name)
+            if np.ptp(image) == 0:
+                findings.add(where("images"), "the image has one colour only")
+            mask = capture.mask(frame, name) if capture.has_masks else None
+            if vertices is None:
+                return
+            camera = capture.head_camera(frame, name)
+            faces = capture.tracked_topology.faces
+            found = silhouette_problem(camera, vertices, faces, mask)
+            if found:
+                findings.add(where("mask" if capture.has_masks else "images"), found)
+            if capture.has_truth:
+                exact = capture.true_vertices_m(frame)
+                depth = capture.true_depth_m(frame, name)
+                found = depth_problem(camera, exact, capture.topology.faces, depth)
+                if found:
+                    findings.add(where(multiface.TRUTH_DEPTH), found)
+            if capture.has_depth_of(frame):
+                found = depth_problem(camera, vertices, faces, capture.depth_m(frame, name))
+                if found:
+                    findings.add(where("depth"), found)
+
+        before = len(findings.problems)
+        findings.attempt(compare)
+        decoded += 1
+        # A header that is bad was told of before.
+        told = findings.problems[:before]
+        findings.problems[before:] = [p for p in findings.problems[before:] if p not in told]
+    return decoded
+
+
+def _spread(frames: tuple[CaptureFrame, ...], count: int) -> list[CaptureFrame]:
+    if count == 0 or count >= len(frames):
+        return list(frames)
+    chosen = np.unique(np.linspace(0, len(frames) - 1, count).round().astype(int))
+    return [frames[index] for index in chosen]

@@ -1,0 +1,348 @@
+"""Read a capture lazily: nothing is decoded before it is asked for, and nothing is kept.
+
+    capture = Capture.open("capture")
+    for frame in capture.frames_of("train"):
+        capture.vertices_m(frame), capture.image(frame, "front")
+
+`reader.CaptureReader` keeps what fits into memory and decodes ahead. Every problem is a
+`CaptureError` that names the file and what is wrong with it; frames whose files are missing or cut
+short are left out when the capture is opened, counted and told of once.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.camera import Camera
+from pica_core.capture.dataset import multiface
+from pica_core.capture.dataset.files import (
+    SPLITS,
+    CaptureFrame,
+    Topology,
+    load_image,
+    read_frames,
+    read_topology,
+    read_tracked,
+    read_transform,
+    read_vertices,
+)
+from pica_core.capture.dataset.published import is_original, open_original
+from pica_core.capture.stage.head_motion import camera_in_head
+from pica_core.errors import CaptureError
+
+__all__ = ["SPLITS", "Capture", "CaptureFrame", "Topology"]
+
+FloatArray = npt.NDArray[np.float32]
+Float64Array = npt.NDArray[np.float64]
+ByteArray = npt.NDArray[np.uint8]
+IntArray = npt.NDArray[np.int64]
+
+log = logging.getLogger(__name__)
+
+
+def _field(values: dict[str, Any], path: Path, name: str, kind: type) -> Any:
+    value = values.get(name)
+    if not isinstance(value, kind):
+        raise CaptureError(f"{path}: field {name!r} is {value!r}; {kind.__name__} is needed")
+    return value
+
+
+class Capture:
+    """An opened capture directory; make one with `open`.
+
+    Attributes:
+        path: Its directory.
+        info: `capture.json` as read, or what stands in for it.
+        cameras: All cameras, in KRT order.
+        frames: All frames that can be used, in `frame_list.txt` order.
+        left_out: What is wrong with the others.
+        topology: The mesh that models draw.
+        tracked_topology: The tracked mesh; the same object where a capture has one mesh only.
+        dense_vertex: Which vertex of `topology` each tracked vertex is, int64 ``[Vt]``; None where
+            that is not known.
+        has_truth: Exact meshes and exact depth are there (synthetic captures).
+        has_depth: At least one frame has depth.
+        has_masks: Masks are there.
+        has_expressions: Frames come with their 52 values.
+        is_original: A directory as published, without our additions.
+        texture_size: Side of the average textures, texels.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        info: dict[str, Any],
+        frames: tuple[CaptureFrame, ...],
+        arkit: FloatArray | None,
+        topology: Topology,
+        tracked_topology: Topology,
+        dense_vertex: IntArray | None,
+        mesh_vertex: IntArray | None,
+        num_mesh_vertices: int,
+    ) -> None:
+        where = path / multiface.CAPTURE
+        width, height = (_field(info, where, name, int) for name in ("width", "height"))
+        self.texture_size: int = _field(info, where, "texture_size", int)
+        if not (0 < width <= 8192 and 0 < height <= 8192 and 0 < self.texture_size <= 8192):
+            raise CaptureError(
+                f"{where}: sizes {width}x{height}, texture {self.texture_size}: 1 to 8192 are "
+                "allowed"
+            )
+        self.path = path
+        self.info = info
+        self.cameras = multiface.read_krt(path / multiface.KRT, width, height)
+        self._cameras = {camera.name: camera for camera in self.cameras}
+        self.topology = topology
+        self.tracked_topology = tracked_topology
+        self.dense_vertex = dense_vertex
+        self._mesh_vertex = mesh_vertex
+        self._num_mesh_vertices = num_mesh_vertices
+        self.is_original = mesh_vertex is not None
+        self.has_truth = (path / multiface.TRUTH_MESH).is_dir()
+        self.has_depth = (path / "depth").is_dir()
+        self.has_masks = (path / "mask").is_dir()
+        self.has_expressions = arkit is not None
+        self._listed: dict[Path, frozenset[str]] = {}
+        self._use_frames(frames, arkit)
+
+    def _use_frames(self, listed: tuple[CaptureFrame, ...], arkit: FloatArray | None) -> None:
+        problems = [self._incomplete(frame) for frame in listed]
+        self.left_out = tuple(problem for problem in problems if problem is not None)
+        kept = [frame for frame, problem in zip(listed, problems, strict=True) if problem is None]
+        if not kept:
+            raise CaptureError(f"{self.left_out[0]}; no frame of the capture is complete")
+        if self.left_out:
+            log.warning(
+                "%s: %d of %d frames are left out, the first because of %s",
+                self.path, len(self.left_out), len(listed), self.left_out[0],
+            )  # fmt: skip
+        self._arkit = None if arkit is None else arkit[[frame.index for frame in kept]]
+        self.frames = tuple(
+            CaptureFrame(index=index, segment=frame.segment, name=frame.name, split=frame.split)
+            for index, frame in enumerate(kept)
+        )
+
+    def _incomplete(self, frame: CaptureFrame) -> str | None:
+        """Why a frame cannot be used, from names and sizes alone; None if it can."""
+        mesh = self.path / multiface.mesh_path(frame.segment, frame.name)
+        wanted = 12 * self._num_mesh_vertices
+        try:
+            size = mesh.stat().st_size
+        except OSError as error:
+            return f"{mesh}: {error.strerror}"
+        if size != wanted:
+            return f"{mesh}: {size} bytes; {self._num_mesh_vertices} vertices need {wanted}"
+        for path in (
+            multiface.transform_path(frame.segment, frame.name),
+            multiface.texture_path(self.texture_size, frame.segment, frame.name),
+        ):
+            if not (self.path / path).is_file():
+                return f"{self.path / path}: the file is missing"
+        return None
+
+    @classmethod
+    def open(cls, path: str | Path, test_segments: Collection[str] | None = None) -> Capture:
+        """Open a capture directory and check what describes it; images and meshes are checked when
+        read.
+
+        Args:
+            path: The directory: one of ours, or a Multiface directory as published.
+            test_segments: Segments to hold out from a published one, which states no split; None
+                takes the fifth of every ten.
+
+        Raises:
+            CaptureError: The directory or a describing file is missing, damaged or inconsistent.
+        """
+        root = Path(path)
+        if not root.is_dir():
+            raise CaptureError(f"{root}: no such directory")
+        if not (root / multiface.CAPTURE).is_file():
+            if is_original(root) and not (root / multiface.MARKER).exists():
+                return cls._open_original(root, test_segments)
+            raise CaptureError(
+                f"{root}: no {multiface.CAPTURE}; not a capture, or one that is not finished"
+            )
+        where = root / multiface.CAPTURE
+        info = multiface.read_json(where)
+        if info.get("schema") != multiface.SCHEMA:
+            raise CaptureError(
+                f"{where}: schema is {info.get('schema')!r}; {multiface.SCHEMA} is known"
+            )
+        topology = read_topology(root / multiface.TOPOLOGY)
+        tracked, dense_vertex = topology, None
+        if (root / multiface.TRACKED_TOPOLOGY).is_file():
+            tracked, dense_vertex = read_tracked(root, len(topology.vertex_uv))
+        frames, arkit = read_frames(root)
+        return cls(
+            root,
+            info=info,
+            frames=frames,
+            arkit=arkit,
+            topology=topology,
+            tracked_topology=tracked,
+            dense_vertex=dense_vertex,
+            mesh_vertex=None,
+            num_mesh_vertices=len(tracked.vertex_uv),
+        )
+
+    @classmethod
+    def _open_original(cls, root: Path, test_segments: Collection[str] | None) -> Capture:
+        found = open_original(root, test_segments)
+        return cls(
+            root,
+            info=found.info(),
+            frames=found.frames,
+            arkit=None,
+            topology=found.topology,
+            tracked_topology=found.topology,
+            dense_vertex=None,
+            mesh_vertex=found.mesh_vertex,
+            num_mesh_vertices=found.num_mesh_vertices,
+        )
+
+    @property
+    def num_vertices(self) -> int:
+        """V, of `topology`."""
+        return len(self.topology.vertex_uv)
+
+    def frames_of(self, split: str) -> tuple[CaptureFrame, ...]:
+        """The frames of one split.
+
+        Raises:
+            CaptureError: The split is neither ``train`` nor ``test``.
+        """
+        if split not in SPLITS:
+            raise CaptureError(f"split {split!r} is unknown; {', '.join(SPLITS)} are known")
+        return tuple(frame for frame in self.frames if frame.split == split)
+
+    def camera(self, name: str) -> Camera:
+        """A camera by name, in the world; `head_camera` is the one that meshes are seen with.
+
+        Raises:
+            CaptureError: No such camera.
+        """
+        try:
+            return self._cameras[name]
+        except KeyError:
+            raise CaptureError(
+                f"{self.path}: no camera {name!r}; there are {', '.join(self._cameras)}"
+            ) from None
+
+    def cameras_of(self, frame: CaptureFrame) -> tuple[str, ...]:
+        """Cameras that have an image of a frame; a frame may be missing from some."""
+        return tuple(name for name in self._cameras if self._is_listed("images", frame, name))
+
+    def _is_listed(self, kind: str, frame: CaptureFrame, camera: str) -> bool:
+        folder = self.path / kind / frame.segment / camera
+        if folder not in self._listed:
+            names: list[str] = []
+            if folder.is_dir():
+                names = [path.stem for path in folder.iterdir() if path.suffix == ".png"]
+            self._listed[folder] = frozenset(names)
+        return frame.name in self._listed[folder]
+
+    def arkit(self, frame: CaptureFrame) -> FloatArray:
+        """The frame's shapes in `ARKIT_NAMES` order. float32 ``[52]``.
+
+        Raises:
+            CaptureError: The capture has no expressions.
+        """
+        if self._arkit is None:
+            raise CaptureError(f"{self.path}: no {multiface.EXPRESSIONS}")
+        values: FloatArray = self._arkit[frame.index]
+        return values
+
+    def image(self, frame: CaptureFrame, camera: str) -> ByteArray:
+        """sRGB image as stored, row 0 on top. uint8 ``[H, W, 3]``."""
+        return self._load("images", "RGB", frame, camera)
+
+    def mask(self, frame: CaptureFrame, camera: str) -> ByteArray:
+        """0 for background, else material id + 1 at the pixel's centre. uint8 ``[H, W]``."""
+        return self._load("mask", "L", frame, camera)
+
+    def has_depth_of(self, frame: CaptureFrame) -> bool:
+        """Whether a frame has depth: a method may have been run on some of them only."""
+        return self.has_depth and any(
+            self._is_listed("depth", frame, name) for name in self._cameras
+        )
+
+    def depth_m(self, frame: CaptureFrame, camera: str) -> FloatArray:
+        """Depth along the camera axis at pixel centres as a method found it, 0 where unknown.
+        float32 ``[H, W]``."""
+        units = self._load("depth", "I;16", frame, camera)
+        return units.astype(np.float32) * np.float32(multiface.DEPTH_UNIT_M)
+
+    def true_depth_m(self, frame: CaptureFrame, camera: str) -> FloatArray:
+        """Exact depth along the camera axis at pixel centres, 0 where empty. float32 ``[H, W]``.
+
+        Raises:
+            CaptureError: The capture has no truth, or the file is damaged.
+        """
+        self._need_truth()
+        units = self._load(multiface.TRUTH_DEPTH, "I;16", frame, camera)
+        return units.astype(np.float32) * np.float32(multiface.DEPTH_UNIT_M)
+
+    def _load(self, kind: str, mode: str, frame: CaptureFrame, camera: str) -> npt.NDArray[Any]:
+        view = self.camera(camera)
+        path = self.path / multiface.image_path(kind, frame.segment, camera, frame.name)
+        return load_image(path, mode, (view.width, view.height))
+
+    def _need_truth(self) -> None:
+        if not self.has_truth:
+            raise CaptureError(
+                f"{self.path}: no {multiface.TRUTH_MESH}; only synthetic captures hold the truth"
+            )
+
+    def vertices_m(self, frame: CaptureFrame) -> FloatArray:
+        """Tracked mesh on `tracked_topology`, head frame, metres. float32 ``[Vt, 3]``."""
+        return self._mesh(self.path / multiface.mesh_path(frame.segment, frame.name))
+
+    def true_vertices_m(self, frame: CaptureFrame) -> FloatArray:
+        """Exact mesh on `topology`, head frame, metres. float32 ``[V, 3]``.
+
+        Raises:
+            CaptureError: The capture has no truth, or the file is damaged.
+        """
+        self._need_truth()
+        path = self.path / multiface.mesh_path(frame.segment, frame.name, multiface.TRUTH_MESH)
+        return read_vertices(path, len(self.topology.vertex_uv))
+
+    def mean_vertices_m(self) -> FloatArray:
+        """Mean tracked mesh over the training frames, metres. float32 ``[Vt, 3]``."""
+        return self._mesh(self.path / "vert_mean.bin")
+
+    def _mesh(self, path: Path) -> FloatArray:
+        vertices = read_vertices(path, self._num_mesh_vertices)
+        return vertices if self._mesh_vertex is None else vertices[self._mesh_vertex]
+
+    def head_to_world(self, frame: CaptureFrame) -> Float64Array:
+        """Rotation and translation (metres) from head frame to world. float64 ``[3, 4]``."""
+        return read_transform(self.path / multiface.transform_path(frame.segment, frame.name))
+
+    def head_camera(self, frame: CaptureFrame, name: str) -> Camera:
+        """A camera in the frame's head axes: it projects the frame's meshes as they are.
+
+        Raises:
+            CaptureError: No such camera, or no head pose.
+        """
+        return camera_in_head(self.camera(name), self.head_to_world(frame))
+
+    def average_texture(self, frame: CaptureFrame) -> ByteArray:
+        """Average texture, row 0 is v = 0, black where no camera looked. uint8 ``[S, S, 3]``."""
+        path = multiface.texture_path(self.texture_size, frame.segment, frame.name)
+        return self._texture(self.path / path)
+
+    def mean_texture(self) -> ByteArray:
+        """Mean texture over the training frames, row 0 is v = 0. uint8 ``[S, S, 3]``."""
+        return self._texture(self.path / "tex_mean.png")
+
+    def _texture(self, path: Path) -> ByteArray:
+        size = (self.texture_size, self.texture_size)
+        return np.ascontiguousarray(load_image(path, "RGB", size)[::-1])

@@ -1,0 +1,308 @@
+"""Single files of a capture as arrays, with what is wrong with them."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image, UnidentifiedImageError
+
+from pica_core.avatar.arkit import ARKIT_NAMES, NUM_ARKIT
+from pica_core.capture.dataset import multiface
+from pica_core.errors import CaptureError
+
+FloatArray = npt.NDArray[np.float32]
+Float64Array = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int32]
+BoolArray = npt.NDArray[np.bool_]
+
+SPLITS = ("train", "test")
+MAX_IMAGE_PIXELS = 64_000_000
+"""Larger images are refused before decoding."""
+MAX_LENGTH_M = 100.0
+"""Nothing of a capture is farther away."""
+MAX_EXPRESSION = 100.0
+"""Larger expression values are refused."""
+MAX_VERTICES = 4_000_000
+"""Larger meshes are refused."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CaptureFrame:
+    """One moment of a capture."""
+
+    index: int
+    """Place in `Capture.frames`."""
+    segment: str
+    """Take that the frame belongs to."""
+    name: str
+    """Frame name within its take."""
+    split: str
+    """``train`` or ``test``."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Topology:
+    """What all meshes of a capture share.
+
+    Attributes:
+        vertex_uv: Texture coordinates, v = 0 is row 0. float32 ``[V, 2]``.
+        faces: Triangles, counter-clockwise from outside. int32 ``[F, 3]``.
+        regions: Named vertex sets (`heads.Head.regions`). bool ``[V]`` each.
+    """
+
+    vertex_uv: FloatArray
+    faces: IntArray
+    regions: dict[str, BoolArray]
+
+
+def load_image(path: Path, mode: str, size: tuple[int, int] | None) -> npt.NDArray[Any]:
+    """Decode an image.
+
+    Args:
+        path: The file.
+        mode: ``RGB``, ``L``, or ``I;16`` for 16 bit.
+        size: Columns and rows that it must have; None takes any.
+
+    Raises:
+        CaptureError: Missing, not a complete image, or of another size or kind.
+    """
+    try:
+        with Image.open(path) as image:
+            _check_image(path, image, mode, size)
+            if mode == "I;16":
+                return np.asarray(image).astype(np.uint16)
+            return np.asarray(image.convert(mode))
+    except FileNotFoundError:
+        raise CaptureError(f"{path}: the file is missing") from None
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise CaptureError(f"{path}: not a complete image ({error})") from error
+
+
+def check_image_header(path: Path, mode: str, size: tuple[int, int] | None) -> tuple[int, int]:
+    """Check what a PNG's or JPEG's first bytes say, and that a PNG is whole; pixels stay undecoded.
+
+    Returns:
+        Columns and rows.
+
+    Raises:
+        CaptureError: As `load_image`.
+    """
+    try:
+        with Image.open(path) as image:
+            _check_image(path, image, mode, size)
+            found: tuple[int, int] = image.size
+            is_png = image.format == "PNG"
+        if is_png:
+            with path.open("rb") as file:
+                file.seek(-12, io.SEEK_END)
+                if file.read(8)[4:] != b"IEND":
+                    raise CaptureError(f"{path}: not a complete image (it ends early)")
+    except FileNotFoundError:
+        raise CaptureError(f"{path}: the file is missing") from None
+    except (
+        UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError,
+    ) as error:  # fmt: skip
+        raise CaptureError(f"{path}: not a complete image ({error})") from error
+    return found
+
+
+def _check_image(path: Path, image: Image.Image, mode: str, size: tuple[int, int] | None) -> None:
+    if image.width * image.height > MAX_IMAGE_PIXELS:
+        raise CaptureError(f"{path}: {image.width}x{image.height} pixels are too many")
+    if size is not None and image.size != size:
+        raise CaptureError(
+            f"{path}: the image is {image.width}x{image.height}, {size[0]}x{size[1]} is needed"
+        )
+    if mode == "I;16" and not image.mode.startswith("I"):
+        raise CaptureError(f"{path}: a 16-bit image is needed, found {image.mode}")
+
+
+def read_vertices(path: Path, count: int) -> FloatArray:
+    """A mesh file of `count` vertices, in metres. float32 ``[count, 3]``.
+
+    Raises:
+        CaptureError: Missing, of another size, or not finite.
+    """
+    wanted = 12 * count
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise CaptureError(f"{path}: the file is missing") from None
+    except OSError as error:
+        raise CaptureError(f"{path}: cannot read ({error.strerror})") from error
+    if len(data) != wanted:
+        raise CaptureError(f"{path}: {len(data)} bytes; {count} vertices need {wanted} (float32)")
+    vertices = np.frombuffer(data, "<f4").reshape(-1, 3) / np.float32(multiface.MILLIMETRES)
+    if not np.isfinite(vertices).all():
+        raise CaptureError(f"{path}: vertices are not all finite")
+    far = float(np.abs(vertices).max())
+    if far > MAX_LENGTH_M:
+        raise CaptureError(f"{path}: a vertex at {far:.3g} m; at most {MAX_LENGTH_M:g} is allowed")
+    return vertices.astype(np.float32)
+
+
+def read_transform(path: Path) -> Float64Array:
+    """A head pose, translation in metres. float64 ``[3, 4]``.
+
+    Raises:
+        CaptureError: Missing, or not twelve finite numbers in three lines.
+    """
+    lines = [line.split() for line in multiface.read_text(path).splitlines() if line.strip()]
+    try:
+        matrix = np.array([[float(word) for word in line] for line in lines])
+    except ValueError:
+        matrix = np.zeros(0)
+    if matrix.shape != (3, 4) or not np.isfinite(matrix).all():
+        raise CaptureError(f"{path}: three lines of four numbers are needed")
+    matrix[:, 3] /= multiface.MILLIMETRES
+    far = float(np.abs(matrix).max())
+    if far > MAX_LENGTH_M:
+        raise CaptureError(f"{path}: {far:.3g} in the pose; at most {MAX_LENGTH_M:g} is allowed")
+    return matrix
+
+
+def read_arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """The arrays of an archive.
+
+    Raises:
+        CaptureError: Missing or damaged.
+    """
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except FileNotFoundError:
+        raise CaptureError(f"{path}: the file is missing") from None
+    except (OSError, ValueError, EOFError) as error:
+        raise CaptureError(f"{path}: not a complete archive ({error})") from error
+    except Exception as error:  # zipfile and zlib have error classes of their own
+        raise CaptureError(f"{path}: damaged archive ({error})") from error
+
+
+def read_topology(path: Path) -> Topology:
+    """A topology file.
+
+    Raises:
+        CaptureError: Missing, damaged, or fields that do not fit each other.
+    """
+    arrays = read_arrays(path)
+    for name in ("vertex_uv", "faces"):
+        if name not in arrays:
+            raise CaptureError(f"{path}: field {name!r} is missing")
+    uv, faces = arrays["vertex_uv"], arrays["faces"]
+    if uv.ndim != 2 or uv.shape[1] != 2 or uv.dtype.kind != "f" or not np.isfinite(uv).all():
+        raise CaptureError(f"{path}: field 'vertex_uv' is {uv.shape}; finite [V, 2] is needed")
+    if not 0 < len(uv) <= MAX_VERTICES:
+        raise CaptureError(f"{path}: {len(uv)} vertices; allowed are 1 to {MAX_VERTICES}")
+    if (
+        faces.ndim != 2 or faces.shape[1] != 3 or not len(faces) or faces.dtype.kind not in "iu"
+        or faces.min() < 0 or faces.max() >= len(uv)
+    ):  # fmt: skip
+        raise CaptureError(
+            f"{path}: field 'faces' is {faces.shape} or points outside {len(uv)} vertices"
+        )
+    regions = {}
+    for name, value in arrays.items():
+        if name.startswith("region_"):
+            if value.shape != (len(uv),):
+                raise CaptureError(f"{path}: {name!r} is {value.shape}; [{len(uv)}] is needed")
+            regions[name.removeprefix("region_")] = value.astype(np.bool_)
+    return Topology(vertex_uv=uv.astype(np.float32), faces=faces.astype(np.int32), regions=regions)
+
+
+def read_tracked(root: Path, num_dense: int) -> tuple[Topology, npt.NDArray[np.int64]]:
+    """The tracked mesh of a synthetic capture, and the dense vertex that each of its vertices is.
+
+    Args:
+        root: The capture.
+        num_dense: Vertices of its dense mesh.
+
+    Raises:
+        CaptureError: Missing or damaged.
+    """
+    path = root / multiface.TRACKED_TOPOLOGY
+    topology = read_topology(path)
+    index = read_arrays(path).get("dense_vertex", np.zeros(0))
+    is_index = index.shape == (len(topology.vertex_uv),) and index.dtype.kind == "i"
+    if not is_index or index.min() < 0 or index.max() >= num_dense:
+        raise CaptureError(f"{path}: field 'dense_vertex' is no index for each vertex")
+    return topology, index.astype(np.int64)
+
+
+def read_frame_list(path: Path) -> list[tuple[str, str]]:
+    """Segment and frame of every line.
+
+    Raises:
+        CaptureError: Missing, empty, or a line that is not two names.
+    """
+    names = []
+    for number, line in enumerate(multiface.read_text(path).splitlines(), start=1):
+        words = line.split()
+        if not words:
+            continue
+        if len(words) != 2 or any("/" in word or word.startswith(".") for word in words):
+            raise CaptureError(f"{path}:{number}: {line!r:.80} is not SEGMENT FRAME")
+        names.append((words[0], words[1]))
+    if not names:
+        raise CaptureError(f"{path}: no frames")
+    if len(set(names)) < len(names):
+        twice = next(name for at, name in enumerate(names) if name in names[:at])
+        raise CaptureError(f"{path}: {' '.join(twice)} is listed twice")
+    return names
+
+
+def read_expressions(path: Path) -> dict[tuple[str, str], tuple[str, list[float]]]:
+    """Split and 52 values by segment and frame.
+
+    Raises:
+        CaptureError: A column is missing, or a row cannot be read.
+    """
+    try:
+        rows = list(csv.reader(io.StringIO(multiface.read_text(path))))
+    except csv.Error as error:
+        raise CaptureError(f"{path}: not a table ({error})") from error
+    header = rows[0] if rows else []
+    missing = [name for name in ("segment", "frame", "split", *ARKIT_NAMES) if name not in header]
+    if missing:
+        raise CaptureError(f"{path}: column {missing[0]!r} is missing")
+    place = [header.index(name) for name in ARKIT_NAMES]
+    table: dict[tuple[str, str], tuple[str, list[float]]] = {}
+    for number, row in enumerate(rows[1:], start=2):
+        try:
+            values = [float(row[at]) for at in place]
+            split = row[header.index("split")]
+            key = (row[header.index("segment")], row[header.index("frame")])
+        except (IndexError, ValueError) as error:
+            raise CaptureError(f"{path}:{number}: row cannot be read ({error})") from error
+        if split not in SPLITS:
+            raise CaptureError(f"{path}:{number}: split is {split!r:.40}; train or test is needed")
+        if not np.isfinite(values).all() or np.abs(values).max() > MAX_EXPRESSION:
+            raise CaptureError(f"{path}:{number}: a value is not finite or beyond {MAX_EXPRESSION}")
+        table[key] = (split, values)
+    return table
+
+
+def read_frames(root: Path) -> tuple[tuple[CaptureFrame, ...], FloatArray]:
+    """The frames of a capture with expressions, in the order of the list.
+
+    Raises:
+        CaptureError: List or table cannot be read, or do not fit each other.
+    """
+    table = read_expressions(root / multiface.EXPRESSIONS)
+    list_path = root / multiface.FRAME_LIST
+    frames: list[CaptureFrame] = []
+    arkit: list[list[float]] = []
+    for segment, name in read_frame_list(list_path):
+        if (segment, name) not in table:
+            raise CaptureError(
+                f"{list_path}: {segment} {name} has no row in {multiface.EXPRESSIONS}"
+            )
+        split, values = table[segment, name]
+        frames.append(CaptureFrame(index=len(frames), segment=segment, name=name, split=split))
+        arkit.append(values)
+    return tuple(frames), np.array(arkit, np.float32).reshape(-1, NUM_ARKIT)

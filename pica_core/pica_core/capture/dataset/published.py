@@ -1,0 +1,206 @@
+"""Read a Multiface directory as it was published: no `capture.json`, no topology, no expressions.
+
+What a capture of ours states is found out here: topology from the first tracked OBJ, image size
+from the first image, and a split that holds out whole segments. Audio is left alone. Nothing of the
+dataset is part of this project; it has a licence of its own (CC BY-NC 4.0).
+
+Layout source: the published description of the dataset (Wuu et al. 2022, arXiv 2207.11243).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.capture.dataset import multiface
+from pica_core.capture.dataset.files import (
+    MAX_VERTICES,
+    CaptureFrame,
+    Topology,
+    check_image_header,
+    read_frame_list,
+)
+from pica_core.errors import CaptureError
+
+ByteArray = npt.NDArray[np.uint8]
+IntArray = npt.NDArray[np.int64]
+
+HELD_OUT_EVERY = 10
+"""Of the segments in the order of their names, the fifth of every so many is for testing."""
+GAMMA = 1.5
+"""Of the picture for looking at (chosen)."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Original:
+    """What describes an original directory.
+
+    Attributes:
+        topology: Vertices are pairs of place and UV, so there may be more than in a mesh file.
+        mesh_vertex: Vertex of the mesh files for each vertex of the topology. int64 ``[V]``.
+        num_mesh_vertices: Vertices in a mesh file.
+        frames: All listed frames.
+        width, height: Of images, pixels.
+        texture_size: Side of the average textures, texels.
+    """
+
+    topology: Topology
+    mesh_vertex: IntArray
+    num_mesh_vertices: int
+    frames: tuple[CaptureFrame, ...]
+    width: int
+    height: int
+    texture_size: int
+
+    def info(self) -> dict[str, Any]:
+        """What stands in for `capture.json`."""
+        return {
+            "schema": multiface.SCHEMA,
+            "source": "a directory in the layout of the Multiface dataset",
+            "licence": "that of its publisher",
+            "width": self.width,
+            "height": self.height,
+            "texture_size": self.texture_size,
+        }
+
+
+def is_original(root: Path) -> bool:
+    """Whether a directory without `capture.json` looks like a published one."""
+    return all((root / name).exists() for name in (multiface.KRT, "images", "tracked_mesh"))
+
+
+def open_original(root: Path, test_segments: Collection[str] | None = None) -> Original:
+    """Find out what describes an original directory.
+
+    Args:
+        root: The directory.
+        test_segments: Segments to hold out; None takes the fifth of every ten.
+
+    Raises:
+        CaptureError: No list of frames, OBJ, image or average texture, or one that cannot be read.
+    """
+    names = read_frame_list(root / multiface.FRAME_LIST)
+    segments = sorted({segment for segment, _ in names})
+    if test_segments is None:
+        middle = min(HELD_OUT_EVERY // 2, len(segments) - 1)
+        test_segments = segments[middle::HELD_OUT_EVERY] if len(segments) > 1 else []
+    unknown = sorted(set(test_segments) - set(segments))
+    if unknown:
+        raise CaptureError(f"{root / multiface.FRAME_LIST}: no segment {unknown[0]!r} to hold out")
+    frames = tuple(
+        CaptureFrame(
+            index=index,
+            segment=segment,
+            name=name,
+            split="test" if segment in test_segments else "train",
+        )
+        for index, (segment, name) in enumerate(names)
+    )
+    topology, mesh_vertex, count = read_obj_topology(_first_obj(root, names))
+    width, height = _image_size(root)
+    return Original(
+        topology=topology,
+        mesh_vertex=mesh_vertex,
+        num_mesh_vertices=count,
+        frames=frames,
+        width=width,
+        height=height,
+        texture_size=_texture_size(root),
+    )
+
+
+def _first_obj(root: Path, names: list[tuple[str, str]]) -> Path:
+    for segment, name in names:
+        path = (root / multiface.mesh_path(segment, name)).with_suffix(".obj")
+        if path.is_file():
+            return path
+    raise CaptureError(f"{root / 'tracked_mesh'}: no OBJ of a listed frame to take the topology of")
+
+
+def _image_size(root: Path) -> tuple[int, int]:
+    for path in (root / "images").glob("*/*/*.png"):
+        try:
+            return check_image_header(path, "RGB", None)
+        except CaptureError:
+            continue
+    raise CaptureError(f"{root / 'images'}: no image to take the size of")
+
+
+def _texture_size(root: Path) -> int:
+    for path in sorted(root.glob("unwrapped_uv_*")):
+        found = re.fullmatch(r"unwrapped_uv_(\d{1,4})", path.name)
+        if found and int(found.group(1)) > 0:
+            return int(found.group(1))
+    raise CaptureError(f"{root}: no unwrapped_uv_SIZE directory")
+
+
+def read_obj_topology(path: Path) -> tuple[Topology, IntArray, int]:
+    """Faces and UVs of an OBJ file; places are not taken.
+
+    Returns:
+        The topology, the OBJ's vertex for each of its vertices, and how many vertices the OBJ has.
+
+    Raises:
+        CaptureError: Missing, or a face that cannot be read or points nowhere.
+    """
+    num_vertices, uvs = 0, []
+    corners: list[tuple[int, int]] = []
+    for number, line in enumerate(multiface.read_text(path).splitlines(), start=1):
+        kind, *words = line.split() or ["#"]
+        try:
+            if kind == "v":
+                num_vertices += 1
+            elif kind == "vt":
+                uvs.append((float(words[0]), float(words[1])))
+            elif kind == "f":
+                face = [_corner(word, num_vertices, len(uvs)) for word in words]
+                if len(face) < 3:
+                    raise ValueError("fewer than three corners")
+                for at in range(1, len(face) - 1):
+                    corners += [face[0], face[at], face[at + 1]]
+        except (ValueError, IndexError) as error:
+            raise CaptureError(f"{path}:{number}: {line!r:.60} cannot be read ({error})") from error
+    if not corners or num_vertices > MAX_VERTICES:
+        raise CaptureError(f"{path}: {num_vertices} vertices, no faces or too many vertices")
+    pairs, faces = np.unique(np.array(corners, np.int64), axis=0, return_inverse=True)
+    uv = np.array(uvs, np.float32)[pairs[:, 1]]
+    if not np.isfinite(uv).all():
+        raise CaptureError(f"{path}: a texture coordinate is not finite")
+    topology = Topology(vertex_uv=uv, faces=faces.reshape(-1, 3).astype(np.int32), regions={})
+    return topology, np.ascontiguousarray(pairs[:, 0]), num_vertices
+
+
+def _corner(word: str, num_vertices: int, num_uvs: int) -> tuple[int, int]:
+    """Vertex and UV of a corner such as ``12/7`` or ``-1/-1/3``, from 0."""
+    parts = word.split("/")
+    if len(parts) < 2:
+        raise ValueError("no texture coordinate")
+    found = []
+    for text, count in zip(parts[:2], (num_vertices, num_uvs), strict=True):
+        index = int(text)
+        index = index - 1 if index > 0 else count + index
+        if not 0 <= index < count:
+            raise ValueError(f"index {text} of {count}")
+        found.append(index)
+    return found[0], found[1]
+
+
+def for_looking(image: ByteArray) -> ByteArray:
+    """A raw, greenish picture made fit to be looked at; training takes images as they are.
+
+    Channels are scaled so that their 99th percentiles agree, then brightened by `GAMMA`.
+
+    Args:
+        image: As stored. uint8 ``[H, W, 3]``.
+    """
+    values = image.astype(np.float32)
+    bright = np.maximum(np.percentile(values.reshape(-1, 3), 99, axis=0), 1.0)
+    scaled = np.clip(values / bright, 0.0, 1.0) ** np.float32(1.0 / GAMMA)
+    looked: ByteArray = np.rint(255.0 * scaled).astype(np.uint8)
+    return looked

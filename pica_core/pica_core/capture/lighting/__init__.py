@@ -1,0 +1,1 @@
+"""How much light reaches each vertex of a head or rig."""

@@ -1,0 +1,1 @@
+"""The built-in heads, each made from a row of numbers."""

@@ -1,0 +1,1 @@
+"""Blendshape rigs from files, made ready to stand on the stage."""

@@ -1,0 +1,358 @@
+"""One 0-1 chart for a whole rig: every island of the file's UVs, stretched to its need and packed.
+
+A 256 x 256 position map has about two texels per vertex of a detailed head; where vertices crowd
+(lids, lips, teeth) the file's own UVs leave them less than one. So each island is warped by a
+density-equalising flow, after which every triangle has the area that it needs, and islands are
+packed at a common scale:
+
+    islands -> need of each triangle -> flow (Gastner & Newman 2004) -> scale -> pack (xatlas)
+
+Meshes without UVs get islands from xatlas first. The flow keeps islands whole and unfolded.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import xatlas
+
+from pica_core.capture.procedural.layout import MAP_SIZE
+from pica_core.capture.rig.mesh import components
+from pica_core.capture.rig.uv_gutter import MAX_SKIRT_TEXELS, add_skirts
+from pica_core.errors import CaptureError
+
+FloatArray = npt.NDArray[np.float32]
+Float64Array = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int32]
+
+FLOW_GRIDS = ((2000, 128), (0, 48))
+"""From how many triangles on, and cells along each side of the grid on which density spreads."""
+FLOW_MARGIN = 0.3
+"""Sea around an island, as a share of its size, in which its outline may move."""
+FLOW_STEPS = 64
+FLOW_ROUNDS = 2
+"""Flows one after the other: the first leaves what its grid could not see of crowded places."""
+FLOW_CONTRAST = 40.0
+"""Largest and smallest density against the mean: limits how far texels may crowd."""
+MIN_FLOW_FACES = 40
+"""Smaller islands are scaled only."""
+USUAL_FILL = 0.55
+"""Share of the square that islands cover in the end, about."""
+MAX_FOLDED = 0.1
+"""Share of an island that may be folded over, at most; more and it gets new coordinates."""
+PADDING_TEXELS = 1
+"""Empty texels between islands beyond those that bilinear lookup reads: it never mixes two."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PackedChart:
+    """A mesh with one chart.
+
+    Attributes:
+        vertex_uv: Texture coordinates in [0, 1], v downwards. float32 ``[V, 2]``.
+        faces: Triangles of the split vertices. int32 ``[F, 3]``.
+        face_source: The triangle of the mesh that each triangle is, or copies. int64 ``[F]``.
+        source: The welded vertex of each split vertex. int64 ``[V]``.
+        islands: Number of islands.
+        fill: Share of the square that triangles cover.
+    """
+
+    vertex_uv: FloatArray
+    faces: IntArray
+    face_source: npt.NDArray[np.int64]
+    source: npt.NDArray[np.int64]
+    islands: int
+    fill: float
+
+
+def _areas(uv: Float64Array, faces: IntArray) -> Float64Array:
+    """Signed areas of triangles in the plane. ``[F]``."""
+    a, b, c = (uv[faces[:, k]] for k in range(3))
+    cross: Float64Array = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1])
+    result: Float64Array = 0.5 * (cross - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0]))
+    return result
+
+
+def make_islands(points: Float64Array, faces: IntArray) -> tuple[Float64Array, IntArray]:
+    """Texture coordinates for a mesh that has none.
+
+    Args:
+        points: Vertices. ``[P, 3]``.
+        faces: int32 ``[F, 3]``.
+
+    Returns:
+        Coordinates ``[T, 2]`` and the triangles in them, ``[F, 3]``.
+    """
+    options = xatlas.ChartOptions()
+    options.max_iterations = 4
+    options.max_cost = 16.0  # few, large islands: every seam costs texels and splits vertices
+    options.normal_deviation_weight = 1.0
+    atlas = xatlas.Atlas()
+    atlas.add_mesh(points.astype(np.float32), faces.astype(np.uint32))
+    atlas.generate(chart_options=options)
+    _, index, uv = atlas[0]
+    if len(index) != len(faces):
+        raise CaptureError(f"only {len(index)} of {len(faces)} triangles could be laid flat")
+    return uv.astype(np.float64), index.astype(np.int32)
+
+
+def mend_islands(
+    points: Float64Array, faces: IntArray, uv: Float64Array, uv_faces: IntArray
+) -> tuple[Float64Array, IntArray, int]:
+    """Replace islands that lie on a point, on a line, or folded over themselves (mirrored halves).
+
+    Args:
+        points: Vertices. ``[P, 3]``.
+        faces: Triangles in `points`. ``[F, 3]``.
+        uv: Texture coordinates. ``[T, 2]``.
+        uv_faces: The same triangles in `uv`. ``[F, 3]``.
+
+    Returns:
+        Coordinates, triangles in them, and how many triangles got new ones.
+    """
+    area = _areas(uv, uv_faces)
+    label = components(uv_faces, len(uv))[uv_faces[:, 0]]
+    _, island = np.unique(label, return_inverse=True)
+    flat = np.bincount(island, np.abs(area))
+    folded = flat - np.abs(np.bincount(island, area))
+    ratio = flat / np.maximum(np.bincount(island, _areas_in_space(points, faces)), 1e-12)
+    usual = float(np.median(ratio[island]))
+    bad = (flat <= 0) | (folded > MAX_FOLDED * flat) | (ratio < 1e-4 * usual)
+    if not bad.any():
+        return uv, uv_faces, 0
+    mend = bad[island]
+    new_uv, new_faces = make_islands(points, np.ascontiguousarray(faces[mend]))
+    mended = uv_faces.copy()
+    mended[mend] = new_faces + len(uv)
+    return np.concatenate([uv, new_uv]), mended, int(np.count_nonzero(mend))
+
+
+def _areas_in_space(points: Float64Array, faces: IntArray) -> Float64Array:
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    result: Float64Array = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return result
+
+
+def _density_modes(size: int) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Cosine modes at cell corners, their derivatives, and squared wave numbers."""
+    k = np.pi * np.arange(size) / size
+    x = np.arange(size) + 0.5
+    cosine = np.cos(np.outer(k, x)) * np.sqrt(np.where(k > 0, 2.0, 1.0) / size)[:, None]
+    sine = -np.sin(np.outer(k, x)) * (k * np.sqrt(np.where(k > 0, 2.0, 1.0) / size))[:, None]
+    return cosine, sine, k * k
+
+
+def _bilinear(fields: Float64Array, at: Float64Array) -> Float64Array:
+    """Values of ``[H, W, C]`` at grid positions (x, y) in cells. ``[n, C]``."""
+    size = len(fields)
+    q = np.clip(at - 0.5, 0.0, size - 1.001)
+    low = q.astype(np.int64)
+    t = q - low
+    x, y = low[:, 0], low[:, 1]
+    tx, ty = t[:, :1], t[:, 1:]
+    top = fields[y, x] * (1 - tx) + fields[y, x + 1] * tx
+    bottom = fields[y + 1, x] * (1 - tx) + fields[y + 1, x + 1] * tx
+    result: Float64Array = top * (1 - ty) + bottom * ty
+    return result
+
+
+def equalise(uv: Float64Array, faces: IntArray, need: Float64Array) -> Float64Array:
+    """Move an island's points until each triangle's area is about its need.
+
+    Args:
+        uv: Points of the island. ``[n, 2]``.
+        faces: Its triangles, all of one winding. ``[F, 3]``.
+        need: Wanted share of each triangle, positive. ``[F]``.
+
+    Returns:
+        Moved points, in the same scale. No triangle is folded over.
+
+    Source: Gastner & Newman, "Diffusion-based method for producing density-equalizing maps", PNAS
+        101(20), 2004.
+    """
+    for _ in range(FLOW_ROUNDS):
+        uv = _flow(uv, faces, need)
+    return uv
+
+
+def _flow(uv: Float64Array, faces: IntArray, need: Float64Array) -> Float64Array:
+    """One round of `equalise`."""
+    low, high = uv.min(0), uv.max(0)
+    span = float((high - low).max()) * (1 + 2 * FLOW_MARGIN)
+    start = 0.5 * (low + high) - 0.5 * span
+    size = next(cells for least, cells in FLOW_GRIDS if len(faces) >= least)
+    points = (uv - start) / span * size
+    density = _need_density(points, faces, need, size)
+    cosine, sine, squares = _density_modes(size)
+    waves = cosine @ density @ cosine.T
+    moved = points.copy()
+    # Steps grow with time: detail settles first, the large scale last.
+    times = np.concatenate([[0.0], np.geomspace(0.05, 0.6 * size * size, FLOW_STEPS)])
+    for before, after in itertools.pairwise(times.tolist()):
+        fade = np.exp(-np.add.outer(squares, squares) * 0.5 * (before + after))
+        now = waves * fade
+        rho = cosine.T @ now @ cosine
+        slope = np.stack([cosine.T @ now @ sine, sine.T @ now @ cosine], -1)
+        velocity = -slope / np.maximum(rho, 1e-9)[..., None]
+        half = moved + 0.5 * (after - before) * _bilinear(velocity, moved)
+        moved = moved + (after - before) * _bilinear(velocity, half)
+    sign = np.sign(_areas(points, faces).sum())
+    blend = 1.0
+    while blend > 1e-3:
+        mixed = points + blend * (moved - points)
+        if (_areas(mixed, faces) * sign > 0).all():
+            break
+        blend *= 0.9
+    else:
+        mixed = points
+    result: Float64Array = mixed * span / size + start
+    return result
+
+
+def _need_density(
+    points: Float64Array, faces: IntArray, need: Float64Array, size: int
+) -> Float64Array:
+    """Need per cell, on a grid; the mean outside the island. ``[size, size]``, row is y."""
+    area = np.abs(_areas(points, faces))
+    count = np.clip(np.ceil(area * 6), 4, 4000).astype(np.int64)
+    which = np.repeat(np.arange(len(faces)), count)
+    order = np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
+    a = (0.5 + order * 0.7548776662466927) % 1.0
+    b = (0.5 + order * 0.5698402909980532) % 1.0
+    fold = a + b > 1
+    a, b = np.where(fold, 1 - a, a), np.where(fold, 1 - b, b)
+    corner = [points[faces[which, k]] for k in range(3)]
+    at = corner[0] + a[:, None] * (corner[1] - corner[0]) + b[:, None] * (corner[2] - corner[0])
+    cell = np.clip(at.astype(np.int64), 0, size - 1)
+    flat = cell[:, 1] * size + cell[:, 0]
+    wanted, covered = (
+        np.bincount(flat, (value / count)[which], size * size)
+        .reshape(size, size)
+        .astype(np.float64)
+        for value in (need, area)
+    )
+    # Both are spread a little, so that their ratio is smooth where triangles are larger than cells.
+    for _ in range(2):
+        wanted, covered = _spread(wanted), _spread(covered)
+    mean = need.sum() / area.sum()
+    density = (wanted + 0.02 * mean) / (covered + 0.02)
+    result: Float64Array = np.clip(density / mean, 1 / FLOW_CONTRAST, FLOW_CONTRAST)
+    return result
+
+
+def _spread(field: Float64Array) -> Float64Array:
+    padded = np.pad(field, 1, mode="edge")
+    rows = 0.25 * padded[:-2] + 0.5 * padded[1:-1] + 0.25 * padded[2:]
+    result: Float64Array = 0.25 * rows[:, :-2] + 0.5 * rows[:, 1:-1] + 0.25 * rows[:, 2:]
+    return result
+
+
+def pack(
+    uv: Float64Array,
+    uv_faces: IntArray,
+    faces: IntArray,
+    need: Float64Array | None,
+    *,
+    rest: Float64Array | None = None,
+    seen: npt.NDArray[np.bool_] | None = None,
+) -> PackedChart:
+    """Put all islands into one square.
+
+    Args:
+        uv: Texture coordinates; islands may lie in different tiles or over each other. ``[T, 2]``.
+        uv_faces: Triangles in `uv`. ``[F, 3]``.
+        faces: The same triangles in welded vertices. ``[F, 3]``.
+        need: Wanted share of each triangle; None keeps the areas that the file gives. ``[F]``.
+        rest: Welded vertices in space, for skirts; None makes none. ``[P, 3]``.
+        seen: Triangles whose seams need skirts. bool ``[F]``.
+
+    Raises:
+        CaptureError: An island cannot be packed.
+    """
+    # A vertex of two islands (mirrored halves on one place) is two vertices.
+    joint = np.stack([uv_faces.ravel(), faces.ravel()], 1).astype(np.int64)
+    pairs, index = np.unique(joint, axis=0, return_inverse=True)
+    split = index.reshape(-1, 3).astype(np.int32)
+    points = uv[pairs[:, 0]].astype(np.float64)
+    label = components(split, len(points))[split[:, 0]]
+    floor = 1e-12 + 1e-3 * np.median(np.abs(_areas(points, split)))
+    names = np.unique(label)
+    for name in names:
+        mine = np.flatnonzero(label == name)
+        used, again = np.unique(split[mine], return_inverse=True)
+        local: IntArray = again.reshape(-1, 3).astype(np.int32)
+        island = points[used] - points[used].mean(0)
+        signed = _areas(island, local)
+        if signed.sum() < 0:
+            island[:, 0] *= -1
+            signed = -signed
+        if need is not None:
+            clean = bool((signed > 0).all())
+            if clean and len(mine) >= MIN_FLOW_FACES:
+                island = equalise(island, local, need[mine])
+                signed = _areas(island, local)
+            island *= np.sqrt(need[mine].sum() / max(np.abs(signed).sum(), floor))
+        points[used] = island
+    source = pairs[:, 1]
+    face_source = np.arange(len(faces))
+    if rest is not None and seen is not None:
+        texel = np.sqrt(np.abs(_areas(points, split)).sum() / USUAL_FILL) / MAP_SIZE
+        tips, skirts, far, copied = add_skirts(
+            points, split, rest, faces, seen, MAX_SKIRT_TEXELS * texel
+        )
+        points, split = np.concatenate([points, tips]), np.concatenate([split, skirts])
+        source = np.concatenate([source, far])
+        face_source = np.concatenate([face_source, copied])
+    packed, covered = _place(points, split)
+    return PackedChart(
+        vertex_uv=packed.astype(np.float32),
+        faces=split,
+        face_source=face_source,
+        source=source,
+        islands=len(names),
+        fill=covered,
+    )
+
+
+def _place(points: Float64Array, faces: IntArray) -> tuple[Float64Array, float]:
+    """Pack islands at the largest common scale that fits into the position map."""
+    area = float(np.abs(_areas(points, faces)).sum())
+    unit = points / np.sqrt(area)  # all islands together have area 1
+    best: tuple[Float64Array, float] | None = None
+    low, high = 0.25 * MAP_SIZE, 1.0 * MAP_SIZE
+    for _ in range(9):
+        scale = 0.5 * (low + high)
+        placed = _try(unit * scale, faces)
+        if placed is None:
+            high = scale
+        else:
+            low, best = scale, (placed, (scale / MAP_SIZE) ** 2)
+    if best is None:
+        raise CaptureError("the islands of this mesh do not fit into one chart")
+    return best
+
+
+def _try(points: Float64Array, faces: IntArray) -> Float64Array | None:
+    """Islands in texels to places in [0, 1], or None when they do not fit."""
+    options = xatlas.PackOptions()
+    options.resolution = MAP_SIZE
+    options.texels_per_unit = 1.0
+    options.padding = PADDING_TEXELS
+    options.bilinear = True
+    options.rotate_charts = True
+    options.rotate_charts_to_axis = False
+    options.bruteForce = True
+    atlas = xatlas.Atlas()
+    atlas.add_uv_mesh(points.astype(np.float32), faces.astype(np.uint32))
+    atlas.generate(pack_options=options)
+    if atlas.atlas_count != 1 or max(atlas.width, atlas.height) > MAP_SIZE:
+        return None
+    vertex, index, uv = atlas[0]
+    placed = np.full((len(points), 2), np.nan)
+    placed[vertex] = uv * [atlas.width / MAP_SIZE, atlas.height / MAP_SIZE]
+    if len(index) != len(faces) or np.isnan(placed).any():
+        return None
+    return placed

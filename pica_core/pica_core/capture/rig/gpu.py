@@ -1,0 +1,148 @@
+"""GL side of a rig: bake its appearance, pose it with its shadow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import moderngl
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.capture.lighting.rig_occlusion import RigOcclusion
+from pica_core.capture.rig.head import RigHead
+from pica_core.capture.rig.skin import IRIS_RADIUS_M, split_parts, surface
+from pica_core.capture.stage.gpu import (
+    BAKE_SIZE,
+    ByteArray,
+    FloatArray,
+    MeshRenderer,
+    attributes,
+    set_uniforms,
+    shader_text,
+)
+from pica_core.gl import link_program
+
+MOVING = {"position_m": 3, "normal": 3, "occlusion": 2}
+"""What moves with the face, by vertex."""
+LOOKS: dict[str, Any] = {
+    "seed": 3.0,
+    "skin_rgb": (0.60, 0.36, 0.26),
+    "lip_rgb": (0.46, 0.19, 0.165),
+    "hair_rgb": (0.036, 0.023, 0.015),
+    "iris_rgb": (0.16, 0.23, 0.26),
+}
+"""Linear colours of the synthetic skin (chosen)."""
+
+
+class RigRenderer(MeshRenderer):
+    """Draws one rig.
+
+    Args:
+        head: The rig.
+        albedo: Base colour images by source material; what has none is painted.
+        bake_size: Side of the appearance textures, texels.
+        occlusion: False leaves out self-shadowing, which takes seconds to measure.
+
+    Raises:
+        GraphicsError: No GL context.
+    """
+
+    def __init__(
+        self,
+        head: RigHead,
+        albedo: dict[int, ByteArray] | None = None,
+        *,
+        bake_size: int = BAKE_SIZE,
+        occlusion: bool = True,
+    ) -> None:
+        self.head = head
+        self._albedo, self._bake_size = albedo or {}, bake_size
+        self._material = split_parts(head).astype(np.float32)
+        super().__init__(
+            None,
+            "rig_stage",
+            faces=head.chart.faces,
+            vertex_uv=head.chart.vertex_uv,
+            material=self._material,
+            moving=MOVING,
+        )
+        self._occlusion = RigOcclusion(head, self._draw_depth_map) if occlusion else None
+
+    def _bake(self) -> tuple[Any, Any]:
+        c, head, size = self._context, self.head, self._bake_size
+        f, mesh = head.features, head.mesh
+        eyes = mesh.eyes
+        eye = eyes[0].centre_m * [eyes[0].side, 1, 1] if eyes else np.array([0.031, 0.022, 0.074])
+        radius = eyes[0].radius_m if eyes else 0.012
+        mouth_y = float(np.mean(f.mouth.y)) if f.mouth is not None else -0.045
+        numbers = {
+            **LOOKS,
+            "iris_reach": max(IRIS_RADIUS_M, 0.44 * radius) / radius,
+            "eye_mm": tuple(1000 * eye),
+            "brow_mm": 1000 * f.brow_y,
+            "nose_mm": tuple(1000 * f.nose_tip),
+            "mouth_mm": 1000 * mouth_y,
+        }
+        uv = self._source_uv()
+        rest = mesh.rest_m[head.chart.source]
+        data = np.concatenate([head.chart.vertex_uv, rest, surface(head), uv], 1)
+        buffer = c.buffer(data.astype(np.float32).tobytes())
+        layout = {"vertex_uv": 2, "rest_m": 3, "local": 4, "source_uv": 2}
+        targets = [c.texture((size, size), 4) for _ in range(2)]
+        framebuffer = c.framebuffer(targets)
+        framebuffer.use()
+        c.enable_only(moderngl.NOTHING)
+        framebuffer.clear(0, 0, 0, 0)
+        faces, part = head.chart.faces, self._material[head.chart.faces[:, 2]]
+        material = mesh.material[head.chart.face_source]
+        for painted, name in sorted(set(zip(part.tolist(), material.tolist(), strict=True))):
+            program: Any = link_program(
+                c,
+                vertex=shader_text("rig_bake.vert"),
+                fragment=shader_text("rig_appearance.frag", int(painted)),
+            )
+            mine = c.buffer(faces[(part == painted) & (material == name)].astype("i4").tobytes())
+            array = c.vertex_array(program, [attributes(program, buffer, layout)], mine)
+            image = self._albedo.get(name)
+            set_uniforms(program, {**numbers, "albedo": 0, "has_albedo": float(image is not None)})
+            if image is not None:
+                picture = c.texture(image.shape[1::-1], 3, image.tobytes(), alignment=1)
+                picture.build_mipmaps()
+                picture.use(0)
+            array.render()
+        self._settle(targets, _doubling(2 * size // 256 + 2))
+        del framebuffer, buffer
+        c.gc()
+        return targets[0], targets[1]
+
+    def _source_uv(self) -> FloatArray:
+        """The file's own texture coordinates of each split vertex. float32 ``[V, 2]``."""
+        mesh, chart = self.head.mesh, self.head.chart
+        result = np.zeros((len(chart.source), 2), np.float32)
+        if mesh.uv is not None and mesh.uv_faces is not None:
+            result[chart.faces] = mesh.uv[mesh.uv_faces[chart.face_source]]
+            own = chart.faces[: len(mesh.faces)]  # a skirt's edge belongs to its own island
+            result[own] = mesh.uv[mesh.uv_faces]
+        return result
+
+    def pose(self, arkit: npt.ArrayLike) -> FloatArray:
+        """Pose the rig for the draws that follow; returns its vertices, metres ``[V, 3]``."""
+        vertices = self.head.vertices(arkit)
+        shade = np.ones((len(vertices), 2), np.float32)
+        if self._occlusion is not None:
+            shade = self._occlusion.at(np.asarray(arkit, np.float32))
+        self._upload(vertices, shade)
+        return vertices
+
+    def _upload(self, vertices: FloatArray, shade: FloatArray) -> None:
+        self._write_moving(vertices, self.head.normals(vertices), shade)
+
+
+def _doubling(reach: int) -> Iterator[int]:
+    """Steps that together reach so far; what is filled is wide enough to be copied."""
+    done = 0
+    while done < reach:
+        step = min(max(done // 2, 1), reach - done)
+        yield step
+        done += step

@@ -1,0 +1,254 @@
+"""A rig as a head of ours: one chart, 52 values in, a posed mesh out.
+
+read -> names -> mesh (units, axes, parts) -> features -> chart -> pose
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
+from pica_core.capture.dataset.files import Topology
+from pica_core.capture.procedural.coordinates import MATERIALS
+from pica_core.capture.procedural.heads import EYE_PITCH_DOWN, EYE_PITCH_UP, EYE_YAW
+from pica_core.capture.rig.chart import PackedChart, make_islands, mend_islands, pack
+from pica_core.capture.rig.features import Features, find_features
+from pica_core.capture.rig.gltf import read_glb
+from pica_core.capture.rig.mesh import RigMesh, build_mesh
+from pica_core.capture.rig.names import NameMap, map_names
+from pica_core.capture.rig.obj import read_obj_folder
+from pica_core.capture.rig.source import RigSource
+from pica_core.capture.rig.visibility import visibility
+from pica_core.errors import CaptureError, ShapeError
+
+FloatArray = npt.NDArray[np.float32]
+Float64Array = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int32]
+
+SEEN_FULLY = 0.27
+"""Visibility of skin that faces the dome (measured on one head)."""
+SEEN_ENOUGH = 0.03
+"""Visibility from which on a triangle counts as seen: teeth are seen rarely and matter."""
+HIDDEN_SHARE = 0.40
+"""Texels of a triangle that nobody sees, against one that is seen."""
+SHARE_BY_COUNT = 0.75
+"""Part of the texels that goes to triangles alike (geometry); the rest goes by area."""
+IMPORTANCE = {"lids": 1.8, "lips": 1.8, "teeth": 1.4, "tongue": 1.2, "eyeballs": 1.3}
+"""How many more texels the regions get that people look at; where several hold, the largest."""
+
+
+def read_rig(path: Path) -> RigSource:
+    """Read a rig from a .glb file or a folder of OBJ files.
+
+    Raises:
+        CaptureError: It is neither, or damaged.
+    """
+    if path.is_dir():
+        return read_obj_folder(path)
+    if path.suffix.lower() == ".glb":
+        return read_glb(path)
+    if not path.exists():
+        raise CaptureError(f"{path}: the file is missing")
+    raise CaptureError(f"{path}: a .glb file or a folder of OBJ files is needed")
+
+
+def texel_need(mesh: RigMesh, features: Features, seen: Float64Array) -> Float64Array:
+    """Share of the chart that each triangle should get.
+
+    Args:
+        mesh: The rig.
+        features: What was found on it.
+        seen: `visibility` of each triangle. ``[F]``.
+
+    Returns:
+        Shares, ``[F]``, sum 1.
+    """
+    a, b, c = (mesh.rest_m[mesh.faces[:, k]] for k in range(3))
+    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    importance = np.ones(len(mesh.faces))
+    for name, value in IMPORTANCE.items():
+        here = features.regions[name][mesh.faces].any(1)
+        importance[here] = np.maximum(importance[here], value)
+    visible = np.clip(seen / SEEN_ENOUGH, 0.0, 1.0)
+    by_count = (HIDDEN_SHARE + (1 - HIDDEN_SHARE) * visible) * importance
+    by_area = area * (0.02 + np.clip(seen / SEEN_FULLY, 0.0, 1.0)) * importance
+    share = SHARE_BY_COUNT * by_count / by_count.sum()
+    need: Float64Array = share + (1 - SHARE_BY_COUNT) * by_area / by_area.sum()
+    return need
+
+
+def _look_poses(mesh: RigMesh) -> list[Float64Array]:
+    """Poses that show what there is: at rest, mouth open, teeth bared, eyes closed."""
+    poses = [mesh.rest_m]
+    for names in (
+        ("jawOpen",),
+        ("mouthSmile", "mouthUpperUp", "mouthLowerDown"),
+        ("eyeBlink",),
+    ):
+        chosen = [k for name, k in ARKIT_INDEX.items() if name.startswith(names)]
+        poses.append(mesh.rest_m + mesh.motion_m[chosen].sum(0))
+    return poses
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Turn:
+    """An eyeball that this importer turns."""
+
+    vertices: npt.NDArray[np.int64]
+    """Split vertices."""
+    local: FloatArray
+    """Their offsets from the centre at rest."""
+    centre: FloatArray
+    side: float
+
+
+class RigHead:
+    """A rig that can be posed.
+
+    Args:
+        mesh: The welded rig.
+        names: How its shapes were mapped.
+        name: What to call it.
+
+    Attributes:
+        name: Name.
+        mesh: The welded rig.
+        names: How its shapes were mapped.
+        features: What was found on it.
+        chart: Its one chart; ``chart.source`` leads from split to welded vertices.
+        mended: Triangles whose texture coordinates were made here.
+        topology: What models draw.
+        corrective_close: True when mouthClose takes back a part of jawOpen, as ARKit's does.
+    """
+
+    def __init__(self, mesh: RigMesh, names: NameMap, name: str) -> None:
+        self.name, self.mesh, self.names = name, mesh, names
+        self.features = find_features(mesh)
+        uv, uv_faces = mesh.uv, mesh.uv_faces
+        if uv is None or uv_faces is None:
+            uv, uv_faces = make_islands(mesh.rest_m, mesh.faces)
+            self.mended = len(mesh.faces)
+        else:
+            uv, uv_faces, self.mended = mend_islands(mesh.rest_m, mesh.faces, uv, uv_faces)
+        seen = visibility(_look_poses(mesh), mesh.faces)
+        need = texel_need(mesh, self.features, seen)
+        skin = self.features.part == MATERIALS.index("skin")
+        self.chart: PackedChart = pack(
+            uv, uv_faces, mesh.faces, need, rest=mesh.rest_m, seen=skin & (seen > SEEN_ENOUGH)
+        )
+        source = self.chart.source
+        regions = {key: mask[source] for key, mask in self.features.regions.items()}
+        self.topology = Topology(
+            vertex_uv=self.chart.vertex_uv, faces=self.chart.faces, regions=regions
+        )
+        self._rest = mesh.rest_m[source].astype(np.float32)
+        moving = np.abs(mesh.motion_m).max((1, 2)) > 0
+        self._shapes = np.flatnonzero(moving)
+        self._motion = mesh.motion_m[self._shapes][:, source].reshape(len(self._shapes), -1)
+        self.corrective_close = self._is_corrective()
+        self._turns = self._find_turns()
+
+    @property
+    def num_vertices(self) -> int:
+        """V."""
+        return len(self._rest)
+
+    def _is_corrective(self) -> bool:
+        opened = self.mesh.motion_m[ARKIT_INDEX["jawOpen"], :, 1]
+        closed = self.mesh.motion_m[ARKIT_INDEX["mouthClose"], :, 1]
+        if not closed.any() or not opened.any():
+            return False
+        at = np.abs(closed) > 0.3 * np.abs(closed).max()
+        return bool(np.mean(closed[at] * opened[at] < 0) > 0.6)
+
+    def _find_turns(self) -> tuple[_Turn, ...]:
+        turns = []
+        for eye in self.mesh.eyes:
+            if eye.turned:
+                continue
+            index = np.flatnonzero(np.isin(self.chart.source, eye.vertices))
+            centre = eye.centre_m.astype(np.float32)
+            local = self._rest[index] - centre
+            turns.append(_Turn(vertices=index, local=local, centre=centre, side=eye.side))
+        return tuple(turns)
+
+    @property
+    def eyes_turned_here(self) -> int:
+        """How many eyeballs this importer turns, since the rig's shapes do not."""
+        return len(self._turns)
+
+    def vertices(self, arkit: npt.ArrayLike) -> FloatArray:
+        """Pose the rig.
+
+        Args:
+            arkit: The 52 shapes in `ARKIT_NAMES` order. ``[52]``.
+
+        Returns:
+            Split vertices in metres, head frame. float32 ``[V, 3]``.
+
+        Raises:
+            ShapeError: `arkit` does not have 52 values.
+        """
+        values = np.array(arkit, np.float32)
+        if values.shape != (NUM_ARKIT,):
+            raise ShapeError(f"arkit is {values.shape}; [{NUM_ARKIT}] is needed")
+        if self.corrective_close:
+            # Alone it is nonsense: lips cannot close further than the jaw has opened them.
+            close, opening = ARKIT_INDEX["mouthClose"], ARKIT_INDEX["jawOpen"]
+            values[close] = min(values[close], max(float(values[opening]), 0.0))
+        points: FloatArray = self._rest + (values[self._shapes] @ self._motion).reshape(-1, 3)
+        for turn in self._turns:
+            points[turn.vertices] = _turned(turn, values)
+        return points
+
+    def normals(self, vertices: FloatArray) -> FloatArray:
+        """Unit vertex normals, area weighted, smooth across seams of the chart. ``[V, 3]``."""
+        faces = self.mesh.faces
+        first = np.zeros(len(self.mesh.rest_m), np.int64)
+        first[self.chart.source] = np.arange(len(self.chart.source))
+        welded = vertices[first]
+        a, b, c = (welded[faces[:, k]] for k in range(3))
+        normal = np.cross(b - a, c - a).astype(np.float64)
+        total = np.stack(
+            [np.bincount(faces.ravel(), np.repeat(normal[:, k], 3), len(welded)) for k in range(3)],
+            1,
+        )
+        length = np.linalg.norm(total, axis=1, keepdims=True)
+        unit: FloatArray = (total / np.maximum(length, 1e-20)).astype(np.float32)
+        return unit[self.chart.source]
+
+
+def _turned(turn: _Turn, values: FloatArray) -> FloatArray:
+    """An eyeball's vertices at a gaze. Angles at 1 are those of the built-in heads."""
+    name = "Left" if turn.side > 0 else "Right"
+    look = {
+        key: float(values[ARKIT_INDEX[f"eyeLook{key}{name}"]])
+        for key in ("Out", "In", "Up", "Down")
+    }
+    yaw = turn.side * EYE_YAW * (look["Out"] - look["In"])
+    pitch = EYE_PITCH_UP * look["Up"] - EYE_PITCH_DOWN * look["Down"]
+    sp, cp, sy, cy = np.sin(pitch), np.cos(pitch), np.sin(yaw), np.cos(yaw)
+    x, y, z = turn.local.T
+    y, z = cp * y + sp * z, cp * z - sp * y
+    turned = np.stack([cy * x + sy * z, y, cy * z - sy * x], 1)
+    result: FloatArray = (turned + turn.centre).astype(np.float32)
+    return result
+
+
+def make_rig(source: RigSource, table: dict[str, str | None] | None = None) -> RigHead:
+    """Make a head of a rig.
+
+    Args:
+        source: The rig as its file has it.
+        table: The user's table of names (`rig_names.read_names`).
+
+    Raises:
+        CaptureError: The rig is no head, or the table does not fit.
+    """
+    names = map_names(list(source.shapes), table)
+    mesh = build_mesh(source, names)
+    return RigHead(mesh, names, source.path.stem or source.path.name)

@@ -1,0 +1,324 @@
+"""A rig in our units, axes and names: what readers found, made ready to be posed and drawn.
+
+Vertices that only a seam of the texture coordinates tells apart become one. Transparent layers over
+the eyes go, since nothing here is transparent. Eyeballs are found by their shape.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
+from pica_core.capture.procedural.coordinates import MATERIALS
+from pica_core.capture.rig.frame import EYES_AT_M, RigFrame, find_frame
+from pica_core.capture.rig.names import NameMap
+from pica_core.capture.rig.source import RigSource
+from pica_core.errors import CaptureError
+
+FloatArray = npt.NDArray[np.float32]
+Float64Array = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int32]
+BoolArray = npt.NDArray[np.bool_]
+
+OVERLAY = re.compile(
+    r"occlu|lacrimal|tear|fluid|blend|cornea|meniscus|eye_?shadow|wetness|lash|eye_?brow", re.I
+)
+"""Materials that are transparent anywhere (layers over the eyes, cards of hairs): left out."""
+PART_WORDS: tuple[tuple[str, str], ...] = (
+    ("hair", r"hair|beard|scalp_?cap|moustache"),
+    ("teeth", r"teeth|tooth|denti?"),
+    ("tongue", r"tongue"),
+    ("mouth_bag", r"gum|gingiva|mouth|oral|saliva"),
+    ("eye", r"eye(?!lid)|sclera|iris|pupil"),
+    ("collar", r"cloth|shirt|collar|jacket|suit|outfit|dress"),
+)
+"""What a material's name says of the part it covers, in this order; everything else is skin."""
+EYE_RADIUS_M = (0.008, 0.021)
+HALF_BLEND_M = 0.006
+"""Half the width over which one shape for both sides changes from one side to the other."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Eyeball:
+    """One eyeball of a rig.
+
+    Attributes:
+        side: 1 for the subject's left, -1 for the right.
+        centre_m: Its centre, head frame. float64 ``[3]``.
+        radius_m: Radius of the fitted sphere.
+        vertices: Its vertices. int64 ``[n]``.
+        turned: True when the rig's own eyeLook shapes turn it.
+    """
+
+    side: float
+    centre_m: Float64Array
+    radius_m: float
+    vertices: npt.NDArray[np.int64]
+    turned: bool
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class RigMesh:
+    """A rig in metres and head axes, welded.
+
+    Attributes:
+        rest_m: Neutral vertices. float64 ``[P, 3]``.
+        motion_m: What each ARKit shape adds at 1. float32 ``[52, P, 3]``.
+        faces: Triangles, counter-clockwise from outside. int32 ``[F, 3]``.
+        uv: Texture coordinates, v downwards, or None. float64 ``[T, 2]``.
+        uv_faces: Triangles in `uv`, or None. int32 ``[F, 3]``.
+        part: Index into `coordinates.MATERIALS`. int32 ``[F]``.
+        material: Index into the source's materials. int32 ``[F]``.
+        eyes: Eyeballs found, left first.
+        frame: How the file's coordinates became ours.
+        dropped: Materials that were left out.
+    """
+
+    rest_m: Float64Array
+    motion_m: FloatArray
+    faces: IntArray
+    uv: Float64Array | None
+    uv_faces: IntArray | None
+    part: IntArray
+    material: IntArray
+    eyes: tuple[Eyeball, ...]
+    frame: RigFrame
+    dropped: tuple[str, ...]
+
+    def of_part(self, *names: str) -> BoolArray:
+        """Vertices that faces of these materials use. bool ``[P]``."""
+        mask = np.zeros(len(self.rest_m), np.bool_)
+        wanted = np.isin(self.part, [MATERIALS.index(name) for name in names])
+        mask[self.faces[wanted].ravel()] = True
+        return mask
+
+
+def components(faces: IntArray, count: int) -> npt.NDArray[np.int64]:
+    """Label of each vertex's connected component (its smallest vertex). int64 ``[count]``."""
+    label = np.arange(count)
+    while True:
+        lowest = label[faces].min(1)
+        spread = label.copy()
+        np.minimum.at(spread, faces.ravel(), np.repeat(lowest, 3))
+        spread = spread[spread]
+        if (spread == label).all():
+            return label
+        label = spread
+
+
+def nearest(
+    points: Float64Array, others: Float64Array
+) -> tuple[npt.NDArray[np.int64], Float64Array]:
+    """The nearest of `others` to each point, and how far it is; a part of the table at a time."""
+    index = np.empty(len(points), np.int64)
+    distance = np.empty(len(points))
+    rows = max(1_000_000 // len(others), 1)
+    for first in range(0, len(points), rows):
+        apart = np.linalg.norm(points[first : first + rows, None] - others[None], axis=2)
+        index[first : first + rows] = apart.argmin(1)
+        distance[first : first + rows] = apart.min(1)
+    return index, distance
+
+
+def fit_sphere(points: Float64Array) -> tuple[Float64Array, float, float]:
+    """Least-squares sphere: centre, radius, and mean distance from its surface."""
+    middle = points.mean(0)
+    q = points - middle
+    matrix = np.concatenate([2 * q, np.ones((len(q), 1))], 1)
+    solution = np.linalg.lstsq(matrix, (q * q).sum(1), rcond=None)[0]
+    centre = solution[:3]
+    radius = float(np.sqrt(max(solution[3] + centre @ centre, 0.0)))
+    error = float(np.abs(np.linalg.norm(q - centre, axis=1) - radius).mean())
+    return centre + middle, radius, error
+
+
+def _weld(source: RigSource) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Index of one vertex of each welded group, and the group of each vertex."""
+    if not source.split_at_seams:
+        return np.arange(len(source.positions)), np.arange(len(source.positions))
+    size = max(float(np.ptp(source.positions, axis=0).max()), 1e-12)
+    random = np.random.default_rng(0)
+    # Displacements are told apart by a few random sums of them.
+    sums = np.zeros((len(source.positions), 2))
+    for delta in source.shapes.values():
+        sums += delta.astype(np.float64) @ random.normal(size=(3, 2)) / size
+    table = np.rint(np.concatenate([source.positions / size, sums], 1) * 1e6).astype(np.int64)
+    _, first, group = np.unique(table, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return first[order], rank[group.ravel()]
+
+
+def _motion(
+    source: RigSource, names: NameMap, frame: RigFrame, keep: npt.NDArray[np.int64], x: Float64Array
+) -> FloatArray:
+    motion = np.zeros((NUM_ARKIT, len(keep), 3), np.float32)
+    t = np.clip(0.5 + 0.5 * x / HALF_BLEND_M, 0.0, 1.0)
+    left = (t * t * (3 - 2 * t))[:, None]
+    for arkit, drivers in names.drivers.items():
+        for driver in drivers:
+            delta = frame.points(source.shapes[driver.source][keep])
+            if driver.half:
+                delta = delta * (left if driver.half == "Left" else 1 - left)
+            motion[ARKIT_INDEX[arkit]] += delta.astype(np.float32)
+    return motion
+
+
+def _find_eyes(
+    rest: Float64Array, motion: FloatArray, label: npt.NDArray[np.int64], middle_x: float
+) -> tuple[tuple[Eyeball, ...], BoolArray]:
+    """Eyeballs by sphere fit, and vertices of shells that lie hidden inside them."""
+    balls: list[tuple[float, Float64Array, npt.NDArray[np.int64]]] = []
+    for first in np.unique(label):
+        index = np.flatnonzero(label == first)
+        if len(index) < 12:
+            continue
+        extent = np.ptp(rest[index], axis=0)
+        if extent.max() > 2.4 * EYE_RADIUS_M[1] or extent.max() < 1.2 * EYE_RADIUS_M[0]:
+            continue
+        centre, radius, error = fit_sphere(rest[index])
+        round_enough = error < 0.06 * radius and extent.min() > 0.8 * radius
+        if EYE_RADIUS_M[0] < radius < EYE_RADIUS_M[1] and round_enough:
+            balls.append((radius, centre, index))
+    eyes: list[Eyeball] = []
+    hidden = np.zeros(len(rest), np.bool_)
+    look = [i for name, i in ARKIT_INDEX.items() if name.startswith("eyeLook")]
+    for side in (1.0, -1.0):
+        here = [b for b in balls if (b[1][0] - middle_x) * side > 0.01]
+        if not here:
+            continue
+        radius, centre, index = max(here, key=lambda ball: ball[0])
+        together = [index]
+        ahead = (rest[index] - centre) / radius
+        covers_front = bool((ahead[:, 2] > 0.97).any())
+        reach = np.median(np.linalg.norm(rest[index] - centre, axis=1))
+        for _, other_centre, other in here:
+            if other is index or np.linalg.norm(other_centre - centre) > 0.5 * radius:
+                continue
+            inside = np.quantile(np.linalg.norm(rest[other] - centre, axis=1), 0.95) < reach
+            if inside and covers_front:
+                hidden[other] = True
+            else:
+                together.append(other)
+        all_of_it = np.concatenate(together)
+        moved = np.linalg.norm(motion[look][:, all_of_it], axis=2).mean(1).max()
+        eyes.append(
+            Eyeball(
+                side=side,
+                centre_m=centre,
+                radius_m=radius,
+                vertices=all_of_it,
+                turned=bool(moved > 0.0003),
+            )
+        )
+    return tuple(eyes), hidden
+
+
+def _parts(
+    source: RigSource,
+    material: IntArray,
+    faces: IntArray,
+    label: npt.NDArray[np.int64],
+    eyes: tuple[Eyeball, ...],
+) -> IntArray:
+    """Part of each face."""
+    part = np.zeros(len(faces), np.int32)
+    for index, name in enumerate(source.materials):
+        for kind, words in PART_WORDS:
+            if re.search(words, name, re.I):
+                part[material == index] = MATERIALS.index(kind)
+                break
+    in_eye = np.zeros(len(label), np.bool_)
+    for eye in eyes:
+        in_eye[eye.vertices] = True
+    part[in_eye[faces].all(1)] = MATERIALS.index("eye")
+    # What is called an eye and is no eyeball (a lid, a shadow) is skin.
+    wrong = (part == MATERIALS.index("eye")) & ~in_eye[faces].all(1)
+    if eyes:
+        part[wrong] = 0
+    return part
+
+
+def build_mesh(source: RigSource, names: NameMap) -> RigMesh:
+    """Bring a rig into our units, axes and names, and find its parts.
+
+    Raises:
+        CaptureError: No unit makes it a head, or nothing is left to draw.
+    """
+    frame = find_frame(source.positions, source.shapes, names)
+    keep, group = _weld(source)
+    rest = frame.points(source.positions[keep])
+    middle_x = 0.5 * float(rest[:, 0].min() + rest[:, 0].max())
+    motion = _motion(source, names, frame, keep, rest[:, 0] - middle_x)
+    faces = group[source.faces].astype(np.int32)
+    uv_faces, material = source.uv_faces, source.face_material
+    overlay = [k for k, name in enumerate(source.materials) if OVERLAY.search(name)]
+    shown = ~np.isin(material, overlay)
+    for corner in range(3):
+        shown &= faces[:, corner] != faces[:, (corner + 1) % 3]
+    if not shown.any():
+        raise CaptureError(f"{source.path}: no face is left without transparent materials")
+    label = components(faces[shown], len(rest))
+    eyes, hidden = _find_eyes(rest, motion, label, middle_x)
+    shown &= ~hidden[faces].any(1)
+    dropped = [source.materials[k] for k in np.unique(material) if not shown[material == k].any()]
+    faces, material = faces[shown], material[shown]
+    uv_faces = uv_faces[shown] if uv_faces is not None else None
+    if _volume(rest, faces) < 0:
+        faces = faces[:, ::-1]
+        uv_faces = uv_faces[:, ::-1] if uv_faces is not None else None
+    part = _parts(source, material, faces, label, eyes)
+    offset = np.array(EYES_AT_M) - _eye_point(rest, motion, eyes, middle_x)
+    rest = rest + offset
+    used, again = np.unique(faces, return_inverse=True)
+    rank = np.full(len(rest), -1)
+    rank[used] = np.arange(len(used))
+    moved_eyes = tuple(
+        Eyeball(
+            side=eye.side,
+            centre_m=eye.centre_m + offset,
+            radius_m=eye.radius_m,
+            vertices=rank[eye.vertices][rank[eye.vertices] >= 0],
+            turned=eye.turned,
+        )
+        for eye in eyes
+    )
+    return RigMesh(
+        rest_m=rest[used],
+        motion_m=np.ascontiguousarray(motion[:, used]),
+        faces=again.reshape(-1, 3).astype(np.int32),
+        uv=source.uv,
+        uv_faces=uv_faces,
+        part=part,
+        material=material,
+        eyes=moved_eyes,
+        frame=frame,
+        dropped=tuple(dropped),
+    )
+
+
+def _volume(points: Float64Array, faces: IntArray) -> float:
+    """Six times the signed volume about the mean point; open meshes lean the same way."""
+    a, b, c = (points[faces[:, corner]] - points.mean(0) for corner in range(3))
+    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum())
+
+
+def _eye_point(
+    rest: Float64Array, motion: FloatArray, eyes: tuple[Eyeball, ...], middle_x: float
+) -> Float64Array:
+    """The middle between the eyeballs, or where lids move, or a guess from the outline."""
+    if len(eyes) == 2:
+        middle: Float64Array = 0.5 * (eyes[0].centre_m + eyes[1].centre_m)
+        return middle
+    lids = [ARKIT_INDEX[f"eyeBlink{side}"] for side in ("Left", "Right")]
+    weight = (np.linalg.norm(motion[lids], axis=2) ** 2).sum(0)
+    if weight.sum() > 0:
+        middle = weight @ rest / weight.sum()
+        return middle * [0, 1, 1] + [middle_x, 0.0, -0.012]
+    high, low = rest.max(0), rest.min(0)
+    return np.array([middle_x, high[1] - 0.11, max(high[2] - 0.05, low[2])])

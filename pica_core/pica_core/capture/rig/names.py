@@ -1,0 +1,159 @@
+"""Which shapes of a rig drive which ARKit shape: by rules over names, then by a table of the user.
+
+eyeBlink_L  Eye_Blink_Left  head.eyeBlinkLeft  EYEBLINKLEFT  A14_Eye_Blink_Left  -> eyeBlinkLeft
+browInnerUp_L + browInnerUp_R                                                    -> browInnerUp
+mouthSmile (one shape for both sides)           -> its halves drive mouthSmileLeft and ...Right
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
+from pica_core.capture.rig.source import read_bytes
+from pica_core.errors import CaptureError
+
+SIDES = {"l": "Left", "left": "Left", "lft": "Left", "r": "Right", "right": "Right", "rgt": "Right"}
+_PLAIN = {name.lower(): name for name in ARKIT_NAMES}
+_STEMS = {
+    name.removesuffix("Left").lower()
+    for name in ARKIT_NAMES
+    if name.endswith("Left") and name.removesuffix("Left") + "Right" in ARKIT_INDEX
+} - {"jaw", "mouth"}
+"""ARKit names without their side, of those that have sides; jawLeft is a direction, no side."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Driver:
+    """A part that one source shape plays in an ARKit shape."""
+
+    source: str
+    """Name in the file."""
+    half: str = ""
+    """``Left`` or ``Right``: only that half of the source shape; empty: the whole of it."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NameMap:
+    """How a rig's shapes drive the 52 ARKit shapes."""
+
+    drivers: dict[str, tuple[Driver, ...]]
+    """By ARKit name; the drivers' displacements add up."""
+    mapped: tuple[str, ...]
+    """Source shapes that drive something, in the file's order."""
+    missing: tuple[str, ...]
+    """ARKit shapes that nothing drives, in ARKit's order."""
+    ignored: tuple[str, ...]
+    """Source shapes that drive nothing, in the file's order."""
+
+
+def match_name(source: str) -> tuple[tuple[str, str], ...]:
+    """What a name means: ARKit names, each with the half of the shape that drives it.
+
+    Returns:
+        Nothing for a name that means nothing to us; two entries for one shape of both sides.
+    """
+    last = re.split(r"[.:|/]", source)[-1]
+    last = re.sub(r"^[A-Za-z]?\d+[_\- ]+", "", last)
+    plain = re.sub(r"[^a-z0-9]", "", last.lower())
+    if plain in _PLAIN:
+        return ((_PLAIN[plain], ""),)
+    words = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+", last)
+    for at in (-1, 0):
+        side = SIDES.get(words[at].lower()) if len(words) > 1 else None
+        if side is None:
+            continue
+        stem = "".join(words[:-1] if at == -1 else words[1:]).lower()
+        if stem in _STEMS:
+            return ((_PLAIN[stem + side.lower()], ""),)
+        if stem in _PLAIN:  # half of a shape that ARKit has in one piece
+            return ((_PLAIN[stem], ""),)
+    if plain in _STEMS:
+        return tuple((_PLAIN[plain + side.lower()], side) for side in ("Left", "Right"))
+    return ()
+
+
+def read_names(path: Path) -> dict[str, str | None]:
+    """A user's table: ``{"source name": "arkitName" or null}``.
+
+    Raises:
+        CaptureError: Not such a table, or a name that ARKit does not have.
+    """
+    try:
+        table = json.loads(read_bytes(path).decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise CaptureError(f"{path}: not a JSON file ({error})") from error
+    if not isinstance(table, dict):
+        raise CaptureError(f"{path}: an object of source names to ARKit names is needed")
+    for name, target in table.items():
+        if target is not None and target not in ARKIT_INDEX:
+            raise CaptureError(f"{path}: {name!r} is mapped to {target!r}, which is no ARKit name")
+    return table
+
+
+def map_names(names: Sequence[str], table: dict[str, str | None] | None = None) -> NameMap:
+    """Map a rig's shape names.
+
+    Args:
+        names: Source names in the file's order.
+        table: The user's table, which goes before the rules; None maps a name to nothing.
+
+    Raises:
+        CaptureError: The table names a shape that the rig does not have, or nothing is mapped.
+    """
+    table = table or {}
+    unknown = [name for name in table if name not in names]
+    if unknown:
+        raise CaptureError(f"map: {unknown[0]!r} is no shape of the rig")
+    found: dict[str, list[tuple[str, Driver]]] = {}
+    for name in names:
+        target = table.get(name)
+        meanings = match_name(name) if name not in table else ((target, ""),) if target else ()
+        for arkit, half in meanings:
+            kind = "table" if name in table else _kind(name, arkit, half)
+            found.setdefault(arkit, []).append((kind, Driver(source=name, half=half)))
+    drivers: dict[str, tuple[Driver, ...]] = {}
+    for arkit in ARKIT_NAMES:
+        if arkit not in found:
+            continue
+        # One name may be there twice (eyeBlinkLeft and eyeBlink_L); the better match drives.
+        best = min(_RANK.index(kind) for kind, _ in found[arkit])
+        chosen = [driver for kind, driver in found[arkit] if _RANK.index(kind) == best]
+        if _RANK[best] == "whole":
+            chosen = chosen[:1]
+        if _RANK[best] == "half":
+            sides = {_side(driver.source): driver for driver in reversed(chosen)}
+            chosen = [sides[side] for side in sorted(sides)]
+        drivers[arkit] = tuple(chosen)
+    used = {driver.source for chosen in drivers.values() for driver in chosen}
+    if not used:
+        raise CaptureError(
+            f"none of {len(names)} shapes has a name that is known ({', '.join(names[:5])}, ...); "
+            "give a table with --map"
+        )
+    return NameMap(
+        drivers=drivers,
+        mapped=tuple(name for name in names if name in used),
+        missing=tuple(name for name in ARKIT_NAMES if name not in drivers),
+        ignored=tuple(name for name in names if name not in used),
+    )
+
+
+_RANK = ("table", "whole", "half", "both")
+"""How well a source fits: by the table, as a whole, as one half, as one shape for two."""
+
+
+def _side(name: str) -> str:
+    words = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)
+    return SIDES.get(words[-1].lower(), "") or SIDES.get(words[0].lower(), "")
+
+
+def _kind(name: str, arkit: str, half: str) -> str:
+    if half:
+        return "both"
+    sided = arkit.endswith(("Left", "Right"))
+    return "half" if not sided and _side(name) else "whole"

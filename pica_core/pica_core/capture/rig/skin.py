@@ -1,0 +1,124 @@
+"""What the appearance shader needs to know of each vertex of a rig, and the images it brings.
+
+Where a material has no image, `shaders/rig_appearance.frag` paints it: skin with pores, brows,
+lips, lids and cropped hair, eyes, teeth, gums and tongue, from what `rig_features` found.
+"""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image, UnidentifiedImageError
+
+from pica_core.capture.procedural.coordinates import MATERIALS
+from pica_core.capture.rig.head import RigHead
+from pica_core.capture.rig.source import RigSource, read_bytes
+from pica_core.capture.rig.zones import hair_coverage
+from pica_core.errors import CaptureError
+
+FloatArray = npt.NDArray[np.float32]
+ByteArray = npt.NDArray[np.uint8]
+
+MAX_ALBEDO_SIDE = 8192
+ALBEDO_MODES = ("RGB", "RGBA", "L", "LA", "P")
+IRIS_RADIUS_M = 0.0060
+"""11.7 mm across (Rüfer et al. 2005), a little more for eyeballs that are larger than life."""
+
+
+def split_parts(head: RigHead) -> npt.NDArray[np.int32]:
+    """Part of each split vertex: that of its triangles. ``[V]``."""
+    part = np.zeros(head.num_vertices, np.int32)
+    for corner in range(3):  # where parts share an island, the later part of the table wins
+        chart = head.chart
+        np.maximum.at(part, chart.faces[:, corner], head.features.part[chart.face_source])
+    return part
+
+
+def surface(head: RigHead) -> FloatArray:
+    """Four numbers for every split vertex; their meaning depends on the part. ``[V, 4]``."""
+    f, mesh, source = head.features, head.mesh, head.chart.source
+    rest = mesh.rest_m
+    part = split_parts(head)
+    local = np.zeros((len(source), 4), np.float32)
+    skin = part == MATERIALS.index("skin")
+    coverage = hair_coverage(rest)
+    if f.regions["hair"].any():
+        coverage = np.full(len(rest), -1.0)
+    columns = np.stack([f.lips, 1000 * f.eye_gap_m, coverage, f.above_eye], 1)
+    local[skin] = columns[source[skin]]
+    for eye in mesh.eyes:
+        mine = np.isin(source, eye.vertices)
+        local[mine, :3] = (rest[source[mine]] - eye.centre_m) / eye.radius_m
+        local[mine, 3] = eye.side
+    tongue = part == MATERIALS.index("tongue")
+    if tongue.any():
+        z = rest[source[tongue], 2]
+        local[tongue, 0] = (z - z.min()) / max(float(np.ptp(z)), 1e-9)
+    lining = part == MATERIALS.index("mouth_bag")
+    if lining.any():
+        front = (
+            float(f.mouth.z.max()) if f.mouth is not None else float(rest[source[lining], 2].max())
+        )
+        local[lining, 0] = 1000 * (front - rest[source[lining], 2])
+    return local
+
+
+def open_albedo(where: str, data: bytes) -> ByteArray:
+    """An image as sRGB, row 0 on top. uint8 ``[H, W, 3]``.
+
+    Raises:
+        CaptureError: Not an 8-bit image, or too large.
+    """
+    try:
+        with Image.open(io.BytesIO(data)) as image:
+            if max(image.size) > MAX_ALBEDO_SIDE:
+                raise CaptureError(
+                    f"{where}: {image.width}x{image.height} pixels; sides up to {MAX_ALBEDO_SIDE} "
+                    "are allowed"
+                )
+            if image.mode not in ALBEDO_MODES:
+                raise CaptureError(
+                    f"{where}: pixels are {image.mode}; an 8-bit colour image is needed"
+                )
+            return np.asarray(image.convert("RGB"))
+    except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
+        raise CaptureError(f"{where}: not a complete image ({error})") from error
+
+
+def read_albedos(source: RigSource, wishes: tuple[str, ...]) -> dict[int, ByteArray]:
+    """Base colour images by material: those inside the rig's file, then the user's.
+
+    Args:
+        source: The rig as its file has it.
+        wishes: ``FILE`` for the material with most triangles, or ``MATERIAL=FILE``.
+
+    Raises:
+        CaptureError: An unknown material, a bad image, or a rig without texture coordinates.
+    """
+    found = {
+        index: open_albedo(f"{source.path}: image of material {source.materials[index]!r}", data)
+        for index, data in source.images.items()
+        if source.uv is not None
+    }
+    for wish in wishes:
+        name, separator, path = wish.partition("=")
+        if not separator:
+            name, path = "", wish
+        if source.uv is None:
+            raise CaptureError(
+                f"albedo {path}: {source.path} has no texture coordinates to put it on"
+            )
+        if separator and name not in source.materials:
+            raise CaptureError(
+                f"albedo: no material {name!r}; there are {', '.join(source.materials)}"
+            )
+        index = (
+            source.materials.index(name)
+            if separator
+            else int(np.argmax(np.bincount(source.face_material)))
+        )
+        found[index] = open_albedo(path, read_bytes(Path(path)))
+    return found

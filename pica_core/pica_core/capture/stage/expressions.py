@@ -1,0 +1,306 @@
+"""What the subject does on the stage: takes of 52 ARKit values at 30 Hz, made from a seed.
+
+A take is low rank, as real faces are: a few visemes, emotions and gestures blend into each other,
+the two sides move together, eyes blink and jump. No recording is read. Whole takes are held out
+for testing, so no test frame has a neighbour in the training set.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES, NUM_ARKIT
+
+FloatArray = npt.NDArray[np.float32]
+Float64Array = npt.NDArray[np.float64]
+Generator = np.random.Generator
+
+RATE_HZ = 30.0
+
+
+def blend(**values: float) -> Float64Array:
+    """An expression by name; a name without its side (``mouthSmile``) means both sides."""
+    arkit = np.zeros(NUM_ARKIT)
+    for name, value in values.items():
+        for full in (name, f"{name}Left", f"{name}Right"):
+            if full in ARKIT_INDEX:
+                arkit[ARKIT_INDEX[full]] = value
+    return arkit
+
+
+VISEMES: tuple[Float64Array, ...] = (
+    blend(jawOpen=0.55, mouthLowerDown=0.25, mouthUpperUp=0.15),
+    blend(jawOpen=0.22, mouthStretch=0.35, mouthSmile=0.3, mouthLowerDown=0.3),
+    blend(jawOpen=0.3, mouthFunnel=0.55, mouthPucker=0.2),
+    blend(jawOpen=0.12, mouthPucker=0.75, mouthFunnel=0.25),
+    blend(mouthClose=0.04, jawOpen=0.05, mouthPress=0.45, mouthRollLower=0.2, mouthRollUpper=0.2),
+    blend(jawOpen=0.1, mouthRollLower=0.5, mouthUpperUp=0.3, mouthShrugUpper=0.15),
+    blend(jawOpen=0.18, mouthLowerDown=0.35, mouthUpperUp=0.2),
+    blend(jawOpen=0.25, tongueOut=0.12, mouthLowerDown=0.2),
+    blend(jawOpen=0.08, mouthStretch=0.25, mouthLowerDown=0.4, mouthDimple=0.2),
+    blend(jawOpen=0.4, mouthShrugLower=0.2),
+    blend(),
+)
+"""Mouth shapes of speech: AA, EE, OH, OO, M-B-P, F-V, D-T, L-TH, S-Z, EH, rest."""
+
+MOODS: tuple[Float64Array, ...] = (
+    blend(),
+    blend(mouthSmile=0.75, cheekSquint=0.6, eyeSquint=0.35, mouthDimple=0.2),
+    blend(mouthSmile=0.35, browInnerUp=0.2),
+    blend(browDown=0.8, eyeSquint=0.4, mouthPress=0.4, noseSneer=0.25, jawForward=0.15),
+    blend(mouthFrown=0.75, browInnerUp=0.65, mouthShrugLower=0.5, eyeLookDown=0.2),
+    blend(browInnerUp=0.8, browOuterUp=0.8, eyeWide=0.8, jawOpen=0.35, mouthFunnel=0.15),
+    blend(noseSneer=0.85, mouthUpperUp=0.5, browDown=0.5, cheekSquint=0.4, mouthFrown=0.2),
+    blend(cheekPuff=0.8, mouthPress=0.35, mouthPucker=0.15),
+    blend(mouthPucker=0.9, browInnerUp=0.15),
+    blend(jawOpen=0.85, mouthStretch=0.3, browOuterUp=0.3),
+    blend(jawOpen=0.45, mouthClose=0.43),
+    blend(tongueOut=0.9, jawOpen=0.35, browOuterUp=0.3),
+    blend(
+        jawOpen=0.45,
+        mouthSmile=0.85,
+        mouthUpperUp=0.45,
+        cheekSquint=0.7,
+        eyeSquint=0.4,
+        mouthLowerDown=0.3,
+    ),
+    blend(eyeSquint=0.8, cheekSquint=0.5, mouthStretch=0.5, mouthLowerDown=0.6),
+)
+"""Slow, whole-face states."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Take:
+    """One uninterrupted performance.
+
+    Attributes:
+        segment: Name, unique within a capture.
+        arkit: Values of the captured moments, `STRIDE` / `RATE_HZ` seconds apart. float32
+            ``[T, 52]``.
+        history: Values one, two ... `HISTORY` moments at `RATE_HZ` before. float32
+            ``[T, HISTORY, 52]``.
+        split: ``train`` or ``test``.
+    """
+
+    segment: str
+    arkit: FloatArray
+    history: FloatArray
+    split: str
+
+
+def _smooth(values: Float64Array, seconds: float) -> Float64Array:
+    """Gaussian smoothing over time with the ends held; `seconds` is the standard deviation."""
+    sigma = seconds * RATE_HZ
+    half = max(int(3 * sigma), 1)
+    kernel = np.exp(-0.5 * (np.arange(-half, half + 1) / sigma) ** 2)
+    kernel /= kernel.sum()
+    padded = np.pad(values, ((half, half), (0, 0)), mode="edge")
+    stacked = [np.convolve(padded[:, k], kernel, mode="valid") for k in range(values.shape[1])]
+    return np.stack(stacked, 1)
+
+
+def _hold(
+    random: Generator, frames: int, choices: tuple[Float64Array, ...], mean_s: float
+) -> Float64Array:
+    """A staircase: one choice after the other, of random strength and length, a little uneven."""
+    result = np.zeros((frames, NUM_ARKIT))
+    at = 0
+    while at < frames:
+        length = max(int(random.gamma(4.0, mean_s / 4.0) * RATE_HZ), 2)
+        state = choices[int(random.integers(len(choices)))] * random.uniform(0.5, 1.15)
+        if random.random() < 0.4:
+            state = state + 0.5 * random.random() * choices[int(random.integers(len(choices)))]
+        result[at : at + length] = state * random.uniform(0.88, 1.12, NUM_ARKIT)
+        at += length
+    return result
+
+
+def _eyes(random: Generator, frames: int) -> Float64Array:
+    """Blinks and gaze jumps; both eyes together."""
+    result = np.zeros((frames, NUM_ARKIT))
+    at = 0
+    gaze = np.zeros((frames, 2))
+    while at < frames:
+        length = int(random.gamma(2.0, 0.5) * RATE_HZ) + 6
+        gaze[at : at + length] = random.normal(0.0, [0.35, 0.22])
+        at += length
+    gaze = np.clip(_smooth(gaze, 0.03), -1, 1)
+    for name, value in (
+        ("eyeLookOutLeft", gaze[:, 0]),
+        ("eyeLookInRight", gaze[:, 0]),
+        ("eyeLookInLeft", -gaze[:, 0]),
+        ("eyeLookOutRight", -gaze[:, 0]),
+        ("eyeLookUpLeft", gaze[:, 1]),
+        ("eyeLookUpRight", gaze[:, 1]),
+        ("eyeLookDownLeft", -gaze[:, 1]),
+        ("eyeLookDownRight", -gaze[:, 1]),
+    ):
+        result[:, ARKIT_INDEX[name]] = np.clip(value, 0, 1)
+    at = int(random.uniform(0.3, 1.5) * RATE_HZ)
+    shape = np.array([0.35, 0.9, 1.0, 0.85, 0.5, 0.2])
+    while at < frames:
+        span = shape[: frames - at]
+        for side in ("Left", "Right"):
+            column = result[:, ARKIT_INDEX[f"eyeBlink{side}"]]
+            column[at : at + len(span)] = np.maximum(column[at : at + len(span)], span)
+        at += int(random.gamma(3.0, 0.8) * RATE_HZ) + 8
+    return result
+
+
+def sentence(random: Generator, frames: int) -> FloatArray:
+    """Speech: six visemes a second over a slow mood, brow accents, blinks, gaze. ``[T, 52]``."""
+    mouth = _smooth(_hold(random, frames, VISEMES, 0.17), 0.045)
+    mood = _smooth(_hold(random, frames, MOODS[:7], 2.5), 0.35) * random.uniform(0.2, 0.7)
+    accent_shapes = (blend(), blend(), blend(browInnerUp=0.5, browOuterUp=0.4), blend(browDown=0.4))
+    accents = _smooth(_hold(random, frames, accent_shapes, 0.7), 0.12)
+    drift = _smooth(random.normal(0, 0.25, (frames, NUM_ARKIT)), 0.5) * 0.35
+    drift[:, :14] = 0.0
+    return np.clip(
+        mouth + mood + accents + np.maximum(drift, 0) + _eyes(random, frames), 0, 1.05
+    ).astype(np.float32)
+
+
+def range_of_motion(random: Generator, frames: int) -> FloatArray:
+    """One shape after the other to its full extent, pairs together or alone. ``[T, 52]``."""
+    pairs = [name.removesuffix("Left") for name in ARKIT_NAMES if name.endswith("Left")]
+    single = [name for name in ARKIT_NAMES if not name.endswith(("Left", "Right"))]
+    single += ["jawLeft", "jawRight", "mouthLeft", "mouthRight"]
+    result = np.zeros((frames, NUM_ARKIT))
+    order: list[tuple[str, ...]] = []
+    for name in pairs:
+        if name not in ("jaw", "mouth"):
+            order += [(name,), (f"{name}Left",), (f"{name}Right",)]
+    order += [(name,) for name in single if name != "mouthClose"]
+    order += [("jawOpen", "mouthClose"), ("jawOpen",), ("jawOpen", "mouthSmile"), ("eyeBlink",)]
+    length = max(frames // len(order), 3)
+    envelope = np.sin(np.pi * (np.arange(length) + 0.5) / length) ** 0.7
+    for slot, index in enumerate(random.permutation(len(order))):
+        start = slot * length
+        if start >= frames:
+            break
+        strength = random.uniform(0.6, 1.0)
+        state = blend(**{name: strength for name in order[index]})
+        part = result[start : start + length]
+        part += envelope[: len(part), None] * state
+    idle = _smooth(_hold(random, frames, MOODS[:6], 1.5), 0.3) * 0.2
+    return np.clip(result + idle, 0, 1).astype(np.float32)
+
+
+def combinations(random: Generator, frames: int) -> FloatArray:
+    """Strong moods and gestures blending into each other, with gaze and blinks. ``[T, 52]``."""
+    strong = _smooth(_hold(random, frames, MOODS, 0.8), 0.12)
+    talk = _smooth(_hold(random, frames, VISEMES, 0.3), 0.08) * random.uniform(0.0, 0.6)
+    lone = np.zeros((frames, NUM_ARKIT))
+    at = 0
+    while at < frames:
+        length = int(random.uniform(0.3, 0.8) * RATE_HZ)
+        chosen = random.choice(NUM_ARKIT, 2, replace=False)
+        lone[at : at + length, chosen] = random.uniform(0.2, 0.8, 2)
+        at += length
+    lone[:, :14] *= 0.5
+    lone = _smooth(lone, 0.1) * 0.6
+    lone[:, ARKIT_INDEX["mouthClose"]] = 0.0
+    return np.clip(strong + talk + lone + _eyes(random, frames), 0, 1).astype(np.float32)
+
+
+def lids_and_gaze(random: Generator, frames: int) -> FloatArray:
+    """Eyes alone: lids at every height, together or one at a time, gaze everywhere. ``[T, 52]``.
+
+    Blinks are short, so that performances hold few frames of a closed eye; an avatar that never
+    learned them stares.
+    """
+    lids: tuple[Float64Array, ...] = (
+        blend(),
+        blend(eyeBlink=0.5),
+        blend(eyeBlink=0.75),
+        blend(eyeBlink=1.0),
+        blend(eyeBlink=1.0),
+        blend(eyeBlinkLeft=1.0),
+        blend(eyeBlinkRight=1.0),
+        blend(eyeSquint=0.8),
+        blend(eyeWide=0.8),
+        blend(eyeSquint=0.6, eyeBlink=0.5),
+    )
+    look = [
+        blend(eyeLookOutLeft=x, eyeLookInRight=x) + blend(eyeLookUp=y)
+        for x in (0, 0.8)
+        for y in (0, 0.7)
+    ]
+    look += [
+        blend(eyeLookInLeft=x, eyeLookOutRight=x) + blend(eyeLookDown=y)
+        for x in (0, 0.8)
+        for y in (0.4, 0.8)
+    ]
+    mouth = _smooth(_hold(random, frames, VISEMES, 0.3), 0.08) * 0.5
+    brows = _smooth(_hold(random, frames, MOODS[:6], 1.0), 0.2) * 0.3
+    eyes = _smooth(_hold(random, frames, lids, 0.35), 0.04)
+    gaze = _smooth(_hold(random, frames, tuple(look), 0.4), 0.04)
+    return np.clip(mouth + brows + eyes + gaze, 0, 1).astype(np.float32)
+
+
+KINDS = (("ROM", range_of_motion), ("SEN", sentence), ("EXP", combinations))
+EYE_SHARE = 1 / 6
+"""Share of the frames that go to takes of the eyes alone."""
+TAKE_FRAMES = 40
+"""Captured frames of a take, at most."""
+STRIDE = 5
+"""Every so many frames of a performance one is captured."""
+HISTORY = 3
+"""How many moments before a captured one are kept."""
+FIRST_TEST_TAKE = 500
+
+
+def sample_takes(num_frames: int, seed: int, test_share: float = 0.15) -> list[Take]:
+    """Plan a capture: takes with `num_frames` frames in all, spread over time by a stride.
+
+    Args:
+        num_frames: Frames to capture; at least 4.
+        seed: Fixes everything.
+        test_share: Share of the frames in held-out takes.
+
+    Returns:
+        Takes that hold only the captured frames: a sixth of them for the eyes alone, the rest in
+        about equal shares per kind. The first frame of the first take is the neutral face.
+    """
+    num_eyes = int(num_frames * EYE_SHARE)
+    num_test = max(round((num_frames - num_eyes) * test_share), 1)
+    quota = {"train": num_frames - num_eyes - num_test, "test": num_test}
+    takes: list[Take] = []
+    for split, total in quota.items():
+        # Tests are sentences and combinations; range of motion is there to be learned.
+        kinds = KINDS if split == "train" else KINDS[1:]
+        per_kind = [total // len(kinds) + (k < total % len(kinds)) for k in range(len(kinds))]
+        for (label, make), count in zip(kinds, per_kind, strict=True):
+            takes += _takes(label, make, count, split, seed)
+    takes[0].arkit[0] = takes[0].history[0] = 0.0
+    num_test_eyes = round(num_eyes * test_share)
+    for split, count in (("train", num_eyes - num_test_eyes), ("test", num_test_eyes)):
+        takes += _takes("EYE", lids_and_gaze, count, split, seed)
+    return takes
+
+
+def _takes(
+    label: str, make: Callable[[Generator, int], FloatArray], count: int, split: str, seed: int
+) -> list[Take]:
+    """Takes of one kind with `count` captured frames in all."""
+    takes = []
+    code = sum(ord(letter) << (8 * place) for place, letter in enumerate(label))
+    for part in range(0, count, TAKE_FRAMES):
+        size = min(TAKE_FRAMES, count - part)
+        index = part // TAKE_FRAMES + (0 if split == "train" else FIRST_TEST_TAKE)
+        random = np.random.default_rng([seed, code, index])
+        performed = make(random, size * STRIDE + 20)
+        moments = 10 + STRIDE * np.arange(size)
+        takes.append(
+            Take(
+                segment=f"{label}{index:03d}",
+                arkit=performed[moments],
+                history=performed[moments[:, None] - np.arange(1, HISTORY + 1)],
+                split=split,
+            )
+        )
+    return takes

@@ -1,0 +1,367 @@
+"""GL side of whoever stands on the stage: draw images, depth and masks, unwrap textures.
+
+A subclass says how its mesh is posed and bakes its appearance; all else is here. One thread owns a
+renderer. The mesh keeps its topology, so buffers are made once.
+"""
+
+from __future__ import annotations
+
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
+
+import moderngl
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.camera import Camera
+from pica_core.gl import create_context, link_program, wait_for_gpu
+
+FloatArray = npt.NDArray[np.float32]
+ByteArray = npt.NDArray[np.uint8]
+BoolArray = npt.NDArray[np.bool_]
+
+BAKE_SIZE = 2048
+"""Side of the appearance textures: 8 texels per position-map texel, about 0.1 mm on the face."""
+SUPERSAMPLE = 2
+"""Samples per pixel along each axis."""
+BACKGROUND = (92, 97, 104)
+"""sRGB of the empty stage; pixels without a head have mask 0."""
+NEAR_M, FAR_M = 0.05, 6.0
+DEPTH_TOLERANCE_M = 0.0015
+"""How far behind the nearest surface a texel may lie and still count as seen."""
+
+
+def shader_text(name: str, material: int | None = None) -> str:
+    """A shader of this package with its includes resolved (one level).
+
+    Args:
+        name: File.
+        material: What ``MATERIAL`` stands for in it.
+    """
+    folder = files("pica_core.capture.stage") / "shaders"
+    text = (folder / name).read_text(encoding="utf-8")
+    if material is not None:
+        text = text.replace("\n", f"\n#define MATERIAL {material}\n#line 2\n", 1)
+    return re.sub(
+        r'^#include "([\w.]+)"$',
+        lambda found: (folder / found.group(1)).read_text(encoding="utf-8"),
+        text,
+        flags=re.MULTILINE,
+    )
+
+
+def set_uniforms(program: Any, values: Mapping[str, Any]) -> None:
+    """Set what the program has of these; the compiler drops what a shader does not need."""
+    for name, value in values.items():
+        if name in program:
+            program[name].value = value
+
+
+def attributes(program: Any, buffer: Any, layout: Mapping[str, int]) -> tuple[Any, ...]:
+    """What the program has of a buffer's attributes, for `Context.vertex_array`; may be empty.
+
+    Args:
+        program: The program.
+        buffer: float32, interleaved.
+        layout: Names and numbers of components, in order.
+    """
+    used = [name for name in layout if name in program]
+    parts = [f"{n}f" if name in used else f"{n}x4" for name, n in layout.items()]
+    return (buffer, " ".join(parts), *used) if used else ()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class View:
+    """What one camera sees.
+
+    Attributes:
+        image: sRGB, row 0 on top. uint8 ``[H, W, 3]``.
+        depth_m: Distance along the camera axis at pixel centres, 0 where empty. float32 ``[H, W]``.
+        mask: 0 background, else material id + 1 (`coordinates.MATERIALS`). uint8 ``[H, W]``.
+    """
+
+    image: ByteArray
+    depth_m: FloatArray
+    mask: ByteArray
+
+
+class MeshRenderer(ABC):
+    """Draws one mesh on the stage.
+
+    Args:
+        context: A GL context to use; None makes one.
+        shader: Name of the shaders that light it.
+        faces: Triangles. int32 ``[F, 3]``.
+        vertex_uv: In [0, 1]. float32 ``[V, 2]``.
+        material: `coordinates.MATERIALS` by vertex; the last vertex of a triangle counts. ``[V]``.
+        moving: Names and numbers of components of what `_upload` writes for each vertex, in order;
+            ``position_m`` and ``normal`` come first.
+
+    Raises:
+        GraphicsError: No GL context.
+    """
+
+    def __init__(
+        self,
+        context: Any,
+        shader: str,
+        *,
+        faces: npt.NDArray[np.int32],
+        vertex_uv: FloatArray,
+        material: npt.NDArray[Any],
+        moving: dict[str, int],
+    ) -> None:
+        self._context = c = create_context() if context is None else context
+        self._framebuffers: dict[tuple[str, int, int], Any] = {}
+        self._view_textures: dict[tuple[int, int], tuple[Any, Any]] = {}
+        self._layout = moving
+        by_face = np.rint(material[faces[:, 2]]).astype(np.int64)
+        order = np.argsort(by_face, kind="stable")
+        self._faces = c.buffer(np.ascontiguousarray(faces[order], np.int32).tobytes())
+        self._spans = _spans(by_face[order])
+        static = np.concatenate([vertex_uv, material[:, None]], 1)
+        self._static = c.buffer(static.astype(np.float32).tobytes())
+        self._moving = c.buffer(reserve=len(vertex_uv) * sum(moving.values()) * 4, dynamic=True)
+        self._shade = {k: self._over_mesh(shader, k) for k in self._spans}
+        self._depth = self._over_mesh("depth")
+        self._unwrap = self._over_mesh("unwrap")
+        resolve = link_program(
+            c, vertex=shader_text("resolve.vert"), fragment=shader_text("resolve.frag")
+        )
+        self._resolve = c.vertex_array(resolve, [])
+        self._vertices: FloatArray = np.zeros((0, 3), np.float32)
+        self._colour, self._relief = self._bake()
+
+    @abstractmethod
+    def _bake(self) -> tuple[Any, Any]:
+        """Make the textures ``colour_map`` and ``relief_map``."""
+
+    @abstractmethod
+    def _upload(self, vertices: FloatArray, shade: FloatArray) -> None:
+        """Hand vertices ``[V, 3]`` and their light ``[V, 2]`` to `_write_moving`."""
+
+    def release(self) -> None:
+        """Give the context back; the renderer is useless afterwards."""
+        self._framebuffers.clear()
+        self._view_textures.clear()
+        self._context.gc()
+        self._context.release()
+
+    def _over_mesh(self, shader: str, material: int | None = None) -> Any:
+        """The mesh with a program that takes what it wants of the vertices."""
+        program = link_program(
+            self._context,
+            vertex=shader_text(f"{shader}.vert"),
+            fragment=shader_text(f"{shader}.frag", material),
+        )
+        fixed = {"vertex_uv": 2, "material": 1}
+        buffers = (self._moving, self._layout), (self._static, fixed)
+        content = [attributes(program, *pair) for pair in buffers]
+        return self._context.vertex_array(program, [each for each in content if each], self._faces)
+
+    def _write_moving(self, vertices: FloatArray, *rest: npt.NDArray[Any]) -> None:
+        """Upload vertices and what goes with them, in the order of the layout."""
+        data = np.concatenate([vertices, *rest], 1, dtype=np.float32, casting="same_kind")
+        self._moving.write(data)
+        self._vertices = vertices
+
+    def _settle(self, targets: Iterable[Any], steps: Iterable[int]) -> None:
+        """Make baked targets fit for filtering; alpha of the last says where charts are.
+
+        Args:
+            targets: Textures of four bytes per texel.
+            steps: See `_nearby`.
+        """
+        targets = list(targets)
+        size = targets[0].width
+        texels = [np.frombuffer(target.read(), np.uint32) for target in targets]
+        covered = texels[-1].view(np.uint8)[3::4].reshape(size, size) > 0
+        nearby = _nearby(covered, steps)
+        for target, values in zip(targets, texels, strict=True):
+            target.write(values[nearby])
+            target.build_mipmaps(max_level=4)
+            target.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+            target.repeat_x = target.repeat_y = False
+
+    def _framebuffer(self, kind: str, width: int, height: int) -> Any:
+        key = (kind, width, height)
+        if key not in self._framebuffers:
+            c = self._context
+            if kind == "colour":
+                target = c.texture((width, height), 4)
+            elif kind == "geometry":
+                target = c.texture((width, height), 2, dtype="f4")
+                target.filter = (moderngl.NEAREST, moderngl.NEAREST)
+            else:
+                target = c.texture((width, height), 4, dtype="f4")
+            self._framebuffers[key] = c.framebuffer([target], c.depth_renderbuffer((width, height)))
+        return self._framebuffers[key]
+
+    def _draw_depth_map(self, vertices: FloatArray, clip: FloatArray, size: int) -> FloatArray:
+        """Depth in [0, 1] along an orthographic `clip`, 1 where empty, row 0 at the bottom."""
+        if vertices is not self._vertices:
+            self._upload(vertices, np.ones((len(vertices), 2), np.float32))
+        framebuffer = self._framebuffer("geometry", size, size)
+        framebuffer.use()
+        framebuffer.clear(1.0, 0.0, 0.0, 0.0, depth=1.0)
+        self._context.enable_only(moderngl.DEPTH_TEST)
+        program = self._depth.program
+        program["clip_from_head"].write(np.ascontiguousarray(clip.T).tobytes())
+        row = 0.5 * clip[2]
+        row[3] += 0.5
+        program["depth_plane"].value = tuple(float(value) for value in row)
+        self._depth.render()
+        raw = np.frombuffer(framebuffer.read(components=1, dtype="f4"), np.float32)
+        depth: FloatArray = raw.reshape(size, size)
+        return depth
+
+    def _aim(self, program: Any, camera: Camera) -> None:
+        clip = camera.clip_from_world(NEAR_M, FAR_M)
+        program["clip_from_head"].write(np.ascontiguousarray(clip.T).tobytes())
+        plane = (*camera.rotation[2], camera.translation_m[2])
+        set_uniforms(program, {"camera_m": tuple(camera.centre_m), "depth_plane": plane})
+
+    def draw(self, camera: Camera) -> View:
+        """Image, exact depth and mask of the pose."""
+        geometry = self._draw_geometry(camera)
+        image = self.draw_image(camera)
+        depth, mask = _read_geometry(geometry)
+        return View(image=image, depth_m=depth, mask=mask)
+
+    def draw_image(self, camera: Camera) -> ByteArray:
+        """The camera's sRGB image, supersampled, row 0 on top. uint8 ``[H, W, 3]``."""
+        samples = self._draw_samples(camera)
+        framebuffer = self._framebuffer("colour", camera.width, camera.height)
+        framebuffer.use()
+        self._context.enable_only(moderngl.NOTHING)
+        samples.use(0)
+        set_uniforms(self._resolve.program, {"samples": 0, "side": SUPERSAMPLE})
+        self._resolve.render(moderngl.TRIANGLES, vertices=3)
+        wait_for_gpu(self._context)  # encoders may run meanwhile
+        image: ByteArray = np.empty((camera.height, camera.width, 3), np.uint8)
+        framebuffer.read_into(image, components=3, alignment=1)
+        return image
+
+    def draw_geometry(self, camera: Camera) -> tuple[FloatArray, ByteArray]:
+        """Exact depth in metres and mask at pixel centres, row 0 on top. ``[H, W]`` each."""
+        return _read_geometry(self._draw_geometry(camera))
+
+    def _draw_geometry(self, camera: Camera) -> Any:
+        framebuffer = self._framebuffer("geometry", camera.width, camera.height)
+        framebuffer.use()
+        framebuffer.clear(0.0, 0.0, 0.0, 0.0, depth=1.0)
+        self._context.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
+        self._aim(self._depth.program, camera)
+        self._depth.render()
+        return framebuffer
+
+    def _draw_samples(self, camera: Camera) -> Any:
+        """Texture with the samples of the camera's image, row 0 at the bottom."""
+        size = camera.width * SUPERSAMPLE, camera.height * SUPERSAMPLE
+        framebuffer = self._framebuffer("colour", *size)
+        framebuffer.use()
+        framebuffer.clear(*(value / 255 for value in BACKGROUND), 1.0, depth=1.0)
+        self._context.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
+        self._colour.use(0)
+        self._relief.use(1)
+        for material, (first, count) in self._spans.items():
+            array = self._shade[material]
+            self._aim(array.program, camera)
+            set_uniforms(array.program, {"colour_map": 0, "relief_map": 1})
+            array.render(vertices=count, first=first)
+        return framebuffer.color_attachments[0]
+
+    def unwrap(
+        self, images: list[tuple[Camera, View]], size: int
+    ) -> tuple[ByteArray, npt.NDArray[np.bool_]]:
+        """Average texture: every camera's image projected back onto the mesh, where that camera
+        sees it.
+
+        Args:
+            images: Cameras with what they saw of the pose that is set now.
+            size: Side of the texture, texels.
+
+        Returns:
+            sRGB texture, row 0 is v = 0, black where nobody looks; and where somebody does.
+            uint8 ``[S, S, 3]``, bool ``[S, S]``.
+        """
+        c = self._context
+        framebuffer = self._framebuffer("texture", size, size)
+        framebuffer.clear(0.0, 0.0, 0.0, 0.0)
+        program = self._unwrap.program
+        set_uniforms(program, {"image": 0, "geometry": 1, "tolerance_m": DEPTH_TOLERANCE_M})
+        framebuffer.use()
+        c.enable_only(moderngl.BLEND)
+        c.blend_func = moderngl.ONE, moderngl.ONE
+        for camera, view in images:
+            self._aim(program, camera)
+            for unit, texture in enumerate(self._upload_view(view)):
+                texture.use(unit)
+            self._unwrap.render()
+        c.enable_only(moderngl.NOTHING)
+        raw = np.frombuffer(framebuffer.read(components=4, dtype="f4"), np.float32)
+        total = raw.reshape(size, size, 4)
+        seen = total[..., 3] > 1e-4
+        mean = total[..., :3] / np.maximum(total[..., 3:], 1e-4)
+        result = np.where(seen[..., None], np.rint(255 * np.clip(mean, 0, 1)), 0)
+        return result.astype(np.uint8), seen
+
+    def _upload_view(self, view: View) -> tuple[Any, Any]:
+        """A view's image, and its depth with its mask, as textures; row 0 at the bottom."""
+        h, w = view.mask.shape
+        if (w, h) not in self._view_textures:
+            c = self._context
+            pair = c.texture((w, h), 3), c.texture((w, h), 2, dtype="f4")
+            pair[1].filter = (moderngl.NEAREST, moderngl.NEAREST)
+            for texture in pair:
+                texture.repeat_x = texture.repeat_y = False
+            self._view_textures[w, h] = pair
+        image, geometry = self._view_textures[w, h]
+        both = np.empty((h, w, 2), np.float32)
+        both[..., 0], both[..., 1] = view.depth_m[::-1], view.mask[::-1]
+        image.write(np.ascontiguousarray(view.image[::-1]), alignment=1)
+        geometry.write(both)
+        return image, geometry
+
+
+def _read_geometry(framebuffer: Any) -> tuple[FloatArray, ByteArray]:
+    w, h = framebuffer.size
+    both: FloatArray = np.empty((h, w, 2), np.float32)
+    framebuffer.read_into(both, components=2, dtype="f4")
+    return both[::-1, :, 0].copy(), np.rint(both[::-1, :, 1]).astype(np.uint8)
+
+
+def _spans(materials: npt.NDArray[np.int64]) -> dict[int, tuple[int, int]]:
+    """First index of each material's triangles, and how many indices they take."""
+    names, first, count = np.unique(materials, return_index=True, return_counts=True)
+    return {
+        int(name): (3 * int(begin), 3 * int(number))
+        for name, begin, number in zip(names, first, count, strict=True)
+    }
+
+
+def _nearby(covered: BoolArray, steps: Iterable[int]) -> npt.NDArray[np.int64]:
+    """Which texel each texel takes: itself, or a covered one next to an empty one, so that charts
+    bleed into the empty texels around them and filtering finds no background.
+
+    Args:
+        covered: Where charts are. ``[S, S]``.
+        steps: How far they bleed, texels, one step after the other.
+
+    Returns:
+        Numbers of texels. ``[S * S]``.
+    """
+    filled = covered.copy()
+    taken = np.arange(covered.size)
+    for step in steps:
+        for axis, shift in ((0, step), (0, -step), (1, step), (1, -step)):
+            take = np.flatnonzero(np.roll(filled, shift, axis) & ~filled)
+            place = list(np.unravel_index(take, covered.shape))
+            place[axis] = (place[axis] - shift) % covered.shape[axis]
+            taken[take] = taken[np.ravel_multi_index(tuple(place), covered.shape)]
+            filled.ravel()[take] = True
+    return taken

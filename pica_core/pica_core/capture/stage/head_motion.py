@@ -1,0 +1,72 @@
+"""Small motion of the head on the stage: nobody holds still, and cameras do not follow."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.camera import Camera
+from pica_core.capture.stage.waves import TimeWaves
+
+Float64Array = npt.NDArray[np.float64]
+
+TURN_DEG = (2.5, 3.5, 1.5)
+"""Standard deviations of nodding, turning and tilting, degrees (chosen: a seated speaker)."""
+SHIFT_M = (0.006, 0.003, 0.006)
+"""Standard deviations along x, y and z, metres (chosen)."""
+SCALE_S = 0.9
+"""Time over which the head moves."""
+PIVOT_M = (0.0, -0.09, -0.015)
+"""What the head turns about: the top of the neck, head frame."""
+LIMIT = 2.0
+"""Signals are held within so many standard deviations."""
+
+
+class HeadMotion:
+    """Head poses of one take.
+
+    Args:
+        seed: Of the capture.
+        take: Number of the take.
+    """
+
+    def __init__(self, seed: int, take: int) -> None:
+        random = np.random.default_rng([seed, 0x4EAD, take])
+        self._signals = TimeWaves(random, 6, SCALE_S)
+
+    def head_to_world(self, time_s: float) -> Float64Array:
+        """Rotation and translation (metres) from head frame to world. float64 ``[3, 4]``."""
+        values = LIMIT * np.tanh(self._signals.at(time_s) / LIMIT)
+        rotation = rotation_matrix(np.radians(TURN_DEG) * values[:3])
+        pivot = np.array(PIVOT_M)
+        shift = pivot - rotation @ pivot + SHIFT_M * values[3:]
+        return np.concatenate([rotation, shift[:, None]], axis=1)
+
+
+def rotation_matrix(rotation_vector: npt.ArrayLike) -> Float64Array:
+    """Axis times angle (radians) as a matrix (Rodrigues' formula). float64 ``[3, 3]``."""
+    vector = np.asarray(rotation_vector, np.float64)
+    angle = float(np.linalg.norm(vector))
+    if angle < 1e-12:
+        return np.eye(3)
+    x, y, z = vector / angle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    turned: Float64Array = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    return turned
+
+
+def camera_in_head(camera: Camera, head_to_world: npt.ArrayLike) -> Camera:
+    """A camera of the world in the axes of a head: what it sees of head-frame points.
+
+    Args:
+        camera: World to camera.
+        head_to_world: Rotation and translation, metres. ``[3, 4]``.
+    """
+    pose = np.asarray(head_to_world, np.float64)
+    return replace(
+        camera,
+        rotation=camera.rotation @ pose[:, :3],
+        translation_m=camera.rotation @ pose[:, 3] + camera.translation_m,
+    )

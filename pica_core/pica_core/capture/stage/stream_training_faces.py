@@ -1,0 +1,66 @@
+"""Performances to learn a latent stream from: what a sender may be given, before anybody sends.
+
+The stage's own generators, at 30 frames a second, in several tempos and strengths: a stream's
+probability tables adapt to how lively a face is, so they must have seen every liveliness. No
+performance of the client and no recording is among them; those are for testing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.capture.stage.expressions import (
+    combinations,
+    lids_and_gaze,
+    range_of_motion,
+    sentence,
+)
+
+FloatArray = npt.NDArray[np.float32]
+
+TEMPOS = (1, 2, 4)
+"""Times as slow. The generators are livelier than seven real takes were."""
+STRENGTHS = (1.0, 0.7)
+KINDS: tuple[tuple[Callable[[np.random.Generator, int], FloatArray], int], ...] = (
+    (sentence, 1),
+    (range_of_motion, 1),
+    (combinations, 1),
+    (lids_and_gaze, 3),
+)
+"""Each with how rarely it comes: eyes alone every third round."""
+
+
+def practice_performances(rounds: int = 36, frames: int = 120, seed: int = 0) -> list[FloatArray]:
+    """Generate performances.
+
+    Args:
+        rounds: How many of each kind.
+        frames: Length of each before its tempo, at 30 frames a second.
+        seed: Fixes everything.
+
+    Returns:
+        ARKit values, float32 ``[T, 52]`` each.
+    """
+    performances = []
+    for number in range(rounds):
+        for kind, (make, rarity) in enumerate(KINDS):
+            if number % rarity:
+                continue
+            values = make(np.random.default_rng([seed, number, kind]), frames)
+            slowed = _slow_down(values, TEMPOS[number % len(TEMPOS)])
+            performances.append(slowed * np.float32(STRENGTHS[number % len(STRENGTHS)]))
+    return performances
+
+
+def _slow_down(values: FloatArray, times: int) -> FloatArray:
+    """The same performance, so many times as slow."""
+    moments = np.linspace(0, len(values) - 1, len(values) * times)
+    before = np.minimum(moments.astype(np.int64), len(values) - 2)
+    share = (moments - before)[:, None]
+    slowed: FloatArray = (values[before] * (1 - share) + values[before + 1] * share).astype(
+        np.float32
+    )
+    return slowed

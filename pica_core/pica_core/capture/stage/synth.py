@@ -1,0 +1,356 @@
+"""Render a subject on the stage into a capture directory.
+
+Files are written aside and renamed; `capture.json` comes last, so a directory with one is
+finished. A render that was interrupted goes on where it stopped: a frame counts as done when its
+tracked mesh, the last of its files, is there. The same options give the same bytes on the same GL
+driver.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from pica_core.capture.dataset import multiface
+from pica_core.capture.dataset.files import Topology, read_tracked
+from pica_core.capture.dataset.writer import (
+    BackgroundWriter,
+    TrackingErrors,
+    TrainingSums,
+    depth_units,
+    write_tables,
+    write_topology,
+)
+from pica_core.capture.procedural.gpu import BAKE_SIZE, View
+from pica_core.capture.stage.dome import EVALUATION_VIEWS, LENSES, dome_cameras
+from pica_core.capture.stage.expressions import RATE_HZ, STRIDE, Take, blend, sample_takes
+from pica_core.capture.stage.head_motion import HeadMotion, camera_in_head
+from pica_core.capture.stage.mvs_depth import MvsErrors, find_depth
+from pica_core.capture.stage.subject import HeadSubject, Subject
+from pica_core.capture.stage.tracked_topology import NUM_VERTICES, track_topology
+from pica_core.capture.stage.tracker import Tracker, lagged_arkit
+from pica_core.errors import CaptureError
+
+FloatArray = npt.NDArray[np.float32]
+Progress = Callable[[int, int], None]
+
+OPENING = (
+    blend(),
+    blend(jawOpen=0.7),
+    blend(eyeBlink=1.0),
+    blend(mouthSmile=0.9),
+    blend(mouthPucker=0.9),
+)
+"""Expressions that the tracked mesh is chosen by: at rest, lips and lids hide much of themselves.
+"""
+LEAST_LAG = 0.003
+"""Smaller differences of a lagging expression are not worth posing a head for."""
+_USED = "not empty, and no interrupted render of the same options; name another directory"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RenderOptions:
+    """How to render a subject."""
+
+    frames: int = 64
+    """Frames in all."""
+    cameras: int = 8
+    """Cameras; the first five are the evaluation views."""
+    lenses: str = "mixed"
+    """``mixed``: some cameras look at mouth and eyes from near; ``one``: all have one lens and look
+    at the head."""
+    width: int = 512
+    """Image columns, pixels."""
+    height: int = 384
+    """Image rows, pixels."""
+    texture_size: int = 256
+    """Side of the average textures, texels."""
+    seed: int = 0
+    """Fixes performance, head motion and the errors of tracking and depth."""
+    depth_every: int = 4
+    """Depth as a method finds it for every so many frames of a take; exact depth for all."""
+    tracked_vertices: int = NUM_VERTICES
+    """Vertices that the tracked mesh aims at."""
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("frames", 4, 100_000),
+            ("cameras", 1, 100),
+            ("width", 16, 8192),
+            ("height", 16, 8192),
+            ("texture_size", 16, 4096),
+            ("seed", 0, 2**31),
+            ("depth_every", 1, 100_000),
+            ("tracked_vertices", 100, 100_000),
+        ):
+            _check_range(self, name, low, high)
+        if self.lenses not in LENSES:
+            raise CaptureError(f"lenses is {self.lenses!r}; there are {', '.join(LENSES)}")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StageOptions(RenderOptions):
+    """Which built-in head to render, and how."""
+
+    head: str = "S1"
+    """Identity."""
+    bake_size: int = BAKE_SIZE
+    """Side of the baked appearance, texels."""
+    self_shadow: bool = True
+    """False leaves out shadow of the face on itself, which takes seconds to measure."""
+
+    def __post_init__(self) -> None:
+        RenderOptions.__post_init__(self)
+        _check_range(self, "bake_size", 64, 8192)
+
+
+def _check_range(options: RenderOptions, name: str, low: int, high: int) -> None:
+    value = getattr(options, name)
+    if not low <= value <= high:
+        raise CaptureError(f"{name} is {value}; allowed are {low} to {high}")
+
+
+def _fingerprint(options: RenderOptions, subject: Subject) -> str:
+    values = {field.name: getattr(options, field.name) for field in fields(options)}
+    return json.dumps({"options": values, "subject": subject.describe()}, sort_keys=True)
+
+
+def render_capture(
+    options: StageOptions, out: Path, progress: Progress | None = None
+) -> dict[str, Any]:
+    """Render a built-in head; arguments, result and errors as `render_subject`."""
+
+    def make() -> Subject:
+        return HeadSubject(
+            options.head, bake_size=options.bake_size, self_shadow=options.self_shadow
+        )
+
+    return render_subject(make, options, out, progress)
+
+
+def render_subject(
+    make_subject: Callable[[], Subject],
+    options: RenderOptions,
+    out: Path,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Render a capture.
+
+    Args:
+        make_subject: Makes who is to be rendered; what that raises is raised before a file is
+            written. It is released at the end.
+        options: How to render.
+        out: Directory to fill: new, empty, or an interrupted render of the same subject and
+            options.
+        progress: Called with frames done and frames in all.
+
+    Returns:
+        Counts: frames, cameras, images, train, test, resumed.
+
+    Raises:
+        CaptureError: `out` holds something else, or cannot be written.
+        GraphicsError: No GL context.
+    """
+    if out.exists() and not out.is_dir():
+        raise CaptureError(f"{out}: is no directory; name one to make")
+    marker = out / multiface.MARKER
+    used = out.exists() and any(out.iterdir())
+    if used and not marker.is_file():
+        raise CaptureError(f"{out}: {_USED}")
+    subject = make_subject()
+    try:
+        fingerprint = _fingerprint(options, subject)
+        if used and multiface.read_text(marker) != fingerprint:
+            raise CaptureError(f"{out}: {_USED}")
+        multiface.write_aside(marker, fingerprint.encode())
+        counts = _render(subject, options, out, progress)
+    finally:
+        subject.release()
+    marker.unlink(missing_ok=True)
+    return counts
+
+
+class _Rendering:
+    """One subject in front of the cameras."""
+
+    def __init__(
+        self, subject: Subject, options: RenderOptions, out: Path, writer: BackgroundWriter
+    ) -> None:
+        self.subject, self.options, self.out, self.writer = subject, options, out, writer
+        self.cameras = dome_cameras(options.cameras, options.width, options.height, options.lenses)
+        names = subject.describe()["mask"]
+        self.materials = {int(value): name for value, name in names.items()}
+        shapes = np.stack([subject.pose(arkit) for arkit in OPENING])
+        self.tracked_topology, self.tracked = track_topology(
+            subject.topology, shapes, options.tracked_vertices
+        )
+        self.tracker = Tracker(
+            self.tracked_topology, shapes[0, self.tracked], options.seed, self.tracked
+        )
+        multiface.write_aside(out / multiface.KRT, multiface.krt_text(self.cameras).encode())
+        write_topology(out / multiface.TOPOLOGY, subject.topology)
+        write_topology(
+            out / multiface.TRACKED_TOPOLOGY,
+            self.tracked_topology,
+            dense_vertex=self.tracked.astype(np.int32),
+        )
+
+    def draw_frame(self, take: Take, number: int, index: int) -> None:
+        """Draw and write one frame; its tracked mesh comes last."""
+        frame, time_s = f"{index:06d}", index * STRIDE / RATE_HZ
+        lagged, exact = self._pose(take, index)
+        pose = HeadMotion(self.options.seed, number).head_to_world(time_s)
+        views = []
+        for place, camera in enumerate(self.cameras):
+            in_head = camera_in_head(camera, pose)
+            view = self.subject.draw(in_head)
+            views.append((in_head, view))
+            self._write_view(take, number, index, place, view)
+        texture, _ = self.subject.unwrap(views, self.options.texture_size)
+        path = multiface.texture_path(self.options.texture_size, take.segment, frame)
+        self.writer.image(self.out / path, lambda: np.ascontiguousarray(texture[::-1]))
+        rows = np.concatenate([pose[:, :3], multiface.MILLIMETRES * pose[:, 3:]], axis=1)
+        text = "".join(" ".join(repr(float(v)) for v in row) + "\n" for row in rows)
+        multiface.write_aside(
+            self.out / multiface.transform_path(take.segment, frame), text.encode()
+        )
+        tracked = self.tracker.follow(exact[self.tracked], lagged[self.tracked], number, time_s)
+        truth = multiface.mesh_path(take.segment, frame, multiface.TRUTH_MESH)
+        multiface.write_aside(self.out / truth, _millimetres(exact).tobytes())
+        self.writer.finish()
+        mesh = multiface.mesh_path(take.segment, frame)
+        multiface.write_aside(self.out / mesh, _millimetres(tracked).tobytes())
+
+    def _pose(self, take: Take, index: int) -> tuple[FloatArray, FloatArray]:
+        """Vertices of the lagging expression and of the real one, which is then current."""
+        arkit = take.arkit[index]
+        behind = lagged_arkit(arkit, take.history[index])
+        lagged: FloatArray | None = None
+        if self.tracker.lag_weight.any() and np.abs(behind - arkit).max() > LEAST_LAG:
+            lagged = self.subject.pose(behind)
+        exact = self.subject.pose(arkit)
+        return (exact if lagged is None else lagged), exact
+
+    def _write_view(self, take: Take, number: int, index: int, place: int, view: View) -> None:
+        camera, frame = self.cameras[place], f"{index:06d}"
+
+        def path(kind: str) -> Path:
+            return self.out / multiface.image_path(kind, take.segment, camera.name, frame)
+
+        def found() -> npt.NDArray[np.uint16]:
+            random = np.random.default_rng([self.options.seed, 0x3D3B, number, index, place])
+            depth_m = find_depth(view.depth_m, view.mask, camera, self.materials, random)
+            return depth_units(depth_m)
+
+        self.writer.image(path("images"), lambda: view.image)
+        self.writer.image(path("mask"), lambda: view.mask)
+        self.writer.image(path(multiface.TRUTH_DEPTH), lambda: depth_units(view.depth_m))
+        if index % self.options.depth_every == 0:
+            self.writer.image(path("depth"), found)
+
+
+def _millimetres(vertices_m: FloatArray) -> npt.NDArray[np.float32]:
+    scaled: npt.NDArray[np.float32] = (vertices_m * multiface.MILLIMETRES).astype("<f4")
+    return scaled
+
+
+def _render(
+    subject: Subject, options: RenderOptions, out: Path, progress: Progress | None
+) -> dict[str, Any]:
+    takes = sample_takes(options.frames, options.seed)
+    sums, errors = TrainingSums(), TrackingErrors()
+    resumed = done = 0
+    rendering: _Rendering | None = None
+    tracked: tuple[Topology, npt.NDArray[np.int64]] | None = None
+    with BackgroundWriter() as writer:
+        for number, take in enumerate(takes):
+            for index in range(len(take.arkit)):
+                frame = f"{index:06d}"
+                mesh = out / multiface.mesh_path(take.segment, frame)
+                if mesh.is_file():
+                    resumed += 1
+                else:
+                    rendering = rendering or _Rendering(subject, options, out, writer)
+                    rendering.draw_frame(take, number, index)
+                tracked = tracked or read_tracked(out, len(subject.topology.vertex_uv))
+                _sum_up(out, options, take, frame, tracked[1], sums, errors)
+                done += 1
+                if progress is not None:
+                    progress(done, options.frames)
+    assert tracked is not None  # there are at least four frames
+    sums.write(out)
+    num_test = sum(len(take.arkit) for take in takes if take.split == "test")
+    write_tables(out, takes, _describe(subject, options, tracked[0], errors))
+    return {
+        "frames": done,
+        "cameras": options.cameras,
+        "images": done * options.cameras,
+        "train": done - num_test,
+        "test": num_test,
+        "resumed": resumed,
+    }
+
+
+def _sum_up(
+    out: Path,
+    options: RenderOptions,
+    take: Take,
+    frame: str,
+    tracked: npt.NDArray[np.int64],
+    sums: TrainingSums,
+    errors: TrackingErrors,
+) -> None:
+    """Count a frame that is done; what is summed is what its files hold."""
+    mesh = out / multiface.mesh_path(take.segment, frame)
+    truth = out / multiface.mesh_path(take.segment, frame, multiface.TRUTH_MESH)
+    texture = out / multiface.texture_path(options.texture_size, take.segment, frame)
+    tracked_mm = np.frombuffer(mesh.read_bytes(), "<f4").reshape(-1, 3)
+    exact_mm = np.frombuffer(truth.read_bytes(), "<f4").reshape(-1, 3)
+    errors.add(tracked_mm, exact_mm[tracked])
+    if take.split == "train":
+        with Image.open(texture) as image:
+            sums.add(tracked_mm, np.asarray(image))
+
+
+def _describe(
+    subject: Subject, options: RenderOptions, tracked: Topology, errors: TrackingErrors
+) -> dict[str, Any]:
+    """What `capture.json` says."""
+    method = MvsErrors()
+    return {
+        **subject.describe(),
+        "seed": options.seed,
+        "units": {
+            "tracked_mesh": "mm",
+            "truth_mesh": "mm",
+            "KRT": "mm",
+            "depth": f"{multiface.DEPTH_UNIT_M * multiface.MILLIMETRES:g} mm",
+            "images": "sRGB 8 bit",
+        },
+        "tracked_mesh": {
+            "what": "a subset of the exact vertices with a simulated tracker's errors",
+            "num_vertices": len(tracked.vertex_uv),
+            "error_mm": errors.describe(tracked),
+        },
+        "truth_mesh": "the rendered surface",
+        "depth": {
+            "what": "exact depth with the holes, noise and outliers of a stereo method",
+            "every": options.depth_every,
+            "noise_mm": method.noise_m * multiface.MILLIMETRES,
+            "outlier_ratio": method.outlier_ratio,
+        },
+        "width": options.width,
+        "height": options.height,
+        "texture_size": options.texture_size,
+        "topology": multiface.TOPOLOGY,
+        "tracked_topology": multiface.TRACKED_TOPOLOGY,
+        "num_vertices": len(subject.topology.vertex_uv),
+        "evaluation_views": [name for name in EVALUATION_VIEWS],
+    }

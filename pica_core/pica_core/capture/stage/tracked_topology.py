@@ -1,0 +1,208 @@
+"""The mesh that a tracker would follow: some 7,000 of the dense vertices, no inside of the mouth.
+
+Seeds are spread over the surface by farthest-point choice, denser where faces move and look; every
+dense vertex joins the seed that is nearest along the surface, and wherever three such patches meet
+there is a triangle (the dual of a Voronoi diagram on the mesh). The result is a subset of the
+dense vertices with their UVs, so the exact position of a tracked vertex is always known.
+
+Both sides of a UV seam keep the same seeds, and vertices of a border or slit join seeds of their
+border only, so lips and lids keep their slits and seams do not open. A surface from lip to lip
+covers the mouth (`mouth_cover`); its vertices are vertices of the lips once more.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.capture.dataset.files import Topology
+from pica_core.capture.stage.mouth_cover import cover_mouth
+
+FloatArray = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+NUM_VERTICES = 7000
+"""Vertices that are aimed at (paper: 5K; the published Multiface meshes have 7,306)."""
+UNTRACKED = "mouth_interior"
+"""Region that a tracker cannot follow (paper, section 3: no vertices for tongue and teeth)."""
+COVER = "mouth_cover"
+"""Region of the surface that covers the mouth instead."""
+DENSITY: dict[str, float] = {
+    "hair": 0.6,
+    "scalp": 0.6,
+    "neck": 0.6,
+    "collar": 0.45,
+    "ears": 0.8,
+    "face": 1.2,
+    "mouth": 1.6,
+    "lips": 2.4,
+    "lids": 2.4,
+}
+"""How much shorter than elsewhere edges are, by region; the last that applies counts (chosen)."""
+BORDER_DENSITY = 1.4
+"""The same for borders, seams and slits, on top."""
+SAME_PLACE_M = 2e-5
+"""Vertices this near to each other in all shapes are one place with several UVs."""
+
+
+def track_topology(
+    topology: Topology, shapes_m: FloatArray, num_vertices: int = NUM_VERTICES
+) -> tuple[Topology, IntArray]:
+    """Choose the tracked mesh of a dense one.
+
+    Args:
+        topology: The dense mesh.
+        shapes_m: It in a few expressions that open what is closed at rest, metres; the second opens
+            the jaw. ``[K, V, 3]``.
+        num_vertices: How many to aim at; a mesh that has no more stays whole.
+
+    Returns:
+        The tracked mesh, and the dense vertex that each of its vertices is. int64 ``[Vt]``.
+    """
+    places = np.concatenate(list(np.asarray(shapes_m, np.float32)), axis=1)
+    faces = topology.faces.astype(np.int64)
+    untracked = topology.regions.get(UNTRACKED, np.zeros(len(places), np.bool_))
+    faces = faces[~untracked[faces].any(axis=1)]
+    border, border_edges = _borders(faces, len(places))
+    used = np.zeros(len(places), np.bool_)
+    used[faces] = True
+    weight = _density(topology, len(places)) * np.where(border, BORDER_DENSITY, 1.0)
+    twins = _same_places(places)
+    seeds = _spread(places, used, weight.astype(np.float32), twins, num_vertices)
+    owner = _patches(places, faces, border, border_edges, seeds)
+    corners = owner[faces]
+    a, b, c = corners.T
+    corners = corners[(a != b) & (b != c) & (c != a) & (corners >= 0).all(axis=1)]
+    # Patches that meet more than once would give the same triangle twice.
+    turned = np.take_along_axis(
+        corners, (corners.argmin(axis=1)[:, None] + np.arange(3)) % 3, axis=1
+    )
+    turned = turned[np.unique(np.sort(turned, axis=1), axis=0, return_index=True)[1]]
+    chosen, renamed = np.unique(turned, return_inverse=True)
+    tracked = Topology(
+        vertex_uv=topology.vertex_uv[chosen],
+        faces=renamed.reshape(-1, 3).astype(np.int32),
+        regions={
+            name: mask[chosen] for name, mask in topology.regions.items() if name != UNTRACKED
+        },
+    )
+    return _with_mouth_cover(tracked, chosen, twins[chosen], shapes_m[min(1, len(shapes_m) - 1)])
+
+
+def _with_mouth_cover(
+    tracked: Topology, chosen: IntArray, places: IntArray, open_m: FloatArray
+) -> tuple[Topology, IntArray]:
+    """The tracked mesh with its mouth covered, where it has lips."""
+    lips = tracked.regions.get("lips", np.zeros(len(chosen), np.bool_))
+    faces = tracked.faces.astype(np.int64)
+    cover = cover_mouth(faces, tracked.vertex_uv, places, open_m[chosen], lips)
+    if cover is None:
+        return tracked, chosen
+    every = np.concatenate([np.arange(len(chosen)), cover.source])
+    return (
+        Topology(
+            vertex_uv=np.concatenate([tracked.vertex_uv, cover.uv]),
+            faces=np.concatenate([faces, len(chosen) + cover.faces]).astype(np.int32),
+            regions={name: mask[every] for name, mask in tracked.regions.items()}
+            | {COVER: np.arange(len(every)) >= len(chosen)},
+        ),
+        chosen[every],
+    )
+
+
+def _density(topology: Topology, count: int) -> npt.NDArray[np.float64]:
+    density = np.ones(count)
+    for name, value in DENSITY.items():
+        if name in topology.regions:
+            density[topology.regions[name]] = value
+    return density
+
+
+def _borders(faces: IntArray, count: int) -> tuple[BoolArray, IntArray]:
+    """Vertices and edges that have a triangle on one side only; UV seams are among them."""
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    unique, uses = np.unique(edges, axis=0, return_counts=True)
+    alone = unique[uses == 1]
+    border = np.zeros(count, np.bool_)
+    border[alone] = True
+    return border, alone
+
+
+def _same_places(places: FloatArray) -> IntArray:
+    """For every vertex the number of its place. int64 ``[V]``."""
+    cells = np.rint(places / SAME_PLACE_M).astype(np.int64)
+    inverse: IntArray = np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
+    return inverse
+
+
+def _spread(
+    places: FloatArray, used: BoolArray, weight: FloatArray, twins: IntArray, count: int
+) -> IntArray:
+    """Farthest-point choice of about `count` vertices; with each all vertices of its place."""
+    index = np.flatnonzero(used)
+    index = index[np.argsort(places[index, 1], kind="stable")]
+    points, square_weight = places[index], weight[index] ** 2
+    height = np.ascontiguousarray(points[:, 1])
+    order = np.argsort(twins[index], kind="stable")
+    sorted_places = twins[index][order]
+    score = np.full(len(index), np.inf, np.float32)  # squared weighted distance to the chosen
+    chosen: list[IntArray] = []
+    total, at = 0, 0
+    while total < min(count, len(index)) and score[at] > 0.0:
+        place = twins[index[at]]
+        together = order[
+            np.searchsorted(sorted_places, place) : np.searchsorted(sorted_places, place, "right")
+        ]
+        chosen.append(index[together])
+        total += len(together)
+        # No vertex is farther from the chosen than this one, so few can come nearer by it.
+        reach = float(np.sqrt(score[at] / square_weight.min()))
+        low, high = np.searchsorted(height, [height[at] - reach, height[at] + reach])
+        offset = points[low:high] - points[at]
+        near = np.einsum("ij,ij->i", offset, offset) * square_weight[low:high]
+        np.minimum(score[low:high], near, out=score[low:high])
+        score[together] = 0.0
+        at = int(score.argmax())
+    return np.concatenate(chosen)
+
+
+def _patches(
+    places: FloatArray,
+    faces: IntArray,
+    border: BoolArray,
+    border_edges: IntArray,
+    seeds: IntArray,
+) -> IntArray:
+    """The seed that each vertex joins, -1 where it reaches none. int64 ``[V]``."""
+    owner = np.full(len(places), -1, np.int64)
+    owner[seeds] = seeds
+    distance = np.full(len(places), np.inf, np.float32)
+    distance[seeds] = 0.0
+    edges = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    # Borders first, by themselves; then the rest, which leaves the borders as they are.
+    _relax(places, border_edges, owner, distance, np.zeros(len(places), np.bool_))
+    _relax(places, edges, owner, distance, border & (owner >= 0))
+    return owner
+
+
+def _relax(
+    places: FloatArray, edges: IntArray, owner: IntArray, distance: FloatArray, fixed: BoolArray
+) -> None:
+    """Shortest ways from the owned vertices along edges, in place."""
+    start = np.concatenate([edges[:, 0], edges[:, 1]])
+    end = np.concatenate([edges[:, 1], edges[:, 0]])
+    length: Any = np.linalg.norm(places[start] - places[end], axis=1)
+    open_end = ~fixed[end]
+    start, end, length = start[open_end], end[open_end], length[open_end]
+    while True:
+        reached = distance[start] + length
+        better = reached < distance[end]
+        if not better.any():
+            return
+        start_b, end_b, reached = start[better], end[better], reached[better]
+        np.minimum.at(distance, end_b, reached)
+        best = reached == distance[end_b]
+        owner[end_b[best]] = owner[start_b[best]]

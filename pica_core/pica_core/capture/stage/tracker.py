@@ -1,0 +1,150 @@
+"""What a face tracker gets wrong, put on exact vertices: sub-millimetre, as good trackers are.
+
+- A smooth error over the face that drifts with time: part of it stays for the whole capture (a
+  template that does not quite fit), the rest wanders over half a second. Errors along the surface
+  are larger than across it: images hold a surface better than they hold its sliding.
+- Lag where lips move fast: a tracker that smooths over time is behind.
+
+Amounts by region are in `SPREAD_MM`; they are chosen, not measured on a tracker. `capture.json`
+states what came of them, and `docs/capture.md` shows it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.capture.dataset.files import Topology
+from pica_core.capture.stage.waves import SpaceTimeWaves, TimeWaves
+
+FloatArray = npt.NDArray[np.float32]
+Float64Array = npt.NDArray[np.float64]
+
+SPREAD_MM: dict[str, float] = {
+    "hair": 0.32,
+    "collar": 0.32,
+    "neck": 0.24,
+    "scalp": 0.24,
+    "ears": 0.2,
+    "face": 0.12,
+    "eyeballs": 0.16,
+    "lids": 0.18,
+    "lips": 0.18,
+}
+"""Standard deviation of the smooth error along each axis, mm; the last region that applies counts,
+elsewhere `ELSEWHERE_MM`."""
+ELSEWHERE_MM = 0.2
+FIELD_SCALE_M = 0.018
+"""Distance over which the error changes."""
+DRIFT_S = 0.5
+"""Time over which it changes."""
+LASTING_SHARE = 0.35
+"""Share of the variance that stays through the capture."""
+ACROSS = 0.5
+"""How much of the error across the surface is left."""
+LAG = 0.13
+"""Share of the previous thirtieth of a second that a lagging lip keeps: a first-order filter with a
+time constant of 16 ms."""
+LAG_REACH_M = 0.012
+"""How far from the lips the lag fades."""
+LIMIT_MM = 0.98
+"""No vertex is farther off than this."""
+
+
+class Tracker:
+    """A tracker's errors on one mesh.
+
+    Args:
+        topology: The tracked mesh.
+        rest_m: It at rest, metres. ``[Vt, 3]``.
+        seed: Fixes everything.
+        places: Vertices with the same number are one point, and stay together. ``[Vt]``.
+    """
+
+    def __init__(
+        self,
+        topology: Topology,
+        rest_m: FloatArray,
+        seed: int,
+        places: npt.NDArray[np.int64],
+    ) -> None:
+        random = np.random.default_rng([seed, 0x7AC4])
+        self._seed = seed
+        self._field = SpaceTimeWaves(random, rest_m, FIELD_SCALE_M)
+        self._lasting = random.normal(size=3 * self._field.waves)
+        self._faces = topology.faces
+        _, first, number = np.unique(places, return_index=True, return_inverse=True)
+        self._one_point = first[number.reshape(-1)]
+        spread = np.full(len(rest_m), ELSEWHERE_MM)
+        for name, value in SPREAD_MM.items():
+            if name in topology.regions:
+                spread[topology.regions[name]] = value
+        self._spread_m = 0.001 * spread[:, None]
+        self.lag_weight = _lag_weight(topology, rest_m)
+
+    def follow(
+        self, exact_m: FloatArray, lagged_m: FloatArray, take: int, time_s: float
+    ) -> FloatArray:
+        """What the tracker says.
+
+        Args:
+            exact_m: The tracked vertices where they are, metres. ``[Vt, 3]``.
+            lagged_m: Where they would be for `lagged_arkit`.
+            take: Number of the take.
+            time_s: Moment within the take.
+
+        Returns:
+            Tracked vertices, metres, float32 ``[Vt, 3]``.
+        """
+        random = np.random.default_rng([self._seed, 0x7AC5, take])
+        drift = TimeWaves(random, 3 * self._field.waves, DRIFT_S).at(time_s)
+        strengths = np.sqrt(LASTING_SHARE) * self._lasting + np.sqrt(1 - LASTING_SHARE) * drift
+        error = self._field.mix(strengths) * self._spread_m
+        normals = _normals(exact_m, self._faces)
+        error -= (1 - ACROSS) * (error * normals).sum(axis=1, keepdims=True) * normals
+        error += self.lag_weight[:, None] * (lagged_m.astype(np.float64) - exact_m)
+        limit = 0.001 * LIMIT_MM
+        error *= limit / np.sqrt(limit**2 + (error**2).sum(axis=1, keepdims=True))
+        tracked: FloatArray = (exact_m + error[self._one_point]).astype(np.float32)
+        return tracked
+
+
+def lagged_arkit(arkit: FloatArray, history: FloatArray) -> FloatArray:
+    """The expression that a lagging tracker still shows.
+
+    Args:
+        arkit: Now. ``[52]``.
+        history: One, two ... thirtieths of a second ago. ``[K, 52]``.
+    """
+    result = np.asarray(history[-1], np.float32)
+    for values in [*history[-2::-1], arkit]:
+        result = (LAG * result + (1 - LAG) * values).astype(np.float32)
+    return result
+
+
+def _lag_weight(topology: Topology, rest_m: FloatArray) -> Float64Array:
+    """1 at the lips, 0 from three times `LAG_REACH_M` on. float64 ``[Vt]``."""
+    lips = topology.regions.get("lips")
+    if lips is None or not lips.any():
+        return np.zeros(len(rest_m))
+    distance = np.full(len(rest_m), np.inf)
+    for start in range(0, len(rest_m), 1024):
+        offset = rest_m[start : start + 1024, None] - rest_m[None, lips]
+        distance[start : start + 1024] = np.sqrt((offset**2).sum(axis=2).min(axis=1))
+    weight: Float64Array = np.exp(-((distance / LAG_REACH_M) ** 2))
+    weight[distance > 3 * LAG_REACH_M] = 0.0
+    return weight
+
+
+def _normals(vertices: FloatArray, faces: npt.NDArray[np.int32]) -> Float64Array:
+    """Unit normals of vertices. float64 ``[Vt, 3]``."""
+    a, b, c = (vertices[faces[:, i]].astype(np.float64) for i in range(3))
+    cross = np.cross(b - a, c - a)
+    total = np.zeros((len(vertices), 3))
+    for corner in range(3):
+        for axis in range(3):
+            total[:, axis] += np.bincount(
+                faces[:, corner], weights=cross[:, axis], minlength=len(vertices)
+            )
+    total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-20)
+    return total

@@ -1,0 +1,1 @@
+"""The commands of the avatar and of captures that need no torch."""

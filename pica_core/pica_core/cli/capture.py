@@ -1,0 +1,123 @@
+"""`pica capture synth`, `pica capture check` and `pica capture sheet`."""
+
+from __future__ import annotations
+
+import re
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from rich.console import Console
+
+from pica_core.capture.dataset.check import PIXEL_FRAMES, check_capture
+from pica_core.capture.dataset.sheet import write_sheet
+from pica_core.capture.stage.progress import rendering_bar
+from pica_core.capture.stage.synth import StageOptions, render_capture
+from pica_core.errors import CaptureError
+
+SHOWN_PROBLEMS = 20
+"""Problems that are shown; all are in the result."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SynthOptions:
+    """Render a built-in head on the synthetic stage into a capture directory."""
+
+    out: Path
+    """Directory to fill; an interrupted render of the same options is continued."""
+    head: str = "S1"
+    """Identity."""
+    frames: int = 64
+    """Frames in all."""
+    cameras: int = 8
+    """Cameras; the first five are the evaluation views front, left, right, up, down."""
+    size: str = "512x384"
+    """Image size, columns x rows, pixels."""
+    lenses: str = "mixed"
+    """mixed: some cameras look at mouth and eyes from near; one: all have one lens and look at the
+    head, as in the paper's dome."""
+    texture_size: int = 256
+    """Side of the average textures, texels."""
+    seed: int = 0
+    """Fixes performance, head motion and the errors of tracking and depth."""
+    depth_every: int = 4
+    """Depth as a stereo method finds it for every so many frames of a take; exact depth for all."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CheckOptions:
+    """Find what is wrong with a capture."""
+
+    capture: Annotated[Path, tyro.conf.Positional]
+    """Capture directory: one of ours, or a Multiface directory as published."""
+    pixel_frames: int = PIXEL_FRAMES
+    """Frames whose images are decoded and compared with mesh and depth; 0 for all. Of the other
+    frames every file is checked by its name, size and header."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SheetOptions:
+    """Draw a contact sheet of a capture."""
+
+    capture: Annotated[Path, tyro.conf.Positional]
+    """Capture directory."""
+    out: Path
+    """PNG to write."""
+
+
+def _size(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    if found is None:
+        raise CaptureError(f"size is {text!r}; columns x rows such as 512x384 is needed")
+    return int(found.group(1)), int(found.group(2))
+
+
+def synth(options: SynthOptions) -> dict[str, Any]:
+    """Run `pica capture synth`."""
+    width, height = _size(options.size)
+    stage = StageOptions(
+        head=options.head,
+        frames=options.frames,
+        cameras=options.cameras,
+        width=width,
+        height=height,
+        lenses=options.lenses,
+        texture_size=options.texture_size,
+        seed=options.seed,
+        depth_every=options.depth_every,
+    )
+    started = time.monotonic()
+    console = Console(stderr=True)
+    with rendering_bar(console, options.frames) as show:
+        counts = render_capture(stage, options.out, show)
+    seconds = time.monotonic() - started
+    console.print(f"{counts['images']} images of {options.head} in {options.out}, {seconds:.1f} s")
+    return {"out": str(options.out), "seconds": round(seconds, 3), **counts}
+
+
+def check(options: CheckOptions) -> dict[str, Any]:
+    """Run `pica capture check`."""
+    result = check_capture(options.capture, options.pixel_frames)
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    for problem in result["problems"][:SHOWN_PROBLEMS]:
+        console.print(f"{problem['where']}: {problem['what']}", markup=False)
+    more = len(result["problems"]) - SHOWN_PROBLEMS
+    if more > 0:
+        console.print(f"... and {more} more; --json has them all")
+    split = result["split"]
+    console.print(
+        f"{options.capture}: {'ok' if result['ok'] else 'not ok'}, {result['frames']} frames "
+        f"({split['train']} for training, {split['test']} for testing), {result['cameras']} "
+        f"cameras, {result['images']} images",
+        markup=False,
+    )
+    return result
+
+
+def sheet(options: SheetOptions) -> dict[str, Any]:
+    """Run `pica capture sheet`."""
+    result = write_sheet(options.capture, options.out)
+    Console(stderr=True).print(f"contact sheet in {options.out}")
+    return result

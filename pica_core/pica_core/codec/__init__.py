@@ -1,0 +1,1 @@
+"""The latent stream: faces in, a few bytes a frame out, and back. Integers only."""

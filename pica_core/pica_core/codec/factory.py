@@ -1,0 +1,102 @@
+"""The two ends of an avatar's stream, whichever format it uses.
+
+A sender names its format in the track that it publishes: the hash of the avatar's stream profile,
+or nothing for the plain 8-bit format, which every avatar can be sent in.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy.typing as npt
+
+from pica_core.avatar.file import Avatar
+from pica_core.codec.latent_sample import DecodedFrame, EncodedFrame
+from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
+from pica_core.codec.plain_stream import LatentProfile, PlainDecoder, PlainEncoder
+from pica_core.errors import ProfileError
+
+PLAIN = ""
+"""The name of the plain format."""
+
+
+class FaceEncoder(Protocol):
+    """See `LatentEncoder`."""
+
+    def encode(
+        self,
+        latent: npt.ArrayLike,
+        rotation: npt.ArrayLike,
+        translation_m: npt.ArrayLike,
+        now_us: int,
+    ) -> EncodedFrame | None:
+        """The next frame to send, or None."""
+        ...
+
+    def request_keyframe(self) -> None:
+        """Somebody cannot decode."""
+        ...
+
+    def restart(self) -> None:
+        """Nothing that was encoded has arrived."""
+        ...
+
+
+class FaceDecoder(Protocol):
+    """See `LatentDecoder`."""
+
+    @property
+    def needs_keyframe(self) -> bool:
+        """Whether the stream can only go on with one."""
+        ...
+
+    @property
+    def num_unreferenced(self) -> int:
+        """Frames given up for want of their reference."""
+        ...
+
+    def receive(
+        self, sequence: int, captured_us: int, layer: int, is_keyframe: bool, payload: bytes
+    ) -> list[DecodedFrame]:
+        """What can be decoded now."""
+        ...
+
+
+def open_encoder(
+    avatar: Avatar, config: StreamConfig, *, plain: bool = False
+) -> tuple[FaceEncoder, str]:
+    """The sending end, and the name of its format for the handshake.
+
+    Args:
+        avatar: Whose latents are sent.
+        config: How.
+        plain: Use 8 bits a value even if the avatar has a stream profile.
+
+    Raises:
+        LatentError: A quality that the profile does not have.
+    """
+    profile = None if plain else avatar.stream_profile()
+    if profile is None:
+        return PlainEncoder(LatentProfile.from_manifest(avatar.manifest)), PLAIN
+    return LatentEncoder(profile, config), profile.hash
+
+
+def open_decoder(avatar: Avatar, name: str) -> FaceDecoder:
+    """The receiving end.
+
+    Args:
+        avatar: Whose latents will come.
+        name: The format, as the sender names it.
+
+    Raises:
+        ProfileError: The sender uses tables that this avatar file does not hold.
+    """
+    if name == PLAIN:
+        return PlainDecoder(LatentProfile.from_manifest(avatar.manifest))
+    profile = avatar.stream_profile()
+    if profile is None or profile.hash != name:
+        raise ProfileError(
+            f"the stream is coded with profile {name[:8]}, this avatar file holds "
+            f"{profile.hash[:8] if profile else 'none'}; get the sender's version of the file"
+        )
+    return LatentDecoder(profile)

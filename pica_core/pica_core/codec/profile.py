@@ -1,0 +1,288 @@
+"""What both ends of a latent stream share: transform, steps and integer probability tables.
+
+Learned once per avatar (`stream_learning`) and carried by the avatar file under the names
+``stream.*``. Everything is integers, so that two machines that read the same profile make the same
+bytes and the same latents. `StreamProfile.hash` names it in the handshake.
+
+A *frame* of the stream is C = K + 6 coefficients: K of the latent, then head rotation and
+translation, 3 each. One unit of a latent coefficient is 1/64 of a root of rendered MSE: two latents
+whose coefficients differ by n units in one place look different by MSE (n / 64)² on 0-255 values,
+on average over faces and views. Pose units are 2⁻¹⁴ radians and 2⁻¹⁴ metres.
+
+    name            type    shape       meaning
+    mean            int32   [256]       latent of coefficients 0; unit 2⁻¹²
+    analysis        int16   [256, K]    latent to coefficients, after a shift of 16 bits
+    synthesis       int16   [K, 256]    coefficients to latent, after `synthesis_shift` bits
+    synthesis_shift int32   [1]
+    steps           int32   [Q, C]      quantiser step by quality, the last quality the finest
+    gains           int32   [5, C]      how much of the reference's motion goes on; unit 1/64
+    tables          uint16  [N, 25]     frequencies of quantised residuals, each row summing to 2¹⁴
+    table_index     uint8   [5, C, 25]  which table, by frame type, coefficient and context
+    header_tables   uint16  [5, 8]      what a frame holds: 1 latent, 2 pose, 4 stillness, added up
+    distance_tables uint16  [3, 16]     how far back the reference is, by layer
+    quality_table   uint16  [Q]         quality less that of the reference, modulo Q
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.avatar.spec import NUM_LATENT
+from pica_core.codec.range_coder import TOTAL, Table, make_table
+from pica_core.errors import ProfileError
+
+IntArray = npt.NDArray[Any]
+FloatArray = npt.NDArray[np.float64]
+
+PREFIX = "stream."
+FORMAT = "pica latent stream 1\n"
+"""Begins the text that a profile's hash is taken of: arrays of the same numbers under another
+bitstream are another profile."""
+NUM_POSE = 6
+NUM_TYPES = 5
+"""Frame types: 0 keyframe, 1 base, 2 middle layer, 3 top layer after base, 4 top after middle."""
+NUM_LAYERS = 3
+ESCAPE = 12
+"""Residuals of this magnitude and beyond are written as this and a rest."""
+NUM_SYMBOLS = 2 * ESCAPE + 1
+NUM_HEADERS = 8
+MAX_DISTANCE = 16
+MOTION_LEVELS = (1, 3, 7, 16)
+"""Context thresholds on twice the reference's motion over the step."""
+ACTIVITY_LEVELS = (1, 4, 9, 20)
+"""Context thresholds on the sum of the last `ACTIVITY_WINDOW` magnitudes in the same frame."""
+ACTIVITY_WINDOW = 16
+NUM_CONTEXTS = (len(MOTION_LEVELS) + 1) * (len(ACTIVITY_LEVELS) + 1)
+
+LATENT_BITS = 12
+"""Latents are integers of unit 2⁻¹² before and after the transform."""
+MAX_LATENT = 1 << (LATENT_BITS + 8)
+"""Latents beyond ±256 are clamped; real ones stay below 20."""
+ANALYSIS_SHIFT = 16
+UNITS_PER_RMSE = 64
+POSE_BITS = 14
+POSE_UNIT = 1.0 / (1 << POSE_BITS)
+MAX_COEFFICIENT = 1 << 16
+"""A decoder refuses coefficients beyond: 1000 times the largest rendered change there is."""
+MAX_COMPONENTS = 128
+MAX_QUALITIES = 16
+MAX_TABLES = 256
+MAX_STEP = 1 << 14
+MAX_GAIN = 128
+MAX_SYNTHESIS_SHIFT = 24
+
+_TYPES: Mapping[str, type[np.integer[Any]]] = {
+    "mean": np.int32,
+    "analysis": np.int16,
+    "synthesis": np.int16,
+    "synthesis_shift": np.int32,
+    "steps": np.int32,
+    "gains": np.int32,
+    "tables": np.uint16,
+    "table_index": np.uint8,
+    "header_tables": np.uint16,
+    "distance_tables": np.uint16,
+    "quality_table": np.uint16,
+}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StreamProfile:
+    """See the module for the arrays.
+
+    Raises:
+        ProfileError: An array of the wrong type or shape, a table that does not sum, or a number
+            out of range; names it.
+    """
+
+    mean: IntArray
+    analysis: IntArray
+    synthesis: IntArray
+    synthesis_shift: IntArray
+    steps: IntArray
+    gains: IntArray
+    tables: IntArray
+    table_index: IntArray
+    header_tables: IntArray
+    distance_tables: IntArray
+    quality_table: IntArray
+
+    def __post_init__(self) -> None:
+        shapes = profile_shapes({name: getattr(self, name).shape for name in _TYPES})
+        for name, shape in shapes.items():
+            array = getattr(self, name)
+            if array.dtype != _TYPES[name] or array.shape != shape:
+                raise ProfileError(
+                    f"{PREFIX}{name} is {array.dtype} {list(array.shape)}; "
+                    f"{np.dtype(_TYPES[name])} {list(shape)} is needed"
+                )
+            array.flags.writeable = False
+        for name, low, high in (
+            ("mean", -MAX_LATENT, MAX_LATENT),
+            ("synthesis_shift", 0, MAX_SYNTHESIS_SHIFT),
+            ("steps", 1, MAX_STEP),
+            ("gains", -MAX_GAIN, MAX_GAIN),
+            ("table_index", 0, len(self.tables) - 1),
+        ):
+            array = getattr(self, name)
+            if array.min() < low or array.max() > high:
+                raise ProfileError(
+                    f"{PREFIX}{name} spans {array.min()} to {array.max()}; "
+                    f"{low} to {high} is allowed"
+                )
+        for name in ("tables", "header_tables", "distance_tables", "quality_table"):
+            rows = np.atleast_2d(getattr(self, name)).astype(np.int64)
+            sums = rows.sum(axis=1)
+            if rows.min() < 1 or (sums != TOTAL).any():
+                wrong = int(np.argmax((sums != TOTAL) | (rows.min(axis=1) < 1)))
+                raise ProfileError(
+                    f"{PREFIX}{name} row {wrong} sums to {sums[wrong]} with a smallest of "
+                    f"{rows[wrong].min()}; {TOTAL} and at least 1 are needed"
+                )
+
+    @property
+    def num_components(self) -> int:
+        """K, coefficients of the latent."""
+        return int(self.analysis.shape[1])
+
+    @property
+    def num_coefficients(self) -> int:
+        """C, coefficients of a frame."""
+        return self.num_components + NUM_POSE
+
+    @property
+    def num_qualities(self) -> int:
+        """How many qualities there are; the last is the finest."""
+        return len(self.steps)
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 over the format, names, types, shapes and little-endian contents, hexadecimal."""
+        digest = hashlib.sha256(FORMAT.encode())
+        for name in sorted(_TYPES):
+            array = getattr(self, name)
+            digest.update(f"{name} {array.dtype} {list(array.shape)}\n".encode())
+            digest.update(array.astype(array.dtype.newbyteorder("<")).tobytes())
+        return digest.hexdigest()
+
+    def to_tensors(self) -> dict[str, IntArray]:
+        """The arrays under the names that they have in the avatar file."""
+        return {PREFIX + item.name: getattr(self, item.name) for item in fields(self)}
+
+    @classmethod
+    def from_tensors(cls, tensors: Mapping[str, IntArray]) -> Self | None:
+        """The profile among an avatar's tensors, or None if it has none.
+
+        Raises:
+            ProfileError: There is one that must not be used.
+        """
+        found = {name.removeprefix(PREFIX) for name in tensors if name.startswith(PREFIX)}
+        if not found:
+            return None
+        if wrong := sorted(found.symmetric_difference(_TYPES)):
+            raise ProfileError(f"tensor {PREFIX}{wrong[0]:.80} is missing or unknown")
+        return cls(**{name: np.array(tensors[PREFIX + name]) for name in _TYPES})
+
+    # Prepared for coding
+
+    @cached_property
+    def residual_tables(self) -> tuple[tuple[tuple[Table, ...], ...], ...]:
+        """By frame type, coefficient and context."""
+        tables = [make_table(row) for row in self.tables]
+        return tuple(
+            tuple(tuple(tables[index] for index in contexts) for contexts in coefficients)
+            for coefficients in self.table_index.tolist()
+        )
+
+    @cached_property
+    def header_ranges(self) -> tuple[Table, ...]:
+        """By frame type."""
+        return tuple(make_table(row) for row in self.header_tables)
+
+    @cached_property
+    def distance_ranges(self) -> tuple[Table, ...]:
+        """By layer."""
+        return tuple(make_table(row) for row in self.distance_tables)
+
+    @cached_property
+    def quality_ranges(self) -> Table:
+        """Change of quality against the reference."""
+        return make_table(self.quality_table)
+
+    @cached_property
+    def _analysis_exact(self) -> FloatArray:
+        # All sums stay below 2⁵³, so float64 is exact and BLAS may add in any order.
+        return np.ascontiguousarray(self.analysis.astype(np.float64))
+
+    @cached_property
+    def _synthesis_exact(self) -> FloatArray:
+        return np.ascontiguousarray(self.synthesis.astype(np.float64))
+
+    def analyse(self, latent: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.int64]:
+        """Coefficients of a latent.
+
+        Args:
+            latent: Finite, ``[256]`` in the order row, column, channel.
+
+        Returns:
+            int64 ``[K]``.
+        """
+        scaled = np.rint(latent.astype(np.float64) * (1 << LATENT_BITS))
+        offset = np.clip(scaled, -MAX_LATENT, MAX_LATENT) - self.mean
+        sums = np.matmul(offset, self._analysis_exact).astype(np.int64)
+        rounded: npt.NDArray[np.int64] = (sums + (1 << (ANALYSIS_SHIFT - 1))) >> ANALYSIS_SHIFT
+        return rounded
+
+    def synthesise(self, coefficients: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
+        """The latent of coefficients ``[K]``; float32 ``[256]``, exact, within ±256."""
+        sums = np.matmul(coefficients.astype(np.float64), self._synthesis_exact).astype(np.int64)
+        shift = int(self.synthesis_shift[0])
+        units = ((sums + ((1 << shift) >> 1)) >> shift) + self.mean
+        np.clip(units, -MAX_LATENT, MAX_LATENT, out=units)
+        # 21 bits at most: exact in float32.
+        latent: npt.NDArray[np.float32] = (units / (1 << LATENT_BITS)).astype(np.float32)
+        return latent
+
+
+def profile_shapes(found: Mapping[str, tuple[int, ...]]) -> dict[str, tuple[int, ...]]:
+    """The shapes that the arrays of a profile must have, free sizes taken from those there are.
+
+    Args:
+        found: Shape by name, without prefix.
+
+    Raises:
+        ProfileError: A free size is out of range.
+    """
+
+    def size(name: str, axis: int, high: int) -> int:
+        shape = found.get(name, ())
+        count = shape[axis] if len(shape) > axis else 0
+        if not 1 <= count <= high:
+            raise ProfileError(
+                f"{PREFIX}{name} has shape {list(shape)}; dimension {axis} may be 1 to {high}"
+            )
+        return count
+
+    components = size("analysis", 1, MAX_COMPONENTS)
+    qualities = size("steps", 0, MAX_QUALITIES)
+    coefficients = components + NUM_POSE
+    return {
+        "mean": (NUM_LATENT,),
+        "analysis": (NUM_LATENT, components),
+        "synthesis": (components, NUM_LATENT),
+        "synthesis_shift": (1,),
+        "steps": (qualities, coefficients),
+        "gains": (NUM_TYPES, coefficients),
+        "tables": (size("tables", 0, MAX_TABLES), NUM_SYMBOLS),
+        "table_index": (NUM_TYPES, coefficients, NUM_CONTEXTS),
+        "header_tables": (NUM_TYPES, NUM_HEADERS),
+        "distance_tables": (NUM_LAYERS, MAX_DISTANCE),
+        "quality_table": (qualities,),
+    }

@@ -1,0 +1,229 @@
+"""Avatar -> ONNX graph of its decoders, built here from checked numbers and never read from a file.
+
+    decoder_graph(avatar)                       latent [1, 8, 8, 4], view_direction [1, 3]
+                                                -> position_map [S, S, 3] metres,
+                                                   expression_map [S, S, 4]
+    decoder_graph(avatar, level=64)             the same, left at an early exit; its position map is
+                                                the sheet of its vertices, [R, S, 3]
+    decoder_graph(avatar, parts="expression")   one map alone; "geometry" needs no view_direction
+
+The decoders are the layers of `decoder_layers`, one chain each, in one graph at opset 17.
+`plain=True` writes them as they stand. The default graph computes the same function, rearranged for
+ONNX Runtime's CPU kernels. One thread of AVX-512, block C, both maps, in one run on a busy machine
+(`docs/levels.md` has more; B and H2 gain nothing):
+
+    level                                    64      128     256
+    plain                                    1.21    3.55    6.08 ms
+    expansions as transposed convolutions    0.72    2.11    3.13 ms
+    and 3x3 convolutions turned round        0.59    1.63    2.23 ms
+
+- *Expand + pixel shuffle = transposed convolution 2x2, stride 2.* DepthToSpace moves single floats
+  and took 40 % of the time; the transposed convolution writes the shuffled result at once (8
+  channels at 64x64: 190 -> 65 us). Its bias is per channel, the expand's per channel and phase:
+  that rides on one more input channel, constantly 1.
+- *Convolution 3x3 = transposed convolution 3x3 with the kernel turned round.* MLAS unfolds the
+  input of a convolution (9 * in values a pixel) but folds the output of a transposed one (9 * out):
+  better when few channels come out (8 -> 3 at 128x128: 230 -> 90 us), so it is used there, from
+  64x64 on.
+- Scale and mean of the geometry are folded: the scale into the last weights, its last bias into the
+  mean.
+- A map is reshaped before its last transpose, not after: a reshape that makes an output is a copy.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.avatar.file import Avatar
+from pica_core.avatar.spec import (
+    LATENT_SHAPE,
+    LATENT_SIZE,
+    LEAKY_SLOPE,
+    POSITION_CHANNELS,
+    VIEW_CHANNELS,
+)
+from pica_core.graphs.decoder_layers import Layer, decoder_layers, trunk_layers
+from pica_core.graphs.graph_builder import GraphBuilder, Shape
+
+TURN_CONVOLUTION_SIZE = 64
+"""From this many rows on a narrowing 3x3 convolution is written as a transposed one."""
+
+Array = npt.NDArray[Any]
+Parts = Literal["both", "expression", "geometry"]
+
+
+def decoder_graph(
+    avatar: Avatar, *, level: int | None = None, parts: Parts = "both", plain: bool = False
+) -> bytes:
+    """The per-object decoders as one ONNX model.
+
+    Args:
+        avatar: Checked avatar of any block.
+        level: One of `avatar.levels`; None for the full one.
+        parts: Which maps to make.
+        plain: Write the layers as they stand, one operator each; the judge of the rearranged graph.
+
+    Returns:
+        Serialised model; inputs and outputs as in the module's text, float32, channel-last.
+
+    Raises:
+        ValueError: The avatar does not have this level.
+    """
+    size = avatar.spec.map_size if level is None else level
+    if size not in avatar.levels:
+        known = ", ".join(map(str, avatar.levels))
+        raise ValueError(f"level is {size}; this avatar has {known}")
+    graph = GraphBuilder()
+    grid = graph.add("Transpose", "latent", perm=[0, 3, 1, 2])
+    inputs: dict[str, Shape] = {"latent": [1, *LATENT_SHAPE]}
+    outputs: dict[str, Shape] = {}
+    arrange = _plain if plain else _fast
+    if parts != "expression":
+        layers, tensors = _geometry(avatar, size, fold=not plain)
+        value = arrange(graph, layers, tensors, grid)
+        if size == avatar.spec.map_size:
+            value = _channel_last(graph, value, size, POSITION_CHANNELS)
+        else:
+            value = _weigh_per_vertex(graph, avatar, size, value, fold=not plain)
+        if plain:
+            value = graph.add("Mul", value, graph.floats(avatar.manifest.position_scale_m))
+        graph.add("Add", value, graph.floats(tensors["mean"]), output="position_map")
+        outputs["position_map"] = [len(tensors["mean"]), size, POSITION_CHANNELS]
+    if parts != "geometry":
+        inputs["view_direction"] = [1, VIEW_CHANNELS]
+        view = graph.add("Reshape", "view_direction", graph.sizes(1, VIEW_CHANNELS, 1, 1))
+        tiled = graph.add("Expand", view, graph.sizes(1, VIEW_CHANNELS, LATENT_SIZE, LATENT_SIZE))
+        layers, tensors = _expression(avatar, size)
+        value = arrange(graph, layers, tensors, graph.add("Concat", grid, tiled, axis=1))
+        channels = layers[-1].out_channels
+        _channel_last(graph, value, size, channels, output="expression_map")
+        outputs["expression_map"] = [size, size, channels]
+    return graph.serialise(inputs, outputs)
+
+
+def _geometry(avatar: Avatar, size: int, *, fold: bool) -> tuple[list[Layer], dict[str, Array]]:
+    """Layers of the geometry decoder at a level; its tensors, with the map's ``mean``.
+
+    With `fold` the scale is in the last weights and the bias of the last layer in the mean.
+    """
+    tensors = dict(avatar.tensors)
+    if size == avatar.spec.map_size:
+        layers = decoder_layers(avatar.spec, "geometry")
+        tensors["mean"] = tensors["geometry.mean"]
+    else:
+        tensors["mean"] = tensors[f"level.{size}.geometry.mean"]
+        return trunk_layers(avatar.spec, "geometry", size), tensors
+    if not fold:
+        return layers, tensors
+    last = [layer for layer in layers if layer.tensor_shapes()][-1]
+    scale = np.float64(avatar.manifest.position_scale_m)
+    tensors[f"{last.name}.weight"] = tensors[f"{last.name}.weight"] * scale
+    if last.has_bias:
+        bias = f"{last.name}.bias"
+        offset = tensors[bias] * scale
+        tensors[bias] = np.zeros_like(tensors[bias])
+        if last.kind == "conv1":  # four phases per channel, as `_expand_and_shuffle` says
+            phases = offset.reshape(-1, 2, 2).transpose(1, 2, 0)
+            offset = np.tile(phases, (size // 2, size // 2, 1))
+        tensors["mean"] = tensors["mean"].astype(np.float64) + offset
+    return layers, tensors
+
+
+def _expression(avatar: Avatar, size: int) -> tuple[list[Layer], dict[str, Array]]:
+    """Layers of the expression decoder at a level, and its tensors."""
+    tensors = dict(avatar.tensors)
+    if size == avatar.spec.map_size:
+        return decoder_layers(avatar.spec, "expression"), tensors
+    name = f"level.{size}.expression"
+    out_channels, in_channels = tensors[f"{name}.weight"].shape[:2]
+    last = Layer("conv3", name, in_channels, out_channels, size)
+    bias = Layer("untied_bias", f"{name}.untied", out_channels, out_channels, size)
+    tensors[f"{bias.name}.weight"] = tensors[f"{name}.bias"]
+    return [*trunk_layers(avatar.spec, "expression", size), last, bias], tensors
+
+
+def _weigh_per_vertex(
+    graph: GraphBuilder, avatar: Avatar, size: int, value: str, *, fold: bool
+) -> str:
+    """The geometry's exit: for every vertex its own product of weights and trunk, ``[R, S, 3]``."""
+    prefix = f"level.{size}.geometry"
+    texel, weight = avatar.tensors[f"{prefix}.texel"], avatar.tensors[f"{prefix}.weight"]
+    rows, num_slots, num_texels = len(texel), texel.shape[0] * size, texel.shape[2]
+    weight = weight.reshape(num_slots, POSITION_CHANNELS, -1, num_texels).transpose(1, 3, 2, 0)
+    weight = weight.reshape(POSITION_CHANNELS, -1, num_slots)
+    if fold:
+        weight = weight * np.float64(avatar.manifest.position_scale_m)
+    inputs = weight.shape[1]
+    # A lookup copies all channels of a texel at once; products and sums run along the vertices.
+    planes = graph.add("Reshape", value, graph.sizes(inputs // num_texels, size * size))
+    texels = graph.add("Transpose", planes, perm=[1, 0])
+    read = graph.add("Gather", texels, graph.constant(texel.reshape(-1)), axis=0)
+    read = graph.add("Reshape", read, graph.sizes(num_slots, inputs))
+    read = graph.add("Transpose", read, perm=[1, 0])
+    weighed = graph.add("Mul", read, graph.floats(weight))
+    summed = graph.add("ReduceSum", weighed, graph.sizes(1), keepdims=0)
+    planes = graph.add("Reshape", summed, graph.sizes(POSITION_CHANNELS, rows, size))
+    return graph.add("Transpose", planes, perm=[1, 2, 0])
+
+
+def _channel_last(
+    graph: GraphBuilder, value: str, size: int, channels: int, output: str | None = None
+) -> str:
+    # Reshaped first: a reshape that makes an output is a copy.
+    planes = graph.add("Reshape", value, graph.sizes(channels, size, size))
+    return graph.add("Transpose", planes, perm=[1, 2, 0], output=output)
+
+
+def _plain(graph: GraphBuilder, layers: list[Layer], tensors: dict[str, Array], value: str) -> str:
+    for layer in layers:
+        weights = [graph.floats(tensors[name]) for name in layer.tensor_shapes()]
+        match layer.kind:
+            case "conv3" | "conv1":
+                edge = 1 if layer.kind == "conv3" else 0
+                value = graph.add("Conv", value, *weights, pads=[edge] * 4)
+            case "deconv4":
+                value = graph.add("ConvTranspose", value, *weights, strides=[2, 2], pads=[1] * 4)
+            case "untied_bias":
+                value = graph.add("Add", value, *weights)
+            case "untied_gain":
+                value = graph.add("Mul", value, *weights)
+            case "leaky_relu":
+                value = graph.add("LeakyRelu", value, alpha=LEAKY_SLOPE)
+            case "pixel_shuffle":
+                value = graph.add("DepthToSpace", value, blocksize=2, mode="CRD")
+    return value
+
+
+def _fast(graph: GraphBuilder, layers: list[Layer], tensors: dict[str, Array], value: str) -> str:
+    for layer, following in zip(layers, [*layers[1:], None], strict=True):
+        weights = [tensors[name] for name in layer.tensor_shapes()]
+        match layer.kind:
+            case "conv3" if (
+                layer.size >= TURN_CONVOLUTION_SIZE and layer.out_channels < layer.in_channels
+            ):
+                turned = weights[0][:, :, ::-1, ::-1].transpose(1, 0, 2, 3)
+                bias = [graph.floats(array) for array in weights[1:]]
+                value = graph.add("ConvTranspose", value, graph.floats(turned), *bias, pads=[1] * 4)
+            case "conv1" if following is not None and following.kind == "pixel_shuffle":
+                value = _expand_and_shuffle(graph, layer, weights, value)
+            case "pixel_shuffle":
+                pass
+            case _:
+                value = _plain(graph, [layer], tensors, value)
+    return value
+
+
+def _expand_and_shuffle(graph: GraphBuilder, layer: Layer, weights: list[Array], value: str) -> str:
+    """``conv1`` to 4c channels and the pixel shuffle after it, as one transposed convolution."""
+    c_in, c_out = layer.in_channels, layer.out_channels // 4
+    # Channel 4c + 2y + x of the expand lands on row y, column x of output channel c.
+    kernel = weights[0].reshape(c_out, 2, 2, c_in).transpose(3, 0, 1, 2)
+    bias = weights[1].reshape(1, c_out, 2, 2)
+    if np.any(bias):
+        ones = graph.floats(np.ones((1, 1, layer.size, layer.size)))
+        value = graph.add("Concat", value, ones, axis=1)
+        kernel = np.concatenate([kernel, bias])
+    return graph.add("ConvTranspose", value, graph.floats(kernel), strides=[2, 2])

@@ -1,0 +1,145 @@
+"""The per-object decoders in plain numpy, float64: the judge of torch and of every ONNX graph.
+
+Written to be read: each layer of `decoder_layers` in a few lines, nothing rearranged. A frame takes
+a second; for drawing there are the graphs of `onnx_graph`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.avatar.file import Avatar
+from pica_core.avatar.spec import LATENT_SIZE, LEAKY_SLOPE, POSITION_CHANNELS
+from pica_core.graphs.decoder_layers import Layer, decoder_layers, trunk_layers
+from pica_core.reference.pixel import sample_bilinear
+
+Array = npt.NDArray[Any]
+
+
+def decode_position_map(avatar: Avatar, latent: npt.ArrayLike, level: int | None = None) -> Array:
+    """Where the face is.
+
+    Args:
+        avatar: Checked avatar.
+        latent: ``[8, 8, 4]``.
+        level: One of the avatar's levels; None for the full one.
+
+    Returns:
+        Position map, head frame, metres, float64 ``[S, S, 3]``; below the full level the sheet of
+        its vertices, ``[R, S, 3]``.
+    """
+    offset, prefix = _decode(avatar, "geometry", np.asarray(latent, np.float64), level)
+    mean: Array = avatar.tensors[f"{prefix}geometry.mean"].astype(np.float64)
+    return mean + avatar.manifest.position_scale_m * offset.transpose(1, 2, 0)
+
+
+def decode_vertices(avatar: Avatar, latent: npt.ArrayLike, level: int | None = None) -> Array:
+    """Where the vertices of a level's mesh are.
+
+    Args:
+        avatar: Checked avatar.
+        latent: ``[8, 8, 4]``.
+        level: One of the avatar's levels; None for the full one.
+
+    Returns:
+        float64 ``[V', 3]`` metres, the vertices that `Avatar.level_faces` uses, in ascending order.
+    """
+    size = avatar.spec.map_size if level is None else level
+    used = np.unique(avatar.level_faces(size))
+    found = decode_position_map(avatar, latent, size)
+    if size == avatar.spec.map_size:
+        return sample_bilinear(found, avatar.tensors["mesh.vertex_uv"][used])
+    return found.reshape(-1, POSITION_CHANNELS)[: len(used)]
+
+
+def decode_expression_map(
+    avatar: Avatar,
+    latent: npt.ArrayLike,
+    view_direction: npt.ArrayLike,
+    level: int | None = None,
+) -> Array:
+    """What the pixel decoder is told about every place of the face, seen from one side.
+
+    Args:
+        avatar: Checked avatar.
+        latent: ``[8, 8, 4]``.
+        view_direction: Camera centre seen from the head, unit length, head frame. ``[3]``.
+        level: One of the avatar's levels; None for the full one.
+
+    Returns:
+        Expression map, float64 ``[S, S, 4]``.
+    """
+    view = np.broadcast_to(np.asarray(view_direction, np.float64), (LATENT_SIZE, LATENT_SIZE, 3))
+    seen = np.concatenate([np.asarray(latent, np.float64), view], axis=2)
+    codes, prefix = _decode(avatar, "expression", seen, level)
+    if prefix:
+        codes = codes + avatar.tensors[f"{prefix}expression.bias"]
+    return codes.transpose(1, 2, 0)
+
+
+def _decode(avatar: Avatar, decoder: str, grid: Array, level: int | None) -> tuple[Array, str]:
+    """What a decoder's last layer makes at a level, ``[C, S, S]``, and its tensors' prefix."""
+    full = level is None or level == avatar.spec.map_size
+    layers = decoder_layers(avatar.spec, decoder)
+    if not full:
+        assert level is not None
+        layers = trunk_layers(avatar.spec, decoder, level)
+    value = grid.transpose(2, 0, 1)
+    for layer in layers:
+        value = _run(layer, [avatar.tensors[name] for name in layer.tensor_shapes()], value)
+    if full:
+        return value, ""
+    prefix = f"level.{level}."
+    weight = avatar.tensors[f"{prefix}{decoder}.weight"]
+    if decoder == "expression":
+        return _convolve(value, weight), prefix
+    read = value.reshape(len(value), -1)[:, avatar.tensors[f"{prefix}geometry.texel"]]
+    per_vertex = weight.astype(np.float64).reshape(
+        *weight.shape[:2], POSITION_CHANNELS, len(value), -1
+    )
+    return np.einsum("yxdct,cyxt->dyx", per_vertex, read), prefix
+
+
+def _run(layer: Layer, weights: list[Array], value: Array) -> Array:
+    match layer.kind:
+        case "conv3" | "conv1":
+            value = _convolve(value, weights[0])
+        case "deconv4":
+            value = _deconvolve(value, weights[0])
+        case "untied_bias":
+            value = value + weights[0]
+        case "untied_gain":
+            value = value * weights[0]
+        case "leaky_relu":
+            value = np.where(value > 0, value, LEAKY_SLOPE * value)
+        case "pixel_shuffle":
+            phases = value.reshape(-1, 2, 2, *value.shape[1:]).transpose(0, 3, 1, 4, 2)
+            value = phases.reshape(layer.out_channels, layer.size, layer.size)
+    return value + weights[1][:, None, None] if layer.has_bias else value
+
+
+def _convolve(image: Array, weight: Array) -> Array:
+    """3x3 or 1x1 convolution of ``[C, H, W]``, zeros around it."""
+    _, rows, columns = image.shape
+    edge = weight.shape[2] // 2
+    padded = np.pad(image, ((0, 0), (edge, edge), (edge, edge)))
+    total = np.zeros((weight.shape[0], rows, columns))
+    for y in range(weight.shape[2]):
+        for x in range(weight.shape[3]):
+            shifted = padded[:, y : y + rows, x : x + columns]
+            total += np.tensordot(weight[:, :, y, x].astype(np.float64), shifted, axes=1)
+    return total
+
+
+def _deconvolve(image: Array, weight: Array) -> Array:
+    """Transposed convolution 4x4, stride 2, padding 1: every input spreads over 4x4 outputs."""
+    _, rows, columns = image.shape
+    spread = np.zeros((weight.shape[1], 2 * rows + 2, 2 * columns + 2))
+    for y in range(4):
+        for x in range(4):
+            part = np.tensordot(weight[:, :, y, x].T.astype(np.float64), image, axes=1)
+            spread[:, y : y + 2 * rows : 2, x : x + 2 * columns : 2] += part
+    return spread[:, 1:-1, 1:-1]

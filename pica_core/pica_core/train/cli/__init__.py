@@ -1,0 +1,1 @@
+"""The commands of training; they need the extra ``train``."""

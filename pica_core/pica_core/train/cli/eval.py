@@ -1,0 +1,156 @@
+"""`pica eval`: the paper's tables from finished runs."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from PIL import Image
+
+from pica_core.errors import TrainingOptionError
+from pica_core.train.eval.run import (
+    CaptureTruth,
+    EvalLimits,
+    Run,
+    measure,
+    open_run,
+    prepare,
+)
+from pica_core.train.eval.tables import TABLES, report
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class EvalOptions:
+    """Options of `pica eval`."""
+
+    runs: tuple[Path, ...]
+    """Folders of finished runs of `pica train`."""
+    table: Literal[1, 2] = 1
+    """Which of the paper's tables: 1 is baseline, full, no_uv and coarse; 2 the encodings."""
+    capture: Path | None = None
+    """The capture of all runs, if it is not where it was when they were trained."""
+    out: Path | None = None
+    """Folder for table.md, eval.json and near-field pictures."""
+    split: Literal["test", "train"] = "test"
+    """Held-out frames, or for comparison those that were trained on."""
+    frames: int = 25
+    """How many of them, evenly spaced."""
+    geometry_frames: int = 8
+    """Of these, how many to judge the geometry of; 0 leaves it out."""
+    near_frames: int = 4
+    """Of these, how many to draw from close to the mouth; 0 leaves it out."""
+    floor_frames: int = 0
+    """Of these, for how many to draw the head itself with one sample a pixel: about what a model
+    drawn so can hope for. 0 leaves it out."""
+    samples: Literal[1, 3, 5] = 1
+    """Samples of a model along each side of a pixel. The paper draws with one; captures are
+    means over pixels, and at small images the difference is most of the error."""
+    threads: int = 2
+    """CPU threads of torch."""
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("frames", 1, 1_000_000),
+            ("geometry_frames", 0, 1_000_000),
+            ("near_frames", 0, 1_000_000),
+            ("floor_frames", 0, 1_000_000),
+            ("threads", 1, 1024),
+        ):
+            if not low <= getattr(self, name) <= high:
+                raise TrainingOptionError(
+                    f"{name} is {getattr(self, name)}; {low} to {high} is allowed"
+                )
+        if not self.runs:
+            raise TrainingOptionError("runs is empty; name at least one folder")
+
+
+def eval_runs(options: EvalOptions) -> dict[str, Any]:
+    """Measure finished runs and print one of the paper's tables."""
+    torch.set_num_threads(options.threads)
+    runs = [open_run(folder, options.capture) for folder in options.runs]
+    wanted = [run for run in runs if run.variant in TABLES[options.table]]
+    for run in runs:
+        if run not in wanted:
+            _say(f"{run.folder}: {run.variant} is no row of table {options.table}; left out")
+    if not wanted:
+        rows = ", ".join(TABLES[options.table])
+        raise TrainingOptionError(f"no run is of table {options.table}: its models are {rows}")
+    result = _measure(wanted, options)
+    text = report(options.table, result)
+    print(text)
+    if options.out is not None:
+        options.out.mkdir(parents=True, exist_ok=True)
+        (options.out / "table.md").write_text(text, encoding="utf-8")
+        (options.out / "eval.json").write_text(json.dumps(result, indent=1) + "\n")
+    return result
+
+
+def _measure(runs: Sequence[Run], options: EvalOptions) -> dict[str, Any]:
+    limits = EvalLimits(
+        split=options.split,
+        frames=options.frames,
+        geometry_frames=options.geometry_frames,
+        near_frames=options.near_frames,
+        floor_frames=options.floor_frames,
+    )
+    rows: list[dict[str, Any]] = []
+    found: list[dict[str, Any]] = []
+    tracked: dict[str, dict[str, float | None]] = {}
+    floor: dict[str, float | None] = {}
+    for capture in dict.fromkeys(run.capture for run in runs):
+        own = [run for run in runs if run.capture == capture]
+        _say(f"{capture}: drawing the truth")
+        truth = prepare(capture, own[0].config.model.spec().map_size, limits)
+        tracked[truth.identity] = truth.tracked_mm
+        floor[truth.identity] = truth.one_sample_mse
+        for run in own:
+            where = run.folder
+            measured = measure(
+                run,
+                truth,
+                lambda text, where=where: _say(f"{where}: {text}"),  # type: ignore[misc]
+                samples=options.samples,
+            )
+            rows += measured.rows
+            found.append(
+                {
+                    "run": str(run.folder),
+                    "identity": truth.identity,
+                    "variant": run.variant,
+                    "block": run.block,
+                    "seed": run.config.seed,
+                    "source": str(truth.data.capture.info.get("source", capture.name)),
+                    "distribution": measured.distribution,
+                    "geometry": measured.geometry,
+                    "near": measured.near,
+                }
+            )
+            if options.out is not None:
+                _save_near(options.out, truth, run, measured.near_images)
+    return {
+        "table": options.table,
+        "split": options.split,
+        "rows": rows,
+        "runs": found,
+        "tracked_mesh": tracked,
+        "one_sample_mse": floor,
+    }
+
+
+def _save_near(out: Path, truth: CaptureTruth, run: Run, images: Sequence[Any]) -> None:
+    """Truth on the left, prediction on the right, one file for each frame."""
+    folder = out / "near"
+    for index, image in enumerate(images):
+        folder.mkdir(parents=True, exist_ok=True)
+        model = run.variant + (f"_{run.block}" if run.block else "")
+        name = f"{truth.identity}_{model}_{run.config.seed}_{index}.png"
+        Image.fromarray(image).save(folder / name)
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)

@@ -1,0 +1,62 @@
+"""`pica avatar levels`: give an avatar file levels of detail."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+import tyro
+
+from pica_core.avatar.file import avatar_id, load_avatar, save_avatar
+from pica_core.errors import TrainingOptionError
+from pica_core.train.lod.levels import LevelOptions, LevelReport, add_levels
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AvatarLevelsOptions:
+    """Options of `pica avatar levels`."""
+
+    file: tyro.conf.Positional[Path]
+    """Avatar file (.pica) of any origin; neither its capture nor its run is needed."""
+    out: Path
+    """The avatar file to write; may be the same."""
+    levels: LevelOptions = field(default_factory=LevelOptions)
+    threads: int = 2
+    """CPU threads of torch."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.threads <= 1024:
+            raise TrainingOptionError(f"threads is {self.threads}; 1 to 1024 is allowed")
+
+
+def avatar_levels(options: AvatarLevelsOptions) -> dict[str, Any]:
+    """Fit early exits and coarser meshes to an avatar; its full model stays as it is."""
+    avatar = load_avatar(options.file)
+    torch.set_num_threads(options.threads)
+    levelled, reports = add_levels(
+        avatar, options.levels, lambda text: print(text, file=sys.stderr)
+    )
+    save_avatar(options.out, levelled, like=options.file)
+    for report in reports:
+        print(describe(report), file=sys.stderr)
+    size = options.out.stat().st_size
+    print(f"{options.out}: {size / 1e6:.2f} MB", file=sys.stderr)
+    return {
+        "path": str(options.out),
+        "bytes": size,
+        "id": avatar_id(options.out),
+        "levels": [asdict(report) for report in reports],
+    }
+
+
+def describe(report: LevelReport) -> str:
+    """One line about a level."""
+    return (
+        f"level {report.level}: {report.triangles} triangles, vertices off by "
+        f"{report.vertex_error_mm:.2f} mm (p99 {report.vertex_error_p99_mm:.2f}; a still face "
+        f"{report.vertex_rest_mm:.2f}), colours by {report.colour_mse:.1f} MSE "
+        f"(0-255; a still map {report.colour_still_mse:.1f})"
+    )

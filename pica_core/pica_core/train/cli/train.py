@@ -1,0 +1,296 @@
+"""`pica train` and `pica export`."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from pica_core.avatar.baseline_file import save_baseline
+from pica_core.avatar.file import avatar_id, save_avatar
+from pica_core.avatar.storage import Precision, storage_of
+from pica_core.capture.dataset.dataset import Capture
+from pica_core.errors import CaptureError, CheckpointError, TrainingOptionError
+from pica_core.model.avatar import PixelCodecAvatar
+from pica_core.model.baseline import DeepAppearanceModel
+from pica_core.train.cli.levels import describe
+from pica_core.train.config import PRESETS, TrainConfig
+from pica_core.train.data import TrainingData
+from pica_core.train.eval.evaluate import evaluate, mean_mse
+from pica_core.train.eval.judge import drawn_topology
+from pica_core.train.eval.run import RUN_FILE
+from pica_core.train.export import make_avatar, make_baseline
+from pica_core.train.lod.levels import LevelReport, add_levels
+from pica_core.train.loop import Losses, Trainer, open_trainer, read_checkpoint
+from pica_core.train.model_card import EVALUATION_FILE, model_card
+from pica_core.train.parallel import Ranks, open_ranks
+from pica_core.train.stream_metric import make_stream_profile
+
+VariantName = Literal["full", "no_uv", "coarse", "uv_nope", "nerf_pe", "pe_2d", "pe_1d", "baseline"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TrainOptions:
+    """Options of `pica train`."""
+
+    capture: Path
+    """Folder of the capture (`pica capture synth` makes one)."""
+    out: Path
+    """Folder of the run: checkpoint, metrics, held-out error."""
+    variant: VariantName = "full"
+    """Which model of the paper's tables: full, the baseline, or full with one part replaced."""
+    preset: Literal["tiny", "small", "long", "paper"] = "small"
+    """How much to train: tiny (seconds), small (minutes on two cores), long (half an hour), paper
+    (its settings to the letter; days on a GPU)."""
+    start_from: Path | None = None
+    """Folder of another run whose weights to start from: to go on with another preset, or on
+    another capture."""
+    block: Literal["B", "H2", "C", "G"] | None = None
+    """Block of the decoders, if not the preset's."""
+    encoder: Literal["light", "paper"] | None = None
+    """Encoder, if not the preset's."""
+    seed: int = 0
+    """Seed of initial weights, batches and noise."""
+    threads: int = 2
+    """CPU threads of torch."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where to compute; auto takes a GPU where there is one. Under torchrun each process takes one
+    GPU and its part of every batch."""
+    resume: bool = False
+    """Go on from the run's checkpoint."""
+    eval_frames: int = 25
+    """Held-out frames to evaluate at the end."""
+
+    def __post_init__(self) -> None:
+        for name, low, high in (("threads", 1, 1024), ("eval_frames", 1, 1_000_000)):
+            if not low <= getattr(self, name) <= high:
+                raise TrainingOptionError(
+                    f"{name} is {getattr(self, name)}; {low} to {high} is allowed"
+                )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ExportOptions:
+    """Options of `pica export`."""
+
+    run: Path
+    """Folder of a finished run of `pica train`."""
+    capture: Path
+    """The capture that the run was trained on."""
+    out: Path
+    """The avatar file to write."""
+    name: str
+    """Name to show."""
+    licence: str = "Apache-2.0"
+    """Licence of the avatar."""
+    stream: bool = True
+    """Learn the tables of the latent stream (a minute or two). Without them the avatar can only be
+    sent at 8 bits a value, 65 kbit/s."""
+    levels: bool = True
+    """Fit levels of detail (a minute or two). Without them far heads cost as much as near ones;
+    `pica avatar levels` adds them to a file later."""
+    precision: Precision = "mixed"
+    """How weights and maps are stored: mixed is the smallest that shows no difference
+    (docs/variants.md)."""
+    threads: int = 2
+    """CPU threads of torch."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.threads <= 1024:
+            raise TrainingOptionError(f"threads is {self.threads}; 1 to 1024 is allowed")
+
+
+def train(options: TrainOptions) -> dict[str, Any]:
+    """Train an avatar on a capture: geometry, then everything jointly, then its live encoder."""
+    config = _config(options)
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise TrainingOptionError(
+            f"{options.out}: cannot be made: {error.strerror or error}"
+        ) from error
+    torch.set_num_threads(options.threads)
+    data = TrainingData(Capture.open(options.capture), config.model.spec().map_size)
+    if not options.resume and (options.out / "checkpoint.pt").exists():
+        raise CheckpointError(f"{options.out}: a run is there already; --resume goes on with it")
+    for before in [options.out] if options.resume else [options.start_from]:
+        if before is not None:
+            _check_variant(before, options.variant)
+    with (
+        open_ranks(os.environ) as ranks,
+        open_trainer(
+            data, config, options.out, device=_device(options.device, ranks), ranks=ranks
+        ) as trainer,
+    ):
+        if ranks.is_first:
+            _note_run(options, str(data.capture.info.get("head", options.capture.name)))
+        if options.resume:
+            trainer.restore()
+        elif options.start_from is not None:
+            trainer.start_from(options.start_from)
+        _run_with_progress(trainer, is_shown=ranks.is_first)
+        if not ranks.is_first:
+            return {"rank": ranks.rank}
+        rows = evaluate(trainer, max_frames=options.eval_frames)
+        steps = trainer.step
+    (options.out / EVALUATION_FILE).write_text(json.dumps(rows, indent=1) + "\n")
+    result = {
+        "steps": steps,
+        "mse": mean_mse(rows, "encoder"),
+        "driver_mse": mean_mse(rows, "driver"),
+        "vertex_error_mm": rows[0]["vertex_error_mm"],
+        "rows": rows,
+    }
+    told = f"held-out MSE (0-255, rasterised pixels): {result['mse']:.1f} by the model's encoder"
+    if result["driver_mse"] is not None:
+        told += f", {result['driver_mse']:.1f} from ARKit values"
+    print(told, file=sys.stderr)
+    return result
+
+
+def export(options: ExportOptions) -> dict[str, Any]:
+    """Write the avatar file of a trained run; of a baseline, the file that benches read."""
+    state = read_checkpoint(options.run / "checkpoint.pt")
+    config = TrainConfig.from_json(json.loads(state["config"]))
+    torch.set_num_threads(options.threads)
+    data = TrainingData(Capture.open(options.capture), config.model.spec().map_size)
+    if not data.capture.has_expressions:
+        raise CaptureError(
+            f"{options.capture}: no expressions, so nothing could drive the avatar; a capture with "
+            "expressions.csv is needed"
+        )
+    with open_trainer(data, config, options.run) as trainer:
+        trainer.restore()
+        model = trainer.model
+        if isinstance(model, DeepAppearanceModel):
+            save_baseline(options.out, make_baseline(model, data))
+            return _written(options.out)
+        assert isinstance(model, PixelCodecAvatar)
+        stream = None
+        if options.stream:
+            print("learning the latent stream", file=sys.stderr)
+            topology = drawn_topology(data.capture, model)
+            stream = make_stream_profile(
+                model,
+                trainer.rasteriser,
+                torch.from_numpy(topology.faces.astype(np.int64)),
+                torch.from_numpy(np.ascontiguousarray(topology.vertex_uv, np.float32)),
+            )
+        avatar = make_avatar(
+            model,
+            data,
+            name=options.name,
+            identity=str(data.capture.info["head"]),
+            licence=options.licence,
+            model_card=model_card(trainer, options.run),
+            variant=config.model.variant,
+            stream=stream,
+        )
+    reports: list[LevelReport] = []
+    if options.levels:
+        avatar, reports = add_levels(avatar, show=lambda text: print(text, file=sys.stderr))
+        print("\n".join(map(describe, reports)), file=sys.stderr)
+    save_avatar(options.out, avatar, storage_of(options.precision, avatar.tensors))
+    return {
+        **_written(options.out),
+        "id": avatar_id(options.out),
+        "levels": [asdict(report) for report in reports],
+    }
+
+
+def _written(path: Path) -> dict[str, Any]:
+    size = path.stat().st_size
+    print(f"{path}: {size / 1e6:.2f} MB", file=sys.stderr)
+    return {"path": str(path), "bytes": size}
+
+
+def _device(wished: str, ranks: Ranks) -> torch.device:
+    """Where to compute; several processes take one GPU each.
+
+    Raises:
+        TrainingOptionError: A GPU was asked for and there is none.
+    """
+    has_gpu = torch.cuda.is_available()
+    if wished == "cuda" and not has_gpu:
+        raise TrainingOptionError("device is cuda, but torch finds no GPU here; use cpu or auto")
+    if wished == "cpu" or not has_gpu:
+        return torch.device("cpu")
+    return torch.device("cuda", ranks.rank % torch.cuda.device_count())
+
+
+def _check_variant(run: Path, variant: str) -> None:
+    """Refuse to go on from another model.
+
+    Raises:
+        CheckpointError: No readable checkpoint, or one of another variant.
+    """
+    state = read_checkpoint(run / "checkpoint.pt")
+    found = TrainConfig.from_json(json.loads(state["config"])).model.variant
+    if found != variant:
+        raise CheckpointError(
+            f"{run}: the checkpoint is of variant {found!r}, not {variant!r}; "
+            f"use --variant {found}, or another --out"
+        )
+
+
+def _note_run(options: TrainOptions, identity: str) -> None:
+    """Write beside the checkpoint what a later evaluation needs to know."""
+    note = {
+        "capture": str(options.capture.resolve()),
+        "identity": identity,
+        "variant": options.variant,
+        "preset": options.preset,
+        "seed": options.seed,
+    }
+    (options.out / RUN_FILE).write_text(json.dumps(note, indent=1) + "\n")
+
+
+def _config(options: TrainOptions) -> TrainConfig:
+    config = replace(PRESETS[options.preset], seed=options.seed)
+    model = replace(config.model, variant=options.variant)
+    if options.block is not None:
+        model = replace(model, block=options.block)
+    if options.encoder is not None:
+        model = replace(model, encoder=options.encoder)
+    return replace(config, model=model)
+
+
+def _run_with_progress(trainer: Trainer, *, is_shown: bool) -> None:
+    """Run with a bar on stderr: phase, losses, time left; without, where another process shows it.
+
+    An interrupt is taken between two steps, so that the checkpoint it leaves is whole.
+    """
+    interrupted = threading.Event()
+    before = signal.signal(signal.SIGINT, lambda *_: interrupted.set())
+    columns = (
+        TextColumn("{task.description:9}"),
+        BarColumn(),
+        TextColumn("{task.completed}/{task.total}"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[losses]}"),
+    )
+    console = Console(stderr=True, quiet=not is_shown)
+    with Progress(*columns, console=console, refresh_per_second=2) as progress:
+        task = progress.add_task("", total=trainer.total_steps, completed=trainer.step, losses="")
+
+        def show(step: int, phase: str, losses: Losses) -> bool:
+            shown = "  ".join(f"{name} {value:.4f}" for name, value in losses.items())
+            progress.update(task, completed=step, description=phase, losses=shown)
+            return not interrupted.is_set()
+
+        try:
+            trainer.run(show)
+        finally:
+            signal.signal(signal.SIGINT, before)
+    if interrupted.is_set():
+        raise KeyboardInterrupt

@@ -1,0 +1,1 @@
+"""Held-out error of finished runs by the paper's protocol."""

@@ -1,0 +1,155 @@
+"""A trained model in front of a camera: its pictures, pixel by pixel, beside what was seen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from pica_core.camera import Camera
+from pica_core.capture.dataset.dataset import Capture, Topology
+from pica_core.model.interface import AvatarModel, Surface
+from pica_core.train.data import TrainingData, view_direction
+from pica_core.train.rasterise import Rasteriser, interpolate
+
+FloatArray = npt.NDArray[np.float32]
+
+
+class Picture(NamedTuple):
+    """The P pixels of an image that a mesh covers, in reading order.
+
+    Attributes:
+        pixels: Flat indices, row * W + column, int64 ``[P]``.
+        colours: 0-255, clamped, float32 ``[P, 3]``.
+        depth_m: Along the camera's axis, float32 ``[P]``.
+    """
+
+    pixels: npt.NDArray[np.int64]
+    colours: FloatArray
+    depth_m: FloatArray
+
+    def on(self, image: npt.NDArray[np.uint8]) -> FloatArray:
+        """The picture laid over an image, ``[H, W, 3]``."""
+        laid = image.astype(np.float32)
+        laid.reshape(-1, 3)[self.pixels] = self.colours
+        return laid
+
+    def covered(self, camera: Camera) -> npt.NDArray[np.bool_]:
+        """Which pixels of the image these are, ``[H, W]``."""
+        mask = np.zeros(camera.height * camera.width, np.bool_)
+        mask[self.pixels] = True
+        return mask.reshape(camera.height, camera.width)
+
+
+class Judge:
+    """Draws a model's pictures of a capture's frames.
+
+    Args:
+        data: The capture.
+        model: Trained, or not.
+        rasteriser: Of the topology that the model draws; it stays its owner's.
+        samples: Along each side of a pixel, odd; the paper draws with one.
+    """
+
+    def __init__(
+        self, data: TrainingData, model: AvatarModel, rasteriser: Rasteriser, *, samples: int = 1
+    ) -> None:
+        self.data = data
+        self.model = model
+        self._rasteriser = rasteriser
+        self._samples = samples
+        topology = drawn_topology(data.capture, model)
+        self._uv = torch.from_numpy(np.ascontiguousarray(topology.vertex_uv, np.float32))
+        self._faces = torch.from_numpy(topology.faces.astype(np.int64))
+        self._device = next(model.parameters()).device
+
+    @torch.no_grad()
+    def encode(self, frame: int) -> Tensor:
+        """The encoder's mean for a frame, ``[1, 4, 8, 8]``."""
+        texture = self.data.textures([frame], self.model.encoder.texture_size)
+        maps = self.data.position_maps([frame])
+        mean: Tensor = self.model.encoder(texture.to(self._device), maps.to(self._device))[0]
+        return mean
+
+    @torch.no_grad()
+    def drive(self, frame: int) -> Tensor:
+        """What a live sender would send for a frame, ``[1, 4, 8, 8]``."""
+        arkit = self.data.arkit[[frame]].to(self._device)
+        latent: Tensor = self.model.expression_encoder(arkit)
+        return latent
+
+    @torch.no_grad()
+    def vertices_m(self, latent: Tensor) -> FloatArray:
+        """Decoded vertices of one latent, on the topology that the model draws, ``[V, 3]``."""
+        vertices: FloatArray = self.model.vertices(latent)[0].cpu().numpy()
+        return vertices
+
+    @torch.no_grad()
+    def draw(self, latent: Tensor, camera: Camera, *, samples: int | None = None) -> Picture:
+        """The picture of one latent through a camera in head axes.
+
+        Args:
+            latent: ``[1, 4, 8, 8]``.
+            camera: In head axes.
+            samples: Along each side of a pixel, odd; the judge's own by default. A pixel belongs to
+                the picture if its centre does, however many there are; its colour is the mean of
+                those samples that see the head, its depth the centre's.
+        """
+        vertices_m = self.model.vertices(latent)[0].cpu()
+        direction = torch.from_numpy(view_direction(camera))[None].to(self._device)
+        appearance = self.model.appearance(latent, direction)
+        centre = self._sample(vertices_m, appearance, camera)
+        side = self._samples if samples is None else samples
+        if side == 1:
+            return centre
+        sums = np.zeros((camera.height * camera.width, 4))
+        for moved in _within_pixels(camera, side):
+            sample = self._sample(vertices_m, appearance, moved)
+            sums[sample.pixels, :3] += sample.colours
+            sums[sample.pixels, 3] += 1
+        mean = sums[centre.pixels, :3] / sums[centre.pixels, 3:]
+        return centre._replace(colours=mean.astype(np.float32))
+
+    def _sample(self, vertices_m: Tensor, appearance: Tensor, camera: Camera) -> Picture:
+        """One sample at the centre of each pixel."""
+        ids = self._rasteriser.triangle_ids(vertices_m.numpy(), camera)
+        pixels = np.flatnonzero(ids >= 0)
+        if not len(pixels):
+            return Picture(pixels, np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
+        uv, xyz_m, depth_m = interpolate(vertices_m, self._uv, self._faces, camera, ids, pixels)
+        image = torch.zeros(len(pixels), dtype=torch.int64, device=self._device)
+        surface = Surface(image, uv.to(self._device), xyz_m.to(self._device))
+        colours = self.model.shade(appearance, surface)
+        shown = 255 * colours.clamp(0, 1).cpu().numpy()
+        return Picture(pixels, shown.astype(np.float32), depth_m.numpy())
+
+    def seen(self, picture: Picture, frame: int, view: str) -> FloatArray:
+        """What the camera saw at a picture's pixels, 0-255, float32 ``[P, 3]``."""
+        image = self.data.image(frame, view)
+        return image.reshape(-1, 3)[picture.pixels].astype(np.float32)
+
+
+def _within_pixels(camera: Camera, side: int) -> Iterator[Camera]:
+    """The camera moved by parts of a pixel: a grid with the centre in its middle."""
+    steps = (np.arange(side) - side // 2) / side
+    for down in steps:
+        for right in steps:
+            shift = np.zeros((3, 3))
+            shift[:2, 2] = right, down
+            yield replace(camera, intrinsics=camera.intrinsics + shift)
+
+
+def drawn_topology(capture: Capture, model: AvatarModel) -> Topology:
+    """The capture's mesh that a model draws."""
+    return {"dense": capture.topology, "tracked": capture.tracked_topology}[model.topology]
+
+
+def model_rasteriser(capture: Capture, model: AvatarModel) -> Rasteriser:
+    """A rasteriser of the mesh that a model draws; the caller releases it."""
+    topology = drawn_topology(capture, model)
+    return Rasteriser(topology.faces.astype(np.int32), len(topology.vertex_uv))

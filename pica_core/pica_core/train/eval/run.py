@@ -1,0 +1,258 @@
+"""Finished runs, opened for evaluation, and everything that is measured of one."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.avatar.variants import VARIANTS
+from pica_core.capture.dataset.dataset import Capture
+from pica_core.errors import CheckpointError
+from pica_core.model.interface import AvatarModel
+from pica_core.train.config import TrainConfig
+from pica_core.train.data import TrainingData, spaced
+from pica_core.train.eval.evaluate import Split, measure_views, spaced_frames
+from pica_core.train.eval.judge import Judge, model_rasteriser
+from pica_core.train.eval.metrics import mse, psnr_db
+from pica_core.train.eval.truth import (
+    NOT_ASKED,
+    DepthErrors,
+    NearField,
+    TrueView,
+    near_field,
+    one_sample_mse,
+    tracked_errors,
+    true_views,
+)
+from pica_core.train.loop import read_checkpoint
+from pica_core.train.prior import face_prior
+
+RUN_FILE = "run.json"
+"""What `pica train` writes down of a run beside its checkpoint."""
+
+ByteArray = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Run:
+    """A folder of `pica train`, as far as it can be read without its capture."""
+
+    folder: Path
+    capture: Path
+    config: TrainConfig
+    steps: int
+    """Steps that were trained."""
+    weights: dict[str, Any]
+    """The model's state."""
+
+    @property
+    def variant(self) -> str:
+        """Which model it trained."""
+        return self.config.model.variant
+
+    @property
+    def block(self) -> str | None:
+        """Block of its per-object decoders; None where there are none."""
+        is_codec = VARIANTS[self.variant].network == "pixel_codec"
+        return self.config.model.block if is_codec else None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class EvalLimits:
+    """How much to measure."""
+
+    split: Split = "test"
+    """Which frames: held-out ones, or those that were trained on."""
+    frames: int = 25
+    """How many of them, evenly spaced."""
+    geometry_frames: int = 8
+    """Of these, how many to judge the geometry of; 0 leaves it out."""
+    near_frames: int = 4
+    """Of these, how many to draw from close to the mouth; 0 leaves it out."""
+    floor_frames: int = 0
+    """Of these, for how many to draw the head itself with one sample a pixel; 0 leaves it out."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CaptureTruth:
+    """What is known of a capture, made once for all its runs."""
+
+    data: TrainingData
+    frames: list[int]
+    views: dict[tuple[int, str], TrueView]
+    """True depth, empty where it is unknown or not asked for."""
+    near: NearField
+    tracked_mm: dict[str, float | None]
+    """Depth error of the tracked mesh itself, by region; empty as `views`."""
+    one_sample_mse: float | None
+    """`eval_truth.one_sample_mse`; None if not asked for, too."""
+
+    @property
+    def identity(self) -> str:
+        """Who was captured."""
+        return str(self.data.capture.info.get("head", self.data.capture.path.name))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RunResult:
+    """Everything that was measured of a run."""
+
+    rows: list[dict[str, Any]]
+    """One for each view, as the tables need them."""
+    distribution: list[dict[str, Any]]
+    """MSE of each frame, mean over views: {frame, mse}."""
+    geometry: dict[str, float | None]
+    """Mean depth error by region, millimetres; empty where the truth is unknown."""
+    near: dict[str, Any]
+    """{mse, psnr_db, frames}, or {skipped} with the reason."""
+    near_images: list[ByteArray] = field(default_factory=list)
+    """Truth and prediction side by side, one for each frame."""
+
+
+def open_run(folder: Path, capture: Path | None = None) -> Run:
+    """Read a run's checkpoint and what it was trained on.
+
+    Args:
+        folder: Of the run.
+        capture: Its capture, if it moved or the run does not say.
+
+    Raises:
+        CheckpointError: No checkpoint, a damaged one, one of another version, or no word of the
+            capture.
+    """
+    state = read_checkpoint(folder / "checkpoint.pt")
+    if capture is None:
+        try:
+            capture = Path(json.loads((folder / RUN_FILE).read_text())["capture"])
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise CheckpointError(
+                f"{folder / RUN_FILE}: does not say which capture the run was trained on "
+                f"({error}); name it with --capture"
+            ) from error
+    return Run(
+        folder=folder,
+        capture=capture,
+        config=TrainConfig.from_json(json.loads(state["config"])),
+        steps=int(state["step"]),
+        weights=state["model"],
+    )
+
+
+def prepare(capture: Path, map_size: int, limits: EvalLimits) -> CaptureTruth:
+    """Open a capture and draw its truth. GL contexts are released before it returns.
+
+    Raises:
+        CaptureError: It cannot be read, or has no test frames.
+    """
+    data = TrainingData(Capture.open(capture), map_size)
+    frames = spaced_frames(data, limits.frames, limits.split)
+    views: dict[tuple[int, str], TrueView] = {}
+    tracked: dict[str, float | None] = {}
+    some = spaced(frames, limits.geometry_frames)
+    if some and data.capture.has_truth:
+        views = true_views(data, some)
+        tracked = tracked_errors(data, some, views).means_mm()
+    near = NearField(skipped=NOT_ASKED)
+    if limits.near_frames:
+        near = near_field(data, spaced(frames, limits.near_frames))
+    floor = None
+    if limits.floor_frames:
+        floor = one_sample_mse(data, spaced(frames, limits.floor_frames))
+    return CaptureTruth(
+        data=data, frames=frames, views=views, near=near, tracked_mm=tracked, one_sample_mse=floor
+    )
+
+
+def build(run: Run, truth: CaptureTruth) -> AvatarModel:
+    """The run's model with its weights.
+
+    Raises:
+        CheckpointError: The weights are of another model or another capture.
+    """
+    model = run.config.model.build(face_prior(truth.data))
+    try:
+        model.load_state_dict(run.weights)
+    except RuntimeError as error:
+        raise CheckpointError(
+            f"{run.folder}: the checkpoint is not of a {run.variant!r} model of "
+            f"{truth.data.capture.path}: {error}"
+        ) from error
+    return model.eval()
+
+
+def measure(
+    run: Run,
+    truth: CaptureTruth,
+    progress: Callable[[str], None] = lambda text: None,
+    *,
+    samples: int = 1,
+) -> RunResult:
+    """Measure a run by the paper's protocol, on its own encoder's latents.
+
+    Args:
+        run: What to measure.
+        truth: Of its capture.
+        progress: Told what is being done.
+        samples: Along each side of a pixel, odd; the paper draws with one.
+    """
+    data, model = truth.data, build(run, truth)
+    data.use_meshes(run.config.mesh_source)
+    cost = model.cost
+    with model_rasteriser(data.capture, model) as rasteriser:
+        judge = Judge(data, model, rasteriser, samples=samples)
+        progress("views")
+        found = measure_views(judge, truth.frames)
+        progress("geometry")
+        depth = _depth_errors(judge, truth)
+        progress("near field")
+        near, pictures = _near(judge, truth.near)
+    shared = {"identity": truth.identity, "variant": run.variant, "block": run.block}
+    costs = {
+        "parameters": cost.parameters,
+        "macs": cost.per_object_multiply_adds,
+        "macs_per_pixel": cost.per_pixel_multiply_adds,
+        "steps": run.steps,
+        "seed": run.config.seed,
+        "samples": samples,
+    }
+    rows = [{**shared, "view": view, **errors.row(), **costs} for view, errors in found.items()]
+    per_frame = np.mean([errors.mse for errors in found.values()], axis=0)
+    names = [data.capture.frames[frame] for frame in truth.frames]
+    distribution = [
+        {"frame": f"{frame.segment}/{frame.name}", "mse": float(value)}
+        for frame, value in zip(names, per_frame, strict=True)
+    ]
+    return RunResult(
+        rows=rows, distribution=distribution, geometry=depth, near=near, near_images=pictures
+    )
+
+
+def _depth_errors(judge: Judge, truth: CaptureTruth) -> dict[str, float | None]:
+    errors = DepthErrors()
+    for (frame, view), true in truth.views.items():
+        camera = truth.data.camera(frame, view)
+        picture = judge.draw(judge.encode(frame), camera, samples=1)
+        errors.add(true, picture.pixels, picture.depth_m)
+    return errors.means_mm() if truth.views else {}
+
+
+def _near(judge: Judge, near: NearField) -> tuple[dict[str, Any], list[ByteArray]]:
+    if near.skipped is not None:
+        return {"skipped": near.skipped}, []
+    errors: list[float] = []
+    pictures: list[ByteArray] = []
+    for frame, (camera, image) in near.images.items():
+        picture = judge.draw(judge.encode(frame), camera)
+        seen = image.reshape(-1, 3)[picture.pixels].astype(np.float32)
+        errors.append(mse(picture.colours, seen))
+        shown = picture.on(np.full_like(image, 128)).round().astype(np.uint8)
+        pictures.append(np.concatenate([image, shown], axis=1))
+    error = float(np.mean(errors))
+    found = {"mse": error, "psnr_db": psnr_db(error), "frames": len(errors)}
+    return found, pictures

@@ -1,0 +1,237 @@
+"""What a synthetic capture knows and a real one does not: exact depth, and pictures from anywhere.
+
+Geometry is judged by depth: at each pixel of the evaluation views that both the true and the
+decoded mesh cover, how far apart they lie along the ray. Regions are those of the true mesh, so
+that all models are judged on the same pixels. Errors are capped at `DEPTH_CAP_MM`: beyond, one of
+the two is another surface (a silhouette, the back of the mouth), and how far that one lies says
+nothing.
+
+Near-field pictures are drawn from a place much closer to the mouth than any camera of the capture
+(paper, Fig. "Rendering at a novel viewing position"); the truth is drawn by the stage itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.camera import Camera, look_at
+from pica_core.capture.dataset.dataset import Capture, Topology
+from pica_core.capture.procedural.identity import IDENTITIES
+from pica_core.capture.stage.subject import HeadSubject
+from pica_core.train.data import TrainingData
+from pica_core.train.eval.metrics import mse
+from pica_core.train.rasterise import Rasteriser
+
+FloatArray = npt.NDArray[np.float32]
+
+DEPTH_CAP_MM = 20.0
+REGIONS = ("mouth", "eyes", "rest")
+_REST = len(REGIONS) - 1
+_NOTHING = 255
+NOT_ASKED = "not asked for"
+"""Why there is no near field, if nobody wanted one."""
+NEAR_DISTANCE_M = 0.12
+"""From the lips to the camera (chosen: the paper's user at 18 cm sees the face fill the screen)."""
+NEAR_DIRECTION = (0.25, -0.12, 1.0)
+"""From the lips to the camera, head frame: a little from the side, so that depth shows."""
+NEAR_FOV = 0.85
+NEAR_SIZE_PX = 256
+SAME_PICTURE = 1.0
+"""Mean difference on 0-255 up to which the stage is taken to draw what the capture holds (files
+hold 8 bits and three decimals)."""
+
+
+class TrueView(NamedTuple):
+    """An image of the true mesh.
+
+    Attributes:
+        region: Index into `REGIONS`, 255 where nothing is, uint8 ``[H, W]``.
+        depth_m: Along the camera's axis, 0 where nothing is, float32 ``[H, W]``.
+    """
+
+    region: npt.NDArray[np.uint8]
+    depth_m: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DepthErrors:
+    """Absolute depth errors by region, summed up."""
+
+    sums_mm: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(REGIONS)))
+    counts: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(len(REGIONS), np.int64))
+
+    def add(self, truth: TrueView, pixels: npt.NDArray[np.int64], depth_m: FloatArray) -> None:
+        """Count one image, given by its covered pixels and their depths."""
+        region = truth.region.reshape(-1)[pixels]
+        error_mm = 1000 * np.abs(depth_m - truth.depth_m.reshape(-1)[pixels])
+        error_mm = np.minimum(error_mm, DEPTH_CAP_MM)
+        for index in range(len(REGIONS)):
+            chosen = region == index
+            self.sums_mm[index] += error_mm[chosen].sum()
+            self.counts[index] += np.count_nonzero(chosen)
+
+    def means_mm(self) -> dict[str, float | None]:
+        """Mean error by region; None where nothing was seen of it."""
+        return {
+            name: float(self.sums_mm[index] / self.counts[index]) if self.counts[index] else None
+            for index, name in enumerate(REGIONS)
+        }
+
+
+def face_regions(topology: Topology) -> npt.NDArray[np.uint8]:
+    """Index into `REGIONS` of each triangle: one of whose corners lies there, the mouth first.
+    uint8 ``[F]``."""
+    found = np.full(len(topology.faces), _REST, np.uint8)
+    for index in range(_REST - 1, -1, -1):
+        mask = topology.regions.get(REGIONS[index])
+        if mask is not None:
+            found[mask[topology.faces].any(1)] = index
+    return found
+
+
+def true_views(data: TrainingData, frames: list[int]) -> dict[tuple[int, str], TrueView]:
+    """The true mesh of frames from the evaluation views. Makes and releases a GL context."""
+    capture = data.capture
+    region_of_face = np.append(face_regions(capture.topology), np.uint8(_NOTHING))
+    views: dict[tuple[int, str], TrueView] = {}
+    faces = capture.topology.faces.astype(np.int32)
+    with Rasteriser(faces, capture.num_vertices) as rasteriser:
+        for frame in frames:
+            vertices_m = capture.true_vertices_m(capture.frames[frame])
+            for name in data.evaluation_views:
+                camera = data.camera(frame, name)
+                ids = rasteriser.triangle_ids(vertices_m, camera)
+                depth_m = rasteriser.batch_depths_m([camera])[0]
+                views[frame, name] = TrueView(region_of_face[ids], depth_m)
+    return views
+
+
+def tracked_errors(
+    data: TrainingData, frames: list[int], truth: dict[tuple[int, str], TrueView]
+) -> DepthErrors:
+    """How far the tracked mesh itself lies from the truth. Makes and releases a GL context."""
+    capture, errors = data.capture, DepthErrors()
+    topology = capture.tracked_topology
+    with Rasteriser(topology.faces.astype(np.int32), len(topology.vertex_uv)) as rasteriser:
+        for frame in frames:
+            vertices_m = capture.vertices_m(capture.frames[frame])
+            for name in data.evaluation_views:
+                camera = data.camera(frame, name)
+                ids = rasteriser.triangle_ids(vertices_m, camera)
+                pixels = np.flatnonzero(ids >= 0)
+                depth_m = rasteriser.batch_depths_m([camera])[0].reshape(-1)[pixels]
+                errors.add(truth[frame, name], pixels, depth_m)
+    return errors
+
+
+def near_camera(capture: Capture, vertices_m: FloatArray) -> Camera:
+    """A camera close to the mouth of a mesh on the capture's topology, in head axes."""
+    lips = capture.topology.regions.get("lips", capture.topology.regions.get("mouth"))
+    assert lips is not None
+    target = vertices_m[lips].mean(0).astype(np.float64)
+    direction = np.array(NEAR_DIRECTION) / np.linalg.norm(NEAR_DIRECTION)
+    return look_at(
+        name="near",
+        centre_m=target + NEAR_DISTANCE_M * direction,
+        target_m=target,
+        vertical_fov=NEAR_FOV,
+        width=NEAR_SIZE_PX,
+        height=NEAR_SIZE_PX,
+    )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NearField:
+    """True pictures from close to the mouth, or why there are none."""
+
+    images: dict[int, tuple[Camera, npt.NDArray[np.uint8]]] = field(default_factory=dict)
+    """By frame: the camera in head axes and what it sees, uint8 ``[H, W, 3]``."""
+    skipped: str | None = None
+
+
+def near_field(
+    data: TrainingData,
+    frames: list[int],
+    make_subject: Callable[[str], HeadSubject] = HeadSubject,
+) -> NearField:
+    """Draw the truth of some frames close to the mouth. Makes and releases a GL context.
+
+    Args:
+        data: The capture.
+        frames: Which frames.
+        make_subject: Makes a built-in head of a name; captures rendered with other than the usual
+            settings need their own.
+    """
+    capture = data.capture
+    if not {"lips", "mouth"} & set(capture.topology.regions):
+        return NearField(skipped="the capture's topology names no lips")
+    images: dict[int, tuple[Camera, npt.NDArray[np.uint8]]] = {}
+    with _on_stage(data, frames[0], make_subject) as subject:
+        if isinstance(subject, str):
+            return NearField(skipped=subject)
+        for frame in frames:
+            vertices_m = subject.pose(capture.arkit(capture.frames[frame]))
+            camera = near_camera(capture, vertices_m)
+            images[frame] = camera, subject.draw(camera).image
+    return NearField(images=images)
+
+
+def one_sample_mse(
+    data: TrainingData,
+    frames: list[int],
+    make_subject: Callable[[str], HeadSubject] = HeadSubject,
+) -> float | None:
+    """What the head itself leaves if each pixel is one sample of it (the middle ninth of the
+    pixel), against the capture's images, whose pixels are means: what a model that is drawn so can
+    hope for, or a little less, for it may learn colours that are means already.
+
+    On 0-255 values over the head's pixels, mean over evaluation views and frames; None where nobody
+    can draw the head. Makes and releases a GL context.
+    """
+    capture = data.capture
+    errors = []
+    with _on_stage(data, frames[0], make_subject) as subject:
+        if isinstance(subject, str):
+            return None
+        for frame in frames:
+            subject.pose(capture.arkit(capture.frames[frame]))
+            for view in data.evaluation_views:
+                camera = data.camera(frame, view)
+                fine = subject.draw(camera.scaled(3 * camera.width, 3 * camera.height)).image
+                is_head = capture.mask(capture.frames[frame], view) > 0
+                once = fine[1::3, 1::3][is_head].astype(np.float32)
+                errors.append(mse(once, data.image(frame, view)[is_head].astype(np.float32)))
+    return float(np.mean(errors))
+
+
+@contextmanager
+def _on_stage(
+    data: TrainingData, frame: int, make_subject: Callable[[str], HeadSubject]
+) -> Iterator[HeadSubject | str]:
+    """The capture's subject, or why nobody can draw it."""
+    capture = data.capture
+    name = str(capture.info.get("head", ""))
+    if name not in IDENTITIES or not capture.has_truth:
+        yield "nobody can draw this capture's subject from a place without a camera"
+        return
+    subject = make_subject(name)
+    try:
+        view = data.evaluation_views[0]
+        subject.pose(capture.arkit(capture.frames[frame]))
+        drawn = subject.draw(data.camera(frame, view)).image.astype(np.float64)
+        difference = float(np.abs(drawn - data.image(frame, view)).mean())
+        if difference <= SAME_PICTURE:
+            yield subject
+        else:
+            yield (
+                f"the stage no longer draws what the capture holds: {difference:.1f} of 255 apart "
+                "on average"
+            )
+    finally:
+        subject.release()

@@ -1,0 +1,1 @@
+"""Levels of detail, given to a trained avatar: early exits and coarser meshes."""

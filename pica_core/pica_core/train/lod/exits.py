@@ -1,0 +1,347 @@
+"""The heads of early exits, fitted by least squares with the trunk as it is.
+
+A head is one linear layer and a map-sized bias behind a trunk that is not touched, so what it makes
+is linear in what is fitted, and the best head is the solution of a system of equations: seconds, no
+learning rate, no seed but that of the faces it is fitted on.
+
+What is asked for:
+
+- *Geometry*: each vertex of the level's mesh is where the full map has it. It has weights of its
+  own over the texels of the trunk that are nearest to it, so vertices are fitted one by one.
+- *Expression*: at points of the surface, codes of the small map give the colours of the full one:
+  differences of codes are weighed by the pixel decoder's own slope there. The map is only ever read
+  at points inside charts; texels that no point reads keep an average of the full map. So a texel
+  that two charts share is fitted to both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from pica_core.avatar.file import Avatar
+from pica_core.graphs.decoder_layers import trunk_layers
+from pica_core.model.decoders import MapDecoder, sample_map, tile_view_direction
+from pica_core.reference.pixel import decode_pixels
+
+Array = npt.NDArray[np.float64]
+
+CHUNK = 8
+"""Faces decoded at once."""
+RIDGE = 1e-6
+"""Added to the diagonal of a system, as a share of its mean: keeps idle features quiet."""
+VERTEX_RIDGE = 1e-3
+"""The same for the weights of a vertex, as a share of the mean over all."""
+PRIOR = 1e-3
+"""Weight of the start in a map, where a point's weight is 1."""
+MAP_STEPS = 300
+"""Steps of conjugate gradients for a map; 1500 change its mean misfit by a micrometre."""
+METRIC_FLOOR = 0.02
+"""Least weight of a direction of codes, as a share of the mean over directions and points."""
+CODE_STEP = 0.02
+"""Half of the step over which the pixel decoder's slope is taken, in units of a code."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FaceSet:
+    """Faces that heads are fitted on, and from where they are seen."""
+
+    latents: Tensor
+    """``[N, 4, 8, 8]``."""
+    views: Tensor
+    """Unit vectors, ``[N, 3]``."""
+
+    def __len__(self) -> int:
+        return len(self.latents)
+
+
+class FrozenDecoder:
+    """One of an avatar's decoders, rebuilt from its file: full maps and what exits find.
+
+    Args:
+        avatar: Checked avatar.
+        decoder: ``"geometry"`` or ``"expression"``.
+    """
+
+    def __init__(self, avatar: Avatar, decoder: str) -> None:
+        self._decoder = decoder
+        self._spec = avatar.spec
+        self._module = MapDecoder(avatar.spec, decoder)
+        with torch.no_grad():
+            for name, values in self._module.named_tensors().items():
+                values.copy_(torch.from_numpy(np.array(avatar.tensors[name])))
+
+    @torch.no_grad()
+    def run(self, faces: FaceSet, level: int) -> Iterator[tuple[Tensor, Tensor]]:
+        """Trunk ``[n, C, level, level]`` and decoder's output ``[n, C', S, S]``, chunk by chunk."""
+        end = len(trunk_layers(self._spec, self._decoder, level))
+        for start in range(0, len(faces), CHUNK):
+            grid, view = (values[start : start + CHUNK] for values in (faces.latents, faces.views))
+            if self._decoder == "expression":
+                grid = torch.cat([grid, tile_view_direction(view)], 1)
+            for step in self._module.steps[:end]:
+                grid = step(grid)
+            trunk = grid
+            for step in self._module.steps[end:]:
+                grid = step(grid)
+            yield trunk, grid
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Head:
+    """A fitted convolution ``[C', C, 3, 3]`` and bias ``[C', level, level]``."""
+
+    weight: Tensor
+    bias: Tensor
+
+    def __call__(self, trunk: Tensor) -> Tensor:
+        """Maps ``[N, C', level, level]`` from trunks ``[N, C, level, level]``."""
+        return functional.conv2d(trunk, self.weight, padding=1) + self.bias
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SheetHead:
+    """Fitted vertices: each from some texels of the trunk."""
+
+    texel: Tensor
+    """Row * level + column, int64 ``[V, T]``, the nearest first."""
+    weight: Tensor
+    """``[V, 3, C * T]``, the first channel's texels first."""
+    rest: Tensor
+    """``[V, 3]``, in the units of the decoder's output."""
+
+    def __call__(self, trunk: Tensor) -> Tensor:
+        """Vertices ``[N, V, 3]`` from trunks ``[N, C, level, level]``."""
+        return torch.einsum("nvf,vdf->nvd", self.read(trunk), self.weight) + self.rest
+
+    def read(self, trunk: Tensor) -> Tensor:
+        """What the weights multiply, ``[N, V, C * T]``."""
+        return trunk.flatten(2)[:, :, self.texel].permute(0, 2, 1, 3).flatten(2)
+
+
+def fit_convolution(
+    decoder: FrozenDecoder,
+    faces: FaceSet,
+    level: int,
+    points: Tensor,
+    metric: Tensor,
+    points_per_face: int = 6000,
+    seed: int = 0,
+) -> Head:
+    """Fit one convolution for all texels, so that its map is like the decoder's own output.
+
+    Args:
+        decoder: Whose output to imitate, and whose trunk to do it from.
+        faces: To fit on.
+        level: Rows of the head's map.
+        points: Where the maps are read, UV in [0, 1]. ``[P, 2]``.
+        metric: How differences count, per point, ``[P, C', C']``.
+        points_per_face: How many of the points are read in each face while the convolution is
+            fitted; the bias is fitted at all.
+        seed: Of the choice of points.
+    """
+    mean_trunk, mean_full = _means(decoder, faces, level)
+    system = _System(mean_trunk.shape[0] * 9, mean_full.shape[0])
+    generator = torch.Generator().manual_seed(seed)
+    for trunk, full in decoder.run(faces, level):
+        for moved, wanted in zip(trunk - mean_trunk, full - mean_full, strict=True):
+            chosen = torch.randint(len(points), (points_per_face,), generator=generator)
+            features = _features(moved[None], points[chosen])
+            targets = sample_map(wanted[None], points[chosen])[0]
+            system.add(features, targets, metric[chosen])
+    weight = system.solve().reshape(mean_full.shape[0], mean_trunk.shape[0], 3, 3).float()
+    at_rest = functional.conv2d(mean_trunk[None], weight, padding=1)[0]
+    importance = torch.ones(len(points))
+    return Head(weight, _fit_rest(points, importance, mean_full, at_rest))
+
+
+def fit_sheet(
+    decoder: FrozenDecoder,
+    faces: FaceSet,
+    level: int,
+    vertex_uv: Tensor,
+    rest: Tensor,
+    num_texels: int,
+) -> SheetHead:
+    """Fit every vertex by itself to where the decoder's own output has it.
+
+    Args:
+        decoder: Whose output to imitate, and whose trunk to do it from.
+        faces: To fit on.
+        level: Rows of the trunk.
+        vertex_uv: Where the vertices are in the full map, UV in [0, 1]. ``[V, 2]``.
+        rest: Map to add to the decoder's output, ``[3, S, S]``; it goes into the rest.
+        num_texels: That a vertex is made of, the nearest.
+    """
+    index, share = _taps(vertex_uv, level)
+    nearest = torch.argsort(share, dim=1, descending=True, stable=True)[:, :num_texels]
+    mean_trunk, mean_full = _means(decoder, faces, level)
+    width, outputs = mean_trunk.shape[0] * num_texels, mean_full.shape[0]
+    head = SheetHead(
+        texel=index.gather(1, nearest),
+        weight=torch.zeros(len(vertex_uv), outputs, width),
+        rest=sample_map((mean_full + rest)[None], vertex_uv)[0],
+    )
+    grams = torch.zeros(len(vertex_uv), width, width)
+    rights = torch.zeros(len(vertex_uv), width, outputs)
+    for trunk, full in decoder.run(faces, level):
+        read = head.read(trunk - mean_trunk).transpose(0, 1)
+        wanted = sample_map(full - mean_full, vertex_uv).transpose(0, 1)
+        grams += read.transpose(1, 2) @ read
+        rights += read.transpose(1, 2) @ wanted
+    floor = VERTEX_RIDGE * grams.diagonal(dim1=1, dim2=2).mean() * torch.eye(width)
+    weight = torch.linalg.solve(grams + floor, rights).transpose(1, 2).contiguous()
+    at_rest = torch.einsum("vf,vdf->vd", head.read(mean_trunk[None])[0], weight)
+    return replace(head, weight=weight, rest=head.rest - at_rest)
+
+
+def _fit_rest(points: Tensor, importance: Tensor, full: Tensor, at_rest: Tensor) -> Tensor:
+    """The bias that takes a head from what it says of the mean face to the mean of the output."""
+    start = functional.adaptive_avg_pool2d(full[None], at_rest.shape[-1])[0] - at_rest
+    left = sample_map(full[None], points)[0] - sample_map(at_rest[None], points)[0]
+    return fit_map(points, left, importance, start)
+
+
+def fit_map(points: Tensor, values: Tensor, weights: Tensor, start: Tensor) -> Tensor:
+    """The map whose bilinear lookups at points are nearest to values there.
+
+    Args:
+        points: UV in [0, 1], ``[P, 2]``.
+        values: ``[P, C]``.
+        weights: Importance of a point, above 0, ``[P]``.
+        start: Map to begin with and to keep where no point reads, ``[C, S, S]``.
+
+    Returns:
+        float32 ``[C, S, S]``.
+    """
+    size = start.shape[-1]
+    index, share = _taps(points.double(), size)
+    share = share * (weights / weights.mean()).double().sqrt()[:, None]
+    rows = (weights / weights.mean()).double().sqrt()[:, None]
+
+    def read(texels: Tensor) -> Tensor:
+        return (texels[index] * share[..., None]).sum(1)
+
+    def spread(seen: Tensor) -> Tensor:
+        out = torch.zeros(size * size, seen.shape[1], dtype=torch.float64)
+        return out.index_add_(
+            0, index.reshape(-1), (seen[:, None] * share[..., None]).flatten(0, 1)
+        )
+
+    first = start.double().flatten(1).T
+    found = first.clone()
+    residual = spread(values.double() * rows - read(found))
+    direction, length = residual.clone(), residual.square().sum(0)
+    for _ in range(MAP_STEPS):
+        image = spread(read(direction)) + PRIOR * direction
+        step = length / (direction * image).sum(0).clamp_min(1e-300)
+        found += step * direction
+        residual -= step * image
+        before, length = length, residual.square().sum(0)
+        direction = residual + length / before.clamp_min(1e-300) * direction
+    return found.T.reshape(start.shape).float()
+
+
+def colour_metric(
+    avatar: Avatar, codes: list[Array], xyz_m: Array, points: Array
+) -> npt.NDArray[np.float64]:
+    """How squared differences of colour follow from differences of expression codes, at points.
+
+    Args:
+        avatar: Whose pixel decoder.
+        codes: Codes at the points in some faces, ``[P, 4]`` each; the metric is their mean.
+        xyz_m: Where the points are at rest, ``[P, 3]``.
+        points: UV, ``[P, 2]``.
+
+    Returns:
+        Inner products of the slopes of RGB (1.0 is white), ``[P, 4, 4]``.
+    """
+    spec, tensors = avatar.spec, avatar.tensors
+    metric = np.zeros((len(points), spec.expression_channels, spec.expression_channels))
+    for code in codes:
+        slopes = []
+        for step in CODE_STEP * np.eye(spec.expression_channels):
+            ends = [
+                decode_pixels(spec, tensors, code + side * step, xyz_m, points, np.float64)
+                for side in (1, -1)
+            ]
+            slopes.append((ends[0] - ends[1]) / (2 * CODE_STEP))
+        jacobian = np.stack(slopes, axis=-1)  # [P, 3, 4]
+        metric += np.einsum("pri,prj->pij", jacobian, jacobian) / len(codes)
+    floor = METRIC_FLOOR * np.trace(metric, axis1=1, axis2=2).mean() / spec.expression_channels
+    metric += floor * np.eye(spec.expression_channels)
+    return metric
+
+
+class _System:
+    """Normal equations of a convolution's weights with coupled outputs, in float64."""
+
+    def __init__(self, num_features: int, num_outputs: int) -> None:
+        self._features, self._outputs = num_features, num_outputs
+        shape = (num_outputs, num_features, num_outputs, num_features)
+        self._matrix = torch.zeros(shape, dtype=torch.float64)
+        self._right = torch.zeros(num_outputs, num_features, dtype=torch.float64)
+
+    def add(self, features: Tensor, targets: Tensor, metric: Tensor) -> None:
+        """Points with features ``[p, F]`` and wanted outputs ``[p, C']``."""
+        for row in range(self._outputs):
+            wanted = (metric[:, row] * targets).sum(1)
+            self._right[row] += (wanted @ features).double()
+            for column in range(row + 1):
+                block = ((features * metric[:, row, column, None]).T @ features).double()
+                self._matrix[row, :, column] += block
+                if column < row:
+                    self._matrix[column, :, row] += block.T
+
+    def solve(self) -> Tensor:
+        """Weights ``[C', F]``."""
+        side = self._outputs * self._features
+        matrix = self._matrix.reshape(side, side)
+        matrix = matrix + RIDGE * matrix.diagonal().mean() * torch.eye(side, dtype=torch.float64)
+        found: Tensor = torch.linalg.solve(matrix, self._right.reshape(side))
+        return found.reshape(self._outputs, self._features)
+
+
+def _means(decoder: FrozenDecoder, faces: FaceSet, level: int) -> tuple[Tensor, Tensor]:
+    """Mean trunk ``[C, level, level]`` and mean output ``[C', S, S]`` over faces."""
+    trunk_sum: Tensor | None = None
+    full_sum: Tensor | None = None
+    for trunk, full in decoder.run(faces, level):
+        trunk_sum = trunk.sum(0) if trunk_sum is None else trunk_sum + trunk.sum(0)
+        full_sum = full.sum(0) if full_sum is None else full_sum + full.sum(0)
+    assert trunk_sum is not None
+    assert full_sum is not None
+    return trunk_sum / len(faces), full_sum / len(faces)
+
+
+def _features(trunk: Tensor, points: Tensor) -> Tensor:
+    """What a 3x3 convolution multiplies, looked up at points: ``[P, 9 C]``, kernel innermost."""
+    _, channels, rows, columns = trunk.shape
+    unfolded = functional.unfold(trunk, 3, padding=1).reshape(1, 9 * channels, rows, columns)
+    return sample_map(unfolded, points)[0]
+
+
+def _taps(points: Tensor, size: int) -> tuple[Tensor, Tensor]:
+    """The four texels that a bilinear lookup reads, int64 ``[P, 4]``, and their shares."""
+    place = points * size - 0.5
+    low = place.floor()
+    share = place - low
+    near = low.long().clamp(0, size - 1)
+    far = (low.long() + 1).clamp(0, size - 1)
+    index = torch.stack(
+        [
+            near[:, 1] * size + near[:, 0],
+            near[:, 1] * size + far[:, 0],
+            far[:, 1] * size + near[:, 0],
+            far[:, 1] * size + far[:, 0],
+        ],
+        1,
+    )
+    x, y = share[:, 0], share[:, 1]
+    return index, torch.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y], 1)

@@ -1,0 +1,365 @@
+"""Give an avatar levels of detail after the fact, from its file alone.
+
+No capture and no checkpoint is needed: the decoders are rebuilt from the file, and the faces to fit
+on are performances of the stage's generators as the avatar's own expression encoder codes them,
+with noise, seen from all over the front. Nothing of the full model changes.
+
+    levelled, report = add_levels(avatar, LevelOptions())
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from pica_core.avatar.arkit import ARKIT_NAMES
+from pica_core.avatar.expression_encoder import ExpressionEncoder
+from pica_core.avatar.file import Avatar
+from pica_core.avatar.level_tensors import MAX_TEXELS, PREFIX, faces_name, sheet_rows
+from pica_core.avatar.levels import EXIT_DIVISORS, level_sizes
+from pica_core.capture.stage.stream_training_faces import practice_performances
+from pica_core.errors import TrainingOptionError
+from pica_core.model.decoders import sample_map
+from pica_core.reference.pixel import decode_pixels
+from pica_core.train.lod.exits import (
+    FaceSet,
+    FrozenDecoder,
+    Head,
+    SheetHead,
+    colour_metric,
+    fit_convolution,
+    fit_sheet,
+)
+from pica_core.train.lod.simplify import Simplifier
+
+Array = npt.NDArray[Any]
+
+NOISE_RATIO = 0.1
+"""Noise on a latent, as a share of its standard deviation over the faces: between the practised
+faces lie others."""
+MORE_OF = ("eyeBlinkLeft", "eyeBlinkRight", "jawOpen")
+"""Faces are drawn the more often the more of these they show: rare, large, and looked at."""
+LEAST_CHANCE = 0.2
+"""Chance of a face that shows nothing of them, where the most has 1.2."""
+METRIC_FACES = 6
+"""Faces that the slope of the pixel decoder is averaged over."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LevelOptions:
+    """How levels are made."""
+
+    faces: int = 320
+    """Faces to fit on."""
+    rounds: int = 12
+    """Practice performances of each kind to draw them from."""
+    points: int = 24_000
+    """Points of the surface at which colours are compared."""
+    mesh_ratios: tuple[float, ...] = (0.16, 0.28)
+    """Triangles of the levels' meshes, the coarsest first, as shares of the full mesh (chosen: at
+    heads 256 pixels high they leave 4 and 2 more MSE; with 0.08 it would be 20)."""
+    texels: tuple[int, ...] = (1, 2)
+    """Of the trunk that a vertex is made of, the coarsest level first (chosen: at 64 one leaves
+    0.07 mm and two 0.05, at 128 it is 0.09 and 0.06; two take twice as long)."""
+    check_faces: int = 48
+    """Other faces, to report the error on."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("faces", 8, 100_000),
+            ("rounds", 1, 1000),
+            ("points", 100, 1_000_000),
+            ("check_faces", 1, 10_000),
+        ):
+            if not low <= getattr(self, name) <= high:
+                raise TrainingOptionError(
+                    f"{name} is {getattr(self, name)}; {low} to {high} is allowed"
+                )
+        if len(self.texels) != len(EXIT_DIVISORS) or not all(
+            1 <= count <= MAX_TEXELS for count in self.texels
+        ):
+            raise TrainingOptionError(
+                f"texels is {self.texels}; {len(EXIT_DIVISORS)} of 1 to {MAX_TEXELS} are allowed"
+            )
+        ratios = self.mesh_ratios
+        proper = len(ratios) == len(EXIT_DIVISORS) and list(ratios) == sorted(ratios)
+        if not (proper and ratios[0] > 0 and ratios[-1] <= 1):
+            raise TrainingOptionError(
+                f"mesh_ratios is {ratios}; {len(EXIT_DIVISORS)} above 0 to 1 are allowed, ascending"
+            )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LevelReport:
+    """How far a level is from the full model, over faces that it was not fitted on."""
+
+    level: int
+    triangles: int
+    vertices: int
+    """Vertices that its mesh uses."""
+    vertex_error_mm: float
+    """Mean distance of the vertices of its mesh from the full level's."""
+    vertex_error_p99_mm: float
+    vertex_rest_mm: float
+    """Mean distance of the full level's vertices from their own mean: the error of a still face."""
+    colour_mse: float
+    """Mean squared difference of colours at points of the surface, 0-255."""
+    colour_still_mse: float
+    """The same with an expression map that does not change."""
+
+
+def add_levels(
+    avatar: Avatar,
+    options: LevelOptions | None = None,
+    show: Callable[[str], None] = lambda _: None,
+) -> tuple[Avatar, list[LevelReport]]:
+    """Fit exits and simplify meshes for every level below the full one.
+
+    Args:
+        avatar: Checked avatar; levels that it has are made anew, a table of errors is dropped.
+        options: See `LevelOptions`.
+        show: Told what is being done.
+
+    Returns:
+        The avatar with its levels, and how good they are.
+    """
+    options = options or LevelOptions()
+    tensors = {name: a for name, a in avatar.tensors.items() if not name.startswith(PREFIX)}
+    bare = Avatar(avatar.manifest, tensors)
+    faces, check = _draw_faces(bare, options)
+    decoders = {name: FrozenDecoder(bare, name) for name in ("geometry", "expression")}
+    surface = _Surface(bare, decoders, faces, options)
+    show("meshes")
+    levels = level_sizes(avatar.spec)[:-1]
+    meshes = _simplify(bare, surface.moving_vertices_m, options)
+    reports = []
+    for level, mesh, texels in zip(
+        levels, meshes[-len(levels) :], options.texels[-len(levels) :], strict=True
+    ):
+        show(f"level {level}: exits")
+        geometry = _fit_geometry(bare, decoders["geometry"], faces, level, mesh, texels)
+        expression = fit_convolution(
+            decoders["expression"], faces, level, surface.points, surface.metric, seed=options.seed
+        )
+        tensors |= _exit_tensors(avatar, level, geometry, expression) | {faces_name(level): mesh}
+        show(f"level {level}: error")
+        reports.append(_report(bare, decoders, geometry, expression, level, mesh, check, surface))
+    return Avatar(avatar.manifest, tensors), reports
+
+
+def _draw_faces(avatar: Avatar, options: LevelOptions) -> tuple[FaceSet, FaceSet]:
+    """Faces to fit on and, from other performances, faces to judge by."""
+    encoder = ExpressionEncoder(avatar)
+    sets = []
+    for number, (count, noise) in enumerate(
+        ((options.faces, NOISE_RATIO), (options.check_faces, 0.0))
+    ):
+        rng = np.random.default_rng([options.seed, number])
+        seed = int(rng.integers(2**31))
+        arkit = np.concatenate(practice_performances(options.rounds, seed=seed))
+        shown = arkit[:, [ARKIT_NAMES.index(name) for name in MORE_OF]].max(axis=1)
+        chance = LEAST_CHANCE + np.clip(shown, 0, 1)
+        chosen = rng.choice(len(arkit), count, replace=len(arkit) < count, p=chance / chance.sum())
+        codes = encoder.encode(arkit[chosen])
+        codes = codes + noise * codes.std(axis=0) * rng.standard_normal(codes.shape)
+        views = rng.standard_normal((count, 3))
+        views[:, 2] = np.abs(views[:, 2])
+        views /= np.linalg.norm(views, axis=1, keepdims=True)
+        sets.append(
+            FaceSet(
+                torch.from_numpy(codes.astype(np.float32)).permute(0, 3, 1, 2).contiguous(),
+                torch.from_numpy(views.astype(np.float32)),
+            )
+        )
+    return sets[0], sets[1]
+
+
+class _Surface:
+    """What is known of the full model's surface over the faces.
+
+    Attributes:
+        moving_vertices_m: Vertices at rest, and in some faces far from it, ``[K, V, 3]``.
+        points: Points of the surface, UV, ``[P, 2]``: half of them spread over the area of the mesh
+            at rest, half over the area of its UVs, which give mouth and eyes more room.
+        xyz_m: Where the points are at rest, ``[P, 3]``.
+        metric: See `colour_metric`; float32.
+    """
+
+    def __init__(
+        self,
+        avatar: Avatar,
+        decoders: dict[str, FrozenDecoder],
+        faces: FaceSet,
+        options: LevelOptions,
+    ) -> None:
+        spec, tensors = avatar.spec, avatar.tensors
+        vertex_uv = torch.from_numpy(np.array(tensors["mesh.vertex_uv"]))
+        mean = torch.from_numpy(np.array(tensors["geometry.mean"])).permute(2, 0, 1)
+        level = level_sizes(spec)[0]
+        scale = avatar.manifest.position_scale_m
+        shapes = torch.cat(
+            [
+                sample_map(mean + scale * full, vertex_uv)
+                for _, full in decoders["geometry"].run(faces, level)
+            ]
+        ).numpy()
+        # The mean map, not the mean of what is decoded: only there both sides of a seam meet.
+        rest = sample_map(mean[None], vertex_uv)[0].numpy()
+        self.moving_vertices_m = np.concatenate([rest[None], _far_apart(shapes)])
+        rng = np.random.default_rng(options.seed)
+        triangles = tensors["mesh.faces"]
+        self.points, self.xyz_m = _scatter(
+            rest, tensors["mesh.vertex_uv"], triangles, options.points, rng
+        )
+        some = rng.choice(len(faces), METRIC_FACES, replace=False)
+        chosen = FaceSet(faces.latents[some], faces.views[some])
+        codes = torch.cat(
+            [sample_map(full, self.points) for _, full in decoders["expression"].run(chosen, level)]
+        )
+        metric = colour_metric(
+            avatar, list(codes.double().numpy()), self.xyz_m, self.points.double().numpy()
+        )
+        self.metric = torch.from_numpy(metric.astype(np.float32))
+
+
+def _far_apart(shapes: Array, count: int = 8) -> Array:
+    """Of many shapes ``[N, V, 3]`` some that differ most from each other."""
+    rows = shapes.reshape(len(shapes), -1)
+    chosen = [int(np.argmax(np.square(rows - rows.mean(axis=0)).sum(axis=1)))]
+    distance = np.full(len(rows), np.inf)
+    while len(chosen) < min(count, len(rows)):
+        distance = np.minimum(distance, np.square(rows - rows[chosen[-1]]).sum(axis=1))
+        chosen.append(int(np.argmax(distance)))
+    return shapes[chosen]
+
+
+def _scatter(
+    vertices_m: Array, vertex_uv: Array, faces: Array, count: int, rng: np.random.Generator
+) -> tuple[Tensor, Array]:
+    """Random points of a mesh: their UVs ``[P, 2]`` and positions ``[P, 3]``."""
+    corners, places = vertices_m[faces].astype(np.float64), vertex_uv[faces].astype(np.float64)
+    sides = corners[:, 1:] - corners[:, :1]
+    area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    across = places[:, 1:] - places[:, :1]
+    uv_area = np.abs(across[:, 0, 0] * across[:, 1, 1] - across[:, 0, 1] * across[:, 1, 0])
+    chance = area / area.sum() + uv_area / uv_area.sum()
+    chosen = rng.choice(len(faces), count, p=chance / chance.sum())
+    share = rng.dirichlet(np.ones(3), count)[..., None]
+    uv = (places[chosen] * share).sum(axis=1)
+    xyz_m = (corners[chosen] * share).sum(axis=1)
+    return torch.from_numpy(uv.astype(np.float32)), xyz_m
+
+
+def _simplify(avatar: Avatar, shapes_m: Array, options: LevelOptions) -> list[Array]:
+    """A mesh for each level, the coarsest first; each uses vertices of the next finer one."""
+    full = avatar.tensors["mesh.faces"]
+    mesh = Simplifier(shapes_m, np.array(avatar.tensors["mesh.vertex_uv"]), full)
+    meshes: list[Array] = []
+    for ratio in reversed(options.mesh_ratios):
+        mesh.reduce(round(ratio * len(full)), avatar.spec.map_size)
+        meshes.append(mesh.faces())
+    return meshes[::-1]
+
+
+def _fit_geometry(
+    avatar: Avatar,
+    decoder: FrozenDecoder,
+    faces: FaceSet,
+    level: int,
+    mesh: Array,
+    texels: int,
+) -> SheetHead:
+    """Fit the vertices of the level's mesh."""
+    vertex_uv = torch.from_numpy(np.array(avatar.tensors["mesh.vertex_uv"][np.unique(mesh)]))
+    mean = torch.from_numpy(np.array(avatar.tensors["geometry.mean"])).permute(2, 0, 1)
+    rest = mean / avatar.manifest.position_scale_m
+    return fit_sheet(decoder, faces, level, vertex_uv, rest, texels)
+
+
+def _exit_tensors(
+    avatar: Avatar, level: int, geometry: SheetHead, expression: Head
+) -> dict[str, Array]:
+    num_slots = level * sheet_rows(len(geometry.rest), level)
+
+    def sheet(values: Tensor) -> Array:
+        filled = torch.zeros(num_slots, values[0].numel(), dtype=values.dtype)
+        filled[: len(values)] = values.flatten(1)
+        return filled.reshape(-1, level, filled.shape[1]).numpy()
+
+    mean_m = geometry.rest * avatar.manifest.position_scale_m
+    # Slots that belong to nobody repeat a vertex: numbers far from the others would cost the
+    # rounding of all.
+    mean_m = torch.cat([mean_m, mean_m[-1:].expand(num_slots - len(mean_m), -1)])
+    found = {
+        "geometry.weight": sheet(geometry.weight),
+        "geometry.mean": sheet(mean_m),
+        "geometry.texel": sheet(geometry.texel).astype(np.int32),
+        "expression.weight": expression.weight.numpy(),
+        "expression.bias": expression.bias.numpy(),
+    }
+    return {
+        f"{PREFIX}{level}.{name}": np.ascontiguousarray(
+            values, np.int32 if name.endswith("texel") else np.float32
+        )
+        for name, values in found.items()
+    }
+
+
+def _report(
+    avatar: Avatar,
+    decoders: dict[str, FrozenDecoder],
+    geometry: SheetHead,
+    expression: Head,
+    level: int,
+    mesh: Array,
+    check: FaceSet,
+    surface: _Surface,
+) -> LevelReport:
+    vertex_uv = torch.from_numpy(np.array(avatar.tensors["mesh.vertex_uv"][np.unique(mesh)]))
+    mean = torch.from_numpy(np.array(avatar.tensors["geometry.mean"])).permute(2, 0, 1)
+    scale = avatar.manifest.position_scale_m
+    at_rest = sample_map(mean[None], vertex_uv) / scale
+    full = torch.cat(
+        [sample_map(output, vertex_uv) for _, output in decoders["geometry"].run(check, level)]
+    )
+    low = torch.cat([geometry(trunk) for trunk, _ in decoders["geometry"].run(check, level)])
+    distance = ((low - full - at_rest) * scale * 1000).norm(dim=2)
+    still = ((full - full.mean(0)) * scale * 1000).norm(dim=2)
+    pairs = [
+        (sample_map(output, surface.points), sample_map(expression(trunk), surface.points))
+        for trunk, output in decoders["expression"].run(check, level)
+    ]
+    codes, low_codes = (torch.cat(column) for column in zip(*pairs, strict=True))
+
+    def colours(values: Tensor) -> Array:
+        shaded = [
+            decode_pixels(
+                avatar.spec,
+                avatar.tensors,
+                code,
+                surface.xyz_m.astype(np.float32),
+                surface.points.numpy(),
+            )
+            for code in values.numpy()
+        ]
+        clipped: Array = 255 * np.clip(np.stack(shaded), 0, 1)
+        return clipped
+
+    wanted = colours(codes)
+    return LevelReport(
+        level=level,
+        triangles=len(mesh),
+        vertices=len(vertex_uv),
+        vertex_error_mm=float(distance.mean()),
+        vertex_error_p99_mm=float(distance.flatten().kthvalue(int(0.99 * distance.numel())).values),
+        vertex_rest_mm=float(still.mean()),
+        colour_mse=float(np.square(colours(low_codes) - wanted).mean()),
+        colour_still_mse=float(np.square(colours(codes.mean(0, keepdim=True)) - wanted).mean()),
+    )

@@ -1,0 +1,1 @@
+"""Many short trainings compared: recipes, failures, and where a step's time goes."""

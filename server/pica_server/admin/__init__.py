@@ -1,0 +1,1 @@
+"""What an admin may ask of a relay over HTTP."""

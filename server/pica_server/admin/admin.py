@@ -1,0 +1,218 @@
+"""What an admin may ask of a relay over HTTP, and what comes of it. Pure.
+
+    GET    /v1/rooms                            every room, with its numbers
+    GET    /v1/rooms/ROOM                       who is in it, and what they publish
+    DELETE /v1/rooms/ROOM                       close it: everybody is put out
+    DELETE /v1/rooms/ROOM/peers/PEER            put somebody out; ?bar=true keeps the identity out
+    PUT    /v1/rooms/ROOM/peers/PEER/muted      stop what somebody publishes; DELETE lets it go on
+    PUT    /v1/rooms/ROOM/streams/STREAM/muted  the same for one stream
+
+In a cluster any node with peers in the room takes the order, and passes on what another must do.
+
+Answers are JSON; an error is ``{"error": "..."}``. Whoever asks shows an admin's token, for one
+room or for all, as ``Authorization: Bearer TOKEN``. A relay without keys answers its own machine
+without one, but no web page: neither one that names its origin, nor one whose name was made to
+point here.
+"""
+
+import ipaddress
+from collections.abc import Callable, Mapping
+from http import HTTPStatus
+from typing import Any, NamedTuple
+from urllib.parse import parse_qs, unquote, urlsplit
+
+from pica_protocol.errors import CloseCode
+from pica_protocol.messages import Peer
+from pica_server.auth.tokens import ANY_ROOM
+from pica_server.errors import AdmissionError
+from pica_server.room.hub import Hub
+from pica_server.room.room import Room
+
+
+class Answer(NamedTuple):
+    """One answer."""
+
+    status: HTTPStatus
+    body: dict[str, Any]
+    headers: tuple[tuple[str, str], ...] = ()
+
+
+class _RefusedError(Exception):
+    def __init__(self, status: HTTPStatus, text: str, *headers: tuple[str, str]) -> None:
+        super().__init__(text)
+        self.answer = Answer(status, {"error": text}, headers)
+
+
+class Admin:
+    """The admin's side of one hub."""
+
+    def __init__(self, hub: Hub, authority: Callable[[str], str] | None) -> None:
+        """Prepare.
+
+        Args:
+            hub: What is managed.
+            authority: Takes a token and returns the room that it is for, or raises
+                `AdmissionError`; None: there are no tokens, who is on this machine may.
+        """
+        self._hub = hub
+        self._authority = authority
+
+    def answer(self, method: str, target: str, headers: Mapping[str, str], now: float) -> Answer:
+        """Do what a request asks for.
+
+        Args:
+            method: In capitals.
+            target: Path and query.
+            headers: By lower-case name.
+            now: The time.
+        """
+        try:
+            scope = self._scope(headers)
+            parts = urlsplit(target)
+            path = tuple(unquote(part) for part in parts.path.split("/")[1:])
+            query = parse_qs(parts.query)
+            if path == ("v1", "rooms"):
+                _allow(method, "GET")
+                return _ok({"rooms": [_summary(room) for room in self._rooms(scope)]})
+            if len(path) >= 3 and path[:2] == ("v1", "rooms"):
+                if scope not in (ANY_ROOM, path[2]):
+                    raise _RefusedError(HTTPStatus.FORBIDDEN, "the token is for another room")
+                return self._of_room(method, path[2], path[3:], query, now)
+            raise _RefusedError(HTTPStatus.NOT_FOUND, "there is nothing here; try /v1/rooms")
+        except _RefusedError as error:
+            return error.answer
+        except ValueError:  # from the standard library's parsers
+            return Answer(HTTPStatus.BAD_REQUEST, {"error": "what is asked for cannot be read"})
+
+    def _scope(self, headers: Mapping[str, str]) -> str:
+        if self._authority is None:
+            if "origin" in headers or not _names_this_machine(headers.get("host", "")):
+                text = "this relay has no keys: it answers programs on its own machine only"
+                raise _RefusedError(HTTPStatus.FORBIDDEN, text)
+            return ANY_ROOM
+        kind, _, token = headers.get("authorization", "").partition(" ")
+        if kind.lower() != "bearer":
+            raise _unauthorized("show an admin's token: Authorization: Bearer TOKEN")
+        try:
+            return self._authority(token.strip())
+        except AdmissionError as error:
+            if error.code == CloseCode.FORBIDDEN:
+                raise _RefusedError(HTTPStatus.FORBIDDEN, str(error)) from error
+            raise _unauthorized(str(error)) from error
+
+    def _rooms(self, scope: str) -> list[Room]:
+        return [room for room in self._hub.rooms if scope in (ANY_ROOM, room.name)]
+
+    def _of_room(
+        self,
+        method: str,
+        name: str,
+        rest: tuple[str, ...],
+        query: Mapping[str, list[str]],
+        now: float,
+    ) -> Answer:
+        hub = self._hub
+        room = hub.room(name)
+        if room is None:
+            raise _RefusedError(HTTPStatus.NOT_FOUND, "there is no such room on this relay")
+        match rest:
+            case ():
+                _allow(method, "GET", "DELETE")
+                if method == "GET":
+                    return _ok(self._details(room))
+                return _ok({"room": name, "removed": hub.moderation.close_room(name, now)})
+            case ("peers", peer_id):
+                _allow(method, "GET", "DELETE")
+                peer = _peer(room, peer_id)
+                if method == "GET":
+                    return _ok(self._peer_details(room, peer))
+                bar = query.get("bar", ["false"])[-1] == "true"
+                hub.moderation.remove(name, peer_id, bar=bar, now=now)
+                return _ok({"room": name, "peer_id": peer_id, "removed": True, "barred": bar})
+            case ("peers", peer_id, "muted"):
+                streams = [track.stream for track in _peer(room, peer_id).tracks]
+                return self._mute(method, room, streams, now)
+            case ("streams", number, "muted"):
+                if not (number.isdecimal() and room.stream(int(number))):
+                    raise _RefusedError(HTTPStatus.NOT_FOUND, "there is no such stream in the room")
+                return self._mute(method, room, [int(number)], now)
+        raise _RefusedError(HTTPStatus.NOT_FOUND, "a room has peers and streams, nothing else")
+
+    def _mute(self, method: str, room: Room, streams: list[int], now: float) -> Answer:
+        _allow(method, "PUT", "DELETE")
+        is_muted = method == "PUT"
+        for number in streams:
+            self._hub.moderation.mute(room.name, number, is_muted=is_muted, now=now)
+        return _ok({"room": room.name, "streams": streams, "muted": is_muted})
+
+    def _details(self, room: Room) -> dict[str, Any]:
+        peers = [self._peer_details(room, peer) for peer in room.peers]
+        return {**_summary(room), "peers": peers}
+
+    def _peer_details(self, room: Room, peer: Peer) -> dict[str, Any]:
+        connection = self._hub.connection_of(peer.peer_id)
+        outbox = None if connection is None else connection.outbox
+        tracks = []
+        for track in peer.tracks:
+            stream = room.stream(track.stream)
+            tracks.append(
+                {
+                    "stream": track.stream,
+                    "kind": track.kind,
+                    "policy": track.policy,
+                    "avatar": track.avatar,
+                    "muted": stream is not None and stream.is_muted,
+                }
+            )
+        return {
+            "peer_id": peer.peer_id,
+            "name": peer.name,
+            "identity": room.identity_of(peer.peer_id),
+            "away": peer.peer_id in room.away,
+            "node": room.node_of(peer.peer_id),
+            "metadata": dict(peer.metadata),
+            "tracks": tracks,
+            "waiting_frames": None if outbox is None else outbox.waiting_frames,
+            "waiting_control_bytes": None if outbox is None else outbox.waiting_control_bytes,
+        }
+
+
+def _summary(room: Room) -> dict[str, Any]:
+    streams = [stream for _, stream in room.streams]
+    return {
+        "room": room.name,
+        "num_peers": len(room.peers),
+        "num_here": len(room),
+        "num_away": len(room.away),
+        "num_streams": len(streams),
+        "num_muted": sum(stream.is_muted for stream in streams),
+    }
+
+
+def _peer(room: Room, peer_id: str) -> Peer:
+    if peer_id not in room:
+        raise _RefusedError(HTTPStatus.NOT_FOUND, "there is no such peer in the room")
+    return room.peer(peer_id)
+
+
+def _allow(method: str, *allowed: str) -> None:
+    if method not in allowed:
+        text = f"only {' and '.join(allowed)} can be done with this"
+        raise _RefusedError(HTTPStatus.METHOD_NOT_ALLOWED, text, ("Allow", ", ".join(allowed)))
+
+
+def _unauthorized(text: str) -> _RefusedError:
+    return _RefusedError(HTTPStatus.UNAUTHORIZED, text, ("WWW-Authenticate", "Bearer"))
+
+
+def _ok(body: dict[str, Any]) -> Answer:
+    return Answer(HTTPStatus.OK, body)
+
+
+def _names_this_machine(host: str) -> bool:
+    """Say whether a Host header is one that no stranger's name server can have made."""
+    name = urlsplit(f"//{host}").hostname or ""
+    try:
+        return ipaddress.ip_address(name).is_loopback
+    except ValueError:
+        return name == "localhost"

@@ -1,0 +1,1 @@
+"""Join tokens: who may enter which room."""

@@ -1,0 +1,89 @@
+"""``pica token``: let somebody into one room of a relay."""
+
+import os
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pica_server.auth.tokens import ANY_AVATAR, Admission, KeyRing, load_keys, mint
+from pica_server.errors import ConfigurationError, KeyFileError
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TokenOptions:
+    """Options of ``pica token``."""
+
+    keys: Path
+    """The relay's key file; the newest key signs."""
+    new_key: bool = False
+    """Add a key to the file, which is made if need be, instead of minting. The relay takes tokens
+    of all keys in the file; remove an old one when its last token has expired."""
+    room: str = "lobby"
+    """The room that the token opens; with --admin, * for all rooms."""
+    identity: str = ""
+    """Who it is for: 1 to 64 of A-Z a-z 0-9 _ . - ; of two with one identity the newer stays."""
+    name: str = ""
+    """What they are called in the room; empty: as they like."""
+    lasts_s: float = 3600.0
+    """Seconds until it expires. It is checked when its owner joins."""
+    starts_s: float = 0.0
+    """Seconds until it begins to hold."""
+    publish: bool = True
+    """Whether they may send a face."""
+    subscribe: bool = True
+    """Whether they get the faces of others."""
+    admin: bool = False
+    """Whether they may list, mute, remove and close, see ``pica room``."""
+    avatars: tuple[str, ...] = ()
+    """Ids of the avatars they may wear, see ``pica avatar info``; ``any`` for any."""
+
+
+def token(options: TokenOptions) -> dict[str, Any]:
+    """Mint a join token for a relay that runs with --keys, and print it; or make a key.
+
+    The token is all that somebody needs to come in: hand it over on a private way.
+
+    Raises:
+        KeyFileError: The key file cannot be used.
+        ConfigurationError: A field is out of its limits.
+    """
+    if options.new_key:
+        return _add_key(options.keys)
+    keys = load_keys(options.keys)
+    admission = Admission(
+        identity=options.identity,
+        name=options.name,
+        may_publish=options.publish,
+        may_subscribe=options.subscribe,
+        may_admin=options.admin,
+        avatars=(ANY_AVATAR,) if options.avatars == ("any",) else options.avatars,
+    )
+    now = time.time()
+    try:
+        minted = mint(
+            keys,
+            options.room,
+            admission,
+            now=now,
+            lasts_s=options.lasts_s,
+            starts_s=options.starts_s,
+        )
+    except ValueError as error:
+        raise ConfigurationError(str(error)) from error
+    print(minted)
+    return {"token": minted, "key_id": keys.newest, "expires": int(now + options.lasts_s)}
+
+
+def _add_key(path: Path) -> dict[str, Any]:
+    line = KeyRing.new_line()
+    try:
+        # Readable for its owner alone from its first moment.
+        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600), "a") as file:
+            file.write(line)
+    except OSError as error:
+        raise KeyFileError(f"--keys {path}: {error.strerror}") from error
+    key_id = load_keys(path).newest
+    print(f"added key {key_id} to {path}; start the relay again to use it", file=sys.stderr)
+    return {"key_id": key_id, "file": str(path)}

@@ -1,0 +1,1 @@
+"""Room events, told to somebody else's server by webhooks."""

@@ -1,0 +1,197 @@
+"""The way out for webhooks: one connection for each event, and nothing decided here.
+
+The relay's own work never waits for it: an event is put into a bounded queue, and a task of its own
+does the rest.
+"""
+
+import asyncio
+import logging
+import random
+import secrets
+import ssl
+import time
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Final
+from urllib.parse import urlsplit
+
+import h11
+
+from pica_server.config.relay import WebhookConfig
+from pica_server.errors import ConfigurationError
+from pica_server.hooks.events import Notice
+from pica_server.hooks.webhooks import (
+    ID_HEADER,
+    SIGNATURE_HEADER,
+    Delivery,
+    WebhookQueue,
+    signature,
+)
+
+MAX_ANSWER_BYTES: Final = 65_536
+"""Read of an answer, of which only the status is looked at."""
+MIN_SECRET_BYTES: Final = 16
+
+_logger = logging.getLogger(__name__)
+
+
+class WebhookSender:
+    """Delivers events until it is stopped.
+
+    Attributes:
+        queue: What waits.
+    """
+
+    def __init__(
+        self,
+        config: WebhookConfig,
+        counts: Counter[str],
+        *,
+        unix_time: Callable[[], float] = time.time,
+    ) -> None:
+        """Prepare.
+
+        Args:
+            config: Where to, and how patiently.
+            counts: What became of the events, see `WebhookQueue`.
+            unix_time: The clock that stands in events and signatures.
+
+        Raises:
+            ConfigurationError: The secret, or the certificates to trust, cannot be read.
+        """
+        self.queue = WebhookQueue(
+            max_waiting=config.max_waiting,
+            give_up_s=config.give_up_s,
+            new_id=lambda: secrets.token_hex(16),
+            random=random.random,
+            counts=counts,
+        )
+        self._config = config
+        self._secret = _read_secret(config)
+        self._unix_time = unix_time
+        self._tls = _tls(config)
+        self._wake = asyncio.Event()
+        self._idle = asyncio.Event()
+        self._idle.set()
+        self._task: asyncio.Task[None] | None = None
+        self._has_failed = False
+
+    def notify(self, notice: Notice) -> None:
+        """Queue an event."""
+        now = asyncio.get_running_loop().time()
+        self.queue.offer(notice, unix_s=self._unix_time(), now=now)
+        self._wake.set()
+        self._idle.clear()
+
+    def start(self) -> None:
+        """Begin to deliver."""
+        self._task = asyncio.get_running_loop().create_task(self._run(), name="webhooks")
+
+    async def stop(self, limit_s: float) -> None:
+        """Stop when nothing waits any more, or when time is up."""
+        assert self._task is not None, "it was started"
+        with suppress(TimeoutError):
+            async with asyncio.timeout(limit_s):
+                await self._idle.wait()
+        self._task.cancel()
+        with suppress(asyncio.CancelledError):
+            await self._task
+
+    async def _run(self) -> None:
+        loop, queue = asyncio.get_running_loop(), self.queue
+        now = loop.time()
+        while True:
+            self._wake.clear()
+            delivery = queue.take(now)
+            if delivery is None:
+                timer = queue.next_timer()
+                with suppress(TimeoutError):
+                    async with asyncio.timeout_at(timer):
+                        await self._wake.wait()
+                        timer = None
+                # A loop may fire a timer up to its clock's resolution too early.
+                now = max(loop.time(), timer or 0.0)
+                continue
+            try:
+                async with asyncio.timeout(self._config.timeout_s):
+                    status = await self._post(delivery)
+                trouble = "" if 200 <= status < 300 else f"HTTP {status}"
+            except (OSError, TimeoutError, EOFError, h11.RemoteProtocolError) as error:
+                trouble = type(error).__name__
+            now = loop.time()
+            if trouble:
+                queue.failed(now)
+            else:
+                queue.delivered()
+            if not queue:
+                self._idle.set()
+            if bool(trouble) != self._has_failed:  # news, not one line for each attempt
+                self._has_failed = bool(trouble)
+                _logger.warning(
+                    "webhook fails" if trouble else "webhook works again", extra={"why": trouble}
+                )
+
+    async def _post(self, delivery: Delivery) -> int:
+        """Send one event and return the status of the answer."""
+        parts = urlsplit(self._config.url)
+        port = parts.port or (80 if self._tls is None else 443)
+        reader, writer = await asyncio.open_connection(parts.hostname, port, ssl=self._tls)
+        try:
+            http = h11.Connection(h11.CLIENT, max_incomplete_event_size=MAX_ANSWER_BYTES)
+            headers = [
+                ("Host", parts.netloc.rpartition("@")[2]),
+                ("Content-Type", "application/json"),
+                ("Content-Length", str(len(delivery.body))),
+                ("User-Agent", "pica-relay"),
+                ("Connection", "close"),
+                (ID_HEADER, delivery.event_id),
+            ]
+            if self._secret:
+                signed = signature(self._secret, delivery.body, int(self._unix_time()))
+                headers.append((SIGNATURE_HEADER, signed))
+            target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
+            request = h11.Request(method="POST", target=target, headers=headers)
+            for part in (request, h11.Data(data=delivery.body), h11.EndOfMessage()):
+                writer.write(http.send(part) or b"")
+            await writer.drain()
+            while True:
+                event = http.next_event()
+                if isinstance(event, h11.Response):
+                    return event.status_code
+                if event is h11.NEED_DATA:
+                    data = await reader.read(4096)
+                    if not data:
+                        raise EOFError("no answer")
+                    http.receive_data(data)
+        finally:
+            writer.transport.abort()
+
+
+def _tls(config: WebhookConfig) -> ssl.SSLContext | None:
+    if not config.url.startswith("https:"):
+        return None
+    context = ssl.create_default_context()
+    if config.ca_file is not None:
+        try:
+            context.load_verify_locations(config.ca_file)
+        except OSError as error:
+            what = error.strerror or "no certificates in it"
+            raise ConfigurationError(f"--webhook.ca-file {config.ca_file}: {what}") from error
+    return context
+
+
+def _read_secret(config: WebhookConfig) -> bytes:
+    path = config.secret_file
+    if path is None:
+        return b""
+    try:
+        secret = path.read_bytes().strip()
+    except OSError as error:
+        raise ConfigurationError(f"--webhook.secret-file {path}: {error.strerror}") from error
+    if len(secret) < MIN_SECRET_BYTES:
+        raise ConfigurationError(
+            f"--webhook.secret-file {path}: a secret has {MIN_SECRET_BYTES} bytes or more; "
+            "`openssl rand -hex 32` makes one"
+        )
+    return secret

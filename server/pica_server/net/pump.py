@@ -1,0 +1,373 @@
+"""What moves between the websockets of a relay and its hub, in each turn of the event loop.
+
+What the websockets receive in one turn of the event loop is fed to the hub together, see
+``relay_socket``, and then whoever has got something is sent it, so frames that arrive in one turn
+leave in one message, under overload also those of a few milliseconds, see ``coalescing``. While the
+kernel takes what is sent, that is all. Each websocket also has a reader, for the messages that do
+not come the short way, and a writer, which waits for a peer that reads slowly and sends the
+goodbye. A slow peer blocks nobody: what it has not taken yet stays in its outbox, where newer
+frames replace older ones. One timer serves all deadlines.
+
+The buffers behind an outbox are kept small, because what they hold can be neither replaced nor
+withdrawn: one message in the transport and a bounded socket buffer in the kernel, of which unsent
+bytes are bounded once more where the system can (``TCP_NOTSENT_LOWAT``).
+"""
+
+import asyncio
+import logging
+import socket
+import time
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+from websockets.asyncio.server import ServerConnection
+from websockets.exceptions import ConnectionClosed
+
+from pica_protocol import SUBPROTOCOL
+from pica_protocol.errors import CloseCode
+from pica_server.config.relay import RelayConfig
+from pica_server.net.socket import RelaySocket, websocket_message
+from pica_server.room.batching_window import WaitingLine
+from pica_server.room.connection import Connection
+from pica_server.room.frame_batches import Parcel
+from pica_server.room.hub import Hub
+
+if TYPE_CHECKING:
+    from pica_server.cluster.nats import Cluster
+
+_UNSENT_LIMIT_BYTES = 2048
+"""Of the kernel's buffer (chosen: about thirty frames)."""
+
+_MOST_AT_ONCE = 8
+"""Messages of one peer that are passed on in one turn of the loop (chosen: a quarter of a second of
+a face that came late)."""
+
+_logger = logging.getLogger(__name__)
+
+
+class Pump:
+    """Moves messages between websockets and one hub.
+
+    Attributes:
+        cluster: Does its part after everything that happens, or None.
+    """
+
+    def __init__(self, hub: Hub, config: RelayConfig) -> None:
+        self.cluster: Cluster | None = None
+        self._hub = hub
+        self._config = config
+        self._all_gone = asyncio.Event()
+        self._drain_ends_s: float | None = None
+        self._wakers: dict[Connection, _Waker] = {}
+        self._timer: asyncio.TimerHandle | None = None
+        self._timer_s: float | None = None
+        # What was received in this turn of the loop, and when; the hub gets it soon.
+        self._inbox: list[tuple[Connection, bytes, float]] = []
+        # Who sent so much of it that no more is read of them for now; as many as connections.
+        self._unread: dict[Connection, asyncio.Transport] = {}
+        self._loop_time: Callable[[], float] = time.monotonic
+        self._soon: asyncio.Handle | None = None
+        self._held: WaitingLine[Connection] = WaitingLine()
+        self._release: asyncio.TimerHandle | None = None
+
+    def start(self) -> None:
+        """Take the time from the running loop from now on."""
+        self._loop_time = asyncio.get_running_loop().time
+
+    def stop(self) -> None:
+        """Do nothing more; all websockets have ended."""
+        for handle in (self._timer, self._release, self._soon):
+            if handle is not None:
+                handle.cancel()
+
+    async def drain(self, longest_s: float) -> None:
+        """Send everybody away in good order, and return when they are gone, or it is late."""
+        self._drain_ends_s = self._now() + longest_s
+        self._all_gone.clear()
+        self._hub.drain(self._now())
+        self.after_events()
+        if self._wakers:
+            with suppress(TimeoutError):
+                async with asyncio.timeout(longest_s):
+                    await self._all_gone.wait()
+
+    def cut(self) -> None:
+        """Cut every websocket without another word."""
+        for waker in self._wakers.values():
+            waker.websocket.transport.abort()
+
+    async def serve(self, websocket: RelaySocket) -> None:
+        """Serve one websocket of a call until it has ended."""
+        _bound_kernel_buffer(websocket, self._config.send_buffer_bytes)
+        began_s = self._now()
+        connection = self._hub.connect(began_s, websocket.address)
+        waker = self._wakers[connection] = _Waker(websocket)
+        try:
+            if websocket.subprotocol is None:
+                reason = f"speak the websocket sub-protocol {SUBPROTOCOL}"
+                self._hub.close(connection, CloseCode.WRONG_VERSION, reason, self._now())
+            self.after_events()
+            websocket.hand_to(lambda data: self._on_message(connection, data))
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._read(websocket, connection))
+                tasks.create_task(self._write(websocket, connection, waker))
+        except Exception:
+            _logger.exception("connection failed", extra={"connection": connection.serial})
+            raise  # the library closes the websocket with 1011
+        finally:
+            waker.cancel_cut()
+            self._hub.disconnect(connection, CloseCode.INTERNAL_ERROR, "", self._now())
+            del self._wakers[connection]
+            self.after_events()
+            self._log_closed(connection, began_s)
+            if not self._wakers:
+                self._all_gone.set()
+
+    def _log_closed(self, connection: Connection, began_s: float) -> None:
+        # Strangers who are not let in come by the thousand; metrics count them.
+        level = logging.INFO if connection.has_joined else logging.DEBUG
+        closed = connection.closed
+        code = CloseCode.INTERNAL_ERROR if closed is None else closed.code
+        fields = {
+            "connection": connection.serial,
+            "code": int(code),
+            "by_peer": closed is not None and closed.is_remote,
+            "seconds": round(self._now() - began_s, 3),
+        }
+        _logger.log(level, "connection closed", extra=fields)
+
+    def _on_message(self, connection: Connection, data: bytes) -> None:
+        """Keep a message that came the short way until all sockets have been read in this turn.
+
+        First to read them all, then to decide, then to write: mixed, the network's code and ours
+        drive each other out of the processor's caches.
+        """
+        self._inbox.append((connection, data, self._loop_time()))
+        self.after_turn_soon()
+
+    def after_turn_soon(self) -> None:
+        """See to it that what has come in this turn is dealt with when it is over."""
+        if self._soon is None:
+            self._soon = asyncio.get_running_loop().call_soon(self._after_turn)
+
+    def _after_turn(self) -> None:
+        """Feed the hub with what has come in this turn.
+
+        What a peer sends in one go, as after a stall, is passed on one by one: two of its frames
+        must not replace each other although their receivers are not slow. So first goes the first
+        message of everybody, then the second: a relay that is late finds two of each, and frames of
+        different peers then still share their messages. Who sends more than `_MOST_AT_ONCE` waits
+        for the next turn with the rest, and is not read meanwhile: a flood costs its own peer time.
+        """
+        self._soon = None
+        inbox, self._inbox = self._inbox, []
+        for _ in range(_MOST_AT_ONCE):
+            fed: set[Connection] = set()
+            later: list[tuple[Connection, bytes, float]] = []
+            for item in inbox:
+                connection, data, now = item
+                if connection in fed:
+                    later.append(item)
+                    continue
+                fed.add(connection)
+                try:
+                    self._hub.receive(connection, data, now)
+                except Exception:  # a fault of ours; it must not cost anybody else anything
+                    _logger.exception("connection failed", extra={"connection": connection.serial})
+                    self._hub.close(connection, CloseCode.INTERNAL_ERROR, "relay fault", now)
+            # Also when nothing has come: the cluster may have asked for this turn.
+            self.after_events(may_hold=not later)
+            inbox = later
+            if not inbox:
+                break
+        if inbox or self._unread:
+            self._read_later(inbox)
+
+    def _read_later(self, rest: list[tuple[Connection, bytes, float]]) -> None:
+        """Keep what is left of a turn for the next one, and read no more of those who sent it."""
+        waiting = {connection for connection, _, _ in rest}
+        for connection in [each for each in self._unread if each not in waiting]:
+            self._unread.pop(connection).resume_reading()
+        for connection in waiting:
+            waker = self._wakers.get(connection)
+            if waker is not None and connection not in self._unread:
+                transport = self._unread[connection] = waker.websocket.transport
+                transport.pause_reading()
+        if rest:
+            self._inbox = rest
+            self.after_turn_soon()
+
+    async def _read(self, websocket: RelaySocket, connection: Connection) -> None:
+        """Feed the hub with what came the long way, and tell it how the websocket ended."""
+        try:
+            while True:
+                data = await websocket.recv()
+                self._hub.receive(connection, data, self._now())
+                self.after_events()
+                # recv() does not yield while messages are queued. The writers get their turn first:
+                # else a flood starves them, and two frames that came together replace each other
+                # although their receivers are not slow.
+                await asyncio.sleep(0)
+        except ConnectionClosed:
+            code = websocket.close_code or CloseCode.CONNECTION_LOST
+            self._hub.disconnect(connection, code, websocket.close_reason or "", self._now())
+            self.after_events()
+
+    async def _write(self, websocket: RelaySocket, connection: Connection, waker: "_Waker") -> None:
+        """Send what could not be sent at once, and the goodbye."""
+        hub = self._hub
+        try:
+            while True:
+                if waker.under_way is not None:
+                    await websocket.drain()
+                    hub.sent(connection, waker.under_way, self._now())
+                    waker.under_way = None
+                while (parcel := hub.take(connection, self._now())) is not None:
+                    await websocket.send(parcel.data)
+                    hub.sent(connection, parcel, self._now())
+                if connection.closed is not None:
+                    websocket.close_timeout = self._close_timeout_s()
+                    await websocket.close(connection.closed.code, connection.closed.reason)
+                    return
+                await waker.wait()
+        except ConnectionClosed:
+            return
+
+    def after_events(self, *, may_hold: bool = True) -> None:
+        """Send to those who have got something, and set the timer to the next deadline.
+
+        Args:
+            may_hold: Frames may wait for company; not where another of the same publisher follows,
+                for too many that wait for one receiver would be thinned.
+        """
+        if self.cluster is not None:
+            self.cluster.step()
+        window_s = self._hub.coalescing_s
+        due_s = self._now() + window_s
+        ready = self._hub.take_ready()
+        if window_s > 0 and may_hold:
+            for connection in ready:
+                if not connection.is_urgent:
+                    self._held.join(connection, due_s)
+            ready = [connection for connection in ready if connection.is_urgent]
+        self._send_all(ready)
+        if self._release is None:
+            self._release_later()
+        when = self._hub.next_timer()
+        if when != self._timer_s:
+            if self._timer is not None:
+                self._timer.cancel()
+            loop = asyncio.get_running_loop()
+            self._timer = None if when is None else loop.call_at(when, self._on_timer)
+            self._timer_s = when
+
+    def _send_all(self, connections: Iterable[Connection]) -> None:
+        """Send what waits for some, as far as the kernel takes it; leave the rest to the writers.
+
+        First to take what goes out, then to write it, see `_on_message`.
+        """
+        # Once for every message that goes out: written for speed.
+        wakers, now = self._wakers, self._loop_time()
+        taken: list[tuple[Connection, _Waker, Parcel]] = []
+        for connection in connections:
+            waker = wakers.get(connection)
+            if waker is None:
+                continue
+            if waker.is_idle and connection.closed is None and waker.websocket.is_writable:
+                parcel = connection.outbox.take(now)
+                if parcel is not None:
+                    taken.append((connection, waker, parcel))
+                if not connection.outbox.is_waiting:
+                    continue
+            waker.wake()
+            if connection.closed is not None:
+                waker.cut_after(self._close_timeout_s())
+        written: list[Parcel] = []
+        last, framed = None, b""
+        for connection, waker, parcel in taken:
+            if parcel is not last:  # many get the very same
+                last, framed = parcel, websocket_message(parcel.data)
+            if waker.websocket.write(framed):
+                written.append(parcel)
+            else:
+                self._hub.is_sending(connection, now)
+                waker.under_way = parcel
+                waker.wake()
+        self._hub.all_sent(written, self._loop_time())
+
+    def _release_later(self) -> None:
+        when = self._held.next_timer()
+        if when is not None:
+            self._release = asyncio.get_running_loop().call_at(when, self._release_due)
+
+    def _release_due(self) -> None:
+        """Let go those who have waited for company long enough."""
+        self._send_all(self._held.take_due(self._now()))
+        self._release = None
+        self._release_later()
+
+    def _on_timer(self) -> None:
+        # A loop may fire a timer up to its clock's resolution too early; a deadline that is not met
+        # then would be set again and again without the clock moving on.
+        due = self._timer_s or 0.0
+        self._timer = self._timer_s = None
+        self._hub.handle_timer(max(self._now(), due))
+        self.after_events()
+
+    def _close_timeout_s(self) -> float:
+        """How long a peer may take to read the rest and to close."""
+        if self._drain_ends_s is None:
+            return self._config.close_timeout_s
+        # Nobody needs the place, and what waits for a slow reader is to reach it.
+        return max(self._drain_ends_s - self._now(), self._config.close_timeout_s)
+
+    def _now(self) -> float:
+        return self._loop_time()
+
+
+class _Waker:
+    """Wakes one writer, and cuts the socket of a peer that does not let us close it in time.
+
+    Attributes:
+        websocket: What the writer writes to.
+        is_idle: Whether the writer has nothing to do.
+        under_way: Written by somebody else, and not taken by the kernel yet.
+    """
+
+    def __init__(self, websocket: RelaySocket) -> None:
+        self.websocket = websocket
+        self.is_idle = False
+        self.under_way: Parcel | None = None
+        self._event = asyncio.Event()
+        self._cut: asyncio.TimerHandle | None = None
+
+    async def wait(self) -> None:
+        self.is_idle = not self._event.is_set()
+        await self._event.wait()
+        self._event.clear()
+
+    def wake(self) -> None:
+        self.is_idle = False
+        self._event.set()
+
+    def cut_after(self, timeout_s: float) -> None:
+        if self._cut is None:
+            # The library's own close_timeout starts only once its buffer has drained, and the
+            # buffer of a peer that does not read never drains.
+            loop = asyncio.get_running_loop()
+            self._cut = loop.call_later(timeout_s, self.websocket.transport.abort)
+
+    def cancel_cut(self) -> None:
+        if self._cut is not None:
+            self._cut.cancel()
+
+
+def _bound_kernel_buffer(websocket: ServerConnection, send_buffer_bytes: int) -> None:
+    sock = websocket.transport.get_extra_info("socket")
+    if sock is None or sock.family not in (socket.AF_INET, socket.AF_INET6):
+        return
+    with suppress(OSError):  # the peer may be gone already; the reader will find out
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, send_buffer_bytes)
+        if hasattr(socket, "TCP_NOTSENT_LOWAT"):
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, _UNSENT_LIMIT_BYTES)

@@ -1,0 +1,1 @@
+"""How a relay is watched: log, metrics, status pages, event loop, certificate."""

@@ -1,0 +1,139 @@
+"""The relay's log: lines of JSON or text, with numbers and ids instead of names and addresses.
+
+Whoever logs gives a message that is always the same and fields: ids that the relay made, codes,
+numbers. Room names, display names, addresses, tokens and payloads are no fields. Two doors are shut
+besides, for what nobody here has written: of an error only its type and where it happened is
+logged, and of other libraries only that they said something.
+
+Strangers cause most lines, so there is a limit to how many a second they can cause.
+"""
+
+import json
+import logging
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final, Literal, TextIO
+
+from pica_server.net.limits import TokenBucket
+
+Style = Literal["text", "json"]
+Level = Literal["debug", "info", "warning", "error"]
+
+OURS: Final = "pica_server"
+LINES_PER_S: Final = 20.0
+LINES_AT_ONCE: Final = 200.0
+"""Lines below a warning, and of libraries; those left out are counted in the next one (chosen: 2 kB
+a second)."""
+MOST_FRAMES: Final = 12
+"""Of a traceback, from its end."""
+
+_KNOWN = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName", "spoken"}
+
+
+@contextmanager
+def logging_to(
+    stream: TextIO, style: Style, level: Level, clock: Callable[[], float]
+) -> Iterator[None]:
+    """Send all logs of the process to a stream for a while.
+
+    Args:
+        stream: Where to.
+        style: How.
+        level: The least that is logged.
+        clock: Seconds, for the limit of lines.
+    """
+    handler = logging.StreamHandler(stream)
+    handler.setFormatter(JsonFormatter() if style == "json" else TextFormatter())
+    least = logging.getLevelNamesMapping()[level.upper()]
+    handler.addFilter(LineLimit(clock, least))
+    root, ours = logging.getLogger(), logging.getLogger(OURS)
+    before = ours.level
+    root.addHandler(handler)
+    ours.setLevel(min(least, logging.INFO))
+    try:
+        yield
+    finally:
+        ours.setLevel(before)
+        root.removeHandler(handler)
+
+
+class LineLimit(logging.Filter):
+    """Leaves out lines below a level, and when there are too many of them those below a warning and
+    those of libraries; these are counted."""
+
+    def __init__(self, clock: Callable[[], float], least: int = logging.INFO) -> None:
+        super().__init__()
+        self._clock = clock
+        self._least = least
+        self._bucket = TokenBucket(LINES_PER_S, LINES_AT_ONCE, clock())
+        self._left_out = 0
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Say whether a line may be written."""
+        if not hasattr(record, "spoken"):
+            if record.levelno < self._least:
+                return False
+            # What a library warns of may be a stranger's doing too: asyncio does of dead sockets.
+            is_news = record.levelno >= logging.WARNING and _is_ours(record)
+            if not is_news and not self._bucket.take(self._clock()):
+                self._left_out += 1
+                return False
+        if self._left_out:
+            record.left_out = self._left_out
+            self._left_out = 0
+        return True
+
+
+class JsonFormatter(logging.Formatter):
+    """One JSON object a line: ``time``, ``level``, ``event``, and the fields."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line."""
+        head = {"time": _time(record), "level": record.levelname.lower(), "event": _event(record)}
+        return json.dumps({**head, **_fields(record)}, ensure_ascii=True)
+
+
+class TextFormatter(logging.Formatter):
+    """Lines for people; what the command says to whoever started it stands alone."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line."""
+        spoken = getattr(record, "spoken", None)
+        if spoken is not None:
+            return str(spoken)
+        words = [_time(record), record.levelname.lower(), _event(record)]
+        return " ".join([*words, *(f"{name}={value}" for name, value in _fields(record).items())])
+
+
+def say(logger: logging.Logger, event: str, spoken: str, **fields: Any) -> None:
+    """Log something for whoever started the command, whatever the level: a sentence, or in JSON an
+    event."""
+    logger.info(event, extra={"spoken": spoken, **fields})
+
+
+def _is_ours(record: logging.LogRecord) -> bool:
+    return record.name == OURS or record.name.startswith(f"{OURS}.")
+
+
+def _time(record: logging.LogRecord) -> str:
+    moment = datetime.fromtimestamp(record.created, UTC)
+    return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def _event(record: logging.LogRecord) -> str:
+    # The arguments of other libraries may be anything; the message before they are put in is not.
+    return str(record.msg) if _is_ours(record) else f"message of {record.name}"
+
+
+def _fields(record: logging.LogRecord) -> dict[str, Any]:
+    fields: dict[str, Any] = {}
+    if _is_ours(record):
+        fields = {name: value for name, value in vars(record).items() if name not in _KNOWN}
+    if record.exc_info and record.exc_info[0] is not None:
+        fields["error"] = record.exc_info[0].__name__
+        frames = traceback.extract_tb(record.exc_info[2])[-MOST_FRAMES:]
+        fields["where"] = [f"{Path(each.filename).name}:{each.lineno}" for each in frames]
+    return fields

@@ -1,0 +1,119 @@
+"""What the relay answers to plain HTTP: is it alive, is there a place, its numbers. Pure."""
+
+from http import HTTPStatus
+from typing import NamedTuple, Protocol
+
+from pica_server.config.relay import RelayConfig
+from pica_server.ops.loop_watch import WORST_S, LoopWatch
+from pica_server.ops.metrics import CONTENT_TYPE, metrics_text
+from pica_server.room.hub import Hub
+
+
+class Page(NamedTuple):
+    """One answer."""
+
+    status: HTTPStatus
+    text: str
+    content_type: str = "text/plain; charset=utf-8"
+
+
+class StoreNumbers(Protocol):
+    """What is told of an avatar store."""
+
+    @property
+    def num_avatars(self) -> int:
+        """Files in it."""
+        ...
+
+    @property
+    def used_bytes(self) -> int:
+        """Of all files."""
+        ...
+
+    @property
+    def num_free_bytes(self) -> int:
+        """Left of its quota."""
+        ...
+
+
+class StatusPages:
+    """The pages of one relay."""
+
+    def __init__(
+        self,
+        hub: Hub,
+        watch: LoopWatch,
+        config: RelayConfig,
+        store: StoreNumbers | None = None,
+    ) -> None:
+        self._hub = hub
+        self._watch = watch
+        self._config = config
+        self._store = store
+
+    def answer(self, path: str, *, is_local: bool, now: float) -> Page | None:
+        """Return the page of a path, or None if there is none.
+
+        Args:
+            path: Of the request.
+            is_local: Whether it comes from this machine.
+            now: The time.
+        """
+        match path:
+            case "/healthz":
+                worst_s = self._watch.worst_s(now)
+                trouble = f"stalled for {worst_s:.1f} s" if worst_s >= WORST_S else ""
+                # No reason to start it again: its rooms go on, and it comes back by itself.
+                return _verdict(trouble, self._cluster_trouble)
+            case "/readyz":
+                if self._hub.is_draining:
+                    return _verdict("draining")
+                is_full = self._hub.num_connections >= self._config.max_connections
+                return _verdict("full" if is_full else "", self._cluster_trouble)
+            case "/metrics" if is_local or self._config.open_metrics:
+                return Page(HTTPStatus.OK, self._metrics(now), CONTENT_TYPE)
+            case "/metrics":
+                return Page(HTTPStatus.FORBIDDEN, "ask on this machine\n")
+        return None
+
+    @property
+    def _cluster_trouble(self) -> str:
+        return "" if self._hub.neighbours is None else self._hub.neighbours.trouble
+
+    def _metrics(self, now: float) -> str:
+        hub = self._hub
+        cluster = hub.neighbours
+        num_nodes = 0 if cluster is None else cluster.num_nodes
+        is_up = cluster is not None and not cluster.trouble
+        store = self._store
+        used_bytes, num_free_bytes = (store.used_bytes, store.num_free_bytes) if store else (0, 0)
+        return metrics_text(
+            hub.stats,
+            {
+                "avatars": ("Files in the avatar store.", store.num_avatars if store else 0),
+                "avatar_store_bytes": ("Bytes of those files.", used_bytes),
+                "avatar_store_free_bytes": ("Left of the store's quota.", num_free_bytes),
+                "cluster_up": ("1 while rooms are shared with other nodes.", float(is_up)),
+                "cluster_nodes": ("Nodes of the cluster that live, with this one.", num_nodes),
+                "open_connections": ("Connections that are open now.", hub.num_connections),
+                "rooms": ("Rooms with somebody in them.", hub.num_rooms),
+                "draining": ("1 while everybody is sent away.", float(hub.is_draining)),
+                "waiting_frames": ("Frames that wait for receivers.", hub.num_waiting_frames),
+                "waiting_control_bytes": (
+                    "Bytes of control messages that wait for receivers.",
+                    hub.num_waiting_control_bytes,
+                ),
+                "coalescing_seconds": ("How long frames wait for company.", hub.coalescing_s),
+                "loop_busy_ratio": ("How much of the time the event loop works.", hub.busy_ratio),
+                "loop_lateness_seconds": (
+                    "Worst delay of the event loop in ten seconds.",
+                    self._watch.worst_s(now),
+                ),
+            },
+        )
+
+
+def _verdict(trouble: str, note: str = "") -> Page:
+    if trouble:
+        return Page(HTTPStatus.SERVICE_UNAVAILABLE, f"{trouble}\n")
+    return Page(HTTPStatus.OK, f"ok\n{note}\n" if note else "ok\n")

@@ -1,0 +1,1 @@
+"""All that a relay decides about rooms and peers. Pure: no socket, no clock."""

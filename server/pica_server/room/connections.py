@@ -1,0 +1,212 @@
+"""Every connection of one relay: how it begins and ends, who is late, what is said to whom. Pure.
+
+What a connection means to others, a place in a room above all, is not known here: whoever knows is
+told by ``on_over`` when one is over. That is when its ``closed`` is set; what it still has to send
+ends with a ``Bye``.
+
+Every connection stands once in the timer heap, with the next moment at which it could be late:
+first with its handshake, then with reading what it was sent.
+"""
+
+import heapq
+from collections import Counter
+from collections.abc import Callable, Sequence
+from itertools import count
+
+from pica_protocol.codec import encode_message
+from pica_protocol.errors import CloseCode
+from pica_protocol.messages import Message
+from pica_protocol.server_session import ServerSession
+from pica_server.cluster.peers import Neighbours
+from pica_server.config.relay import RelayConfig
+from pica_server.errors import OutboxFullError
+from pica_server.ops.stats import RelayStats
+from pica_server.room.connection import Connection
+from pica_server.room.outbox import Outbox
+from pica_server.room.room import Room
+
+SOFTWARE = "pica-relay"
+_KNOWN_CODES = frozenset(map(int, CloseCode))
+
+
+def _nothing_more(_connection: Connection, _now: float) -> None:
+    """Stand in for those who keep more about a connection."""
+
+
+class Switchboard:
+    """The connections of one relay.
+
+    Attributes:
+        config: The limits.
+        stats: What the relay has done so far.
+        connections: Those that are not over, by the id of their peer; to be read only.
+        ready: Those that have got something to send, or have closed.
+        timers: When which connection is to be looked at, a heap with the soonest first; to be read
+            only.
+        on_over: Told of every connection that is over, once or more, to clear up after it; it
+            begins with ``wind_up``.
+        is_draining: Whether everybody is being sent away, and nobody let in.
+        neighbours: The other nodes of the cluster, or None.
+        prefix: Begins the id of every peer; with a cluster it is different on each node.
+    """
+
+    def __init__(self, config: RelayConfig, stats: RelayStats) -> None:
+        self.config = config
+        self.stats = stats
+        self.connections: dict[str, Connection] = {}
+        self.ready: dict[Connection, None] = {}
+        self.timers: list[tuple[float, int, Connection]] = []
+        self.on_over: Callable[[Connection, float], None] = _nothing_more
+        self.is_draining = False
+        self.neighbours: Neighbours | None = None
+        self.prefix = "p"
+        self._serials = count(1)
+        self._by_address: Counter[str] = Counter()  # bounded by the number of connections
+
+    def connect(self, now: float, address: str = "") -> Connection:
+        """Take a new websocket; it is closed at once when there are too many.
+
+        Args:
+            now: The time.
+            address: Whose it is, see ``limits.address_group``; empty is not limited.
+        """
+        config, limits = self.config, self.config.limits
+        session = ServerSession(software=SOFTWARE, now=now, timeout_s=config.handshake_timeout_s)
+        outbox = Outbox(config.max_control_bytes, self.stats.dropped)
+        connection = Connection(next(self._serials), session, outbox, limits, address, now)
+        connection.peer_id = f"{self.prefix}{connection.serial}"
+        self.stats.connections += 1
+        is_full = len(self.connections) >= config.max_connections
+        self.connections[connection.peer_id] = connection
+        self._push_timer(connection, now)
+        is_crowded = bool(address) and self._by_address[address] >= limits.connections_per_address
+        if address:
+            self._by_address[address] += 1
+        if is_crowded:
+            self.stats.limits_hit["address"] += 1
+            reason = f"{limits.connections_per_address} connections from one address"
+            self.close(connection, CloseCode.TOO_MANY, reason, now)
+        elif self.is_draining:
+            self.send_elsewhere([connection], now)
+        elif is_full:
+            self.stats.limits_hit["connections"] += 1
+            self.close(connection, CloseCode.RELAY_FULL, "the relay is full", now)
+        return connection
+
+    def rename(self, connection: Connection, peer_id: str) -> None:
+        """Give a connection the id of a peer whose own is over."""
+        del self.connections[connection.peer_id]
+        connection.peer_id = peer_id
+        self.connections[peer_id] = connection
+
+    def connected(self, room: Room) -> list[Connection]:
+        """Return the connections of those in a room who are on this node and not away."""
+        found = (self.connections.get(peer.peer_id) for peer in room.peers_here)
+        return [connection for connection in found if connection is not None]
+
+    def close(self, connection: Connection, code: CloseCode, reason: str, now: float) -> None:
+        """End a connection from this side, unless it is over."""
+        if connection.closed is None:
+            connection.session.close(code, reason)
+            self.on_over(connection, now)
+
+    def close_together(
+        self,
+        connections: Sequence[Connection],
+        code: CloseCode,
+        reason: str,
+        now: float,
+        url: str = "",
+    ) -> None:
+        """Close some so that none of them is told how the others leave."""
+        for connection in connections:
+            connection.session.close(code, reason, url)
+        for connection in connections:
+            self.on_over(connection, now)
+
+    def close_too_fast(self, connection: Connection, what: str, now: float) -> None:
+        """Close who sends more ``messages`` or ``bytes`` than a client may."""
+        if connection.closed is None:
+            self.stats.limits_hit[what] += 1
+            limits = self.config.limits
+            rate = limits.bytes_per_s if what == "bytes" else limits.messages_per_s
+            reason = f"more than {rate:g} {what} a second"
+            self.close(connection, CloseCode.TOO_FAST, reason, now)
+
+    def send_elsewhere(self, connections: Sequence[Connection], now: float) -> None:
+        """Close some because the relay is stopping, and tell them of another to go to."""
+        reason, url = "the relay is stopping", self.config.drain_to
+        self.close_together(connections, CloseCode.GOING_AWAY, reason, now, url)
+
+    def wind_up(self, connection: Connection, now: float) -> bool:
+        """Take a connection that is over out of the books; return whether it was in them."""
+        closed = connection.closed
+        assert closed is not None
+        if self.connections.get(connection.peer_id) is not connection:
+            return False
+        del self.connections[connection.peer_id]
+        # A peer may name any code; each that is counted apart is a line of the metrics for ever.
+        self.stats.closed[closed.code if closed.code in _KNOWN_CODES else 0] += 1
+        if connection.address:
+            self._by_address[connection.address] -= 1
+            if self._by_address[connection.address] <= 0:
+                del self._by_address[connection.address]
+        last_words = connection.session.messages_to_send(now)
+        self.note_dropped(connection.outbox.finish(last_words), "departed")
+        self.ready[connection] = None
+        return True
+
+    def note_dropped(self, num_frames: int, reason: str) -> None:
+        """Count frames that did not reach their receiver, if there are any."""
+        if num_frames:
+            self.stats.dropped[reason] += num_frames
+
+    def handle_timer(self, now: float) -> None:
+        """Close those who are late by now."""
+        while self.timers and self.timers[0][0] <= now:
+            _, _, connection = heapq.heappop(self.timers)
+            if connection.closed is not None:
+                continue
+            if connection.session.handle_timer(now):  # all that may come of it is its end
+                self.on_over(connection, now)
+            since = connection.sending_since
+            stall_timeout_s = self.config.stall_timeout_s
+            if since is not None and since + stall_timeout_s <= now:
+                reason = f"nothing read for {stall_timeout_s:g} s"
+                self.close(connection, CloseCode.TOO_SLOW, reason, now)
+            if connection.closed is None:
+                self._push_timer(connection, now)
+
+    def _push_timer(self, connection: Connection, now: float) -> None:
+        deadline = connection.session.next_timer()
+        if deadline is None:
+            since = connection.sending_since
+            deadline = (now if since is None else since) + self.config.stall_timeout_s
+        heapq.heappush(self.timers, (deadline, connection.serial, connection))
+
+    def tell_others(self, room: Room, peer_id: str, message: Message, now: float) -> None:
+        """Tell something to everybody in a room who is on this node, but not to one of them."""
+        for other in room.peers_here:
+            # Closing one that is full tells the rest, and so may close more: look again.
+            connection = self.connections.get(other.peer_id)
+            if connection is not None and other.peer_id != peer_id:
+                self.send(connection, message, now)
+
+    def send(self, connection: Connection, message: Message, now: float) -> None:
+        """Queue a control message; who has let too many pile up is closed instead."""
+        self._put_control(connection, encode_message(message), now)
+
+    def flush(self, connection: Connection, now: float) -> None:
+        """Move what the session has to say into the outbox."""
+        for data in connection.session.messages_to_send(now):
+            self._put_control(connection, data, now)
+
+    def _put_control(self, connection: Connection, data: bytes, now: float) -> None:
+        if connection.closed is not None:
+            return
+        try:
+            connection.outbox.put_control(data)
+        except OutboxFullError as error:
+            self.stats.limits_hit["control"] += 1
+            self.close(connection, CloseCode.TOO_SLOW, str(error), now)
+        self.ready[connection] = None

@@ -1,0 +1,228 @@
+"""What goes from peer to peer: frames to all who want them, keyframes asked for, whispers. Pure.
+
+Frames go to receivers on this node, and once to each other node of the cluster where somebody wants
+them.
+"""
+
+from dataclasses import replace
+
+from pica_protocol.errors import CloseCode
+from pica_protocol.frames import FLAG_KEYFRAME
+from pica_protocol.messages import KeyframeRequest, StreamMuted, Whisper
+from pica_protocol.session import Media
+from pica_protocol.stream_queue import Put
+from pica_server.cluster.media import NodeLink
+from pica_server.room.connection import Connection
+from pica_server.room.connections import Switchboard
+from pica_server.room.room import Room, Stream
+
+_WAITS, _DROPPED = Put.WAITS, Put.DROPPED  # an enumeration's own lookup is slow
+
+
+class Forwarding:
+    """What passes through one relay."""
+
+    def __init__(self, switchboard: Switchboard) -> None:
+        self._switchboard = switchboard
+        self._stats = switchboard.stats
+        self._ready_links: dict[NodeLink, None] = {}
+
+    def forward(self, connection: Connection, media: Media, now: float) -> None:
+        """Take frames from their publisher, who is in a room."""
+        room = connection.room
+        assert room is not None
+        for span in media.spans:
+            if not room.owns(connection.peer_id, span.stream):
+                reason = f"frame on stream {span.stream}, which is not yours"
+                self._switchboard.close(connection, CloseCode.FOREIGN_STREAM, reason, now)
+                return
+        if len(media.spans) > 1 and not connection.messages_in.take(now, len(media.spans) - 1):
+            self._switchboard.close_too_fast(connection, "messages", now)
+            return
+        self.deliver(room, media, now)
+
+    def deliver(self, room: Room, media: Media, now: float, *, num_here: int = 1) -> None:
+        """Give frames to all who want them, here and on other nodes.
+
+        Args:
+            room: Where.
+            media: The frames, of streams that are there.
+            now: The time.
+            num_here: Of the publisher: 1 if it is connected here, else 0.
+        """
+        needed: dict[tuple[int, Put], None] = {}
+        switchboard, stats = self._switchboard, self._stats
+        connections, ready = switchboard.connections, switchboard.ready
+        for number, layer, flags, start, end in media.spans:
+            frame = media.message[start:end]
+            is_keyframe = layer == 0 and bool(flags & FLAG_KEYFRAME)
+            stream = room.stream(number)
+            assert stream is not None  # its publisher is in the room
+            receivers = room.receivers(number, layer)
+            if stream.is_muted:
+                stats.frames_in += 1
+                stats.frames_in_by_layer[layer] += 1
+                stats.dropped["muted"] += len(receivers)
+                continue
+            if layer == 0:
+                stream.remember(frame, is_keyframe)
+            if stream.deadline_s is not None:
+                outboxes = [connections[peer_id].outbox for peer_id in receivers]
+                for outbox in outboxes + [link.outbox for link in room.links.values()]:
+                    outbox.open_ordered(number, stream.deadline_s)
+            bundle = room.shared.current
+            if bundle.is_full or bundle.carries(number):
+                bundle = room.shared.turn_over()
+            for peer_id in receivers:
+                receiver = connections[peer_id]
+                outbox = receiver.outbox
+                if number in outbox.flowing:
+                    if outbox.newest is bundle:
+                        continue  # it is on the list already, or held for others
+                    if outbox.share(bundle):
+                        ready[receiver] = None
+                        continue
+                fate = outbox.put_frame(number, frame, layer, is_keyframe, now)
+                if fate is not _DROPPED:
+                    ready[receiver] = None
+                    if fate is not _WAITS:
+                        needed[number, fate] = None
+            bundle.add(number, frame, layer, is_keyframe, now)
+            for link in room.links.values():
+                wanted = link.put_frame(number, frame, layer, is_keyframe, now)
+                if wanted is not None and wanted is not _DROPPED:
+                    self._ready_links[link] = None
+                    if wanted is not _WAITS:
+                        needed[number, wanted] = None
+            stats.frames_in += 1
+            stats.frames_in_by_layer[layer] += 1
+            stats.unwanted += len(room) - num_here - len(receivers)
+        for number, fate in needed:
+            self.ask_for_keyframe(room, number, fate.value, now)
+
+    def want(self, connection: Connection, stream: int, layer: int | None, now: float) -> None:
+        """Follow a receiver's wish."""
+        room = connection.room
+        assert room is not None
+        if room.stream(stream) is None:
+            return  # it has just ended
+        starts_again = room.want(connection.peer_id, stream, layer)
+        self._stats.unwanted += connection.outbox.want(stream, layer)
+        if self._switchboard.neighbours is not None:
+            self._switchboard.neighbours.note_wishes(room)
+        if starts_again:
+            self._resume(connection, room, stream, now)
+
+    def catch_up(self, connection: Connection, room: Room, now: float) -> None:
+        """Give a receiver who comes, or comes back, what was kept of every stream."""
+        for number, _ in list(room.streams):  # asking closes a publisher that does not read
+            if connection.closed is None:
+                self._resume(connection, room, number, now)
+
+    def _resume(self, connection: Connection, room: Room, number: int, now: float) -> None:
+        """Give a receiver what was kept of a stream; ask for what it lacks to decode the rest."""
+        stream = room.stream(number)
+        if stream is None or not stream.chain:
+            return  # nothing to miss: it begins with a keyframe
+        self._stats.frames_resumed += connection.outbox.resume(
+            number, stream.chain, is_whole=stream.is_whole, now=now
+        )
+        self._switchboard.ready[connection] = None
+        if not stream.is_whole:
+            self.ask_for_keyframe(room, number, Put.KEYLESS.value, now)
+
+    def ask_for_keyframe(self, room: Room, stream: int, why: str, now: float) -> None:
+        """Ask a publisher for a keyframe, unless it was asked a moment ago."""
+        switchboard = self._switchboard
+        config = switchboard.config
+        is_slow = why == Put.BEHIND.value
+        interval_s = config.slow_keyframe_interval_s if is_slow else config.keyframe_interval_s
+        publisher = room.request_keyframe(stream, interval_s, now)
+        if publisher is None:
+            self._stats.keyframe_requests["withheld"] += 1
+            return
+        self._stats.keyframe_requests[why] += 1
+        connection = switchboard.connections.get(publisher)
+        if connection is not None:
+            switchboard.send(connection, KeyframeRequest(stream=stream), now)
+        elif switchboard.neighbours is not None:
+            switchboard.neighbours.ask_for_keyframe(room, publisher, stream, why)
+
+    def mute(self, room: Room, number: int, stream: Stream, *, is_muted: bool, now: float) -> None:
+        """Stop a stream, or let it go on, and tell everybody here."""
+        stream.is_muted = is_muted
+        room.forget_chain(number)
+        if is_muted:
+            for outbox in [link.outbox for link in room.links.values()]:
+                self._switchboard.note_dropped(outbox.interrupt(number), "muted")
+        for receiver in self._switchboard.connected(room):
+            if is_muted:
+                self._switchboard.note_dropped(receiver.outbox.interrupt(number), "muted")
+            self._switchboard.send(receiver, StreamMuted(stream=number, is_muted=is_muted), now)
+        if not is_muted and stream.deadline_s is None:
+            stream.asked_s = None
+            self.ask_for_keyframe(room, number, Put.KEYLESS.value, now)
+
+    def forget_stream(self, room: Room, number: int) -> None:
+        """Drop what waits of a stream that has ended."""
+        for receiver in self._switchboard.connected(room):
+            self._switchboard.note_dropped(receiver.outbox.forget_stream(number), "departed")
+        for link in room.links.values():
+            self._switchboard.note_dropped(link.forget_stream(number), "departed")
+
+    def whisper(self, connection: Connection, whisper: Whisper, now: float) -> None:
+        """Pass a whisper on, under its sender's name, or drop it."""
+        room, stats = connection.room, self._stats
+        assert room is not None
+        if not connection.whispers.take(now):
+            stats.whispers_dropped["rate"] += 1
+            return
+        neighbours = self._switchboard.neighbours
+        if neighbours is not None and neighbours.whisper(room, connection.peer_id, whisper):
+            stats.whispers += 1
+        elif whisper.peer_id != connection.peer_id:
+            self.pass_whisper(room, connection.peer_id, whisper, now)
+        else:
+            stats.whispers_dropped["nobody"] += 1
+
+    def pass_whisper(self, room: Room, sender: str, whisper: Whisper, now: float) -> None:
+        """Pass a whisper to a peer that is connected here."""
+        switchboard, stats = self._switchboard, self._stats
+        receiver = switchboard.connections.get(whisper.peer_id)
+        if receiver is None or receiver.room is not room:
+            stats.whispers_dropped["nobody"] += 1
+            return
+        # Whispers of many must not fill the queue that closes a peer for reading too slowly.
+        if receiver.outbox.waiting_control_bytes > switchboard.config.max_control_bytes // 4:
+            stats.whispers_dropped["backlog"] += 1
+            return
+        switchboard.send(receiver, replace(whisper, peer_id=sender), now)
+        stats.whispers += 1
+
+    @property
+    def has_ready_links(self) -> bool:
+        """Whether something waits to go to another node."""
+        return bool(self._ready_links)
+
+    def ready_links(self) -> list[NodeLink]:
+        """Return the links to other nodes with something to send."""
+        return list(self._ready_links)
+
+    def done_with(self, link: NodeLink) -> None:
+        """Note that nothing waits in a link any more."""
+        self._ready_links.pop(link, None)
+
+    def drop_link(self, room: Room, node: str) -> None:
+        """Forget another node that has left a room."""
+        link = room.links.pop(node)
+        self._ready_links.pop(link, None)
+
+    def resume_link(self, room: Room, link: NodeLink, number: int, now: float) -> None:
+        """Give another node what was kept of a stream that it begins to read."""
+        stream = room.stream(number)
+        if stream is None or not stream.chain:
+            return
+        link.outbox.resume(number, stream.chain, is_whole=stream.is_whole, now=now)
+        self._ready_links[link] = None
+        if not stream.is_whole:
+            self.ask_for_keyframe(room, number, Put.KEYLESS.value, now)

@@ -1,0 +1,292 @@
+"""All that a relay decides, put together: what happens to whom. No socket, no clock.
+
+The shell tells the hub what happened (``connect``, ``receive``, ``disconnect``, ``handle_timer``),
+asks which connections have something to send (``take_ready``) and takes it from them one message at
+a time (``take``, ``sent``). The parts decide:
+
+    switchboard   the connections: how they begin and end, who is late, what is said to whom
+    forwarding    frames, keyframe requests and whispers, from peer to peer and node to node
+    membership    rooms: who comes, goes, is away for a while and comes back
+    moderation    what an admin does to rooms
+
+A connection is over when its ``closed`` is set; what it still has to send ends with a ``Bye``.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+
+from pica_protocol.errors import CloseCode
+from pica_protocol.messages import Join, KeyframeRequest, Report, UpdateMetadata, Want, Whisper
+from pica_protocol.session import Closed, Media, ServerEvent
+from pica_server.auth.tokens import Admission
+from pica_server.cluster.peers import Neighbours
+from pica_server.config.relay import RelayConfig
+from pica_server.hooks.events import Notice
+from pica_server.ops.stats import RelayStats
+from pica_server.room.batching_window import Coalescing
+from pica_server.room.connection import Connection
+from pica_server.room.connections import Switchboard
+from pica_server.room.drain import departures
+from pica_server.room.forwarding import Forwarding
+from pica_server.room.frame_batches import Parcel
+from pica_server.room.membership import Membership
+from pica_server.room.moderation import Moderation
+from pica_server.room.resume_tickets import Returns
+from pica_server.room.room import Room
+
+
+class Hub:
+    """The relay without its sockets.
+
+    Attributes:
+        stats: What it has done so far.
+        forwarding: What goes from peer to peer.
+        membership: Who is in which room.
+        moderation: What an admin may do.
+    """
+
+    def __init__(
+        self,
+        config: RelayConfig,
+        admit: Callable[[Join], Admission] | None = None,
+        *,
+        new_secret: Callable[[], str] | None = None,
+        notify: Callable[[Notice], None] | None = None,
+    ) -> None:
+        """Begin empty.
+
+        Args:
+            config: The limits.
+            admit: Says what who joins may do, or raises `AdmissionError`; everybody may do
+                everything by default.
+            new_secret: Makes secrets to come back with; without it no place is kept.
+            notify: Told at once what happens in rooms; it must neither block nor raise.
+        """
+        self.stats = RelayStats()
+        grace_s = 0.0 if new_secret is None else config.resume_grace_s
+        self._returns = Returns(grace_s, new_secret or str)
+        self._switchboard = Switchboard(config, self.stats)
+        self.forwarding = Forwarding(self._switchboard)
+        self.membership = Membership(
+            self._switchboard,
+            self.forwarding,
+            self._returns,
+            admit or (lambda join: Admission()),
+            notify or (lambda notice: None),
+        )
+        self.moderation = Moderation(self._switchboard, self.membership, self.forwarding)
+        self._config = config
+        self._ready, self._timers = self._switchboard.ready, self._switchboard.timers
+        self._coalescing = Coalescing(config.coalesce_above_busy, config.coalesce_longest_s)
+        self._departures: deque[tuple[float, str]] = deque()
+
+    def meet(self, neighbours: Neighbours, prefix: str) -> None:
+        """Be one node of a cluster from now on; nobody is here yet.
+
+        Args:
+            neighbours: The other nodes.
+            prefix: Begins the id of every peer of this node, and of no other one's.
+        """
+        self._switchboard.neighbours, self._switchboard.prefix = neighbours, prefix
+
+    @property
+    def neighbours(self) -> Neighbours | None:
+        """The other nodes of its cluster, or None."""
+        return self._switchboard.neighbours
+
+    @property
+    def num_connections(self) -> int:
+        """Connections that are not over yet."""
+        return len(self._switchboard.connections)
+
+    @property
+    def num_rooms(self) -> int:
+        """Rooms with somebody in them."""
+        return len(self.membership.rooms)
+
+    @property
+    def rooms(self) -> Iterable[Room]:
+        """Every room, to look at."""
+        return self.membership.rooms.values()
+
+    def room(self, name: str) -> Room | None:
+        """Return a room, or None if nobody is in it here."""
+        return self.membership.rooms.get(name)
+
+    def connection_of(self, peer_id: str) -> Connection | None:
+        """Return the connection of a peer to look at, or None: it is away, elsewhere, or gone."""
+        return self._switchboard.connections.get(peer_id)
+
+    @property
+    def is_draining(self) -> bool:
+        """Whether everybody is being sent away, and nobody let in."""
+        return self._switchboard.is_draining
+
+    @property
+    def num_waiting_frames(self) -> int:
+        """Frames that wait for their receivers."""
+        connections = self._switchboard.connections.values()
+        return sum(each.outbox.waiting_frames for each in connections)
+
+    @property
+    def num_waiting_control_bytes(self) -> int:
+        """Bytes of control messages that wait."""
+        connections = self._switchboard.connections.values()
+        return sum(each.outbox.waiting_control_bytes for each in connections)
+
+    @property
+    def coalescing_s(self) -> float:
+        """How long frames may wait now for others to share a message with."""
+        return self._coalescing.window_s
+
+    @property
+    def busy_ratio(self) -> float:
+        """How much of the time the event loop has worked lately, 0 to 1."""
+        return self._coalescing.busy_ratio
+
+    def note_load(self, processor_s: float, now: float) -> None:
+        """Note how much processor time the event loop has used until now; see `Coalescing`."""
+        self._coalescing.note(processor_s, now)
+
+    def connect(self, now: float, address: str = "") -> Connection:
+        """Take a new websocket; it is closed at once when there are too many.
+
+        Args:
+            now: The time.
+            address: Whose it is, see ``limits.address_group``; empty is not limited.
+        """
+        return self._switchboard.connect(now, address)
+
+    def receive(self, connection: Connection, data: bytes | str, now: float) -> None:
+        """Take one websocket message of a connection."""
+        self.stats.bytes_in += len(data)
+        if not connection.bytes_in.take(now, len(data)):
+            self._switchboard.close_too_fast(connection, "bytes", now)
+        elif not connection.messages_in.take(now):
+            self._switchboard.close_too_fast(connection, "messages", now)
+        for event in connection.session.receive_data(data, now):
+            self._handle(connection, event, now)
+        self._switchboard.flush(connection, now)
+
+    def disconnect(self, connection: Connection, code: int, reason: str, now: float) -> None:
+        """Take note that a websocket has ended."""
+        for event in connection.session.receive_close(code, reason, now):
+            self._handle(connection, event, now)
+
+    def close(self, connection: Connection, code: CloseCode, reason: str, now: float) -> None:
+        """End a connection from this side; one that is lost, for good."""
+        self.membership.close(connection, code, reason, now)
+
+    def close_all(self, code: CloseCode, reason: str, now: float) -> None:
+        """End every connection: the relay is stopping."""
+        self.membership.close_all(code, reason, now)
+
+    def drain(self, now: float) -> None:
+        """Begin to send everybody away: who has no room at once, the rooms one after the other.
+
+        All that waits for them goes out before their goodbye. Nobody is let in any more.
+        """
+        config, switchboard = self._config, self._switchboard
+        switchboard.is_draining = True
+        roomless = [each for each in switchboard.connections.values() if each.room is None]
+        switchboard.send_elsewhere(roomless, now)
+        offsets_s = departures(
+            [len(switchboard.connected(room)) for room in self.rooms],
+            per_s=config.limits.joins_per_s,
+            burst=config.limits.joins_burst,
+            longest_s=config.drain_s,
+        )
+        rooms = zip(offsets_s, self.membership.rooms, strict=True)
+        self._departures.extend((now + offset_s, name) for offset_s, name in rooms)
+        self._send_rooms_away(now)
+
+    def take_ready(self) -> list[Connection]:
+        """Take the list of connections that have got something to send, or have closed."""
+        ready = list(self._ready)
+        self._ready.clear()
+        return ready
+
+    def take(self, connection: Connection, now: float) -> Parcel | None:
+        """Take the next message for a connection; the shell calls ``sent`` when it is out."""
+        parcel = connection.outbox.take(now)
+        if parcel is not None:
+            connection.sending_since = now
+        return parcel
+
+    def is_sending(self, connection: Connection, now: float) -> None:
+        """Take note that a socket did not take a message at once; ``sent`` follows when it has."""
+        connection.sending_since = now
+
+    def sent(self, connection: Connection, parcel: Parcel, now: float) -> None:
+        """Take note that the socket took a message."""
+        connection.sending_since = None
+        self.all_sent([parcel], now)
+
+    def all_sent(self, parcels: Sequence[Parcel], now: float) -> None:
+        """Take note that the sockets took these messages."""
+        # Once for every message that goes out: written for speed.
+        num_bytes = num_frames = num_alike = 0
+        last: Parcel | None = None
+        for parcel in parcels:
+            data, received_s = parcel
+            num_bytes += len(data)
+            num_frames += len(received_s)
+            if parcel is not last:  # many get the very same
+                if last is not None:
+                    self._record_forwarding(last, num_alike, now)
+                last, num_alike = parcel, 0
+            num_alike += 1
+        if last is not None:
+            self._record_forwarding(last, num_alike, now)
+        stats = self.stats
+        stats.messages_out += len(parcels)
+        stats.bytes_out += num_bytes
+        stats.frames_out += num_frames
+
+    def _record_forwarding(self, parcel: Parcel, num_receivers: int, now: float) -> None:
+        record = self.stats.forwarding.record
+        for moment_s in parcel.received_s:
+            record(now - moment_s, num_receivers)
+
+    def next_timer(self) -> float | None:
+        """Return when ``handle_timer`` is due, or None."""
+        timers = [line[0][0] for line in (self._timers, self._departures) if line]
+        grace_ends_s = self._returns.next_timer()
+        if grace_ends_s is not None:
+            timers.append(grace_ends_s)
+        return min(timers, default=None)
+
+    def handle_timer(self, now: float) -> None:
+        """Close those who are late by now, and those whose turn to go has come."""
+        self._send_rooms_away(now)
+        self.membership.handle_timer(now)
+        self._switchboard.handle_timer(now)
+
+    def _send_rooms_away(self, now: float) -> None:
+        while self._departures and self._departures[0][0] <= now:
+            _, name = self._departures.popleft()
+            room = self.room(name)
+            if room is not None:  # else it has emptied by itself
+                self._switchboard.send_elsewhere(self._switchboard.connected(room), now)
+                self.membership.give_up_away(room, "lost", now)
+
+    def _handle(self, connection: Connection, event: ServerEvent, now: float) -> None:
+        match event:
+            case Media():
+                self.forwarding.forward(connection, event, now)
+            case Join():
+                self.membership.join(connection, event, now)
+            case Closed():
+                self.membership.clear_up(connection, now)
+            case Report():
+                self.stats.reported_lost += sum(stream.lost for stream in event.streams)
+                self.stats.reported_concealed += sum(s.concealed for s in event.streams)
+            case Want(stream=stream, layer=layer):
+                self.forwarding.want(connection, stream, layer, now)
+            case KeyframeRequest(stream=stream):
+                assert connection.room is not None  # the session's table: only while joined
+                self.forwarding.ask_for_keyframe(connection.room, stream, "asked", now)
+            case Whisper():
+                self.forwarding.whisper(connection, event, now)
+            case UpdateMetadata():
+                self.membership.update_metadata(connection, event, now)

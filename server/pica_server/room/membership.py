@@ -1,0 +1,370 @@
+"""Who is in which room of one relay: coming, going, being away for a while, coming back. Pure.
+
+A peer of this node has a connection, or it is away: its connection broke, and its place is kept for
+a while (see ``returns``). A connection that comes back to a place takes the id of the peer there.
+In a cluster the rooms also hold the peers of other nodes.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from pica_protocol.errors import CloseCode
+from pica_protocol.messages import (
+    Join,
+    Joined,
+    Peer,
+    PeerAway,
+    PeerBack,
+    PeerJoined,
+    PeerLeft,
+    PeerUpdated,
+    StreamMuted,
+    UpdateMetadata,
+)
+from pica_protocol.session import Closed
+from pica_server.auth.tokens import Admission
+from pica_server.cluster.messages import Member
+from pica_server.errors import AdmissionError, RoomFullError
+from pica_server.hooks.events import Notice
+from pica_server.net.limits import TokenBucket
+from pica_server.room.connection import Connection
+from pica_server.room.connections import Switchboard
+from pica_server.room.forwarding import Forwarding
+from pica_server.room.resume_tickets import Returns
+from pica_server.room.room import Room
+
+
+class Membership:
+    """The rooms of one relay and who is in them.
+
+    Attributes:
+        rooms: Every room with somebody in it, by name; to be read only.
+    """
+
+    def __init__(
+        self,
+        switchboard: Switchboard,
+        forwarding: Forwarding,
+        returns: Returns,
+        admit: Callable[[Join], Admission],
+        notify: Callable[[Notice], None],
+    ) -> None:
+        """Begin empty, and clear up after the switchboard's connections from now on.
+
+        Args:
+            switchboard: Where everybody is connected.
+            forwarding: Gives them their frames.
+            returns: The places that are kept.
+            admit: Says what who joins may do, or raises `AdmissionError`.
+            notify: Told at once what happens in rooms; it must neither block nor raise.
+        """
+        self._switchboard = switchboard
+        self._forwarding = forwarding
+        self._returns = returns
+        self._admit = admit
+        self._notify = notify
+        self._stats = switchboard.stats
+        self.rooms: dict[str, Room] = {}
+        # The last connection of those who are away; as many as there are places kept.
+        self._away: dict[str, Connection] = {}
+        self._joins: TokenBucket | None = None  # full when the first one comes
+        switchboard.on_over = self.clear_up
+
+    def join(self, connection: Connection, join: Join, now: float) -> None:
+        """Let somebody into a room, or close them."""
+        limits = self._switchboard.config.limits
+        # First of all: who has no token must not use up the joins of those who have one.
+        try:
+            admission = self._admit(join)
+        except AdmissionError as error:
+            self._stats.limits_hit["admission"] += 1
+            self._switchboard.close(connection, error.code, str(error), now)
+            return
+        if self._joins is None:
+            self._joins = TokenBucket(limits.joins_per_s, limits.joins_burst, now)
+        if not self._joins.take(now):
+            self._stats.limits_hit["joins"] += 1
+            reason = "too many join at once, try again"
+            self._switchboard.close(connection, CloseCode.BUSY, reason, now)
+            return
+        connection.is_resumable = join.resumable
+        if join.resume and self._come_back(connection, join, admission, now):
+            return
+        self._replace(join.room, admission.identity, now)
+        former = self.rooms.get(join.room)
+        if former is not None and former.is_barred(admission.identity):
+            self.refuse_barred(connection, now)
+            return
+        neighbours = self._switchboard.neighbours
+        if neighbours is not None:
+            neighbours.join(connection, join, admission, now)
+            return
+        room = self._room(join.room)
+        try:
+            joined = room.join(
+                connection.peer_id,
+                admission.name or join.name,
+                join.tracks,
+                identity=admission.identity,
+                may_subscribe=admission.may_subscribe,
+                metadata=join.metadata,
+            )
+        except RoomFullError:
+            self.refuse(connection, join.room, now)
+            return
+        self._enter(connection, room, joined, admission, now)
+
+    def enter(
+        self, connection: Connection, name: str, peer: Peer, admission: Admission, now: float
+    ) -> None:
+        """Let somebody in for whom the nodes of the cluster have agreed on a place."""
+        room = self._room(name)
+        joined = room.enter(
+            peer, identity=admission.identity, may_subscribe=admission.may_subscribe
+        )
+        self._enter(connection, room, joined, admission, now)
+
+    def refuse(self, connection: Connection, name: str, now: float) -> None:
+        """Close somebody for whom a room has no place."""
+        self._stats.limits_hit["room"] += 1
+        reason = f"room {name} is full: {self._switchboard.config.room_capacity} peers"
+        self._switchboard.close(connection, CloseCode.ROOM_FULL, reason, now)
+
+    def refuse_barred(self, connection: Connection, now: float) -> None:
+        """Close somebody whom an admin keeps out."""
+        self._stats.limits_hit["admission"] += 1
+        reason = "an admin has removed you"
+        self._switchboard.close(connection, CloseCode.FORBIDDEN, reason, now)
+
+    def update_metadata(self, connection: Connection, update: UpdateMetadata, now: float) -> None:
+        """Note what somebody says of themselves, and tell the others."""
+        room, metadata, switchboard = connection.room, update.metadata, self._switchboard
+        assert room is not None
+        if not connection.updates.take(now):
+            self._stats.limits_hit["metadata"] += 1
+            reason = "metadata changes too often"
+            switchboard.close(connection, CloseCode.TOO_FAST, reason, now)
+        elif room.update_metadata(connection.peer_id, metadata):
+            news = PeerUpdated(peer_id=connection.peer_id, metadata=metadata)
+            switchboard.tell_others(room, connection.peer_id, news, now)
+            if switchboard.neighbours is not None:
+                switchboard.neighbours.note_member(room, connection.peer_id)
+
+    def close(self, connection: Connection, code: CloseCode, reason: str, now: float) -> None:
+        """End a connection from this side; one that is lost, for good."""
+        if connection.closed is None:
+            self._switchboard.close(connection, code, reason, now)
+        elif self._away.get(connection.peer_id) is connection:
+            self.give_up(connection.peer_id, "removed", now)
+
+    def close_all(self, code: CloseCode, reason: str, now: float) -> None:
+        """End every connection, and give up every place."""
+        for connection in [*self._switchboard.connections.values(), *self._away.values()]:
+            self.close(connection, code, reason, now)
+
+    def close_peer(self, peer_id: str, code: CloseCode, reason: str, now: float) -> None:
+        """Put a peer of this node out, whether it is away or not."""
+        connection = self._switchboard.connections.get(peer_id) or self._away[peer_id]
+        self.close(connection, code, reason, now)
+
+    def handle_timer(self, now: float) -> None:
+        """Take those out of their rooms who have been away for too long."""
+        for peer_id in self._returns.take_expired(now):
+            self.give_up(peer_id, "lost", now)
+
+    def give_up(self, peer_id: str, reason: str, now: float) -> None:
+        """Take somebody who is away out of the room."""
+        self._depart(self._away.pop(peer_id), reason, now)
+
+    def give_up_away(self, room: Room, reason: str, now: float) -> None:
+        """Take all of this node who are away out of a room."""
+        for peer_id in room.away_here:
+            self.give_up(peer_id, reason, now)
+
+    def clear_up(self, connection: Connection, now: float) -> None:
+        """Clear up after a connection that is over: its last words, its place, the others' view."""
+        switchboard = self._switchboard
+        if not switchboard.wind_up(connection, now):
+            return
+        closed = connection.closed
+        assert closed is not None
+        room, peer_id, reason = connection.room, connection.peer_id, _farewell(closed)
+        may_come_back = _is_loss(closed) and not switchboard.is_draining
+        if room is not None and may_come_back and self._returns.go_away(peer_id, now):
+            self._stats.resumes["away"] += 1
+            self._away[peer_id] = connection
+            room.go_away(peer_id)
+            if switchboard.neighbours is not None:
+                switchboard.neighbours.note_member(room, peer_id)
+            switchboard.tell_others(room, peer_id, PeerAway(peer_id=peer_id), now)
+            return
+        self._depart(connection, reason, now)
+
+    def arrive(self, name: str, node: str, peer: Peer, now: float) -> None:
+        """Note a peer that came in on another node, and tell who is here."""
+        room = self._room(name)
+        self.rooms[name] = room
+        room.arrive(peer, node)
+        self._switchboard.tell_others(room, peer.peer_id, PeerJoined(peer=peer), now)
+
+    def follow(self, name: str, before: Member, member: Member, now: float) -> None:
+        """Note what is different about a peer of another node, and tell who is here."""
+        room, peer_id = self.rooms.get(name), member.peer.peer_id
+        if room is None or not room.node_of(peer_id):
+            return
+        tell_others = self._switchboard.tell_others
+        if room.update_metadata(peer_id, member.peer.metadata):
+            news = PeerUpdated(peer_id=peer_id, metadata=member.peer.metadata)
+            tell_others(room, peer_id, news, now)
+        if member.is_away and not before.is_away:
+            room.go_away(peer_id)
+            tell_others(room, peer_id, PeerAway(peer_id=peer_id), now)
+        elif before.is_away and not member.is_away:
+            room.note_back(peer_id)
+            tell_others(room, peer_id, PeerBack(peer_id=peer_id), now)
+        for number in set(before.muted) ^ set(member.muted):
+            stream = room.stream(number)
+            if stream is not None and stream.publisher == peer_id:
+                is_muted = number in member.muted
+                self._forwarding.mute(room, number, stream, is_muted=is_muted, now=now)
+
+    def depart(self, name: str, peer_id: str, reason: str, now: float) -> None:
+        """Note that a peer has gone that was on another node, and tell who is here."""
+        room = self.rooms.get(name)
+        if room is not None and room.node_of(peer_id):
+            self._forget(room, peer_id, reason, now)
+
+    def _room(self, name: str) -> Room:
+        room = self.rooms.get(name)
+        return Room(name, self._switchboard.config.room_capacity) if room is None else room
+
+    def _enter(
+        self,
+        connection: Connection,
+        room: Room,
+        joined: Joined,
+        admission: Admission,
+        now: float,
+    ) -> None:
+        if len(room) == 1:
+            self._notify(Notice(event="room_started", room=room.name))
+        self.rooms[room.name] = room
+        self._stats.joins += 1
+        self._note(room, connection.peer_id, "peer_joined")
+        self._accept(connection, room, joined, now)
+        arrival = PeerJoined(peer=room.peer(connection.peer_id))
+        self._switchboard.tell_others(room, connection.peer_id, arrival, now)
+        if admission.may_subscribe:
+            self._forwarding.catch_up(connection, room, now)
+
+    def _come_back(
+        self, connection: Connection, join: Join, admission: Admission, now: float
+    ) -> bool:
+        """Let somebody come back to their place, if it is still there and theirs."""
+        peer_id = self._returns.redeem(join.room, join.resume)
+        if peer_id is None:
+            self._stats.resumes["unknown"] += 1
+            return False
+        switchboard, room = self._switchboard, self.rooms[join.room]
+        lost = self._away.get(peer_id)
+        former = switchboard.connections[peer_id] if lost is None else lost
+        if not room.is_place_of(peer_id, admission.identity, join.tracks):
+            # Whoever has the secret does not come as who they were: nobody else will.
+            self._stats.resumes["unfit"] += 1
+            self.close(former, CloseCode.REPLACED, "your place was given up", now)
+            return False
+        self._stats.resumes["resumed"] += 1
+        self._away.pop(peer_id, None)
+        if lost is None:  # it is dead, and nobody has noticed yet
+            former.room = None
+            former.session.close(CloseCode.REPLACED, "you have come back on another connection")
+            switchboard.wind_up(former, now)
+        switchboard.rename(connection, peer_id)
+        joined = room.come_back(peer_id, may_subscribe=admission.may_subscribe)
+        if switchboard.neighbours is not None:
+            switchboard.neighbours.come_back(connection, room)
+        self._accept(connection, room, joined, now)
+        switchboard.tell_others(room, peer_id, PeerBack(peer_id=peer_id), now)
+        if room.update_metadata(peer_id, join.metadata):
+            news = PeerUpdated(peer_id=peer_id, metadata=join.metadata)
+            switchboard.tell_others(room, peer_id, news, now)
+        if switchboard.neighbours is not None:
+            switchboard.neighbours.note_member(room, peer_id)
+        if admission.may_subscribe:
+            self._forwarding.catch_up(connection, room, now)
+        return True
+
+    def _accept(self, connection: Connection, room: Room, joined: Joined, now: float) -> None:
+        """Tell somebody that they are in, and what else is so in the room."""
+        connection.room = room
+        if connection.is_resumable:
+            secret = self._returns.issue(room.name, connection.peer_id)
+            resume_ms = round(self._returns.grace_s * 1000)
+            joined = replace(joined, resume=secret, resume_ms=resume_ms)
+        connection.has_joined = True
+        connection.outbox.shared = room.shared
+        connection.session.accept(joined)
+        self._switchboard.flush(connection, now)
+        for peer_id in room.away:
+            self._switchboard.send(connection, PeerAway(peer_id=peer_id), now)
+        for number, stream in list(room.streams):
+            if stream.is_muted:
+                self._switchboard.send(connection, StreamMuted(stream=number, is_muted=True), now)
+
+    def _replace(self, room_name: str, identity: str, now: float) -> None:
+        """Close who is here under an identity that joins again: the newer one wins."""
+        room = self.rooms.get(room_name)
+        peer_id = None if room is None else room.peer_of(identity)
+        if peer_id is not None:
+            reason = "you have joined again from elsewhere"
+            self.close_peer(peer_id, CloseCode.REPLACED, reason, now)
+
+    def _depart(self, connection: Connection, reason: str, now: float) -> None:
+        """Take somebody whose connection is over out of the room, if they are in one."""
+        self._returns.forget(connection.peer_id)
+        if self._switchboard.neighbours is not None:
+            self._switchboard.neighbours.leave(connection, reason)
+        room, connection.room = connection.room, None
+        if room is not None:
+            self._note(room, connection.peer_id, "peer_left", reason)
+            self._forget(room, connection.peer_id, reason, now)
+
+    def _forget(self, room: Room, peer_id: str, reason: str, now: float) -> None:
+        """Clear up after a member of a room, and tell the others."""
+        peer = room.leave(peer_id)
+        if len(room) == 0:
+            for node in list(room.links):
+                self._forwarding.drop_link(room, node)
+            del self.rooms[room.name]
+            self._notify(Notice(event="room_ended", room=room.name))
+            return
+        for track in peer.tracks:
+            self._forwarding.forget_stream(room, track.stream)
+        news = PeerLeft(peer_id=peer_id, reason=reason)
+        self._switchboard.tell_others(room, peer_id, news, now)
+
+    def _note(self, room: Room, peer_id: str, event: str, reason: str = "") -> None:
+        """Tell whoever keeps books about a peer of this node."""
+        self._notify(
+            Notice(
+                event=event,
+                room=room.name,
+                peer_id=peer_id,
+                identity=room.identity_of(peer_id),
+                name=room.peer(peer_id).name,
+                reason=reason,
+            )
+        )
+
+
+def _is_loss(closed: Closed) -> bool:
+    """Say whether somebody is gone whom the network took, and who will try to come back."""
+    lost = (CloseCode.CONNECTION_LOST, CloseCode.INTERNAL_ERROR)
+    return closed.code == CloseCode.TOO_SLOW or (closed.is_remote and closed.code in lost)
+
+
+def _farewell(closed: Closed) -> str:
+    """Say why somebody is gone in a word the others may see."""
+    if not closed.is_remote:
+        return "removed"
+    return "left" if closed.code == CloseCode.NORMAL else "lost"

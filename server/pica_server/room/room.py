@@ -1,0 +1,347 @@
+"""Who is here, who publishes which stream, who wants how much of it, and what latecomers get.
+
+Pure: a room knows peers by their id and frames by their bytes, nothing of connections.
+
+Of each stream a room keeps the latest keyframe and the base frames since, so that whoever comes can
+decode at once and no publisher is disturbed, however many come. A chain that grows too long is
+given up but for its keyframe: a latecomer has that to look at until the next one comes.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+
+from pica_protocol.limits import MAX_LAYER, MAX_STREAM
+from pica_protocol.messages import Joined, Metadata, Peer, Track
+from pica_protocol.stream_queue import MAX_CHAIN_BYTES, MAX_CHAIN_FRAMES
+from pica_server.cluster.media import NodeLink
+from pica_server.errors import RoomFullError
+from pica_server.room.frame_batches import SharedFrames
+
+_NOTHING = -1
+"""As the highest wanted layer: none."""
+
+
+@dataclass(slots=True)
+class _Member:
+    peer: Peer
+    highest_layer: dict[int, int] = field(default_factory=dict)
+    """By stream; a stream that is missing is wanted up to ``default_layer``."""
+    identity: str = ""
+    default_layer: int = MAX_LAYER
+    is_away: bool = False
+    """Its connection is lost, and it may come back."""
+    node: str = ""
+    """Where it is connected, if that is another node of the cluster."""
+
+
+@dataclass(slots=True)
+class Stream:
+    """One stream of a room."""
+
+    publisher: str
+    """Who sends it: a peer id."""
+    deadline_s: float | None = None
+    """How long its frames may wait for a receiver if it is ordered; None: it is not."""
+    is_muted: bool = False
+    """An admin has stopped it."""
+    chain: list[bytes] = field(default_factory=list)
+    """The latest keyframe and, if ``is_whole``, all base frames since."""
+    is_whole: bool = False
+    num_bytes: int = 0
+    """Of the chain."""
+    asked_s: float | None = None
+    """When the publisher was last asked for a keyframe."""
+
+    @classmethod
+    def of(cls, publisher: str, track: Track) -> "Stream":
+        """Begin the stream of a track."""
+        is_ordered = track.policy == "ordered"
+        return cls(publisher, track.deadline_ms / 1000 if is_ordered else None)
+
+    def remember(self, frame: bytes, is_keyframe: bool) -> None:
+        """Keep a base frame for those who come later; of an ordered stream nothing is kept."""
+        if self.deadline_s is not None:
+            return
+        if is_keyframe:
+            self.chain = [frame]
+            self.num_bytes = len(frame)
+            self.is_whole = True
+        elif self.is_whole:
+            self.chain.append(frame)
+            self.num_bytes += len(frame)
+            if len(self.chain) > MAX_CHAIN_FRAMES or self.num_bytes > MAX_CHAIN_BYTES:
+                del self.chain[1:]
+                self.is_whole = False
+
+
+class Room:
+    """One room and the wishes of its members.
+
+    Attributes:
+        name: As the peers know it.
+        links: The other nodes of the cluster with peers in this room, as receivers of frames.
+        shared: What receivers here get alike.
+    """
+
+    def __init__(self, name: str, capacity: int) -> None:
+        self.name = name
+        self._capacity = capacity
+        self._members: dict[str, _Member] = {}
+        self._streams: dict[int, Stream] = {}
+        self._last_stream = 0
+        self._barred: dict[str, None] = {}  # bounded by who adds to it
+        self._num_remote = 0
+        # Who gets the frames of a stream and layer: looked up for every frame, changed rarely.
+        self._receivers: dict[tuple[int, int], list[str]] = {}
+        self.links: dict[str, NodeLink] = {}
+        self.shared = SharedFrames()
+
+    def __len__(self) -> int:
+        """How many are connected here; the peers of other nodes are not counted."""
+        return len(self._members) - self._num_remote
+
+    def __contains__(self, peer_id: str) -> bool:
+        return peer_id in self._members
+
+    @property
+    def peers(self) -> tuple[Peer, ...]:
+        """Everybody in the room, in the order of their coming."""
+        return tuple(member.peer for member in self._members.values())
+
+    @property
+    def peers_here(self) -> tuple[Peer, ...]:
+        """Those who are connected to this node, in the order of their coming."""
+        return tuple(member.peer for member in self._members.values() if not member.node)
+
+    @property
+    def streams(self) -> Iterable[tuple[int, Stream]]:
+        """Every stream with its number."""
+        return self._streams.items()
+
+    def stream(self, number: int) -> Stream | None:
+        """Return a stream, or None if it has ended or never was."""
+        return self._streams.get(number)
+
+    def join(
+        self,
+        peer_id: str,
+        name: str,
+        tracks: tuple[Track, ...],
+        *,
+        identity: str = "",
+        may_subscribe: bool = True,
+        metadata: Metadata = (),
+    ) -> Joined:
+        """Let a peer in, allot streams to its tracks, and return what to tell it.
+
+        Args:
+            peer_id: Unique in the room.
+            name: What the others are shown.
+            tracks: What it publishes.
+            identity: Who it is for sure, or empty.
+            may_subscribe: Whether it gets anybody's frames.
+            metadata: What it says of itself.
+
+        Raises:
+            RoomFullError: The room has no place left.
+        """
+        if len(self) >= self._capacity:
+            raise RoomFullError(f"room {self.name} is full: {self._capacity} peers")
+        own = tuple(replace(track, stream=self._new_stream(peer_id, track)) for track in tracks)
+        peer = Peer(peer_id=peer_id, name=name, tracks=own, metadata=metadata)
+        return self.enter(peer, identity=identity, may_subscribe=may_subscribe)
+
+    def enter(self, peer: Peer, *, identity: str = "", may_subscribe: bool = True) -> Joined:
+        """Let a peer in whose tracks have their streams, and return what to tell it."""
+        present = self.peers
+        self._receivers.clear()
+        self._members[peer.peer_id] = _Member(
+            peer, identity=identity, default_layer=MAX_LAYER if may_subscribe else _NOTHING
+        )
+        for track in peer.tracks:
+            self._streams.setdefault(track.stream, Stream.of(peer.peer_id, track))
+        return Joined(room=self.name, peer_id=peer.peer_id, tracks=peer.tracks, peers=present)
+
+    def arrive(self, peer: Peer, node: str) -> None:
+        """Note a peer that is connected to another node."""
+        self.enter(peer, may_subscribe=False)
+        self._members[peer.peer_id].node = node
+        self._num_remote += 1
+
+    def leave(self, peer_id: str) -> Peer:
+        """Forget a peer, its streams and everybody's wishes for them."""
+        self._receivers.clear()
+        gone = self._members.pop(peer_id)
+        self._num_remote -= bool(gone.node)
+        peer = gone.peer
+        for track in peer.tracks:
+            del self._streams[track.stream]
+            for member in self._members.values():
+                member.highest_layer.pop(track.stream, None)
+        return peer
+
+    def go_away(self, peer_id: str) -> None:
+        """Note that a peer has lost its connection: it wants nothing until it comes back."""
+        self._receivers.clear()
+        member = self._members[peer_id]
+        member.is_away = True
+        member.highest_layer.clear()
+        member.default_layer = _NOTHING
+
+    def is_place_of(self, peer_id: str, identity: str, tracks: tuple[Track, ...]) -> bool:
+        """Say whether somebody who comes back with these tracks is who had this place."""
+        member = self._members.get(peer_id)
+        if member is None or member.identity != identity:
+            return False
+        return tuple(replace(track, stream=0) for track in member.peer.tracks) == tracks
+
+    def note_back(self, peer_id: str) -> None:
+        """Note that a peer of another node has come back to its place there."""
+        self._members[peer_id].is_away = False
+
+    def muted_of(self, peer_id: str) -> tuple[int, ...]:
+        """Return those streams of a peer that an admin has stopped."""
+        tracks = self._members[peer_id].peer.tracks
+        return tuple(t.stream for t in tracks if self._streams[t.stream].is_muted)
+
+    def come_back(self, peer_id: str, *, may_subscribe: bool) -> Joined:
+        """Give a peer its place again, without its wishes, and return what to tell it."""
+        self._receivers.clear()
+        member = self._members[peer_id]
+        member.is_away = False
+        member.highest_layer.clear()
+        member.default_layer = MAX_LAYER if may_subscribe else _NOTHING
+        for track in member.peer.tracks:
+            # What is to come does not follow what was kept: frames were lost between.
+            stream = self._streams[track.stream]
+            del stream.chain[1:]
+            stream.num_bytes = sum(map(len, stream.chain))
+            stream.is_whole = False
+            stream.asked_s = None
+        others = tuple(peer for peer in self.peers if peer.peer_id != peer_id)
+        return Joined(
+            room=self.name, peer_id=peer_id, tracks=member.peer.tracks, peers=others, resumed=True
+        )
+
+    def update_metadata(self, peer_id: str, metadata: Metadata) -> bool:
+        """Note what a peer says of itself; return whether it is something else than before."""
+        member = self._members[peer_id]
+        if member.peer.metadata == metadata:
+            return False
+        member.peer = replace(member.peer, metadata=metadata)
+        return True
+
+    @property
+    def away(self) -> tuple[str, ...]:
+        """Ids of those who have lost their connection and may come back."""
+        return tuple(peer_id for peer_id, member in self._members.items() if member.is_away)
+
+    @property
+    def away_here(self) -> tuple[str, ...]:
+        """Those of them who were on this node."""
+        return tuple(peer_id for peer_id in self.away if not self.node_of(peer_id))
+
+    def bar(self, identity: str, max_barred: int) -> None:
+        """Keep an identity out as long as the room lasts; drops the oldest above ``max_barred``."""
+        if identity:
+            self._barred[identity] = None
+            if len(self._barred) > max_barred:
+                del self._barred[next(iter(self._barred))]
+
+    def is_barred(self, identity: str) -> bool:
+        """Say whether an identity is kept out."""
+        return identity in self._barred
+
+    def identity_of(self, peer_id: str) -> str:
+        """Return who a peer is for sure, or empty."""
+        return self._members[peer_id].identity
+
+    def peer_of(self, identity: str) -> str | None:
+        """Return the peer id of somebody who is here for sure, or None."""
+        for peer_id, member in self._members.items():
+            if identity and member.identity == identity:
+                return peer_id
+        return None
+
+    def peer(self, peer_id: str) -> Peer:
+        """Return one member as the others see it."""
+        return self._members[peer_id].peer
+
+    def node_of(self, peer_id: str) -> str:
+        """Return the other node that a peer is connected to, or empty."""
+        member = self._members.get(peer_id)
+        return "" if member is None else member.node
+
+    def is_remote(self, stream: int) -> bool:
+        """Say whether a stream comes from another node."""
+        found = self._streams.get(stream)
+        return found is not None and bool(self.node_of(found.publisher))
+
+    def interest(self) -> dict[int, int]:
+        """Return what all who are here together want of other nodes' streams: the highest layer
+        of each; a stream that nobody wants is missing."""
+        here = [member for member in self._members.values() if not member.node]
+        wanted = {}
+        for stream in filter(self.is_remote, self._streams):
+            layer = max(m.highest_layer.get(stream, m.default_layer) for m in here)
+            if layer > _NOTHING:
+                wanted[stream] = layer
+        return wanted
+
+    def forget_chain(self, stream: int) -> None:
+        """Forget what was kept of a stream that does not come any more."""
+        found = self._streams.get(stream)
+        if found is not None:
+            found.chain, found.num_bytes, found.is_whole = [], 0, False
+
+    def want(self, peer_id: str, stream: int, layer: int | None) -> bool:
+        """Note a wish; one for a stream that has just ended is no mistake and changes nothing.
+
+        Returns:
+            Whether the peer wants frames of the stream after it wanted none.
+        """
+        if stream not in self._streams:
+            return False
+        member = self._members[peer_id]
+        if member.default_layer == _NOTHING:
+            return False
+        wishes = member.highest_layer
+        had_stopped = wishes.get(stream) == _NOTHING
+        self._receivers.clear()
+        wishes[stream] = _NOTHING if layer is None else layer
+        return had_stopped and layer is not None
+
+    def owns(self, peer_id: str, stream: int) -> bool:
+        """Say whether this peer publishes this stream."""
+        found = self._streams.get(stream)
+        return found is not None and found.publisher == peer_id
+
+    def receivers(self, stream: int, layer: int) -> list[str]:
+        """Return who gets a frame of this stream and layer; the list is to be read only."""
+        found = self._receivers.get((stream, layer))
+        if found is not None:
+            return found
+        publisher = self._streams[stream].publisher
+        found = self._receivers[stream, layer] = [
+            peer_id
+            for peer_id, member in self._members.items()
+            if peer_id != publisher
+            and member.highest_layer.get(stream, member.default_layer) >= layer
+        ]
+        return found
+
+    def request_keyframe(self, stream: int, interval_s: float, now: float) -> str | None:
+        """Return the publisher to ask, or None if it is gone or was asked within the interval."""
+        found = self._streams.get(stream)
+        if found is None or (found.asked_s is not None and now - found.asked_s < interval_s):
+            return None
+        found.asked_s = now
+        return found.publisher
+
+    def _new_stream(self, peer_id: str, track: Track) -> int:
+        # Counting up, not lowest first: a late frame of a departed peer must not find a new owner.
+        while True:
+            self._last_stream = self._last_stream % MAX_STREAM + 1
+            if self._last_stream not in self._streams:
+                self._streams[self._last_stream] = Stream.of(peer_id, track)
+                return self._last_stream

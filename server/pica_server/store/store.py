@@ -1,0 +1,248 @@
+"""The avatar store: files by the SHA-256 of their bytes, so that a stranger can be seen by all.
+
+Nobody needs the relay's word for what it gives: whoever gets a file hashes it. So the store only
+has to take care of what it takes: who may give, how much in all, and that it is an avatar file.
+
+What blocks (disk, network, hashing, the check) happens in threads of the store. It knows no
+websocket; `store_door.StoreDoor` is the way in and out.
+"""
+
+import asyncio
+import errno
+import hashlib
+import logging
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from io import BufferedWriter
+from pathlib import Path
+from typing import Final, TypeVar
+
+from pica_server.errors import StoreError, StoreFullError, UnfitFileError
+from pica_server.store import check_process
+from pica_server.store.backends import Place, open_place
+from pica_server.store.check import StructureCheck
+from pica_server.store.config import StoreConfig
+
+NUM_THREADS: Final = 4
+BUFFER_BYTES: Final = 256 * 2**10
+"""Of one upload, in memory; then a thread writes it."""
+
+_NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_logger = logging.getLogger(__name__)
+_T = TypeVar("_T")
+
+
+def open_store(where: str, config: StoreConfig) -> "AvatarStore | None":
+    """Open what the setting ``--avatar-store`` names; None for ``none``.
+
+    Raises:
+        StoreError: It cannot be used.
+    """
+    return None if where == "none" else AvatarStore(open_place(where), config)
+
+
+class AvatarStore:
+    """Files by id, within a quota.
+
+    Attributes:
+        config: The limits.
+        checks_fully: Whether uploads get the check that receivers make, or only one of structure.
+    """
+
+    def __init__(self, place: Place, config: StoreConfig) -> None:
+        """Look what is there.
+
+        Raises:
+            StoreError: The place cannot be used, or the check that is asked for cannot be run.
+        """
+        self.config = config
+        if config.check == "full" and not check_process.is_installed():
+            raise StoreError(
+                "--store.check full needs numpy beside the relay: "
+                "pip install 'pica-telepresence[send]', or use --store.check structure"
+            )
+        self.checks_fully = config.check != "structure" and check_process.is_installed()
+        self._place = place
+        self._sizes = place.prepare(config.max_avatars)  # bounded by max_avatars
+        self._reserved_bytes = self._num_reserved = 0
+        self._threads = ThreadPoolExecutor(NUM_THREADS, thread_name_prefix="avatar-store")
+        # One check at a time: it takes a core's worth of work, and must not hold up the readers.
+        self._checks = ThreadPoolExecutor(1, thread_name_prefix="avatar-check")
+
+    @property
+    def num_avatars(self) -> int:
+        """Files that it knows of."""
+        return len(self._sizes)
+
+    @property
+    def used_bytes(self) -> int:
+        """Bytes of all files that it knows of."""
+        return sum(self._sizes.values())
+
+    @property
+    def num_free_bytes(self) -> int:
+        """Bytes that an offer may still have."""
+        return self.config.quota_bytes - self.used_bytes - self._reserved_bytes
+
+    async def size(self, identity: str) -> int | None:
+        """Return a file's size, or None if it is not there; asks the place, which others may share.
+
+        Raises:
+            OSError: The place does not answer.
+        """
+        size = await self._in_thread(lambda: self._place.size(identity))
+        if size is None:
+            self._sizes.pop(identity, None)
+        elif len(self._sizes) < self.config.max_avatars:
+            self._sizes[identity] = size
+        return size
+
+    async def read(self, identity: str, begin: int, end: int) -> bytes:
+        """Return a part of a file.
+
+        Raises:
+            OSError: It is not there any more, or shorter.
+        """
+        data = await self._in_thread(lambda: self._place.read(identity, begin, end))
+        if len(data) != end - begin:
+            raise OSError(errno.EIO, "a file is shorter than it was")
+        return data
+
+    async def begin_upload(self, identity: str, size: int) -> "Upload":
+        """Make room for a file.
+
+        Raises:
+            StoreFullError: There is none.
+        """
+        config = self.config
+        if size > config.largest_bytes:
+            raise StoreFullError(f"{size} bytes, it takes no file above {config.largest_bytes}")
+        if len(self._sizes) + self._num_reserved >= config.max_avatars:
+            raise StoreFullError(f"it has {config.max_avatars} avatars, the most it may")
+        if size > self.num_free_bytes:
+            raise StoreFullError(f"its {config.quota_bytes} bytes are taken")
+        self._reserved_bytes += size
+        self._num_reserved += 1
+        try:
+            path, file = await self._in_thread(self._open_spool)
+        except BaseException as error:
+            self._release(size)
+            if isinstance(error, OSError) and error.errno in _NO_ROOM:
+                raise StoreFullError("its disk is full") from error
+            raise
+        return Upload(self, identity, size, path, file)
+
+    def close(self) -> None:
+        """End the threads and clear up."""
+        self._checks.shutdown(wait=True, cancel_futures=True)
+        self._threads.shutdown(wait=True, cancel_futures=True)
+        self._place.close()
+
+    def _open_spool(self) -> tuple[Path, BufferedWriter]:
+        path = self._place.spool()
+        return path, path.open("xb")
+
+    def _release(self, size: int) -> None:
+        self._reserved_bytes -= size
+        self._num_reserved -= 1
+
+    async def _in_thread(self, action: Callable[[], _T]) -> _T:
+        return await asyncio.get_running_loop().run_in_executor(self._threads, action)
+
+
+class Upload:
+    """One file on its way in; ``async with``, which discards what was not finished."""
+
+    def __init__(
+        self, store: AvatarStore, identity: str, size: int, path: Path, file: BufferedWriter
+    ) -> None:
+        self._store = store
+        self._identity = identity
+        self._size = size
+        self._path = path
+        self._file = file
+        self._received = 0
+        self._hash = hashlib.sha256()
+        self._structure = StructureCheck(size)
+        self._buffer = bytearray()  # bounded by BUFFER_BYTES and one chunk
+
+    @property
+    def num_missing(self) -> int:
+        """Bytes that have still to come."""
+        return self._size - self._received
+
+    async def write(self, data: bytes | memoryview) -> None:
+        """Take the next bytes.
+
+        Raises:
+            UnfitFileError: They are too many, or no avatar file begins like this.
+            StoreFullError: The disk is full.
+            OSError: It cannot be written.
+        """
+        self._received += len(data)
+        if self._received > self._size:
+            raise UnfitFileError("more bytes than were offered")
+        self._structure.receive(data)
+        self._hash.update(data)  # 16 KiB take twenty microseconds
+        self._buffer += data
+        if len(self._buffer) >= BUFFER_BYTES:
+            await self._write_buffer()
+
+    async def finish(self) -> str:
+        """Check the whole file and keep it.
+
+        Returns:
+            Which check it has passed: ``full`` or ``structure``.
+
+        Raises:
+            UnfitFileError: It is not the file that was offered, or no avatar.
+            StoreFullError: The disk is full.
+            StoreError: The check cannot be run.
+            OSError: It cannot be written.
+        """
+        if self.num_missing:
+            raise UnfitFileError(f"{self.num_missing} bytes are missing")
+        if self._hash.hexdigest() != self._identity:
+            raise UnfitFileError("its SHA-256 is not the one that was offered")
+        self._structure.finish()
+        await self._write_buffer()
+        store = self._store
+        loop = asyncio.get_running_loop()
+        await loop.run_in_executor(store._checks, self._check_and_keep)
+        store._sizes[self._identity] = self._size
+        return "full" if store.checks_fully else "structure"
+
+    async def __aenter__(self) -> "Upload":
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self._store._release(self._size)
+        # Not waited for when we are cancelled: the thread does it all the same.
+        await self._store._in_thread(self._discard)
+
+    async def _write_buffer(self) -> None:
+        data, self._buffer = self._buffer, bytearray()
+        try:
+            await self._store._in_thread(lambda: self._file.write(data))
+        except OSError as error:
+            if error.errno in _NO_ROOM:
+                raise StoreFullError("its disk is full") from error
+            raise
+
+    def _check_and_keep(self) -> None:
+        try:
+            self._file.close()
+            if self._store.checks_fully:
+                check_process.check_fully(self._path, self._identity)
+            self._store._place.keep(self._path, self._identity)
+        except OSError as error:
+            if error.errno in _NO_ROOM:
+                raise StoreFullError("its disk is full") from error
+            raise
+
+    def _discard(self) -> None:
+        with suppress(OSError):
+            self._file.close()
+        with suppress(OSError):
+            self._path.unlink(missing_ok=True)

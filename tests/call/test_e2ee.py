@@ -1,0 +1,354 @@
+"""Sealed calls through the real relay on the virtual clock: it caches, thins and forwards what it
+cannot read."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("cryptography", reason="needs the extra seal")
+
+from pica_client.avatars.library import AvatarLibrary, LoadedAvatars
+from pica_client.call.call import Call
+from pica_client.call.receiver import Receiver
+from pica_client.e2ee.guard import Guard
+from pica_client.e2ee.secret import RoomSecret, save_secret
+from pica_client.e2ee.suites import AES_128_CTR_HMAC_SHA256_64, Suite
+from pica_client.local_call.load import make_senders
+from pica_client.publish.sender import SenderConfig
+from pica_client.transport.config import LinkConfig
+from pica_client.transport.link import Link
+from pica_protocol.frames import Frame
+from pica_protocol.messages import Joined, KeyframeRequest, PeerLeft, Track, Whisper
+from pica_protocol.session import ClientEvent, Closed
+from pica_server.config.relay import RelayConfig
+from pica_server.relay import Relay
+from simnet.clock import current_network, in_virtual_time
+from simnet.link import Link as Wire
+from simnet.peers import peer_in_room
+
+pytestmark = pytest.mark.call
+
+SECRET = RoomSecret(bytes(range(32)))
+FACE = b"a face of nobody but us"
+FPS = 30
+LAYERS = (0, 2, 1, 2)
+
+
+class Unforgetting:
+    """A guard that keeps its keys when it has left, as a dishonest one would."""
+
+    def __init__(self, guard: Guard) -> None:
+        self._guard = guard
+        self.seal = guard.seal
+        self.messages_to_send = guard.messages_to_send
+        self.next_timer = guard.next_timer
+        self.handle_timer = guard.handle_timer
+        self.stats = guard.stats
+
+    def receive_event(self, event: ClientEvent, now: float) -> list[ClientEvent]:
+        return [event] if isinstance(event, Closed) else self._guard.receive_event(event, now)
+
+
+class Sealed:
+    """A link with a guard, and all that came out of it.
+
+    Attributes:
+        frames: When each came, and the frame.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        host: str = "relay",
+        publishes: bool = True,
+        secret: RoomSecret = SECRET,
+        suite: Suite | None = None,
+        forgets: bool = True,
+    ) -> None:
+        chance = random.Random(name)
+        given = {} if suite is None else {"suite": suite}
+        self.guard = Guard(secret, random_bytes=chance.randbytes, **given)
+        self.link = Link(
+            LinkConfig(url=f"ws://{host}:8765", room="r", name=name),
+            (Track(kind="face"),) if publishes else (),
+            on_event=self._take,
+            rng=chance,
+            guard=self.guard if forgets else Unforgetting(self.guard),
+        )
+        self.frames: list[tuple[float, Frame]] = []
+        self.events: list[ClientEvent] = []
+        self.joined_s = 0.0
+        self.joined = asyncio.Event()
+        self.wants_keyframe = True
+        self.is_still = False
+
+    def _take(self, event: ClientEvent, now: float) -> None:
+        if isinstance(event, Frame):
+            self.frames.append((now, event))
+            return
+        self.events.append(event)
+        if isinstance(event, Joined):
+            self.joined_s = now
+            self.joined.set()
+        elif isinstance(event, KeyframeRequest):
+            self.wants_keyframe = True
+
+    async def publish(self, seconds: float) -> None:
+        """Send a layered stream with keyframes on request only; a still face sends nothing else."""
+        loop = asyncio.get_running_loop()
+        begin_s = loop.time()
+        for number in range(round(seconds * FPS)):
+            await asyncio.sleep(begin_s + number / FPS - loop.time())
+            if self.is_still and not self.wants_keyframe:
+                continue
+            is_keyframe = self.wants_keyframe
+            layer = 0 if is_keyframe else LAYERS[number % len(LAYERS)]
+            if self.link.send_frame(
+                FACE, round(loop.time() * 1e6), layer=layer, is_keyframe=is_keyframe
+            ):
+                self.wants_keyframe = False
+
+    def streams(self) -> set[int]:
+        return {frame.stream for _, frame in self.frames}
+
+
+@asynccontextmanager
+async def running(*peers: Sealed) -> AsyncIterator[None]:
+    """Keep links up, and let them go in good order."""
+    tasks = [asyncio.create_task(peer.link.run()) for peer in peers]
+    for peer in peers:
+        await peer.joined.wait()
+    try:
+        yield
+    finally:
+        for peer in peers:
+            peer.link.leave()
+        await asyncio.gather(*tasks)
+
+
+@in_virtual_time
+async def test_peers_read_each_other_and_the_relay_reads_nobody() -> None:
+    async with (
+        Relay(RelayConfig(port=8765)),
+        peer_in_room("ws://relay:8765", "eve", room="r") as eve,
+    ):
+        ada, ben = Sealed("ada"), Sealed("ben", suite=AES_128_CTR_HMAC_SHA256_64)
+        async with running(ada, ben):
+            await asyncio.gather(ada.publish(5), ben.publish(5))
+            await asyncio.sleep(1)
+        sealed = [frame for _, frame in eve.arrivals]
+        assert len(sealed) >= 2 * 5 * FPS - 2
+        assert not any(FACE[:4] in frame.payload for frame in sealed)
+        assert any(isinstance(event, Whisper) for event in eve.events)
+    for one, other in ((ada, ben), (ben, ada)):
+        assert {frame.payload for _, frame in one.frames} == {FACE}
+        assert len(one.frames) >= 5 * FPS - 2
+        assert one.guard.counters.forged == one.guard.counters.replayed == 0
+        assert other.link.counters.errors == 0
+        assert not any(isinstance(event, Whisper) for event in one.events)
+    assert ada.guard.counters.overhead_bytes / ada.guard.counters.sealed <= 19
+    assert ben.guard.counters.overhead_bytes / ben.guard.counters.sealed <= 11
+
+
+@in_virtual_time
+async def test_a_late_joiner_sees_a_face_one_round_trip_and_one_frame_after_it_joined() -> None:
+    network = current_network()
+    for host, delay_s in (("ada", 0.05), ("late", 0.08)):
+        network.route(host, up=Wire(delay_s=delay_s), down=Wire(delay_s=delay_s))
+    round_trip_s = 2 * (0.05 + 0.08)
+    async with Relay(RelayConfig(port=8765)):
+        ada, early = Sealed("ada", host="ada"), Sealed("early", publishes=False)
+        late = Sealed("late", host="late", publishes=False)
+        async with running(ada, early):
+            publishing = asyncio.create_task(ada.publish(10))
+            await asyncio.sleep(5)
+            async with running(late):
+                await publishing
+    arrived_s, first = late.frames[0]
+    assert first.is_keyframe
+    assert first.captured_us / 1e6 > late.joined_s
+    assert arrived_s - late.joined_s <= round_trip_s + 1 / FPS + 1e-6
+    # The keyframe from the relay's cache, and what came before the key, stayed shut.
+    assert late.guard.counters.unreadable > 1
+    assert early.guard.counters.unreadable == 0
+
+
+@in_virtual_time
+async def test_a_still_face_is_shown_to_a_late_joiner_too() -> None:
+    async with Relay(RelayConfig(port=8765)):
+        ada, late = Sealed("ada"), Sealed("late", publishes=False)
+        ada.is_still = True
+        async with running(ada):
+            publishing = asyncio.create_task(ada.publish(10))
+            await asyncio.sleep(5)
+            async with running(late):
+                await asyncio.sleep(1)
+                assert len(late.frames) == 1
+                assert late.frames[0][1].is_keyframe
+                await publishing
+
+
+@in_virtual_time
+async def test_the_relay_thins_what_it_cannot_read() -> None:
+    async with Relay(RelayConfig(port=8765)):
+        ada, ben = Sealed("ada"), Sealed("ben", publishes=False)
+        async with running(ada, ben):
+            await asyncio.sleep(1)  # the first frames would come before the first keys
+            publishing = asyncio.create_task(ada.publish(12))
+            await asyncio.sleep(2)
+            (stream,) = ben.streams()
+            for layer in (1, 0, None, 2):
+                ben.link.want(stream, layer)
+                await asyncio.sleep(0.1)
+                ben.frames.clear()
+                await asyncio.sleep(2)
+                layers = {frame.layer for _, frame in ben.frames}
+                assert layers == (set() if layer is None else set(range(layer + 1)))
+            await publishing
+    counters = ben.guard.counters
+    assert (counters.forged, counters.replayed, counters.unreadable) == (0, 0, 0)
+
+
+@in_virtual_time
+async def test_those_who_stay_miss_nothing_when_somebody_leaves() -> None:
+    network = current_network()
+    network.route("slow", up=Wire(delay_s=0.2), down=Wire(delay_s=0.2, jitter_s=0.1))
+    async with Relay(RelayConfig(port=8765)):
+        ada, ben, cho = Sealed("ada"), Sealed("ben", host="slow"), Sealed("cho")
+        async with running(ada, ben):
+            publishing = [asyncio.create_task(peer.publish(10)) for peer in (ada, ben)]
+            async with running(cho):
+                await asyncio.sleep(3)
+                changes = ada.guard.stats()["key_changes"]
+            before = ben.guard.counters.unreadable, ada.guard.counters.unreadable
+            await asyncio.gather(*publishing)
+            assert any(isinstance(event, PeerLeft) for event in ada.events)
+            assert ada.guard.stats()["key_changes"] == changes + 1
+            assert (ben.guard.counters.unreadable, ada.guard.counters.unreadable) == before
+            seen_s = [arrived_s for arrived_s, _ in ben.frames]
+    gaps_s = [after - before for before, after in pairwise(seen_s)]
+    assert max(gaps_s) < 0.3  # the jitter of the network, and nothing on top
+
+
+@in_virtual_time
+async def test_the_key_is_another_once_somebody_has_left() -> None:
+    async with (
+        Relay(RelayConfig(port=8765)),
+        peer_in_room("ws://relay:8765", "tap", room="r") as tap,
+    ):
+        ada, ben, cho = Sealed("ada"), Sealed("ben"), Sealed("cho", forgets=False)
+        async with running(ada, ben):
+            publishing = asyncio.create_task(ada.publish(6))
+            async with running(cho):
+                await asyncio.sleep(3)
+                num_before = len(cho.frames)
+            left_s = asyncio.get_running_loop().time()
+            await publishing
+            after = [frame for arrived_s, frame in tap.arrivals if arrived_s > left_s + 0.1]
+            assert num_before > 60
+            assert len(after) > 60
+            # As if cho's program went on with the keys it had, and with a tap on the relay.
+            opened = [cho.guard.receive_event(frame, left_s) for frame in after]
+            assert opened == [[]] * len(after)
+            assert len(ben.frames) > num_before + 60
+
+
+@in_virtual_time
+async def test_everybody_reads_again_after_the_relay_came_back() -> None:
+    ada, ben = Sealed("ada"), Sealed("ben")
+    async with Relay(RelayConfig(port=8765)):
+        tasks = [asyncio.create_task(peer.link.run()) for peer in (ada, ben)]
+        await asyncio.gather(ada.joined.wait(), ben.joined.wait())
+        await asyncio.gather(ada.publish(2), ben.publish(2))
+    await asyncio.sleep(3)
+    async with Relay(RelayConfig(port=8765)):
+        await asyncio.sleep(10)
+        for peer in (ada, ben):
+            peer.frames.clear()
+            peer.wants_keyframe = True
+        await asyncio.gather(ada.publish(2), ben.publish(2))
+        await asyncio.sleep(0.5)
+        for peer in (ada, ben):
+            assert len(peer.frames) == 2 * FPS
+            peer.link.leave()
+        await asyncio.gather(*tasks)
+
+
+@in_virtual_time
+async def test_somebody_with_another_secret_is_in_the_room_and_reads_nothing() -> None:
+    async with Relay(RelayConfig(port=8765)):
+        ada, ben = Sealed("ada"), Sealed("ben")
+        mallory = Sealed("mallory", secret=RoomSecret(bytes(32)))
+        async with running(ada, ben, mallory):
+            await asyncio.gather(*(peer.publish(3) for peer in (ada, ben, mallory)))
+            assert mallory.frames == []
+            assert len(ada.streams()) == len(ben.streams()) == 1
+            assert len(ada.guard.members) == 1
+            assert mallory.guard.counters.unreadable > 100
+
+
+@in_virtual_time
+async def test_sixteen_members_who_come_at_once_all_read_each_other() -> None:
+    async with Relay(RelayConfig(port=8765)) as relay:
+        peers = [Sealed(f"p{number}") for number in range(16)]
+        async with running(*peers):
+            await asyncio.sleep(3)
+            await asyncio.gather(*(peer.publish(1) for peer in peers))
+            await asyncio.sleep(0.5)
+            assert [len(peer.streams()) for peer in peers] == [15] * 16
+        assert relay.stats()["whispers_dropped"] == {}
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_coded_face_is_seen_by_a_late_joiner_in_one_round_trip_and_one_frame(
+    tmp_path: Path, seed: int
+) -> None:
+    secret_file = tmp_path / "secret"
+    save_secret(secret_file, SECRET)
+    library = AvatarLibrary()
+    identity = library.find(library.names[0])
+    avatar = library.load(identity)
+    library.close()
+    assert avatar.stream_profile() is not None
+
+    def link(name: str) -> LinkConfig:
+        url = f"ws://{name}:8765"
+        return LinkConfig(url=url, room="r", name=name, secret_file=secret_file)
+
+    @in_virtual_time
+    async def call() -> None:
+        loop = asyncio.get_running_loop()
+        for name, delay_s in (("ada", 0.04), ("late", 0.07)):
+            wire = Wire(delay_s=delay_s)
+            current_network().route(name, up=wire, down=wire)
+        async with Relay(RelayConfig(port=8765)):
+            (sender,) = make_senders(
+                [link("ada")], [(identity, avatar)], config=SenderConfig(seconds=12)
+            )
+            sending = asyncio.create_task(sender.run())
+            await asyncio.sleep(5 + seed / 70)  # anywhere between two frames
+            receiver = Receiver(link("late"), Call(LoadedAvatars({identity: avatar})))
+            receiving = asyncio.create_task(receiver.run())
+            await receiver.arrived.wait()
+            assert receiver.is_connected
+            joined_s = loop.time()
+            while receiver.call.num_live == 0:
+                receiver.arrived.clear()
+                await receiver.arrived.wait()
+            assert loop.time() - joined_s <= 2 * (0.04 + 0.07) + 1 / 30 + 1e-6
+            await sending
+            stats = receiver.stats(loop.time())
+            assert stats["errors"] == stats["seal"]["forged"] == stats["seal"]["replayed"] == 0
+            assert stats["seal"]["opened"] >= 100
+            receiver.stop()
+            await receiving
+
+    call()

@@ -1,0 +1,284 @@
+"""Streams of heads off the screen, through the real relay on the virtual clock: what they cost, and
+how soon the face of now is there when the head comes back.
+
+Sender and receiver are the product's, with a shipped avatar. Code takes no time on a virtual clock:
+delays are those of the network and of our own waiting.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from pica_client.avatars.library import LoadedAvatars
+from pica_client.call.call import Call
+from pica_client.call.faces import FaceState
+from pica_client.call.receiver import Receiver
+from pica_client.local_call.load import make_senders
+from pica_client.publish.sender import Sender, SenderConfig
+from pica_client.sources import open_source
+from pica_client.transport.config import LinkConfig
+from pica_core.avatar.expression_encoder import ExpressionEncoder
+from pica_core.avatar.file import Avatar, load_avatar
+from pica_protocol.limits import MAX_LAYER
+from pica_server.config.relay import RelayConfig
+from pica_server.relay import Relay
+from simnet.clock import current_network, in_virtual_time
+from simnet.link import Link as Wire
+
+pytestmark = pytest.mark.call
+
+AVATAR_ID = "6" * 64
+SOURCE = "performance:talk"
+DISPLAY_FRAME_S = 1 / 30
+BASE_S = 4 / 30
+"""Between two frames of the base layer."""
+
+
+@pytest.fixture(scope="module")
+def avatar() -> Avatar:
+    return load_avatar(Path(str(resources.files("pica_core"))) / "avatars" / "ines.pica")
+
+
+def make_sender(url: str, avatar: Avatar, seconds: float, *, plain: bool = False) -> Sender:
+    config = LinkConfig(url=_from("ada", url), room="kitchen", name="ada")
+    (sender,) = make_senders(
+        [config],
+        [(AVATAR_ID, avatar)],
+        config=SenderConfig(seconds=seconds, plain=plain),
+        sources=[open_source(SOURCE)],
+    )
+    return sender
+
+
+def make_receiver(url: str, avatar: Avatar) -> Receiver:
+    config = LinkConfig(url=_from("viewer", url), room="kitchen", name="viewer")
+    return Receiver(config, Call(LoadedAvatars({AVATAR_ID: avatar})), rng=random.Random(1))
+
+
+def _from(host: str, url: str) -> str:
+    return f"ws://{host}:{url.rpartition(':')[2]}"
+
+
+class Viewer:
+    """Looks thirty times a second, and wishes each time what it sees."""
+
+    def __init__(self, receiver: Receiver) -> None:
+        self.receiver = receiver
+        self.layer: int | None = MAX_LAYER
+        self.faces: list[tuple[float, FaceState]] = []
+        self.looked = asyncio.Event()
+
+    async def run(self, seconds: float) -> None:
+        loop = asyncio.get_running_loop()
+        running = asyncio.create_task(self.receiver.run())
+        end_s = loop.time() + seconds
+        while loop.time() < end_s:
+            await asyncio.sleep(DISPLAY_FRAME_S)
+            now = loop.time()
+            for face in self.receiver.call.faces(now):
+                self.receiver.wish(face.peer_id, self.layer)
+                self.faces.append((now, face))
+            self.looked.set()
+        self.receiver.stop()
+        await running
+
+    async def wish_when_asked(self, layer: int | None) -> float:
+        """Wish something else from the next display frame on; return its time."""
+        self.layer = layer
+        self.looked.clear()
+        await self.looked.wait()
+        return self.faces[-1][0]
+
+    def payload_bytes(self) -> int:
+        (health,) = self.receiver.call.health().values()
+        return health.payload_bytes
+
+    def after(self, begin_s: float) -> list[tuple[float, FaceState]]:
+        return [(at_s, face) for at_s, face in self.faces if at_s > begin_s]
+
+
+class Truth:
+    """The face that the tracker saw at any moment."""
+
+    def __init__(self, avatar: Avatar, began_s: float) -> None:
+        self._source, self._encoder = open_source(SOURCE), ExpressionEncoder(avatar)
+        self._began_s = began_s
+
+    def latent(self, captured_us: int) -> npt.NDArray[np.float32]:
+        frame = self._source.frame_at(captured_us / 1e6 - self._began_s)
+        return self._encoder.encode(frame.arkit)
+
+
+def distance(one: npt.NDArray[np.float32], other: npt.NDArray[np.float32]) -> float:
+    return float(np.sqrt(np.mean(np.square(one - other))))
+
+
+@in_virtual_time
+async def test_a_stream_that_nobody_sees_costs_next_to_nothing(avatar: Avatar) -> None:
+    async with Relay(RelayConfig(port=0)) as relay:
+        sending = asyncio.create_task(make_sender(relay.url, avatar, 31).run())
+        viewer = Viewer(make_receiver(relay.url, avatar))
+        watching = asyncio.create_task(viewer.run(30))
+        await asyncio.sleep(10)
+        seen_bytes = viewer.payload_bytes()
+        viewer.layer = None
+        await asyncio.sleep(10)
+        unseen_bytes = viewer.payload_bytes() - seen_bytes
+        viewer.layer = MAX_LAYER
+        await asyncio.sleep(9)
+        again_bytes = viewer.payload_bytes() - seen_bytes - unseen_bytes
+        await watching
+        await sending
+        stats = viewer.receiver.stats(30)
+    assert unseen_bytes <= 0.06 * seen_bytes  # half a second of it is the wait before it is told
+    assert again_bytes >= 0.8 * seen_bytes
+    (ada,) = stats["peers"]
+    # Frames that were not sent on purpose are neither lost nor concealed.
+    assert (ada["lost"], ada["keyframe_requests"], stats["errors"]) == (0, 0, 0)
+    assert ada["concealed_ratio"] <= 0.02
+
+
+@in_virtual_time
+async def test_once_the_relay_knows_not_a_byte_of_an_unseen_stream_comes(avatar: Avatar) -> None:
+    async with Relay(RelayConfig(port=0)) as relay:
+        sending = asyncio.create_task(make_sender(relay.url, avatar, 14).run())
+        viewer = Viewer(make_receiver(relay.url, avatar))
+        watching = asyncio.create_task(viewer.run(13))
+        await asyncio.sleep(3)
+        viewer.layer = None
+        await asyncio.sleep(1)
+        before = viewer.payload_bytes()
+        await asyncio.sleep(8)
+        assert viewer.payload_bytes() == before
+        assert {face.status for _, face in viewer.after(4.0)} == {"concealed"}
+        await watching
+        await sending
+
+
+@pytest.mark.parametrize("one_way_s", [0.001, 0.012])
+@pytest.mark.parametrize("away_s", [2.0, 8.37, 14.0])
+@pytest.mark.parametrize("plain", [False, True])
+@in_virtual_time
+async def test_back_in_view_the_face_of_now_is_there_within_two_display_frames(
+    one_way_s: float, away_s: float, plain: bool, avatar: Avatar
+) -> None:
+    current_network().route("viewer", up=Wire(delay_s=one_way_s), down=Wire(delay_s=one_way_s))
+    loop = asyncio.get_running_loop()
+    async with Relay(RelayConfig(port=0)) as relay:
+        sender = make_sender(relay.url, avatar, away_s + 10, plain=plain)
+        began_s = loop.time()
+        sending = asyncio.create_task(sender.run())
+        viewer = Viewer(make_receiver(relay.url, avatar))
+        watching = asyncio.create_task(viewer.run(away_s + 9))
+        await asyncio.sleep(5)
+        viewer.layer = None
+        await asyncio.sleep(away_s)
+        back_s = await viewer.wish_when_asked(MAX_LAYER)
+        await watching
+        await sending
+    truth = Truth(avatar, began_s)
+    shown = viewer.after(back_s)
+    second_s, second = shown[1]
+    assert second_s - back_s <= 2 * DISPLAY_FRAME_S + 1e-6
+    age_s = second_s - second.captured_us / 1e6
+    newest_s = 1 / 30 if plain else BASE_S
+    assert age_s <= newest_s + 2 * DISPLAY_FRAME_S + one_way_s
+    # It is the face itself, not one on its way there from the old one.
+    assert second.latent is not None
+    usual = [
+        distance(face.latent, truth.latent(face.captured_us))
+        for at_s, face in viewer.faces
+        if 2 < at_s < 5 and face.latent is not None
+    ]
+    assert distance(second.latent, truth.latent(second.captured_us)) <= 2 * np.percentile(usual, 95)
+    # It moves on with the next base frame, and is as fresh as before within a second.
+    moves_s = back_s + 2 * DISPLAY_FRAME_S + BASE_S + 2 * one_way_s
+    assert {face.status for at_s, face in shown if at_s > moves_s} == {"live"}
+    ages = [at_s - face.captured_us / 1e6 for at_s, face in viewer.faces]
+    before = [age for (at_s, _), age in zip(viewer.faces, ages, strict=True) if 3 < at_s < 5]
+    after = [age for (at_s, _), age in zip(viewer.faces, ages, strict=True) if at_s > back_s + 1]
+    assert max(after) <= max(before) + 0.005
+    times_us = [face.captured_us for _, face in viewer.faces if face.latent is not None]
+    assert times_us == sorted(times_us)
+
+
+@in_virtual_time
+async def test_a_wish_outlives_the_connection(avatar: Avatar) -> None:
+    network = current_network()
+    async with Relay(RelayConfig(port=0)) as relay:
+        sending = asyncio.create_task(make_sender(relay.url, avatar, 25).run())
+        viewer = Viewer(make_receiver(relay.url, avatar))
+        watching = asyncio.create_task(viewer.run(24))
+        await asyncio.sleep(3)
+        viewer.layer = None
+        await asyncio.sleep(3)
+        network.reset("viewer")
+        await asyncio.sleep(8)
+        assert viewer.receiver.link.reconnects == 1
+        before = viewer.payload_bytes()
+        await asyncio.sleep(4)
+        assert viewer.payload_bytes() == before
+        back_s = await viewer.wish_when_asked(MAX_LAYER)
+        await watching
+        await sending
+    assert {face.status for _, face in viewer.after(back_s + 0.07 + BASE_S)} == {"live"}
+
+
+@in_virtual_time
+async def test_who_looks_to_and_fro_tells_the_relay_a_message_or_two_a_second(
+    avatar: Avatar,
+) -> None:
+    async with Relay(RelayConfig(port=0)) as relay:
+        sending = asyncio.create_task(make_sender(relay.url, avatar, 21).run())
+        viewer = Viewer(make_receiver(relay.url, avatar))
+        watching = asyncio.create_task(viewer.run(20))
+        await asyncio.sleep(2)
+        before = viewer.receiver.link.counters.sent_messages
+        rng = random.Random(5)
+        for _ in range(50):
+            viewer.layer = rng.choice([None, 0, 1, MAX_LAYER])
+            await asyncio.sleep(rng.uniform(0.02, 0.6))
+        spent_s = asyncio.get_running_loop().time() - 2
+        sent = viewer.receiver.link.counters.sent_messages - before
+        await watching
+        await sending
+    assert viewer.receiver.stats(20)["errors"] == 0
+    # A wish for less a second, each undone at once; a report every five seconds; answers to pings.
+    assert sent <= 4 * spent_s
+
+
+@in_virtual_time
+async def test_who_leaves_while_unseen_is_gone_and_a_silent_one_turns_stale_once_seen(
+    avatar: Avatar,
+) -> None:
+    async with Relay(RelayConfig(port=0)) as relay:
+        sender = make_sender(relay.url, avatar, 60)
+        sending = asyncio.create_task(sender.run())
+        viewer = Viewer(make_receiver(relay.url, avatar))
+        watching = asyncio.create_task(viewer.run(12))
+        await asyncio.sleep(3)
+        viewer.layer = None
+        await asyncio.sleep(3)
+        current_network().stall("ada", 60)
+        back_s = await viewer.wish_when_asked(MAX_LAYER)
+        await watching
+        sender.stop()
+        sending.cancel()
+        await asyncio.gather(sending, return_exceptions=True)
+    statuses = [(at_s - back_s, face.status) for at_s, face in viewer.after(back_s)]
+    assert "stale" not in {status for since_s, status in statuses if since_s < 1.9}
+    assert {status for since_s, status in statuses if since_s > 2.5} == {"stale"}
+
+
+def test_a_config_of_a_call_holds_that_of_its_wishes() -> None:
+    call = Call(LoadedAvatars({}))
+    assert replace(call.config.wishes, lower_after_s=1.0) != call.config.wishes
+    assert not call.wish("nobody", None, 0.0)

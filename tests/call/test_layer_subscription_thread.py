@@ -1,0 +1,67 @@
+"""Wishes from the drawing thread, on a real clock: the receiver runs in a thread of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import Callable
+
+import pytest
+
+from helpers.toy import make_toy_avatar
+from pica_client.avatars.library import LoadedAvatars
+from pica_client.call.call import Call
+from pica_client.call.receiver import Receiver
+from pica_client.local_call.load import make_senders
+from pica_client.publish.sender import SenderConfig
+from pica_client.transport.config import LinkConfig
+from pica_protocol.limits import MAX_LAYER
+from pica_server.config.relay import RelayConfig
+from pica_server.relay import Relay
+
+pytestmark = pytest.mark.realtime
+
+AVATARS = {"7" * 64: make_toy_avatar()}
+PATIENCE_S = 30.0
+SILENCE_S = 0.4
+"""Twelve frames at the rate of the sender."""
+
+
+def received(receiver: Receiver) -> int:
+    return sum(health.received for health in receiver.call.health().values())
+
+
+def is_silent(receiver: Receiver, counts: list[int]) -> bool:
+    """Whether nothing came since the last look."""
+    counts.append(received(receiver))
+    return counts[-1] == counts[-2]
+
+
+async def until(condition: Callable[[], bool], every_s: float = 0.01) -> None:
+    while not condition():  # noqa: ASYNC110 - what is waited for happens in another thread
+        await asyncio.sleep(every_s)
+
+
+def test_a_wish_of_another_thread_reaches_the_relay_and_is_taken_back() -> None:
+    async def call() -> None:
+        async with asyncio.timeout(PATIENCE_S), Relay(RelayConfig(port=0)) as relay:
+            config = LinkConfig(url=relay.url, room="kitchen", name="ada")
+            (sender,) = make_senders([config], list(AVATARS.items()), config=SenderConfig(), seed=1)
+            sending = asyncio.create_task(sender.run())
+            viewer = LinkConfig(url=relay.url, room="kitchen", name="viewer")
+            receiver = Receiver(viewer, Call(LoadedAvatars(AVATARS)), rng=random.Random(1))
+            receiver.wish("nobody", None)  # before it runs: no error, and no effect
+            with receiver:
+                await until(lambda: received(receiver) > 10)
+                (peer_id,) = receiver.call.names()
+                receiver.wish(peer_id, None)
+                counts = [-1]
+                await until(lambda: is_silent(receiver, counts), SILENCE_S)
+                receiver.wish(peer_id, MAX_LAYER)
+                await until(lambda: received(receiver) > counts[-1] + 10)
+                receiver.stop()
+                await until(lambda: not receiver.is_connected)
+            sender.stop()
+            await sending
+
+    asyncio.run(call())

@@ -1,0 +1,491 @@
+"""Avatars that come from a relay's store: whole, in pieces, late, wrong, not at all."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import os
+import threading
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from helpers.certificates import write_certificate
+from helpers.store_peers import ask, fake_avatar, id_of, store_relay, upload
+from helpers.toy import make_toy_avatar
+from pica_client.avatars import download as avatar_download
+from pica_client.avatars import fetch as avatar_fetch
+from pica_client.avatars.cache import AvatarCache, default_folder
+from pica_client.avatars.download import (
+    DownloadError,
+    NoStoreError,
+    NotThereError,
+    StoppedError,
+    WrongFileError,
+    download,
+    store_url,
+)
+from pica_client.avatars.fetch import AvatarFetcher
+from pica_client.avatars.library import AvatarLibrary
+from pica_client.avatars.upload import AvatarGiver, Push, PushError, push_avatar
+from pica_client.errors import OptionError
+from pica_client.transport.connect import trusting
+from pica_core.avatar.file import avatar_id, save_avatar
+from pica_core.errors import AvatarFileError
+
+pytestmark = pytest.mark.call
+
+FILE = fake_avatar(300_000)
+ID = id_of(FILE)
+
+
+class AvatarFile(NamedTuple):
+    path: Path
+    data: bytes
+    identity: str
+
+
+@pytest.fixture(scope="module")
+def toy(tmp_path_factory: pytest.TempPathFactory) -> AvatarFile:
+    """A real avatar file."""
+    path = tmp_path_factory.mktemp("toy") / "toy.pica"
+    save_avatar(path, make_toy_avatar())
+    data = path.read_bytes()
+    return AvatarFile(path, data, id_of(data))
+
+
+@dataclass
+class BadRelay:
+    """An HTTP server that answers as it is told, and notes what it was asked."""
+
+    url: str = ""
+    data: bytes = FILE
+    status: int = 200
+    breaks_after: int | None = None
+    """Bytes after which each connection breaks."""
+    ignores_ranges: bool = False
+    headers: dict[str, str] = field(default_factory=dict)
+    ranges: list[str | None] = field(default_factory=list)
+
+
+@contextmanager
+def bad_relay(**settings: object) -> Iterator[BadRelay]:
+    relay = BadRelay(**settings)  # type: ignore[arg-type]
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            wanted = self.headers["Range"]
+            relay.ranges.append(wanted)
+            data, status = relay.data, relay.status
+            headers = {"Content-Length": str(len(data))}
+            if wanted and not relay.ignores_ranges:
+                begin = int(wanted.removeprefix("bytes=").rstrip("-"))
+                data, status = data[begin:], 206
+                headers = {
+                    "Content-Length": str(len(data)),
+                    "Content-Range": f"bytes {begin}-{len(relay.data) - 1}/{len(relay.data)}",
+                }
+            self.send_response(status)
+            for name, value in (headers | relay.headers).items():
+                self.send_header(name, value)
+            self.end_headers()
+            self.wfile.write(data[: relay.breaks_after])
+
+        def log_message(self, format: str, *args: object) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    relay.url = f"ws://127.0.0.1:{server.server_port}"
+    try:
+        yield relay
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+# Getting
+
+
+@pytest.mark.parametrize(
+    ("relay_url", "expected"),
+    [
+        ("ws://host:8765", "http://host:8765/avatars/x"),
+        ("wss://host", "https://host/avatars/x"),
+        ("wss://host/relay/", "https://host/relay/avatars/x"),
+        ("ws://[::1]:1", "http://[::1]:1/avatars/x"),
+    ],
+)
+def test_the_store_is_where_the_relay_is(relay_url: str, expected: str) -> None:
+    assert store_url(relay_url, "x") == expected
+
+
+def test_a_file_comes_whole_and_its_progress_is_told(tmp_path: Path) -> None:
+    ratios: list[float] = []
+    with bad_relay() as relay:
+        download(
+            relay.url, ID, tmp_path / "got", progress=lambda ratio: ratios.append(ratio) or True
+        )
+    assert (tmp_path / "got").read_bytes() == FILE
+    assert ratios == sorted(ratios)
+    assert ratios[-1] == 1
+
+
+def test_a_transfer_that_breaks_is_gone_on_with_where_it_broke(tmp_path: Path) -> None:
+    with bad_relay(breaks_after=100_000) as relay:
+        download(relay.url, ID, tmp_path / "got")
+        assert relay.ranges == [None, *(f"bytes={begin}-" for begin in (100000, 200000, 300000))]
+    assert (tmp_path / "got").read_bytes() == FILE
+
+
+def test_a_server_without_ranges_is_asked_from_the_start(tmp_path: Path) -> None:
+    with bad_relay(breaks_after=100_000, ignores_ranges=True) as relay:
+
+        def mend(ratio: float) -> bool:
+            relay.breaks_after = None
+            return True
+
+        download(relay.url, ID, tmp_path / "got", progress=mend)
+    assert (tmp_path / "got").read_bytes() == FILE
+
+
+@pytest.mark.parametrize(
+    ("settings", "error"),
+    [
+        ({"status": 404}, NotThereError),
+        ({"status": 503}, DownloadError),
+        ({"status": 501}, NoStoreError),
+        ({"status": 426}, NoStoreError),
+        ({"status": 302, "headers": {"Location": "http://127.0.0.1:1/"}}, NoStoreError),
+        ({"data": b"another file"}, WrongFileError),
+        ({"headers": {"Content-Length": str(2**40)}}, WrongFileError),
+        ({"headers": {"Content-Length": "0"}}, WrongFileError),
+        ({"headers": {"Content-Length": "many"}}, DownloadError),
+        ({"breaks_after": 0}, DownloadError),
+        ({"breaks_after": 10}, DownloadError),
+    ],
+)
+def test_whatever_else_a_relay_answers_is_an_error(
+    settings: dict[str, object], error: type[Exception], tmp_path: Path
+) -> None:
+    with bad_relay(**settings) as relay, pytest.raises(error):
+        download(relay.url, ID, tmp_path / "got")
+
+
+def test_a_transfer_that_is_not_wanted_any_more_stops(tmp_path: Path) -> None:
+    with bad_relay() as relay, pytest.raises(StoppedError):
+        download(relay.url, ID, tmp_path / "got", progress=lambda ratio: False)
+
+
+def test_a_file_that_comes_too_slowly_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    times = iter(range(0, 10**6, 1000))
+    monkeypatch.setattr(avatar_download.time, "monotonic", lambda: next(times))
+    with bad_relay() as relay, pytest.raises(DownloadError, match="too slowly"):
+        download(relay.url, ID, tmp_path / "got")
+
+
+def test_nobody_there_is_a_download_error(tmp_path: Path) -> None:
+    with pytest.raises(DownloadError):
+        download("ws://127.0.0.1:9", ID, tmp_path / "got")
+
+
+def test_a_full_disk_is_no_fault_of_the_network(tmp_path: Path) -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("needs /dev/full")
+    (tmp_path / "folder").mkdir()
+    with bad_relay() as relay, pytest.raises(FileExistsError):
+        download(relay.url, ID, tmp_path / "folder")
+
+
+# The cache
+
+
+def test_a_cache_gives_back_what_it_was_given_and_drops_what_was_used_longest_ago(
+    tmp_path: Path,
+) -> None:
+    cache = AvatarCache(tmp_path, max_bytes=250)
+    files = {hashlib.sha256(bytes([i]) * 100).hexdigest(): bytes([i]) * 100 for i in range(3)}
+    for age, (identity, data) in enumerate(files.items()):
+        unfinished = cache.unfinished(identity)
+        unfinished.write_bytes(data)
+        kept = cache.keep(unfinished, identity)
+        os.utime(kept, (1e9 + age, 1e9 + age))
+        if age == 1:
+            assert cache.find(next(iter(files))) is not None  # used: now it is the newest
+    assert [cache.find(identity) is not None for identity in files] == [True, False, True]
+
+
+def test_a_damaged_file_in_the_cache_is_thrown_away(tmp_path: Path) -> None:
+    cache = AvatarCache(tmp_path)
+    (tmp_path / f"{ID}.pica").write_bytes(FILE[:-1])
+    assert cache.find(ID) is None
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_cache_that_cannot_be_written_is_a_temporary_one(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("no folder")
+    cache = AvatarCache(tmp_path / "file" / "cache")
+    folder = cache.folder
+    cache.unfinished(ID).write_bytes(b"x")
+    cache.close()
+    assert not folder.exists()
+
+
+def test_what_a_dead_process_left_is_deleted_after_a_day(tmp_path: Path) -> None:
+    cache = AvatarCache(tmp_path)
+    old, new = cache.unfinished(ID), cache.unfinished(ID)
+    old.touch()
+    new.touch()
+    os.utime(old, (1e9, 1e9))
+    AvatarCache(tmp_path)
+    assert (old.exists(), new.exists()) == (False, True)
+
+
+def test_each_system_has_its_place_for_caches() -> None:
+    home = Path.home()
+    assert default_folder({}, "linux") == home / ".cache/pica-telepresence/avatars"
+    given = {"XDG_CACHE_HOME": "/var/cache/ada"}
+    assert default_folder(given, "linux") == Path("/var/cache/ada/pica-telepresence/avatars")
+    assert default_folder({"XDG_CACHE_HOME": "relative"}, "linux") == default_folder({}, "linux")
+    assert default_folder({}, "darwin") == home / "Library/Caches/pica-telepresence/avatars"
+    local = default_folder({"LOCALAPPDATA": "/ada/Local"}, "win32")
+    assert local == Path("/ada/Local/pica-telepresence/Cache/avatars")
+
+
+# The library that fetches
+
+
+@contextmanager
+def fetcher(
+    url: str | Callable[[], str], folder: Path, *, shipped: list[Path] | None = None
+) -> Iterator[AvatarFetcher]:
+    library = AvatarLibrary(shipped=shipped or [])
+    fetching = AvatarFetcher(
+        library, url if callable(url) else lambda: url, cache=AvatarCache(folder)
+    )
+    try:
+        yield fetching
+    finally:
+        fetching.close()
+        library.close()
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    for _ in range(20_000):
+        if condition():
+            return
+        await asyncio.sleep(0.001)
+    raise AssertionError("it did not happen")
+
+
+@asynccontextmanager
+async def relay_with(*files: bytes) -> AsyncIterator[str]:
+    async with store_relay() as relay:
+        for data in files:
+            await upload(relay, data)
+        yield relay.url
+
+
+@pytest.mark.asyncio
+async def test_a_missing_avatar_comes_from_the_relay_and_then_from_the_disk(
+    tmp_path: Path, toy: AvatarFile
+) -> None:
+    async with relay_with(toy.data) as url:
+        with fetcher(url, tmp_path) as fetching:
+            assert fetching.has(toy.identity)
+            assert fetching.get(toy.identity) is None
+            assert fetching.note(toy.identity).startswith("fetching avatar")
+            await until(lambda: fetching.get(toy.identity) is not None)
+            assert fetching.note(toy.identity) == ""
+            assert fetching.num_fetched == 1
+    with fetcher("ws://127.0.0.1:9", tmp_path) as fetching:
+        await until(lambda: fetching.get(toy.identity) is not None)
+        assert fetching.num_fetched == 0
+
+
+@pytest.mark.asyncio
+async def test_an_avatar_that_its_sender_gives_later_comes_later(
+    tmp_path: Path, toy: AvatarFile
+) -> None:
+    async with store_relay() as relay:
+        with fetcher(relay.url, tmp_path) as fetching:
+            fetching.get(toy.identity)
+            await until(lambda: "does not have this avatar yet" in fetching.note(toy.identity))
+            await upload(relay, toy.data)
+            await until(lambda: fetching.get(toy.identity) is not None)
+
+
+@pytest.mark.asyncio
+async def test_what_comes_and_is_no_avatar_is_an_error_for_its_face(tmp_path: Path) -> None:
+    async with relay_with(FILE) as url:
+        with fetcher(url, tmp_path) as fetching:
+            fetching.get(ID)
+
+            def is_refused() -> bool:
+                try:
+                    fetching.get(ID)
+                except AvatarFileError as error:
+                    return "manifest" in str(error)
+                return False
+
+            await until(is_refused)
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"status": 501}, "is not on this machine, and the relay keeps no avatars; get its file"),
+        ({"data": b"another file"}, "the relay gave another file"),
+    ],
+)
+async def test_an_avatar_that_will_not_come_is_an_error_with_the_fix(
+    settings: dict[str, object], words: str, tmp_path: Path
+) -> None:
+    with bad_relay(**settings) as relay, fetcher(relay.url, tmp_path) as fetching:
+        fetching.get(ID)
+        await until(lambda: words in fetching.note(ID))
+        with pytest.raises(AvatarFileError, match=words):
+            fetching.get(ID)
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.asyncio
+async def test_a_relay_that_is_away_is_asked_again(tmp_path: Path, toy: AvatarFile) -> None:
+    urls = ["ws://127.0.0.1:9"]
+    async with relay_with(toy.data) as url:
+        with fetcher(lambda: urls[-1], tmp_path) as fetching:
+            fetching.get(toy.identity)
+            await until(lambda: "trying again" in fetching.note(toy.identity))
+            urls.append(url)
+            await until(lambda: fetching.get(toy.identity) is not None)
+
+
+def test_what_is_no_id_is_never_asked_for(tmp_path: Path) -> None:
+    with fetcher("ws://127.0.0.1:9", tmp_path) as fetching:
+        for identity in ("", "../../etc/passwd", "ab" * 31, "AB" * 32):
+            assert not fetching.has(identity)
+            assert fetching.get(identity) is None
+            assert fetching.note(identity) == ""
+
+
+def test_more_wanted_avatars_than_can_be_forget_the_one_asked_for_longest_ago(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(avatar_fetch, "MAX_WANTED", 2)
+    with bad_relay(status=404) as relay, fetcher(relay.url, tmp_path) as fetching:
+        for number in range(3):
+            fetching.get(f"{number:064x}")
+        assert [fetching.note(f"{number:064x}") != "" for number in range(3)] == [
+            False,
+            True,
+            True,
+        ]
+
+
+# Giving
+
+
+def push_of(path: Path, **settings: object) -> Push:
+    identity = id_of(path.read_bytes())
+    return Push(path=path, identity=identity, **settings)  # type: ignore[arg-type]
+
+
+@pytest.mark.asyncio
+async def test_an_avatar_is_given_once_and_known_after_that(toy: AvatarFile) -> None:
+    ratios: list[float] = []
+    async with store_relay() as relay:
+        first = await push_avatar(relay.url, push_of(toy.path), ratios.append)
+        second = await push_avatar(relay.url, push_of(toy.path))
+        reply = await ask(relay, f"/avatars/{toy.identity}")
+    assert (first.checked, second.checked) == ("structure", "")
+    assert reply.body == toy.data
+    assert ratios[-1] == 1
+
+
+@pytest.mark.asyncio
+async def test_under_tls_avatars_go_both_ways_for_who_trusts_the_relay(
+    toy: AvatarFile, tmp_path: Path
+) -> None:
+    cert = write_certificate(tmp_path)
+    config = {"tls_cert": cert, "tls_key": cert.with_suffix(".key")}
+    async with store_relay(config=config) as relay:
+        assert relay.url.startswith("wss://")
+        with pytest.raises(PushError):
+            await push_avatar(relay.url, push_of(toy.path))
+        await push_avatar(relay.url, push_of(toy.path, ca_file=cert))
+        with pytest.raises(DownloadError):
+            await asyncio.to_thread(download, relay.url, toy.identity, tmp_path / "untrusted")
+        got = tmp_path / "got"
+        await asyncio.to_thread(download, relay.url, toy.identity, got, tls=trusting(cert))
+        assert avatar_id(got) == toy.identity
+
+
+@pytest.mark.asyncio
+async def test_a_refused_avatar_says_why_and_whether_later_will_help(
+    toy: AvatarFile, tmp_path: Path
+) -> None:
+    (tmp_path / "bad.pica").write_bytes(b"x" * 100_000)
+    async with store_relay() as relay:
+        with pytest.raises(PushError, match="no avatar file") as caught:
+            await push_avatar(relay.url, push_of(tmp_path / "bad.pica"))
+        assert not caught.value.is_worth_retrying
+    async with store_relay("none") as relay:
+        with pytest.raises(PushError, match="keeps no avatars") as caught:
+            await push_avatar(relay.url, push_of(toy.path))
+        assert not caught.value.is_worth_retrying
+    with pytest.raises(PushError, match="nobody answers") as caught:
+        await push_avatar("ws://127.0.0.1:9", push_of(toy.path))
+    assert caught.value.is_worth_retrying
+
+
+@pytest.mark.asyncio
+async def test_files_that_cannot_be_read_are_named(toy: AvatarFile, tmp_path: Path) -> None:
+    push = Push(path=tmp_path / "nowhere.pica", identity=ID)
+    with pytest.raises(AvatarFileError, match=r"nowhere\.pica: cannot be read"):
+        await push_avatar("ws://127.0.0.1:9", push)
+    with pytest.raises(OptionError, match="token-file"):
+        await push_avatar("ws://127.0.0.1:9", push_of(toy.path, token_file=tmp_path / "nowhere"))
+
+
+@pytest.mark.asyncio
+async def test_a_giver_gives_to_each_relay_and_tells_once_what_went_wrong(toy: AvatarFile) -> None:
+    said: list[str] = []
+    urls: list[str] = []
+    giver = AvatarGiver(push_of(toy.path), lambda: urls[-1], said.append)
+    async with store_relay() as one, store_relay("none") as other:
+        urls.append(one.url)
+        giver.begin()
+        giver.begin()  # is at it already
+        await until(lambda: giver.outcome == "given")
+        assert one.stats()["store"]["uploads_kept"] == 1
+        urls.append(other.url)
+        for _ in range(2):
+            giver.begin()
+            await until(lambda: giver.outcome == "this relay keeps no avatars")
+        urls.append(one.url)
+        giver.begin()
+        await until(lambda: giver.outcome == "known")
+    await giver.close()
+    assert len(said) == 2
+
+
+@pytest.mark.asyncio
+async def test_a_giver_that_is_told_to_come_later_does(toy: AvatarFile) -> None:
+    async with store_relay(uploads=1, bytes_per_s=4e6) as relay:
+        givers = [AvatarGiver(push_of(toy.path), lambda: relay.url, print) for _ in range(3)]
+        for giver in givers:
+            giver.begin()
+        await until(lambda: all(giver.outcome for giver in givers))
+        assert {giver.outcome for giver in givers} <= {"given", "known"}
+        for giver in givers:
+            await giver.close()

@@ -1,0 +1,218 @@
+"""The model of the network: what it does to frames, against what it says it does."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pica_client.bench.network.frame_path import FramePath
+from pica_client.bench.network.impairment import Impairment, Way
+from pica_client.bench.network.scenarios import BY_NAME, CALM, SCENARIOS
+from pica_client.errors import OptionError
+from pica_protocol.frames import Frame
+
+pytestmark = pytest.mark.unit
+
+FRAME_S = 1 / 30
+LAYERS = (0, 2, 1, 2)
+
+
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def run(
+    impairment: Impairment, count: int, *, seed: int = 0, layered: bool = True
+) -> tuple[list[tuple[float, int]], FramePath]:
+    """Send frames 0.. at 30 fps, and take all that comes within another 20 s.
+
+    The relay's wish for a keyframe is granted with the next base frame.
+    """
+    path = FramePath(impairment, rng(seed))
+    arrived = []
+    is_wanted = True
+    for index in range(count):
+        now = index * FRAME_S
+        arrived += path.arrivals(now)
+        layer = LAYERS[index % 4] * layered
+        is_keyframe = not layered or (is_wanted and layer == 0)
+        is_wanted &= not is_keyframe
+        is_wanted |= path.send(frame(index, layer, is_keyframe), now)
+    arrived += path.arrivals(count * FRAME_S + 20)
+    return [(arrival_s, frame.sequence) for arrival_s, frame in arrived], path
+
+
+def frame(index: int, layer: int = 0, is_keyframe: bool = True) -> Frame:
+    """A message of 100 bytes on the wire."""
+    return Frame(
+        stream=1,
+        sequence=index,
+        captured_us=0,
+        payload=bytes(41),
+        layer=layer,
+        is_keyframe=is_keyframe,
+    )
+
+
+def delays(arrived: list[tuple[float, int]]) -> np.ndarray:
+    return np.array([arrival_s - index * FRAME_S for arrival_s, index in arrived])
+
+
+def test_a_calm_way_only_delays() -> None:
+    arrived, _ = run(CALM, 100)
+    assert [index for _, index in arrived] == list(range(100))
+    assert delays(arrived) == pytest.approx(CALM.delay_s)
+
+
+def test_jitter_has_the_stated_percentile_and_a_heavy_tail() -> None:
+    impairment = Impairment(jitter_s=0.05, is_ordered=False)
+    extra = delays(run(impairment, 20_000)[0]) - impairment.delay_s
+    assert np.quantile(extra, 0.95) == pytest.approx(0.05, rel=0.15)
+    assert np.quantile(extra, 0.99) == pytest.approx(0.106, rel=0.25)
+    assert extra.min() >= 0
+    assert extra.max() <= 5 * 0.05 + 1e-9
+
+
+def test_neighbouring_frames_have_alike_delays() -> None:
+    way = Way(Impairment(jitter_s=0.05, is_ordered=False), rng())
+    extra = np.array([(way.transmit(1, index * 0.01) or 0) - index * 0.01 for index in range(5000)])
+    ranks = extra.argsort().argsort()
+    assert np.corrcoef(ranks[:-1], ranks[1:])[0, 1] > 0.8
+
+
+@given(st.sampled_from([s for s in SCENARIOS if s.trouble.is_ordered]), st.integers(0, 1000))
+def test_a_stream_is_never_overtaken_and_nothing_comes_twice(scenario, seed) -> None:  # type: ignore[no-untyped-def]
+    arrived, path = run(scenario.trouble, 120, seed=seed)
+    times, indices = zip(*arrived, strict=True)
+    assert list(times) == sorted(times)
+    assert list(indices) == sorted(set(indices))
+    counters = path.counters
+    assert counters.sent == 120
+    assert len(arrived) + counters.thinned + counters.dropped + counters.lost == 120
+
+
+def test_the_same_seed_gives_the_same_arrivals() -> None:
+    for scenario in SCENARIOS:
+        assert run(scenario.trouble, 90, seed=3)[0] == run(scenario.trouble, 90, seed=3)[0]
+
+
+def test_after_a_stall_everything_comes_at_once() -> None:
+    arrived, _ = run(Impairment(stall_s=0.5, stall_interval_s=3), 200)
+    times = np.array([arrival_s for arrival_s, _ in arrived])
+    gaps = np.diff(times)
+    assert len(arrived) == 200
+    assert gaps.max() == pytest.approx(0.5, abs=FRAME_S)
+    held = np.flatnonzero(np.isclose(times, times[gaps.argmax() + 1]))
+    assert len(held) == pytest.approx(15, abs=1)
+
+
+def test_loss_on_a_stream_is_a_delay_for_all_behind_it() -> None:
+    arrived, path = run(Impairment(loss_ratio=0.05), 300)
+    extra = delays(arrived) - CALM.delay_s
+    assert path.counters.lost == 0
+    assert len(arrived) == 300
+    late = extra > 0.19
+    assert 5 <= np.flatnonzero(np.diff(late.astype(int)) == 1).size <= 25
+    # Six frames are captured while one waits for its retransmission; they wait with it.
+    assert (extra > 0.001).sum() > 5 * (extra > 0.199).sum() * 0.9
+
+
+def test_loss_of_datagrams_is_loss() -> None:
+    arrived, path = run(Impairment(loss_ratio=0.3, is_ordered=False), 3000)
+    assert path.counters.lost / 3000 == pytest.approx(0.3, abs=0.03)
+    assert len(arrived) + path.counters.lost == 3000
+    assert delays(arrived) == pytest.approx(CALM.delay_s)
+
+
+def test_thinning_drops_upper_layers_before_lower_ones() -> None:
+    arrived, path = run(Impairment(thin_ratio=0.3), 4000)
+    assert path.counters.thinned / 4000 == pytest.approx(0.3, abs=0.02)
+    kept = np.bincount([LAYERS[index % 4] for _, index in arrived], minlength=3)
+    assert kept[0] == 1000
+    assert kept[1] > 980
+    assert kept[2] < 900
+
+
+def test_thinning_takes_the_base_when_nothing_else_is_there() -> None:
+    arrived, path = run(Impairment(thin_ratio=0.3), 1000, layered=False)
+    assert path.counters.thinned / 1000 == pytest.approx(0.3, abs=0.04)
+    assert len(arrived) + path.counters.thinned == 1000
+
+
+def test_datagrams_are_overtaken_and_doubled() -> None:
+    arrived, _ = run(BY_NAME["reorder-30"].trouble, 1000)
+    indices = [index for _, index in arrived]
+    assert sum(b < a for a, b in itertools.pairwise(indices)) > 50
+    assert len(indices) - len(set(indices)) == pytest.approx(50, abs=20)
+
+
+def test_a_rate_below_the_demand_keeps_the_base_layer_and_the_delay_bounded() -> None:
+    # 30 messages of 100 bytes are 24 kbit/s: 12 kbit/s carry half of them.
+    impairment = Impairment(rate_bps=12_000, queue_bytes=400)
+    arrived, path = run(impairment, 600)
+    kept = np.bincount([LAYERS[index % 4] for _, index in arrived], minlength=3)
+    assert kept[0] == 150
+    assert kept[2] < 250
+    assert path.counters.dropped == 600 - len(arrived) > 100
+    # The queue, one message more, what is leaving, and what waits in the relay: three upper frames
+    # and a base frame or two.
+    assert delays(arrived).max() < CALM.delay_s + 8 * (400 + 3 * 350) / 12_000
+
+
+def test_a_rate_below_the_base_layer_cuts_the_stream_and_goes_on_with_a_keyframe() -> None:
+    arrived, path = run(Impairment(rate_bps=2400, queue_bytes=400), 600)
+    assert path.counters.dropped > 400
+    assert arrived[-1][1] > 560
+    assert delays(arrived).max() < CALM.delay_s + 8 * 1000 / 2400 + 0.5
+
+
+def test_what_piles_up_behind_the_relay_is_delay() -> None:
+    deep, _ = run(Impairment(rate_bps=12_000, queue_bytes=4000), 600)
+    assert delays(deep).max() > 2.5
+
+
+def test_when_the_rate_comes_back_what_waits_leaves_at_once() -> None:
+    path = FramePath(Impairment(rate_bps=8000, queue_bytes=5000), rng())
+    for index in range(50):
+        path.send(frame(index), 0.0)
+    assert len(path.arrivals(0.121)) == 1
+    path.change(CALM, 0.2)
+    assert len(path.arrivals(0.5)) > 20
+
+
+def test_next_timer_never_misses_an_arrival() -> None:
+    path = FramePath(replace(CALM, rate_bps=16_000), rng())
+    for index in range(10):
+        path.send(frame(index), 0.0)
+    times = []
+    while (timer := path.next_timer()) is not None:
+        arrived = path.arrivals(timer)
+        assert all(arrival_s == timer for arrival_s, _ in arrived)
+        times += [arrival_s for arrival_s, _ in arrived]
+    assert len(times) == 10
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"jitter_s": -1},
+        {"jitter_s": float("nan")},
+        {"loss_ratio": 1.0},
+        {"rate_bps": 10},
+        {"reorder_ratio": 0.1},
+        {"stall_interval_s": 0},
+    ],
+)
+def test_an_impairment_out_of_range_is_refused(arguments) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(OptionError):
+        Impairment(**arguments)
+
+
+def test_every_scenario_has_its_own_name_and_changes_something() -> None:
+    assert len(BY_NAME) == len(SCENARIOS)
+    assert [name for name, row in BY_NAME.items() if row.trouble == row.calm] == ["jitter-0"]

@@ -1,0 +1,110 @@
+"""The proxy carries every byte, later, and ends when it is told to. Real sockets on loopback."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Awaitable, Callable
+from urllib.parse import urlsplit
+
+import pytest
+
+from pica_client.bench.network.impairment import Impairment
+from pica_client.bench.network.proxy import ImpairedProxy
+
+pytestmark = pytest.mark.realtime
+
+Handler = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
+
+
+async def through(
+    impairment: Impairment,
+    handler: Handler,
+    use: Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]],
+) -> None:
+    """Run a server behind the proxy and a client before it."""
+    is_done = asyncio.Event()
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with contextlib.suppress(OSError):
+            await handler(reader, writer)
+        writer.close()
+        is_done.set()
+
+    server = await asyncio.start_server(serve, "127.0.0.1", 0)
+    port = server.sockets[0].getsockname()[1]
+    try:
+        async with ImpairedProxy(f"ws://127.0.0.1:{port}/x", impairment) as proxy:
+            parts = urlsplit(proxy.url)
+            assert parts.path == "/x"
+            assert parts.port != port
+            reader, writer = await asyncio.open_connection(parts.hostname, parts.port)
+            try:
+                await use(reader, writer)
+            finally:
+                writer.close()
+        async with asyncio.timeout(5):
+            await is_done.wait()  # the proxy has cut the server's connection too
+    finally:
+        server.close()
+    assert not asyncio.all_tasks() - {asyncio.current_task()}
+
+
+async def echo(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    while data := await reader.read(1000):
+        writer.write(data)
+
+
+def test_every_byte_comes_in_order_and_later() -> None:
+    loop_delay_s = 0.02
+    impairment = Impairment(
+        delay_s=loop_delay_s, jitter_s=0.01, loss_ratio=0.05, stall_s=0.05, stall_interval_s=0.2
+    )
+    sent = bytes(range(256)) * 200
+
+    async def use(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        begin_s = asyncio.get_running_loop().time()
+        writer.write(sent)
+        writer.write_eof()
+        assert await reader.read(1) == sent[:1]
+        assert asyncio.get_running_loop().time() - begin_s >= 2 * loop_delay_s - 0.001
+        assert await reader.read(-1) == sent[1:]
+
+    asyncio.run(through(impairment, echo, use))
+
+
+def test_a_low_rate_makes_the_sender_wait() -> None:
+    written = 0
+
+    async def pour(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        nonlocal written
+        writer.transport.set_write_buffer_limits(high=1024)
+        while written < 4_000_000:
+            writer.write(bytes(1000))
+            written += 1000
+            await writer.drain()
+
+    async def use(reader: asyncio.StreamReader, _writer: asyncio.StreamWriter) -> None:
+        await reader.readexactly(5000)
+
+    # 4 MB would take half an hour; the server is held back by the buffers between.
+    asyncio.run(through(Impairment(rate_bps=160_000, delay_s=0), pour, use))
+    assert written < 4_000_000
+
+
+def test_a_server_that_is_not_there_ends_the_connection() -> None:
+    async def main() -> None:
+        async with ImpairedProxy("ws://127.0.0.1:1/", Impairment()) as proxy:
+            parts = urlsplit(proxy.url)
+            reader, writer = await asyncio.open_connection(parts.hostname, parts.port)
+            assert await reader.read() == b""
+            writer.close()
+
+    asyncio.run(main())
+
+
+def test_datagrams_and_other_addresses_are_refused() -> None:
+    with pytest.raises(ValueError, match="reordered"):
+        ImpairedProxy("ws://127.0.0.1:1/", Impairment(is_ordered=False))
+    with pytest.raises(ValueError, match="ws://HOST:PORT"):
+        ImpairedProxy("wss://127.0.0.1:1/", Impairment())

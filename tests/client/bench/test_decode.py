@@ -1,0 +1,139 @@
+"""The decode bench: everybody in turns, honest rows, ratios of the same round."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from helpers.toy import make_toy_avatar, with_toy_levels
+from pica_client.bench.decode import (
+    Contender,
+    DecodeBenchConfig,
+    export_difference,
+    level_for,
+    measure_in_turns,
+    random_decoders,
+    run_decode_bench,
+    vertex_error_mm,
+)
+from pica_client.decode.decoder import OnnxOptions
+from pica_client.errors import OptionError
+from pica_core.avatar.file import Avatar
+from pica_core.avatar.levels import default_errors
+from pica_core.avatar.spec import BLOCKS, AvatarSpec
+
+pytestmark = pytest.mark.unit
+
+TOY = with_toy_levels(
+    make_toy_avatar(spec=AvatarSpec(uv_encoding_size=16, axis_encoding_size=20), grid=8)
+)
+
+
+@pytest.fixture(scope="module")
+def result() -> dict[str, Any]:
+    config = DecodeBenchConfig(rounds=2, threads=(1,), blocks=("C",))
+    return run_decode_bench(config, TOY)
+
+
+def test_there_is_a_row_for_every_model_level_and_part(result: dict[str, Any]) -> None:
+    rows = [(row["model"], row["level"], row["parts"]) for row in result["rows"]]
+    assert sorted(rows, key=str) == sorted(
+        [
+            *(("pica", level, parts) for level in TOY.levels for parts in ("both", "expression")),
+            *(("block C", level, "both") for level in TOY.levels),
+            ("baseline", None, "all"),
+        ],
+        key=str,
+    )
+    assert all(0 < row["ms"] <= row["p95"] for row in result["rows"])
+
+
+def test_both_exports_are_equal_wherever_both_were_timed(result: dict[str, Any]) -> None:
+    compared = [row for row in result["rows"] if row["plain_ms"] is not None]
+    assert len(compared) == 2 * len(TOY.levels)
+    assert all(row["is_equal"] and row["difference"] <= 1e-4 for row in compared)
+
+
+def test_a_level_has_its_error_and_random_weights_have_none(result: dict[str, Any]) -> None:
+    errors = default_errors(TOY.levels)
+    for row in result["rows"]:
+        if row["model"] == "pica":
+            assert row["mse"] == pytest.approx(errors.at(row["level"], 640.0), abs=2e-3)
+            assert (row["vertex_mm"] == 0) == (row["level"] == 256)
+        else:
+            assert row["mse"] is None
+            assert row["vertex_mm"] is None
+
+
+def test_the_summary_has_the_ratios_of_every_level(result: dict[str, Any]) -> None:
+    ratios = result["summary"]["by_threads"]["1"]["pica"]
+    assert ratios["level_ratio"]["256"] == 1
+    assert ratios["baseline_ratio"]["256"] > 1
+    assert set(ratios["plain_ratio"]) == {"64", "128", "256"}
+    assert result["summary"]["level_at_head_px"] == 256
+
+
+def test_everybody_decodes_once_a_round_in_an_order_that_changes() -> None:
+    order: list[str] = []
+    contenders = {
+        Contender(name, None, "all", 1): lambda _, name=name: order.append(name) for name in "abc"
+    }
+    samples_s = measure_in_turns(contenders, [np.zeros((8, 8, 4), np.float32)], 20, 0, print)
+    rounds = ["".join(order[i : i + 3]) for i in range(0, len(order), 3)]
+    assert all(sorted(each) == ["a", "b", "c"] for each in rounds)
+    assert len(set(rounds)) > 3
+    assert {len(samples) for samples in samples_s.values()} == {20}
+
+
+def test_an_export_that_differs_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    from pica_client.bench import decode as bench_decode
+
+    latents = [np.random.default_rng(2).standard_normal((8, 8, 4)).astype(np.float32)]
+    assert export_difference(TOY, 64, latents, OnnxOptions()) <= 1e-4
+    graph = bench_decode.decoder_graph
+    other = make_toy_avatar(seed=8, spec=TOY.spec, grid=8)
+    levelled = with_toy_levels(other)
+    monkeypatch.setattr(
+        bench_decode, "decoder_graph", lambda avatar, **options: graph(levelled, **options)
+    )
+    assert export_difference(TOY, 64, latents, OnnxOptions()) > 1e-3
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_random_decoders_have_every_level_of_their_block(block: str) -> None:
+    avatar = random_decoders(TOY, block, seed=1)
+    assert (avatar.spec.block, avatar.levels) == (block, TOY.levels)
+
+
+def test_vertices_of_a_level_are_compared_with_the_full_ones() -> None:
+    latents = [np.zeros((8, 8, 4), np.float32)]
+    assert vertex_error_mm(TOY, 256, latents) == 0
+    moved = dict(TOY.tensors)
+    moved["level.64.geometry.mean"] = moved["level.64.geometry.mean"] + np.float32(0.5)
+    shifted = Avatar(TOY.manifest, moved)
+    further = vertex_error_mm(shifted, 64, latents)
+    assert further == pytest.approx(0.5 * 3**0.5 * 1e3, rel=0.2)
+
+
+def test_small_heads_get_a_coarser_level_where_the_table_says_so() -> None:
+    errors = default_errors(TOY.levels)
+    assert level_for(TOY, 640.0) == 256
+    quiet = replace(errors, mse=np.full_like(errors.mse, 2.0))
+    assert level_for(_with(quiet), 640.0) == 64
+
+
+def _with(errors: Any) -> Avatar:
+    from pica_core.avatar.level_tensors import error_tensors
+
+    return Avatar(TOY.manifest, dict(TOY.tensors) | error_tensors(errors))
+
+
+@pytest.mark.parametrize(
+    "changes", [{"rounds": 0}, {"threads": ()}, {"threads": (0,)}, {"blocks": ("X",)}]
+)
+def test_a_bench_that_makes_no_sense_is_refused(changes: dict[str, Any]) -> None:
+    with pytest.raises(OptionError, match=next(iter(changes)).removesuffix("s")):
+        DecodeBenchConfig(**changes)

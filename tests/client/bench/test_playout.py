@@ -1,0 +1,49 @@
+"""The comparison of playout policies: its figures mean what the module says."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from helpers.toy import make_toy_avatar
+from pica_client.bench.network.stream_trial import Schedule
+from pica_client.bench.playout import BenchPlayoutConfig, run_bench_playout
+from pica_client.errors import OptionError
+
+pytestmark = pytest.mark.render
+
+SHORT = BenchPlayoutConfig(
+    source="performance:range_of_motion",
+    codec="plain",
+    scenarios=("jitter-0", "stall-300"),
+    schedule=Schedule(seconds=9.0),
+    renders_per_s=4.0,
+)
+TOY = make_toy_avatar()
+
+
+def test_rows_are_repeatable_and_compare_every_policy() -> None:
+    result = run_bench_playout(SHORT, TOY)
+    assert json.loads(json.dumps(result)) == json.loads(json.dumps(run_bench_playout(SHORT, TOY)))
+    rows = {(row["scenario"], row["policy"]): row for row in result["rows"]}
+    assert len(rows) == 6
+    calm, stalled = (rows[name, "fixed"] for name in ("jitter-0", "stall-300"))
+    assert calm["concealed_ratio"] == 0
+    assert calm["added_delay_ms_p50"] == pytest.approx(100, abs=1)
+    assert calm["recovery_ms"] == 0
+    assert stalled["concealed_ratio"] > 0.02
+    # 300 ms of silence and up to one frame interval, less the 100 ms that were in the buffer.
+    assert stalled["longest_gap_ms"] == pytest.approx(217, abs=20)
+    assert calm["longest_gap_ms"] == 0
+    assert stalled["mse_shown"] > calm["mse_shown"]
+    # A delay of 100 ms shows in the error against the face now, not in that against its moment.
+    assert calm["mse_now"] > rows["jitter-0", "unbuffered"]["mse_now"]
+    assert calm["mse_shown"] < rows["jitter-0", "unbuffered"]["mse_shown"]
+    assert calm["payload_bps"] == pytest.approx(269 * 8 * 30)
+    assert calm["keyframes"] == 270
+
+
+def test_an_avatar_without_a_profile_is_refused_with_the_fix() -> None:
+    with pytest.raises(OptionError, match="no stream profile; take codec plain"):
+        run_bench_playout(BenchPlayoutConfig(schedule=SHORT.schedule), TOY)

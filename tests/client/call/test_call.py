@@ -1,0 +1,486 @@
+"""The receiver's state: who is there, what is wrong with whom, and the numbers about it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.stream_toy import (
+    Publisher,
+    Sent,
+    deliver_all,
+    other_profile,
+    perform,
+    stream_avatar,
+    toy_faces,
+    toy_pose,
+    toy_profile,
+)
+from helpers.toy import make_toy_avatar
+from pica_client.avatars.library import AvatarLibrary, LoadedAvatars
+from pica_client.call.call import Call
+from pica_client.errors import AvatarLookupError
+from pica_core.avatar.file import Avatar, save_avatar
+from pica_core.codec.latent_stream import LatentDecoder
+from pica_core.codec.plain_stream import LatentProfile, encode_latent
+from pica_core.errors import AvatarFileError
+from pica_protocol.frames import Frame
+from pica_protocol.messages import (
+    Joined,
+    Peer,
+    PeerAway,
+    PeerBack,
+    PeerJoined,
+    PeerLeft,
+    PeerUpdated,
+    StreamMuted,
+    Track,
+)
+
+pytestmark = pytest.mark.unit
+
+TOY = make_toy_avatar()
+TOY_ID = "a" * 64
+PROFILE = LatentProfile.from_manifest(TOY.manifest)
+
+
+def peer(peer_id: str, name: str, stream: int, avatar: str = TOY_ID, kind: str = "face") -> Peer:
+    return Peer(
+        peer_id=peer_id, name=name, tracks=(Track(kind=kind, avatar=avatar, stream=stream),)
+    )
+
+
+def frame(stream: int, sequence: int, captured_us: int, value: float = 1.0) -> Frame:
+    payload = encode_latent(np.full((8, 8, 4), value), np.zeros(3), np.zeros(3), PROFILE)
+    return Frame(stream=stream, sequence=sequence, captured_us=captured_us, payload=payload)
+
+
+def joined(*peers: Peer) -> Joined:
+    return Joined(room="r", peer_id="me", peers=peers)
+
+
+@pytest.fixture
+def call() -> Call:
+    return Call(LoadedAvatars({TOY_ID: TOY}))
+
+
+def test_a_peer_waits_until_its_first_frame_is_due(call: Call) -> None:
+    call.receive_event(joined(peer("p1", "Ada", 7)), now=0.0)
+    (face,) = call.faces(0.1)
+    assert (face.name, face.status, face.latent) == ("Ada", "waiting", None)
+    call.receive_event(frame(7, 0, 1_000_000), now=0.2)
+    (face,) = call.faces(0.21)
+    assert face.status == "live"
+    assert face.captured_us == 1_000_000
+    assert face.latent is not None
+    assert face.latent == pytest.approx(np.ones((8, 8, 4)), abs=0.02)
+
+
+def test_a_silent_peer_becomes_stale_and_lives_again(call: Call) -> None:
+    call.receive_event(joined(peer("p1", "Ada", 7)), now=0.0)
+    call.receive_event(frame(7, 0, 0), now=0.0)
+    assert call.faces(0.1)[0].status == "live"
+    assert call.faces(2.5)[0].status == "stale"
+    call.receive_event(frame(7, 1, 3_000_000), now=3.0)
+    assert call.faces(3.01)[0].status == "live"
+
+
+def test_peers_come_and_go_in_order_of_arrival(call: Call) -> None:
+    call.receive_event(joined(peer("p1", "Ada", 1)), now=0.0)
+    call.receive_event(PeerJoined(peer=peer("p2", "Ben", 2)), now=0.0)
+    call.receive_event(PeerJoined(peer=peer("p3", "Cho", 3)), now=0.0)
+    assert [face.name for face in call.faces(0.0)] == ["Ada", "Ben", "Cho"]
+    call.receive_event(PeerLeft(peer_id="p2"), now=0.0)
+    call.receive_event(PeerLeft(peer_id="nobody"), now=0.0)
+    assert [face.name for face in call.faces(0.0)] == ["Ada", "Cho"]
+
+
+def test_an_old_peer_id_in_a_new_session_may_be_somebody_else(call: Call) -> None:
+    call.receive_event(joined(peer("p1", "Ada", 1), peer("p2", "Ben", 2)), now=0.0)
+    call.receive_event(joined(peer("p1", "Ben", 1), peer("p2", "Ada", 2)), now=9.0)
+    call.receive_event(frame(2, 0, 0), now=9.0)
+    assert [face.name for face in call.faces(9.1) if face.latent is not None] == ["Ada"]
+
+
+def test_who_is_the_same_after_a_reconnect_keeps_the_seat_and_the_face(call: Call) -> None:
+    call.receive_event(joined(peer("p1", "Ada", 1)), now=0.0)
+    call.receive_event(frame(1, 0, 0), now=0.0)
+    call.receive_event(joined(peer("p1", "Ada", 1)), now=1.0)
+    assert call.faces(1.0)[0].latent is not None
+
+
+def test_a_peer_without_a_face_track_has_no_seat(call: Call) -> None:
+    call.receive_event(joined(peer("p1", "Ada", 1, kind="voice")), now=0.0)
+    assert call.faces(0.0) == []
+
+
+@pytest.mark.parametrize("payload", [b"", b"\x01", b"\xff" * 269, bytes(1184)])
+def test_a_payload_that_is_no_latent_is_counted_and_the_face_stays(
+    call: Call, payload: bytes
+) -> None:
+    call.receive_event(joined(peer("p1", "Ada", 1)), now=0.0)
+    call.receive_event(frame(1, 0, 0), now=0.0)
+    call.receive_event(Frame(stream=1, sequence=1, captured_us=33_333, payload=payload), now=0.03)
+    assert call.errors == 1
+    assert call.faces(0.1)[0].latent is not None
+
+
+def test_a_frame_of_nobody_is_a_stray(call: Call) -> None:
+    call.receive_event(joined(), now=0.0)
+    call.receive_event(frame(9, 0, 0), now=0.0)
+    assert (call.strays, call.errors) == (1, 0)
+
+
+def test_an_avatar_that_is_not_here_is_an_error_with_the_fix_and_no_face(call: Call) -> None:
+    call.receive_event(joined(peer("p1", "Ada", 1, avatar="b" * 64)), now=0.0)
+    call.receive_event(frame(1, 0, 0), now=0.0)
+    assert call.faces(0.1)[0].status == "waiting"
+    assert call.without_avatar == 1
+    with pytest.raises(AvatarFileError, match=r"bbbbbbbb is not on this machine; .* --avatar"):
+        call.avatar("b" * 64)
+
+
+class DamagedAvatars:
+    """A store in which every file is there and damaged."""
+
+    def has(self, identity: str) -> bool:
+        return True
+
+    def get(self, identity: str) -> Avatar | None:
+        raise AvatarFileError(f"{identity[:8]}: cut or damaged")
+
+    def note(self, identity: str) -> str:
+        return ""
+
+
+def test_a_damaged_avatar_costs_its_peer_the_face_and_nobody_the_call() -> None:
+    call = Call(DamagedAvatars())
+    call.receive_event(joined(peer("p1", "Ada", 1)), now=0.0)
+    call.receive_event(PeerJoined(peer=peer("p2", "Ben", 2)), now=0.0)
+    call.receive_event(frame(1, 0, 0), now=0.0)
+    assert [face.status for face in call.faces(0.1)] == ["waiting", "waiting"]
+    assert (call.without_avatar, call.errors) == (1, 0)
+    with pytest.raises(AvatarFileError, match="cut or damaged"):
+        call.avatar(TOY_ID)
+
+
+def test_frames_that_bring_a_latecomer_up_to_date_are_no_sign_of_jitter(call: Call) -> None:
+    call.receive_event(joined(peer("p1", "Ada", 1)), now=10.0)
+    for sequence in range(60):  # two seconds of frames, all at once
+        call.receive_event(frame(1, sequence, sequence * 33_333, sequence / 10), now=10.0)
+    (ada,) = call.faces(10.01)
+    assert ada.captured_us == 59 * 33_333
+    for sequence in range(60, 90):
+        now = 10.0 + (sequence - 59) / 30
+        call.receive_event(frame(1, sequence, sequence * 33_333), now=now)
+        call.faces(now + 0.01)
+    assert call.stats(11.0)["peers"][0]["playout_delay_ms"] == pytest.approx(33.3, abs=1.5)
+
+
+def test_rates_are_counted_from_the_beginning_of_the_window(call: Call) -> None:
+    call.receive_event(joined(peer("p1", "Ada", 1)), now=0.0)
+    for index in range(90):
+        now = index / 30
+        if index == 30:
+            call.begin_window(now)
+        call.receive_event(frame(1, index, round(now * 1e6)), now=now)
+    stats = call.stats(3.0)
+    (ada,) = stats["peers"]
+    assert stats["seconds"] == 2.0
+    assert ada["latents_per_s"] == 30.0
+    assert ada["payload_bps"] == 30 * 269 * 8
+    assert ada["longest_gap_ms"] == pytest.approx(33.3, abs=0.1)
+
+
+def test_a_report_tells_what_came_since_the_last(call: Call) -> None:
+    call.receive_event(joined(peer("p1", "Ada", 1)), now=0.0)
+    # Which frames are lost is known half a second later.
+    for sequence in (0, 1, *range(4, 24)):
+        call.receive_event(frame(1, sequence, sequence * 33_333), now=sequence / 30)
+        call.due_frames(sequence / 30 + 0.02)
+    (first,) = call.take_report().streams
+    assert (first.stream, first.received, first.lost, first.concealed) == (1, 22, 2, 2)
+    (second,) = call.take_report().streams
+    assert (second.received, second.lost) == (0, 0)
+
+
+def test_what_is_wrong_with_a_stream_stands_in_its_statistics(call: Call) -> None:
+    call.receive_event(joined(peer("p1", "Ada", 1)), now=0.0)
+    call.begin_window(0.0)
+    for index in range(60):
+        now = index / 30
+        call.receive_event(frame(1, index, round(now * 1e6)), now=now)
+        if index % 10 == 5:  # twice, and once from the future
+            call.receive_event(frame(1, index, round(now * 1e6)), now=now)
+            call.receive_event(frame(1, index + 1, 10**12 * index), now=now)
+        call.faces(now + 0.001)
+    (ada,) = call.stats(2.0)["peers"]
+    assert (ada["duplicates"], ada["refused"], ada["future"], ada["restarts"]) == (6, 6, 6, 0)
+    assert ada["concealed_ratio"] == 0
+    assert ada["age_ms"] == pytest.approx(33.3, abs=1.5)
+    assert ada["playout_delay_ms"] == pytest.approx(33.3, abs=1.5)
+    assert (ada["jitter_ms"], abs(ada["clock_drift_ppm"])) == (0, 0)
+
+
+def test_what_is_shown_can_be_traced_back_to_its_frame() -> None:
+    call = Call(LoadedAvatars({TOY_ID: TOY}), log_shown=True)
+    call.receive_event(joined(peer("p1", "Ada", 1)), now=0.0)
+    call.receive_event(frame(1, 0, 5_000), now=0.5)
+    call.faces(0.6)
+    (shown,) = call.take_shown()
+    assert shown == ("Ada", 5_000, 5_000, 500_000)
+
+
+def test_a_library_finds_avatars_by_name_file_and_hash(tmp_path: Path) -> None:
+    shipped = tmp_path / "ada.pica"
+    other = tmp_path / "other.pica"
+    save_avatar(shipped, make_toy_avatar(seed=1))
+    save_avatar(other, make_toy_avatar(seed=2))
+    library = AvatarLibrary(shipped=[shipped])
+    identity = library.find("ada")
+    assert library.load(identity).manifest.identity == "toy-1"
+    assert library.get(identity) is not None
+    assert library.load(library.find(str(other))).manifest.identity == "toy-2"
+    with pytest.raises(AvatarLookupError, match="'bob' is unknown; shipped are: ada, other"):
+        library.find("bob")
+    with pytest.raises(AvatarFileError, match=r"none\.pica"):
+        library.find(str(tmp_path / "none.pica"))
+    assert library.get("f" * 64) is None
+    library.close()
+
+
+def test_a_damaged_file_is_an_error_each_time_without_keeping_the_last(tmp_path: Path) -> None:
+    damaged = tmp_path / "damaged.pica"
+    damaged.write_bytes(b"no avatar at all")
+    library = AvatarLibrary(shipped=[damaged])
+    identity = library.find("damaged")
+    with pytest.raises(AvatarFileError, match=r"damaged\.pica"):
+        library.load(identity)
+    errors = []
+    for _ in range(2):
+        with pytest.raises(AvatarFileError, match=r"damaged\.pica") as raised:
+            library.get(identity)
+        errors.append(raised.value)
+    assert errors[0] is not errors[1]
+    library.close()
+
+
+def test_a_folder_of_avatars_must_be_there(tmp_path: Path) -> None:
+    with pytest.raises(AvatarLookupError, match="nowhere is not there"):
+        AvatarLibrary(folder=tmp_path / "nowhere", shipped=[])
+
+
+# Coded streams
+
+
+STREAM_ID = "c" * 64
+
+
+def coded_peer(name: str, stream: int, profile: str = "") -> Peer:
+    track = Track(
+        kind="face", avatar=STREAM_ID, stream=stream, profile=profile or toy_profile().hash
+    )
+    return Peer(peer_id=name, name=name, tracks=(track,))
+
+
+def coded(sent: Sent, stream: int = 1) -> Frame:
+    return Frame(
+        stream=stream,
+        sequence=sent.sequence,
+        captured_us=sent.captured_us,
+        payload=sent.payload,
+        layer=sent.layer,
+        is_keyframe=sent.is_keyframe,
+    )
+
+
+@pytest.fixture
+def coded_call() -> Call:
+    call = Call(LoadedAvatars({STREAM_ID: stream_avatar(), TOY_ID: TOY}))
+    call.receive_event(joined(coded_peer("ada", 1)), now=0.0)
+    return call
+
+
+def test_a_coded_stream_is_played(coded_call: Call) -> None:
+    sent = perform(num_frames=60)
+    for frame_sent in sent:
+        coded_call.receive_event(coded(frame_sent), now=frame_sent.captured_us / 1e6)
+    (face,) = coded_call.faces(59.5 / 30)
+    assert (face.status, face.note) == ("live", "")
+    assert coded_call.errors == 0
+    truth = LatentDecoder(toy_profile())
+    shown = list(deliver_all(truth, sent))
+    assert face.latent is not None
+    assert np.abs(face.latent - shown[-1].sample.latent).max() < 1
+
+
+@pytest.mark.parametrize("profile", ["f" * 64, other_profile().hash])
+def test_a_profile_that_we_do_not_have_is_a_note_and_counted_and_no_face(profile: str) -> None:
+    call = Call(LoadedAvatars({STREAM_ID: stream_avatar()}))
+    call.receive_event(joined(coded_peer("ada", 1, profile), coded_peer("ben", 2)), now=0.0)
+    for sent in perform(num_frames=10):
+        call.receive_event(coded(sent, 1), now=sent.captured_us / 1e6)
+        call.receive_event(coded(sent, 2), now=sent.captured_us / 1e6)
+    ada, ben = call.faces(0.4)
+    assert (ada.status, ada.latent) == ("waiting", None)
+    assert f"coded with profile {profile[:8]}" in ada.note
+    assert "get the sender's version of the file" in ada.note
+    assert call.errors == 10  # each frame that could have been a face
+    assert call.take_keyframe_requests(0.4) == []  # no keyframe would help
+    assert (ben.note, ben.latent is not None) == ("", True)
+
+
+def test_a_coded_stream_to_an_avatar_without_tables_is_a_note(call: Call) -> None:
+    track = Track(kind="face", avatar=TOY_ID, stream=1, profile=toy_profile().hash)
+    call.receive_event(joined(Peer(peer_id="a", name="Ada", tracks=(track,))), now=0.0)
+    call.receive_event(coded(perform(num_frames=1)[0]), now=0.0)
+    assert "this avatar file holds none" in call.faces(0.1)[0].note
+
+
+def test_coded_payloads_that_cannot_be_read_are_counted_and_the_face_is_held(
+    coded_call: Call,
+) -> None:
+    sent = perform(num_frames=8)
+    for frame_sent in sent:
+        coded_call.receive_event(coded(frame_sent), now=frame_sent.captured_us / 1e6)
+    before = coded_call.faces(0.3)[0].latent
+    for number, payload in enumerate((b"\0", b"\xff" * 513, bytes(1000)), start=8):
+        broken = Frame(stream=1, sequence=number, captured_us=number * 33_333, payload=payload)
+        coded_call.receive_event(broken, now=0.3)
+    assert coded_call.errors == 3
+    after = coded_call.faces(0.31)[0].latent
+    assert before is not None
+    assert after is not None
+    assert np.abs(after - before).max() < 1
+
+
+def test_a_keyframe_is_asked_for_at_a_limited_rate_until_it_comes(coded_call: Call) -> None:
+    publisher = Publisher()
+    sent = publisher.show_all(toy_faces(1, 90), toy_pose(1, 90))
+    asked_s = []
+    for frame_sent in sent[1:]:  # the keyframe is lost
+        now = frame_sent.captured_us / 1e6
+        coded_call.receive_event(coded(frame_sent), now=now)
+        if coded_call.take_keyframe_requests(now):
+            asked_s.append(now)
+    # With the first frame that cannot be read, and then every half second.
+    assert asked_s == pytest.approx([1 / 30 + 0.5 * i for i in range(6)], abs=0.1)
+    assert coded_call.stats(3.0)["peers"][0]["keyframe_requests"] == 6
+    publisher.encoder.request_keyframe()
+    for frame_sent in publisher.show_all(toy_faces(2, 30), toy_pose(2, 30)):
+        now = frame_sent.captured_us / 1e6
+        coded_call.receive_event(coded(frame_sent), now=now)
+        assert coded_call.take_keyframe_requests(now) == []
+    assert coded_call.faces(4.0)[0].latent is not None
+
+
+def test_streams_ask_for_their_own_keyframes(coded_call: Call) -> None:
+    coded_call.receive_event(PeerJoined(peer=coded_peer("ben", 2)), now=0.0)
+    sent = perform(num_frames=10)
+    coded_call.receive_event(coded(sent[0], 1), now=0.0)
+    for frame_sent in sent[1:]:
+        coded_call.receive_event(coded(frame_sent, 1), now=0.1)
+        coded_call.receive_event(coded(frame_sent, 2), now=0.1)
+    assert coded_call.take_keyframe_requests(0.1) == [2]
+
+
+def test_a_sender_that_counts_from_0_again_under_its_old_ids_is_seen_as_it_is_now(
+    coded_call: Call,
+) -> None:
+    # As when a relay died without a word, and the next one gave everybody the same ids.
+    for sent in perform(seed=1, num_frames=14):
+        coded_call.receive_event(coded(sent), now=sent.captured_us / 1e6)
+    coded_call.receive_event(joined(coded_peer("ada", 1)), now=8.0)
+    publisher = Publisher()
+    faces, poses = toy_faces(2, 90), toy_pose(2, 90)
+    for index in range(90):
+        now = 9 + index / 30
+        sent_now = publisher.show(faces[index], poses[index], round(now * 1e6))
+        if sent_now is not None:
+            coded_call.receive_event(coded(sent_now), now=now)
+        coded_call.faces(now)
+    (face,) = coded_call.faces(9 + 89.5 / 30)
+    assert face.latent is not None
+    truth = list(deliver_all(LatentDecoder(toy_profile()), publisher.sent))[-1].sample
+    # The display is a few frames behind.
+    assert np.abs(face.latent - truth.latent).mean() < 0.03
+    assert coded_call.errors == 0
+    assert coded_call.stats(12.0)["peers"][0]["unreferenced"] == 0
+
+
+def test_a_still_face_is_held_as_a_live_one_and_not_concealed(coded_call: Call) -> None:
+    publisher = Publisher()
+    publisher.show_all(toy_faces(1, 20), toy_pose(1, 20))
+    publisher.show_all(
+        np.repeat(toy_faces(1, 20)[-1:], 300, 0), np.repeat(toy_pose(1, 20)[-1:], 300, 0)
+    )
+    waiting = list(publisher.sent)
+    statuses = []
+    for tick in range(60, 10 * 60):
+        now = tick / 60
+        while waiting and waiting[0].captured_us / 1e6 <= now:
+            coded_call.receive_event(coded(waiting.pop(0)), now=now)
+        statuses.append(coded_call.faces(now)[0].status)
+    assert set(statuses[60:]) == {"live"}
+    (ada,) = coded_call.stats(10.0)["peers"]
+    assert (ada["concealed"], ada["lost"]) == (0, 0)
+
+
+def test_a_silence_without_a_word_is_concealed(coded_call: Call) -> None:
+    for frame_sent in perform(num_frames=20):
+        coded_call.receive_event(coded(frame_sent), now=frame_sent.captured_us / 1e6)
+        coded_call.faces(frame_sent.captured_us / 1e6)
+    assert coded_call.faces(1.2)[0].status == "concealed"
+
+
+def test_a_thinned_stream_has_no_losses(coded_call: Call) -> None:
+    for frame_sent in perform(num_frames=200):
+        now = frame_sent.captured_us / 1e6
+        if frame_sent.layer == 0 or now < 2:
+            coded_call.receive_event(coded(frame_sent), now=now)
+        coded_call.faces(now)
+    (ada,) = coded_call.stats(7.0)["peers"]
+    assert (ada["lost"], ada["unreferenced"]) == (0, 0)
+    assert coded_call.take_keyframe_requests(7.0) == []
+
+
+def test_after_coming_back_to_the_same_room_seats_stay_with_their_ids(call: Call) -> None:
+    call.receive_event(joined(peer("p1", "Ada", 7), peer("p2", "Bob", 8)), now=0.0)
+    call.receive_event(frame(7, 0, 0), now=0.1)
+    told = replace(peer("p1", "Ada", 7), metadata=(("hand", "up"),))
+    call.receive_event(
+        Joined(room="r", peer_id="me", peers=(told, peer("p3", "Cyd", 9)), resumed=True), now=1.0
+    )
+    assert [face.name for face in call.faces(1.1)] == ["Ada", "Cyd"]
+    assert call.faces(1.1)[0].latent is not None
+
+
+def test_a_peer_that_says_something_else_of_itself_keeps_its_seat_in_another_room(
+    call: Call,
+) -> None:
+    call.receive_event(joined(peer("p1", "Ada", 7)), now=0.0)
+    call.receive_event(frame(7, 0, 0), now=0.1)
+    call.receive_event(PeerUpdated(peer_id="p1", metadata=(("hand", "up"),)), now=0.2)
+    call.receive_event(joined(peer("p1", "Ada", 7)), now=1.0)
+    assert call.faces(1.1)[0].latent is not None
+    call.receive_event(joined(peer("p1", "Eve", 7)), now=2.0)
+    assert call.faces(2.1)[0].latent is None
+
+
+def test_a_face_says_why_it_stands_still(call: Call) -> None:
+    call.receive_event(joined(peer("p1", "Ada", 7)), now=0.0)
+    notes = []
+    for event in (
+        PeerAway(peer_id="p1"),
+        PeerBack(peer_id="p1"),
+        StreamMuted(stream=7, is_muted=True),
+        StreamMuted(stream=7, is_muted=False),
+        PeerAway(peer_id="nobody"),
+        StreamMuted(stream=99, is_muted=True),
+    ):
+        call.receive_event(event, now=0.1)
+        notes.append(call.faces(0.1)[0].note)
+    assert notes == ["connection lost", "", "muted by an admin", "", "", ""]

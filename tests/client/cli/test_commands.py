@@ -1,0 +1,164 @@
+"""What the client's commands say about bad input, and what the doctor says about a bare machine."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from helpers.toy import make_toy_avatar
+from pica_client.avatars import library as avatars
+from pica_client.cli.doctor import examine
+from pica_client.local_call.latency import FrameTimes, frame_times, latency_summary
+from pica_command.main import main
+from pica_core.avatar.file import save_avatar
+from pica_core.errors import GraphicsError
+
+pytestmark = pytest.mark.unit
+
+
+@pytest.fixture
+def avatar(tmp_path: Path) -> str:
+    path = tmp_path / "toy.pica"
+    save_avatar(path, make_toy_avatar())
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["send", "--url", "http://x"], "url 'http://x' is no relay address"),
+        (["send", "--fps", "1000"], "fps is 1000; 1 to 240 is allowed"),
+        (["send", "--room", "a b"], "room must be"),
+        (["send", "--source", "camera"], "source 'camera' is unknown; write csv:FILE"),
+        (["send", "--source", "csv:none.csv"], "none.csv: cannot be read"),
+        (["send", "--avatar", "nobody"], "avatar 'nobody' is unknown"),
+        (["send", "--avatar", "none.pica"], "none.pica: cannot be read"),
+        (["view", "--url", "http://x"], "url 'http://x' is no relay address"),
+        (["view", "--url", "ws://x", "--send", "camera"], "source 'camera' is unknown"),
+        (
+            ["view", "--url", "ws://x", "--send", "performance:talk", "--own-avatar", "nobody"],
+            "avatar 'nobody' is unknown",
+        ),
+        (["view", "--size", "big"], "size is 'big'; write COLUMNSxROWS"),
+        (["view", "--size", "9x9"], "size is 9x9; 16 to 8192"),
+        (["view", "--avatar-folder", "nowhere"], "avatar folder nowhere is not there"),
+        (["view", "--avatar", "none.pica"], "none.pica: cannot be read"),
+        (["view", "--expect", "-1"], "expect is -1; 0 to 63 is allowed"),
+        (["view", "--playout-floor-ms", "-5"], "playout-floor-ms is -5; 0 to 200 is allowed"),
+        (["view", "--playout-floor-ms", "nan"], "playout-floor-ms is nan; 0 to 200"),
+        (["view", "--png", "nowhere/a.png"], "nowhere/a.png: cannot be written: No such folder"),
+        (["view", "--record", "nowhere/a.mp4"], "nowhere/a.mp4: cannot be written"),
+        (["view", "--frame-log", "."], ".: cannot be written: Is a directory"),
+        (["view", "--png-folder", __file__], "test_commands.py: cannot be made: File exists"),
+        (["send", "--frame-log", "nowhere/a.json"], "nowhere/a.json: cannot be written"),
+        (["demo", "--out", __file__], "test_commands.py: cannot be made: File exists"),
+        (["demo", "--peers", "0"], "peers is 0; 1 to 15 fit the room"),
+        (["demo", "--seconds", "0"], "seconds is 0; 1 to 3600 is allowed"),
+        (["bench", "call", "--seconds", "-1"], "seconds is -1; above 0"),
+        (["bench", "call", "--source", "performance:sing"], "performance 'sing' is unknown"),
+        (["bench", "call", "--playout-floor-ms", "900"], "playout-floor-ms is 900; 0 to 200"),
+        (["bench", "call", "--loss", "1"], "loss_ratio is 1; 0 to 0.9 is allowed"),
+        (["bench", "call", "--rate", "5"], "rate_bps is 5; 1000 to"),
+        (["bench", "call", "--jitter", "nan"], "jitter_s is nan; 0 to 10"),
+        (["bench", "playout", "--codec", "mp3"], "codec 'mp3' is unknown; known are coded, plain"),
+        (["bench", "playout", "--scenarios", "storm"], "scenario 'storm' is unknown; known are"),
+        (["bench", "playout", "--seconds", "1"], "seconds is 1; 3 to 600 is allowed"),
+        (["bench", "playout", "--renders-per-s", "0"], "renders_per_s is 0; 0.5 to 60"),
+    ],
+)
+def test_bad_input_is_one_line_with_the_fix_and_exit_status_two(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    words = 2 if arguments[0] == "bench" else 1
+    assert lines[0].startswith(f"pica {' '.join(arguments[:words])}: ")
+    assert message in lines[0]
+
+
+@pytest.mark.parametrize("num_bytes", [5000, 20_000])
+def test_a_truncated_avatar_is_named_with_the_fix(
+    num_bytes: int, avatar: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cut = tmp_path / "cut.pica"
+    cut.write_bytes(Path(avatar).read_bytes()[:num_bytes])
+    for command in ("send", "view"):
+        assert main([command, "--avatar", str(cut)]) == 2
+        (line,) = capsys.readouterr().err.strip().splitlines()
+        assert line.startswith(f"pica {command}: {cut}: cut")
+        assert line.endswith("get the file again")
+
+
+def test_a_build_without_avatars_says_so_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(avatars.resources, "files", lambda package: tmp_path)
+    assert main(["send"]) == 2
+    assert capsys.readouterr().err == (
+        "pica send: no avatar ships with this package; name one with --avatar FILE\n"
+    )
+    findings = [finding.line for finding in examine(load_core_alone, has_display=lambda: False)]
+    assert "LACK  avatars: none ship with this build -> --avatar FILE" in findings
+
+
+def load_core_alone(name: str) -> Any:
+    """Import as on a machine with the sender's packages and a broken driver."""
+    if name == "pica_core.gl":
+        return BrokenGraphics
+    if name in ("numpy", "safetensors"):
+        return importlib.import_module(name)
+    raise ModuleNotFoundError(name=name)
+
+
+def test_the_doctor_names_the_fix_for_each_lack() -> None:
+    found = examine(load_core_alone, has_display=lambda: False)
+    findings = {finding.subject: finding for finding in found}
+    assert findings["extra send"].level == "good"
+    assert findings["extra view"].fix == "pip install 'pica-telepresence[view]'"
+    assert "moderngl" in findings["extra view"].detail
+    assert findings["OpenGL"].detail == "no context; install libegl1"
+    assert findings["display"].level == "lacking"
+    assert findings["extra train"].line.startswith("LACK  extra train: no torch -> pip install")
+
+
+class BrokenGraphics:
+    @staticmethod
+    def create_context() -> None:
+        raise GraphicsError("no context; install libegl1")
+
+
+def test_the_parts_of_a_frames_latency_add_up_to_its_whole() -> None:
+    frame = FrameTimes(
+        name="Ada", captured_us=1_000_000, arrived_s=1.004, released_s=1.010, decoded_s=1.013
+    )
+    summary = latency_summary([frame], {("Ada", 1_000_000): 0.001})
+    assert summary["p99"] == pytest.approx(13)
+    parts = {name: values["p99"] for name, values in summary["parts"].items()}
+    assert parts == pytest.approx({"encode": 1, "relay": 3, "playout": 6, "decode": 3})
+
+
+def test_a_face_between_two_frames_has_the_way_of_the_newer_one() -> None:
+    shown = [("Ada", 990_000, 1_000_000, 1_004_000)]
+    (frame,) = frame_times(shown, [("Ada", 990_000, 1.020, 1.023)])
+    assert (frame.captured_us, frame.arrived_s) == (1_000_000, 1.004)
+    assert (frame.released_s, frame.decoded_s) == pytest.approx((1.030, 1.033))
+
+
+def test_a_decode_whose_face_has_dropped_out_of_the_log_is_left_out() -> None:
+    shown = [("Ada", 2_000_000, 2_000_000, 2_004_000)]
+    decodes = [("Ada", 1_000_000, 1.01, 1.02), ("Ada", 2_000_000, 2.01, 2.02)]
+    assert [frame.captured_us for frame in frame_times(shown, decodes)] == [2_000_000]
+
+
+def test_a_frame_whose_sender_crashed_still_counts() -> None:
+    frame = FrameTimes(
+        name="Ada", captured_us=1_000_000, arrived_s=1.004, released_s=1.010, decoded_s=1.013
+    )
+    summary = latency_summary([frame], {})
+    assert summary["p50"] == pytest.approx(13)
+    assert summary["parts"]["encode"]["p50"] is None
+    assert summary["parts"]["relay"]["p50"] == pytest.approx(4)

@@ -1,0 +1,398 @@
+"""Decoding on worker threads: newest first, bounded, and one broken avatar harms no other."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import numpy as np
+import onnxruntime
+import pytest
+
+from helpers.toy import make_toy_avatar, with_toy_levels
+from pica_client.decode.decoder import (
+    CPU_PROVIDER,
+    BaselineDecoder,
+    DecodedMaps,
+    OnnxDecoder,
+    OnnxOptions,
+    Parts,
+)
+from pica_client.decode.pool import DecodePool, DecodePoolOptions, DecodeRequest
+from pica_client.errors import OptionError
+from pica_core.avatar.file import Avatar
+from pica_core.avatar.spec import AvatarSpec
+from pica_core.reference.baseline import baseline_like
+from pica_core.reference.decoders import decode_expression_map
+
+pytestmark = pytest.mark.unit
+
+TOY = make_toy_avatar(spec=AvatarSpec(uv_encoding_size=16, axis_encoding_size=20), grid=4)
+LEVELLED = with_toy_levels(TOY)
+LEVELS = LEVELLED.levels
+AHEAD = np.array([0, 0, 1], np.float32)
+PATIENCE_S = 20.0
+
+
+def request(
+    value: float, captured_us: int = 0, level: int | None = None, parts: Parts = "both"
+) -> DecodeRequest:
+    latent = np.full((8, 8, 4), value, np.float32)
+    return DecodeRequest(latent, AHEAD, captured_us, level, parts)
+
+
+class Echo:
+    """A decoder that hands its latent back."""
+
+    def prepare(self, level: int | None = None, parts: Parts = "both") -> None:
+        pass
+
+    def decode(
+        self,
+        latent: np.ndarray,
+        view_direction: np.ndarray,
+        level: int | None = None,
+        parts: Parts = "both",
+    ) -> DecodedMaps:
+        return DecodedMaps(latent if parts == "both" else None, latent, level or 256)
+
+
+class Gate(Echo):
+    """A decoder that waits until the test opens it, and notes what it decoded."""
+
+    def __init__(self) -> None:
+        self.opened = threading.Event()
+        self.entered = threading.Event()
+        self.decoded: list[float] = []
+        self.parts: list[Parts] = []
+
+    def decode(self, latent: np.ndarray, *arguments: Any) -> DecodedMaps:
+        self.entered.set()
+        assert self.opened.wait(PATIENCE_S)
+        self.decoded.append(float(latent[0, 0, 0]))
+        self.parts.append(arguments[-1])
+        return super().decode(latent, *arguments)
+
+
+class Broken(Echo):
+    """A decoder that fails."""
+
+    def decode(self, latent: np.ndarray, *arguments: Any) -> DecodedMaps:
+        raise RuntimeError("the driver\nwent away")
+
+
+def test_a_decoder_turns_a_latent_into_two_maps() -> None:
+    maps = OnnxDecoder(TOY).decode(np.zeros((8, 8, 4), np.float32), AHEAD)
+    assert maps.position_map.shape == (256, 256, 3)
+    assert maps.expression_map.shape == (256, 256, 4)
+    assert maps.position_map.flags.c_contiguous
+    assert maps.expression_map.dtype == np.float32
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_every_level_is_decoded_to_maps_of_its_size(level: int) -> None:
+    decoder = OnnxDecoder(LEVELLED)
+    latent = np.random.default_rng(level).standard_normal((8, 8, 4)).astype(np.float32)
+    maps = decoder.decode(latent, AHEAD, level)
+    assert maps.position_map is not None
+    assert maps.position_map.shape == (LEVELLED.position_rows(level), level, 3)
+    assert maps.expression_map.shape == (level, level, 4)
+    assert maps.level == level
+    alone = decoder.decode(latent, AHEAD, level, "expression")
+    assert alone.position_map is None
+    np.testing.assert_allclose(alone.expression_map, maps.expression_map, atol=1e-5)
+
+
+def test_a_level_that_the_avatar_lacks_is_named_with_those_that_it_has() -> None:
+    with pytest.raises(OptionError, match=r"level is 100; this avatar has .*256"):
+        OnnxDecoder(TOY).decode(np.zeros((8, 8, 4), np.float32), AHEAD, 100)
+
+
+def test_a_decoder_follows_the_reference_that_judges_all_others() -> None:
+    latent = np.random.default_rng(1).standard_normal((8, 8, 4)).astype(np.float32)
+    maps = OnnxDecoder(TOY).decode(latent, AHEAD)
+    reference = decode_expression_map(TOY, latent, (0.0, 0.0, 1.0))
+    scale = float(np.abs(reference).max())
+    np.testing.assert_allclose(maps.expression_map, reference, atol=1e-4 * scale)
+
+
+def test_a_provider_that_is_not_there_is_named_with_those_that_are() -> None:
+    with pytest.raises(OptionError, match=r"NoSuchProvider is not .* available are .*CPU"):
+        OnnxDecoder(TOY, OnnxOptions(provider="NoSuchProvider"))
+
+
+def test_a_provider_that_does_not_load_is_an_error_and_no_other_takes_its_place(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    listed = [*onnxruntime.get_available_providers(), "CUDAExecutionProvider"]
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: listed)
+    options = OnnxOptions(provider="CUDAExecutionProvider")
+    with pytest.raises(OptionError, match=r"CUDAExecutionProvider does not (load|start)"):
+        OnnxDecoder(TOY, options)
+
+
+def test_options_go_to_the_provider_as_they_are() -> None:
+    maps = OnnxDecoder(TOY, OnnxOptions(provider_options={"use_arena": "1"})).decode(
+        np.zeros((8, 8, 4), np.float32), AHEAD
+    )
+    assert maps.level == 256
+
+
+def test_a_provider_is_read_as_people_write_it() -> None:
+    options = OnnxOptions.for_provider("CUDAExecutionProvider:device_id=1,arena=x=y", threads=2)
+    assert options.provider == "CUDAExecutionProvider"
+    assert options.provider_options == {"device_id": "1", "arena": "x=y"}
+    assert options.threads == 2
+    assert OnnxOptions.for_provider(CPU_PROVIDER) == OnnxOptions()
+
+
+@pytest.mark.parametrize("text", ["", ":a=1", "X:a", "X:=1"])
+def test_a_provider_written_otherwise_is_refused(text: str) -> None:
+    with pytest.raises(OptionError, match="write NAME or NAME:key=value"):
+        OnnxOptions.for_provider(text)
+
+
+@pytest.mark.parametrize("options", [OnnxOptions, DecodePoolOptions])
+def test_no_threads_are_refused(options: type) -> None:
+    name = "threads" if options is OnnxOptions else "workers"
+    with pytest.raises(OptionError, match=f"{name} is 0; allowed are 1 to 64"):
+        options(**{name: 0})
+
+
+def test_a_pool_decodes_every_avatar_and_hands_the_capture_time_through() -> None:
+    with DecodePool(DecodePoolOptions(workers=2), OnnxDecoder) as pool:
+        for index in range(3):
+            pool.add(f"peer-{index}", TOY)
+            pool.submit(f"peer-{index}", request(0.1 * index, captured_us=1000 + index))
+        assert pool.wait_idle(PATIENCE_S)
+        results = {result.slot: result for result in pool.take_results()}
+    assert {slot: result.captured_us for slot, result in results.items()} == {
+        "peer-0": 1000,
+        "peer-1": 1001,
+        "peer-2": 1002,
+    }
+    assert all(result.maps is not None and result.error is None for result in results.values())
+    assert all(result.decode_s > 0 and result.waited_s >= 0 for result in results.values())
+
+
+def test_a_result_is_handed_out_once() -> None:
+    with DecodePool(DecodePoolOptions(), lambda avatar: Echo()) as pool:
+        pool.add("a", TOY)
+        pool.submit("a", request(1))
+        assert pool.wait_idle(PATIENCE_S)
+        assert len(pool.take_results()) == 1
+        assert pool.take_results() == []
+
+
+def test_while_a_decode_runs_only_the_newest_request_waits() -> None:
+    gate = Gate()
+    with DecodePool(DecodePoolOptions(), lambda avatar: gate) as pool:
+        pool.add("a", TOY)
+        pool.submit("a", request(1))
+        assert gate.entered.wait(PATIENCE_S)
+        for value in (2, 3, 4):
+            pool.submit("a", request(value))
+        gate.opened.set()
+        assert pool.wait_idle(PATIENCE_S)
+        assert gate.decoded == [1, 4]
+        assert pool.num_replaced == 2
+
+
+def test_a_request_for_one_map_does_not_cancel_one_for_both() -> None:
+    gate = Gate()
+    with DecodePool(DecodePoolOptions(), lambda avatar: gate) as pool:
+        pool.add("a", TOY)
+        pool.submit("a", request(1, parts="expression"))
+        assert gate.entered.wait(PATIENCE_S)
+        pool.submit("a", request(2, parts="both"))
+        pool.submit("a", request(3, parts="expression"))
+        gate.opened.set()
+        assert pool.wait_idle(PATIENCE_S)
+    assert gate.decoded == [1, 3]
+    assert gate.parts == ["expression", "both"]
+
+
+def test_a_result_of_one_map_keeps_the_other_that_nobody_has_taken_yet() -> None:
+    with DecodePool(DecodePoolOptions(), lambda avatar: Echo()) as pool:
+        pool.add("a", TOY)
+        pool.submit("a", request(1, captured_us=1))
+        assert pool.wait_idle(PATIENCE_S)
+        pool.submit("a", request(2, captured_us=2, parts="expression"))
+        assert pool.wait_idle(PATIENCE_S)
+        (result,) = pool.take_results()
+        pool.submit("a", request(3, captured_us=3, parts="expression"))
+        assert pool.wait_idle(PATIENCE_S)
+        (later,) = pool.take_results()
+    assert result.maps is not None
+    assert result.maps.position_map is not None
+    assert (result.maps.position_map[0, 0, 0], result.maps.expression_map[0, 0, 0]) == (1, 2)
+    assert (result.captured_us, result.parts) == (2, "expression")
+    assert later.maps is not None
+    assert later.maps.position_map is None
+
+
+def test_a_request_is_decoded_at_its_level() -> None:
+    with DecodePool(DecodePoolOptions(), OnnxDecoder) as pool:
+        pool.add("a", LEVELLED)
+        pool.submit("a", request(1, level=64))
+        assert pool.wait_idle(PATIENCE_S)
+        (result,) = pool.take_results()
+    assert result.maps is not None
+    assert (result.level, len(result.maps.expression_map)) == (64, 64)
+
+
+class Preparing(Echo):
+    """A decoder that notes what it got ready for."""
+
+    def __init__(self) -> None:
+        self.prepared: list[tuple[int | None, Parts]] = []
+
+    def prepare(self, level: int | None = None, parts: Parts = "both") -> None:
+        self.prepared.append((level, parts))
+
+
+def test_idle_workers_get_ready_for_every_level_the_finest_first() -> None:
+    decoder = Preparing()
+    with DecodePool(DecodePoolOptions(), lambda avatar: decoder) as pool:
+        pool.add("a", LEVELLED)
+        assert pool.wait_idle(PATIENCE_S)
+        while len(decoder.prepared) < 2 * len(LEVELS):
+            assert pool.wait_idle(PATIENCE_S)
+    assert set(decoder.prepared) == {(s, p) for s in LEVELS for p in ("both", "expression")}
+    assert decoder.prepared[0] == (256, "both")
+
+
+def test_a_request_comes_before_getting_ready() -> None:
+    gate = Gate()
+    order: list[str] = []
+
+    class Noting(Preparing):
+        def decode(self, latent: np.ndarray, *arguments: Any) -> DecodedMaps:
+            order.append("decode")
+            return super().decode(latent, *arguments)
+
+        def prepare(self, level: int | None = None, parts: Parts = "both") -> None:
+            order.append("ahead" if level is not None else "asked")
+
+    decoders = iter([gate, Noting()])
+    with DecodePool(DecodePoolOptions(), lambda avatar: next(decoders)) as pool:
+        pool.add("first", TOY)
+        pool.submit("first", request(1))
+        assert gate.entered.wait(PATIENCE_S)
+        pool.add("a", LEVELLED)
+        pool.submit("a", request(2))
+        gate.opened.set()
+        assert pool.wait_idle(PATIENCE_S)
+    assert order[:2] == ["asked", "decode"]
+
+
+def test_a_level_that_cannot_be_had_breaks_its_avatar_alone() -> None:
+    class Coarseless(Echo):
+        def prepare(self, level: int | None = None, parts: Parts = "both") -> None:
+            if level == 64:
+                raise OptionError("provider X does not take level 64")
+
+    decoders = iter([Coarseless(), Echo()])
+    with DecodePool(DecodePoolOptions(), lambda avatar: next(decoders)) as pool:
+        pool.add("bad", LEVELLED)
+        errors: list[str | None] = []
+        while not errors:
+            assert pool.wait_idle(PATIENCE_S)
+            errors = [result.error for result in pool.take_results()]
+        pool.add("good", LEVELLED)
+        pool.submit("good", request(1))
+        assert pool.wait_idle(PATIENCE_S)
+        (result,) = pool.take_results()
+    assert errors == ["provider X does not take level 64"]
+    assert result.error is None
+
+
+def test_building_a_session_does_not_count_as_decoding() -> None:
+    times = iter(range(1000))
+
+    class Slow(Echo):
+        def prepare(self, level: int | None = None, parts: Parts = "both") -> None:
+            for _ in range(100):
+                next(times)
+
+    options = DecodePoolOptions(prepares_ahead=False)
+    with DecodePool(options, lambda avatar: Slow(), lambda: next(times)) as pool:
+        pool.add("a", TOY)
+        pool.submit("a", request(1))
+        assert pool.wait_idle(PATIENCE_S)
+        (result,) = pool.take_results()
+    assert result.decode_s == 1
+
+
+def test_one_avatar_is_never_decoded_by_two_workers_at_once() -> None:
+    gate = Gate()
+    with DecodePool(DecodePoolOptions(workers=4), lambda avatar: gate) as pool:
+        pool.add("a", TOY)
+        pool.submit("a", request(1))
+        assert gate.entered.wait(PATIENCE_S)
+        gate.entered.clear()
+        pool.submit("a", request(2))
+        pool.add("b", TOY)  # another slot is served meanwhile
+        pool.submit("b", request(3))
+        assert gate.entered.wait(PATIENCE_S)
+        gate.opened.set()
+        assert pool.wait_idle(PATIENCE_S)
+    assert sorted(gate.decoded) == [1, 2, 3]
+    assert gate.decoded.index(1) < gate.decoded.index(2)
+
+
+def test_a_broken_avatar_is_reported_and_the_others_decode_on() -> None:
+    decoders = iter([Broken(), Echo()])
+    with DecodePool(DecodePoolOptions(), lambda avatar: next(decoders)) as pool:
+        pool.add("bad", TOY)
+        pool.submit("bad", request(1))
+        assert pool.wait_idle(PATIENCE_S)
+        pool.add("good", TOY)
+        pool.submit("good", request(2))
+        pool.submit("bad", request(3))
+        assert pool.wait_idle(PATIENCE_S)
+        results = {result.slot: result for result in pool.take_results()}
+    assert results["bad"].maps is None
+    assert results["bad"].error == "the driver went away"
+    assert results["good"].maps is not None
+
+
+def test_an_avatar_whose_decoder_cannot_be_built_is_reported_without_a_request() -> None:
+    def refuse(avatar: Avatar) -> Echo:
+        raise OptionError("provider X does not start")
+
+    with DecodePool(DecodePoolOptions(), refuse) as pool:
+        pool.add("a", TOY)
+        assert pool.wait_idle(PATIENCE_S)
+        (result,) = pool.take_results()
+    assert result.error == "provider X does not start"
+
+
+def test_a_removed_avatar_leaves_nothing_behind() -> None:
+    gate = Gate()
+    with DecodePool(DecodePoolOptions(), lambda avatar: gate) as pool:
+        pool.add("a", TOY)
+        pool.submit("a", request(1))
+        assert gate.entered.wait(PATIENCE_S)
+        pool.remove("a")
+        pool.remove("never-there")
+        gate.opened.set()
+        pool.submit("a", request(2))
+        assert pool.wait_idle(PATIENCE_S)
+        assert pool.take_results() == []
+
+
+def test_closing_drops_what_waits_and_ends_the_threads() -> None:
+    before = threading.active_count()
+    pool = DecodePool(DecodePoolOptions(workers=3), lambda avatar: Echo())
+    pool.add("a", TOY)
+    pool.close()
+    assert threading.active_count() == before
+
+
+def test_the_baseline_decodes_vertices_and_a_texture() -> None:
+    baseline = baseline_like(TOY)
+    latent = np.zeros((8, 8, 4), np.float32)
+    decoded = BaselineDecoder(baseline).decode(latent, AHEAD)
+    assert decoded.vertices_m.shape == (baseline.spec.num_vertices, 3)
+    assert decoded.texture.shape == (1024, 1024, 3)

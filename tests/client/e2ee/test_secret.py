@@ -1,0 +1,81 @@
+"""The file with the room secret, and the command that makes it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from pica_client.cli.secret import SecretOptions, secret
+from pica_client.e2ee.errors import SecretFileError
+from pica_client.e2ee.secret import RoomSecret, load_secret, save_secret
+
+pytestmark = pytest.mark.unit
+
+
+def test_a_secret_comes_back_from_its_file(tmp_path: Path) -> None:
+    made = RoomSecret(bytes(range(32)))
+    save_secret(tmp_path / "secret", made)
+    assert load_secret(tmp_path / "secret").value == made.value
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="other rights")
+def test_nobody_else_can_read_the_file(tmp_path: Path) -> None:
+    secret(SecretOptions(file=tmp_path / "secret"))
+    assert (tmp_path / "secret").stat().st_mode & 0o777 == 0o600
+
+
+def test_every_secret_is_another_and_is_not_shown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    results = [secret(SecretOptions(file=tmp_path / name)) for name in "ab"]
+    values = {load_secret(tmp_path / name).value for name in "ab"}
+    assert len(values) == 2
+    assert results[0] == {"file": str(tmp_path / "a")}
+    shown = capsys.readouterr()
+    line = (tmp_path / "a").read_text().strip()
+    assert line.partition(":")[2] not in shown.out + shown.err
+    assert "0x" in repr(load_secret(tmp_path / "a"))
+
+
+def test_a_file_that_is_there_is_not_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "secret").write_text("mine")
+    with pytest.raises(SecretFileError, match="is there already") as raised:
+        secret(SecretOptions(file=tmp_path / "secret"))
+    assert raised.value.exit_code == 2
+    assert (tmp_path / "secret").read_text() == "mine"
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(SecretFileError, match="no/secret: cannot be written: No such file"):
+        secret(SecretOptions(file=tmp_path / "no" / "secret"))
+    with pytest.raises(SecretFileError, match="no/secret: cannot be read: No such file"):
+        load_secret(tmp_path / "no" / "secret")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"correct horse battery staple",
+        b"pica-secret-1:",
+        b"pica-secret-1:AAAA",
+        b"pica-secret-2:" + b"A" * 43 + b"=",
+        b"pica-secret-1:" + b"A" * 42,
+        b"A" * 43 + b"=",
+        b"\xff\xfe" * 20,
+        b"pica-secret-1:" + b"A" * 10_000,
+    ],
+)
+def test_anything_else_is_refused_with_the_fix(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "secret").write_bytes(content)
+    with pytest.raises(
+        SecretFileError, match="is no room secret; make one with `pica secret FILE`"
+    ):
+        load_secret(tmp_path / "secret")
+
+
+def test_a_secret_of_another_length_is_our_own_mistake() -> None:
+    with pytest.raises(ValueError, match="has 32 bytes, got 5"):
+        RoomSecret(b"hello")

@@ -1,0 +1,395 @@
+"""The playout buffer as its callers see it, with literal times."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+
+from helpers.playout_trial import (
+    DISPLAY_HZ,
+    FRAME_S,
+    TICK_S,
+    WAY_S,
+    arrivals,
+    between,
+    captured,
+    face,
+    play,
+    receive,
+    shown,
+    steady,
+    steps,
+    value_at,
+    value_of,
+)
+from pica_client.playout.buffer import Playout, PlayoutConfig
+from pica_client.playout.motion import Distance
+
+pytestmark = pytest.mark.unit
+
+ONCE = PlayoutConfig(floor_s=0.005)
+
+
+# On the display
+
+
+def test_nothing_is_shown_before_the_first_frame_is_due() -> None:
+    playout = Playout(PlayoutConfig(floor_s=0.01))
+    assert playout.sample_at(0.0) is None
+    receive(playout, 0, now=1.0)
+    assert playout.sample_at(1.005) is None
+    assert value_of(shown(playout, 1.011)) == 0
+
+
+def test_on_a_perfect_network_the_display_is_one_interval_behind() -> None:
+    playout = Playout()
+    steady(playout, 100)
+    report = playout.report()
+    assert report.delay_s == pytest.approx(FRAME_S, abs=1e-5)
+    assert report.age_s == pytest.approx(FRAME_S, abs=1e-5)
+    assert report.interval_s == pytest.approx(FRAME_S, rel=1e-3)
+    assert report.concealed_ratio < 0.01
+
+
+def test_a_floor_of_no_interval_shows_frames_when_they_come() -> None:
+    playout = Playout(PlayoutConfig(floor_s=0.002, floor_intervals=0))
+    steady(playout, 100)
+    assert playout.report().delay_s == pytest.approx(0.002, abs=1e-5)
+
+
+def test_between_two_frames_latent_and_head_are_interpolated() -> None:
+    playout = Playout(PlayoutConfig(floor_s=0.05))
+    playout.receive_frame(0, captured(0), face(0.0, yaw=0.0), 0.0)
+    playout.receive_frame(1, captured(1), face(1.0, yaw=0.6), FRAME_S)
+    played = shown(playout, 0.05 + 0.25 * FRAME_S)
+    assert value_of(played) == pytest.approx(0.25, abs=1e-3)
+    assert played.sample.rotation == pytest.approx([0, 0.15, 0], abs=1e-3)
+    assert played.sample.translation_m[0] == pytest.approx(0.025, abs=1e-4)
+    assert played.captured_us == pytest.approx(captured(0.25), abs=40)
+    assert played.newest.sequence == 1
+
+
+def test_thirty_frames_a_second_move_evenly_on_a_display_of_ninety() -> None:
+    playout = Playout()
+    values = []
+    for index in range(90):
+        receive(playout, index, index * FRAME_S + 0.01)
+        for third in range(3):
+            played = playout.sample_at((index + (third + 0.2) / 3) * FRAME_S + 0.01)
+            values.append(None if played is None else value_of(played))
+    moved = [after - before for before, after in pairwise(values[60:])]
+    assert moved == pytest.approx([1 / 3] * len(moved), abs=1e-3)
+
+
+def test_a_face_without_a_next_frame_goes_on_ever_slower_and_rests() -> None:
+    playout = Playout()
+    steady(playout, 31)  # the last one is 30; the face moves by 30 a second
+    at_last_s = 30 * FRAME_S + 0.01 + FRAME_S
+    past = [value_of(shown(playout, at_last_s + step / 150)) for step in range(40)]
+    moved = [after - before for before, after in pairwise(past)]
+    assert past[0] == pytest.approx(30, abs=0.01)
+    assert all(before >= after >= -1e-5 for before, after in pairwise(moved))
+    # Half of a fifteenth of a second at full speed.
+    assert past[-1] == pytest.approx(31, abs=0.01)
+    assert moved[11:] == pytest.approx([0] * len(moved[11:]), abs=1e-5)
+
+
+def test_a_face_without_a_next_frame_is_concealed_once_that_is_overdue() -> None:
+    playout = Playout()
+    steady(playout, 31)
+    at_last_s = 30 * FRAME_S + 0.01 + FRAME_S
+    concealed_before = playout.report().concealed
+    fresh = shown(playout, at_last_s + 0.4 * FRAME_S)
+    assert not fresh.is_concealed
+    held = shown(playout, at_last_s + 2 * FRAME_S)
+    assert held.is_concealed
+    assert held.captured_us == captured(30)
+    assert held.age_s == pytest.approx(3 * FRAME_S, abs=1e-4)
+    assert playout.report().concealed == concealed_before + 1
+
+
+def test_after_a_gap_the_face_goes_over_to_its_path_within_the_stated_time() -> None:
+    playout = Playout()
+    gap = [frame for frame in arrivals(seconds=4) if not 2.0 <= frame.captured_s < 2.4]
+    ticks = play(playout, gap, seconds=4)
+    back_s = 2.4 + WAY_S + 1 / DISPLAY_HZ
+    off_path = [
+        tick.now
+        for tick in between(ticks, back_s, 4.0)
+        if tick.played is not None
+        and abs(value_of(tick.played) - value_at(tick.now - WAY_S - FRAME_S)) > 0.01
+    ]
+    assert off_path
+    assert max(off_path) <= back_s + playout.config.blend_s
+    own_step = 4.7 / DISPLAY_HZ
+    assert max(steps(ticks)) <= own_step + playout.report().largest_correction
+    # Evenly: a fourteenth of what there was to go, at each display time.
+    assert playout.report().largest_correction <= 1.6 / (0.15 * DISPLAY_HZ)
+
+
+def test_a_correction_is_never_faster_than_its_limit() -> None:
+    limit = Distance(latent=1.0, turn_rad=0.5, move_m=0.1)
+    playout = Playout(PlayoutConfig(correction_limit=limit))
+    frames = [frame for frame in arrivals(seconds=6) if not 2.0 <= frame.captured_s < 2.4]
+    ticks = play(playout, frames, seconds=6)
+    assert playout.report().largest_correction <= 1.0 / DISPLAY_HZ + 1e-6
+    last = ticks[-1].played
+    assert last is not None
+    assert value_of(last) == pytest.approx(value_at(ticks[-1].now - WAY_S - FRAME_S), abs=0.01)
+
+
+def test_a_frame_later_than_the_face_is_not_shown_and_counted() -> None:
+    playout = Playout()
+    for index in (0, 1, 2, 4):
+        receive(playout, index, index * FRAME_S + 0.01)
+        playout.sample_at(index * FRAME_S + 0.01)
+    before = value_of(shown(playout, 1.0))
+    receive(playout, 3, 1.1)
+    assert value_of(shown(playout, 1.2)) == pytest.approx(before)
+    report = playout.report()
+    assert (report.late, report.lost, report.received) == (1, 0, 5)
+
+
+def test_a_long_gap_between_frames_is_rested_in_and_then_crossed() -> None:
+    playout = Playout(PlayoutConfig(floor_s=1.0, ceiling_s=1.0, max_gap_s=0.25))
+    receive(playout, 0, 0.0)
+    receive(playout, 20, 20 * FRAME_S)
+    assert value_of(shown(playout, 1.0 + 10 * FRAME_S)) == 0
+    assert value_of(shown(playout, 1.0 + 20 * FRAME_S - 0.125)) == pytest.approx(10, abs=0.01)
+    assert value_of(shown(playout, 1.0 + 20 * FRAME_S)) == 20
+
+
+def test_the_sequence_wraps_without_a_hole() -> None:
+    playout = Playout()
+    frames = [frame._replace(number=frame.number + 65_500) for frame in arrivals(seconds=5)]
+    ticks = play(playout, frames, seconds=5.1)
+    report = playout.report()
+    assert (report.received, report.lost, report.late, report.restarts) == (150, 0, 0, 0)
+    assert max(steps(ticks)) <= 4.7 / DISPLAY_HZ + 0.01
+
+
+def test_a_display_that_paused_goes_on_at_the_present() -> None:
+    playout = Playout()
+    steady(playout, 30)
+    for index in range(30, 300):
+        receive(playout, index, index * FRAME_S + 0.01)
+    played = shown(playout, 299 * FRAME_S + 0.01)
+    assert played.captured_us == pytest.approx(captured(298), abs=100)
+
+
+# Still faces
+
+
+def still_after(playout: Playout, count: int) -> float:
+    """A moving face that stops at frame `count` and says so; returns when that is shown."""
+    steady(playout, count)
+    receive(playout, count, count * FRAME_S + 0.01, value=float(count), is_still=True)
+    return (count + 1) * FRAME_S + 0.01
+
+
+def test_a_still_face_is_live_while_its_sender_is_silent() -> None:
+    playout = Playout()
+    since_s = still_after(playout, 30)
+    concealed_before = playout.report().concealed
+    for later_s in (0.1, 0.5, 1.0, 2.0):
+        played = shown(playout, since_s + later_s)
+        assert value_of(played) == 30
+        assert not played.is_concealed
+        assert played.age_s == pytest.approx(FRAME_S, abs=1e-4)
+    assert playout.report().concealed == concealed_before
+
+
+def test_a_still_face_without_heartbeats_is_concealed_in_the_end() -> None:
+    playout = Playout()
+    since_s = still_after(playout, 30)
+    played = shown(playout, since_s + 2.6)
+    assert played.is_concealed
+    assert value_of(played) == 30
+    assert played.age_s == pytest.approx(0.1 + FRAME_S, abs=1e-3)
+
+
+def test_heartbeats_keep_a_still_face_live_and_are_no_frame_rate() -> None:
+    playout = Playout()
+    still_after(playout, 30)
+    for second in range(1, 6):
+        index = 30 + 30 * second
+        playout.receive_frame(
+            30 + second, captured(index), face(30.0, is_still=True), index * FRAME_S + 0.01
+        )
+        played = shown(playout, (index + 25) * FRAME_S)
+        assert (value_of(played), played.is_concealed) == (30, False)
+    report = playout.report()
+    assert report.interval_s == pytest.approx(FRAME_S, rel=1e-3)
+    assert (report.lost, report.delay_s) == (0, pytest.approx(FRAME_S, abs=1e-4))
+
+
+def test_a_still_face_begins_to_move_one_interval_before_its_next_frame() -> None:
+    playout = Playout()
+    still_after(playout, 30)
+    for tick in range(90):
+        playout.sample_at(31 * FRAME_S + 0.02 + tick / DISPLAY_HZ)
+    playout.receive_frame(31, captured(75), face(36.0), 75 * FRAME_S + 0.01)
+    behind_s = 0.01 + FRAME_S
+    assert value_of(shown(playout, 74 * FRAME_S + behind_s)) == pytest.approx(30, abs=0.01)
+    assert value_of(shown(playout, 74.5 * FRAME_S + behind_s)) == pytest.approx(33, abs=0.01)
+    assert value_of(shown(playout, 75 * FRAME_S + behind_s)) == pytest.approx(36, abs=0.01)
+
+
+# Thinned streams
+
+
+@pytest.mark.parametrize("keeps_every", [2, 4])
+def test_thinning_is_no_loss_and_the_delay_follows_the_interval(keeps_every: int) -> None:
+    playout = Playout()
+    frames = [
+        frame
+        for frame in arrivals(seconds=20)
+        if frame.captured_s < 10 or frame.number % keeps_every == 0
+    ]
+    ticks = play(playout, frames, seconds=20)
+    report = playout.report()
+    assert report.lost == 0
+    assert report.interval_s == pytest.approx(keeps_every * FRAME_S, rel=1e-3)
+    assert report.delay_s == pytest.approx(keeps_every * FRAME_S, abs=1e-3)
+    assert not any(
+        tick.played.is_concealed for tick in between(ticks, 12, 20) if tick.played is not None
+    )
+    assert max(steps(ticks)) <= 0.07
+
+
+def test_a_stream_that_is_no_longer_thinned_loses_nothing_and_comes_closer() -> None:
+    playout = Playout()
+    frames = [
+        frame for frame in arrivals(seconds=20) if frame.captured_s > 10 or frame.number % 4 == 0
+    ]
+    ticks = play(playout, frames, seconds=20)
+    assert (playout.report().lost, playout.report().concealed) == (0, 0)
+    assert max(tick.report.delay_s for tick in between(ticks, 12.5, 20)) <= FRAME_S + 1e-3
+
+
+def test_frames_that_never_came_are_lost_once_that_is_known() -> None:
+    playout = Playout()
+    for index in (0, 1, 5, 6):
+        receive(playout, index, index * FRAME_S)
+    assert playout.report().lost == 0
+    for index in range(7, 30):
+        receive(playout, index, index * FRAME_S)
+    assert playout.report().lost == 3
+
+
+# Instead of the display: every frame once
+
+
+def test_frames_are_released_in_capture_order_after_reordering() -> None:
+    playout = Playout(PlayoutConfig(floor_s=0.1))
+    for index in (0, 2, 1, 3):
+        receive(playout, index, now=0.09)
+    assert [frame.sequence for frame in playout.due_frames(10.0)] == [0, 1, 2, 3]
+
+
+def test_every_frame_comes_once_and_not_before_it_is_due() -> None:
+    playout = Playout(ONCE)
+    receive(playout, 0, now=0.010)
+    receive(playout, 1, now=0.010 + FRAME_S)
+    assert playout.next_timer() == pytest.approx(0.015, abs=TICK_S)
+    assert playout.due_frames(0.0149) == []
+    timer = playout.next_timer()
+    assert timer is not None
+    assert [frame.sequence for frame in playout.due_frames(timer)] == [0]
+    assert playout.due_frames(timer) == []
+    assert [frame.sequence for frame in playout.due_frames(timer + FRAME_S + TICK_S)] == [1]
+    assert playout.next_timer() is None
+
+
+def test_frames_taken_once_wait_for_no_interval() -> None:
+    playout = Playout()
+    for index in range(100):
+        receive(playout, index, index * FRAME_S + 0.01)
+        playout.due_frames(index * FRAME_S + 0.02)
+    assert playout.report().delay_s == pytest.approx(0.004, abs=TICK_S)
+
+
+def test_the_delay_follows_the_jitter_up_and_down_again() -> None:
+    playout = Playout()
+    for index in range(120):
+        receive(playout, index, index * FRAME_S + 0.01 + (0.05 if index % 2 else 0.0))
+    assert playout.report().delay_s == pytest.approx(0.054, abs=1e-4)
+    for index in range(120, 310):
+        receive(playout, index, index * FRAME_S + 0.01)
+    assert playout.report().delay_s == pytest.approx(0.004, abs=1e-4)
+
+
+def test_the_delay_never_exceeds_the_ceiling() -> None:
+    playout = Playout(PlayoutConfig(ceiling_s=0.1))
+    for index in range(60):
+        receive(playout, index, index * FRAME_S + (0.9 if index % 2 else 0.0))
+    assert playout.report().delay_s == pytest.approx(0.1)
+
+
+def test_a_rare_late_frame_does_not_slow_the_others() -> None:
+    playout = Playout()
+    for index in range(100):
+        receive(playout, index, index * FRAME_S + (0.3 if index == 50 else 0.01))
+    assert playout.report().delay_s == pytest.approx(0.004, abs=1e-5)
+
+
+def test_a_duplicate_is_counted_and_not_released_again() -> None:
+    playout = Playout(PlayoutConfig(floor_s=0.1))
+    receive(playout, 0, 0.0)
+    receive(playout, 0, 0.01)
+    assert len(playout.due_frames(1.0)) == 1
+    receive(playout, 0, 1.01)
+    assert playout.due_frames(2.0) == []
+    assert playout.report().duplicates == 2
+
+
+def test_holes_in_released_frames_are_concealed_unless_they_are_thinned() -> None:
+    playout = Playout()
+    for index in [*range(20), 23, 24, *range(26, 80, 2)]:
+        receive(playout, index, index * FRAME_S)
+        playout.due_frames(index * FRAME_S + 0.01)
+    # Three are missing, and then for seven frames thinning looks like loss.
+    assert playout.report().concealed == 3 + 7
+
+
+def test_the_buffer_is_bounded_and_drops_its_oldest() -> None:
+    playout = Playout(PlayoutConfig(max_frames=8, floor_s=5.0, ceiling_s=5.0))
+    for index in range(50):
+        receive(playout, index, index * FRAME_S)
+    assert playout.num_waiting == 8
+    assert playout.report().lost == 42
+    assert [frame.sequence for frame in playout.due_frames(100.0)] == list(range(42, 50))
+
+
+# Settings and cost
+
+
+def test_a_stream_that_never_sent_reports_zeros() -> None:
+    report = Playout().report()
+    assert (report.received, report.lost, report.delay_s, report.interval_s) == (0, 0, 0, 0)
+    assert (report.concealed_ratio, report.drift_ppm, report.age_s) == (0, 0, 0)
+
+
+def test_counters_can_be_begun_anew() -> None:
+    playout = Playout()
+    steady(playout, 30)
+    before = playout.report()
+    for index in (30, 30, 31):
+        receive(playout, index, index * FRAME_S + 0.01)
+    since = playout.report().since(before)
+    assert (since.received, since.duplicates, since.lost) == (3, 1, 0)
+    assert since.interval_s == pytest.approx(FRAME_S, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        *(("floor_s", 0.3), ("floor_s", -0.1), ("jitter_quantile", 0.0), ("max_frames", 1)),
+        *(("blend_s", -1.0), ("slower", 1.0), ("max_gap_s", 0.0), ("extrapolate_s", 11.0)),
+        *(("floor_intervals", float("nan")), ("window_s", 0.0)),
+    ],
+)
+def test_a_setting_out_of_range_is_named(field: str, value: float) -> None:
+    with pytest.raises(ValueError, match=field):
+        PlayoutConfig(**{field: value})  # type: ignore[arg-type]

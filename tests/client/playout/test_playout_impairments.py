@@ -1,0 +1,178 @@
+"""The playout buffer under a table of troubles, on a virtual clock, with seeded arrivals.
+
+Each row's limits are what was seen, rounded up by about a quarter. The display runs at 90 Hz, the
+stream at 30 fps, the trouble lasts seven seconds.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+
+from helpers.playout_trial import (
+    DISPLAY_HZ,
+    Tick,
+    Trouble,
+    arrivals,
+    between,
+    concealed_ratio,
+    play,
+    steps,
+)
+from pica_client.playout.buffer import ADAPTIVE, FIXED, UNBUFFERED, Playout
+
+pytestmark = pytest.mark.unit
+
+INTERVAL_S = 1 / 30
+RETURN_S = 8.0
+"""After this time without trouble the delay is at its floor: 6 s are remembered, 2 s are played
+faster."""
+
+
+def is_under_way(tick: Tick) -> bool:
+    """Whether the face is on its way to a frame that is there."""
+    played = tick.played
+    return played is not None and played.newest.captured_us > played.captured_us
+
+
+def stalls(length_s: float) -> tuple[tuple[float, float], ...]:
+    """One every two seconds."""
+    return tuple((6.0 + 2 * index, length_s) for index in range(4))
+
+
+TABLE = {
+    # trouble: (what, most concealed, most delay in trouble, largest step at all)
+    "calm": (Trouble(), 0.0, 0.034, 0.055),
+    "jitter 20 ms": (Trouble(jitter_s=0.02), 0.005, 0.056, 0.058),
+    "jitter 80 ms": (Trouble(jitter_s=0.08), 0.04, 0.12, 0.065),
+    "jitter 200 ms": (Trouble(jitter_s=0.2), 0.07, 0.24, 0.085),
+    "datagrams, jitter 80 ms": (Trouble(jitter_s=0.08, is_reordered=True), 0.03, 0.115, 0.065),
+    "datagrams, jitter 200 ms": (Trouble(jitter_s=0.2, is_reordered=True), 0.045, 0.21, 0.08),
+    "stalls of 100 ms": (Trouble(stalls=stalls(0.1)), 0.055, 0.034, 0.085),
+    "stalls of 300 ms": (Trouble(stalls=stalls(0.3)), 0.2, 0.034, 0.14),
+    "stalls of 1000 ms": (Trouble(stalls=stalls(1.0)), 0.65, 0.034, 0.145),
+    "one stall of 300 ms": (Trouble(stalls=((9.0, 0.3),)), 0.05, 0.034, 0.11),
+    "one stall of 1000 ms": (Trouble(stalls=((9.0, 1.0),)), 0.17, 0.034, 0.115),
+    "1 % dropped": (Trouble(dropped_ratio=0.01), 0.02, 0.034, 0.055),
+    "10 % dropped": (Trouble(dropped_ratio=0.1), 0.12, 0.034, 0.075),
+    "30 % dropped": (Trouble(dropped_ratio=0.3), 0.3, 0.034, 0.085),
+    "datagrams, both": (
+        Trouble(jitter_s=0.08, dropped_ratio=0.1, is_reordered=True),
+        0.065,
+        0.12,
+        0.075,
+    ),
+}
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("name", TABLE)
+def test_a_troubled_stream_plays_within_its_bounds_and_recovers(name: str, seed: int) -> None:
+    trouble, most_concealed, most_delay_s, largest_step = TABLE[name]
+    ticks = play(Playout(ADAPTIVE), arrivals(trouble, seed=seed))
+    troubled = between(ticks, trouble.begin_s, trouble.end_s)
+    report = ticks[-1].report
+    assert concealed_ratio(troubled) <= most_concealed
+    assert max(tick.report.delay_s for tick in troubled) <= most_delay_s
+    assert max(steps(ticks)) <= largest_step
+    healed = between(ticks, trouble.end_s + RETURN_S, 22.0)
+    assert max(tick.report.delay_s for tick in healed) <= INTERVAL_S + 0.001
+    assert concealed_ratio(healed) == 0
+    assert (report.restarts, report.refused, report.duplicates) == (0, 0, 0)
+    moments = [tick.played.captured_us for tick in ticks if tick.played is not None]
+    assert moments == sorted(moments)
+
+
+@pytest.mark.parametrize("name", ["jitter 200 ms", "stalls of 300 ms", "30 % dropped"])
+def test_a_fixed_buffer_keeps_its_delay_whatever_happens(name: str) -> None:
+    ticks = play(Playout(FIXED), arrivals(TABLE[name][0]))
+    targets_s = [tick.report.target_s for tick in ticks[90:]]
+    assert min(targets_s) == pytest.approx(0.1, abs=0.001)
+    # Where every frame of six seconds is late, this much is the way itself.
+    assert max(targets_s) <= 0.14
+    assert ticks[-1].report.delay_s == pytest.approx(0.1, abs=0.001)
+
+
+def test_without_a_buffer_each_frame_is_shown_when_it_comes() -> None:
+    frames = arrivals(Trouble(jitter_s=0.2))
+    ticks = play(Playout(UNBUFFERED), frames)
+    for tick in between(ticks, 1.0, 22.0):
+        newest = max(
+            (frame for frame in frames if frame.arrived_s <= tick.now),
+            key=lambda frame: frame.number,
+        )
+        assert tick.played is not None
+        assert tick.played.captured_us == newest.captured_us
+
+
+def test_what_the_buffer_gains_is_calm_and_what_it_costs_is_age() -> None:
+    frames = arrivals(Trouble(jitter_s=0.08))
+    shown = {
+        policy: between(play(Playout(config), frames), 6.0, 13.0)
+        for policy, config in (("adaptive", ADAPTIVE), ("none", UNBUFFERED))
+    }
+    ages_s = {
+        policy: sorted(tick.report.age_s for tick in ticks)[len(ticks) // 2]
+        for policy, ticks in shown.items()
+    }
+    assert max(steps(shown["adaptive"])) < 0.3 * max(steps(shown["none"]))
+    assert concealed_ratio(shown["adaptive"]) < 0.05 * concealed_ratio(shown["none"])
+    assert ages_s["none"] < ages_s["adaptive"] <= 0.115
+
+
+def test_jitter_is_answered_within_a_second() -> None:
+    ticks = play(Playout(), arrivals(Trouble(jitter_s=0.08)))
+    assert min(tick.report.target_s for tick in between(ticks, 7.0, 13.0)) >= INTERVAL_S + 0.06
+    assert min(tick.report.delay_s for tick in between(ticks, 7.5, 13.0)) >= INTERVAL_S + 0.06
+
+
+def test_the_delay_changes_by_playing_a_little_faster_or_slower() -> None:
+    playout = Playout()
+    ticks = play(playout, arrivals(Trouble(jitter_s=0.2)))
+    assert playout.report().leaps == 0
+    speeds = [
+        (after.played.captured_us - before.played.captured_us) / 1e6 * DISPLAY_HZ
+        for before, after in pairwise(ticks)
+        if is_under_way(before) and is_under_way(after)
+    ]
+    assert 0.749 <= min(speeds) <= 0.76
+    assert 1.09 <= max(speeds) <= 1.101
+
+
+@pytest.mark.parametrize("ppm", [-200, 200])
+@pytest.mark.parametrize("jitter_s", [0.0, 0.08])
+def test_a_drifting_clock_neither_adds_delay_nor_conceals(ppm: float, jitter_s: float) -> None:
+    trouble = Trouble(jitter_s=jitter_s, begin_s=0.0, end_s=120.0)
+    playout = Playout()
+    ticks = play(
+        playout,
+        arrivals(trouble, seconds=120, drift_ppm=ppm),
+        seconds=120,
+        display_hz=30,
+    )
+    later = between(ticks, 20.0, 120.0)
+    assert playout.report().drift_ppm == pytest.approx(ppm, abs=10 if jitter_s == 0 else 60)
+    assert max(tick.report.delay_s for tick in later) <= INTERVAL_S + jitter_s + 0.002
+    assert concealed_ratio(later) <= 0.01
+
+
+@pytest.mark.parametrize("fps", [1, 5, 7.5, 15, 60, 240])
+def test_a_stream_of_any_rate_waits_one_of_its_intervals_at_most_the_ceiling(fps: float) -> None:
+    playout = Playout()
+    ticks = play(playout, arrivals(seconds=20, fps=fps), seconds=20)
+    report = playout.report()
+    assert report.delay_s == pytest.approx(min(max(1 / fps, 0.004), 0.2), abs=0.001)
+    assert report.interval_s == pytest.approx(1 / fps, rel=1e-3)
+    assert concealed_ratio(between(ticks, 5, 20)) == 0
+    assert max(steps(ticks)) <= 0.08
+    assert (report.lost, report.late, report.refused) == (0, 0, 0)
+
+
+def test_a_reordered_stream_at_240_fps_loses_nothing() -> None:
+    playout = Playout()
+    trouble = Trouble(jitter_s=0.2, is_reordered=True, begin_s=2, end_s=6)
+    play(playout, arrivals(trouble, seconds=10, fps=240), seconds=10)
+    report = playout.report()
+    assert (report.lost, report.refused, report.restarts) == (0, 0, 0)
+    assert report.late < 0.05 * report.received

@@ -1,0 +1,243 @@
+"""Whatever arrives: the display goes forwards, shows finite faces, in bounded steps and memory."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+from helpers.playout_trial import FAR_CLOCK_US, face, value_of
+from pica_client.playout.buffer import POLICIES, PlayedFace, Playout, PlayoutConfig
+
+pytestmark = pytest.mark.unit
+
+FRAME_S = 1 / 30
+FIRST = 65_500
+"""The first sequence: the wrap comes soon."""
+
+
+def captured_us(index: int) -> int:
+    return FAR_CLOCK_US + round((index - FIRST) * FRAME_S * 1e6)
+
+
+class PlayoutMachine(RuleBasedStateMachine):
+    """A network that delays, reorders, drops and repeats the frames of a steady sender."""
+
+    config = PlayoutConfig()
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.playout = Playout(self.config)
+        self.now = 0.0
+        self.next_index = FIRST
+        self.under_way: list[int] = []
+
+    @rule(step_s=st.floats(0.0, 0.2))
+    def time_passes(self, step_s: float) -> None:
+        self.advance(self.now + step_s)
+
+    def advance(self, now: float) -> None:
+        self.now = now
+
+    @rule(count=st.integers(1, 4))
+    def frames_are_captured(self, count: int) -> None:
+        self.under_way += range(self.next_index, self.next_index + count)
+        self.next_index += count
+        self.advance(max(self.now, (self.next_index - 1 - FIRST) * FRAME_S))
+
+    @rule(skipped=st.integers(1, 20))
+    def frames_are_dropped(self, skipped: int) -> None:
+        self.next_index += skipped
+
+    @precondition(lambda self: self.under_way)
+    @rule(data=st.data(), stays=st.booleans())
+    def a_frame_arrives(self, data: st.DataObject, stays: bool) -> None:
+        index = data.draw(st.sampled_from(self.under_way))
+        if not stays:  # what stays under way arrives again
+            self.under_way.remove(index)
+        self.arrive(index)
+
+    @precondition(lambda self: self.under_way)
+    @rule()
+    def all_arrive(self) -> None:
+        for index in self.under_way:
+            self.arrive(index)
+        self.under_way = []
+
+    def arrive(self, index: int) -> None:
+        sample = face(self.value(index))
+        self.playout.receive_frame(index % 65536, captured_us(index), sample, self.now)
+
+    def value(self, index: int) -> float:
+        """A face that goes to and fro, by at most 9 a second."""
+        return ((index * 7) % 4) / 10
+
+    @invariant()
+    def what_waits_is_bounded(self) -> None:
+        assert self.playout.num_waiting <= self.playout.config.max_frames
+
+
+class FramesTakenOnce(PlayoutMachine):
+    """`due_frames` against a reference that forgets nothing but what is too many."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.waiting: set[int] = set()
+        self.released: list[int] = []
+
+    def arrive(self, index: int) -> None:
+        super().arrive(index)
+        if index > max(self.released, default=-1):
+            self.waiting.add(index)
+            if len(self.waiting) > self.playout.config.max_frames:
+                self.waiting.remove(min(self.waiting))  # the oldest gives way
+
+    @rule()
+    def what_is_due_is_taken(self) -> None:
+        timer = self.playout.next_timer()
+        frames = self.playout.due_frames(self.now)
+        taken = [FIRST + (frame.sequence - FIRST) % 65536 for frame in frames]
+        assert (timer is not None and timer <= self.now) == bool(taken)
+        assert taken == sorted(self.waiting)[: len(taken)]
+        assert [frame.captured_us for frame in frames] == [captured_us(index) for index in taken]
+        self.waiting -= set(taken)
+        self.released += taken
+        timer = self.playout.next_timer()
+        assert (timer is None) == (not self.waiting)
+        assert timer is None or timer > self.now
+
+    @invariant()
+    def no_frame_is_forgotten_or_refused(self) -> None:
+        assert self.playout.num_waiting == len(self.waiting)
+        report = self.playout.report()
+        assert (report.refused, report.restarts) == (0, 0)
+
+
+class FacesOnTheDisplay(PlayoutMachine):
+    """`sample_at` against the plain interpolation of everything that came in time."""
+
+    config = PlayoutConfig(blend_s=0.0)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.known: set[int] = set()
+        self.last: PlayedFace | None = None
+
+    def arrive(self, index: int) -> None:
+        late = self.playout.report().late
+        super().arrive(index)
+        if self.playout.report().late == late:
+            self.known.add(index)
+
+    @rule()
+    def the_display_refreshes(self) -> None:
+        played = self.playout.sample_at(self.now)
+        if played is None:
+            assert self.last is None
+            return
+        if self.last is not None:
+            assert played.captured_us >= self.last.captured_us
+        self.last = played
+        assert played.age_s >= -1e-6
+        before = max(i for i in self.known if captured_us(i) <= played.captured_us)
+        after = min((i for i in self.known if captured_us(i) > played.captured_us), default=None)
+        newest = FIRST + (played.newest.sequence - FIRST) % 65536
+        if newest == before:  # held, or going on a little
+            assert abs(value_of(played) - self.value(before)) <= 9 / 30 + 0.01
+            return
+        assert newest == after
+        assert not played.is_concealed
+        gap_s = (newest - before) * FRAME_S
+        if gap_s <= self.config.max_gap_s:
+            share = (played.captured_us - captured_us(before)) / (gap_s * 1e6)
+            path = self.value(before) + share * (self.value(newest) - self.value(before))
+            assert value_of(played) == pytest.approx(path, abs=1e-3)
+
+
+class StepsOnTheDisplay(PlayoutMachine):
+    """`sample_at` at 90 Hz: no step beyond what the face itself and the correction may do."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.refresh_s = 0.0
+        self.shown: float | None = None
+
+    def advance(self, now: float) -> None:
+        super().advance(now)
+        while self.refresh_s + 1 / 90 <= now:
+            self.refresh_s += 1 / 90
+            played = self.playout.sample_at(self.refresh_s)
+            if played is None:
+                continue
+            if self.shown is not None:
+                # The face's own motion, a tenth faster, and the correction.
+                assert abs(value_of(played) - self.shown) <= (1.1 * 9.01 + 10.01) / 90
+            self.shown = value_of(played)
+
+
+for machine in (FramesTakenOnce, FacesOnTheDisplay, StepsOnTheDisplay):
+    machine.TestCase.settings = settings(
+        max_examples=60, stateful_step_count=40, deadline=None, derandomize=True
+    )
+TestFramesTakenOnce = FramesTakenOnce.TestCase
+TestFacesOnTheDisplay = FacesOnTheDisplay.TestCase
+TestStepsOnTheDisplay = StepsOnTheDisplay.TestCase
+
+
+def anything(bits: int) -> st.SearchStrategy[int]:
+    """A number of some bits, more often near an end or near others."""
+    top = 2**bits - 1
+    return st.one_of(st.integers(0, top), st.sampled_from([0, 1, top // 2, top - 1, top]))
+
+
+frames = st.tuples(
+    st.floats(0, 0.1),
+    st.one_of(anything(16), st.integers(0, 40)),
+    st.one_of(anything(64), st.integers(10**9, 10**9 + 2_000_000)),
+    st.floats(-12, 12, width=32),
+    st.booleans(),
+)
+
+
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(policy=st.sampled_from(sorted(POLICIES)), arrivals=st.lists(frames, max_size=60))
+def test_no_arrival_whatever_breaks_the_display(
+    policy: str, arrivals: list[tuple[float, int, int, float, bool]]
+) -> None:
+    playout, now = Playout(POLICIES[policy]), 100.0
+    for step_s, sequence, captured, value, is_still in arrivals:
+        now += step_s
+        sample = face(value, yaw=value / 4, is_still=is_still)
+        playout.receive_frame(sequence, captured, sample, now)
+        played = playout.sample_at(now)
+        if played is not None:
+            assert np.isfinite(played.sample.latent).all()
+            assert np.isfinite(played.sample.rotation).all()
+            assert np.isfinite(played.sample.translation_m).all()
+            assert np.abs(played.sample.latent).max() <= 100
+            assert math.isfinite(played.age_s)
+        assert playout.num_waiting <= playout.config.max_frames
+    report = playout.report()
+    assert report.received == len(arrivals)
+    assert report.shown <= len(arrivals)
+    assert 0 <= report.concealed_ratio <= 1
+    assert report.duplicates + report.refused + report.late <= len(arrivals)
+
+
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(arrivals=st.lists(frames, max_size=60))
+def test_no_arrival_whatever_breaks_frames_taken_once(
+    arrivals: list[tuple[float, int, int, float, bool]],
+) -> None:
+    playout, now, num_taken = Playout(), 100.0, 0
+    for step_s, sequence, captured, value, _ in arrivals:
+        now += step_s
+        playout.receive_frame(sequence, captured, face(value), now)
+        num_taken += len(playout.due_frames(now))
+        timer = playout.next_timer()
+        assert timer is None or timer > now
+    assert num_taken <= len(arrivals)

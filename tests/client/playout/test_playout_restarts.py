@@ -1,0 +1,165 @@
+"""Senders whose clock jumps, and who begin anew, as the playout buffer's callers see them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from helpers.playout_trial import (
+    FAR_CLOCK_US,
+    FRAME_S,
+    WAY_S,
+    arrivals,
+    between,
+    face,
+    play,
+    shown,
+    steady,
+    steps,
+    value_at,
+    value_of,
+)
+from pica_client.playout.buffer import Playout
+
+pytestmark = pytest.mark.unit
+
+
+@pytest.mark.parametrize("fps", [5, 30])
+@pytest.mark.parametrize("jump_s", [-3600.0, -5.0, -0.3, -0.05, 0.05, 0.3, 5.0, 3600.0])
+def test_a_sender_whose_clock_jumps_plays_on_with_the_usual_delay(jump_s: float, fps: int) -> None:
+    playout = Playout()
+    frames = [
+        frame._replace(captured_us=frame.captured_us + round(jump_s * 1e6))
+        if frame.captured_s >= 8
+        else frame
+        for frame in arrivals(seconds=18, fps=fps)
+    ]
+    ticks = play(playout, frames, seconds=18)
+    assert max(steps(ticks)) <= 0.12
+    report = playout.report()
+    assert (report.lost, report.future) == (0, 0)
+    assert report.refused <= 1
+    assert report.concealed <= 30
+    delay_s = min(1 / fps, 0.2)
+    # A small step back looks like a longer way: then that is waited, too, and no more.
+    unseen_s = -jump_s if -0.4 < jump_s < 0 and report.restarts == 0 else 0.0
+    assert report.delay_s == pytest.approx(delay_s + unseen_s, abs=0.002)
+    for tick in between(ticks, 16, 18):
+        assert tick.played is not None
+        true = value_at(tick.now - WAY_S - delay_s)
+        assert value_of(tick.played) == pytest.approx(true, abs=0.01 if fps == 30 else 0.2)
+
+
+RESTARTS = {
+    "sequence and clock": (0, -4_900_000_000),
+    "sequence alone": (0, 0),
+    "sequence elsewhere": (40_000, 0),
+    "far ahead in the same sequence": (9_000, 77_000_000),
+}
+
+
+@pytest.mark.parametrize("name", RESTARTS)
+@pytest.mark.parametrize("first_s", [0.1, 10.0])
+def test_a_stream_that_begins_anew_plays_on(name: str, first_s: float) -> None:
+    sequence, clock_us = RESTARTS[name]
+    playout = Playout()
+    frames = []
+    for frame in arrivals(seconds=20):
+        if frame.captured_s < first_s:
+            frames.append(frame)
+        elif frame.captured_s >= first_s + 3:
+            number = frame.number - round((first_s + 3) * 30) + sequence
+            frames.append(frame._replace(number=number, captured_us=frame.captured_us + clock_us))
+    ticks = play(playout, frames, seconds=20)
+    report = playout.report()
+    assert (report.restarts, report.lost, report.refused) == (1, 0, 0)
+    assert report.delay_s == pytest.approx(FRAME_S, abs=0.001)
+    assert max(steps(ticks)) <= 0.07
+    for tick in between(ticks, first_s + 3.5, 20):
+        assert tick.played is not None
+        assert not tick.played.is_concealed
+        true = value_at(tick.now - WAY_S - FRAME_S)
+        assert value_of(tick.played) == pytest.approx(true, abs=0.01)
+
+
+def test_a_sender_that_starts_anew_keeps_its_last_face_until_it_is_believed() -> None:
+    playout = Playout()
+    steady(playout, 100)
+    before = value_of(shown(playout, 200 * FRAME_S))
+    for index in range(2):
+        playout.receive_frame(index, 77 + index * 33_333, face(-1.0), (201 + index) * FRAME_S)
+        held = shown(playout, (201.5 + index) * FRAME_S)
+        assert (value_of(held), held.is_concealed) == (before, True)
+    playout.receive_frame(2, 77 + 66_666, face(-1.0), 203 * FRAME_S)
+    values = [value_of(shown(playout, 203 * FRAME_S + tick / 90)) for tick in range(1500)]
+    assert values[-1] == -1
+    assert values == sorted(values, reverse=True)  # from the old face to the new without a leap
+    assert playout.report().restarts == 1
+
+
+BOGUS = {
+    "from the far future": (0, 3_600_000_000),
+    "from the end of time": (0, 2**64 - 1 - FAR_CLOCK_US - 10_000_000),
+    "from the far past": (0, -3_600_000_000),
+    "from the near future": (0, 400_000),
+    "of another sequence": (30_000, 0),
+    "of a sequence long ago": (-2_000, 0),
+}
+
+
+@pytest.mark.parametrize("name", BOGUS)
+def test_one_bad_frame_spoils_neither_buffer_nor_estimate(name: str) -> None:
+    sequence, clock_us = BOGUS[name]
+    playout = Playout()
+    frames = [
+        frame._replace(number=frame.number + sequence, captured_us=frame.captured_us + clock_us)
+        if frame.number == 300
+        else frame
+        for frame in arrivals(seconds=18)
+    ]
+    ticks = play(playout, frames, seconds=18)
+    report = playout.report()
+    assert max(steps(ticks)) <= 0.07
+    assert max(tick.report.delay_s for tick in ticks) <= FRAME_S + 0.021
+    assert report.delay_s == pytest.approx(FRAME_S, abs=0.001)
+    assert report.concealed <= 10
+    assert report.refused + report.restarts == 1
+    assert report.future == (1 if name in ("from the far future", "from the end of time") else 0)
+
+
+def test_frames_from_the_future_are_refused_as_long_as_they_do_not_agree() -> None:
+    playout = Playout()
+    frames = []
+    for frame in arrivals(seconds=10):
+        frames.append(frame)
+        bad_us = frame.captured_us + 1_000_000_000 + (frame.number * 7919) % 977 * 1_000_000
+        frames.append(frame._replace(number=frame.number + 5, captured_us=bad_us))
+    ticks = play(playout, frames, seconds=10.1)
+    report = playout.report()
+    # The last one is still held back.
+    assert (report.future, report.refused, report.restarts) == (299, 299, 0)
+    assert max(steps(ticks)) <= 0.06
+    assert report.delay_s == pytest.approx(FRAME_S, abs=0.001)
+
+
+def test_a_stream_that_begins_in_a_stall_is_no_later_than_any_other_after_it() -> None:
+    playout = Playout()
+    frames = [frame._replace(arrived_s=max(frame.arrived_s, 1.5)) for frame in arrivals(seconds=12)]
+    ticks = play(playout, frames, seconds=12)
+    assert playout.report().restarts == 0
+    ages_s = [tick.report.age_s for tick in between(ticks, 2.5, 12)]
+    assert max(ages_s) <= playout.config.ceiling_s + 0.001
+    assert ages_s[-1] == pytest.approx(FRAME_S, abs=0.001)
+
+
+def test_duplicates_are_counted_and_change_nothing() -> None:
+    once, thrice = Playout(), Playout()
+    frames = arrivals(seconds=5)
+    repeated = [frame for frame in frames for _ in range(3)]
+    ticks = [play(once, frames, seconds=5.1), play(thrice, repeated, seconds=5.1)]
+    assert thrice.report() == replace(once.report(), received=450, duplicates=300)
+    for one, other in zip(*ticks, strict=True):
+        assert (one.played is None) == (other.played is None)
+        if one.played is not None and other.played is not None:
+            assert value_of(one.played) == value_of(other.played)

@@ -1,0 +1,102 @@
+"""Recordings: playable, at the times the frames were drawn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from pica_client.errors import OptionError
+from pica_client.render.recorder import Recorder, save_png
+
+av = pytest.importorskip("av")
+pytestmark = pytest.mark.unit
+
+
+def grey(level: int, size: tuple[int, int] = (64, 48)) -> np.ndarray:
+    return np.full((size[1], size[0], 3), level, np.uint8)
+
+
+def frames_of(path: Path) -> list[tuple[float, int]]:
+    with av.open(str(path)) as container:
+        return [
+            (float(frame.pts * frame.time_base), int(frame.to_ndarray(format="gray").mean()))
+            for frame in container.decode(video=0)
+        ]
+
+
+def test_frames_keep_their_times_and_brightness(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "a.mp4", (64, 48)) as recorder:
+        for time_s, level in ((0.0, 50), (0.033, 100), (0.5, 150), (0.533, 200)):
+            recorder.write(grey(level), time_s)
+    frames = frames_of(tmp_path / "a.mp4")
+    assert [time_s for time_s, _ in frames] == pytest.approx([0, 0.033, 0.5, 0.533], abs=2e-3)
+    levels = [level for _, level in frames]
+    assert levels == sorted(levels)
+    assert levels[-1] - levels[0] > 100
+
+
+def test_odd_sizes_lose_a_row_and_a_column(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "odd.mp4", (65, 49)) as recorder:
+        recorder.write(grey(80, (65, 49)), 0.0)
+    with av.open(str(tmp_path / "odd.mp4")) as container:
+        stream = container.streams.video[0]
+        assert (stream.width, stream.height) == (64, 48)
+
+
+def test_a_window_that_changes_its_size_is_recorded_on(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "a.mp4", (64, 48)) as recorder:
+        for index, size in enumerate(((64, 48), (32, 24), (200, 20), (300, 300))):
+            recorder.write(grey(200, size), index / 10)
+    assert len(frames_of(tmp_path / "a.mp4")) == 4
+
+
+def test_a_frame_of_the_same_millisecond_is_dropped(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "a.mp4", (64, 48)) as recorder:
+        for time_s in (0.0, 0.0002, 0.1, 0.05):
+            recorder.write(grey(10), time_s)
+    assert len(frames_of(tmp_path / "a.mp4")) == 2
+
+
+def test_a_recording_without_frames_can_be_closed_twice(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "empty.mp4", (64, 48))
+    recorder.close()
+    recorder.close()
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(OptionError, match=r"nowhere/a\.mp4: cannot be written"):
+        Recorder(tmp_path / "nowhere" / "a.mp4", (64, 48))
+    with pytest.raises(OptionError, match=r"nowhere/a\.png: cannot be written"):
+        save_png(tmp_path / "nowhere" / "a.png", grey(1))
+
+
+def test_a_video_of_one_pixel_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(OptionError, match="needs at least 2x2"):
+        Recorder(tmp_path / "a.mp4", (1, 1))
+
+
+def test_an_image_comes_back_as_it_was(tmp_path: Path) -> None:
+    image = np.random.default_rng(0).integers(0, 256, (20, 30, 3), np.uint8)
+    save_png(tmp_path / "a.png", image)
+    with Image.open(tmp_path / "a.png") as file:
+        np.testing.assert_array_equal(np.asarray(file), image)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a disk that is always full")
+@pytest.mark.parametrize("num_frames", [2, 300])
+def test_a_full_disk_ends_the_recording_with_its_name(num_frames: int) -> None:
+    recorder = Recorder(Path("/dev/full"), (64, 48))
+    noise = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
+
+    def record() -> None:
+        for index in range(num_frames):
+            recorder.write(noise, index / 30)
+        recorder.close()
+
+    with pytest.raises(OptionError, match="/dev/full: cannot be written: No space left"):
+        record()
+    recorder.write(noise, num_frames / 30)
+    recorder.close()

@@ -1,0 +1,409 @@
+"""What the renderer draws, judged by numpy; and what it must survive."""
+
+from __future__ import annotations
+
+import gc
+import platform
+from collections.abc import Iterator
+from pathlib import Path
+
+import moderngl
+import numpy as np
+import pytest
+from PIL import Image
+
+from helpers import tolerances
+from helpers.paths import GOLDEN
+from helpers.toy import make_toy_avatar
+from pica_client.decode.decoder import OnnxDecoder
+from pica_client.errors import OptionError, ShaderError
+from pica_client.render.gpu_program import build_program
+from pica_client.render.overlay import OverlayItem
+from pica_client.render.renderer import Renderer, RenderOptions
+from pica_client.render.scene import (
+    Placement,
+    ViewState,
+    arrange_seats,
+    head_matrix,
+    view_camera,
+    view_direction,
+)
+from pica_client.render.shader_source import compose
+from pica_client.render.shader_weights import siren_source
+from pica_core.avatar.file import Avatar
+from pica_core.avatar.spec import AvatarSpec
+from pica_core.camera import Camera, look_at
+from pica_core.errors import ShapeError
+from pica_core.gl import create_context
+from pica_core.reference.mesh import sample_vertices
+from pica_core.reference.pixel import decode_pixels, sample_bilinear
+
+pytestmark = pytest.mark.render
+
+SIZE = (160, 120)
+TOY = make_toy_avatar(spec=AvatarSpec(uv_encoding_size=256), grid=40)
+SISTER = make_toy_avatar(spec=AvatarSpec(uv_encoding_size=256), grid=40, seed=8)
+EXACT = RenderOptions(smooth_edges=False)
+
+
+@pytest.fixture(scope="module")
+def context() -> Iterator[moderngl.Context]:
+    made = create_context()
+    yield made
+    made.release()
+
+
+def camera_at(*centre_m: float, size: tuple[int, int] = SIZE) -> Camera:
+    return look_at(
+        centre_m=centre_m, target_m=(0, 0, 0), vertical_fov=0.55, width=size[0], height=size[1]
+    )
+
+
+def still(slot: str, x: float = 0, y: float = 0, z: float = 0, *, fade: float = 0) -> Placement:
+    matrix = head_matrix(np.eye(4), [0, 0, 0], [x, y, z])
+    return Placement(slot=slot, world_from_head=matrix, fade=fade)
+
+
+def some_maps(avatar: Avatar, seed: int = 5) -> tuple[np.ndarray, np.ndarray]:
+    latent = np.random.default_rng(seed).standard_normal((8, 8, 4)).astype(np.float32)
+    maps = OnnxDecoder(avatar).decode(latent, np.array([0, 0, 1], np.float32))
+    return maps.position_map, maps.expression_map
+
+
+def gpu_objects() -> set[int]:
+    """Every GL object that Python holds, by identity."""
+    kinds = (moderngl.Texture, moderngl.Buffer, moderngl.Framebuffer, moderngl.VertexArray)
+    # By type and not isinstance: that asks objects for their class, and torch has some that warn.
+    return {id(item) for item in gc.get_objects() if type(item) in kinds}
+
+
+def renderer_with(
+    context: moderngl.Context,
+    *avatars: Avatar,
+    options: RenderOptions = EXACT,
+    size: tuple[int, int] = SIZE,
+) -> Renderer:
+    renderer = Renderer(context, size, options)
+    for index, avatar in enumerate(avatars):
+        renderer.add_avatar(f"p{index}", avatar)
+        renderer.update_maps(f"p{index}", *some_maps(avatar))
+    return renderer
+
+
+def colours_by_numpy(renderer: Renderer, avatar: Avatar) -> tuple[np.ndarray, np.ndarray]:
+    """RGB 0..255 of the pixels that the first head covers, and which these are."""
+    xyz_m, uv, heads = renderer.read_surface()
+    covered = heads == 0
+    expression = sample_bilinear(some_maps(avatar)[1], uv[covered], np.float64)
+    rgb = decode_pixels(
+        avatar.spec, avatar.tensors, expression, xyz_m[covered], uv[covered], np.float64
+    )
+    return np.clip(rgb, 0, 1) * 255, covered
+
+
+@pytest.mark.parametrize("weights", ["block", "constants", "turns"])
+def test_every_pixel_has_the_colour_that_numpy_computes(
+    context: moderngl.Context, weights: str
+) -> None:
+    options = RenderOptions(
+        weights=weights,  # type: ignore[arg-type]
+        smooth_edges=False,
+        filter_encodings=False,
+    )
+    renderer = renderer_with(context, TOY, options=options)
+    renderer.draw([still("p0")], camera_at(0.1, 0.05, 0.7))
+    wanted, covered = colours_by_numpy(renderer, TOY)
+    assert covered.sum() > 2000
+    error = np.abs(renderer.read_image()[covered] - wanted) / 255
+    assert error.max() < tolerances.PIXEL_GLSL
+
+
+def test_positions_under_the_pixels_lie_where_their_camera_rays_meet_the_mesh(
+    context: moderngl.Context,
+) -> None:
+    renderer = renderer_with(context, TOY)
+    camera = camera_at(0.1, 0.05, 0.7)
+    renderer.draw([still("p0")], camera)
+    xyz_m, _, heads = renderer.read_surface()
+    rows, columns = np.nonzero(heads == 0)
+    pixels, _ = camera.project(xyz_m[rows, columns])
+    np.testing.assert_allclose(pixels, np.stack([columns, rows], axis=1) + 0.5, atol=0.05)
+
+
+def test_vertices_lie_where_numpy_looks_them_up(context: moderngl.Context) -> None:
+    renderer = renderer_with(context, TOY)
+    camera = camera_at(0, 0, 0.7)
+    renderer.draw([still("p0")], camera)
+    _, _, heads = renderer.read_surface()
+    vertices = sample_vertices(some_maps(TOY)[0], TOY.tensors["mesh.vertex_uv"])
+    pixels, _ = camera.project(vertices)
+    rows, columns = np.nonzero(heads == 0)
+    assert abs(pixels[:, 0].min() - columns.min()) < 2
+    assert abs(pixels[:, 1].max() - rows.max()) < 2
+
+
+def test_only_pixels_that_are_seen_are_decoded(context: moderngl.Context) -> None:
+    renderer = renderer_with(context, TOY, SISTER)
+    hidden = [still("p0", 0, 0, 0.25), still("p1", 0, 0, -0.25)]
+    stats = renderer.draw(hidden, camera_at(0, 0, 1.2), count_pixels=True)
+    _, _, heads = renderer.read_surface()
+    assert stats.shaded_pixels == (heads >= 0).sum()
+    assert (heads == 1).sum() < 0.2 * (heads == 0).sum()
+
+
+def test_the_order_of_placements_does_not_change_the_picture(context: moderngl.Context) -> None:
+    renderer = renderer_with(context, TOY, SISTER)
+    placements = [still("p0", -0.05, 0, 0.05), still("p1", 0.05, 0, 0)]
+    renderer.draw(placements, camera_at(0, 0, 0.9))
+    one_way = renderer.read_image()
+    renderer.draw(placements[::-1], camera_at(0, 0, 0.9))
+    np.testing.assert_array_equal(one_way, renderer.read_image())
+
+
+def test_the_inside_of_a_head_is_not_drawn(context: moderngl.Context) -> None:
+    renderer = renderer_with(context, TOY)
+    stats = renderer.draw([still("p0")], camera_at(0, 0, 0.001), count_pixels=True)
+    assert stats.num_avatars == 1
+    assert stats.shaded_pixels == 0
+
+
+@pytest.mark.parametrize("distance_m", [0.09, 0.1, 0.12])
+def test_a_camera_on_the_skin_is_survived(context: moderngl.Context, distance_m: float) -> None:
+    renderer = renderer_with(context, TOY)
+    renderer.draw([still("p0")], camera_at(0, 0, distance_m))
+    renderer.read_image()
+
+
+def test_a_head_behind_the_camera_costs_nothing(context: moderngl.Context) -> None:
+    renderer = renderer_with(context, TOY)
+    stats = renderer.draw([still("p0", 0, 0, 3)], camera_at(0, 0, 1), count_pixels=True)
+    assert (stats.num_avatars, stats.num_triangles, stats.shaded_pixels) == (0, 0, 0)
+
+
+def test_a_head_of_one_pixel_is_drawn(context: moderngl.Context) -> None:
+    renderer = renderer_with(context, TOY)
+    stats = renderer.draw([still("p0")], camera_at(0, 0, 19), count_pixels=True)
+    assert 1 <= (stats.shaded_pixels or 0) < 60
+
+
+def test_maps_that_are_not_finite_draw_without_harm(context: moderngl.Context) -> None:
+    renderer = renderer_with(context, TOY, SISTER)
+    apart = [still("p0", -0.12, 0, 0), still("p1", 0.12, 0, 0)]
+    renderer.draw(apart, camera_at(0, 0, 0.9))
+    _, _, heads = renderer.read_surface()
+    before = renderer.read_image()[heads == 1]
+    broken = np.full((256, 256, 3), np.nan, np.float32)
+    renderer.update_maps("p0", broken, np.full((256, 256, 4), np.inf, np.float32))
+    renderer.draw(apart, camera_at(0, 0, 0.9))
+    np.testing.assert_array_equal(before, renderer.read_image()[heads == 1])
+
+
+def test_until_its_maps_come_an_avatar_is_a_placeholder(context: moderngl.Context) -> None:
+    renderer = Renderer(context, SIZE, EXACT)
+    renderer.add_avatar("p0", TOY)
+    stats = renderer.draw([still("p0")], camera_at(0, 0, 0.9))
+    assert (stats.num_avatars, stats.num_placeholders) == (0, 1)
+    renderer.update_maps("p0", *some_maps(TOY))
+    stats = renderer.draw([still("p0")], camera_at(0, 0, 0.9))
+    assert (stats.num_avatars, stats.num_placeholders) == (1, 0)
+
+
+def test_an_avatar_that_cannot_be_drawn_becomes_a_placeholder_and_says_why(
+    context: moderngl.Context,
+) -> None:
+    renderer = renderer_with(context, TOY)
+    wide = make_toy_avatar(
+        spec=AvatarSpec(uv_encoding_size=8, axis_encoding_size=8, expression_channels=5), grid=4
+    )
+    with pytest.raises(ShaderError, match="expression_channels is 5"):
+        renderer.add_avatar("p1", wide)
+    both = [still("p0", -0.15, 0, 0), still("p1", 0.15, 0, 0)]
+    stats = renderer.draw(both, camera_at(0, 0, 1.2))
+    assert (stats.num_avatars, stats.num_placeholders) == (1, 1)
+
+
+def test_a_slot_that_left_is_drawn_no_more(context: moderngl.Context) -> None:
+    renderer = renderer_with(context, TOY)
+    renderer.remove("p0")
+    renderer.remove("never-there")
+    renderer.update_maps("p0", *some_maps(TOY))
+    assert renderer.draw([still("p0")], camera_at(0, 0, 0.9)).num_triangles == 0
+
+
+def test_maps_of_another_size_are_refused(context: moderngl.Context) -> None:
+    renderer = renderer_with(context, TOY)
+    with pytest.raises(ShapeError, match=r"float32 \(256, 256, 3\) is needed"):
+        renderer.update_maps(
+            "p0", np.zeros((128, 128, 3), np.float32), np.zeros((256, 256, 4), np.float32)
+        )
+
+
+def test_a_stale_face_fades_towards_the_room(context: moderngl.Context) -> None:
+    renderer = renderer_with(context, TOY)
+    spread = []
+    for fade in (0.0, 1.0):
+        renderer.draw([still("p0", fade=fade)], camera_at(0, 0, 0.9))
+        _, _, heads = renderer.read_surface()
+        spread.append(renderer.read_image()[heads == 0].astype(float).std(axis=0).mean())
+    assert spread[1] < 0.4 * spread[0]
+
+
+def test_edge_smoothing_changes_edges_and_leaves_the_rest(context: moderngl.Context) -> None:
+    sharp, smooth = (
+        renderer_with(context, TOY, options=RenderOptions(smooth_edges=flag))
+        for flag in (False, True)
+    )
+    images = []
+    for renderer in (sharp, smooth):
+        renderer.draw([still("p0")], camera_at(0, 0, 0.9))
+        images.append(renderer.read_image())
+    changed = (images[0] != images[1]).any(axis=-1)
+    _, _, heads = sharp.read_surface()
+    silhouette = np.zeros_like(changed)
+    silhouette[:, 1:] |= (heads[:, 1:] >= 0) != (heads[:, :-1] >= 0)
+    silhouette[1:] |= (heads[1:] >= 0) != (heads[:-1] >= 0)
+    assert changed[silhouette].mean() > 0.6
+    assert changed.mean() < 0.2
+
+
+def test_an_overlay_is_drawn_over_heads_and_keeps_to_the_screen(context: moderngl.Context) -> None:
+    renderer = renderer_with(context, TOY)
+    renderer.draw([still("p0")], camera_at(0, 0, 0.9))
+    before = renderer.read_image()
+    far_out = OverlayItem(key="a", lines=(("Ada", ""),), x_px=1e4, y_px=-50.0, size_px=14)
+    stats = renderer.draw([still("p0")], camera_at(0, 0, 0.9), [far_out])
+    changed = (renderer.read_image() != before).any(axis=-1)
+    rows, columns = np.nonzero(changed)
+    assert rows.min() == 0
+    assert columns.max() == SIZE[0] - 1
+    assert changed.sum() < 0.1 * changed.size
+    assert stats.num_draw_calls == 3
+
+
+def test_after_the_first_frame_no_gpu_object_is_made(context: moderngl.Context) -> None:
+    renderer = renderer_with(context, TOY, options=RenderOptions())
+    label = OverlayItem(key="a", lines=(("Ada", ""),), x_px=80, y_px=100)
+    maps = some_maps(TOY)
+
+    renderer.draw([still("p0")], camera_at(0, 0, 0.9), [label])
+    before = gpu_objects()
+    for step in range(20):
+        renderer.update_maps("p0", *maps)
+        renderer.draw([still("p0", 0.001 * step, 0, 0)], camera_at(0, 0, 0.9), [label])
+    assert gpu_objects() == before
+
+
+@pytest.mark.parametrize(("weights", "programs"), [("block", 0), ("constants", 1)])
+def test_weights_in_a_block_let_avatars_of_a_spec_share_a_program(
+    context: moderngl.Context, weights: str, programs: int
+) -> None:
+    def count() -> int:
+        return sum(type(item) is moderngl.Program for item in gc.get_objects())
+
+    options = RenderOptions(weights=weights, smooth_edges=False)  # type: ignore[arg-type]
+    alone = renderer_with(context, SISTER, options=options)
+    alone.draw([still("p0")], camera_at(0, 0, 0.9))
+    renderer = renderer_with(context, TOY, options=options)
+    before = count()
+    renderer.add_avatar("p1", SISTER)
+    assert count() == before + programs
+    renderer.update_maps("p1", *some_maps(SISTER))
+    renderer.draw([still("p1")], camera_at(0, 0, 0.9))
+    np.testing.assert_array_equal(renderer.read_image(), alone.read_image())
+
+
+def test_a_window_shows_what_is_read_without_one(context: moderngl.Context) -> None:
+    renderer = renderer_with(context, TOY, options=RenderOptions())
+    label = OverlayItem(key="a", lines=(("Ada", ""),), x_px=80, y_px=100)
+    renderer.draw([still("p0")], camera_at(0, 0, 0.9), [label])
+    window = context.simple_framebuffer(SIZE)
+    renderer.present(window)
+    shown = np.frombuffer(window.read(), np.uint8).reshape(SIZE[1], SIZE[0], 3)[::-1]
+    np.testing.assert_array_equal(shown, renderer.read_image())
+
+
+def test_a_resized_renderer_draws_in_the_new_size(context: moderngl.Context) -> None:
+    renderer = renderer_with(context, TOY)
+    renderer.resize((64, 48))
+    renderer.draw([still("p0")], camera_at(0, 0, 0.9, size=(64, 48)))
+    assert renderer.read_image().shape == (48, 64, 3)
+
+
+@pytest.mark.parametrize("size", [(0, 10), (10, 9000)])
+def test_a_size_out_of_range_is_refused(context: moderngl.Context, size: tuple[int, int]) -> None:
+    with pytest.raises(OptionError, match="each side may be 1 to 8192"):
+        Renderer(context, size)
+
+
+def test_a_shader_that_the_driver_refuses_is_named(context: moderngl.Context) -> None:
+    broken = compose(
+        "pixel_decoder.frag",
+        TOY.spec,
+        choices={"ENCODING": "encoding_full.glsl"},
+        generated={"SIREN": "vec4 encode_xyz(vec3 x) { return nonsense; }"},
+    )
+    with pytest.raises(ShaderError, match=r"generated SIREN:1: .*nonsense"):
+        build_program(context, compose("rect.vert"), broken)
+
+
+@pytest.mark.parametrize(
+    ("vertex", "fragment"),
+    [
+        ("mesh.vert", "surface.frag"),
+        ("rect.vert", "pixel_decoder.frag"),
+        ("rect.vert", "placeholder.frag"),
+        ("textured.vert", "textured.frag"),
+        ("rect.vert", "near_edges.frag"),
+        ("rect.vert", "smooth_edges.frag"),
+        ("rect.vert", "background.frag"),
+        ("rect.vert", "overlay.frag"),
+    ],
+)
+def test_the_browsers_dialect_compiles(
+    context: moderngl.Context, vertex: str, fragment: str
+) -> None:
+    if "GL_ARB_ES3_compatibility" not in context.extensions:
+        pytest.skip("this driver does not compile GLSL ES")
+    sources = [
+        compose(
+            name,
+            TOY.spec,
+            dialect="300 es",
+            choices={"ENCODING": "encoding_full.glsl"},
+            generated={"SIREN": siren_source(TOY.spec)},
+            defines={"FILTERED": ""},
+        )
+        for name in (vertex, fragment)
+    ]
+    build_program(context, *sources)
+
+
+def test_five_seats_look_as_they_did(
+    context: moderngl.Context, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    size = (320, 180)
+    renderer = renderer_with(context, TOY, SISTER, TOY, SISTER, options=RenderOptions(), size=size)
+    renderer.add_placeholder("p4")
+    camera = view_camera(ViewState(), 5, *size)
+    placements = []
+    for index, seat in enumerate(arrange_seats(5)):
+        matrix = head_matrix(seat, [0.1 * index - 0.2, 0.2 - 0.1 * index, 0.0], [0, 0, 0])
+        placements.append(
+            Placement(slot=f"p{index}", world_from_head=matrix, fade=0.7 * (index == 3))
+        )
+        assert view_direction(matrix, camera.centre_m).shape == (3,)
+    renderer.draw(placements, camera)
+    image = renderer.read_image()
+    golden = GOLDEN / "five_seats.png"
+    if request.config.getoption("--regenerate-golden"):
+        Image.fromarray(image).save(golden)
+    if "llvmpipe" not in renderer.gl_renderer or platform.machine() != "x86_64":
+        pytest.skip("golden images are compared on x86-64 llvmpipe only")
+    with Image.open(golden) as file:
+        wanted = np.asarray(file.convert("RGB"), np.int16)
+    difference = np.abs(image.astype(np.int16) - wanted)
+    if difference.max() > tolerances.GOLDEN_IMAGE * 255:
+        amplified = np.clip(difference * 32, 0, 255).astype(np.uint8)
+        Image.fromarray(amplified).save(tmp_path / "five_seats_difference.png")
+        Image.fromarray(image).save(tmp_path / "five_seats.png")
+        pytest.fail(f"differs by up to {difference.max()} of 255; see {tmp_path}")

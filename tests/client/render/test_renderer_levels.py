@@ -1,0 +1,377 @@
+"""Levels, eyes and textured heads, as the renderer draws them."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+
+import moderngl
+import numpy as np
+import pytest
+
+from helpers.toy import make_toy_avatar, with_toy_levels
+from pica_client.decode.decoder import OnnxDecoder
+from pica_client.render.gpu_avatar import axis_table
+from pica_client.render.gpu_textured import TexturedMesh
+from pica_client.render.renderer import Renderer, RenderOptions
+from pica_client.render.scene import Placement, head_matrix
+from pica_client.render.shader_source import axis_levels
+from pica_core.avatar.spec import AvatarSpec
+from pica_core.camera import Camera, look_at
+from pica_core.errors import ShapeError
+from pica_core.gl import create_context
+from pica_core.reference.mesh import sample_vertices
+
+pytestmark = pytest.mark.render
+
+SIZE = (160, 120)
+TOY = with_toy_levels(make_toy_avatar(spec=AvatarSpec(uv_encoding_size=256), grid=40))
+SHARP = RenderOptions(smooth_edges=False)
+UNFILTERED = RenderOptions(smooth_edges=False, filter_encodings=False)
+FRONT = np.array([0, 0, 1], np.float32)
+
+
+@pytest.fixture(scope="module")
+def context() -> Iterator[moderngl.Context]:
+    made = create_context()
+    yield made
+    made.release()
+
+
+@pytest.fixture(scope="module")
+def maps() -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    latent = np.random.default_rng(5).standard_normal((8, 8, 4)).astype(np.float32)
+    decoder = OnnxDecoder(TOY)
+    found = {}
+    for level in TOY.levels:
+        decoded = decoder.decode(latent, FRONT, level)
+        found[level] = (decoded.position_map, decoded.expression_map)
+    return found
+
+
+Maps = dict[int, tuple[np.ndarray, np.ndarray]]
+
+
+def camera_at(*centre_m: float, size: tuple[int, int] = SIZE) -> Camera:
+    return look_at(
+        centre_m=centre_m, target_m=(0, 0, 0), vertical_fov=0.55, width=size[0], height=size[1]
+    )
+
+
+NEAR = camera_at(0.1, 0.05, 0.7)
+
+
+def placed(slot: str = "p0", x: float = 0, z: float = 0, **choices: object) -> Placement:
+    matrix = head_matrix(np.eye(4), [0, 0, 0], [x, 0, z])
+    return replace(Placement(slot=slot, world_from_head=matrix), **choices)  # type: ignore[arg-type]
+
+
+def renderer_with(
+    context: moderngl.Context,
+    maps: Maps,
+    *levels: int,
+    options: RenderOptions = SHARP,
+    size: tuple[int, int] = SIZE,
+) -> Renderer:
+    """A renderer with one head, to which maps of these levels came one after another."""
+    renderer = Renderer(context, size, options)
+    renderer.add_avatar("p0", TOY)
+    for level in levels:
+        renderer.update_maps("p0", *maps[level])
+    return renderer
+
+
+def drawn(renderer: Renderer, placement: Placement, camera: Camera = NEAR) -> np.ndarray:
+    renderer.draw([placement], camera)
+    return renderer.read_image().astype(np.float32)
+
+
+def gpu_objects() -> set[int]:
+    kinds = (moderngl.Texture, moderngl.Buffer, moderngl.Framebuffer, moderngl.VertexArray)
+    return {id(item) for item in gc.get_objects() if type(item) in (*kinds, moderngl.Query)}
+
+
+@pytest.mark.parametrize("level", TOY.levels)
+def test_a_level_is_drawn_with_its_own_mesh(
+    context: moderngl.Context, maps: Maps, level: int
+) -> None:
+    renderer = renderer_with(context, maps, level)
+    stats = renderer.draw([placed()], NEAR, count_pixels=True)
+    (head,) = stats.heads
+    assert (head.slot, head.level) == ("p0", level)
+    assert head.num_triangles == stats.num_triangles == len(TOY.level_faces(level))
+    assert head.shaded_pixels == stats.shaded_pixels == (renderer.read_surface()[2] == 0).sum()
+
+
+def test_a_level_looks_like_the_full_one(context: moderngl.Context, maps: Maps) -> None:
+    full, half = (drawn(renderer_with(context, maps, level), placed()) for level in (256, 128))
+    # The exits of the toy have random weights; only the shape of the head is the same.
+    room = drawn(renderer_with(context, maps, 256), placed("nobody"))
+    outlines = [(image != room).any(axis=-1) for image in (full, half)]
+    assert (outlines[0] != outlines[1]).mean() < 0.02
+
+
+def test_a_map_that_does_not_come_stays(context: moderngl.Context, maps: Maps) -> None:
+    both = renderer_with(context, maps, 256)
+    apart = renderer_with(context, maps)
+    apart.update_maps("p0", maps[256][0], None)
+    assert apart.draw([placed()], NEAR).num_placeholders == 1
+    apart.update_maps("p0", None, maps[256][1])
+    np.testing.assert_array_equal(drawn(both, placed()), drawn(apart, placed()))
+
+
+def test_the_two_maps_may_be_of_different_levels(context: moderngl.Context, maps: Maps) -> None:
+    renderer = renderer_with(context, maps, 256)
+    before = drawn(renderer, placed())
+    renderer.update_maps("p0", None, maps[128][1])
+    stats = renderer.draw([placed()], NEAR)
+    assert stats.heads[0].level == 256
+    assert (renderer.read_image() != before).any()
+
+
+def test_a_mesh_level_can_be_asked_for(context: moderngl.Context, maps: Maps) -> None:
+    renderer = renderer_with(context, maps, 256)
+    levels = [
+        renderer.draw([placed(mesh_level=level)], NEAR).heads[0].level for level in (64, None, 100)
+    ]
+    assert levels == [64, 256, 256]
+
+
+def test_maps_of_a_coarser_level_are_drawn_with_their_own_mesh_alone(
+    context: moderngl.Context, maps: Maps
+) -> None:
+    renderer = renderer_with(context, maps, 128)
+    levels = [
+        renderer.draw([placed(mesh_level=level)], NEAR).heads[0].level for level in (64, 256, None)
+    ]
+    assert levels == [128, 128, 128]
+
+
+@pytest.mark.parametrize("level", TOY.levels[:-1])
+def test_a_sheet_puts_every_vertex_where_the_decoder_has_it(
+    context: moderngl.Context, maps: Maps, level: int
+) -> None:
+    faces = TOY.level_faces(level)
+    used = np.unique(faces)
+    vertices = np.full((TOY.tensors["mesh.vertex_uv"].shape[0], 3), np.nan)
+    position, _ = maps[level]
+    vertices[used] = position.reshape(-1, 3)[: len(used)]
+    renderer = renderer_with(context, maps, level)
+    renderer.draw([placed()], NEAR)
+    xyz_m, uv, heads = renderer.read_surface()
+    # A pixel in the middle of a triangle: its UV says which, and where in it.
+    corners = TOY.tensors["mesh.vertex_uv"][faces].astype(np.float64)
+    checked = 0
+    for row, column in np.argwhere(heads == 0)[::97]:
+        point = uv[row, column]
+        sides = corners[:, 1:] - corners[:, :1]
+        shares = np.linalg.solve(
+            np.swapaxes(sides, 1, 2),
+            np.broadcast_to(point, (len(faces), 2))[..., None] - corners[:, 0, :, None],
+        )[..., 0]
+        weights = np.concatenate([1 - shares.sum(axis=1, keepdims=True), shares], axis=1)
+        (inside,) = np.nonzero((weights > 0.05).all(axis=1))
+        if len(inside) != 1:
+            continue
+        expected = weights[inside[0]] @ vertices[faces[inside[0]]]
+        np.testing.assert_allclose(xyz_m[row, column], expected, atol=2e-4)
+        checked += 1
+    assert checked > 10
+
+
+def test_a_refused_map_changes_nothing(context: moderngl.Context, maps: Maps) -> None:
+    renderer = renderer_with(context, maps, 256)
+    before = drawn(renderer, placed())
+    with pytest.raises(ShapeError, match=r"\(32, 32, 4\); float32 \(64, 64, 4\), "):
+        renderer.update_maps("p0", maps[64][0], np.zeros((32, 32, 4), np.float32))
+    with pytest.raises(ShapeError, match="float64"):
+        renderer.update_maps("p0", maps[64][0].astype(np.float64), None)
+    np.testing.assert_array_equal(drawn(renderer, placed()), before)
+
+
+def test_a_blend_runs_from_the_level_before_to_the_newest(
+    context: moderngl.Context, maps: Maps
+) -> None:
+    old, new = (drawn(renderer_with(context, maps, level), placed()) for level in (64, 256))
+    renderer = renderer_with(context, maps, 64, 256)
+    steps = [drawn(renderer, placed(blend=share)) for share in np.linspace(0, 1, 9)]
+    np.testing.assert_array_equal(steps[0], old)
+    np.testing.assert_array_equal(steps[-1], new)
+    differs = (old != new).any(axis=-1)
+    for number, step in enumerate(steps):
+        is_new = (step == new).all(axis=-1)
+        assert (is_new | (step == old).all(axis=-1)).all()
+        assert is_new[differs].mean() == pytest.approx(number / 8, abs=0.03)
+    leaps = [float(np.square(b - a).mean()) for a, b in pairwise(steps)]
+    assert max(leaps) < 0.2 * float(np.square(new - old).mean())
+
+
+def test_while_levels_mix_each_has_its_own_mesh(context: moderngl.Context, maps: Maps) -> None:
+    renderer = renderer_with(context, maps, 256, 64)
+    stats = renderer.draw([placed(blend=0.5)], NEAR, count_pixels=True)
+    assert [head.level for head in stats.heads] == [64, 256]
+    assert stats.num_avatars == 1
+    assert stats.shaded_pixels == (renderer.read_surface()[2] >= 0).sum()
+    assert [head.level for head in renderer.draw([placed()], NEAR).heads] == [64]
+
+
+def test_a_mesh_fades_out_under_the_same_maps(context: moderngl.Context, maps: Maps) -> None:
+    renderer = renderer_with(context, maps, 256)
+    old, new = (drawn(renderer, placed(mesh_level=level)) for level in (64, 256))
+    fade = placed(mesh_level=256, mesh_before=64, is_same_maps=True)
+    ends = [drawn(renderer, replace(fade, blend=share)) for share in (0.0, 1.0)]
+    np.testing.assert_array_equal(ends[0], old)
+    np.testing.assert_array_equal(ends[1], new)
+    stats = renderer.draw([replace(fade, blend=0.5)], NEAR, count_pixels=True)
+    assert [head.level for head in stats.heads] == [256, 64]
+    assert stats.shaded_pixels == (renderer.read_surface()[2] >= 0).sum()
+    mixed = renderer.read_image()
+    assert ((mixed == new).all(axis=-1) | (mixed == old).all(axis=-1)).mean() > 0.99
+
+
+def test_maps_that_fade_out_keep_their_mesh(context: moderngl.Context, maps: Maps) -> None:
+    renderer = renderer_with(context, maps, 256, 64)
+    fade = placed(mesh_level=64, mesh_before=128, blend=0.5)
+    assert [head.level for head in renderer.draw([fade], NEAR).heads] == [64, 128]
+
+
+def test_without_a_level_before_a_blend_shows_the_newest(
+    context: moderngl.Context, maps: Maps
+) -> None:
+    renderer = renderer_with(context, maps, 128)
+    np.testing.assert_array_equal(
+        drawn(renderer, placed(blend=0.0)), drawn(renderer, placed(blend=1.0))
+    )
+
+
+@pytest.mark.parametrize("size", [(160, 120), (161, 119)])
+def test_an_eye_sees_what_one_camera_would(
+    context: moderngl.Context, maps: Maps, size: tuple[int, int]
+) -> None:
+    half = (size[0] // 2, size[1])
+    rest = (size[0] - half[0], size[1])
+    eyes = (camera_at(-0.03, 0, 0.6, size=half), camera_at(0.03, 0, 0.6, size=rest))
+    stereo = renderer_with(context, maps, 256, size=size)
+    stats = stereo.draw_stereo([placed()], eyes, count_pixels=True)
+    image, heads = stereo.read_image(), stereo.read_surface()[2]
+    assert [head.slot for head in stats.heads] == ["p0", "p0"]
+    assert stats.shaded_pixels == (heads >= 0).sum()
+    for camera, part, width in (
+        (eyes[0], image[:, : half[0]], half),
+        (eyes[1], image[:, half[0] :], rest),
+    ):
+        alone = renderer_with(context, maps, 256, size=width)
+        difference = np.abs(drawn(alone, placed(), camera) - part)
+        # Window coordinates of the right eye are rounded elsewhere: a pixel at an edge may differ.
+        assert (difference > 2).any(axis=-1).mean() < 0.005
+
+
+def test_after_the_first_frames_nothing_is_made_whatever_changes(
+    context: moderngl.Context, maps: Maps
+) -> None:
+    renderer = renderer_with(context, maps, 64, 256, options=RenderOptions())
+    eyes = (camera_at(-0.03, 0, 0.6, size=(80, 120)), camera_at(0.03, 0, 0.6, size=(80, 120)))
+    renderer.draw([placed(blend=0.5)], NEAR, count_pixels=True)
+    renderer.draw_stereo([placed(blend=0.5)], eyes, count_pixels=True)
+    before = gpu_objects()
+    for index in range(12):
+        renderer.update_maps("p0", *maps[TOY.levels[index % 3]])
+        one = placed(mesh_level=TOY.levels[index % 2], blend=0.25 * (index % 5))
+        renderer.draw([one], NEAR, count_pixels=True)
+        renderer.draw_stereo([one], eyes, count_pixels=True)
+    assert gpu_objects() == before
+
+
+@pytest.mark.parametrize("count", [1, 2, 100, 128, 1000])
+def test_levels_of_a_table_are_means_of_twice_as_many_entries(count: int) -> None:
+    table = np.random.default_rng(1).standard_normal((count, 2)).astype(np.float32)
+    texels = axis_table(table)
+    stride = len(texels) // 2
+    np.testing.assert_allclose(texels[:count, :2], table, atol=1e-6)
+    np.testing.assert_allclose(texels[: count - 1, 2:], np.diff(table, axis=0), atol=1e-6)
+    for level in range(axis_levels(count)):
+        start, wide = 2 * stride - (2 * stride >> level), 1 << level
+        for entry in range(-(-count // wide)):
+            mean = table[entry * wide : (entry + 1) * wide].mean(axis=0)
+            np.testing.assert_allclose(texels[start + entry, :2], mean, atol=1e-6)
+        np.testing.assert_array_equal(texels[start + -(-count // wide) - 1, 2:], 0)
+
+
+def test_far_heads_average_what_their_pixels_cover(context: moderngl.Context, maps: Maps) -> None:
+    far = camera_at(0.1, 0.05, 6.0)
+    truth = renderer_with(context, maps, 256, size=(1280, 960), options=UNFILTERED)
+    fine = drawn(truth, placed(), far.scaled(1280, 960)).reshape(120, 8, 160, 8, 3).mean((1, 3))
+    whole = (truth.read_surface()[2] >= 0).reshape(120, 8, 160, 8).all(axis=(1, 3))
+    errors = [
+        np.square(drawn(renderer_with(context, maps, 256, options=options), placed(), far) - fine)[
+            whole
+        ].mean()
+        for options in (SHARP, UNFILTERED)
+    ]
+    assert errors[0] < 0.6 * errors[1]
+
+
+def textured_toy() -> tuple[TexturedMesh, np.ndarray, np.ndarray]:
+    """The toy's mesh with a texture whose colours say where they are."""
+    uv = TOY.tensors["mesh.vertex_uv"]
+    mesh = TexturedMesh(
+        vertex_uv=uv,
+        faces=TOY.tensors["mesh.faces"],
+        low_m=TOY.manifest.bounds_min_m,
+        high_m=TOY.manifest.bounds_max_m,
+        texture_size=64,
+    )
+    texel = (np.arange(64, dtype=np.float32) + 0.5) / 64
+    u, v = np.meshgrid(texel, texel)
+    colours = np.stack([u, v, np.full_like(u, 0.5)], axis=-1)
+    return mesh, sample_vertices(TOY.tensors["geometry.mean"], uv).astype(np.float32), colours
+
+
+def renderer_with_texture(context: moderngl.Context, maps: Maps) -> Renderer:
+    renderer = renderer_with(context, maps, 256)
+    mesh, vertices, texture = textured_toy()
+    renderer.add_textured("painted", mesh)
+    assert renderer.draw([placed("painted")], NEAR).num_placeholders == 1
+    renderer.update_textured("painted", vertices, texture)
+    return renderer
+
+
+def test_a_textured_head_shows_its_texture_where_the_other_kind_would_be(
+    context: moderngl.Context, maps: Maps
+) -> None:
+    renderer = renderer_with_texture(context, maps)
+    renderer.update_maps("p0", TOY.tensors["geometry.mean"], None)
+    renderer.draw([placed()], NEAR)
+    _, uv, heads = renderer.read_surface()
+    stats = renderer.draw([placed("painted")], NEAR, count_pixels=True)
+    image = renderer.read_image() / 255
+    inside = (heads == 0) & (uv > 0.02).all(axis=-1) & (uv < 0.98).all(axis=-1)
+    assert inside.sum() > 2000
+    np.testing.assert_allclose(image[inside][:, :2], uv[inside], atol=0.012)
+    assert stats.num_avatars == 1
+    assert stats.heads[0].shaded_pixels == pytest.approx((heads == 0).sum(), rel=0.05)
+
+
+@pytest.mark.parametrize(("z", "is_front"), [(0.25, True), (-0.25, False)])
+def test_textured_and_decoded_heads_hide_each_other(
+    context: moderngl.Context, maps: Maps, z: float, is_front: bool
+) -> None:
+    renderer = renderer_with_texture(context, maps)
+    camera = camera_at(0, 0, 1.2)
+    alone = drawn(renderer, placed(), camera)
+    both = [placed("painted", 0, z), placed()]
+    renderer.draw(both, camera)
+    together = renderer.read_image()
+    middle = (SIZE[1] // 2, SIZE[0] // 2)
+    assert (together[middle] != alone[middle]).any() == is_front
+
+
+def test_a_textured_head_of_another_size_is_refused(context: moderngl.Context, maps: Maps) -> None:
+    renderer = renderer_with_texture(context, maps)
+    _, vertices, texture = textured_toy()
+    with pytest.raises(ShapeError, match=r"vertices_m is float32 \(10, 3\)"):
+        renderer.update_textured("painted", vertices[:10], texture)
+    with pytest.raises(ShapeError, match=r"texture is float64"):
+        renderer.update_textured("painted", vertices, texture.astype(np.float64))

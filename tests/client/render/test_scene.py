@@ -1,0 +1,211 @@
+"""Seats, views and the part of the screen a head may cover."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pica_client.render.scene import (
+    NEAR_M,
+    Placement,
+    ViewState,
+    arrange_seats,
+    clip_from_head,
+    head_matrix,
+    head_rect_px,
+    label_anchor_px,
+    pick_head,
+    rotation_matrix,
+    screen_rect,
+    view_camera,
+    view_direction,
+)
+from pica_client.render.seats import MAX_PITCH, MAX_ZOOM, MIN_ZOOM, SEAT_RADIUS_M, SEAT_SPACING_M
+
+pytestmark = pytest.mark.unit
+
+VIEWER_M = np.array([0.0, 0.0, SEAT_RADIUS_M])
+BOX_LOW, BOX_HIGH = (-0.1, -0.15, -0.1), (0.1, 0.15, 0.1)
+small = st.floats(-3, 3, allow_nan=False)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5, 8])
+def test_every_seat_faces_the_viewer_at_the_same_distance(count: int) -> None:
+    for seat in arrange_seats(count):
+        towards = VIEWER_M - seat[:3, 3]
+        assert np.linalg.norm(towards) == pytest.approx(SEAT_RADIUS_M)
+        np.testing.assert_allclose(seat[:3, 2], towards / SEAT_RADIUS_M, atol=1e-12)
+
+
+def test_neighbours_sit_a_quarter_of_a_metre_apart_from_left_to_right() -> None:
+    places = np.array([seat[:3, 3] for seat in arrange_seats(5)])
+    assert (np.diff(places[:, 0]) > 0).all()
+    gaps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    np.testing.assert_allclose(gaps, SEAT_SPACING_M, rtol=0.01)
+
+
+def test_a_single_seat_is_the_origin() -> None:
+    (seat,) = arrange_seats(1)
+    np.testing.assert_allclose(seat, np.eye(4), atol=1e-15)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 9])
+@pytest.mark.parametrize("size", [(960, 540), (1280, 720), (640, 640), (540, 960)])
+def test_all_heads_are_on_the_screen_with_room_for_their_names(
+    count: int, size: tuple[int, int]
+) -> None:
+    camera = view_camera(ViewState(), count, *size)
+    for seat in arrange_seats(count):
+        corners = seat[:3, 3] + np.array([[-0.1, -0.16, 0], [0.1, 0.16, 0]])
+        pixels, depth = camera.project(corners)
+        assert (depth > 0).all()
+        assert (pixels > 0).all()
+        assert (pixels < size).all()
+        assert pixels[0, 1] < 0.97 * size[1]
+
+
+def test_one_head_fills_more_of_the_screen_than_five() -> None:
+    heights = []
+    for count in (1, 5):
+        camera = view_camera(ViewState(), count, 960, 540)
+        pixels, _ = camera.project([[0, -0.12, 0], [0, 0.12, 0]])
+        heights.append(pixels[0, 1] - pixels[1, 1])
+    assert heights[0] > 1.2 * heights[1]
+    assert heights[1] > 120
+
+
+@given(x=small, y=small, z=small)
+def test_a_rotation_vector_turns_by_its_length_about_itself(x: float, y: float, z: float) -> None:
+    matrix = rotation_matrix([x, y, z])
+    np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(matrix @ [x, y, z], [x, y, z], atol=1e-10)
+    angle = math.hypot(x, y, z)
+    assert np.trace(matrix) == pytest.approx(1 + 2 * math.cos(angle), abs=1e-10)
+
+
+def test_a_head_that_turns_to_its_left_faces_the_seats_plus_x() -> None:
+    matrix = head_matrix(np.eye(4), [0, math.pi / 2, 0], [0, 0, 0])
+    np.testing.assert_allclose(matrix[:3, 2], [1, 0, 0], atol=1e-6)
+
+
+def test_a_head_moves_along_the_axes_of_its_seat() -> None:
+    seat = arrange_seats(2)[0]
+    matrix = head_matrix(seat, [0, 0, 0], [0, 0, 0.3])
+    towards = VIEWER_M - matrix[:3, 3]
+    assert np.linalg.norm(towards) == pytest.approx(SEAT_RADIUS_M - 0.3, abs=1e-6)
+
+
+def test_a_viewer_straight_ahead_is_seen_along_plus_z_whatever_the_seat() -> None:
+    for seat in arrange_seats(4):
+        direction = view_direction(seat.astype(np.float32), VIEWER_M)
+        np.testing.assert_allclose(direction, [0, 0, 1], atol=1e-6)
+
+
+def test_a_head_turned_to_its_left_sees_the_viewer_on_its_right() -> None:
+    matrix = head_matrix(np.eye(4), [0, math.radians(30), 0], [0, 0, 0])
+    direction = view_direction(matrix, VIEWER_M)
+    np.testing.assert_allclose(direction, [-0.5, 0, math.cos(math.radians(30))], atol=1e-6)
+    assert np.linalg.norm(direction) == pytest.approx(1)
+
+
+def test_from_inside_the_head_the_view_is_straight_ahead() -> None:
+    direction = view_direction(np.eye(4, dtype=np.float32), [0, 0, 0])
+    np.testing.assert_array_equal(direction, [0, 0, 1])
+
+
+@given(drags=st.lists(st.tuples(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4)), max_size=5))
+def test_no_drag_turns_the_view_over(drags: list[tuple[float, float]]) -> None:
+    view = ViewState()
+    for right, down in drags:
+        view = view.orbited(right, down)
+    assert abs(view.pitch) <= MAX_PITCH
+    assert abs(view.yaw) <= math.pi + 1e-9
+    view_camera(view, 5, 960, 540)
+
+
+@given(steps=st.floats(allow_nan=False))
+def test_zoom_keeps_its_limits(steps: float) -> None:
+    assert MIN_ZOOM <= ViewState().zoomed(steps).zoom <= MAX_ZOOM
+
+
+def test_dragging_to_the_right_turns_the_scene_with_the_hand() -> None:
+    view = ViewState().orbited(100, 0)
+    camera = view_camera(view, 1, 960, 540)
+    nose, _ = camera.project([0, 0, 0.1])
+    middle, _ = camera.project([0, 0, 0])
+    assert nose[0] > middle[0]
+
+
+def test_a_box_in_view_covers_the_rectangle_of_its_corners() -> None:
+    camera = view_camera(ViewState(), 1, 960, 540)
+    rect = screen_rect(clip_from_head(camera, np.eye(4, dtype=np.float32)), BOX_LOW, BOX_HIGH)
+    assert rect is not None
+    left, bottom, right, top = rect
+    pixels, _ = camera.project([[-0.1, 0.15, 0.1], [0.1, -0.15, 0.1]])
+    np.testing.assert_allclose(
+        [left, top, right, bottom],
+        [
+            pixels[0, 0] / 480 - 1,
+            1 - pixels[0, 1] / 270,
+            pixels[1, 0] / 480 - 1,
+            1 - pixels[1, 1] / 270,
+        ],
+        atol=1e-4,
+    )
+
+
+@pytest.mark.parametrize("offset", [(5.0, 0, 0), (0, 5.0, 0), (0, 0, 5.0)])
+def test_a_box_out_of_view_covers_nothing(offset: tuple[float, float, float]) -> None:
+    camera = view_camera(ViewState(), 1, 960, 540)
+    world_from_head = head_matrix(np.eye(4), [0, 0, 0], offset)
+    assert screen_rect(clip_from_head(camera, world_from_head), BOX_LOW, BOX_HIGH) is None
+
+
+def test_a_box_around_the_camera_may_cover_everything() -> None:
+    camera = view_camera(ViewState(), 1, 960, 540)
+    world_from_head = head_matrix(np.eye(4), [0, 0, 0], camera.centre_m)
+    rect = screen_rect(clip_from_head(camera, world_from_head), BOX_LOW, BOX_HIGH)
+    assert rect == (-1, -1, 1, 1)
+
+
+def test_a_matrix_that_is_not_finite_covers_nothing() -> None:
+    assert screen_rect(np.full((4, 4), np.nan, np.float32), BOX_LOW, BOX_HIGH) is None
+
+
+def test_a_name_stands_below_its_head_and_not_behind_the_camera() -> None:
+    camera = view_camera(ViewState(), 1, 960, 540)
+    anchor = label_anchor_px(camera, np.eye(4, dtype=np.float32))
+    assert anchor is not None
+    assert anchor[0] == pytest.approx(480)
+    assert 270 < anchor[1] < 540
+    behind = head_matrix(np.eye(4), [0, 0, 0], camera.centre_m + np.array([0, 0, NEAR_M]))
+    assert label_anchor_px(camera, behind) is None
+
+
+def test_a_click_finds_the_head_under_it_and_the_nearer_of_two() -> None:
+    camera = view_camera(ViewState(), 2, 960, 540)
+    left, right = (
+        Placement(slot=name, world_from_head=seat.astype(np.float32))
+        for name, seat in zip(("left", "right"), arrange_seats(2), strict=True)
+    )
+    behind = Placement(
+        slot="behind", world_from_head=head_matrix(arrange_seats(2)[0], [0, 0, 0], [0, 0, -0.5])
+    )
+    rect = head_rect_px(camera, left.world_from_head)
+    assert rect is not None
+    x, y = (rect[0] + rect[2]) / 2, (rect[1] + rect[3]) / 2
+    assert pick_head([right, behind, left], camera, x, y) == "left"
+    assert pick_head([left, right], camera, 960 - x, y) == "right"
+    assert pick_head([left, right], camera, 5, 5) is None
+
+
+def test_a_head_behind_the_camera_covers_nothing_and_cannot_be_clicked() -> None:
+    camera = view_camera(ViewState(), 1, 960, 540)
+    behind = head_matrix(np.eye(4), [0, 0, 0], camera.centre_m + np.array([0, 0, NEAR_M]))
+    assert head_rect_px(camera, behind) is None
+    placement = Placement(slot="p", world_from_head=behind)
+    assert pick_head([placement], camera, 480, 270) is None

@@ -1,0 +1,90 @@
+"""Two eyes: where they are, what each sees, and that no text crosses from one into the other."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pica_client.render.seats import LAYOUTS, Layout, ViewState, plan_camera, plan_seats
+from pica_client.render.stereo import side_by_side, stereo_cameras
+from pica_client.ui.text_raster import OverlayItem, item_rect_px
+from pica_core.camera import Camera
+
+pytestmark = pytest.mark.unit
+
+EYE = (640, 720)
+DISTANCE_M = 0.063
+
+
+def middle() -> tuple[Camera, float]:
+    plan = plan_seats("line", 5, EYE[0] / EYE[1])
+    camera = plan_camera(plan, ViewState(yaw=0.3, pitch=0.2), *EYE)
+    return camera, float(np.linalg.norm(plan.target_m - camera.centre_m))
+
+
+@given(
+    layout=st.sampled_from(LAYOUTS),
+    yaw=st.floats(-3, 3),
+    pitch=st.floats(-1.3, 1.3),
+    distance_m=st.floats(0, 0.2),
+)
+def test_the_eyes_are_their_distance_apart_and_look_the_same_way(
+    layout: Layout, yaw: float, pitch: float, distance_m: float
+) -> None:
+    camera = plan_camera(plan_seats(layout, 5, 0.9), ViewState(yaw=yaw, pitch=pitch), *EYE)
+    left, right = stereo_cameras(camera, distance_m, 1.3)
+    apart = right.centre_m - left.centre_m
+    np.testing.assert_allclose(apart, distance_m * camera.rotation[0], atol=1e-9)
+    np.testing.assert_allclose((left.centre_m + right.centre_m) / 2, camera.centre_m, atol=1e-9)
+    np.testing.assert_array_equal(left.rotation, right.rotation)
+
+
+def test_what_is_as_far_as_the_screen_is_at_one_place_in_both_eyes() -> None:
+    camera, screen_m = middle()
+    left, right = stereo_cameras(camera, DISTANCE_M, screen_m)
+    forward = camera.rotation[2]
+    for far_m, sign in ((screen_m, 0), (0.7 * screen_m, 1), (2 * screen_m, -1)):
+        for up in (-0.2, 0.0, 0.3):
+            point = camera.centre_m + far_m * forward + up * camera.rotation[1]
+            (x_left, y_left), _ = left.project(point)
+            (x_right, y_right), _ = right.project(point)
+            assert y_left == pytest.approx(y_right, abs=1e-6)
+            # What is nearer is further right for the left eye.
+            difference = x_left - x_right
+            assert difference == pytest.approx(0, abs=1e-6) if not sign else difference * sign > 1
+
+
+def test_no_distance_is_the_same_camera_twice() -> None:
+    camera, screen_m = middle()
+    for eye in stereo_cameras(camera, 0.0, screen_m):
+        np.testing.assert_allclose(eye.clip_from_world(), camera.clip_from_world(), atol=1e-6)
+
+
+@pytest.mark.parametrize("distance_m", [-0.01, 0.3, math.nan])
+def test_eyes_of_no_person_are_refused(distance_m: float) -> None:
+    camera, _ = middle()
+    with pytest.raises(ValueError, match="eye distance"):
+        stereo_cameras(camera, distance_m, 1.0)
+    with pytest.raises(ValueError, match="screen distance"):
+        stereo_cameras(camera, 0.06, 0.0)
+
+
+def test_each_text_stays_in_the_half_of_its_eye() -> None:
+    items = [
+        OverlayItem(key="name:a", lines=(("Ada Lovelace",),), x_px=638, y_px=300),
+        OverlayItem(key="name:b", lines=(("Ben",),), x_px=-4, y_px=300),
+        OverlayItem(
+            key="help", lines=(("a", "b"),), x_px=640, y_px=5, style="panel", is_right_aligned=True
+        ),
+    ]
+    placed = side_by_side(items, items, EYE)
+    assert len({item.key for item in placed}) == 6
+    for index, item in enumerate(placed):
+        left, _, right, _ = item_rect_px(item, (2 * EYE[0], EYE[1]))
+        low = 0 if index < 3 else EYE[0]
+        assert low - 1 <= left
+        assert right <= low + EYE[0] + 1

@@ -1,0 +1,225 @@
+"""Sources as functions of time: Live Link Face files, looping, interpolation, naming."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.paths import SHARED_DATA
+from pica_client.errors import SourceError
+from pica_client.playout.rotation import rotation_vector_from_yaw_pitch_roll
+from pica_client.sources import Recording, open_source
+from pica_client.sources.livelink_csv import load_livelink_csv
+from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
+
+pytestmark = pytest.mark.unit
+
+REAL_TAKE = SHARED_DATA / "livelink/range_of_motion.csv"
+
+APP_ORDER = [name[0].upper() + name[1:] for name in ARKIT_NAMES]
+for _first, _second in (("JawLeft", "JawRight"), ("MouthLeft", "MouthRight")):
+    _a, _b = APP_ORDER.index(_first), APP_ORDER.index(_second)
+    APP_ORDER[_a], APP_ORDER[_b] = APP_ORDER[_b], APP_ORDER[_a]
+EYES = [f"{side}Eye{angle}" for side in ("Left", "Right") for angle in ("Yaw", "Pitch", "Roll")]
+HEADER = ["Timecode", "BlendShapeCount", *APP_ORDER, "HeadYaw", "HeadPitch", "HeadRoll", *EYES]
+
+
+def take_row(timecode: str, count: str = "61", **values: float) -> list[str]:
+    return [timecode, count, *(f"{values.get(name, 0.0):.10f}" for name in HEADER[2:])]
+
+
+def write_take(path: Path, rows: list[list[str]], header: list[str] = HEADER) -> Path:
+    path.write_text("".join(",".join(row) + "\n" for row in [header, *rows]))
+    return path
+
+
+@pytest.fixture
+def take(tmp_path: Path) -> Path:
+    """Three frames at 30 a second: a jaw that opens to the right."""
+    return write_take(
+        tmp_path / "take.csv",
+        [
+            take_row("10:00:59:58.000", JawOpen=0.0, JawRight=0.2),
+            take_row("10:01:00:00.000", JawOpen=0.5, JawRight=0.4),
+            take_row("10:01:00:02.000", JawOpen=1.0, JawRight=0.6),
+        ],
+    )
+
+
+def test_columns_are_found_by_name_and_not_by_place(take: Path) -> None:
+    face = load_livelink_csv(take).frame_at(0.0)
+    assert face.arkit[ARKIT_INDEX["jawRight"]] == pytest.approx(0.2)
+    assert face.arkit[ARKIT_INDEX["jawLeft"]] == 0
+
+
+def test_a_timecode_counts_sixty_frames_a_second_across_a_minute(take: Path) -> None:
+    assert load_livelink_csv(take).times_s == pytest.approx([0, 1 / 30, 2 / 30])
+
+
+def test_a_take_across_midnight_goes_on(tmp_path: Path) -> None:
+    rows = [take_row("23:59:59:59.000"), take_row("00:00:00:01.000")]
+    recording = load_livelink_csv(write_take(tmp_path / "night.csv", rows))
+    assert recording.times_s == pytest.approx([0, 2 / 60])
+
+
+def test_between_two_samples_values_are_interpolated(take: Path) -> None:
+    face = load_livelink_csv(take).frame_at(1 / 60)
+    assert face.arkit[ARKIT_INDEX["jawOpen"]] == pytest.approx(0.25)
+    assert face.captured_us == 16_667
+
+
+def test_a_recording_loops_for_ever(take: Path) -> None:
+    recording = load_livelink_csv(take)
+    assert recording.duration_s == pytest.approx(0.1)
+    later = recording.frame_at(700 * recording.duration_s + 1 / 30)
+    assert later.arkit[ARKIT_INDEX["jawOpen"]] == pytest.approx(0.5, abs=1e-4)
+
+
+def test_a_source_may_start_anywhere_in_its_recording(take: Path) -> None:
+    face = open_source(f"csv:{take}@{1 / 30}").frame_at(0.0)
+    assert face.arkit[ARKIT_INDEX["jawOpen"]] == pytest.approx(0.5)
+
+
+def test_a_row_without_blendshapes_is_a_moment_without_a_face(tmp_path: Path) -> None:
+    rows = [
+        take_row("10:00:00:00.000", JawOpen=0.5),
+        take_row("10:00:00:02.000", count="0"),
+        take_row("10:00:00:04.000", JawOpen=0.7),
+    ]
+    recording = load_livelink_csv(write_take(tmp_path / "away.csv", rows))
+    assert [recording.frame_at(t / 30).has_face for t in (0.0, 1.5, 2.2)] == [True, False, True]
+    # Up to the gap the last seen face stays; nothing is mixed with the empty row.
+    assert recording.frame_at(0.9 / 30).arkit[ARKIT_INDEX["jawOpen"]] == pytest.approx(0.5)
+
+
+def test_head_angles_become_a_rotation_vector(tmp_path: Path) -> None:
+    row = take_row("10:00:00:00.000", HeadYaw=0.3)
+    recording = load_livelink_csv(write_take(tmp_path / "turn.csv", [row]))
+    assert recording.frame_at(5.0).rotation == pytest.approx([0, 0.3, 0])
+
+
+def test_yaw_pitch_and_roll_compose_from_the_outside_in() -> None:
+    def turn(axis: int, angle: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+        first, second = [(1, 2), (2, 0), (0, 1)][axis]
+        matrix = np.eye(3)
+        matrix[first, first] = matrix[second, second] = np.cos(angle)
+        matrix[second, first], matrix[first, second] = np.sin(angle), -np.sin(angle)
+        return matrix
+
+    yaw, pitch, roll = 0.7, -0.4, 1.1
+    vector = rotation_vector_from_yaw_pitch_roll(np.array([[yaw, pitch, roll]]))[0].astype(float)
+    angle = np.linalg.norm(vector)
+    x, y, z = vector / angle
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    rodrigues = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    composed = turn(1, yaw) @ turn(0, pitch) @ turn(2, roll)
+    np.testing.assert_allclose(rodrigues, composed, atol=1e-6)
+
+
+@pytest.mark.skipif(not REAL_TAKE.exists(), reason="the real recording is not here")
+def test_a_real_recording_is_read_whole() -> None:
+    recording = load_livelink_csv(REAL_TAKE)
+    assert len(recording.times_s) == 4030
+    # 134.4 s at 30 frames a second; the tracker dropped a few frames, its clock did not.
+    assert recording.duration_s == pytest.approx(134.4, abs=1.0)
+    assert recording.loop_gap_s == pytest.approx(1 / 30, rel=1e-3)
+    assert 0.9 < recording.arkit[:, ARKIT_INDEX["jawOpen"]].max() <= 1.05
+    assert recording.has_face.all()
+    assert not recording.rotation.any()  # head tracking was off
+
+
+# Bad input: each is one line that names the file and the fix.
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(SourceError, match=r"none\.csv: cannot be read \(No such file"):
+        load_livelink_csv(tmp_path / "none.csv")
+
+
+def test_an_empty_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "empty.csv").write_bytes(b"")
+    with pytest.raises(SourceError, match=r"empty\.csv: is empty"):
+        load_livelink_csv(tmp_path / "empty.csv")
+
+
+def test_a_header_without_frames_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SourceError, match="no frames"):
+        load_livelink_csv(write_take(tmp_path / "head.csv", []))
+
+
+def test_missing_columns_are_named(tmp_path: Path) -> None:
+    header = [name for name in HEADER if name not in ("JawOpen", "HeadRoll")]
+    with pytest.raises(SourceError, match="lacks the columns jawOpen, HeadRoll"):
+        load_livelink_csv(write_take(tmp_path / "old.csv", [["x"] * len(header)], header))
+
+
+def test_a_truncated_row_is_named_by_its_line(take: Path) -> None:
+    cut = take.read_text().rstrip("\n")[:-30]
+    take.write_text(cut)
+    with pytest.raises(SourceError, match=r"take\.csv, line 4: has 6\d of 63 values"):
+        load_livelink_csv(take)
+
+
+def test_a_value_that_is_no_number_is_named_by_its_line(take: Path) -> None:
+    take.write_text(take.read_text().replace("0.4000000000", "open"))
+    with pytest.raises(SourceError, match="line 3: could not convert string to float: 'open'"):
+        load_livelink_csv(take)
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "1e9"])
+def test_a_value_that_is_no_expression_is_refused(take: Path, value: str) -> None:
+    take.write_text(take.read_text().replace("0.4000000000", value))
+    with pytest.raises(SourceError, match="line 3: a value lies outside"):
+        load_livelink_csv(take)
+
+
+@pytest.mark.parametrize("timecode", ["10:00", "aa:00:00:00", "25:00:00:00", "10:00:00:nan"])
+def test_a_broken_timecode_is_quoted(take: Path, timecode: str) -> None:
+    take.write_text(take.read_text().replace("10:01:00:00.000", timecode))
+    with pytest.raises(SourceError, match=f"line 3: timecode '{timecode}'"):
+        load_livelink_csv(take)
+
+
+def test_time_that_runs_backwards_is_refused(take: Path) -> None:
+    take.write_text(take.read_text().replace("10:01:00:02.000", "10:01:00:00.000"))
+    with pytest.raises(SourceError, match="line 4: its timecode does not come after"):
+        load_livelink_csv(take)
+
+
+def test_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "noise.csv").write_bytes(bytes(range(256)) * 8)
+    with pytest.raises(SourceError, match=r"noise\.csv: is not a CSV text file"):
+        load_livelink_csv(tmp_path / "noise.csv")
+
+
+# The text that names a source.
+
+
+def test_a_performance_is_named_with_seed_and_start() -> None:
+    source = open_source("performance:talk#3@12.5")
+    plain = open_source("performance:talk#3")
+    assert isinstance(source, Recording)
+    np.testing.assert_array_equal(source.frame_at(0).arkit, plain.frame_at(12.5).arkit)
+
+
+@pytest.mark.parametrize("text", ["", "talk", "csv:", "camera:0", "performance:"])
+def test_an_unknown_source_explains_the_forms(text: str) -> None:
+    with pytest.raises(SourceError, match="is unknown; write csv:FILE"):
+        open_source(text)
+
+
+def test_a_seed_that_is_no_number_is_refused() -> None:
+    with pytest.raises(SourceError, match="seed 'x' is not a number"):
+        open_source("performance:talk#x")
+
+
+def test_a_start_that_is_not_finite_is_refused() -> None:
+    with pytest.raises(SourceError, match="finite number of seconds"):
+        open_source("performance:talk@inf")
+
+
+def test_a_path_may_hold_an_at_sign(take: Path) -> None:
+    odd = take.rename(take.with_name("me@home.csv"))
+    assert open_source(f"csv:{odd}").frame_at(0).has_face

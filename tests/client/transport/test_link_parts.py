@@ -1,0 +1,107 @@
+"""The pure parts of the shells: backoff, pacing, percentiles, wire cost, options."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pica_client.errors import OptionError
+from pica_client.local_call.load import peer_sources
+from pica_client.publish.pacer import Pacer
+from pica_client.publish.sender import SenderConfig
+from pica_client.stats import Samples, summarise_ms, wire_bytes
+from pica_client.transport.backoff import Backoff, BackoffConfig
+from pica_client.transport.config import LinkConfig
+
+pytestmark = pytest.mark.unit
+
+
+def test_waits_double_up_to_the_longest() -> None:
+    backoff = Backoff(lambda: 1.0, BackoffConfig(first_s=0.25, factor=2, longest_s=2))
+    assert [backoff.next_wait_s(0) for _ in range(5)] == [0.25, 0.5, 1, 2, 2]
+
+
+def test_chance_shortens_a_wait_by_at_most_half() -> None:
+    assert Backoff(lambda: 0.0).next_wait_s(0) == pytest.approx(0.125)
+
+
+def test_after_a_connection_that_held_the_first_wait_is_short_again() -> None:
+    backoff = Backoff(lambda: 1.0)
+    for _ in range(6):
+        backoff.next_wait_s(0.1)  # accepted and thrown out each time: keeps growing
+    assert backoff.next_wait_s(0.1) == 8
+    assert backoff.next_wait_s(60.0) == 0.25
+
+
+def test_a_schedule_does_not_drift_when_every_frame_is_a_little_late() -> None:
+    pacer = Pacer(30, now=10.0)
+    for index in range(300):
+        assert pacer.due_s == pytest.approx(10 + index / 30)
+        pacer.advance(pacer.due_s + 0.02)
+    assert pacer.num_skipped == 0
+
+
+def test_a_late_schedule_skips_to_the_newest_frame_that_is_due() -> None:
+    pacer = Pacer(10, now=0.0)
+    pacer.advance(0.57)
+    assert pacer.due_s == pytest.approx(0.5)
+    assert pacer.num_skipped == 4
+
+
+@given(st.lists(st.floats(0, 0.5), min_size=1, max_size=60), st.sampled_from([1, 24, 30, 90, 240]))
+def test_due_times_rise_and_stay_on_the_grid(delays: list[float], fps: int) -> None:
+    pacer = Pacer(fps, now=0.0)
+    for delay in delays:
+        before = pacer.due_s
+        pacer.advance(before + delay)
+        assert pacer.due_s > before
+        assert pacer.due_s * fps == pytest.approx(round(pacer.due_s * fps), abs=1e-6)
+        assert pacer.due_s <= before + max(delay, 1 / fps) + 1e-6
+
+
+def test_percentiles_are_samples_by_nearest_rank() -> None:
+    assert summarise_ms([0.001 * n for n in range(1, 101)]) == {"p50": 50, "p95": 95, "p99": 99}
+    assert summarise_ms([0.5]) == {"p50": 500, "p95": 500, "p99": 500}
+    assert summarise_ms([]) == {"p50": None, "p95": None, "p99": None}
+
+
+def test_samples_are_bounded_and_drop_the_oldest() -> None:
+    samples = Samples(max_samples=3)
+    for value in (9.0, 0.001, 0.002, 0.003):
+        samples.add(value)
+    assert len(samples) == 3
+    assert samples.summary_ms()["p99"] == 3
+
+
+@pytest.mark.parametrize(
+    ("message", "masked", "total"),
+    [(125, False, 125 + 2 + 40), (126, True, 126 + 4 + 4 + 40), (65_536, True, 65_536 + 54)],
+)
+def test_the_wire_cost_counts_websocket_and_tcp_headers(
+    message: int, masked: bool, total: int
+) -> None:
+    assert wire_bytes(message, is_masked=masked) == total
+
+
+@pytest.mark.parametrize("url", ["", "localhost:8765", "http://x:1", "ws://", "ws://x:99999"])
+def test_a_url_that_is_no_relay_address_is_quoted(url: str) -> None:
+    with pytest.raises(OptionError, match=r"is no relay address; write ws://HOST:PORT"):
+        LinkConfig(url=url)
+
+
+@pytest.mark.parametrize(("room", "name"), [("a b", "x"), ("", "x"), ("r", ""), ("r", "x" * 65)])
+def test_a_room_or_name_beyond_its_limits_is_refused(room: str, name: str) -> None:
+    with pytest.raises(OptionError, match=r"^(room|name) must"):
+        LinkConfig(room=room, name=name)
+
+
+@pytest.mark.parametrize(("fps", "seconds"), [(0.5, 0), (241, 0), (30, -1), (float("nan"), 0)])
+def test_a_rate_or_duration_out_of_range_is_refused(fps: float, seconds: float) -> None:
+    with pytest.raises(OptionError, match="allowed"):
+        SenderConfig(fps=fps, seconds=seconds)
+
+
+def test_peers_of_one_recording_start_at_different_places() -> None:
+    assert len(set(peer_sources("csv:take.csv", 5))) == 5
+    assert len(set(peer_sources(None, 5))) == 5

@@ -1,0 +1,218 @@
+"""What keys and mouse mean, without a window."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pica_client.render.seats import LAYOUTS, ViewState
+from pica_client.ui.controls import (
+    BINDINGS,
+    CloseWanted,
+    Controls,
+    ControlState,
+    InputEvent,
+    KeyPressed,
+    MouseMoved,
+    MousePressed,
+    MouseReleased,
+    Order,
+    Scrolled,
+    TextTyped,
+    help_lines,
+)
+from pica_client.ui.window import KEY_NAMES
+
+pytestmark = pytest.mark.unit
+
+PEERS = ("ada", "ben", "cho")
+
+
+def press(controls: Controls, *keys: str) -> None:
+    for key in keys:
+        controls.receive(KeyPressed(key), peers=PEERS)
+
+
+def click(controls: Controls, peer: str | None, *, by_px: float = 0.0) -> None:
+    controls.receive(MousePressed(100, 100))
+    if by_px:
+        controls.receive(MouseMoved(100 + by_px, 100))
+    controls.receive(MouseReleased(100 + by_px, 100), pick=lambda x, y: peer)
+
+
+def test_every_key_has_one_meaning() -> None:
+    keys = [key for binding in BINDINGS for key in binding.keys]
+    assert len(keys) == len(set(keys))
+    assert not {str(number) for number in range(1, 10)} & set(keys)  # these pin
+
+
+def test_the_window_knows_every_key_that_means_something() -> None:
+    known = set(KEY_NAMES.values())
+    for binding in BINDINGS:
+        # A key may have two names; one of them is on every keyboard.
+        assert set(binding.keys) & known, binding.keys
+    assert {"Enter", "Tab", "Backspace", "Escape", "Up", "Down", "U", "V"} <= known
+    assert {str(number) for number in range(10)} <= known
+
+
+def test_every_binding_does_something() -> None:
+    for binding in BINDINGS:
+        assert (binding.change is None) != (binding.order is None), binding.keys
+
+
+def test_the_help_shows_every_titled_key_with_its_title() -> None:
+    shown = dict(help_lines("sent"))
+    for binding in BINDINGS:
+        if binding.title:
+            assert shown[", ".join(binding.keys)] == binding.title
+
+
+def test_a_key_of_the_help_does_what_the_help_says() -> None:
+    controls = Controls()
+    press(controls, "S")
+    assert controls.state.show_statistics
+    press(controls, "H")
+    assert controls.state.show_help
+    press(controls, "S", "H")
+    assert not controls.state.show_statistics
+    assert not controls.state.show_help
+
+
+def test_layouts_follow_each_other_and_come_round() -> None:
+    controls = Controls(ControlState(layout=LAYOUTS[0]))
+    seen = []
+    for _ in LAYOUTS:
+        seen.append(controls.state.layout)
+        press(controls, "L")
+    assert seen == list(LAYOUTS)
+    assert controls.state.layout == LAYOUTS[0]
+
+
+@pytest.mark.parametrize("key", ["Q", "Escape"])
+def test_leaving_is_a_key(key: str) -> None:
+    controls = Controls()
+    press(controls, key)
+    assert controls.state.wants_close
+
+
+def test_closing_the_window_is_leaving() -> None:
+    controls = Controls()
+    controls.receive(CloseWanted())
+    assert controls.state.wants_close
+
+
+def test_a_number_pins_and_the_same_number_lets_go() -> None:
+    controls = Controls()
+    press(controls, "2")
+    assert controls.state.pinned == "ben"
+    press(controls, "3")
+    assert controls.state.pinned == "cho"
+    press(controls, "3")
+    assert controls.state.pinned is None
+    press(controls, "9")
+    assert controls.state.pinned is None
+
+
+def test_a_click_on_a_head_pins_it_and_a_drag_over_it_does_not() -> None:
+    controls = Controls()
+    click(controls, "ada")
+    assert controls.state.pinned == "ada"
+    click(controls, "ben", by_px=50)
+    assert controls.state.pinned == "ada"
+    click(controls, None)
+    assert controls.state.pinned == "ada"
+    click(controls, "ada")
+    assert controls.state.pinned is None
+
+
+def test_a_hand_that_trembles_clicks_all_the_same() -> None:
+    controls = Controls()
+    click(controls, "ada", by_px=3)
+    assert controls.state.pinned == "ada"
+    assert controls.state.view == ViewState()
+
+
+def test_dragging_turns_the_view_and_moving_alone_does_not() -> None:
+    controls = Controls()
+    controls.receive(MouseMoved(500, 500))
+    assert controls.state.view == ViewState()
+    click(controls, None, by_px=100)
+    assert controls.state.view.yaw < 0
+
+
+def test_the_wheel_comes_closer_and_reset_undoes_all() -> None:
+    controls = Controls()
+    controls.receive(Scrolled(3))
+    assert controls.state.view.zoom > 1.3
+    press(controls, "1", "R")
+    assert controls.state.view == ViewState()
+    assert controls.state.pinned is None
+
+
+def test_a_pin_ends_with_its_peer() -> None:
+    controls = Controls()
+    press(controls, "1")
+    controls.forget_absent(("ben",))
+    assert controls.state.pinned is None
+
+
+def test_orders_are_given_once() -> None:
+    controls = Controls()
+    press(controls, "P", "V", "F11")
+    assert controls.take_orders() == [
+        Order.SCREENSHOT,
+        Order.TOGGLE_RECORDING,
+        Order.TOGGLE_FULL_SCREEN,
+    ]
+    assert controls.take_orders() == []
+
+
+def test_a_held_key_repeats_only_where_that_makes_sense() -> None:
+    controls = Controls()
+    controls.receive(KeyPressed("S", is_repeat=True))
+    assert not controls.state.show_statistics
+    controls.receive(KeyPressed("Left", is_repeat=True))
+    assert controls.state.view.yaw != 0
+
+
+def test_ones_own_face_is_muted_and_frozen_by_those_who_send_one() -> None:
+    watcher = Controls()
+    press(watcher, "M")
+    assert watcher.state.own_face == "none"
+    controls = Controls(ControlState(own_face="sent"))
+    steps = []
+    for key in ("M", "F", "F", "M", "M"):
+        press(controls, key)
+        steps.append(controls.state.own_face)
+    assert steps == ["muted", "frozen", "sent", "muted", "sent"]
+
+
+def test_the_desktops_own_shortcuts_are_left_alone() -> None:
+    controls = Controls()
+    controls.receive(KeyPressed("Q", has_control=True))
+    assert not controls.state.wants_close
+
+
+numbers = st.floats(allow_nan=True, allow_infinity=True)
+coordinates = st.floats(-1e5, 1e5)
+events: st.SearchStrategy[InputEvent] = st.one_of(
+    st.builds(KeyPressed, st.text(max_size=3), is_repeat=st.booleans()),
+    st.builds(KeyPressed, st.sampled_from([key for each in BINDINGS for key in each.keys])),
+    st.builds(TextTyped, st.text(max_size=5)),
+    st.builds(Scrolled, numbers),
+    st.builds(MousePressed, coordinates, coordinates),
+    st.builds(MouseMoved, coordinates, coordinates),
+    st.builds(MouseReleased, coordinates, coordinates),
+)
+
+
+@given(st.lists(events, max_size=40))
+def test_whatever_is_typed_and_clicked_the_view_stays_a_view(happened: list[InputEvent]) -> None:
+    controls = Controls()
+    for event in happened:
+        controls.receive(event, peers=PEERS, pick=lambda x, y: "ada")
+    view = controls.state.view
+    assert abs(view.pitch) <= 1.4
+    assert 0.25 <= view.zoom <= 12
+    assert controls.state.pinned in (None, *PEERS)

@@ -1,0 +1,144 @@
+"""The user's own preferences: kept whole, never in the way, never a secret among them."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from pica_client.ui.preferences import (
+    MAX_FILE_BYTES,
+    Preferences,
+    PreferencesFile,
+    default_folder,
+    without_secrets,
+)
+
+pytestmark = pytest.mark.unit
+
+KEPT = Preferences(
+    layout="table",
+    show_statistics=True,
+    window_size=(1280, 720),
+    url="wss://relay.example:8765",
+    room="standup",
+    name="Ada",
+    keep_in="/home/ada/calls",
+)
+
+
+class Kept:
+    def __init__(self, folder: Path) -> None:
+        self.warnings: list[str] = []
+        self.file = PreferencesFile(folder, warn=self.warnings.append)
+
+
+@pytest.fixture
+def kept(tmp_path: Path) -> Kept:
+    return Kept(tmp_path / "made" / "when needed")
+
+
+def test_what_is_saved_is_loaded(kept: Kept) -> None:
+    kept.file.save(KEPT)
+    assert kept.file.load() == KEPT
+    assert kept.warnings == []
+
+
+def test_before_the_first_call_there_are_defaults_and_no_warning(kept: Kept) -> None:
+    assert kept.file.load() == Preferences()
+    assert kept.warnings == []
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "",
+        "{",
+        "[]",
+        "null",
+        '{"layout": "pyramid"}',
+        '{"window_size": [0, 5]}',
+        '{"window_size": "big"}',
+        '{"window_size": [1280.5, 720]}',
+        '{"show_statistics": 1}',
+        '{"url": 7}',
+        '{"name": "a\\u0000b"}',
+        "[" * 20_000,
+        " " * (MAX_FILE_BYTES + 1),
+    ],
+)
+def test_a_damaged_file_is_one_warning_and_defaults(kept: Kept, content: str) -> None:
+    kept.file.path.parent.mkdir(parents=True)
+    kept.file.path.write_text(content)
+    assert kept.file.load() == Preferences()
+    assert len(kept.warnings) == 1
+    assert str(kept.file.path) in kept.warnings[0]
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(content=st.binary(max_size=300))
+def test_any_bytes_are_preferences_or_a_warning(kept: Kept, content: bytes) -> None:
+    kept.file.path.parent.mkdir(parents=True, exist_ok=True)
+    kept.file.path.write_bytes(content)
+    assert isinstance(kept.file.load(), Preferences)
+
+
+def test_what_a_later_version_has_added_is_left_out(kept: Kept) -> None:
+    kept.file.path.parent.mkdir(parents=True)
+    kept.file.path.write_text('{"layout": "grid", "hologram": true}')
+    assert kept.file.load().layout == "grid"
+    assert kept.warnings == []
+
+
+def test_no_secret_of_an_address_is_kept(kept: Kept) -> None:
+    kept.file.save(Preferences(url="wss://ada:word@relay.example:99/way?token=abc#part"))
+    text = kept.file.path.read_text()
+    assert json.loads(text)["url"] == "wss://relay.example:99/way"
+    assert "word" not in text
+    assert "abc" not in text
+
+
+@given(st.text(max_size=60))
+def test_any_address_can_be_stripped(url: str) -> None:
+    assert "@" not in without_secrets(f"ws://u:p@host/{url}").removeprefix("ws://").split("/")[0]
+
+
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(
+    kept: Kept, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept.file.save(KEPT)
+
+    def refuse(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", refuse)
+    kept.file.save(Preferences())
+    assert "No space left" in kept.warnings[0]
+    assert kept.file.load() == KEPT
+    assert [path.name for path in kept.file.path.parent.iterdir()] == [kept.file.path.name]
+
+
+def test_a_folder_that_cannot_be_made_is_a_warning(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    kept = Kept(tmp_path / "file")
+    kept.file.save(KEPT)
+    assert len(kept.warnings) == 1
+
+
+@pytest.mark.parametrize(
+    ("platform", "environment", "expected"),
+    [
+        ("linux", {"XDG_CONFIG_HOME": "/etc/mine"}, "/etc/mine/pica-telepresence"),
+        ("linux", {"XDG_CONFIG_HOME": "relative"}, str(Path.home() / ".config/pica-telepresence")),
+        ("darwin", {}, str(Path.home() / "Library/Application Support/pica-telepresence")),
+        ("win32", {"APPDATA": "/roaming"}, "/roaming/pica-telepresence"),
+    ],
+)
+def test_the_file_is_where_the_platform_has_such_files(
+    platform: str, environment: dict[str, str], expected: str
+) -> None:
+    assert str(default_folder(environment, platform)) == expected

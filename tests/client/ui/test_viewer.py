@@ -1,0 +1,427 @@
+"""The viewer's loop, off the screen: faces in, pictures and a report out."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from PIL import Image
+
+from helpers.toy import make_toy_avatar, with_toy_levels
+from pica_client.call.faces import FaceState, FaceStatus
+from pica_client.call.status import CallStatus
+from pica_client.decode.pool import DecodeResult
+from pica_client.errors import OptionError
+from pica_client.render.thumbnail import draw_thumbnail
+from pica_client.schedule.scheduler import SchedulerOptions
+from pica_client.ui.controls import KeyPressed, MousePressed, MouseReleased, OwnFace
+from pica_client.ui.viewer import Viewer, ViewerOptions
+from pica_client.ui.window import Window
+from pica_core.avatar.file import Avatar
+from pica_core.avatar.spec import AvatarSpec
+from pica_core.errors import AvatarFileError, GraphicsError
+
+pytestmark = pytest.mark.render
+
+TOY = make_toy_avatar(spec=AvatarSpec(uv_encoding_size=64, axis_encoding_size=64), grid=24)
+SMALL = ViewerOptions(headless=True, size=(160, 90))
+PATIENCE_S = 20.0
+
+
+class Faces:
+    """A call without a network: the test says who is there."""
+
+    def __init__(self, *peers: str) -> None:
+        self.latent = np.zeros((8, 8, 4), np.float32)
+        self.present = list(peers)
+        self.captured_us = 1
+        self.avatars: dict[str, Avatar | None] = {"toy": TOY, "late": None}
+        self.avatar_of = dict.fromkeys(peers, "toy")
+        self.without_latent: set[str] = set()
+        self.status: FaceStatus = "live"
+
+    def faces(self, now: float) -> list[FaceState]:
+        return [
+            FaceState(
+                peer_id=peer,
+                name=peer.title(),
+                avatar_id=self.avatar_of[peer],
+                latent=None if peer in self.without_latent else self.latent,
+                captured_us=self.captured_us,
+                status="waiting" if peer in self.without_latent else self.status,
+            )
+            for peer in self.present
+        ]
+
+    def avatar(self, avatar_id: str) -> Avatar | None:
+        if avatar_id == "evil":
+            raise AvatarFileError("evil.pica: tensor u_encoding is missing")
+        return self.avatars[avatar_id]
+
+
+def step_until_decoded(viewer: Viewer, now: float = 1.0) -> None:
+    """Draw a frame that submits, wait for the worker, draw a frame that shows."""
+    viewer.step(now)
+    assert viewer.wait_decoded(PATIENCE_S)
+    viewer.step(now + 0.033)
+
+
+def read(viewer: Viewer) -> npt.NDArray[np.uint8]:
+    """The last picture, uint8 ``[H, W, 3]``."""
+    with TemporaryDirectory() as folder:
+        viewer.save_image(Path(folder) / "frame.png")
+        with Image.open(Path(folder) / "frame.png") as image:
+            return np.asarray(image)
+
+
+@pytest.fixture
+def two() -> Iterator[tuple[Faces, Viewer]]:
+    source = Faces("ada", "grace")
+    with Viewer(source, SMALL, clock=lambda: 5.0) as viewer:
+        yield source, viewer
+
+
+def test_every_peer_is_decoded_drawn_and_counted(two: tuple[Faces, Viewer]) -> None:
+    _, viewer = two
+    step_until_decoded(viewer)
+    assert viewer.last_draw is not None
+    assert (viewer.last_draw.num_avatars, viewer.last_draw.num_placeholders) == (2, 0)
+    report = viewer.report()
+    assert report["rendered_peers"] == 2
+    assert report["frames_rendered"] == 2
+    assert report["errors"] == 0
+    assert report["decodes"] == {"ada": 1, "grace": 1}
+    assert report["gl_renderer"]
+
+
+def test_latency_is_counted_once_per_sample_on_the_shared_clock(two: tuple[Faces, Viewer]) -> None:
+    source, viewer = two
+    source.captured_us = 4_990_000
+    step_until_decoded(viewer)
+    source.latent = source.latent + np.float32(0.5)  # interpolated on, from the same sample
+    step_until_decoded(viewer)
+    assert viewer.report()["latency_ms"]["p50"] == pytest.approx(10.0)
+    assert viewer.report()["decodes"] == {"ada": 2, "grace": 2}
+
+
+def test_a_latent_that_stands_still_is_not_decoded_again(two: tuple[Faces, Viewer]) -> None:
+    _, viewer = two
+    for step in range(3):
+        step_until_decoded(viewer, 1.0 + step)
+    assert viewer.report()["decodes"] == {"ada": 1, "grace": 1}
+
+
+def test_a_peer_who_leaves_is_forgotten(two: tuple[Faces, Viewer]) -> None:
+    source, viewer = two
+    step_until_decoded(viewer)
+    source.present.remove("ada")
+    step_until_decoded(viewer)
+    assert viewer.last_draw is not None
+    assert viewer.last_draw.num_avatars == 1
+    assert viewer.report()["decodes"].keys() == {"grace"}
+
+
+def test_nobody_there_is_an_empty_room(two: tuple[Faces, Viewer]) -> None:
+    source, viewer = two
+    source.present.clear()
+    assert viewer.step(1.0)
+
+
+def test_a_broken_avatar_is_a_placeholder_with_its_reason_and_the_others_go_on(
+    two: tuple[Faces, Viewer],
+) -> None:
+    source, viewer = two
+    source.avatar_of["ada"] = "evil"
+    step_until_decoded(viewer)
+    assert viewer.last_draw is not None
+    assert (viewer.last_draw.num_avatars, viewer.last_draw.num_placeholders) == (1, 1)
+    assert viewer.problems == {"ada": "evil.pica: tensor u_encoding is missing"}
+    step_until_decoded(viewer)
+    assert viewer.report()["errors"] == 1
+
+
+def test_an_avatar_that_comes_late_replaces_its_placeholder(two: tuple[Faces, Viewer]) -> None:
+    source, viewer = two
+    source.avatar_of["ada"] = "late"
+    step_until_decoded(viewer)
+    assert viewer.last_draw is not None
+    assert viewer.last_draw.num_placeholders == 1
+    source.avatars["late"] = TOY
+    step_until_decoded(viewer)
+    assert viewer.last_draw.num_placeholders == 0
+
+
+def test_a_peer_without_a_sample_waits_as_a_placeholder(two: tuple[Faces, Viewer]) -> None:
+    source, viewer = two
+    source.without_latent.add("ada")
+    step_until_decoded(viewer)
+    assert viewer.last_draw is not None
+    assert viewer.last_draw.num_placeholders == 1
+
+
+def test_a_peer_who_changes_avatar_gets_the_new_one(two: tuple[Faces, Viewer]) -> None:
+    source, viewer = two
+    step_until_decoded(viewer)
+    source.avatar_of["ada"] = "evil"
+    step_until_decoded(viewer)
+    assert "ada" in viewer.problems
+
+
+def test_a_decoder_that_fails_breaks_its_own_peer(two: tuple[Faces, Viewer]) -> None:
+    source, viewer = two
+    step_until_decoded(viewer)
+    source.latent = np.zeros((7, 8, 4), np.float32)  # no receiver does this: the session refuses it
+    step_until_decoded(viewer)
+    assert set(viewer.problems) == {"ada", "grace"}
+    assert viewer.step(9.0)
+
+
+def test_whoever_asks_is_told_of_each_decode() -> None:
+    told: list[DecodeResult] = []
+    with Viewer(Faces("ada"), SMALL, on_decoded=told.append) as viewer:
+        step_until_decoded(viewer)
+    assert [result.slot for result in told] == ["ada"]
+    assert told[0].captured_us == 1
+
+
+def test_how_the_call_stands_is_asked_for_twice_a_second_and_not_per_frame() -> None:
+    asked: list[float] = []
+
+    def status(now: float) -> CallStatus:
+        asked.append(now)
+        return CallStatus(summary=(("in", "65 kbit/s"),))
+
+    with Viewer(Faces("ada"), replace(SMALL, show_statistics=True), status=status) as viewer:
+        for step in range(10):
+            viewer.step(1.0 + 0.1 * step)
+    assert asked == [1.0, 1.5]
+
+
+def test_a_key_changes_how_people_sit_and_the_picture_with_it(two: tuple[Faces, Viewer]) -> None:
+    _, viewer = two
+    step_until_decoded(viewer)
+    before = read(viewer)
+    viewer.receive(KeyPressed("L"))
+    step_until_decoded(viewer, 2.0)
+    assert viewer.controls.state.layout != "arc"
+    assert np.abs(read(viewer).astype(int) - before).max() > 30
+
+
+def test_a_click_on_a_head_brings_it_forward(two: tuple[Faces, Viewer]) -> None:
+    _, viewer = two
+    step_until_decoded(viewer)
+    viewer.receive(MousePressed(115, 45))
+    viewer.receive(MouseReleased(115, 45))
+    assert viewer.controls.state.pinned == "grace"
+    step_until_decoded(viewer, 2.0)
+
+
+def test_the_statistics_and_the_help_are_drawn_over_the_picture() -> None:
+    with Viewer(Faces("ada"), replace(SMALL, size=(640, 360)), clock=lambda: 5.0) as viewer:
+        step_until_decoded(viewer)
+        plain = read(viewer)
+        viewer.receive(KeyPressed("H"))
+        viewer.step(3.0)
+        helped = read(viewer)
+        viewer.receive(KeyPressed("S"))
+        viewer.step(4.0)
+        viewer.step(4.1)
+        both = read(viewer)
+    assert (plain != helped).any(axis=2)[:, 400:].mean() > 0.1
+    assert (helped != both).any(axis=2)[:, :400].mean() > 0.05
+
+
+def test_the_help_covers_nobody() -> None:
+    source = Faces(*"abcde")
+    options = replace(SMALL, size=(1280, 720), show_statistics=True, layout="line")
+    with Viewer(source, options, clock=lambda: 5.0) as viewer:
+        viewer.receive(KeyPressed("H"))
+        for step in range(3):
+            viewer.step(1.0 + step)
+        picked = {viewer.pick(x, y) for x in range(950, 1280, 10) for y in range(0, 460, 10)}
+        assert picked == {None}
+        places = [(x, y) for x in range(0, 950, 10) for y in range(180, 720, 10)]
+        assert {viewer.pick(x, y) for x, y in places} == {None, *"abcde"}
+
+
+def test_pictures_and_recordings_are_made_by_key(tmp_path: Path) -> None:
+    pytest.importorskip("av")
+    options = replace(SMALL, keep_in=tmp_path / "kept")
+    with Viewer(Faces("ada"), options, clock=lambda: 5.0) as viewer:
+        for now, keys in ((1.0, "P"), (1.1, "V"), (1.2, ""), (1.3, "V"), (1.4, "P")):
+            for key in keys:
+                viewer.receive(KeyPressed(key))
+            viewer.step(now)
+    names = sorted(path.name for path in (tmp_path / "kept").iterdir())
+    assert names == ["picture-0001.png", "picture-0002.png", "recording-0001.mp4"]
+
+
+def test_a_folder_that_cannot_be_written_is_said_and_ends_nothing(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    options = replace(SMALL, size=(320, 180), keep_in=tmp_path / "file")
+    with Viewer(Faces("ada"), options, clock=lambda: 5.0) as viewer:
+        viewer.step(1.0)
+        before = read(viewer)
+        viewer.receive(KeyPressed("P"))
+        assert viewer.step(1.1)
+        assert viewer.step(1.2)
+        assert (read(viewer) != before)[:40].any()
+
+
+def test_a_face_that_goes_stale_fades_and_does_not_blink(two: tuple[Faces, Viewer]) -> None:
+    source, viewer = two
+    step_until_decoded(viewer)
+    bright = [read(viewer)]
+    source.status = "stale"
+    for step in range(12):
+        viewer.step(2.0 + 0.05 * step)
+        bright.append(read(viewer))
+    steps = [
+        np.abs(after[20:70].astype(int) - before[20:70]).max()
+        for before, after in pairwise(bright[2:])
+    ]
+    whole = np.abs(bright[-1][20:70].astype(int) - bright[0][20:70]).max()
+    assert whole > 40
+    assert max(steps) < 0.5 * whole
+
+
+def test_muting_ones_own_face_is_told_and_shown() -> None:
+    told: list[OwnFace] = []
+    options = replace(SMALL, sends_face=True, size=(640, 360))
+    with Viewer(Faces(), options, on_own_face=told.append, clock=lambda: 5.0) as viewer:
+        viewer.step(1.0)
+        before = read(viewer)
+        viewer.receive(KeyPressed("M"))
+        viewer.step(1.1)
+        assert (read(viewer) != before)[300:, :320].any()
+        viewer.receive(KeyPressed("M"))
+    assert told == ["muted", "sent"]
+
+
+def test_two_eyes_see_the_same_people_from_two_places_with_one_decode() -> None:
+    options = replace(SMALL, size=(320, 120), eye_distance_m=0.1)
+    source = Faces("ada")
+    with Viewer(source, options, clock=lambda: 5.0) as viewer:
+        step_until_decoded(viewer)
+        left, right = np.split(read(viewer).astype(int), 2, axis=1)
+        assert viewer.report()["decodes"] == {"ada": 1}
+        viewer.receive(MousePressed(240, 50))
+        viewer.receive(MouseReleased(240, 50))
+        assert viewer.controls.state.pinned == "ada"
+    for eye in (left, right):
+        assert (
+            np.abs(eye[40:70, 70:90].mean(axis=(0, 1)) - eye[:5, :5].mean(axis=(0, 1))).max() > 30
+        )
+    assert np.abs(left - right).max() > 30
+
+
+def test_leaving_by_key_ends_the_loop(two: tuple[Faces, Viewer]) -> None:
+    _, viewer = two
+    assert viewer.step(1.0)
+    viewer.receive(KeyPressed("Q"))
+    assert not viewer.step(1.1)
+
+
+def test_a_call_is_recorded_and_a_frame_saved(tmp_path: Path) -> None:
+    av = pytest.importorskip("av")
+    options = replace(SMALL, record=tmp_path / "call.mp4")
+    ticks = iter(np.arange(0.0, 1e3, 0.01))
+    with Viewer(Faces("ada"), options, clock=lambda: float(next(ticks))) as viewer:
+        for step in range(5):
+            viewer.step(1.0 + step / 30)
+        viewer.save_image(tmp_path / "frame.png")
+    with av.open(str(tmp_path / "call.mp4")) as container:
+        assert sum(1 for _ in container.decode(video=0)) == 5
+    with Image.open(tmp_path / "frame.png") as image:
+        assert image.size == (160, 90)
+
+
+def test_run_stops_when_told_to(two: tuple[Faces, Viewer]) -> None:
+    _, viewer = two
+    viewer.run(should_stop=lambda: viewer.report()["frames_rendered"] >= 1)
+    assert viewer.report()["frames_rendered"] == 1
+
+
+def test_frame_rates_that_make_no_sense_are_refused() -> None:
+    with pytest.raises(OptionError, match="max_fps is 0"):
+        ViewerOptions(max_fps=0)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is always a display")
+def test_without_a_display_a_window_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with pytest.raises(GraphicsError, match=r"DISPLAY is not set.*--headless"):
+        Window("test", (64, 64))
+
+
+def test_a_thumbnail_shows_the_avatar() -> None:
+    image = draw_thumbnail(TOY, (96, 128))
+    assert image.shape == (128, 96, 3)
+    middle, corner = image[50:70, 40:56].mean(axis=(0, 1)), image[:6, :6].mean(axis=(0, 1))
+    assert np.abs(middle - corner).max() > 30
+
+
+def test_a_prepared_viewer_shows_faces_in_its_first_frame() -> None:
+    with Viewer(Faces("ada", "grace"), SMALL) as viewer:
+        viewer.prepare(PATIENCE_S)
+        assert viewer.report()["frames_rendered"] == 0
+        assert viewer.report()["decode_ms"]["p50"] is None  # nothing of it is measured
+
+        viewer.step(1.0)
+
+        assert viewer.last_draw is not None
+        assert viewer.last_draw.num_placeholders == 0
+
+
+def test_preparing_does_not_wait_for_a_broken_or_silent_peer() -> None:
+    source = Faces("ada", "grace")
+    source.avatar_of["ada"] = "evil"
+    source.without_latent.add("grace")
+    ticks = iter(range(1_000_000))
+
+    with Viewer(source, SMALL, clock=lambda: float(next(ticks))) as viewer:
+        viewer.prepare(timeout_s=1000.0)
+
+    assert next(ticks) < 100
+
+
+def test_a_viewer_short_of_time_gives_up_detail_and_says_which() -> None:
+    levels = []
+    for budget_ms in (0.01, 10_000.0):
+        source = Faces("ada")
+        source.avatars["toy"] = with_toy_levels(TOY)
+        options = replace(SMALL, size=(640, 360), frame_budget_ms=budget_ms)
+        with Viewer(source, options) as viewer:
+            for frame in range(12):
+                source.latent = np.full((8, 8, 4), 0.1 * frame, np.float32)
+                step_until_decoded(viewer, now=1.0 + 0.1 * frame)
+            assert viewer.last_draw is not None
+            (head,) = viewer.last_draw.heads
+            levels.append(head.level)
+    assert levels == [64, 256]
+
+
+def test_the_call_is_told_what_is_worth_having_of_each_stream() -> None:
+    wishes: list[tuple[str, int | None]] = []
+    source = Faces("ada", "grace")
+    with Viewer(
+        source,
+        replace(SMALL, scheduler=SchedulerOptions(layer_px=(8.0, 200.0))),
+        on_wish=lambda *wish: wishes.append(wish),
+    ) as viewer:
+        for frame in range(4):
+            step_until_decoded(viewer, now=1.0 + 0.1 * frame)
+    assert set(wishes) == {("ada", 1), ("grace", 1)}
+
+
+def test_a_frame_budget_out_of_range_is_refused_by_name() -> None:
+    with pytest.raises(OptionError, match="frame_budget_ms"):
+        ViewerOptions(frame_budget_ms=-1.0)

@@ -1,0 +1,181 @@
+"""The baseline: the published sizes, and a face that looks like the avatar it stands beside."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+
+from helpers.toy import make_toy_avatar, with_toy_levels
+from pica_core.avatar.arkit import NUM_ARKIT
+from pica_core.avatar.expression_encoder import ExpressionEncoder
+from pica_core.avatar.spec import LEAKY_SLOPE, AvatarSpec
+from pica_core.graphs.baseline_graph import baseline_graph
+from pica_core.reference.baseline import BaselineAvatar, BaselineSpec, baseline_like
+from pica_core.reference.decoders import decode_expression_map
+from pica_core.reference.mesh import sample_vertices
+from pica_core.reference.pixel import decode_pixels, sample_bilinear
+
+pytestmark = pytest.mark.unit
+
+TOY = make_toy_avatar(grid=12, spec=AvatarSpec(uv_encoding_size=16, axis_encoding_size=20))
+SMALL = BaselineSpec(num_latent=6, num_vertices=5, channels=(4, 3))
+
+Array = np.ndarray[Any, Any]
+
+
+@pytest.fixture(scope="module")
+def dressed() -> BaselineAvatar:
+    return baseline_like(TOY, seed=3)
+
+
+def run(graph: bytes, latent: Array, view: Array) -> list[Array]:
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+    feeds = {"latent": latent[None], "view_direction": view[None]}
+    outputs: list[Array] = session.run(
+        ["vertices", "texture"], {k: v.astype(np.float32) for k, v in feeds.items()}
+    )
+    return outputs
+
+
+def random_baseline(spec: BaselineSpec) -> BaselineAvatar:
+    rng = np.random.default_rng(1)
+    return BaselineAvatar(
+        spec=spec,
+        tensors={
+            name: rng.standard_normal(shape).astype(np.float32) * np.float32(0.5)
+            for name, shape in spec.tensor_shapes().items()
+        },
+        vertex_uv=np.zeros((spec.num_vertices, 2), np.float32),
+        faces=np.array([[0, 1, 2]], np.int32),
+        bounds_min_m=(-1, -1, -1),
+        bounds_max_m=(1, 1, 1),
+    )
+
+
+def interpret(baseline: BaselineAvatar, latent: Array, view: Array) -> tuple[Array, Array]:
+    """The decoder in float64, written for reading."""
+    tensors = {name: array.astype(np.float64) for name, array in baseline.tensors.items()}
+
+    def connect(name: str, value: Array) -> Array:
+        return tensors[f"{name}.weight"] @ value + tensors[f"{name}.bias"]
+
+    def leaky(value: Array) -> Array:
+        return np.where(value > 0, value, LEAKY_SLOPE * value)
+
+    code = leaky(connect("latent", latent))
+    seen = np.concatenate([code, leaky(connect("view", view))])
+    value = leaky(connect("grid", seen)).reshape(-1, 4, 4)
+    last = len(baseline.spec.channels) - 1
+    for index in range(last + 1):
+        weight, size = tensors[f"texture.{index}.weight"], value.shape[1]
+        spread = np.zeros((weight.shape[1], 2 * size + 2, 2 * size + 2))
+        for y in range(4):
+            for x in range(4):
+                part = np.tensordot(weight[:, :, y, x].T, value, axes=1)
+                spread[:, y : y + 2 * size : 2, x : x + 2 * size : 2] += part
+        value = spread[:, 1:-1, 1:-1] + tensors[f"texture.{index}.bias"]
+        value = leaky(value) if index < last else value
+    return connect("mesh", code).reshape(-1, 3), value.transpose(1, 2, 0)
+
+
+def test_the_published_sizes_have_17_4_million_parameters_and_755_million_multiply_adds() -> None:
+    spec = BaselineSpec()
+    assert spec.texture_size == 1024
+    assert spec.num_parameters == pytest.approx(17.4e6, rel=3e-3)
+    fully_connected = 256 * 256 + 3 * 8 + 256 * 3 * 7306 + 264 * 4096
+    assert spec.multiply_adds - fully_connected == pytest.approx(755e6, rel=1e-3)
+
+
+def test_the_graph_computes_what_the_layers_say() -> None:
+    baseline, rng = random_baseline(SMALL), np.random.default_rng(2)
+    latent, view = rng.standard_normal(6), np.array([0.6, 0.0, 0.8])
+    vertices, texture = run(baseline_graph(baseline), latent, view)
+    wanted = interpret(baseline, latent, view)
+    assert texture.shape == (16, 16, 3)
+    np.testing.assert_allclose(vertices, wanted[0], atol=1e-5)
+    np.testing.assert_allclose(texture, wanted[1], atol=1e-5)
+
+
+def test_the_graph_is_valid_onnx() -> None:
+    model = onnx.load_from_string(baseline_graph(random_baseline(SMALL)))
+    onnx.checker.check_model(model, full_check=True)
+
+
+def test_a_dressed_baseline_shows_the_mean_mesh_and_the_neutral_colours(
+    dressed: BaselineAvatar,
+) -> None:
+    latent = np.random.default_rng(4).standard_normal(256)
+    vertices, texture = run(baseline_graph(dressed), latent, np.array([0.0, 0.0, 1.0]))
+    mesh_m = sample_vertices(TOY.tensors["geometry.mean"], dressed.vertex_uv)
+    assert np.linalg.norm(vertices - mesh_m, axis=1).max() < 2e-3
+    where = np.random.default_rng(5).uniform(0.01, 0.99, (500, 2)).astype(np.float32)
+    neutral = ExpressionEncoder(TOY).encode(np.zeros(NUM_ARKIT))
+    codes = decode_expression_map(TOY, neutral, (0.0, 0.0, 1.0))
+    wanted = decode_pixels(
+        TOY.spec,
+        TOY.tensors,
+        sample_bilinear(codes, where),
+        sample_bilinear(TOY.tensors["geometry.mean"], where),
+        where,
+    )
+    colours = sample_bilinear(texture, where)
+    assert np.sqrt(np.mean((colours - np.clip(wanted, 0, 1)) ** 2)) < 0.05
+    assert np.ptp(colours) > 0.3, "the test would not notice a grey face"
+
+
+def test_latent_and_view_move_the_dressed_baseline(dressed: BaselineAvatar) -> None:
+    graph, rng = baseline_graph(dressed), np.random.default_rng(6)
+    latent = rng.standard_normal(256)
+    before = run(graph, latent, np.array([0.0, 0.0, 1.0]))
+    turned = run(graph, latent, np.array([1.0, 0.0, 0.0]))
+    moved = run(graph, -latent, np.array([0.0, 0.0, 1.0]))
+    np.testing.assert_array_equal(before[0], turned[0])
+    assert np.abs(before[1] - turned[1]).max() > 1e-4
+    assert np.abs(before[0] - moved[0]).max() > 1e-5
+
+
+def test_the_same_seed_makes_the_same_baseline(dressed: BaselineAvatar) -> None:
+    again = baseline_like(TOY, seed=3)
+    for name, array in dressed.tensors.items():
+        np.testing.assert_array_equal(again.tensors[name], array)
+
+
+def test_the_mesh_is_the_level_nearest_to_the_published_one() -> None:
+    avatar = with_toy_levels(make_toy_avatar(grid=100, spec=TOY.spec))
+    sizes = {level: len(avatar.level_faces(level)) for level in avatar.levels}
+    assert min(sizes, key=lambda level: abs(sizes[level] - 10_936)) == 128
+    assert len(baseline_like(avatar).faces) == sizes[128]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"num_latent": 0}, "num_latent is 0"),
+        ({"num_vertices": 10**6}, "num_vertices is 1000000"),
+        ({"channels": (4, 4)}, "channels end in 4"),
+        ({"channels": ()}, "channels are"),
+    ],
+)
+def test_a_spec_out_of_its_limits_is_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        BaselineSpec(**change)
+
+
+def test_a_baseline_whose_tensors_do_not_fit_is_refused() -> None:
+    good = random_baseline(SMALL)
+    tensors = {**good.tensors, "mesh.bias": np.zeros(3, np.float32)}
+    with pytest.raises(ValueError, match=r"mesh\.bias is missing or not of shape \[15\]"):
+        BaselineAvatar(
+            spec=SMALL,
+            tensors=tensors,
+            vertex_uv=good.vertex_uv,
+            faces=good.faces,
+            bounds_min_m=good.bounds_min_m,
+            bounds_max_m=good.bounds_max_m,
+        )

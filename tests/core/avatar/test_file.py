@@ -1,0 +1,432 @@
+"""Reading and writing avatar files: what goes in comes out, and nothing hostile comes in."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import safetensors.numpy
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from helpers.stream_toy import toy_profile
+from helpers.toy import make_toy_avatar
+from pica_core.avatar import file as avatar_file
+from pica_core.avatar.file import (
+    Avatar,
+    avatar_id,
+    load_avatar,
+    save_avatar,
+    spec_tensor_shapes,
+)
+from pica_core.avatar.spec import BLOCKS, PAPER_SPEC, AvatarSpec
+from pica_core.errors import AvatarFileError
+
+pytestmark = pytest.mark.unit
+
+TOY = make_toy_avatar(grid=8, spec=AvatarSpec(uv_encoding_size=16, axis_encoding_size=20))
+WITH_STREAM = Avatar(TOY.manifest, {**TOY.tensors, **toy_profile().to_tensors()})
+
+
+@pytest.fixture(scope="module")
+def toy_bytes(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("avatar") / "toy.pica"
+    save_avatar(path, TOY)
+    return path.read_bytes()
+
+
+def split(data: bytes) -> tuple[dict[str, Any], bytes]:
+    length = int.from_bytes(data[:8], "little")
+    return json.loads(data[8 : 8 + length]), data[8 + length :]
+
+
+def join(header: Any, body: bytes) -> bytes:
+    text = json.dumps(header).encode()
+    return len(text).to_bytes(8, "little") + text + body
+
+
+def with_manifest(data: bytes, change: Callable[[dict[str, Any]], None]) -> bytes:
+    header, body = split(data)
+    manifest = json.loads(header["__metadata__"]["pica"])
+    change(manifest)
+    header["__metadata__"]["pica"] = json.dumps(manifest)
+    return join(header, body)
+
+
+def with_tensor(name: str, array: np.ndarray[Any, Any]) -> Avatar:
+    return Avatar(TOY.manifest, {**TOY.tensors, name: array})
+
+
+def test_a_saved_avatar_is_read_back_with_its_manifest_and_nearly_its_tensors(
+    toy_bytes: bytes,
+) -> None:
+    loaded = load_avatar(toy_bytes)
+    assert loaded.manifest.to_json() == TOY.manifest.to_json()
+    assert set(loaded.tensors) == set(TOY.tensors)
+    for name, array in TOY.tensors.items():
+        spread = float(np.ptp(array.astype(np.float64)))
+        # 8 bits over the channel's range is the coarsest storage: half a step, plus rounding.
+        assert np.abs(loaded.tensors[name] - array).max() <= 0.51 / 255 * spread, name
+
+
+def test_stored_as_float32_every_tensor_comes_back_exactly(tmp_path: Path) -> None:
+    save_avatar(tmp_path / "exact.pica", TOY, dict.fromkeys(TOY.tensors, "f32"))
+    loaded = load_avatar(tmp_path / "exact.pica")
+    for name, array in TOY.tensors.items():
+        np.testing.assert_array_equal(loaded.tensors[name], array, err_msg=name)
+
+
+def test_positions_and_uvs_keep_sixteen_bits_by_default(toy_bytes: bytes) -> None:
+    loaded = load_avatar(toy_bytes)
+    error_m = np.abs(loaded.tensors["geometry.mean"] - TOY.tensors["geometry.mean"]).max()
+    assert error_m < 5e-6
+    assert np.abs(loaded.tensors["mesh.vertex_uv"] - TOY.tensors["mesh.vertex_uv"]).max() < 1e-5
+
+
+def test_loaded_arrays_cannot_be_written(toy_bytes: bytes) -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        load_avatar(toy_bytes).tensors["u_encoding"][0] = 0
+
+
+def test_the_identity_is_the_hash_of_the_bytes(tmp_path: Path, toy_bytes: bytes) -> None:
+    (tmp_path / "a.pica").write_bytes(toy_bytes)
+    assert avatar_id(tmp_path / "a.pica") == avatar_id(toy_bytes)
+    assert avatar_id(toy_bytes) != avatar_id(toy_bytes + b"\0")
+    assert len(avatar_id(toy_bytes)) == 64
+
+
+def test_saving_the_same_avatar_again_gives_the_same_identity(tmp_path: Path) -> None:
+    identities = set()
+    for _ in range(8):  # what is left to chance shows by then
+        save_avatar(tmp_path / "a.pica", TOY)
+        identities.add(avatar_id(tmp_path / "a.pica"))
+    assert len(identities) == 1
+
+
+def test_what_did_not_change_is_stored_as_it_stood(tmp_path: Path, toy_bytes: bytes) -> None:
+    loaded = load_avatar(toy_bytes)
+    added = {**loaded.tensors, "pixel.0.bias": loaded.tensors["pixel.0.bias"] + np.float32(1)}
+    save_avatar(tmp_path / "b.pica", Avatar(loaded.manifest, added), like=toy_bytes)
+    before = safetensors.numpy.load(toy_bytes)
+    after = safetensors.numpy.load((tmp_path / "b.pica").read_bytes())
+    changed = {name for name in before if before[name].tobytes() != after[name].tobytes()}
+    assert changed == {"pixel.0.bias"}
+    again = load_avatar(tmp_path / "b.pica")
+    for name in sorted(set(TOY.tensors) - changed):
+        np.testing.assert_array_equal(again.tensors[name], loaded.tensors[name], err_msg=name)
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_the_spec_fixes_every_tensor_of_every_block(block: str) -> None:
+    shapes = spec_tensor_shapes(AvatarSpec(block=block))
+    assert shapes["pixel.0.weight"] == (8, 16)
+    assert shapes["geometry.mean"] == (256, 256, 3)
+
+
+def test_the_papers_avatar_has_5_46_million_parameters() -> None:
+    shapes = spec_tensor_shapes(PAPER_SPEC)
+    total = sum(int(np.prod(shape)) for name, shape in shapes.items() if name != "geometry.mean")
+    assert total == pytest.approx(5.462e6, rel=1e-3)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(AvatarFileError, match=r"nobody\.pica: cannot be read"):
+        load_avatar(tmp_path / "nobody.pica")
+
+
+def test_a_file_over_the_limit_is_refused_unread(
+    tmp_path: Path, toy_bytes: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(avatar_file, "MAX_FILE_BYTES", 1000)
+    (tmp_path / "big.pica").write_bytes(toy_bytes)
+    with pytest.raises(AvatarFileError, match=r"big\.pica: file is larger than 1000 bytes"):
+        load_avatar(tmp_path / "big.pica")
+
+
+@pytest.mark.parametrize("keep", [0, 7, 8, 100, 5000, -1])
+def test_a_truncated_file_is_refused(toy_bytes: bytes, keep: int) -> None:
+    with pytest.raises(AvatarFileError):
+        load_avatar(toy_bytes[:keep])
+
+
+def test_bytes_after_the_end_are_refused(toy_bytes: bytes) -> None:
+    with pytest.raises(AvatarFileError):
+        load_avatar(toy_bytes + b"smuggled")
+
+
+def test_a_giant_header_length_is_refused_before_anything_is_allocated() -> None:
+    with pytest.raises(AvatarFileError, match="header of 18446744073709551615 bytes"):
+        load_avatar(b"\xff" * 64)
+
+
+def test_a_pickle_is_not_an_avatar() -> None:
+    with pytest.raises(AvatarFileError):
+        load_avatar(pickle.dumps({"weights": [1.0] * 100}))
+
+
+def test_a_safetensors_file_without_manifest_is_not_an_avatar() -> None:
+    with pytest.raises(AvatarFileError, match="no 'pica' manifest"):
+        load_avatar(safetensors.numpy.save({"a": np.zeros(3, np.float32)}))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [b"[" * 200_000, b'{"a": NaN}', b'{"a": 1, "a": 2}', b"[]", b"\xff\xfe", b"9" * 5000],
+    ids=["deep", "constant", "duplicate", "list", "not-utf8", "long-number"],
+)
+def test_a_hostile_header_is_refused(text: bytes) -> None:
+    with pytest.raises(AvatarFileError):
+        load_avatar(len(text).to_bytes(8, "little") + text)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("schema_version", 2, "schema_version is 2; this program reads 1"),
+        ("schema_version", True, "schema_version"),
+        ("name", "", "name must be 1 to 200"),
+        ("name", "x" * 201, "name must be 1 to 200"),
+        ("name", "evil\x1b[2J", "printable"),
+        ("variant", "unheard_of", "variant"),
+        ("position_scale_m", 1e9, "position_scale_m"),
+        ("position_scale_m", "1", "position_scale_m"),
+        ("latent_scale", [1, 1, 1], "latent_scale must be 4 numbers"),
+        ("latent_scale", [1, 1, 1, 0], "latent_scale"),
+        ("latent_scale", [1, 1, 1, 1e999], "latent_scale|JSON"),
+        ("bounds_min_m", [1, 1, 1], "bounds_min_m is not below"),
+        ("model_card", {str(i): "x" for i in range(65)}, "at most 64"),
+        ("model_card", {"a": "x" * 2001}, "model_card.a"),
+        ("spec", {"block": "C"}, "spec fields missing or unknown"),
+        ("spec", 3, "spec"),
+        ("surprise", 1, "'surprise' is missing or unknown"),
+    ],
+)
+def test_a_manifest_out_of_its_limits_is_refused(
+    toy_bytes: bytes, field: str, value: Any, message: str
+) -> None:
+    changed = with_manifest(toy_bytes, lambda manifest: manifest.update({field: value}))
+    with pytest.raises(AvatarFileError, match=message):
+        load_avatar(changed)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("uv_encoding_size", 10**9), ("block", "Z"), ("hidden_channels", [10**6] * 4)],
+)
+def test_a_spec_with_hostile_sizes_is_refused(toy_bytes: bytes, field: str, value: Any) -> None:
+    changed = with_manifest(toy_bytes, lambda manifest: manifest["spec"].update({field: value}))
+    with pytest.raises(AvatarFileError, match=r"manifest\.spec"):
+        load_avatar(changed)
+
+
+def test_a_spec_that_disagrees_with_the_tensors_is_refused(toy_bytes: bytes) -> None:
+    changed = with_manifest(
+        toy_bytes, lambda manifest: manifest["spec"].update(uv_encoding_size=2048)
+    )
+    with pytest.raises(AvatarFileError, match=r"uv_encoding has shape \[16, 16, 4\]"):
+        load_avatar(changed)
+
+
+@pytest.mark.parametrize("dtype", ["F64", "I64", "BOOL", "BF16", None])
+def test_a_tensor_stored_in_another_type_is_refused(toy_bytes: bytes, dtype: str | None) -> None:
+    header, body = split(toy_bytes)
+    header["geometry.mean"]["dtype"] = dtype
+    with pytest.raises(AvatarFileError, match=r"geometry\.mean is stored as"):
+        load_avatar(join(header, body))
+
+
+def test_overlapping_tensors_are_refused(toy_bytes: bytes) -> None:
+    header, body = split(toy_bytes)
+    header["u_encoding"]["data_offsets"] = header["v_encoding"]["data_offsets"]
+    with pytest.raises(AvatarFileError, match="safetensors"):
+        load_avatar(join(header, body))
+
+
+@pytest.mark.parametrize(
+    "table", [{}, {"uv_encoding": 3}, {"uv_encoding": {"scale": [1], "offset": [0]}}, [], "no"]
+)
+def test_a_quantised_tensor_without_its_scales_is_refused(toy_bytes: bytes, table: Any) -> None:
+    header, body = split(toy_bytes)
+    header["__metadata__"]["storage"] = json.dumps(table)
+    with pytest.raises(AvatarFileError, match=r"storage\."):
+        load_avatar(join(header, body))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e30])
+def test_values_that_are_not_finite_are_refused(tmp_path: Path, value: float) -> None:
+    weight = TOY.tensors["pixel.1.weight"].copy()
+    weight[3, 3] = value
+    with pytest.raises(AvatarFileError, match=r"pixel\.1\.weight has values that are not finite"):
+        save_avatar(tmp_path / "bad.pica", with_tensor("pixel.1.weight", weight))
+
+
+def test_nan_in_a_file_is_refused(toy_bytes: bytes) -> None:
+    header, body = split(toy_bytes)
+    start = header["pixel.1.weight"]["data_offsets"][0]
+    changed = bytearray(body)
+    changed[start : start + 4] = np.float32(np.nan).tobytes()
+    with pytest.raises(AvatarFileError, match=r"pixel\.1\.weight has values"):
+        load_avatar(join(header, bytes(changed)))
+
+
+@pytest.mark.parametrize(
+    ("name", "array", "message"),
+    [
+        ("mesh.vertex_uv", np.full((64, 2), 1.5, np.float32), "spans 1.5 to 1.5"),
+        ("mesh.faces", np.full((9, 3), 64, np.int32), "allowed are 0 to 63"),
+        ("mesh.faces", np.full((9, 3), -1, np.int32), "allowed are 0 to 63"),
+        ("mesh.faces", np.zeros((9, 4), np.int32), r"mesh.faces has shape \[9, 4\]"),
+        ("u_encoding", np.zeros((20, 2), np.float64), "float64; float32 is needed"),
+        ("unheard_of", np.zeros(3, np.float32), "'unheard_of' is unknown"),
+        ("encoder.2.weight", np.zeros((256, 9), np.float32), "encoder"),
+        ("encoder.0.weight", np.zeros((33, 52), np.float32), "encoder"),
+    ],
+)
+def test_a_tensor_that_does_not_fit_is_refused_before_it_is_written(
+    tmp_path: Path, name: str, array: np.ndarray[Any, Any], message: str
+) -> None:
+    with pytest.raises(AvatarFileError, match=message):
+        save_avatar(tmp_path / "bad.pica", with_tensor(name, array))
+    assert not (tmp_path / "bad.pica").exists()
+
+
+def test_a_missing_tensor_is_named(tmp_path: Path) -> None:
+    tensors = {name: array for name, array in TOY.tensors.items() if name != "pixel.3.bias"}
+    with pytest.raises(AvatarFileError, match=r"pixel\.3\.bias is missing"):
+        save_avatar(tmp_path / "bad.pica", Avatar(TOY.manifest, tensors))
+
+
+@settings(max_examples=60, derandomize=True, deadline=None)
+@given(data=st.data())
+def test_any_damage_to_the_header_loads_or_raises_an_avatar_file_error(
+    toy_bytes: bytes, data: st.DataObject
+) -> None:
+    length = int.from_bytes(toy_bytes[:8], "little")
+    place = data.draw(st.integers(0, 8 + length - 1))
+    damage = data.draw(st.binary(min_size=1, max_size=4))
+    changed = toy_bytes[:place] + damage + toy_bytes[place + len(damage) :]
+    with contextlib.suppress(AvatarFileError):
+        load_avatar(changed)
+
+
+def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "nowhere" / "a.pica"
+    with pytest.raises(AvatarFileError, match=r"nowhere/a\.pica: cannot be written: No such file"):
+        save_avatar(path, make_toy_avatar())
+
+
+# The tables of the latent stream
+
+
+@pytest.fixture(scope="module")
+def stream_bytes(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("avatar") / "stream.pica"
+    save_avatar(path, WITH_STREAM)
+    return path.read_bytes()
+
+
+def with_stream_tensor(data: bytes, name: str, change: Callable[[Any], Any]) -> bytes:
+    """The file with one array of its stream changed, as an honest writer would store it."""
+    tensors = safetensors.numpy.load(data)
+    array = change(tensors[name])
+    tensors = {key: value for key, value in tensors.items() if key != name}
+    if array is not None:
+        tensors[name] = array
+    metadata = split(data)[0]["__metadata__"]
+    return safetensors.numpy.save(tensors, metadata)
+
+
+def with_place(place: tuple[int, ...], value: int) -> Callable[[Any], Any]:
+    def change(array: Any) -> Any:
+        array = array.copy()
+        array[place] = value
+        return array
+
+    return change
+
+
+def test_the_tables_of_a_stream_come_back_exactly(stream_bytes: bytes) -> None:
+    loaded = load_avatar(stream_bytes)
+    profile = loaded.stream_profile()
+    assert profile is not None
+    assert profile.hash == toy_profile().hash
+    for name, array in toy_profile().to_tensors().items():
+        assert loaded.tensors[name].dtype == array.dtype
+        np.testing.assert_array_equal(loaded.tensors[name], array)
+
+
+def test_an_avatar_without_tables_has_no_stream(toy_bytes: bytes) -> None:
+    assert load_avatar(toy_bytes).stream_profile() is None
+
+
+def test_tables_in_another_memory_layout_are_the_same_tables(tmp_path: Path) -> None:
+    columns_first = {name: np.asfortranarray(a) for name, a in WITH_STREAM.tensors.items()}
+    save_avatar(tmp_path / "columns.pica", Avatar(TOY.manifest, columns_first))
+    save_avatar(tmp_path / "rows.pica", WITH_STREAM)
+    assert avatar_id(tmp_path / "columns.pica") == avatar_id(tmp_path / "rows.pica")
+
+
+def wrong_sum(array: Any) -> Any:
+    return array + np.uint16(1)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("steps", lambda array: None, r"tensor stream\.(steps|)|stream\.steps has shape"),
+        ("gains", lambda array: None, r"tensor stream\.gains is missing"),
+        ("analysis", lambda array: array.astype(np.int32), r"stream\.analysis is int32"),
+        ("analysis", lambda array: array.astype(np.float32), r"stream\.analysis is stored as F32"),
+        ("steps", lambda array: array.astype(np.int64), r"stream\.steps is stored as I64"),
+        ("tables", lambda array: array.astype(np.int16), r"stream\.tables is int16"),
+        ("analysis", lambda array: array[:, :4], r"tensor stream\.\w+ has shape"),
+        ("synthesis", lambda array: array[:4], r"stream\.synthesis has shape \[4, 256\]"),
+        ("tables", lambda array: array[:, :24], r"stream\.tables has shape"),
+        ("tables", lambda array: np.repeat(array, 40, 0), r"dimension 0 may be 1 to 256"),
+        ("analysis", lambda array: np.repeat(array, 20, 1), r"dimension 1 may be 1 to 128"),
+        ("tables", wrong_sum, r"stream\.tables row 0 sums to"),
+        ("header_tables", wrong_sum, r"stream\.header_tables row 0 sums to"),
+        ("distance_tables", with_place((2, 3), 0), r"stream\.distance_tables row 2"),
+        ("quality_table", with_place((0,), 0), r"stream\.quality_table row 0"),
+        ("table_index", with_place((0, 0, 0), 200), r"stream\.table_index spans 0 to 200"),
+        ("steps", with_place((0, 0), 0), r"stream\.steps spans 0 to"),
+        ("steps", with_place((7, 3), 2**31 - 1), r"stream\.steps spans .* to 2147483647"),
+        ("gains", with_place((1, 1), -(2**31)), r"stream\.gains spans -2147483648"),
+        ("mean", with_place((9,), 2**30), r"stream\.mean spans"),
+        ("synthesis_shift", with_place((0,), 64), r"stream\.synthesis_shift spans"),
+    ],
+)
+def test_tables_that_do_not_fit_are_refused_by_name(
+    stream_bytes: bytes, name: str, change: Callable[[Any], Any], message: str
+) -> None:
+    with pytest.raises(AvatarFileError, match=message):
+        load_avatar(with_stream_tensor(stream_bytes, f"stream.{name}", change))
+
+
+def test_a_table_that_nobody_knows_is_refused(stream_bytes: bytes, toy_bytes: bytes) -> None:
+    tensors = {**WITH_STREAM.tensors, "stream.surprise": np.zeros(3, np.int32)}
+    with pytest.raises(AvatarFileError, match=r"'stream\.surprise' is unknown"):
+        save_avatar(Path("unwritten.pica"), Avatar(TOY.manifest, tensors))
+    alone = safetensors.numpy.save(
+        {**safetensors.numpy.load(toy_bytes), "stream.mean": np.zeros(256, np.int32)},
+        split(toy_bytes)[0]["__metadata__"],
+    )
+    with pytest.raises(AvatarFileError, match=r"stream\.analysis has shape \[\]"):
+        load_avatar(alone)
+
+
+def test_tables_that_do_not_fit_are_not_written(tmp_path: Path) -> None:
+    steps = toy_profile().steps.copy()
+    steps[0, 0] = 0
+    with pytest.raises(AvatarFileError, match=r"stream\.steps spans 0"):
+        save_avatar(
+            tmp_path / "bad.pica",
+            Avatar(TOY.manifest, {**WITH_STREAM.tensors, "stream.steps": steps}),
+        )
+    assert not (tmp_path / "bad.pica").exists()

@@ -1,0 +1,341 @@
+"""Levels of detail: which an avatar has, what they cost in error, what a file may say of them."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import safetensors.numpy
+from hypothesis import given
+from hypothesis import strategies as st
+
+from helpers.toy import make_toy_avatar, with_toy_levels
+from pica_core.avatar.file import Avatar, load_avatar, save_avatar
+from pica_core.avatar.level_tensors import (
+    error_tensors,
+    exit_shapes,
+    faces_name,
+    sheet_rows,
+    sheet_uv,
+)
+from pica_core.avatar.levels import LevelErrors, default_errors, level_sizes
+from pica_core.avatar.spec import BLOCKS, AvatarSpec
+from pica_core.errors import AvatarFileError
+from pica_core.graphs.decoder_layers import decoder_layers, trunk_channels, trunk_layers
+
+pytestmark = pytest.mark.unit
+
+SPEC = AvatarSpec(uv_encoding_size=16, axis_encoding_size=20)
+PLAIN = make_toy_avatar(grid=8, spec=SPEC)
+TOY = with_toy_levels(PLAIN)
+LEVEL_NAMES = sorted(name for name in TOY.tensors if name.startswith("level."))
+
+Array = np.ndarray[Any, Any]
+
+
+@pytest.fixture(scope="module")
+def toy_bytes(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("levels") / "toy.pica"
+    save_avatar(path, TOY)
+    return path.read_bytes()
+
+
+def changed(name: str, array: Array | None) -> Avatar:
+    tensors = {key: value for key, value in TOY.tensors.items() if key != name}
+    return Avatar(TOY.manifest, tensors if array is None else {**tensors, name: array})
+
+
+def some_errors(*, mse: Array | None = None, head_px: tuple[float, ...] = (50.0, 200.0)) -> Any:
+    values = np.arange(12.0).reshape(3, 2, 2) if mse is None else mse
+    return LevelErrors(
+        levels=(64, 128, 256),
+        head_px=np.array(head_px, np.float32),
+        mse=values.astype(np.float32),
+        view_mse_per_rad2=3.0,
+        latent_mse_per_unit2=4.0,
+    )
+
+
+# Which levels there are
+
+
+def test_a_spec_may_have_exits_at_a_quarter_and_half_of_its_map() -> None:
+    assert level_sizes(AvatarSpec()) == (64, 128, 256)
+    assert level_sizes(AvatarSpec(map_size=32, hidden_channels=(4,))) == (16, 32)
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+@pytest.mark.parametrize("level", [64, 128])
+def test_a_trunk_ends_with_the_activation_behind_its_block(block: str, level: int) -> None:
+    spec = AvatarSpec(block=block)
+    trunk = trunk_layers(spec, "expression", level)
+    assert trunk == decoder_layers(spec, "expression")[: len(trunk)]
+    assert (trunk[-1].kind, trunk[-1].size) == ("leaky_relu", level)
+    assert trunk[-1].out_channels == trunk_channels(spec, level) == {64: 16, 128: 8}[level]
+
+
+@pytest.mark.parametrize("level", [8, 100, 256])
+def test_a_trunk_cannot_be_left_where_no_block_ends(level: int) -> None:
+    with pytest.raises(ValueError, match=f"level is {level}; trunks can be left at 16, 32, 64"):
+        trunk_layers(AvatarSpec(), "geometry", level)
+
+
+def test_an_older_avatar_has_the_full_level_alone() -> None:
+    assert PLAIN.levels == (256,)
+    assert PLAIN.level_errors is None
+    np.testing.assert_array_equal(PLAIN.level_faces(256), PLAIN.tensors["mesh.faces"])
+
+
+def test_an_avatar_with_exits_names_them_ascending_with_their_meshes() -> None:
+    assert TOY.levels == (64, 128, 256)
+    assert len(TOY.level_faces(64)) < len(TOY.level_faces(128)) < len(TOY.level_faces(256))
+
+
+def test_a_level_that_an_avatar_lacks_has_no_mesh() -> None:
+    with pytest.raises(ValueError, match="level is 64; this avatar has 256"):
+        PLAIN.level_faces(64)
+
+
+# What they cost in error
+
+
+def test_errors_of_the_table_are_found_again() -> None:
+    errors = some_errors()
+    assert errors.at(128, 50.0, full_maps=True) == pytest.approx(6.0)
+    assert errors.at(256, 200.0) == pytest.approx(9.0)
+
+
+def test_between_two_heights_the_logarithms_run_straight() -> None:
+    mse = np.full((3, 2, 2), 1.0)
+    mse[0, 0] = 4.0, 16.0
+    assert some_errors(mse=mse).at(64, 100.0) == pytest.approx(8.0)
+
+
+def test_beyond_the_table_its_nearest_entry_holds() -> None:
+    errors = some_errors()
+    assert errors.at(64, 1.0, full_maps=True) == pytest.approx(2.0)
+    assert errors.at(64, 1e9, full_maps=True) == pytest.approx(3.0)
+
+
+def test_an_unknown_level_has_no_error() -> None:
+    with pytest.raises(ValueError, match="level 32; known are 64, 128, 256"):
+        some_errors().at(32, 100.0)
+
+
+@pytest.mark.parametrize("levels", [(256,), (128, 256), (64, 128, 256)])
+def test_the_guess_never_calls_less_detail_better(levels: tuple[int, ...]) -> None:
+    guess = default_errors(levels)
+    assert (np.diff(guess.mse, axis=0) <= 0).all()
+    assert (guess.mse[:, 1] <= guess.mse[:, 0]).all()
+    np.testing.assert_array_equal(guess.mse[-1, 1], guess.mse[-1, 0])
+    assert (np.diff(guess.mse[:, 0], axis=1) >= 0).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"levels": (128, 64)}, "levels are"),
+        ({"levels": ()}, "levels are"),
+        ({"levels": (64, 128)}, "errors have shape"),
+        ({"head_px": np.array([5.0, 5.0], np.float32)}, "head_px must be"),
+        ({"head_px": np.array([0.0, 5.0], np.float32)}, "head_px must be"),
+        ({"head_px": np.array([1.0, np.inf], np.float32)}, "head_px must be"),
+        ({"mse": np.full((3, 2, 2), -1, np.float32)}, "errors must be finite and at least 0"),
+        ({"mse": np.full((3, 2, 2), np.nan, np.float32)}, "errors must be finite and at least 0"),
+        ({"latent_mse_per_unit2": -1.0}, "sensitivity must be finite"),
+    ],
+)
+def test_a_table_that_cannot_be_is_refused(change: dict[str, Any], message: str) -> None:
+    good = some_errors()
+    values = {name: getattr(good, name) for name in LevelErrors.__dataclass_fields__}
+    with pytest.raises(ValueError, match=message):
+        LevelErrors(**{**values, **change})
+
+
+@given(
+    heights=st.lists(st.integers(1, 5000), min_size=1, max_size=8, unique=True).map(sorted),
+    head_px=st.floats(0.01, 1e5),
+    seed=st.integers(0, 99),
+)
+def test_a_looked_up_error_lies_within_its_row(
+    heights: list[int], head_px: float, seed: int
+) -> None:
+    mse = np.random.default_rng(seed).uniform(0.1, 500, (3, 2, len(heights)))
+    errors = some_errors(mse=mse, head_px=tuple(map(float, heights)))
+    row = errors.mse[1, 1]
+    assert row.min() * 0.999 <= errors.at(128, head_px, full_maps=True) <= row.max() * 1.001
+
+
+# What a file may say of them
+
+
+def test_levels_and_errors_come_back_from_a_file(toy_bytes: bytes) -> None:
+    loaded = load_avatar(toy_bytes)
+    assert loaded.levels == TOY.levels
+    for level in TOY.levels:
+        np.testing.assert_array_equal(loaded.level_faces(level), TOY.level_faces(level))
+    for name in LEVEL_NAMES:
+        spread = float(np.ptp(TOY.tensors[name].astype(np.float64)))
+        assert np.abs(loaded.tensors[name] - TOY.tensors[name]).max() <= 0.51 / 255 * spread, name
+    assert loaded.level_errors is not None
+    np.testing.assert_array_equal(loaded.level_errors.mse, TOY.tensors["level.errors"])
+
+
+def test_a_mean_keeps_sixteen_bits_and_convolutions_all_of_theirs(toy_bytes: bytes) -> None:
+    loaded = load_avatar(toy_bytes)
+    mean, weight = "level.64.geometry.mean", "level.128.expression.weight"
+    assert np.abs(loaded.tensors[mean] - TOY.tensors[mean]).max() < 5e-6
+    texel = "level.64.geometry.texel"
+    np.testing.assert_array_equal(loaded.tensors[texel], TOY.tensors[texel])
+    np.testing.assert_array_equal(loaded.tensors[weight], TOY.tensors[weight])
+
+
+def test_the_table_of_errors_survives_the_trip_into_tensors() -> None:
+    errors = some_errors()
+    avatar = Avatar(TOY.manifest, {**TOY.tensors, **error_tensors(errors)})
+    found = avatar.level_errors
+    assert found is not None
+    assert found.latent_mse_per_unit2 == 4.0
+    assert found.at(64, 200.0) == errors.at(64, 200.0)
+
+
+def test_a_sheet_that_does_not_fit_its_mesh_is_refused(tmp_path: Path) -> None:
+    large = np.arange(64, dtype=np.int32)[:63].reshape(-1, 3)
+    tensors = dict(TOY.tensors)
+    for name in ("mean", "weight", "texel"):
+        tensors[f"level.64.geometry.{name}"] = np.repeat(
+            tensors[f"level.64.geometry.{name}"], 2, axis=0
+        )
+    tensors[faces_name(64)] = large
+    message = r"level\.64\.geometry\.mean has 2 rows; the 63 vertices of level\.64\.faces need 1"
+    with pytest.raises(AvatarFileError, match=message):
+        save_avatar(tmp_path / "bad.pica", Avatar(TOY.manifest, tensors))
+
+
+def test_vertices_stand_in_the_middle_of_their_texels_row_by_row() -> None:
+    found = sheet_uv(70, 64)
+    assert sheet_rows(70, 64) == 2
+    np.testing.assert_allclose(
+        found[[0, 63, 64]], [[0.5 / 64, 0.25], [63.5 / 64, 0.25], [0.5 / 64, 0.75]]
+    )
+
+
+def test_an_avatar_with_one_exit_alone_is_whole(tmp_path: Path) -> None:
+    lacking = {*exit_shapes(SPEC, 64, 1, 1), faces_name(64), *error_tensors(default_errors((256,)))}
+    tensors = {name: array for name, array in TOY.tensors.items() if name not in lacking}
+    save_avatar(tmp_path / "one.pica", Avatar(TOY.manifest, tensors))
+    assert load_avatar(tmp_path / "one.pica").levels == (128, 256)
+
+
+@pytest.mark.parametrize("name", LEVEL_NAMES)
+def test_half_a_level_or_half_a_table_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(AvatarFileError, match=rf"tensor {name} is missing"):
+        save_avatar(tmp_path / "half.pica", changed(name, None))
+
+
+def test_a_mesh_without_its_level_is_refused(tmp_path: Path) -> None:
+    alone = {**PLAIN.tensors, faces_name(64): PLAIN.tensors["mesh.faces"][:4]}
+    with pytest.raises(AvatarFileError, match=r"level\.64\.expression\.bias is missing"):
+        save_avatar(tmp_path / "alone.pica", Avatar(PLAIN.manifest, alone))
+
+
+def test_a_table_of_an_avatar_without_exits_has_one_row(tmp_path: Path) -> None:
+    one = {**PLAIN.tensors, **error_tensors(default_errors((256,)))}
+    save_avatar(tmp_path / "one.pica", Avatar(PLAIN.manifest, one))
+    three = {**PLAIN.tensors, **error_tensors(default_errors((64, 128, 256)))}
+    with pytest.raises(AvatarFileError, match=r"level\.errors has shape \[3, 2, 8\]; \[1, 2, 8\]"):
+        save_avatar(tmp_path / "three.pica", Avatar(PLAIN.manifest, three))
+
+
+@pytest.mark.parametrize(
+    ("name", "array", "message"),
+    [
+        ("level.32.geometry.mean", np.zeros((32, 32, 3), np.float32), "'level.32.*is unknown"),
+        ("level.64.surprise", np.zeros(3, np.float32), r"'level\.64\.surprise' is unknown"),
+        ("level.064.faces", np.zeros((9, 3), np.int32), r"'level\.064\.faces' is unknown"),
+        ("level.256.faces", np.zeros((9, 3), np.int32), r"'level\.256\.faces' is unknown"),
+        ("level.\u2466.faces", np.zeros((9, 3), np.int32), "is unknown"),
+        ("level.64.geometry.mean", np.zeros((1, 128, 3), np.float32), r"\[1, 64, 3\] is needed"),
+        ("level.64.geometry.mean", np.zeros((2, 64, 3), np.float32), r"\[2, 64, .* is needed"),
+        ("level.64.geometry.weight", np.zeros((1, 64, 48), np.float32), r"\[1, 64, 96\]"),
+        ("level.64.geometry.texel", np.full((1, 64, 2), 4096, np.int32), "allowed are 0 to 4095"),
+        ("level.64.geometry.texel", np.full((1, 64, 2), -1, np.int32), "texels -1 to -1"),
+        ("level.64.geometry.texel", np.zeros((1, 64, 2), np.float32), "float32; int32 is needed"),
+        ("level.128.expression.bias", np.zeros((4, 128), np.float32), r"\[4, 128, 128\]"),
+        ("level.64.faces", np.full((9, 3), 64, np.int32), r"level\.64\.faces names vertices 64"),
+        ("level.64.faces", np.full((9, 3), -1, np.int32), "allowed are 0 to 63"),
+        ("level.64.faces", np.zeros((9, 4), np.int32), r"shape \[9, 4\]; \[9, 3\]"),
+        ("level.64.faces", np.zeros((0, 3), np.int32), "0 rows; allowed are 1 to"),
+        ("level.64.faces", np.zeros((9, 3), np.float32), "float32; int32 is needed"),
+        ("level.64.faces", np.zeros((400_001, 3), np.int32), "400001 rows; allowed are 1 to"),
+        ("level.head_px", np.arange(8, dtype=np.float32), "level.head_px must be"),
+        ("level.head_px", np.full(8, 9, np.float32), "level.head_px must be"),
+        ("level.head_px", np.arange(1, 10, dtype=np.float32), r"errors has shape \[3, 2, 8\]"),
+        ("level.head_px", np.arange(1, 99, dtype=np.float32), "98 rows; allowed are 1 to 64"),
+        ("level.errors", np.full((3, 2, 8), -1, np.float32), "level.errors must be finite"),
+        ("level.errors", np.full((3, 3, 8), 1, np.float32), r"\[3, 2, 8\] is needed"),
+        ("level.errors", np.full((3, 2, 8), np.inf, np.float32), "not finite"),
+        ("level.sensitivity", np.full(2, -1, np.float32), "level.sensitivity must be"),
+        ("level.sensitivity", np.ones(3, np.float32), r"shape \[3\]; \[2\]"),
+        ("level.64.geometry.mean", np.full((1, 64, 3), np.nan, np.float32), "not finite"),
+        ("level.128.geometry.weight", np.full((1, 128, 48), 1e9, np.float32), "beyond 1e"),
+    ],
+)
+def test_a_level_tensor_that_does_not_fit_is_refused_by_name(
+    tmp_path: Path, name: str, array: Array, message: str
+) -> None:
+    with pytest.raises(AvatarFileError, match=message):
+        save_avatar(tmp_path / "bad.pica", changed(name, array))
+    assert not (tmp_path / "bad.pica").exists()
+
+
+def test_hostile_values_in_a_file_are_refused_on_reading(toy_bytes: bytes) -> None:
+    length = int.from_bytes(toy_bytes[:8], "little")
+    metadata = json.loads(toy_bytes[8 : 8 + length])["__metadata__"]
+    for name, value in (
+        ("level.64.expression.weight", np.nan),
+        ("level.head_px", -1.0),
+        ("level.errors", -1.0),
+        ("level.128.faces", 64),
+    ):
+        tensors = safetensors.numpy.load(toy_bytes)
+        array = tensors[name].copy()
+        array.reshape(-1)[0] = value
+        with pytest.raises(AvatarFileError, match=name.replace(".", r"\.")):
+            load_avatar(safetensors.numpy.save({**tensors, name: array}, metadata))
+
+
+@given(data=st.data())
+def test_any_mutation_of_the_levels_loads_or_raises_an_avatar_file_error(
+    toy_bytes: bytes, data: st.DataObject
+) -> None:
+    """Drop, rename, reshape, retype or overwrite one tensor; what loads must be usable."""
+    length = int.from_bytes(toy_bytes[:8], "little")
+    metadata = json.loads(toy_bytes[8 : 8 + length])["__metadata__"]
+    tensors = safetensors.numpy.load(toy_bytes)
+    name = data.draw(st.sampled_from(LEVEL_NAMES))
+    array = tensors.pop(name)
+    match data.draw(st.sampled_from(["drop", "rename", "reshape", "retype", "overwrite"])):
+        case "rename":
+            tensors[data.draw(st.sampled_from(LEVEL_NAMES))] = array
+        case "reshape":
+            tensors[name] = array.reshape(-1)[: data.draw(st.integers(1, array.size))]
+        case "retype":
+            kind = data.draw(st.sampled_from([np.float16, np.int32, np.uint16, np.uint8, np.int64]))
+            with np.errstate(invalid="ignore", over="ignore"):
+                tensors[name] = array.astype(kind)
+        case "overwrite":
+            tensors[name] = array.copy()
+            raw = tensors[name].reshape(-1).view(np.uint8)
+            place = data.draw(st.integers(0, raw.size - 1))
+            raw[place] = data.draw(st.integers(0, 255))
+    with contextlib.suppress(AvatarFileError):
+        avatar = load_avatar(safetensors.numpy.save(tensors, metadata))
+        for level in avatar.levels:
+            assert avatar.level_faces(level).max() < 64
+        errors = avatar.level_errors or default_errors(avatar.levels)
+        assert np.isfinite(errors.at(avatar.levels[0], 100.0))

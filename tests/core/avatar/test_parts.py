@@ -1,0 +1,86 @@
+"""The sender's encoder, the mesh, and the two avatar commands."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.toy import make_toy_avatar
+from pica_core.avatar.expression_encoder import ExpressionEncoder
+from pica_core.avatar.file import avatar_id, save_avatar
+from pica_core.cli.avatar import (
+    AvatarInfoOptions,
+    AvatarVerifyOptions,
+    avatar_info,
+    avatar_verify,
+)
+from pica_core.errors import AvatarFileError, ShapeError
+from pica_core.reference.mesh import order_faces, sample_vertices
+
+pytestmark = pytest.mark.unit
+
+TOY = make_toy_avatar(grid=24)
+
+
+def test_an_expression_becomes_a_latent_by_leaky_layers() -> None:
+    arkit = np.random.default_rng(0).uniform(0, 1, 52)
+    hidden = TOY.tensors["encoder.0.weight"] @ arkit
+    hidden = np.where(hidden > 0, hidden, 0.2 * hidden)
+    wanted = (TOY.tensors["encoder.1.weight"] @ hidden).reshape(8, 8, 4)
+    np.testing.assert_allclose(ExpressionEncoder(TOY).encode(arkit), wanted, atol=1e-5)
+
+
+def test_many_expressions_are_encoded_as_one_by_one() -> None:
+    encoder = ExpressionEncoder(TOY)
+    batch = np.random.default_rng(0).uniform(0, 1, (5, 52)).astype(np.float32)
+    together = encoder.encode(batch)
+    assert together.shape == (5, 8, 8, 4)
+    np.testing.assert_allclose(together[3], encoder.encode(batch[3]), atol=1e-6)
+
+
+def test_an_expression_of_another_length_is_refused() -> None:
+    with pytest.raises(ShapeError, match=r"arkit is \(51,\)"):
+        ExpressionEncoder(TOY).encode(np.zeros(51))
+
+
+def test_a_vertex_on_a_texel_centre_is_that_texel() -> None:
+    position_map = TOY.tensors["geometry.mean"]
+    uv = np.array([[(7 + 0.5) / 256, (200 + 0.5) / 256]])
+    np.testing.assert_allclose(
+        sample_vertices(position_map, uv)[0], position_map[200, 7], atol=1e-6
+    )
+
+
+def test_a_map_of_another_kind_is_refused() -> None:
+    with pytest.raises(ShapeError, match="position_map"):
+        sample_vertices(np.zeros((4, 4, 2)), np.zeros((1, 2)))
+
+
+def test_ordered_faces_are_the_same_triangles_with_neighbours_close_together() -> None:
+    uv, faces = TOY.tensors["mesh.vertex_uv"], TOY.tensors["mesh.faces"]
+    shuffled = np.random.default_rng(0).permutation(faces)
+    ordered = order_faces(shuffled, uv)
+    assert ordered.dtype == np.int32
+    assert set(map(tuple, ordered.tolist())) == set(map(tuple, faces.tolist()))
+    steps = [np.abs(np.diff(uv[f].mean(axis=1), axis=0)).sum(axis=1) for f in (shuffled, ordered)]
+    assert steps[1].mean() < 0.2 * steps[0].mean()
+
+
+def test_info_names_sizes_and_identity(tmp_path: Path) -> None:
+    save_avatar(tmp_path / "toy.pica", TOY)
+    found = avatar_info(AvatarInfoOptions(file=tmp_path / "toy.pica"))
+    assert found["name"] == "Toy"
+    assert found["pixel_decoder"] == 307
+    assert found["vertices"] == 24 * 24
+    assert found["sha256"] == avatar_id(tmp_path / "toy.pica")
+
+
+def test_verify_accepts_the_right_identity_and_refuses_another(tmp_path: Path) -> None:
+    save_avatar(tmp_path / "toy.pica", TOY)
+    identity = avatar_id(tmp_path / "toy.pica")
+    result = avatar_verify(AvatarVerifyOptions(file=tmp_path / "toy.pica", sha256=identity))
+    assert result["ok"]
+    with pytest.raises(AvatarFileError, match="was expected"):
+        avatar_verify(AvatarVerifyOptions(file=tmp_path / "toy.pica", sha256="0" * 64))

@@ -1,0 +1,281 @@
+"""`pica capture check` finds what was broken, names it, and survives everything."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from pica_core.camera import look_at
+from pica_core.capture.dataset.check import check_capture
+from pica_core.capture.dataset.check_geometry import silhouette_problem
+from pica_core.capture.dataset.dataset import Capture
+from pica_core.capture.stage.synth import StageOptions, render_capture
+from pica_core.cli.capture import CheckOptions, check
+from pica_core.errors import CaptureError
+
+pytestmark = pytest.mark.render
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("capture") / "S1"
+    options = StageOptions(
+        frames=5,
+        cameras=2,
+        width=64,
+        height=64,
+        texture_size=64,
+        seed=5,
+        bake_size=256,
+        self_shadow=False,
+        tracked_vertices=900,
+    )
+    render_capture(options, out)
+    return out
+
+
+@pytest.fixture
+def damaged(rendered: Path, tmp_path: Path) -> Path:
+    shutil.copytree(rendered, tmp_path / "copy")
+    return tmp_path / "copy"
+
+
+def first_of(root: Path, pattern: str) -> Path:
+    """The file of the first frame, which is the one whose pixels are looked at."""
+    segment, name = (root / "frame_list.txt").read_text().split()[:2]
+    return root / pattern.format(segment=segment, name=name)
+
+
+def test_a_fresh_capture_is_clean(rendered: Path) -> None:
+    result = check_capture(rendered, pixel_frames=0)
+    assert result["problems"] == []
+    assert result["ok"]
+    assert (result["frames"], result["cameras"], result["images"]) == (5, 2, 10)
+    assert result["decoded"] == 10
+    assert sum(result["split"].values()) == 5
+    assert min(result["split"].values()) >= 1
+    json.dumps(result)
+
+
+def cut(path: Path, size: int) -> None:
+    path.write_bytes(path.read_bytes()[:size])
+
+
+def set_nan(path: Path) -> None:
+    values = np.frombuffer(path.read_bytes(), "<f4").copy()
+    values[5] = np.nan
+    path.write_bytes(values.tobytes())
+
+
+def in_metres(path: Path) -> None:
+    path.write_bytes((np.frombuffer(path.read_bytes(), "<f4") / 1000).astype("<f4").tobytes())
+
+
+def swap_cameras(path: Path) -> None:
+    text = path.read_text()
+    path.write_text(text.replace("front", "?").replace("left", "front").replace("?", "left"))
+
+
+def scale_rotation(path: Path) -> None:
+    rows = [[float(word) for word in line.split()] for line in path.read_text().splitlines()]
+    path.write_text("\n".join(" ".join(str(2 * value) for value in row) for row in rows))
+
+
+def repaint(mode: str, value: int) -> Callable[[Path], None]:
+    def work(path: Path) -> None:
+        Image.new(mode, (64, 64), value).save(path)
+
+    return work
+
+
+def replace(old: str, new: str) -> Callable[[Path], None]:
+    def work(path: Path) -> None:
+        text = path.read_text()
+        assert old in text
+        path.write_text(text.replace(old, new, 1))
+
+    return work
+
+
+def deepen(path: Path) -> None:
+    units = np.asarray(Image.open(path)).astype(np.uint16)
+    Image.fromarray(np.where(units > 0, units + 500, 0).astype(np.uint16)).save(path)
+
+
+@pytest.mark.parametrize(
+    ("file", "damage", "what"),
+    [
+        ("images/{segment}/left/{name}.png", Path.unlink, "the file is missing"),
+        ("images/{segment}/left/{name}.png", lambda path: cut(path, 900), "it ends early"),
+        (
+            "images/{segment}/front/{name}.png",
+            lambda path: Image.new("RGB", (32, 64)).save(path),
+            "the image is 32x64, 64x64 is needed",
+        ),
+        ("images/{segment}/front/{name}.png", repaint("RGB", 0), "one colour"),
+        ("depth_truth/{segment}/left/{name}.png", repaint("L", 7), "a 16-bit image is needed"),
+        (
+            "depth_truth/{segment}/left/{name}.png",
+            deepen,
+            "lies before the depth|lies on the depth",
+        ),
+        ("depth/{segment}/left/{name}.png", Path.unlink, "the file is missing"),
+        ("mask/{segment}/front/{name}.png", Path.unlink, "the file is missing"),
+        ("mask/{segment}/front/{name}.png", repaint("L", 0), "beside the mask"),
+        ("mask/{segment}/front/{name}.png", repaint("L", 1), "overlap by"),
+        (
+            "tracked_mesh/{segment}/{name}.bin",
+            lambda path: cut(path, 100),
+            "100 bytes; .* vertices need",
+        ),
+        ("tracked_mesh/{segment}/{name}.bin", Path.unlink, "No such file"),
+        ("tracked_mesh/{segment}/{name}.bin", set_nan, "not all finite"),
+        ("tracked_mesh/{segment}/{name}.bin", in_metres, "are its units mm"),
+        ("truth_mesh/{segment}/{name}.bin", set_nan, "not all finite"),
+        ("tracked_mesh/{segment}/{name}_transform.txt", scale_rotation, "not a rotation"),
+        (
+            "tracked_mesh/{segment}/{name}_transform.txt",
+            lambda path: cut(path, 30),
+            "three lines of four",
+        ),
+        (
+            "unwrapped_uv_64/{segment}/average/{name}.png",
+            lambda path: cut(path, 60),
+            "ends early|incomplete",
+        ),
+        ("KRT", lambda path: cut(path, 200), "numbers are needed"),
+        ("KRT", swap_cameras, "beside the mask|overlap by"),
+        ("frame_list.txt", replace(" 000000", " 000099"), "has no row in"),
+        ("expressions.csv", replace("jawOpen", "jawAjar"), "column 'jawOpen' is missing"),
+        ("expressions.csv", lambda path: cut(path, 1500), "row cannot be read|has no row|split"),
+        ("capture.json", replace('\n "num_vertices"', '\n "number"'), "num_vertices is None"),
+        ("capture.json", lambda path: cut(path, 99), "not JSON"),
+        ("topology.npz", lambda path: cut(path, 5000), "archive"),
+        ("tracked_topology.npz", lambda path: cut(path, 5000), "archive"),
+        ("KRT", lambda path: (path.parent / "render.json").write_text("{}"), "not finished"),
+        ("KRT", lambda path: (path.parent / "x.bin.part").write_text(""), "half-written"),
+    ],
+)
+def test_damage_is_found_and_named(
+    damaged: Path, file: str, damage: Callable[[Path], object], what: str
+) -> None:
+    damage(first_of(damaged, file))
+
+    result = check_capture(damaged, pixel_frames=1)
+
+    assert not result["ok"]
+    assert any(re.search(what, problem["what"]) for problem in result["problems"]), result
+    assert all(problem["where"] for problem in result["problems"])
+
+
+def test_a_segment_in_both_splits_is_a_leak(damaged: Path) -> None:
+    path = damaged / "expressions.csv"
+    lines = path.read_text().splitlines()
+    segment = next(line.split(",")[0] for line in lines[1:] if ",test," in line)
+    name = next(line.split(",")[0] for line in lines[1:] if ",train," in line)
+    lines = [line.replace(f"{segment},", f"{name},").replace(",000000,", ",000007,")
+             if line.startswith(segment) else line for line in lines]  # fmt: skip
+    path.write_text("\n".join(lines) + "\n")
+    list_path = damaged / "frame_list.txt"
+    text = list_path.read_text().replace(f"{segment} 000000", f"{name} 000007")
+    list_path.write_text(text)
+    for folder in damaged.glob(f"*/{segment}"):
+        for file in folder.rglob("000000*"):
+            target = folder.parent / name / file.relative_to(folder).parent
+            target.mkdir(parents=True, exist_ok=True)
+            file.rename(target / file.name.replace("000000", "000007"))
+
+    problems = check_capture(damaged)["problems"]
+
+    assert {"where": name, "what": "the segment is in both splits"} in problems
+
+
+def test_an_expression_in_both_splits_is_a_leak(damaged: Path) -> None:
+    path = damaged / "expressions.csv"
+    lines = path.read_text().splitlines()
+    test = next(at for at, line in enumerate(lines) if ",test," in line)
+    train = next(line for line in lines if ",train," in line)
+    lines[test] = ",".join(lines[test].split(",")[:3] + train.split(",")[3:])
+    path.write_text("\n".join(lines) + "\n")
+
+    problems = check_capture(damaged)["problems"]
+
+    assert any("the same expression is for training in" in problem["what"] for problem in problems)
+
+
+def test_any_damage_at_all_ends_in_a_result(damaged: Path, rendered: Path) -> None:
+    random = np.random.default_rng(0)
+    files = sorted(path.relative_to(rendered) for path in rendered.rglob("*") if path.is_file())
+    describing = [name for name in files if len(name.parts) == 1]
+    for turn in range(40):
+        name = (describing if turn % 2 else files)[int(random.integers(1 << 20)) % (
+            len(describing) if turn % 2 else len(files))]  # fmt: skip
+        good = (rendered / name).read_bytes()
+        data = bytearray(good)
+        kind = turn % 4
+        if kind == 0:
+            del data[int(random.integers(len(data))) :]
+        else:
+            for at in random.integers(len(data), size=1 + 20 * kind):
+                data[at] = int(random.integers(256))
+        (damaged / name).write_bytes(data)
+
+        result = check_capture(damaged, pixel_frames=1)
+
+        assert isinstance(result["ok"], bool)
+        assert all(set(problem) == {"where", "what"} for problem in result["problems"])
+        (damaged / name).write_bytes(good)
+    assert check_capture(damaged, pixel_frames=1)["ok"]
+
+
+def test_a_frame_that_is_left_out_leaves_the_others_usable(damaged: Path) -> None:
+    first_of(damaged, "tracked_mesh/{segment}/{name}.bin").unlink()
+    assert len(Capture.open(damaged).frames) == 4
+    assert check_capture(damaged)["frames"] == 4
+
+
+def test_the_command_tells_people_and_programs(
+    damaged: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first_of(damaged, "images/{segment}/left/{name}.png").unlink()
+    result = check(CheckOptions(capture=damaged))
+    assert result["ok"] is False
+    said = capsys.readouterr().err
+    assert "the file is missing" in said
+    assert "not ok, 5 frames" in said
+    with pytest.raises(CaptureError, match="no such directory"):
+        check(CheckOptions(capture=damaged / "nowhere"))
+
+
+@pytest.mark.parametrize(("turned_away", "is_fine"), [(True, True), (False, False)])
+def test_only_what_faces_the_camera_has_to_lie_on_the_mask(
+    turned_away: bool, is_fine: bool
+) -> None:
+    camera = look_at(
+        name="front",
+        centre_m=np.array([0.0, 0.0, 1.0]),
+        target_m=np.zeros(3),
+        vertical_fov=0.5,
+        width=64,
+        height=64,
+    )
+    corner = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32)
+    vertices = np.concatenate([0.1 * corner, [0.15, 0, 0] + 0.02 * corner]).astype(np.float32)
+    square = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    beside = square[:, ::-1] if turned_away else square
+    faces = np.concatenate([square, beside + 4])
+    seen, _ = camera.project(0.1 * corner)
+    mask = np.zeros((64, 64), np.uint8)
+    (left, top), (right, bottom) = seen.min(0).astype(int), seen.max(0).astype(int)
+    mask[top:bottom, left:right] = 1
+
+    problem = silhouette_problem(camera, vertices, faces, mask)
+
+    assert (problem is None) == is_fine

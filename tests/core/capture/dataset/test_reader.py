@@ -1,0 +1,239 @@
+"""Captures of others, captures with holes, and captures larger than memory."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from helpers.published_capture import HEIGHT, PLACES_MM, SEGMENTS, TEXTURE, WIDTH, write_original
+from pica_core.capture.dataset.check import check_capture
+from pica_core.capture.dataset.dataset import Capture
+from pica_core.capture.dataset.published import for_looking
+from pica_core.capture.dataset.reader import CaptureReader, Request
+from pica_core.capture.dataset.sheet import write_sheet
+from pica_core.errors import CaptureError
+
+pytestmark = pytest.mark.unit
+
+
+@pytest.fixture
+def original(tmp_path: Path) -> Path:
+    return write_original(tmp_path / "m--0001")
+
+
+def test_a_published_directory_is_read_as_it_is(original: Path) -> None:
+    capture = Capture.open(original)
+
+    assert capture.is_original
+    assert not capture.has_depth
+    assert not capture.has_truth
+    assert not capture.has_masks
+    assert len(capture.frames) == 12
+    assert (capture.cameras[0].width, capture.cameras[0].height) == (WIDTH, HEIGHT)
+    frame = capture.frames[5]
+    assert capture.image(frame, "left")[0, 0].tolist() == [5, 1, 50]
+    texture = capture.average_texture(frame)
+    assert texture[0].min() == 200
+    assert texture[1:].max() == 0
+    np.testing.assert_allclose(capture.head_to_world(frame)[:, 3], [0.01, 0.02, 0.03])
+
+
+def test_a_published_mesh_has_a_vertex_for_each_side_of_a_seam(original: Path) -> None:
+    capture = Capture.open(original)
+    vertices = capture.vertices_m(capture.frames[0])
+    uv = capture.tracked_topology.vertex_uv
+
+    assert capture.tracked_topology is capture.topology
+    assert vertices.shape == (6, 3)
+    corners = vertices[capture.topology.faces]
+    np.testing.assert_allclose(corners[0], PLACES_MM[[0, 1, 2]] / 1000)
+    np.testing.assert_allclose(corners[1], PLACES_MM[[3, 2, 1]] / 1000)
+    np.testing.assert_allclose(uv[capture.topology.faces[1]], [[0.9, 0.9], [0.6, 0.9], [0.9, 0.6]])
+
+
+def test_whole_segments_of_a_published_directory_are_held_out(original: Path) -> None:
+    capture = Capture.open(original)
+    train, test = ({f.segment for f in capture.frames_of(split)} for split in ("train", "test"))
+    assert train
+    assert test
+    assert not train & test
+    chosen = Capture.open(original, test_segments=["SEN-01-call_me"])
+    assert {f.segment for f in chosen.frames_of("test")} == {"SEN-01-call_me"}
+    with pytest.raises(CaptureError, match="no segment 'SEN-99'"):
+        Capture.open(original, test_segments=["SEN-99"])
+
+
+def test_a_published_directory_says_what_it_has_not(original: Path) -> None:
+    capture = Capture.open(original)
+    with pytest.raises(CaptureError, match=r"no expressions\.csv"):
+        capture.arkit(capture.frames[0])
+    with pytest.raises(CaptureError, match="only synthetic captures"):
+        capture.true_vertices_m(capture.frames[0])
+    assert not capture.has_depth_of(capture.frames[0])
+
+
+def test_a_camera_may_miss_a_frame(original: Path) -> None:
+    (original / "images" / SEGMENTS[1] / "left" / "000002.png").unlink()
+    shutil.rmtree(original / "images" / SEGMENTS[2] / "right")
+    capture = Capture.open(original)
+    frames = {(f.segment, f.name): f for f in capture.frames}
+    assert capture.cameras_of(frames[SEGMENTS[0], "000000"]) == ("front", "left", "right")
+    assert capture.cameras_of(frames[SEGMENTS[1], "000002"]) == ("front", "right")
+    assert capture.cameras_of(frames[SEGMENTS[2], "000000"]) == ("front", "left")
+
+
+def test_bad_frames_are_left_out_and_told_of_once(
+    original: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    mesh = original / "tracked_mesh" / SEGMENTS[0]
+    (mesh / "000000.bin").unlink()
+    (mesh / "000001.bin").write_bytes(b"\0" * 40)
+    (mesh / "000002_transform.txt").unlink()
+
+    with caplog.at_level(logging.WARNING):
+        capture = Capture.open(original)
+
+    assert len(capture.frames) == 9
+    assert [frame.index for frame in capture.frames] == list(range(9))
+    assert len(capture.left_out) == 3
+    assert "3 of 12 frames are left out" in caplog.text
+    assert "40 bytes; 4 vertices need 48" in capture.left_out[1]
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "message"),
+    [
+        ("frame_list.txt", "one two three\n", r"frame_list.txt:1: .* is not SEGMENT FRAME"),
+        ("frame_list.txt", "../x 000000\n", r"frame_list.txt:1: .* is not SEGMENT FRAME"),
+        ("frame_list.txt", "", "frame_list.txt: no frames"),
+        ("KRT", "front\n1 2\n", r"KRT:2: camera front: 3 numbers are needed"),
+    ],
+)
+def test_a_bad_describing_file_is_named(original: Path, file: str, text: str, message: str) -> None:
+    (original / file).write_text(text)
+    with pytest.raises(CaptureError, match=message):
+        Capture.open(original)
+
+
+def test_lens_distortion_is_told_of(original: Path, caplog: pytest.LogCaptureFixture) -> None:
+    text = (original / "KRT").read_text().replace("0 0 0 0 0", "0.1 0 0 0 0", 1)
+    (original / "KRT").write_text(text)
+    with caplog.at_level(logging.WARNING):
+        Capture.open(original)
+    assert "camera front states lens distortion" in caplog.text
+
+
+def test_an_obj_that_points_nowhere_is_named(original: Path) -> None:
+    path = original / "tracked_mesh" / SEGMENTS[0] / "000000.obj"
+    path.write_text("v 0 0 0\nvt 0 0\nf 1/1 2/1 1/1\n")
+    with pytest.raises(CaptureError, match=r"000000\.obj:3: .*index 2 of 1"):
+        Capture.open(original)
+
+
+def test_a_picture_for_looking_at_is_not_green() -> None:
+    raw = np.full((8, 8, 3), (60, 120, 50), np.uint8)
+    raw[:4] //= 2
+    looked = for_looking(raw)
+    assert np.ptp(looked[0, 0].astype(int)) <= 2
+    assert looked[0, 0].mean() > raw[0, 0].mean()
+
+
+def test_a_published_directory_has_a_sheet_and_can_be_checked(
+    original: Path, tmp_path: Path
+) -> None:
+    (original / "images" / SEGMENTS[1] / "left" / "000002.png").unlink()
+    (original / "images" / SEGMENTS[0] / "front" / "000000.png").write_bytes(b"no image")
+
+    result = write_sheet(original, tmp_path / "sheet.png")
+    found = check_capture(original)
+
+    with Image.open(tmp_path / "sheet.png") as image:
+        assert image.width > 1000
+    assert result["frames"] == 12
+    assert found["images"] == 35  # a missing camera is no problem here
+    bad = [problem for problem in found["problems"] if "not a complete image" in problem["what"]]
+    assert [problem["where"] for problem in bad] == [f"images/{SEGMENTS[0]}/front/000000.png"]
+
+
+def requests_of(capture: Capture) -> list[Request]:
+    return [
+        Request("image", frame.index, camera)
+        for frame in capture.frames
+        for camera in capture.cameras_of(frame)
+    ]
+
+
+def test_an_epoch_larger_than_the_cache_stays_within_it(original: Path) -> None:
+    capture = Capture.open(original)
+    requests = requests_of(capture)
+    image_bytes = 3 * WIDTH * HEIGHT
+    limit = len(requests) * image_bytes // 10
+
+    with CaptureReader(capture, max_bytes=limit) as reader:
+        seen = [(request, array.copy()) for request, array in reader.stream(requests, ahead=8)]
+
+        assert [request for request, _ in seen] == requests
+        for request, array in seen:
+            expected = capture.image(capture.frames[request.frame], request.camera)
+            np.testing.assert_array_equal(array, expected)
+        assert reader.peak_bytes <= limit
+        assert reader.decoded <= len(requests) + 2
+
+
+def test_what_fits_is_decoded_once(original: Path) -> None:
+    capture = Capture.open(original)
+    requests = requests_of(capture)
+    with CaptureReader(capture, max_bytes=1 << 24) as reader:
+        for _ in range(3):
+            assert sum(1 for _ in reader.stream(requests)) == len(requests)
+        assert reader.decoded == len(requests)
+
+
+def test_what_is_asked_for_is_there_before_it_is_read(original: Path) -> None:
+    capture = Capture.open(original)
+    wanted = Request("vertices", 3), Request("texture", 3), Request("image", 3, "front")
+    with CaptureReader(capture) as reader:
+        reader.ask(wanted)
+        arrays = [reader.read(request) for request in wanted]
+        assert reader.decoded == 3
+    np.testing.assert_array_equal(arrays[0], capture.vertices_m(capture.frames[3]))
+    assert arrays[1].shape == (TEXTURE, TEXTURE, 3)
+
+
+def test_an_array_larger_than_the_cache_is_read_and_not_kept(original: Path) -> None:
+    capture = Capture.open(original)
+    with CaptureReader(capture, max_bytes=100) as reader:
+        assert sum(1 for _ in reader.stream(requests_of(capture))) == 36
+        assert reader.peak_bytes == 0
+
+
+def test_bad_images_of_a_stream_are_skipped_and_counted(
+    original: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = original / "images" / SEGMENTS[0] / "front"
+    (folder / "000001.png").write_bytes((folder / "000001.png").read_bytes()[:60])
+    Image.new("RGB", (WIDTH, WIDTH)).save(folder / "000002.png")
+    capture = Capture.open(original)
+    with CaptureReader(capture) as reader, caplog.at_level(logging.WARNING):
+        seen = [request for request, _ in reader.stream(requests_of(capture))]
+        assert len(seen) == 34
+        assert len(reader.bad) == 2
+        assert "2 so far" in caplog.text
+        with pytest.raises(CaptureError, match="24x24, 24x36 is needed"):
+            reader.read(Request("image", 2, "front"))
+        assert len(reader.bad) == 2
+
+
+def test_a_request_for_what_is_not_there_is_refused(original: Path) -> None:
+    with CaptureReader(Capture.open(original)) as reader:
+        with pytest.raises(CaptureError, match="no 'image' of frame 12"):
+            reader.read(Request("image", 12, "front"))
+        with pytest.raises(CaptureError, match="no 'smell' of frame 0"):
+            reader.ask([Request("smell", 0)])
+    with pytest.raises(CaptureError, match="max_bytes is 0"):
+        CaptureReader(Capture.open(original), max_bytes=0)

@@ -1,0 +1,306 @@
+"""A rig as a head of ours: one chart without overlaps, eyes that turn, regions, small errors."""
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from helpers.paths import SHARED_DATA
+from helpers.rig_toy import toy_rig, write_glb, write_obj_folder
+from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
+from pica_core.capture.procedural.heads import EYE_YAW
+from pica_core.capture.rig.chart import equalise, pack
+from pica_core.capture.rig.head import RigHead, make_rig, read_rig
+from pica_core.capture.rig.map_error import map_error_m
+from pica_core.capture.rig.subject import chart_error_mm
+from pica_core.capture.rig.uv_gutter import add_skirts
+from pica_core.capture.stage.expressions import blend
+from pica_core.errors import CaptureError, ShapeError
+
+pytestmark = pytest.mark.unit
+
+ICT = SHARED_DATA / "ict_facekit_light"
+needs_ict = pytest.mark.skipif(not ICT.is_dir(), reason="the ICT head is not there")
+
+
+@pytest.fixture(scope="module")
+def toy(tmp_path_factory: pytest.TempPathFactory) -> RigHead:
+    return make_rig(read_rig(write_glb(tmp_path_factory.mktemp("rig") / "toy.glb", toy_rig())))
+
+
+@pytest.fixture(scope="module")
+def ict() -> RigHead:
+    return make_rig(read_rig(ICT / "ict_head.glb"))
+
+
+def signed_areas(
+    uv: npt.NDArray[np.float32], faces: npt.NDArray[np.int32]
+) -> npt.NDArray[np.float64]:
+    a, b, c = (uv[faces[:, k]].astype(np.float64) for k in range(3))
+    first, second = b - a, c - a
+    result: npt.NDArray[np.float64] = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    return 0.5 * result
+
+
+def assert_no_overlap(head: RigHead, size: int = 256) -> None:
+    """No texel centre lies in two triangles of the mesh, but for those on rims; skirts may."""
+    chart = head.chart
+    hits = np.zeros((size, size), np.int32)
+    own = chart.faces[: len(head.mesh.faces)]
+    corners = chart.vertex_uv[own].astype(np.float64) * size - 0.5
+    for a, b, c in corners:
+        low = np.maximum(np.ceil(np.min([a, b, c], axis=0)), 0).astype(int)
+        high = np.floor(np.max([a, b, c], axis=0)).astype(int)
+        if (high < low).any():
+            continue
+        x, y = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
+        sides = [
+            (q[0] - p[0]) * (y - p[1]) - (q[1] - p[1]) * (x - p[0])
+            for p, q in ((a, b), (b, c), (c, a))
+        ]
+        inside = np.all(np.array(sides) > 1e-6, axis=0) | np.all(np.array(sides) < -1e-6, axis=0)
+        hits[y[inside], x[inside]] += 1
+    assert hits.max() == 1
+
+
+def test_the_chart_holds_every_triangle_once(toy: RigHead) -> None:
+    chart = toy.chart
+
+    assert chart.vertex_uv.min() >= 0
+    assert chart.vertex_uv.max() <= 1
+    assert chart.islands == 4  # skin, two eyes that share their place in the file, a tooth
+    own = len(toy.mesh.faces)
+    assert (chart.source[chart.faces[:own]] == toy.mesh.faces).all()
+    assert (chart.face_source[:own] == np.arange(own)).all()
+    assert_no_overlap(toy)
+
+
+def test_islands_reach_under_each_other_at_seams_that_are_seen(toy: RigHead) -> None:
+    chart, own = toy.chart, len(toy.mesh.faces)
+    skirts = chart.faces[own:]
+    copied = chart.face_source[own:]
+
+    assert 10 < len(skirts) <= 2 * 35  # the seam at the back of the toy's head, as far as seen
+    assert (toy.features.part[copied] == 0).all()
+    np.testing.assert_array_equal(chart.source[skirts], toy.mesh.faces[copied])
+    rest = toy.vertices(np.zeros(NUM_ARKIT))
+    a, b, c = (rest[skirts[:, k]] for k in range(3))
+    d, e, f = (rest[chart.faces[copied][:, k]] for k in range(3))
+    turned = (np.cross(b - a, c - a) * np.cross(e - d, f - d)).sum(1)
+    assert (turned > 0).all()  # they face where the triangles face that they copy
+
+
+def test_skirts_leave_no_gap_at_the_vertices_of_a_seam() -> None:
+    rows, columns = 6, 4
+    index = np.arange((rows + 1) * (columns + 1)).reshape(rows + 1, columns + 1)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    faces = np.stack([a, b, d, a, d, c], -1).reshape(-1, 3).astype(np.int32)
+    y, x = np.divmod(np.arange(index.size), columns + 1)
+    rest = np.stack([x, y, np.zeros_like(x)], 1).astype(np.float64)
+    # Cut in the middle: the right half gets its own vertices and lies elsewhere in the plane.
+    right = rest[faces].mean(1)[:, 0] > columns / 2
+    split = faces.copy()
+    split[right] += len(rest)
+    points = np.concatenate([rest[:, :2], rest[:, :2] + 10.0])
+
+    tips, skirts, far, copied = add_skirts(
+        points, split, rest, faces, np.ones(len(faces), np.bool_), 9.0
+    )
+
+    plane = np.concatenate([points, tips])
+    areas = signed_areas(plane.astype(np.float32), skirts)
+    assert (areas > 0).all()
+    # A strip of one column on either side, but for a triangle at one of its ends.
+    assert areas.sum() == pytest.approx(2 * (rows - 0.5))
+    source = np.concatenate([np.tile(np.arange(len(rest)), 2), far])
+    np.testing.assert_array_equal(source[skirts], faces[copied])
+
+
+def test_a_flow_gives_triangles_the_area_they_need_and_folds_none() -> None:
+    x, y = np.meshgrid(np.linspace(0, 1, 21), np.linspace(0, 1, 21))
+    uv = np.stack([x.ravel(), y.ravel()], 1)
+    index = np.arange(441).reshape(21, 21)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    faces = np.stack([a, b, d, a, d, c], -1).reshape(-1, 3).astype(np.int32)
+    centre = uv[faces].mean(1)
+    important = np.linalg.norm(centre - 0.5, axis=1) < 0.2
+    need = np.where(important, 8.0, 1.0)
+
+    moved = equalise(uv, faces, need)
+
+    before = signed_areas(uv.astype(np.float32), faces)
+    after = signed_areas(moved.astype(np.float32), faces)
+    assert (after > 0).all()
+    assert before[important].sum() / before.sum() == pytest.approx(0.125, abs=0.02)
+    wanted = need[important].sum() / need.sum()
+    assert after[important].sum() / after.sum() == pytest.approx(wanted, abs=0.06)
+
+
+def test_a_map_holds_exactly_what_lies_on_its_texel_centres() -> None:
+    random = np.random.default_rng(1)
+    texels = random.permutation(64)[:40]
+    uv = (np.stack([texels % 8, texels // 8], 1) + 0.5) / 8
+    meshes = random.normal(size=(2, 40, 3)).astype(np.float32)
+
+    assert map_error_m(uv.astype(np.float32), meshes, 8).max() < 1e-6
+    crowded = np.full((3, 2), 0.5, np.float32)
+    error = map_error_m(crowded, np.array([[[0, 0, 0], [0, 0, 0], [3, 0, 0]]], np.float32), 8)
+    np.testing.assert_allclose(error, [[1, 1, 2]], atol=1e-6)
+
+
+def test_eyeballs_that_the_shapes_leave_alone_are_turned_about_their_centres(toy: RigHead) -> None:
+    eye = toy.mesh.eyes[0]
+    mine = np.flatnonzero(np.isin(toy.chart.source, eye.vertices))
+    front = mine[toy.vertices(np.zeros(NUM_ARKIT))[mine, 2].argmax()]
+
+    looking = toy.vertices(blend(eyeLookOutLeft=1.0, eyeLookInRight=1.0))
+    rest = toy.vertices(np.zeros(NUM_ARKIT))
+
+    assert toy.eyes_turned_here == 2
+    before, after = rest[front] - eye.centre_m, looking[front] - eye.centre_m
+    assert np.linalg.norm(after) == pytest.approx(np.linalg.norm(before), rel=1e-4)
+    turned = np.arctan2(after[0], after[2]) - np.arctan2(before[0], before[2])
+    assert turned == pytest.approx(EYE_YAW, abs=1e-3)  # to the subject's left
+    other = np.setdiff1d(
+        np.arange(toy.num_vertices), np.flatnonzero(toy.topology.regions["eyeballs"])
+    )
+    np.testing.assert_array_equal(looking[other], rest[other])
+
+
+def test_split_shapes_add_up_and_values_are_checked(toy: RigHead) -> None:
+    k = ARKIT_INDEX["browInnerUp"]
+    sides = toy.mesh.motion_m[k][np.abs(toy.mesh.rest_m[:, 0]) > 0.012]
+    x = toy.mesh.rest_m[np.abs(toy.mesh.rest_m[:, 0]) > 0.012, 0]
+    assert sides[x > 0, 1].max() == pytest.approx(sides[x < 0, 1].max(), rel=1e-5)
+    with pytest.raises(ShapeError, match="52"):
+        toy.vertices(np.zeros(51))
+
+
+def test_normals_point_outwards_and_agree_across_seams(toy: RigHead) -> None:
+    rest = toy.vertices(np.zeros(NUM_ARKIT))
+    normals = toy.normals(rest)
+
+    skin = ~toy.topology.regions["eyeballs"] & ~toy.topology.regions["teeth"]
+    outwards = (normals * (rest - rest[skin].mean(0))).sum(1)
+    assert (outwards[skin] > 0).mean() > 0.99
+    assert np.unique(toy.chart.source).size < toy.num_vertices  # there is a seam
+    by_source = np.zeros((len(toy.mesh.rest_m), 3), np.float32)
+    by_source[toy.chart.source] = normals
+    np.testing.assert_array_equal(by_source[toy.chart.source], normals)
+
+
+def test_regions_lie_where_their_names_say(toy: RigHead) -> None:
+    regions, mesh = toy.features.regions, toy.mesh
+    eyes = np.array([eye.centre_m for eye in mesh.eyes])
+
+    assert regions["lids"].sum() > 5
+    distance = np.linalg.norm(mesh.rest_m[regions["lids"]][:, None] - eyes[None], axis=2).min(1)
+    assert distance.max() < 0.03
+    assert regions["teeth"].sum() > 20
+    assert toy.features.mouth is not None
+    assert np.mean(toy.features.mouth.y) == pytest.approx(-0.045 - 0.008, abs=0.006)
+    assert regions["lips"].any()
+    assert not regions["ears"].any()  # the toy has none
+    assert (mesh.rest_m[regions["left"], 0] > 0).all()
+
+
+def test_a_rig_without_texture_coordinates_gets_some(tmp_path: Path) -> None:
+    folder = write_obj_folder(tmp_path / "bare", toy_rig(), uv=False)
+
+    head = make_rig(read_rig(folder))
+
+    assert head.mended == len(head.mesh.faces)
+    assert_no_overlap(head)
+
+
+def test_islands_that_hold_no_place_get_new_coordinates(tmp_path: Path) -> None:
+    rig = toy_rig()
+    eye = np.unique(rig.quads["eye_left"])
+    rig.uv[eye] = [1.5, 0.5]  # all of it on one point
+    skin = np.unique(rig.quads["skin"])
+    rig.uv[skin, 0] = 0.02 + np.abs(rig.uv[skin, 0] - 0.5)  # one half on the other
+
+    head = make_rig(read_rig(write_glb(tmp_path / "folded.glb", rig)))
+
+    assert head.mended == 2 * (len(rig.quads["eye_left"]) + len(rig.quads["skin"]))
+    assert_no_overlap(head)
+
+
+def test_without_needs_islands_keep_the_areas_that_their_file_gives_them(toy: RigHead) -> None:
+    mesh = toy.mesh
+    assert mesh.uv is not None
+    assert mesh.uv_faces is not None
+
+    chart = pack(mesh.uv, mesh.uv_faces, mesh.faces, None)
+
+    before = np.abs(signed_areas(mesh.uv.astype(np.float32), mesh.uv_faces))
+    after = np.abs(signed_areas(chart.vertex_uv, chart.faces))
+    np.testing.assert_allclose(after / after.sum(), before / before.sum(), rtol=0.02)
+
+
+def test_islands_that_are_folded_are_packed_without_a_flow() -> None:
+    uv = np.array([[0, 0], [1, 0], [1, 1], [0.2, 0.9], [0.9, 0.2]], np.float64)
+    faces = np.array([[0, 1, 2], [0, 2, 3], [0, 2, 4]], np.int32)
+    chart = pack(uv, faces, faces, np.full(3, 1 / 3))
+    assert np.isfinite(chart.vertex_uv).all()
+
+
+def test_what_is_no_rig_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(CaptureError, match="the file is missing"):
+        read_rig(tmp_path / "nothing.glb")
+    (tmp_path / "face.fbx").write_bytes(b"x")
+    with pytest.raises(CaptureError, match=r"a \.glb file or a folder of OBJ files"):
+        read_rig(tmp_path / "face.fbx")
+
+
+@needs_ict
+def test_the_ict_head_is_mapped_placed_and_packed(ict: RigHead) -> None:
+    assert len(ict.names.mapped) == 53
+    assert len(ict.names.drivers) == 51
+    assert ict.names.missing == ("tongueOut",)
+    assert set(ict.names.ignored) == {
+        "PupilDilate_L", "PupilDilate_R", "cheekRaiser_L", "cheekRaiser_R",
+    }  # fmt: skip
+    assert ict.mesh.frame.unit == "m"
+    assert len(ict.mesh.eyes) == ict.eyes_turned_here == 2
+    assert ict.corrective_close
+    assert "M_IrisLeft" in ict.mesh.dropped  # hidden inside the outer ball
+    for name, least in (("lips", 400), ("lids", 300), ("teeth", 4000), ("tongue", 400)):
+        assert ict.topology.regions[name].sum() >= least, name
+    error = chart_error_mm(ict, poses=3)
+    assert error["all"]["mean"] < 0.05
+    assert error["all"]["p99"] < 0.5
+    assert error["face"]["p99"] < 0.4
+    assert error["lips"]["p99"] < 0.05
+    assert error["lids"]["p99"] < 0.1
+
+
+@needs_ict
+def test_neck_scalp_and_ears_of_the_ict_head_lie_where_they_should(ict: RigHead) -> None:
+    regions, rest = ict.features.regions, ict.mesh.rest_m
+    eye_y = float(np.mean([eye.centre_m[1] for eye in ict.mesh.eyes]))
+
+    for side in (1.0, -1.0):  # an ear is about 64 mm high (Farkas 1994) and lies behind the face
+        ear = rest[regions["ears"] & (side * rest[:, 0] > 0)]
+        assert 500 < len(ear) < 700
+        assert 0.055 < np.ptp(ear[:, 1]) < 0.075
+        assert 0.025 < np.ptp(ear[:, 2]) < 0.050
+        assert ear[:, 2].max() < 0.02
+    assert rest[regions["neck"], 1].max() < eye_y - 0.05
+    assert not (regions["neck"] & (rest[:, 2] > 0.09)).any()  # the chin is none of it
+    assert rest[regions["scalp"], 1].max() == rest[:, 1].max()
+    for one, other in (("neck", "scalp"), ("neck", "ears"), ("neck", "lips"), ("scalp", "lids")):
+        assert not (regions[one] & regions[other]).any(), (one, other)
+
+
+@needs_ict
+def test_a_mouth_of_the_ict_head_closes_no_further_than_it_is_open(ict: RigHead) -> None:
+    rest = ict.vertices(np.zeros(NUM_ARKIT))
+    alone = ict.vertices(blend(mouthClose=1.0))
+    np.testing.assert_array_equal(alone, rest)
+
+    lips = ict.topology.regions["lips"]
+    opened = np.linalg.norm((ict.vertices(blend(jawOpen=0.6)) - rest)[lips], axis=1)
+    closed = np.linalg.norm((ict.vertices(blend(jawOpen=0.6, mouthClose=0.6)) - rest)[lips], axis=1)
+    assert closed.max() < 0.5 * opened.max()

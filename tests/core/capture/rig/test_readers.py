@@ -1,0 +1,331 @@
+"""Rigs as files: what is read, what it is called, and what is refused in which words."""
+
+import copy
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.rig_toy import glb_bytes, glb_parts, toy_rig, write_glb, write_obj_folder
+from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
+from pica_core.capture.rig.gltf import read_glb
+from pica_core.capture.rig.mesh import build_mesh
+from pica_core.capture.rig.names import map_names, match_name, read_names
+from pica_core.capture.rig.obj import read_obj_folder
+from pica_core.errors import CaptureError
+
+pytestmark = pytest.mark.unit
+
+RIG = toy_rig()
+
+
+@pytest.fixture(scope="module")
+def glb(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_glb(tmp_path_factory.mktemp("glb") / "toy.glb", RIG)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_obj_folder(tmp_path_factory.mktemp("obj"), RIG, scale=100.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "meaning"),
+    [
+        ("eyeBlink_L", "eyeBlinkLeft"),
+        ("Eye_Blink_Left", "eyeBlinkLeft"),
+        ("head.eyeBlinkLeft", "eyeBlinkLeft"),
+        ("EYEBLINKRIGHT", "eyeBlinkRight"),
+        ("A14_Eye_Blink_Left", "eyeBlinkLeft"),
+        ("L_mouthSmile", "mouthSmileLeft"),
+        ("mouth-roll-lower", "mouthRollLower"),
+        ("jaw_left", "jawLeft"),
+        ("mouthLeft", "mouthLeft"),
+        ("cheekPuff_R", "cheekPuff"),
+        ("tongueOut", "tongueOut"),
+    ],
+)
+def test_names_are_understood_in_the_ways_that_people_write_them(name: str, meaning: str) -> None:
+    assert match_name(name) == ((meaning, ""),)
+
+
+@pytest.mark.parametrize("name", ["viseme_aa", "PupilDilate_L", "L", "", "jaw_L", "eyesClosed"])
+def test_names_that_mean_nothing_to_us_mean_nothing(name: str) -> None:
+    assert match_name(name) == ()
+
+
+def test_every_arkit_name_means_itself_in_three_spellings() -> None:
+    for name in ARKIT_NAMES:
+        for spelling in (name, name.replace("Left", "_L").replace("Right", "_R"), name.upper()):
+            if name in ("jawLeft", "jawRight", "mouthLeft", "mouthRight") and "_" in spelling:
+                continue
+            assert match_name(spelling) == ((name, ""),)
+
+
+def test_halves_join_one_shape_serves_both_sides_and_doubles_are_ignored() -> None:
+    names = map_names(
+        ["browInnerUp_L", "browInnerUp_R", "mouthSmile", "eyeBlinkLeft", "eyeBlink_L", "odd"]
+    )
+
+    assert [d.source for d in names.drivers["browInnerUp"]] == ["browInnerUp_L", "browInnerUp_R"]
+    assert names.drivers["mouthSmileLeft"][0].half == "Left"
+    assert names.drivers["mouthSmileRight"][0].half == "Right"
+    assert [d.source for d in names.drivers["eyeBlinkLeft"]] == ["eyeBlinkLeft"]
+    assert names.ignored == ("eyeBlink_L", "odd")
+    assert len(names.missing) == 52 - 4
+
+
+def test_a_table_goes_before_the_rules(tmp_path: Path) -> None:
+    path = tmp_path / "names.json"
+    path.write_text(json.dumps({"viseme_aa": "jawOpen", "jawOpen": None}))
+
+    names = map_names(["jawOpen", "viseme_aa"], read_names(path))
+
+    assert names.mapped == ("viseme_aa",)
+    assert names.ignored == ("jawOpen",)
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ('{"jawOpen": "jawAjar"}', "jawAjar"),
+        ("[1]", "an object"),
+        ("{", "not a JSON file"),
+    ],
+)
+def test_a_bad_table_is_refused(tmp_path: Path, table: str, words: str) -> None:
+    path = tmp_path / "names.json"
+    path.write_text(table)
+    with pytest.raises(CaptureError, match=words):
+        read_names(path)
+
+
+def test_a_table_of_shapes_that_are_not_there_is_refused() -> None:
+    with pytest.raises(CaptureError, match="'nobody' is no shape"):
+        map_names(["jawOpen"], {"nobody": "jawOpen"})
+    with pytest.raises(CaptureError, match="none of 1 shapes"):
+        map_names(["viseme_aa"])
+
+
+def test_both_forms_of_a_rig_become_the_same_mesh(glb: Path, folder: Path) -> None:
+    meshes = []
+    for source in (read_glb(glb), read_obj_folder(folder)):
+        meshes.append(build_mesh(source, map_names(list(source.shapes))))
+    one, other = meshes
+
+    assert (one.frame.unit, other.frame.unit) == ("m", "cm")
+    for mesh in meshes:
+        assert mesh.frame.describe() == "x y z"
+        assert [round(eye.radius_m, 4) for eye in mesh.eyes] == [0.012, 0.012]
+        assert [eye.side for eye in mesh.eyes] == [1.0, -1.0]
+        assert not any(eye.turned for eye in mesh.eyes)
+        np.testing.assert_allclose(
+            np.mean([eye.centre_m for eye in mesh.eyes], axis=0), [0, 0.022, 0.074], atol=1e-6
+        )
+    # The writer of OBJ keeps the seam's vertices apart in position and uv alike.
+    assert len(one.faces) == len(other.faces)
+    for name in ("jawOpen", "eyeBlinkLeft", "browInnerUp"):
+        k = ARKIT_INDEX[name]
+        largest = [np.linalg.norm(mesh.motion_m[k], axis=1).max() for mesh in meshes]
+        assert largest[0] == pytest.approx(largest[1], abs=2e-6)
+        assert largest[0] > 0.004
+
+
+def test_units_and_axes_are_found(tmp_path: Path) -> None:
+    turned = toy_rig()
+    turn = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]])  # file x is our z, y our x, z our y
+    turned.positions = turned.positions @ turn.T
+    turned.shapes = {name: delta @ turn.T for name, delta in turned.shapes.items()}
+    folder = write_obj_folder(tmp_path / "mm", turned, scale=1000.0)
+
+    source = read_obj_folder(folder)
+    mesh = build_mesh(source, map_names(list(source.shapes)))
+
+    assert mesh.frame.unit == "mm"
+    assert mesh.frame.describe() == "y z x"
+    assert mesh.motion_m[ARKIT_INDEX["jawOpen"], :, 1].min() == pytest.approx(-0.02, abs=1e-5)
+    assert mesh.rest_m[:, 1].max() - mesh.rest_m[:, 1].min() == pytest.approx(0.239, abs=0.002)
+
+
+def test_a_size_that_is_no_head_is_refused(tmp_path: Path) -> None:
+    source = read_obj_folder(write_obj_folder(tmp_path / "huge", RIG, scale=1e5))
+    with pytest.raises(CaptureError, match="no head"):
+        build_mesh(source, map_names(list(source.shapes)))
+
+
+def test_a_material_of_transparent_layers_is_left_out(tmp_path: Path) -> None:
+    rig = toy_rig()
+    rig.quads["EyeLashes"] = rig.quads.pop("Teeth")
+    source = read_obj_folder(write_obj_folder(tmp_path / "lashes", rig))
+
+    mesh = build_mesh(source, map_names(list(source.shapes)))
+
+    assert mesh.dropped == ("EyeLashes",)
+    assert len(mesh.faces) < len(source.faces)
+
+
+def _damage_obj(folder: Path, target: Path, change: dict[str, tuple[str, str]]) -> Path:
+    target.mkdir()
+    for path in folder.iterdir():
+        text = path.read_text()
+        if path.name in change:
+            before, after = change[path.name]
+            assert before in text
+            text = text.replace(before, after, 1)
+        (target / path.name).write_text(text)
+    return target
+
+
+@pytest.mark.parametrize(
+    ("name", "before", "after", "words"),
+    [
+        ("jawOpen.obj", "v ", "vx ", r"jawOpen\.obj: \d+ vertices; neutral\.obj"),
+        ("jawOpen.obj", "f 1/1 ", "f 9/9 ", r"jawOpen\.obj: its faces differ"),
+        ("jawOpen.obj", "v ", "v nan 0 0 #", r"jawOpen\.obj: vertex 1 is not finite"),
+        ("neutral.obj", "v ", "v inf 0 0 #", r"vertex 0 of the neutral face is not finite"),
+        ("neutral.obj", "v ", "v a b c #", r"neutral\.obj: vertex 1 is 'a b c"),
+        ("neutral.obj", "f 1/1 ", "f 99999/1 ", r"neutral\.obj:\d+: face corner '99999/1'"),
+        ("neutral.obj", "f 1/1 ", "f 1/99999 ", r"texture coordinates"),
+        ("neutral.obj", "vt ", "vt 1e9 0 #", r"tiles up to 100"),
+    ],
+)
+def test_damaged_obj_files_are_refused_by_name(
+    folder: Path, tmp_path: Path, name: str, before: str, after: str, words: str
+) -> None:
+    damaged = _damage_obj(folder, tmp_path / "damaged", {name: (before, after)})
+    with pytest.raises(CaptureError, match=words):
+        read_obj_folder(damaged)
+
+
+def test_a_folder_without_shapes_or_neutral_face_is_refused(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(CaptureError, match="no OBJ files"):
+        read_obj_folder(tmp_path)
+    (tmp_path / "neutral.obj").write_bytes((folder / "neutral.obj").read_bytes())
+    with pytest.raises(CaptureError, match="no blendshapes"):
+        read_obj_folder(tmp_path)
+    (tmp_path / "neutral.obj").rename(tmp_path / "face.obj")
+    with pytest.raises(CaptureError, match="which of 1 OBJ files is the neutral face"):
+        read_obj_folder(tmp_path)
+
+
+def test_a_truncated_glb_is_refused_wherever_it_ends(glb: Path, tmp_path: Path) -> None:
+    data = glb.read_bytes()
+    path = tmp_path / "short.glb"
+    for keep in (0, 11, 19, 21, 400, len(data) // 2, len(data) - 1):
+        path.write_bytes(data[:keep])
+        with pytest.raises(CaptureError, match=r"short\.glb"):
+            read_glb(path)
+    path.write_bytes(b"glTF" + data[4:8] + b"\xff\xff\xff\x7f" + data[12:])
+    with pytest.raises(CaptureError, match="its header says 2147483647"):
+        read_glb(path)
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "words"),
+    [
+        (("meshes", 0, "extras"), {}, "no such list of names"),
+        (("accessors", 0, "count"), 10**9, "1 to"),
+        (("accessors", 0, "count"), -1, "'count' is -1"),
+        (("accessors", 0, "type"), "VEC9", "VEC9"),
+        (("accessors", 0, "byteOffset"), 10**12, "do not fit into bufferViews"),
+        (("bufferViews", 0, "byteLength"), 10**12, "ends at byte"),
+        (("bufferViews", 0, "byteStride"), 1, "do not fit"),
+        (("buffers", 0, "uri"), "other.bin", "embed it"),
+        (("meshes", 0, "primitives", 0, "indices"), 99, "accessors 99 does not exist"),
+        (("meshes", 0, "primitives", 0, "attributes"), {}, "POSITION"),
+        (("meshes", 0, "primitives", 0, "material"), 77, "materials 77"),
+        (("nodes", 0, "rotation"), [0, 0], "transform cannot be read"),
+        (("nodes", 0, "children"), [0], "nested deeper"),
+        (("extensionsRequired",), ["KHR_draco_mesh_compression"], "without compression"),
+        (("accessors",), "none", "does not exist"),
+    ],
+)
+def test_a_hostile_glb_is_refused(
+    tmp_path: Path, place: tuple[str | int, ...], value: object, words: str
+) -> None:
+    document, binary = glb_parts(RIG)
+    document = copy.deepcopy(document)
+    at: object = document
+    for key in place[:-1]:
+        at = at[key]  # type: ignore[index]
+    at[place[-1]] = value  # type: ignore[index]
+    path = tmp_path / "hostile.glb"
+    path.write_bytes(glb_bytes(document, binary))
+
+    with pytest.raises(CaptureError, match=words):
+        read_glb(path)
+
+
+def test_a_glb_of_numbers_that_cannot_be_is_refused(tmp_path: Path) -> None:
+    rig = toy_rig()
+    rig.shapes["jawOpen"][3, 1] = np.nan
+    with pytest.raises(CaptureError, match="vertex 3 of shape 'jawOpen' is not finite"):
+        read_glb(write_glb(tmp_path / "nan.glb", rig))
+    rig = toy_rig()
+    rig.quads["skin"][0, 0] = 60_000
+    with pytest.raises(CaptureError, match="indices up to 60000"):
+        read_glb(write_glb(tmp_path / "range.glb", rig))
+    rig = toy_rig()
+    rig.shapes.clear()
+    with pytest.raises(CaptureError, match="no blendshapes"):
+        read_glb(write_glb(tmp_path / "still.glb", rig))
+
+
+def test_a_document_with_wrong_entries_is_read_or_refused_and_nothing_else(tmp_path: Path) -> None:
+    document, binary = glb_parts(RIG, image=b"no image")
+    random = np.random.default_rng(4)
+    values = (None, -1, 1, 1.5, 10**18, True, "x", [], {}, [1], [[1]], {"a": 1}, 1e300, [None])
+
+    def places(node: object, at: tuple[str | int, ...] = ()) -> list[tuple[str | int, ...]]:
+        below = (
+            node.items()
+            if isinstance(node, dict)
+            else enumerate(node)
+            if isinstance(node, list)
+            else ()
+        )
+        return [at] * bool(at) + [p for key, child in below for p in places(child, (*at, key))]
+
+    every = places(document)
+    path = tmp_path / "wrong.glb"
+    refused = 0
+    for _ in range(150):
+        changed = copy.deepcopy(document)
+        place = every[int(random.integers(len(every)))]
+        at: object = changed
+        for key in place[:-1]:
+            at = at[key]  # type: ignore[index]
+        at[place[-1]] = values[int(random.integers(len(values)))]  # type: ignore[index]
+        path.write_bytes(glb_bytes(changed, binary))
+        try:
+            read_glb(path)
+        except CaptureError:
+            refused += 1
+    assert refused > 50
+
+
+def test_sparse_targets_are_read(tmp_path: Path) -> None:
+    document, binary = glb_parts(RIG)
+    target = document["meshes"][0]["primitives"][0]["targets"][0]["POSITION"]
+    at = len(binary)
+    binary += np.array([5, 7], "<u2").tobytes() + np.array([[0, 0, 1], [0, 0, 2]], "<f4").tobytes()
+    document["bufferViews"] += [
+        {"buffer": 0, "byteOffset": at, "byteLength": 4},
+        {"buffer": 0, "byteOffset": at + 4, "byteLength": 24},
+    ]
+    views = len(document["bufferViews"])
+    accessor = document["accessors"][target]
+    del accessor["bufferView"]
+    accessor["sparse"] = {
+        "count": 2,
+        "indices": {"bufferView": views - 2, "componentType": 5123},
+        "values": {"bufferView": views - 1},
+    }
+    path = tmp_path / "sparse.glb"
+    path.write_bytes(glb_bytes(document, binary))
+
+    delta = read_glb(path).shapes["jawOpen"]
+
+    np.testing.assert_allclose(delta[[5, 7]], [[0, 1, 0], [0, 2, 0]], atol=1e-6)
+    assert np.count_nonzero(np.abs(delta).max(1) > 1e-6) == 2

@@ -1,0 +1,293 @@
+"""The stage, the files it writes, and the reader of those files."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from pica_command.main import main
+from pica_core.capture.dataset.dataset import Capture
+from pica_core.capture.dataset.multiface import krt_text, read_krt
+from pica_core.capture.dataset.sheet import write_sheet
+from pica_core.capture.dataset.writer import BackgroundWriter
+from pica_core.capture.procedural.coordinates import MATERIALS
+from pica_core.capture.procedural.gpu import DEPTH_TOLERANCE_M, StageRenderer
+from pica_core.capture.procedural.heads import make_head
+from pica_core.capture.stage.dome import EVALUATION_VIEWS, dome_cameras
+from pica_core.capture.stage.expressions import blend
+from pica_core.capture.stage.synth import StageOptions, render_capture
+from pica_core.errors import CaptureError
+
+pytestmark = pytest.mark.render
+
+OPTIONS = StageOptions(
+    head="S1",
+    frames=4,
+    cameras=2,
+    width=64,
+    height=64,
+    texture_size=64,
+    seed=5,
+    bake_size=256,
+    self_shadow=False,
+    depth_every=2,
+    tracked_vertices=900,
+)
+
+
+@pytest.fixture(scope="module")
+def renderer() -> StageRenderer:
+    return StageRenderer(make_head("S1"), bake_size=256, occlusion=False)
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("capture") / "S1"
+    render_capture(OPTIONS, out)
+    return out
+
+
+@pytest.fixture
+def damaged(rendered: Path, tmp_path: Path) -> Path:
+    """A copy of the capture to damage."""
+    copy = tmp_path / "copy"
+    for source in rendered.rglob("*"):
+        target = copy / source.relative_to(rendered)
+        if source.is_dir():
+            target.mkdir(parents=True, exist_ok=True)
+        else:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(source.read_bytes())
+    return copy
+
+
+def files_of(root: Path) -> dict[str, bytes]:
+    return {
+        str(p.relative_to(root)): p.read_bytes() for p in sorted(root.rglob("*")) if p.is_file()
+    }
+
+
+def test_projected_vertices_meet_the_rendered_depth(renderer: StageRenderer) -> None:
+    camera = dome_cameras(1, 256, 256)[0]
+    vertices = renderer.pose(blend(jawOpen=0.3))
+    depth, mask = renderer.draw_geometry(camera)
+    pixels, distance = camera.project(vertices)
+    normals = renderer.head.normals(vertices)
+    towards = camera.centre_m - vertices
+    facing = (normals * towards).sum(1) / np.linalg.norm(towards, axis=1)
+    column, row = np.floor(pixels).astype(int).T
+    head = renderer.head
+    shown = head.regions["face"] | head.regions["hair"] | head.regions["neck"]
+    inside = shown & (facing > 0.7) & (row >= 0) & (row < 256) & (column >= 0) & (column < 256)
+    seen = inside.copy()
+    seen[inside] = mask[row[inside], column[inside]] > 0
+    assert seen[inside].mean() > 0.995
+    off = distance[seen] - depth[row[seen], column[seen]]
+    near = np.abs(off) < 0.004  # the rest lies behind something nearer
+    assert near.mean() > 0.8
+    assert np.abs(off[near]).mean() < 0.0005
+    assert (off > -0.003).mean() > 0.995
+
+
+def test_closed_lids_hide_the_eyes(renderer: StageRenderer) -> None:
+    camera = dome_cameras(1, 384, 384)[0]
+    eye = MATERIALS.index("eye") + 1
+    renderer.pose(blend())
+    _, open_mask = renderer.draw_geometry(camera)
+    renderer.pose(blend(eyeBlink=1.0))
+    _, closed_mask = renderer.draw_geometry(camera)
+    assert (open_mask == eye).sum() > 100
+    assert (closed_mask == eye).sum() <= 6
+
+
+def test_teeth_show_when_the_mouth_opens_and_not_at_rest(renderer: StageRenderer) -> None:
+    camera = dome_cameras(1, 384, 384)[0]
+    teeth = MATERIALS.index("teeth") + 1
+    renderer.pose(blend())
+    _, closed = renderer.draw_geometry(camera)
+    renderer.pose(blend(jawOpen=0.7))
+    _, opened = renderer.draw_geometry(camera)
+    assert (closed == teeth).sum() <= 4
+    assert (opened == teeth).sum() > 20
+
+
+def test_an_unwrapped_texture_covers_the_face_and_matches_the_image(
+    renderer: StageRenderer,
+) -> None:
+    cameras = dome_cameras(5, 192, 192)
+    renderer.pose(blend())
+    texture, seen = renderer.unwrap([(camera, renderer.draw(camera)) for camera in cameras], 128)
+    assert seen[30:75, 40:88].mean() > 0.85  # brows to chin
+    assert texture[~seen].max() == 0
+    assert texture[seen].mean() > 40
+    assert DEPTH_TOLERANCE_M < 0.002
+
+
+def test_the_dome_starts_with_the_five_evaluation_views_in_front_of_the_face() -> None:
+    cameras = dome_cameras(12, 128, 96)
+    assert {camera.name for camera in cameras[:5]} == set(EVALUATION_VIEWS)
+    by_name = {camera.name: camera for camera in cameras}
+    assert len(by_name) == 12
+    assert by_name["left"].centre_m[0] > 0.5
+    assert by_name["up"].centre_m[1] > 0.3
+    assert all(camera.centre_m[2] > 0.2 for camera in cameras)
+
+
+def test_a_dome_of_one_lens_looks_at_the_head_from_all_its_cameras() -> None:
+    cameras = dome_cameras(40, 1334, 2048, "one")
+    assert [camera.name for camera in cameras[:5]] == ["front", "left", "right", "up", "down"]
+    assert len({camera.name for camera in cameras}) == 40
+    assert len({float(camera.intrinsics[0, 0]) for camera in cameras}) == 1
+    for camera in cameras:
+        pixels, distance = camera.project(np.array([[0.0, 0.0, 0.02]]))
+        assert np.abs(pixels - [667, 1024]).max() < 80
+        assert 0.9 < distance[0] < 1.1
+    apart = [np.delete(cameras, k) for k in range(40)]
+    for camera, others in zip(cameras, apart, strict=True):
+        assert min(np.linalg.norm(camera.centre_m - c.centre_m) for c in others) > 0.03
+    with pytest.raises(CaptureError, match="lenses is 'two'; there are mixed, one"):
+        dome_cameras(5, 64, 64, "two")
+
+
+def test_krt_text_reads_back(tmp_path: Path) -> None:
+    cameras = dome_cameras(3, 128, 96)
+    (tmp_path / "KRT").write_text(krt_text(cameras))
+    for written, read in zip(cameras, read_krt(tmp_path / "KRT", 128, 96), strict=True):
+        assert read.name == written.name
+        np.testing.assert_allclose(read.centre_m, written.centre_m, atol=1e-9)
+        np.testing.assert_allclose(read.intrinsics, written.intrinsics)
+
+
+def test_a_capture_reads_back_what_the_stage_rendered(rendered: Path) -> None:
+    capture = Capture.open(rendered)
+    head = make_head("S1")
+    assert len(capture.frames) == 4
+    assert {frame.split for frame in capture.frames} == {"train", "test"}
+    frame = capture.frames_of("test")[0]
+    np.testing.assert_allclose(
+        capture.true_vertices_m(frame), head.vertices(capture.arkit(frame)), atol=2e-6
+    )
+    np.testing.assert_array_equal(capture.topology.faces, head.faces)
+    assert capture.image(frame, "front").shape == (64, 64, 3)
+    depth, mask = capture.true_depth_m(frame, "front"), capture.mask(frame, "front")
+    assert ((depth > 0) == (mask > 0)).all()
+    assert 0.8 < depth[mask > 0].min() < depth.max() < 1.3
+    assert capture.average_texture(frame)[:40].mean() > capture.average_texture(frame)[44:].mean()
+    pose = capture.head_to_world(frame)
+    np.testing.assert_allclose(pose[:, :3] @ pose[:, :3].T, np.eye(3), atol=1e-12)
+    assert 0.001 < np.abs(pose - np.eye(3, 4)).max() < 0.2
+    assert capture.mean_texture().shape == (64, 64, 3)
+
+
+def test_the_same_seed_gives_the_same_bytes_also_in_an_interrupted_render(
+    rendered: Path, tmp_path: Path
+) -> None:
+    class Interrupted(Exception):
+        pass
+
+    def stop(done: int, _total: int) -> None:
+        if done == 2:
+            raise Interrupted
+
+    out = tmp_path / "half"
+    with pytest.raises(Interrupted):
+        render_capture(OPTIONS, out, stop)
+    with pytest.raises(CaptureError, match="not finished"):
+        Capture.open(out)
+    assert render_capture(OPTIONS, out)["resumed"] == 2
+    assert files_of(out) == files_of(rendered)
+
+
+def test_a_render_into_a_used_directory_is_refused(rendered: Path) -> None:
+    with pytest.raises(CaptureError, match=r"not empty.*name another directory"):
+        render_capture(OPTIONS, rendered)
+
+
+def test_a_render_that_cannot_begin_leaves_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("mine")
+    for out, head, message in (
+        ("new", "S9", "head 'S9' is unknown; built in are S1, S2, S3, S4, S5, S6"),
+        ("file", "S1", f"{tmp_path / 'file'}: is no directory; name one to make"),
+        ("file/new", "S1", f"{tmp_path / 'file/new/render.json'}: cannot write (Not a directory)"),
+    ):
+        words = ["capture", "synth", "--head", head, "--out", str(tmp_path / out)]
+        assert main(words) == 2
+        assert capsys.readouterr().err == f"pica capture synth: {message}\n"
+    assert files_of(tmp_path) == {"file": b"mine"}
+
+
+def test_the_sheet_is_a_picture(rendered: Path, tmp_path: Path) -> None:
+    result = write_sheet(rendered, tmp_path / "sheet.png")
+    with Image.open(tmp_path / "sheet.png") as image:
+        assert image.width > 1000
+    assert result["frames"] == 4
+
+
+def test_a_missing_directory_is_named(tmp_path: Path) -> None:
+    with pytest.raises(CaptureError, match="nowhere: no such directory"):
+        Capture.open(tmp_path / "nowhere")
+
+
+def test_a_krt_that_ends_early_names_camera_and_line(damaged: Path) -> None:
+    lines = (damaged / "KRT").read_text().splitlines()
+    (damaged / "KRT").write_text("\n".join(lines[:14]))
+    with pytest.raises(CaptureError, match=r"KRT:\d+: camera left: \d numbers"):
+        Capture.open(damaged)
+
+
+def test_a_truncated_mesh_names_file_and_sizes(damaged: Path) -> None:
+    capture = Capture.open(damaged)
+    frame = capture.frames[0]
+    path = damaged / "tracked_mesh" / frame.segment / f"{frame.name}.bin"
+    path.write_bytes(path.read_bytes()[:-4])
+    with pytest.raises(CaptureError, match=rf"{frame.name}.bin: \d+ bytes; \d+ vertices need"):
+        capture.vertices_m(frame)
+
+
+def test_an_image_of_the_wrong_size_is_refused(damaged: Path) -> None:
+    capture = Capture.open(damaged)
+    frame = capture.frames[0]
+    path = damaged / "images" / frame.segment / "front" / f"{frame.name}.png"
+    Image.new("RGB", (32, 64)).save(path)
+    with pytest.raises(CaptureError, match="32x64, 64x64 is needed"):
+        capture.image(frame, "front")
+
+
+def test_a_truncated_image_is_refused(damaged: Path) -> None:
+    capture = Capture.open(damaged)
+    frame = capture.frames[0]
+    path = damaged / "images" / frame.segment / "front" / f"{frame.name}.png"
+    path.write_bytes(path.read_bytes()[:200])
+    with pytest.raises(CaptureError, match="not a complete image"):
+        capture.image(frame, "front")
+
+
+def test_a_missing_column_is_named(damaged: Path) -> None:
+    path = damaged / "expressions.csv"
+    path.write_text(path.read_text().replace("jawOpen", "jawAjar"))
+    with pytest.raises(CaptureError, match=r"expressions.csv: column 'jawOpen' is missing"):
+        Capture.open(damaged)
+
+
+def test_an_unknown_camera_lists_the_known_ones(rendered: Path) -> None:
+    capture = Capture.open(rendered)
+    with pytest.raises(CaptureError, match="no camera 'ceiling'; there are front, left"):
+        capture.image(capture.frames[0], "ceiling")
+
+
+def test_a_size_out_of_range_is_refused() -> None:
+    with pytest.raises(CaptureError, match="frames is 1; allowed are 4 to"):
+        StageOptions(frames=1)
+
+
+def test_an_image_that_cannot_be_written_ends_the_render(tmp_path: Path) -> None:
+    (tmp_path / "images").write_text("in the way")
+    picture = np.zeros((4, 4, 3), np.uint8)
+    with BackgroundWriter() as writer:
+        writer.image(tmp_path / "images" / "SEG" / "0.png", lambda: picture)
+        with pytest.raises(CaptureError, match=r"0\.png: cannot write \(Not a directory\)"):
+            writer.finish()
+    assert sorted(tmp_path.iterdir()) == [tmp_path / "images"]

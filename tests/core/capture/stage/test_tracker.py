@@ -1,0 +1,203 @@
+"""What the stage gets wrong on purpose, as trackers and stereo methods do; and how heads move."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pica_core.camera import look_at
+from pica_core.capture.dataset.dataset import Topology
+from pica_core.capture.procedural.heads import Head, make_head
+from pica_core.capture.stage.expressions import blend, sample_takes
+from pica_core.capture.stage.head_motion import HeadMotion, camera_in_head
+from pica_core.capture.stage.mvs_depth import MvsErrors, find_depth
+from pica_core.capture.stage.tracked_topology import track_topology
+from pica_core.capture.stage.tracker import LIMIT_MM, Tracker, lagged_arkit
+
+pytestmark = pytest.mark.unit
+
+
+@pytest.fixture(scope="module")
+def head() -> Head:
+    return make_head("S1")
+
+
+@pytest.fixture(scope="module")
+def dense(head: Head) -> Topology:
+    return Topology(vertex_uv=head.vertex_uv, faces=head.faces, regions=head.regions)
+
+
+@pytest.fixture(scope="module")
+def tracked(head: Head, dense: Topology) -> tuple[Topology, np.ndarray]:
+    shapes = [blend(), blend(jawOpen=0.7), blend(eyeBlink=1.0)]
+    return track_topology(dense, head.vertices_batch(np.stack(shapes)))
+
+
+def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    return np.unique(edges, axis=0, return_counts=True)
+
+
+def test_the_tracked_mesh_is_7000_of_the_dense_vertices_in_one_sheet(
+    head: Head, dense: Topology, tracked: tuple[Topology, np.ndarray]
+) -> None:
+    topology, index = tracked
+    assert 6500 <= len(index) <= 7500
+    own = ~topology.regions["mouth_cover"]
+    assert len(np.unique(index[own])) == own.sum()
+    np.testing.assert_array_equal(topology.vertex_uv[own], dense.vertex_uv[index][own])
+    assert edges_of(topology.faces)[1].max() == 2  # no edge has three triangles
+    vertices = head.vertices(blend())[index]
+    a, b, c = (vertices[topology.faces[:, i]] for i in range(3))
+    outwards = head.normals(head.vertices(blend()))[index][topology.faces].mean(axis=1)
+    inwards = (np.cross(b - a, c - a) * outwards).sum(1) < 0
+    assert inwards[own[topology.faces].all(1)].mean() < 0.002
+
+
+def test_the_tracked_mesh_has_lips_and_no_inside_of_the_mouth(
+    dense: Topology, tracked: tuple[Topology, np.ndarray]
+) -> None:
+    topology, index = tracked
+    assert not dense.regions["mouth_interior"][index].any()
+    assert topology.regions["lips"].sum() > 150
+    assert topology.regions["lids"].sum() > 150
+
+
+def test_the_mouth_of_the_tracked_mesh_opens(
+    head: Head, tracked: tuple[Topology, np.ndarray]
+) -> None:
+    topology, index = tracked
+    edges, uses = edges_of(topology.faces)
+    slit = np.unique(edges[uses == 1])
+    slit = slit[topology.regions["lips"][slit]]
+    opened = head.vertices(blend(jawOpen=0.7))[index][slit]
+    middle = np.abs(opened[:, 0]) < 0.008
+    assert np.ptp(opened[middle, 1]) > 0.01
+
+
+def test_the_tracked_mesh_is_the_same_every_time(head: Head, dense: Topology) -> None:
+    shapes = head.vertices_batch(np.stack([blend(), blend(jawOpen=0.7)]))
+    (one, index), (other, other_index) = (track_topology(dense, shapes, 400) for _ in range(2))
+    np.testing.assert_array_equal(index, other_index)
+    np.testing.assert_array_equal(one.faces, other.faces)
+
+
+def test_a_tracker_errs_smoothly_by_less_than_a_millimetre(
+    head: Head, tracked: tuple[Topology, np.ndarray]
+) -> None:
+    topology, index = tracked
+    rest = head.vertices(blend())[index]
+    tracker = Tracker(topology, rest, 3, index)
+
+    moments = [tracker.follow(rest, rest, 0, time) - rest for time in (0.0, 1 / 30, 4.0)]
+    other_take = tracker.follow(rest, rest, 1, 0.0) - rest
+
+    size = np.linalg.norm(moments[0], axis=1)
+    assert size.max() < LIMIT_MM / 1000
+    assert 0.0001 < size.mean() < 0.0005
+    start, end = edges_of(topology.faces)[0].T
+    face = topology.regions["face"][start] & topology.regions["face"][end]
+    step = np.linalg.norm((moments[0][start] - moments[0][end])[face], axis=1)
+    assert step.mean() < 0.5 * size.mean()  # neighbours are off alike
+    soon, later = (np.linalg.norm(moments[0] - other, axis=1).mean() for other in moments[1:])
+    assert soon < 0.3 * later
+    assert np.linalg.norm(moments[0] - other_take, axis=1).mean() > 0.5 * later
+
+
+def test_lips_that_move_fast_are_tracked_late(
+    head: Head, tracked: tuple[Topology, np.ndarray]
+) -> None:
+    topology, index = tracked
+    before, now = blend().astype(np.float32), blend(jawOpen=0.35).astype(np.float32)
+    behind = lagged_arkit(now, np.stack([before, before]))
+    exact = head.vertices(now)[index]
+    tracker = Tracker(topology, head.vertices(blend())[index], 3, index)
+
+    late = tracker.follow(exact, head.vertices(behind)[index], 0, 0.0)
+    prompt = tracker.follow(exact, exact, 0, 0.0)
+
+    lips = topology.regions["lips"]
+    low = lips & (exact[:, 1] < np.median(exact[lips, 1]))
+    assert (late - prompt)[low, 1].mean() > 0.0003  # above where the lip is now
+    assert np.abs((late - prompt)[topology.regions["hair"]]).max() == 0
+    np.testing.assert_allclose(lagged_arkit(now, np.stack([now, now])), now, atol=1e-7)
+
+
+def test_a_take_knows_what_came_before_each_frame() -> None:
+    take = sample_takes(60, 1)[0]
+    assert take.history.shape == (len(take.arkit), 3, 52)
+    step = np.abs(take.history[1:, 0] - take.arkit[1:]).max(axis=1)
+    far = np.abs(take.arkit[:-1] - take.arkit[1:]).max(axis=1)
+    assert step.mean() < far.mean()
+
+
+def ball(size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Exact depth and mask of a ball of 10 cm, a metre away; its right half is hair."""
+    at = (np.arange(size) + 0.5) / size - 0.5
+    x, y = np.meshgrid(0.3 * at, 0.3 * at)
+    inside = 0.01 - x**2 - y**2
+    depth = np.where(inside > 0, 1.0 - np.sqrt(np.maximum(inside, 0)), 0.0).astype(np.float32)
+    mask = np.where(depth > 0, np.where(x > 0, 7, 1), 0).astype(np.uint8)
+    return depth, mask
+
+
+def found(size: int = 256, seed: int = 0, **changes: float) -> tuple[np.ndarray, ...]:
+    depth, mask = ball(size)
+    camera = look_at(
+        centre_m=(0, 0, 1), target_m=(0, 0, 0), vertical_fov=0.3, width=size, height=size
+    )
+    random = np.random.default_rng(seed)
+    names = {0: "background", 1: "skin", 7: "hair"}
+    errors = MvsErrors(**changes)  # type: ignore[arg-type]
+    return depth, mask, find_depth(depth, mask, camera, names, random, errors)
+
+
+def test_found_depth_has_holes_at_the_rim_and_in_hair() -> None:
+    depth, mask, result = found()
+    assert (result[depth == 0] == 0).all()
+    radius = np.hypot(*np.meshgrid(np.arange(256) - 127.5, np.arange(256) - 127.5)) * 0.3 / 256
+    assert (result[(radius > 0.0985) & (depth > 0)] == 0).all()
+    middle = radius < 0.06
+    assert (result[middle & (mask == 1)] > 0).mean() > 0.93
+    assert 0.15 < (result[middle & (mask == 7)] > 0).mean() < 0.55
+
+
+def test_noise_of_found_depth_grows_where_the_surface_turns_away() -> None:
+    depth, mask, result = found(outlier_ratio=0.0)
+    radius = np.hypot(*np.meshgrid(np.arange(256) - 127.5, np.arange(256) - 127.5)) * 0.3 / 256
+    seen = (result > 0) & (mask == 1)
+    facing, turned = seen & (radius < 0.03), seen & (radius > 0.085)
+    near, far = (np.std(result[part] - depth[part]) for part in (facing, turned))
+    assert 0.0001 < near < 0.0002
+    assert far > 1.5 * near
+
+
+def test_the_stated_share_of_found_depth_is_far_off() -> None:
+    depth, mask, result = found(512, outlier_ratio=0.05)
+    seen = (result > 0) & (mask == 1)
+    share = (np.abs(result - depth)[seen] > 0.003).mean()
+    assert 0.025 < share < 0.09
+
+
+def test_a_head_moves_a_little_and_smoothly() -> None:
+    motion = HeadMotion(0, 4)
+    poses = np.stack([motion.head_to_world(k / 30) for k in range(300)])
+    turns = poses[:, :, :3]
+    np.testing.assert_allclose(
+        turns @ turns.transpose(0, 2, 1), np.broadcast_to(np.eye(3), turns.shape), atol=1e-12
+    )
+    nose = poses @ np.array([0, 0, 0.1, 1.0])
+    assert 0.002 < nose.std(axis=0).max() < 0.03
+    assert np.linalg.norm(np.diff(nose, axis=0), axis=1).max() < 0.006
+    assert not np.allclose(poses[0], HeadMotion(0, 5).head_to_world(0))
+
+
+def test_a_camera_in_head_axes_sees_a_moved_head_as_the_world_does() -> None:
+    camera = look_at(
+        centre_m=(0.3, 0.1, 1), target_m=(0, 0, 0), vertical_fov=0.4, width=64, height=48
+    )
+    pose = HeadMotion(1, 0).head_to_world(0.5)
+    points = np.random.default_rng(0).uniform(-0.1, 0.1, (20, 3))
+    in_world, _ = camera.project(points @ pose[:, :3].T + pose[:, 3])
+    in_head, _ = camera_in_head(camera, pose).project(points)
+    np.testing.assert_allclose(in_head, in_world, atol=1e-9)

@@ -1,0 +1,133 @@
+"""Learning a stream's profile: it is valid, repeatable, worth its bytes, or refused with the
+reason."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from helpers.stream_toy import (
+    NUM_COMPONENTS,
+    Publisher,
+    toy_faces,
+    toy_metric,
+    toy_pose,
+    toy_profile,
+)
+from pica_core.codec.latent_stream import StreamConfig
+from pica_core.codec.learning import LearningConfig, RenderMetric, learn_profile
+from pica_core.codec.profile import StreamProfile
+from pica_core.errors import ProfileError, ShapeError
+
+pytestmark = pytest.mark.unit
+
+QUICK = LearningConfig(num_components=4, num_tables=3, turn_sweeps=1)
+FACES = toy_faces(1, 150)
+
+
+def num_bytes(profile: StreamProfile, **options: int) -> int:
+    publisher = Publisher(StreamConfig(**options), profile=profile)
+    publisher.show_all(toy_faces(31, 600), toy_pose(31, 600))
+    return sum(len(frame.payload) for frame in publisher.sent)
+
+
+def test_learning_again_gives_the_same_profile() -> None:
+    hashes = {learn_profile([FACES], toy_metric(), QUICK).hash for _ in range(2)}
+    assert len(hashes) == 1
+
+
+def test_a_flat_latent_is_taken_as_a_folded_one() -> None:
+    folded = learn_profile([FACES], toy_metric(), QUICK)
+    flat = learn_profile([FACES.reshape(-1, 256)], toy_metric(), QUICK)
+    assert folded.hash == flat.hash
+
+
+@pytest.mark.parametrize(("asked", "found"), [(1, 1), (NUM_COMPONENTS, NUM_COMPONENTS), (99, 12)])
+def test_there_are_as_many_components_as_asked_for_and_as_the_metric_knows(
+    asked: int, found: int
+) -> None:
+    config = LearningConfig(num_components=asked, num_tables=3, turn_sweeps=1)
+    assert learn_profile([FACES], toy_metric(), config).num_components == found
+
+
+def test_one_unit_of_a_coefficient_is_a_64th_of_a_root_of_rendered_mse() -> None:
+    profile, metric = toy_profile(), toy_metric()
+    neutral = profile.synthesise(np.zeros(NUM_COMPONENTS, np.int64))
+    for component in range(NUM_COMPONENTS):
+        coefficients = np.zeros(NUM_COMPONENTS, np.int64)
+        coefficients[component] = 640
+        along = (profile.synthesise(coefficients) - neutral).astype(np.float64)
+        along = along @ metric.directions.T
+        assert along @ metric.gram @ along == pytest.approx(10**2, rel=0.01)
+
+
+def test_learned_tables_are_worth_having() -> None:
+    tensors = toy_profile().to_tensors()
+    tables = np.full((1, 25), 2**14 // 25, np.uint16)
+    tables[0, 0] += 2**14 - tables.sum(dtype=int)
+    flat = StreamProfile.from_tensors(
+        {
+            **tensors,
+            "stream.tables": tables,
+            "stream.table_index": np.zeros_like(tensors["stream.table_index"]),
+        }
+    )
+    assert flat is not None
+    assert num_bytes(toy_profile()) < 0.75 * num_bytes(flat)
+
+
+def test_faces_that_never_change_give_a_profile_all_the_same() -> None:
+    profile = learn_profile([np.ones((120, 256))], toy_metric(), QUICK)
+    np.testing.assert_array_equal(
+        profile.synthesise(np.zeros(profile.num_components, np.int64)), np.ones(256)
+    )
+
+
+@pytest.mark.parametrize(
+    "sequences",
+    [
+        [],
+        [FACES[:99]],
+        [FACES, FACES[:0]],
+        [FACES, FACES[:4]],
+        [np.zeros((150, 8, 8, 3))],
+        [np.zeros((150, 255))],
+        [np.zeros(256)],
+    ],
+    ids=["none", "too few", "empty", "too short", "other channels", "other length", "one face"],
+)
+def test_sequences_of_another_shape_are_refused(sequences: list[np.ndarray]) -> None:
+    with pytest.raises(ShapeError, match="are needed"):
+        learn_profile(sequences, toy_metric(), QUICK)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 257.0, -1e9])
+def test_latents_that_no_profile_can_hold_are_refused(value: float) -> None:
+    faces = FACES.copy()
+    faces[3, 0, 0, 0] = value
+    with pytest.raises(ProfileError, match="not finite or beyond 256"):
+        learn_profile([faces], toy_metric(), QUICK)
+
+
+@pytest.mark.parametrize(
+    ("scale", "message"),
+    [
+        (0.0, "does not change with the latent"),
+        (np.nan, "not finite"),
+        (1e-14, r"stream\.synthesis reaches"),
+        (1e14, r"stream\.analysis reaches"),
+    ],
+)
+def test_a_metric_that_no_profile_can_hold_is_refused(scale: float, message: str) -> None:
+    metric = RenderMetric(toy_metric().directions, toy_metric().gram * scale)
+    with pytest.raises(ProfileError, match=message):
+        learn_profile([FACES], metric, QUICK)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("num_components", 0), ("num_components", 129), ("num_tables", 257), ("turn_sweeps", -1)],
+)
+def test_an_option_out_of_its_range_is_refused_by_name(field: str, value: int) -> None:
+    with pytest.raises(ValueError, match=f"{field} is {value}"):
+        LearningConfig(**{field: value})

@@ -1,0 +1,201 @@
+"""The tables of a stream: exact arithmetic, an unmistakable name, and nothing hostile comes in."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from helpers.stream_toy import NUM_COMPONENTS, toy_faces, toy_metric, toy_profile
+from pica_core.codec.profile import (
+    MAX_COEFFICIENT,
+    MAX_LATENT,
+    StreamProfile,
+    profile_shapes,
+)
+from pica_core.codec.range_coder import TOTAL
+from pica_core.errors import ProfileError
+
+pytestmark = pytest.mark.unit
+
+NAMES = sorted(toy_profile().to_tensors())
+
+
+def changed(name: str, array: np.ndarray[Any, Any]) -> dict[str, np.ndarray[Any, Any]]:
+    return {**toy_profile().to_tensors(), f"stream.{name}": array}
+
+
+def array_of(name: str) -> np.ndarray[Any, Any]:
+    return toy_profile().to_tensors()[f"stream.{name}"].copy()
+
+
+def with_value(name: str, place: tuple[int, ...], value: int) -> np.ndarray[Any, Any]:
+    array = array_of(name)
+    array[place] = value
+    return array
+
+
+def test_a_profile_comes_back_from_its_tensors_under_the_same_name() -> None:
+    again = StreamProfile.from_tensors(toy_profile().to_tensors())
+    assert again is not None
+    assert again.hash == toy_profile().hash
+    assert len(again.hash) == 64
+    assert (again.num_components, again.num_qualities) == (NUM_COMPONENTS, 8)
+    assert again.num_coefficients == NUM_COMPONENTS + 6
+
+
+def test_tensors_without_a_stream_have_no_profile() -> None:
+    assert StreamProfile.from_tensors({"mesh.faces": np.zeros((1, 3), np.int32)}) is None
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_array_is_part_of_the_name(name: str) -> None:
+    arrays = toy_profile().to_tensors()
+    array = arrays[name].copy().reshape(-1)
+    if "table" in name and "index" not in name:  # keep the sum
+        array[0] += 1
+        array[1] -= 1
+    elif array[0] > 1:
+        array[0] -= 1
+    else:
+        array[0] += 1
+    other = StreamProfile.from_tensors({**arrays, name: array.reshape(arrays[name].shape)})
+    assert other is not None
+    assert other.hash != toy_profile().hash
+
+
+def test_the_layout_of_arrays_in_memory_is_not_part_of_the_name() -> None:
+    columns_first = {name: np.asfortranarray(a) for name, a in toy_profile().to_tensors().items()}
+    again = StreamProfile.from_tensors(columns_first)
+    assert again is not None
+    assert again.hash == toy_profile().hash
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_profile_cannot_be_changed_after_it_was_checked(name: str) -> None:
+    array = getattr(toy_profile(), name.removeprefix("stream."))
+    with pytest.raises(ValueError, match="read-only"):
+        array[...] = 0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_missing_array_is_named(name: str) -> None:
+    tensors = toy_profile().to_tensors()
+    del tensors[name]
+    with pytest.raises(ProfileError, match=f"{name} is missing or unknown"):
+        StreamProfile.from_tensors(tensors)
+
+
+def test_an_unknown_array_is_named() -> None:
+    with pytest.raises(ProfileError, match=r"stream\.surprise is missing or unknown"):
+        StreamProfile.from_tensors(changed("surprise", np.zeros(3, np.int32)))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_array_of_another_type_is_refused(name: str) -> None:
+    array = toy_profile().to_tensors()[name]
+    for dtype in (np.int64, np.float32, array.dtype.newbyteorder(">")):
+        if np.dtype(dtype) != array.dtype:
+            with pytest.raises(ProfileError, match=f"{name} is "):
+                StreamProfile.from_tensors(
+                    {**toy_profile().to_tensors(), name: array.astype(dtype)}
+                )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_array_of_another_shape_is_refused(name: str) -> None:
+    array = toy_profile().to_tensors()[name]
+    for wrong in (array[:0], array[None], np.repeat(array, 300, axis=-1)):
+        with pytest.raises(ProfileError, match=r"shape|needed"):
+            StreamProfile.from_tensors({**toy_profile().to_tensors(), name: wrong})
+
+
+@pytest.mark.parametrize(
+    ("name", "array", "message"),
+    [
+        ("mean", with_value("mean", (3,), MAX_LATENT + 1), "mean spans"),
+        ("synthesis_shift", np.array([25], np.int32), "0 to 24 is allowed"),
+        ("synthesis_shift", np.array([-1], np.int32), "0 to 24 is allowed"),
+        ("steps", with_value("steps", (2, 5), 0), "1 to 16384 is allowed"),
+        ("steps", with_value("steps", (0, 0), 2**14 + 1), "1 to 16384 is allowed"),
+        ("steps", with_value("steps", (0, 0), -3), "1 to 16384 is allowed"),
+        ("gains", with_value("gains", (1, 1), 129), "-128 to 128 is allowed"),
+        ("table_index", with_value("table_index", (4, 1, 24), 8), "0 to 7 is allowed"),
+        ("tables", with_value("tables", (2, 0), 65535), "tables row 2 sums to"),
+        ("tables", with_value("tables", (0, 24), 0), "tables row 0 sums to"),
+        ("header_tables", with_value("header_tables", (4, 7), 0), "header_tables row 4"),
+        ("distance_tables", with_value("distance_tables", (1, 0), 1), "distance_tables row 1"),
+        ("quality_table", with_value("quality_table", (0,), 0), "quality_table row 0"),
+    ],
+)
+def test_a_number_out_of_its_range_is_refused_by_name(
+    name: str, array: np.ndarray[Any, Any], message: str
+) -> None:
+    with pytest.raises(ProfileError, match=rf"stream\.{message}|{message}"):
+        StreamProfile.from_tensors(changed(name, array))
+
+
+def test_a_zero_frequency_is_refused_even_if_the_sum_is_right() -> None:
+    table = array_of("quality_table")
+    table[0], table[1] = table[0] + table[1], 0
+    assert table.sum() == TOTAL
+    with pytest.raises(ProfileError, match=r"quality_table row 0 .* smallest of 0"):
+        StreamProfile.from_tensors(changed("quality_table", table))
+
+
+@pytest.mark.parametrize(
+    "found",
+    [{}, {"analysis": (256, 129)}, {"analysis": (256,)}, {"analysis": (256, 9), "steps": (17, 15)}],
+)
+def test_free_sizes_have_limits(found: dict[str, tuple[int, ...]]) -> None:
+    with pytest.raises(ProfileError, match="may be 1 to"):
+        profile_shapes(found)
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 2**32 - 1), scale=st.sampled_from([0.1, 3.0, 300.0, 1e9]))
+def test_the_transform_is_what_exact_integers_give(seed: int, scale: float) -> None:
+    profile = toy_profile()
+    latent = np.random.default_rng(seed).standard_normal(256) * scale
+    units = [
+        min(max(round(float(value) * 4096), -MAX_LATENT), MAX_LATENT) - int(mean)
+        for value, mean in zip(latent, profile.mean, strict=True)
+    ]
+    wanted = [
+        (sum(u * int(a) for u, a in zip(units, column, strict=True)) + 2**15) >> 16
+        for column in profile.analysis.T
+    ]
+    assert profile.analyse(latent).tolist() == wanted
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 2**32 - 1), reach=st.sampled_from([10, 1000, MAX_COEFFICIENT]))
+def test_the_way_back_is_what_exact_integers_give_and_bounded(seed: int, reach: int) -> None:
+    profile = toy_profile()
+    rng = np.random.default_rng(seed)
+    coefficients = rng.integers(-reach, reach + 1, profile.num_components)
+    shift = int(profile.synthesis_shift[0])
+    latent = profile.synthesise(coefficients)
+    for place in range(0, 256, 17):
+        total = sum(
+            int(c) * int(s) for c, s in zip(coefficients, profile.synthesis[:, place], strict=True)
+        )
+        units = ((total + ((1 << shift) >> 1)) >> shift) + int(profile.mean[place])
+        assert float(latent[place]) * 4096 == min(max(units, -MAX_LATENT), MAX_LATENT)
+    assert np.abs(latent).max() <= 256
+
+
+def test_a_face_survives_the_transform_but_for_what_the_picture_does_not_show() -> None:
+    profile = toy_profile()
+    faces = toy_faces(1, 150).reshape(150, 256)
+    back = np.stack([profile.synthesise(profile.analyse(face)) for face in faces])
+    metric = toy_metric()
+
+    def rendered_mse(offsets: np.ndarray[Any, Any]) -> float:
+        along = offsets @ metric.directions.T
+        return float(np.einsum("ti,ij,tj->t", along, metric.gram, along).mean())
+
+    assert rendered_mse(back - faces) < 0.02 * rendered_mse(faces - faces.mean(axis=0))

@@ -1,0 +1,167 @@
+"""One model, several implementations: torch and ONNX against the numpy reference.
+
+The fourth, GLSL, is judged on the same footing in `tests/client/test_renderer.py`, where there is a
+GL context. Tolerances and their reasons stand in `tests/tolerances.py`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import onnxruntime
+import pytest
+import torch
+
+from helpers.tolerances import EXPRESSION_ONNX, MAP_TORCH_M, PIXEL_FLOAT32, PIXEL_ONNX
+from helpers.toy import grid_faces, with_toy_levels
+from helpers.trainable import grid_uv, toy_prior
+from pica_core.avatar.file import Avatar, Manifest
+from pica_core.avatar.spec import BLOCKS, AvatarSpec
+from pica_core.graphs.onnx_graph import decoder_graph
+from pica_core.graphs.pixel_graph import pixel_decoder_graph
+from pica_core.model.avatar import PixelCodecAvatar
+from pica_core.model.interface import Surface
+from pica_core.reference.pixel import count_parameters, decode_pixels, sample_bilinear
+from pica_core.train.export import avatar_tensors
+from pica_core.train.lod.exits import FaceSet, FrozenDecoder, Head, SheetHead
+
+pytestmark = pytest.mark.train
+
+NUM_PIXELS = 2000
+
+
+def trained_looking_model(block: str) -> PixelCodecAvatar:
+    """Random weights as large as trained ones: every path carries signal."""
+    torch.manual_seed(3)
+    spec = AvatarSpec(block=block, uv_encoding_size=64)
+    model = PixelCodecAvatar(spec, toy_prior())
+    with torch.no_grad():
+        for decoder in (model.geometry, model.expression):
+            for name, values in decoder.named_tensors().items():
+                if "bias" in name:
+                    values.normal_(std=0.05)
+            list(decoder.named_tensors().values())[-2].mul_(100)
+    return model
+
+
+def exported(model: PixelCodecAvatar) -> Avatar:
+    manifest = Manifest(
+        name="Judged",
+        identity="none",
+        licence="Apache-2.0",
+        spec=model.spec,
+        position_scale_m=model.position_scale_m,
+        latent_scale=(1.0, 1.0, 1.0, 1.0),
+        bounds_min_m=(-0.2, -0.2, -0.2),
+        bounds_max_m=(0.2, 0.2, 0.2),
+    )
+    return Avatar(manifest, avatar_tensors(model, grid_uv(16), grid_faces(16, 16)))
+
+
+def session(graph: bytes) -> onnxruntime.InferenceSession:
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+
+
+def decoded(model: PixelCodecAvatar) -> tuple[torch.Tensor, ...]:
+    torch.manual_seed(4)
+    latent = torch.randn(1, 4, 8, 8)
+    view = torch.nn.functional.normalize(torch.randn(1, 3))
+    with torch.no_grad():
+        position = model.decode_geometry(latent)
+        return latent, view, position, model.decode_expression(latent, view)
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_torch_and_onnx_decode_the_same_maps(block: str) -> None:
+    model = trained_looking_model(block)
+    latent, view, position, expression = decoded(model)
+
+    inputs = {
+        "latent": latent.permute(0, 2, 3, 1).numpy(),
+        "view_direction": view.numpy(),
+    }
+    names = ["position_map", "expression_map"]
+    onnx_position, onnx_expression = session(decoder_graph(exported(model))).run(names, inputs)
+
+    offset = position[0].permute(1, 2, 0).numpy() - model.position_mean.permute(1, 2, 0).numpy()
+    assert np.abs(offset).max() > 100 * MAP_TORCH_M, "the test would not notice a dead decoder"
+    assert np.abs(onnx_position - position[0].permute(1, 2, 0).numpy()).max() <= MAP_TORCH_M
+    assert np.abs(onnx_expression - expression[0].permute(1, 2, 0).numpy()).max() <= EXPRESSION_ONNX
+
+
+@pytest.mark.parametrize("plain", [True, False], ids=["plain", "rearranged"])
+@pytest.mark.parametrize("level", [64, 128])
+@pytest.mark.parametrize("block", BLOCKS)
+def test_torch_and_onnx_leave_by_the_same_exit(block: str, level: int, plain: bool) -> None:
+    avatar = with_toy_levels(exported(trained_looking_model(block)))
+    torch.manual_seed(4)
+    faces = FaceSet(torch.randn(1, 4, 8, 8), torch.nn.functional.normalize(torch.randn(1, 3)))
+    tensors = {
+        name.removeprefix(f"level.{level}."): torch.from_numpy(array)
+        for name, array in avatar.tensors.items()
+        if name.startswith(f"level.{level}.")
+    }
+    ((trunk, _),) = FrozenDecoder(avatar, "geometry").run(faces, level)
+    sheet = SheetHead(
+        texel=tensors["geometry.texel"].flatten(0, 1).long(),
+        weight=avatar.manifest.position_scale_m
+        * tensors["geometry.weight"].flatten(0, 1).unflatten(1, (3, -1)),
+        rest=tensors["geometry.mean"].flatten(0, 1),
+    )
+    ((seen, _),) = FrozenDecoder(avatar, "expression").run(faces, level)
+    codes = Head(tensors["expression.weight"], tensors["expression.bias"])(seen)
+    maps = {
+        "geometry": sheet(trunk)[0].reshape(tensors["geometry.mean"].shape),
+        "expression": codes[0].permute(1, 2, 0),
+    }
+    inputs = {
+        "latent": faces.latents.permute(0, 2, 3, 1).numpy(),
+        "view_direction": faces.views.numpy(),
+    }
+    graph = decoder_graph(avatar, level=level, plain=plain)
+    position, expression = session(graph).run(["position_map", "expression_map"], inputs)
+    assert np.ptp(position - avatar.tensors[f"level.{level}.geometry.mean"]) > 100 * MAP_TORCH_M
+    assert np.abs(position - maps["geometry"].numpy()).max() <= MAP_TORCH_M
+    assert np.abs(expression - maps["expression"].numpy()).max() <= EXPRESSION_ONNX
+
+
+@pytest.fixture(scope="module")
+def judged() -> tuple[Avatar, dict[str, np.ndarray], np.ndarray, np.ndarray]:
+    """An avatar, pixel inputs, torch's colours and the float64 reference's."""
+    model = trained_looking_model("C")
+    *_, expression_map = decoded(model)
+    generator = torch.Generator().manual_seed(5)
+    uv = torch.rand(NUM_PIXELS, 2, generator=generator)
+    xyz = 0.1 * torch.randn(NUM_PIXELS, 3, generator=generator)
+    with torch.no_grad():
+        surface = Surface(torch.zeros(NUM_PIXELS, dtype=torch.int64), uv, xyz)
+        colours = model.shade(expression_map, surface).numpy()
+    avatar = exported(model)
+    codes = sample_bilinear(expression_map[0].permute(1, 2, 0).numpy(), uv.numpy(), np.float64)
+    inputs = {"expression": codes, "xyz_m": xyz.numpy(), "uv": uv.numpy()}
+    reference = decode_pixels(avatar.spec, avatar.tensors, *inputs.values(), dtype=np.float64)
+    return avatar, inputs, colours, reference
+
+
+Judged = tuple[Avatar, dict[str, np.ndarray], np.ndarray, np.ndarray]
+
+
+def test_torch_colours_pixels_as_the_reference_does(judged: Judged) -> None:
+    _, _, colours, reference = judged
+
+    assert np.ptp(reference) > 0.5, "the test would not notice a constant colour"
+    assert np.abs(colours - reference).max() <= PIXEL_FLOAT32
+
+
+def test_onnx_colours_pixels_as_the_reference_does(judged: Judged) -> None:
+    avatar, inputs, _, reference = judged
+
+    feed = {name: np.asarray(values, np.float32) for name, values in inputs.items()}
+    (colours,) = session(pixel_decoder_graph(avatar)).run(["rgb"], feed)
+
+    assert np.abs(colours - reference).max() <= PIXEL_ONNX
+
+
+def test_the_exported_pixel_decoder_has_307_parameters(judged: Judged) -> None:
+    assert count_parameters(judged[0].tensors, "pixel") == 307

@@ -1,0 +1,146 @@
+"""The ONNX graphs compute what the list of layers says, in any arrangement."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import onnx
+import onnxruntime
+import pytest
+
+from helpers import tolerances
+from helpers.toy import make_toy_avatar, with_toy_levels
+from pica_core.avatar.file import Avatar
+from pica_core.avatar.spec import BLOCKS, AvatarSpec
+from pica_core.graphs.onnx_graph import Parts, decoder_graph
+from pica_core.graphs.pixel_graph import pixel_decoder_graph
+from pica_core.reference.decoders import decode_expression_map, decode_position_map
+from pica_core.reference.pixel import decode_pixels
+
+pytestmark = pytest.mark.unit
+
+Array = npt.NDArray[Any]
+
+
+@functools.cache
+def toy(block: str) -> Avatar:
+    spec = AvatarSpec(block=block, uv_encoding_size=16, axis_encoding_size=20)
+    return with_toy_levels(make_toy_avatar(spec=spec, grid=4))
+
+
+def run(model: bytes, **inputs: Array) -> list[Array]:
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    feeds = {name: array.astype(np.float32) for name, array in inputs.items()}
+    outputs: list[Array] = session.run(None, feeds)
+    return outputs
+
+
+def some_inputs(seed: int = 1) -> dict[str, Array]:
+    rng = np.random.default_rng(seed)
+    view = rng.standard_normal((1, 3)) + np.array([0, 0, 3])
+    return {
+        "latent": rng.standard_normal((1, 8, 8, 4)),
+        "view_direction": view / np.linalg.norm(view),
+    }
+
+
+def decode_in_numpy(
+    avatar: Avatar, latent: Array, view_direction: Array, level: int | None = None
+) -> tuple[Array, Array]:
+    position_map = decode_position_map(avatar, latent[0], level)
+    return position_map, decode_expression_map(avatar, latent[0], view_direction[0], level)
+
+
+@pytest.mark.parametrize("plain", [True, False], ids=["plain", "rearranged"])
+@pytest.mark.parametrize("block", BLOCKS)
+def test_the_decoder_graph_agrees_with_its_layers_run_in_numpy(block: str, plain: bool) -> None:
+    avatar, inputs = toy(block), some_inputs()
+    position_map, expression_map = run(decoder_graph(avatar, plain=plain), **inputs)
+    positions, expressions = decode_in_numpy(avatar, **inputs)
+    assert position_map.shape == (256, 256, 3)
+    assert expression_map.shape == (256, 256, 4)
+    assert np.abs(position_map - positions).max() < tolerances.MAP_ONNX_M
+    assert np.abs(expression_map - expressions).max() < tolerances.EXPRESSION_ONNX
+
+
+@pytest.mark.parametrize("plain", [True, False], ids=["plain", "rearranged"])
+@pytest.mark.parametrize("level", [64, 128])
+@pytest.mark.parametrize("block", BLOCKS)
+def test_an_early_exit_agrees_with_its_layers_run_in_numpy(
+    block: str, level: int, plain: bool
+) -> None:
+    avatar, inputs = toy(block), some_inputs()
+    position_map, expression_map = run(decoder_graph(avatar, level=level, plain=plain), **inputs)
+    positions, expressions = decode_in_numpy(avatar, **inputs, level=level)
+    assert position_map.shape == (1, level, 3)
+    assert expression_map.shape == (level, level, 4)
+    assert np.abs(position_map - positions).max() < tolerances.MAP_ONNX_M
+    assert np.abs(expression_map - expressions).max() < tolerances.EXPRESSION_ONNX
+
+
+@pytest.mark.parametrize("plain", [True, False], ids=["plain", "rearranged"])
+@pytest.mark.parametrize("level", [64, 128, 256])
+@pytest.mark.parametrize("block", BLOCKS)
+def test_one_map_alone_is_nearly_the_one_of_both(block: str, level: int, plain: bool) -> None:
+    avatar, inputs = toy(block), some_inputs()
+    both = run(decoder_graph(avatar, level=level, plain=plain), **inputs)
+    alone: dict[Parts, Array] = {}
+    for parts, names in (("geometry", ["latent"]), ("expression", [*inputs])):
+        graph = decoder_graph(avatar, level=level, parts=parts, plain=plain)
+        (alone[parts],) = run(graph, **{name: inputs[name] for name in names})
+    assert np.abs(alone["geometry"] - both[0]).max() < tolerances.MAP_ONNX_M
+    assert np.abs(alone["expression"] - both[1]).max() < tolerances.EXPRESSION_ONNX
+
+
+def test_a_level_that_the_avatar_lacks_has_no_graph() -> None:
+    with pytest.raises(ValueError, match="level is 32; this avatar has 64, 128, 256"):
+        decoder_graph(toy("C"), level=32)
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_the_graph_is_valid_onnx_of_an_old_operator_set(block: str) -> None:
+    model = onnx.load_from_string(decoder_graph(toy(block)))
+    onnx.checker.check_model(model, full_check=True)
+    assert [(entry.domain, entry.version) for entry in model.opset_import] == [("", 17)]
+
+
+def test_the_rearranged_graph_shuffles_no_pixels_and_scales_no_map() -> None:
+    operators = {n.op_type for n in onnx.load_from_string(decoder_graph(toy("C"))).graph.node}
+    assert not operators & {"DepthToSpace", "Mul"}
+
+
+def test_the_view_direction_changes_the_expression_map_alone() -> None:
+    graph, inputs = decoder_graph(toy("C")), some_inputs()
+    before = run(graph, **inputs)
+    after = run(graph, latent=inputs["latent"], view_direction=np.array([[0.6, 0.0, 0.8]]))
+    np.testing.assert_array_equal(before[0], after[0])
+    assert np.abs(before[1] - after[1]).max() > 1e-3
+
+
+@pytest.mark.parametrize("value", [np.nan, 1e30])
+def test_a_hopeless_latent_decodes_to_maps_of_the_right_shape(value: float) -> None:
+    inputs = some_inputs()
+    inputs["latent"][:] = value
+    position_map, expression_map = run(decoder_graph(toy("C")), **inputs)
+    assert position_map.shape == (256, 256, 3)
+    assert expression_map.shape == (256, 256, 4)
+
+
+def test_the_pixel_decoder_graph_agrees_with_numpy() -> None:
+    avatar = make_toy_avatar(spec=AvatarSpec(uv_encoding_size=64), grid=4)
+    rng = np.random.default_rng(2)
+    pixels = {
+        "expression": rng.standard_normal((5000, 4)),
+        "xyz_m": rng.uniform(-0.1, 0.1, (5000, 3)),
+        "uv": np.concatenate([rng.uniform(0, 1, (4996, 2)), [[0, 0], [1, 1], [0, 1], [1, 0]]]),
+    }
+    pixels = {name: array.astype(np.float32) for name, array in pixels.items()}
+    (rgb,) = run(pixel_decoder_graph(avatar), **pixels)
+    wanted = decode_pixels(avatar.spec, avatar.tensors, *pixels.values(), np.float64)
+    assert np.abs(rgb - wanted).max() < tolerances.PIXEL_ONNX

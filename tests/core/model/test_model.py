@@ -1,0 +1,193 @@
+"""The torch model against the paper's numbers."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import nn
+
+from helpers.trainable import toy_prior
+from pica_core.avatar.spec import BLOCKS, PAPER_SPEC, AvatarSpec
+from pica_core.graphs.decoder_layers import decoder_layers
+from pica_core.model.avatar import PixelCodecAvatar
+from pica_core.model.decoders import MapDecoder, sample_map
+from pica_core.model.encoder import LightEncoder, PaperEncoder
+from pica_core.model.interface import Surface, flat_latent, grid_of_latent
+from pica_core.model.pixel_decoder import PixelDecoder
+
+pytestmark = pytest.mark.train
+
+SMALL = AvatarSpec(uv_encoding_size=32, axis_encoding_size=64)
+
+
+def count(module: nn.Module) -> int:
+    return sum(parameter.numel() for parameter in module.parameters())
+
+
+def small_avatar() -> PixelCodecAvatar:
+    torch.manual_seed(0)
+    return PixelCodecAvatar(SMALL, toy_prior(scale_m=0.01))
+
+
+def test_the_pixel_decoder_mlp_has_307_parameters() -> None:
+    assert count(PixelDecoder(PAPER_SPEC).colour) == 307
+
+
+def test_the_xyz_siren_has_36_parameters() -> None:
+    assert count(PixelDecoder(PAPER_SPEC).xyz) == 36
+
+
+def test_the_encoding_maps_have_the_papers_sizes() -> None:
+    encoding = PixelDecoder(PAPER_SPEC).encoding
+
+    shapes = {name: tuple(values.shape) for name, values in encoding.named_tensors().items()}
+
+    assert shapes == {
+        "uv_encoding": (1024, 1024, 4),
+        "u_encoding": (10_000, 2),
+        "v_encoding": (10_000, 2),
+    }
+    assert encoding.channels == 8
+
+
+def test_the_papers_decoder_has_its_5_47_million_parameters_within_half_a_percent() -> None:
+    decoders = count(MapDecoder(PAPER_SPEC, "geometry")) + count(
+        MapDecoder(PAPER_SPEC, "expression")
+    )
+
+    assert abs(decoders + count(PixelDecoder(PAPER_SPEC)) - 5_470_000) < 0.005 * 5_470_000
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+@pytest.mark.parametrize(("decoder", "channels"), [("geometry", (4, 3)), ("expression", (7, 4))])
+def test_decoders_turn_the_latent_grid_into_maps_of_256(
+    block: str, decoder: str, channels: tuple[int, int]
+) -> None:
+    module = MapDecoder(AvatarSpec(block=block), decoder)
+
+    with torch.no_grad():
+        output = module(torch.zeros(2, channels[0], 8, 8))
+
+    assert output.shape == (2, channels[1], 256, 256)
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_named_tensors_have_the_shapes_of_the_avatar_file(block: str) -> None:
+    spec = AvatarSpec(block=block)
+    wanted = {
+        name: shape
+        for layer in decoder_layers(spec, "geometry")
+        for name, shape in layer.tensor_shapes().items()
+    }
+
+    tensors = MapDecoder(spec, "geometry").named_tensors()
+
+    assert {name: tuple(values.shape) for name, values in tensors.items()} == wanted
+
+
+def test_the_papers_encoder_gives_mean_and_variance_of_an_8_by_8_by_4_latent() -> None:
+    encoder = PaperEncoder()
+    assert (
+        count(encoder)
+        == 512 * 49
+        + 256 * (512 * 16 + 1)
+        + 256 * 4
+        + sum(b * (a * 16 + 1) for a, b in [(512, 128), (128, 64), (64, 32), (32, 16), (16, 8)])
+        + 2 * 4 * 9
+    )
+
+    with torch.no_grad():  # a quarter of the size in each direction shows the same structure
+        mean, log_variance = encoder(torch.zeros(1, 3, 256, 256), torch.zeros(1, 3, 64, 64))
+
+    assert mean.shape == log_variance.shape == (1, 4, 2, 2)
+
+
+def test_the_light_encoder_gives_the_same_kind_of_latent() -> None:
+    with torch.no_grad():
+        mean, _ = LightEncoder()(torch.zeros(2, 3, 256, 256), torch.zeros(2, 3, 256, 256))
+
+    assert mean.shape == (2, 4, 8, 8)
+
+
+def test_an_untrained_geometry_decoder_starts_near_the_mean_face() -> None:
+    avatar = small_avatar()
+
+    with torch.no_grad():
+        positions = avatar.decode_geometry(torch.randn(1, 4, 8, 8))
+
+    assert (positions - avatar.position_mean).abs().max() < 0.005
+
+
+def test_map_lookup_at_a_texel_centre_returns_that_texel() -> None:
+    values = torch.rand(1, 2, 4, 4)
+    centre = torch.tensor([[(1 + 0.5) / 4, (2 + 0.5) / 4]])
+
+    assert torch.allclose(sample_map(values, centre)[0, 0], values[0, :, 2, 1])
+
+
+def test_the_colour_loss_reaches_xyz_only_when_the_path_is_opened() -> None:
+    avatar = small_avatar()
+    expression_map = torch.zeros(1, 4, 256, 256)
+    gradients = {}
+    for detach in (True, False):
+        xyz = torch.zeros(5, 3, requires_grad=True)
+        uv = torch.rand(5, 2, requires_grad=True)
+        surface = Surface(torch.zeros(5, dtype=torch.int64), uv, xyz)
+        avatar.shade(expression_map, surface, detach_xyz=detach).sum().backward()
+        assert uv.grad is not None
+        gradients[detach] = xyz.grad
+
+    assert gradients[True] is None
+    assert gradients[False] is not None
+
+
+def test_pixels_of_several_images_read_their_own_expression_map() -> None:
+    avatar = small_avatar()
+    maps = torch.stack([torch.zeros(4, 256, 256), torch.ones(4, 256, 256)])
+    uv = torch.full((2, 2), 0.5)
+    xyz = torch.zeros(2, 3)
+
+    both = avatar.shade(maps, Surface(torch.tensor([0, 1]), uv, xyz))
+    second = avatar.shade(maps[1:], Surface(torch.tensor([0]), uv[:1], xyz[:1]))
+
+    assert torch.allclose(both[1], second[0])
+    assert not torch.allclose(both[0], both[1])
+
+
+def test_the_drawn_and_the_tracked_mesh_are_samples_of_one_map() -> None:
+    prior = toy_prior()
+    latent = torch.randn(2, 4, 8, 8)
+    torch.manual_seed(0)
+    dense = PixelCodecAvatar(SMALL, prior)
+    torch.manual_seed(0)
+    coarse = PixelCodecAvatar(SMALL, prior, topology="tracked")
+
+    with torch.no_grad():
+        fine, rough = dense.decode_mesh(latent), coarse.decode_mesh(latent)
+
+    assert fine.vertices_m.shape == (2, 16 * 16, 3)
+    assert fine.tracked_m.shape == rough.vertices_m.shape == (2, 9 * 9, 3)
+    assert torch.equal(fine.tracked_m, rough.vertices_m)
+    assert torch.equal(fine.tracked_m, dense.tracked_vertices(latent))
+    assert torch.equal(fine.vertices_m, dense.vertices(latent))
+
+
+def test_every_weight_but_the_expression_encoders_is_in_one_group() -> None:
+    avatar = small_avatar()
+
+    grouped = [p for group in avatar.parameter_groups().values() for p in group]
+
+    wanted = {id(p) for p in avatar.parameters()} - {
+        id(p) for p in avatar.expression_encoder.parameters()
+    }
+    assert {id(p) for p in grouped} == wanted
+    assert len(grouped) == len(wanted)
+
+
+def test_a_flat_latent_runs_by_row_column_and_channel() -> None:
+    flat = torch.arange(256.0)[None]
+
+    grid = grid_of_latent(flat)
+
+    assert grid[0, 3, 2, 5] == (2 * 8 + 5) * 4 + 3
+    assert torch.equal(flat_latent(grid), flat)

@@ -1,0 +1,228 @@
+"""The rows of the paper's tables: sizes, costs, and one answer from torch, numpy and ONNX."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+import pytest
+import torch
+
+from helpers.tolerances import PIXEL_FLOAT32, PIXEL_ONNX
+from helpers.toy import grid_faces
+from helpers.trainable import grid_uv, toy_prior
+from pica_core.avatar.file import Avatar, Manifest, load_avatar, save_avatar
+from pica_core.avatar.manifest import DRAWN_VARIANTS
+from pica_core.avatar.spec import PAPER_SPEC, AvatarSpec
+from pica_core.avatar.variants import FULL, TABLE_1, TABLE_2
+from pica_core.errors import AvatarFileError
+from pica_core.graphs.pixel_graph import pixel_decoder_graph
+from pica_core.model.avatar import PixelCodecAvatar
+from pica_core.model.interface import AvatarModel, FacePrior, Surface
+from pica_core.model.variants import VARIANTS, make_model
+from pica_core.reference.pixel import count_parameters, decode_pixels
+from pica_core.reference.surface_encoding import encode_surface
+from pica_core.train.export import avatar_tensors
+
+pytestmark = pytest.mark.train
+
+SMALL = AvatarSpec(map_size=32, hidden_channels=(6,), uv_encoding_size=32, axis_encoding_size=200)
+PRIOR = toy_prior(map_size=32)
+NUM_PIXELS = 500
+PIXEL_PARAMETERS = {
+    "full": 307,
+    "coarse": 307,
+    "no_uv": 307 - 8 * 8,
+    "uv_nope": 307 - 6 * 8,
+    "nerf_pe": 307 + 32 * 8,
+    "pe_2d": 307 - 4 * 8,
+    "pe_1d": 307 - 4 * 8,
+}
+"""Of the final sine network: each input that is more or less is 8 weights more or less."""
+
+
+def small_model(variant: str) -> AvatarModel:
+    torch.manual_seed(2)
+    return make_model(variant, SMALL, PRIOR, texture_size=64)
+
+
+def exported(variant: str) -> tuple[PixelCodecAvatar, Avatar]:
+    model = small_model(variant)
+    assert isinstance(model, PixelCodecAvatar)
+    manifest = Manifest(
+        name="Judged",
+        identity="none",
+        licence="Apache-2.0",
+        spec=model.spec,
+        variant=variant,
+        position_scale_m=model.position_scale_m,
+        latent_scale=(1.0, 1.0, 1.0, 1.0),
+        bounds_min_m=(-0.2, -0.2, -0.2),
+        bounds_max_m=(0.2, 0.2, 0.2),
+    )
+    return model, Avatar(manifest, avatar_tensors(model, grid_uv(16), grid_faces(16, 16)))
+
+
+def some_pixels() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(5)
+    codes = rng.standard_normal((NUM_PIXELS, 4))
+    xyz_m = rng.uniform(-0.1, 0.1, (NUM_PIXELS, 3))
+    uv = rng.uniform(0, 1, (NUM_PIXELS, 2)).astype(np.float32).astype(np.float64)
+    return codes, xyz_m, uv
+
+
+def test_each_row_is_full_with_one_part_replaced() -> None:
+    for name, row in VARIANTS.items():
+        changed = [
+            f for f in ("network", "encoding", "topology") if getattr(row, f) != getattr(FULL, f)
+        ]
+        # A baseline without the tracker's mesh would be another paper's.
+        assert len(changed) == (0 if name == "full" else 2 if name == "baseline" else 1)
+
+
+def test_the_tables_name_all_variants() -> None:
+    assert set(TABLE_1) | set(TABLE_2) == set(VARIANTS)
+    assert set(DRAWN_VARIANTS) == set(VARIANTS) - {"baseline"}
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_the_cost_counts_the_weights_that_a_receiver_runs(variant: str) -> None:
+    model = small_model(variant)
+    others = {*model.encoder.parameters(), *model.expression_encoder.parameters()}
+
+    trained = sum(p.numel() for p in model.parameters() if p not in others)
+
+    assert model.cost.parameters == trained
+
+
+def test_the_papers_model_and_its_baseline_have_their_published_sizes() -> None:
+    prior = replace_tracked(7306)
+    full = make_model("full", PAPER_SPEC, toy_prior()).cost
+    baseline = make_model("baseline", PAPER_SPEC, prior).cost
+
+    assert abs(full.parameters - 5_470_000) < 0.005 * 5_470_000
+    assert 17_000_000 < baseline.parameters < 19_080_000
+    assert full.per_pixel_multiply_adds == 308
+    assert full.per_object_multiply_adds == pytest.approx(114e6, rel=0.01)
+    assert baseline.per_object_multiply_adds == pytest.approx(762e6, rel=0.01)
+
+
+def replace_tracked(count: int) -> FacePrior:
+    prior = toy_prior()
+    uv = np.random.default_rng(0).uniform(0, 1, (count, 2)).astype(np.float32)
+    return replace(prior, tracked_uv=uv, tracked_mean_m=np.zeros((count, 3), np.float32))
+
+
+@pytest.mark.parametrize("variant", PIXEL_PARAMETERS)
+def test_the_pixel_decoder_has_the_weights_that_its_inputs_ask_for(variant: str) -> None:
+    _, avatar = exported(variant)
+
+    assert count_parameters(avatar.tensors, "pixel") == PIXEL_PARAMETERS[variant]
+    assert count_parameters(avatar.tensors, "xyz") == 36
+
+
+@pytest.mark.parametrize("variant", DRAWN_VARIANTS)
+def test_torch_and_onnx_colour_pixels_as_the_reference_does(variant: str) -> None:
+    model, avatar = exported(variant)
+    codes, xyz_m, uv = some_pixels()
+    reference = decode_pixels(avatar.spec, avatar.tensors, codes, xyz_m, uv, np.float64)
+
+    inputs = [torch.from_numpy(values).to(torch.float32) for values in (codes, xyz_m, uv)]
+    with torch.no_grad():
+        by_torch = model.pixel_decoder(*inputs).numpy()
+    session = onnxruntime.InferenceSession(
+        pixel_decoder_graph(avatar), providers=["CPUExecutionProvider"]
+    )
+    names = [item.name for item in session.get_inputs()]
+    given = dict(zip(("expression", "xyz_m", "uv"), inputs, strict=True))
+    (by_onnx,) = session.run(["rgb"], {name: given[name].numpy() for name in names})
+
+    assert np.ptp(reference) > 0.2, "the test would not notice a constant colour"
+    assert np.abs(by_torch - reference).max() <= PIXEL_FLOAT32
+    assert np.abs(by_onnx - reference).max() <= PIXEL_ONNX
+
+
+@pytest.mark.parametrize("variant", ["full", "uv_nope", "nerf_pe", "pe_2d", "pe_1d"])
+def test_where_a_pixel_lies_on_the_surface_changes_its_colour(variant: str) -> None:
+    _, avatar = exported(variant)
+    codes, xyz_m, uv = some_pixels()
+
+    here = decode_pixels(avatar.spec, avatar.tensors, codes, xyz_m, uv)
+    there = decode_pixels(avatar.spec, avatar.tensors, codes, xyz_m, 1 - uv)
+
+    assert np.abs(here - there).max() > 0.01
+
+
+def test_without_uv_it_does_not() -> None:
+    _, avatar = exported("no_uv")
+    codes, xyz_m, uv = some_pixels()
+
+    here = decode_pixels(avatar.spec, avatar.tensors, codes, xyz_m, uv)
+    there = decode_pixels(avatar.spec, avatar.tensors, codes, xyz_m, 1 - uv)
+
+    assert np.array_equal(here, there)
+
+
+def test_sinusoids_are_forty_and_run_through_whole_turns() -> None:
+    spec = replace(SMALL, encoding="sinusoids")
+    code = encode_surface(spec, {}, np.array([[0.25, 0.5], [0.0, 0.0]]), np.float64)
+
+    assert code.shape == (2, 40)
+    np.testing.assert_allclose(code[0, :8], [1, 0, 0, -1, 0, 0, -1, 1], atol=1e-12)
+    np.testing.assert_allclose(code[1], np.tile([0, 0, 1, 1], 10), atol=1e-12)
+
+
+@pytest.mark.parametrize("variant", DRAWN_VARIANTS)
+def test_a_variant_comes_back_from_its_file(variant: str, tmp_path: Path) -> None:
+    _, avatar = exported(variant)
+
+    save_avatar(tmp_path / "v.pica", avatar)
+    read = load_avatar(tmp_path / "v.pica")
+
+    assert read.manifest.variant == variant
+    assert read.spec == avatar.spec
+    assert read.tensors.keys() == avatar.tensors.keys()
+
+
+def test_a_file_whose_encoding_is_not_its_variants_is_refused(tmp_path: Path) -> None:
+    _, avatar = exported("pe_2d")
+    wrong = Avatar(replace(avatar.manifest, variant="full"), avatar.tensors)
+
+    with pytest.raises(AvatarFileError, match=r"spec\.encoding is 'joint'; variant full"):
+        save_avatar(tmp_path / "v.pica", wrong)
+
+
+def test_a_spec_says_nothing_of_the_papers_encoding_so_that_old_programs_read_it() -> None:
+    assert "encoding" not in SMALL.to_json()
+    assert AvatarSpec.from_json(SMALL.to_json()) == SMALL
+    other = replace(SMALL, encoding="uv")
+    assert AvatarSpec.from_json(other.to_json()) == other
+
+
+def test_an_unknown_encoding_is_refused() -> None:
+    with pytest.raises(ValueError, match="encoding is 'fourier'"):
+        AvatarSpec.from_json({**SMALL.to_json(), "encoding": "fourier"})
+
+
+def test_an_unknown_variant_is_refused_by_name() -> None:
+    with pytest.raises(ValueError, match="variant is 'fuller'; known are full"):
+        make_model("fuller", SMALL, PRIOR)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_the_image_reaches_every_weight_that_makes_it(variant: str) -> None:
+    model = small_model(variant)
+    latent = torch.randn(2, 4, 8, 8)
+    mesh = model.decode_mesh(latent)
+    surface = Surface(torch.tensor([0, 0, 1]), torch.rand(3, 2), mesh.vertices_m[[0, 0, 1], 7])
+    maps = model.appearance(latent, torch.nn.functional.normalize(torch.randn(2, 3)))
+
+    colours = model.shade(maps, surface, detach_xyz=False)
+    (colours.sum() + mesh.tracked_m.square().sum()).backward()  # type: ignore[no-untyped-call]
+
+    encoder = {*model.encoder.parameters(), *model.expression_encoder.parameters()}
+    silent = [name for name, p in model.named_parameters() if p not in encoder and p.grad is None]
+    assert silent == []
+    assert mesh.vertices_m.shape[1] == {"dense": 256, "tracked": 81}[model.topology]

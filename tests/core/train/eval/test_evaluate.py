@@ -1,0 +1,437 @@
+"""Figures of merit on cases that a person can follow, and the paper's tables from small runs."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+import numpy as np
+import pytest
+import torch
+
+from pica_core.avatar.spec import BLOCKS
+from pica_core.avatar.variants import VARIANTS
+from pica_core.capture.dataset.dataset import Capture
+from pica_core.capture.stage.subject import HeadSubject
+from pica_core.capture.stage.synth import StageOptions, render_capture
+from pica_core.errors import CheckpointError, TrainingOptionError
+from pica_core.train.checkpoint import write_checkpoint
+from pica_core.train.cli.eval import EvalOptions, eval_runs
+from pica_core.train.cli.train import TrainOptions, train
+from pica_core.train.config import PRESETS, TrainConfig
+from pica_core.train.data import TrainingData
+from pica_core.train.eval.evaluate import successor
+from pica_core.train.eval.judge import Judge, model_rasteriser
+from pica_core.train.eval.metrics import (
+    BEST_PSNR_DB,
+    bootstrap_interval,
+    change_mse,
+    mse,
+    psnr_db,
+    ssim,
+)
+from pica_core.train.eval.run import RUN_FILE, open_run
+from pica_core.train.eval.tables import error_table, report
+from pica_core.train.eval.truth import (
+    DEPTH_CAP_MM,
+    NEAR_DISTANCE_M,
+    DepthErrors,
+    TrueView,
+    near_camera,
+    near_field,
+    one_sample_mse,
+)
+from pica_core.train.loop import open_trainer
+from pica_core.train.prior import face_prior
+
+pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
+
+VARIANTS_HERE = ("full", "baseline", "coarse")
+STAGE = StageOptions(
+    frames=20,
+    cameras=1,
+    width=80,
+    height=80,
+    texture_size=64,
+    bake_size=256,
+    self_shadow=False,
+    tracked_vertices=400,
+)
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("capture")
+    render_capture(STAGE, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def data(capture: Path) -> TrainingData:
+    return TrainingData(Capture.open(capture), 256)
+
+
+def config_of(variant: str) -> TrainConfig:
+    tiny = PRESETS["tiny"]
+    return replace(tiny, model=replace(tiny.model, variant=variant, texture_size=64))
+
+
+@pytest.fixture(scope="module")
+def runs(
+    capture: Path, data: TrainingData, tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, Path]:
+    """Runs that were stopped before their first step: means of the capture, no motion."""
+    folders: dict[str, Path] = {}
+    for variant in VARIANTS_HERE:
+        folder = folders[variant] = tmp_path_factory.mktemp(variant)
+        config = config_of(variant)
+        torch.manual_seed(config.seed)
+        state = {
+            "config": json.dumps(config.to_json()),
+            "step": 0,
+            "model": config.model.build(face_prior(data)).state_dict(),
+        }
+        write_checkpoint(folder / "checkpoint.pt", state)
+        (folder / RUN_FILE).write_text(json.dumps({"capture": str(capture)}))
+    return folders
+
+
+def noisy(image: np.ndarray, sigma: float) -> np.ndarray:
+    return image + np.random.default_rng(1).normal(0, sigma, image.shape)
+
+
+def test_mse_is_on_values_of_0_to_255() -> None:
+    assert mse(np.zeros((4, 3)), np.full((4, 3), 3.0)) == 9.0
+
+
+def test_an_error_of_one_step_is_48_db() -> None:
+    assert psnr_db(1.0) == pytest.approx(48.13, abs=0.01)
+    assert psnr_db(0.0) == BEST_PSNR_DB
+
+
+def test_ssim_agrees_with_its_definition_written_out_pixel_by_pixel() -> None:
+    rng = np.random.default_rng(0)
+    a, b = rng.uniform(0, 255, (2, 14, 13, 3))
+    covered = np.zeros((14, 13), bool)
+    covered[6:8, 5:8] = True
+    place = np.arange(-5, 6)
+    bell = np.exp(-0.5 * (place / 1.5) ** 2)
+    window = np.outer(bell, bell) / bell.sum() ** 2
+
+    values = []
+    for row, column in np.argwhere(covered):
+        for channel in range(3):
+            x = a[row - 5 : row + 6, column - 5 : column + 6, channel]
+            y = b[row - 5 : row + 6, column - 5 : column + 6, channel]
+            mx, my = (window * x).sum(), (window * y).sum()
+            vx, vy = (window * (x - mx) ** 2).sum(), (window * (y - my) ** 2).sum()
+            cov = (window * (x - mx) * (y - my)).sum()
+            c1, c2 = 2.55**2, 7.65**2
+            values.append(
+                (2 * mx * my + c1) * (2 * cov + c2) / ((mx**2 + my**2 + c1) * (vx + vy + c2))
+            )
+
+    assert ssim(a, b, covered) == pytest.approx(np.mean(values), rel=1e-9)
+
+
+def test_ssim_falls_with_noise_and_is_one_for_the_same_picture() -> None:
+    image = np.random.default_rng(0).uniform(0, 255, (40, 40, 3))
+    covered = np.ones((40, 40), bool)
+
+    values = [ssim(noisy(image, sigma), image, covered) for sigma in (0, 10, 30)]
+
+    assert values[0] == pytest.approx(1)
+    assert values[0] > values[1] > values[2]
+
+
+def test_a_constant_error_does_not_flicker_and_an_alternating_one_does() -> None:
+    seen = np.zeros((5, 3)), np.full((5, 3), 4.0)
+
+    steady = change_mse((seen[0] + 10, seen[1] + 10), seen)
+    alternating = change_mse((seen[0] + 10, seen[1] - 10), seen)
+
+    assert steady == 0
+    assert alternating == 400
+
+
+def test_the_bootstrap_interval_covers_the_mean_as_the_normal_one_does() -> None:
+    values = np.random.default_rng(3).normal(20, 5, 200).tolist()
+
+    low, high = bootstrap_interval(values)
+
+    half = 1.96 * np.std(values) / np.sqrt(len(values))
+    assert low == pytest.approx(np.mean(values) - half, abs=0.1)
+    assert high == pytest.approx(np.mean(values) + half, abs=0.1)
+    assert bootstrap_interval(values) == (low, high)
+
+
+def test_depth_errors_are_counted_where_both_meshes_are_and_capped() -> None:
+    truth = TrueView(
+        np.array([[0, 0, 1, 255]], np.uint8), np.array([[1.0, 1.0, 1.0, 0.0]], np.float32)
+    )
+    errors = DepthErrors()
+
+    errors.add(truth, np.array([0, 1, 3]), np.array([1.002, 1.5, 1.0], np.float32))
+
+    means = errors.means_mm()
+    assert means["mouth"] == pytest.approx((2 + DEPTH_CAP_MM) / 2, abs=1e-3)
+    assert means["eyes"] is None
+    assert means["rest"] is None
+
+
+def test_only_the_next_test_frame_of_a_take_follows(data: TrainingData) -> None:
+    frames = data.capture.frames
+    for frame in data.test_frames:
+        after = successor(data, frame)
+        if after is not None:
+            assert after == frame + 1
+            assert frames[after].segment == frames[frame].segment
+            assert frames[after].split == "test"
+
+
+def test_the_near_camera_is_closer_than_any_of_the_capture(data: TrainingData) -> None:
+    frame = data.test_frames[0]
+    vertices_m = data.vertices_m[frame]
+    lips = vertices_m[data.capture.topology.regions["lips"]].mean(0)
+
+    near = near_camera(data.capture, vertices_m)
+
+    distances = [
+        np.linalg.norm(data.camera(frame, name).centre_m - lips) for name in data.camera_names
+    ]
+    assert np.linalg.norm(near.centre_m - lips) == pytest.approx(NEAR_DISTANCE_M)
+    assert 0.2 * min(distances) > NEAR_DISTANCE_M
+
+
+class KeptSubject(HeadSubject):
+    """A head that stays for another go: baking one takes seconds."""
+
+    def release(self) -> None:
+        """Not yet."""
+
+
+def test_near_field_pictures_are_skipped_where_the_stage_draws_another_picture(
+    data: TrainingData, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    subject = KeptSubject("S1", bake_size=STAGE.bake_size, self_shadow=False)
+    frames = data.test_frames[:1]
+    try:
+        same = near_field(data, frames, lambda name: subject)
+        image = data.image
+        monkeypatch.setattr(data, "image", lambda frame, view: image(frame, view) // 2)
+        other = near_field(data, frames, lambda name: subject)
+    finally:
+        HeadSubject.release(subject)
+
+    assert "no longer draws what the capture holds" in str(other.skipped)
+    assert same.skipped is None
+    assert same.images[frames[0]][1].std() > 10
+
+
+def test_what_needs_the_head_itself_is_skipped_for_a_real_capture(
+    data: TrainingData, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(data.capture.info, "head", "a real person")
+
+    assert "nobody can draw" in str(near_field(data, data.test_frames[:1]).skipped)
+    assert one_sample_mse(data, data.test_frames[:1]) is None
+
+
+def test_one_sample_a_pixel_errs_by_less_than_a_picture_half_a_pixel_off(
+    data: TrainingData,
+) -> None:
+    subject = KeptSubject("S1", bake_size=STAGE.bake_size, self_shadow=False)
+    frame = data.test_frames[0]
+    errors = []
+    try:
+        error = one_sample_mse(data, [frame], lambda name: subject)
+        for view in data.evaluation_views:
+            camera, shift = data.camera(frame, view), np.zeros((3, 3))
+            shift[0, 2] = 0.5
+            moved = subject.draw(replace(camera, intrinsics=camera.intrinsics + shift)).image
+            is_head = data.capture.mask(data.capture.frames[frame], view) > 0
+            seen = data.image(frame, view)[is_head].astype(float)
+            errors.append(mse(moved[is_head].astype(float), seen))
+    finally:
+        HeadSubject.release(subject)
+
+    assert error is not None
+    assert 1 < error < np.mean(errors)
+
+
+def test_several_samples_a_pixel_are_the_mean_of_a_finer_picture(data: TrainingData) -> None:
+    torch.manual_seed(0)
+    model = config_of("full").model.build(face_prior(data)).eval()
+    frame, view = data.test_frames[0], data.evaluation_views[0]
+    camera = data.camera(frame, view)
+    with model_rasteriser(data.capture, model) as rasteriser:
+        judge = Judge(data, model, rasteriser)
+        latent = judge.encode(frame)
+        once = judge.draw(latent, camera)
+        several = judge.draw(latent, camera, samples=3)
+        fine_camera = camera.scaled(3 * camera.width, 3 * camera.height)
+        fine = judge.draw(latent, fine_camera)
+
+    height, width = camera.height, camera.width
+    parts = fine.on(np.zeros((3 * height, 3 * width, 3), np.uint8))
+    means = parts.reshape(height, 3, width, 3, 3).mean((1, 3)).reshape(-1, 3)
+    samples = fine.covered(fine_camera).reshape(height, 3, width, 3).sum((1, 3)).reshape(-1)
+    inside = samples[once.pixels] == 9
+    assert inside.mean() > 0.8
+    assert np.array_equal(several.pixels, once.pixels)
+    assert np.array_equal(several.depth_m, once.depth_m)
+    apart = np.abs(several.colours - means[once.pixels])[inside]
+    # Rounding may give a sample to the other side of an edge.
+    assert np.quantile(apart, 0.995) < 0.1
+    assert np.abs(several.colours - once.colours).mean() > 0.3
+
+
+@pytest.fixture(scope="module")
+def table(runs: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    out = tmp_path_factory.mktemp("tables")
+    options = EvalOptions(
+        runs=tuple(runs.values()), out=out, frames=4, geometry_frames=1, near_frames=0
+    )
+    return {"result": eval_runs(options), "out": out}
+
+
+def test_rows_of_a_table_have_what_the_charts_need(
+    table: dict[str, Any], data: TrainingData
+) -> None:
+    rows = table["result"]["rows"]
+
+    wanted = (
+        "identity variant block view mse mse_low mse_high psnr_db ssim temporal_mse parameters "
+    )
+    wanted += "macs steps seed samples"
+    assert len(rows) == len(VARIANTS_HERE) * len(data.evaluation_views)
+    for row in rows:
+        assert set(wanted.split()) <= set(row)
+        assert row["identity"] == "S1"
+        assert row["mse_low"] <= row["mse"] <= row["mse_high"]
+        assert 0 < row["ssim"] < 1
+        assert row["temporal_mse"] < row["mse"]
+    parameters = {row["variant"]: row["parameters"] for row in rows}
+    assert parameters["baseline"] > 4 * parameters["full"]
+    assert parameters["coarse"] == parameters["full"]
+    blocks = {row["variant"]: row["block"] for row in rows}
+    assert blocks["baseline"] is None
+    assert blocks["full"] in BLOCKS
+
+
+def test_the_report_names_every_model_and_is_written(table: dict[str, Any]) -> None:
+    text = (table["out"] / "table.md").read_text()
+
+    for variant in VARIANTS_HERE:
+        assert f"| S1 | {variant} |" in text
+    assert "tracked mesh" in text
+    assert json.loads((table["out"] / "eval.json").read_text())["table"] == 1
+
+
+def test_the_report_says_so_where_it_was_not_drawn_as_the_paper_draws(
+    table: dict[str, Any],
+) -> None:
+    result = table["result"]
+    finer = {
+        **result,
+        "rows": [{**row, "samples": 3} for row in result["rows"]],
+        "one_sample_mse": {"S1": 20.04},
+    }
+
+    assert "a pixel." not in report(1, result)
+    assert "Drawn with 9 samples a pixel." in report(1, finer)
+    assert "one sample a pixel: S1 20.0." in report(1, finer)
+
+
+def test_frames_that_were_trained_on_can_be_measured_and_are_called_so(
+    runs: dict[str, Path], data: TrainingData
+) -> None:
+    result = eval_runs(
+        EvalOptions(runs=(runs["full"],), split="train", frames=2, geometry_frames=0, near_frames=0)
+    )
+
+    trained_on = [data.capture.frames[frame] for frame in data.train_frames]
+    measured = [item["frame"] for item in result["runs"][0]["distribution"]]
+    assert 0 < len(measured) <= 2
+    assert set(measured) <= {f"{frame.segment}/{frame.name}" for frame in trained_on}
+    assert "frames that were trained on" in report(1, result)
+    assert "held-out" not in report(1, result)
+
+
+def test_geometry_is_judged_by_region_beside_the_trackers(table: dict[str, Any]) -> None:
+    result = table["result"]
+
+    assert set(result["tracked_mesh"]["S1"]) == {"mouth", "eyes", "rest"}
+    for run in result["runs"]:
+        assert 0 < run["geometry"]["rest"] < DEPTH_CAP_MM
+        assert run["near"] == {"skipped": "not asked for"}
+        assert len(run["distribution"]) >= 1
+
+
+def test_the_best_of_a_view_is_bold() -> None:
+    row = {"identity": "S1", "view": "front", "mse_low": 0.0, "mse_high": 9.0, "seed": 0}
+    rows = [{**row, "variant": "full", "mse": 2.0}, {**row, "variant": "baseline", "mse": 3.0}]
+
+    text = error_table(rows, ("baseline", "full"))
+
+    assert "| S1 | full | **2.00** (0.00 to 9.00) |" in text
+    assert "| S1 | baseline | 3.00 (0.00 to 9.00) |" in text
+
+
+def test_blocks_of_one_variant_are_told_apart() -> None:
+    row = {"identity": "S1", "view": "front", "mse_low": 0.0, "mse_high": 9.0, "seed": 0}
+    rows = [{**row, "variant": "full", "block": block, "mse": 2.0} for block in ("C", "H2")]
+
+    text = error_table(rows, ("full",))
+
+    assert "| S1 | full, block C |" in text
+    assert "| S1 | full, block H2 |" in text
+
+
+def test_runs_of_no_row_of_the_table_are_an_error(runs: dict[str, Path]) -> None:
+    with pytest.raises(TrainingOptionError, match="no run is of table 2"):
+        eval_runs(EvalOptions(runs=(runs["baseline"],), table=2))
+
+
+def test_a_run_that_does_not_say_its_capture_is_refused(
+    runs: dict[str, Path], tmp_path: Path
+) -> None:
+    (tmp_path / "checkpoint.pt").write_bytes((runs["full"] / "checkpoint.pt").read_bytes())
+
+    with pytest.raises(CheckpointError, match="which capture"):
+        open_run(tmp_path)
+
+
+def test_a_checkpoint_of_another_variant_is_refused_by_name(
+    runs: dict[str, Path], capture: Path
+) -> None:
+    options = TrainOptions(
+        capture=capture, out=runs["full"], variant="pe_2d", preset="tiny", resume=True
+    )
+
+    with pytest.raises(CheckpointError, match="of variant 'full', not 'pe_2d'"):
+        train(options)
+
+
+def test_the_command_knows_every_variant_and_preset() -> None:
+    hints = get_type_hints(TrainOptions)
+
+    assert set(get_args(hints["variant"])) == set(VARIANTS)
+    assert set(get_args(hints["preset"])) == set(PRESETS)
+
+
+@pytest.mark.parametrize("variant", ["baseline", "coarse"])
+def test_other_variants_train_through_all_phases(
+    data: TrainingData, variant: str, tmp_path: Path
+) -> None:
+    config = config_of(variant)
+    schedule = replace(config.schedule, geometry_steps=1, joint_steps=1, driver_steps=1)
+    with open_trainer(data, replace(config, schedule=schedule), tmp_path) as trainer:
+        before = {k: v.clone() for k, v in trainer.model.state_dict().items()}
+        trainer.run()
+        moved = [k for k, v in trainer.model.state_dict().items() if not v.equal(before[k])]
+
+    grouped = [p for group in trainer.model.parameter_groups().values() for p in group]
+    assert len(moved) >= len(grouped)

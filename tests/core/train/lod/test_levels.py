@@ -1,0 +1,247 @@
+"""Levels made after the fact: near to the full model, without cracks, and nothing else changed."""
+
+from __future__ import annotations
+
+import functools
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from helpers.toy import grid_faces, make_toy_avatar, with_toy_levels
+from pica_core.avatar.expression_encoder import ExpressionEncoder
+from pica_core.avatar.file import Avatar, avatar_id, load_avatar, save_avatar
+from pica_core.avatar.spec import AvatarSpec
+from pica_core.errors import TrainingOptionError
+from pica_core.model.decoders import sample_map
+from pica_core.reference.decoders import decode_expression_map, decode_position_map, decode_vertices
+from pica_core.reference.mesh import sample_vertices
+from pica_core.reference.pixel import decode_pixels, sample_bilinear
+from pica_core.train.cli.levels import AvatarLevelsOptions, avatar_levels
+from pica_core.train.lod.exits import fit_map
+from pica_core.train.lod.levels import LevelOptions, LevelReport, add_levels
+from pica_core.train.lod.simplify import Simplifier, boundary_edges, weld
+
+pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
+
+Array = np.ndarray[Any, Any]
+
+SMALL = AvatarSpec(
+    map_size=128, hidden_channels=(8, 6, 4), uv_encoding_size=16, axis_encoding_size=20
+)
+TOY = make_toy_avatar(grid=20, spec=SMALL)
+QUICK = LevelOptions(
+    faces=64, rounds=1, points=500, mesh_ratios=(0.3, 0.6), texels=(2, 2), check_faces=4
+)
+SHIPPED = Path(str(resources.files("pica_core"))) / "avatars" / "ines.pica"
+
+
+@functools.cache
+def levelled() -> tuple[Avatar, list[LevelReport]]:
+    return add_levels(TOY, QUICK)
+
+
+@functools.cache
+def shipped() -> Avatar:
+    return load_avatar(SHIPPED)
+
+
+def some_latent(avatar: Avatar, seed: int) -> Array:
+    arkit = np.random.default_rng(seed).uniform(0, 0.5, 52)
+    return ExpressionEncoder(avatar).encode(arkit)
+
+
+# Exits
+
+
+def test_an_avatar_gets_every_level_and_keeps_all_else() -> None:
+    avatar, _ = levelled()
+    assert avatar.levels == (32, 64, 128)
+    for name, array in TOY.tensors.items():
+        assert avatar.tensors[name] is array
+
+
+def test_what_is_made_can_be_saved_and_loaded(tmp_path: Path) -> None:
+    save_avatar(tmp_path / "toy.pica", levelled()[0])
+    assert load_avatar(tmp_path / "toy.pica").levels == (32, 64, 128)
+
+
+def test_the_report_is_of_each_level_and_beats_a_face_that_does_not_move() -> None:
+    small, large = levelled()[1]
+    assert (small.level, large.level) == (32, 64)
+    assert small.triangles < large.triangles
+    for report in (small, large):
+        assert report.triangles == len(levelled()[0].level_faces(report.level))
+        assert report.vertex_error_mm < 0.7 * report.vertex_rest_mm
+
+
+def test_levels_are_made_anew_with_the_same_result_and_their_errors_are_forgotten() -> None:
+    again, _ = add_levels(with_toy_levels(TOY), QUICK)
+    assert again.level_errors is None
+    for name, array in levelled()[0].tensors.items():
+        np.testing.assert_array_equal(again.tensors[name], array, err_msg=name)
+
+
+@pytest.mark.parametrize("field", ["faces", "rounds", "points", "check_faces"])
+def test_an_option_out_of_its_limits_is_refused(field: str) -> None:
+    with pytest.raises(TrainingOptionError, match=f"{field} is 0"):
+        LevelOptions(**{field: 0})
+
+
+@pytest.mark.parametrize("ratios", [(0.5,), (0.5, 0.2), (0.0, 0.5), (0.5, 1.5), (0.1, 0.2, 0.3)])
+def test_meshes_of_no_proper_sizes_are_refused(ratios: tuple[float, ...]) -> None:
+    with pytest.raises(TrainingOptionError, match="mesh_ratios is"):
+        LevelOptions(mesh_ratios=ratios)
+
+
+@pytest.mark.parametrize("texels", [(1,), (0, 1), (1, 5)])
+def test_vertices_of_no_or_too_many_texels_are_refused(texels: tuple[int, ...]) -> None:
+    with pytest.raises(TrainingOptionError, match="texels is"):
+        LevelOptions(texels=texels)
+
+
+# Maps that are read at points
+
+
+def test_a_fitted_map_gives_its_values_back_at_its_points() -> None:
+    across = (2 * torch.arange(7) + 1.8) / 16
+    points = torch.cartesian_prod(across, across)
+    values = torch.randn(49, 2, generator=torch.Generator().manual_seed(0))
+    found = fit_map(points, values, torch.ones(49), torch.zeros(2, 16, 16))
+    assert (sample_map(found[None], points)[0] - values).abs().max() < 0.02
+
+
+def test_texels_that_no_point_reads_keep_their_start() -> None:
+    points = torch.tensor([[0.1, 0.1]])
+    start = torch.full((1, 8, 8), 3.0)
+    found = fit_map(points, torch.tensor([[5.0]]), torch.ones(1), start)
+    assert torch.equal(found[:, 4:, 4:], start[:, 4:, 4:])
+    assert float(sample_map(found[None], points)[0, 0, 0]) == pytest.approx(5.0, abs=0.02)
+
+
+def test_an_important_point_wins_over_another_in_the_same_texel() -> None:
+    points = torch.tensor([[0.5625, 0.5625], [0.5625, 0.5625]])
+    weights = torch.tensor([1.0, 9.0])
+    found = fit_map(points, torch.tensor([[0.0], [1.0]]), weights, torch.zeros(1, 8, 8))
+    assert float(found[0, 4, 4]) == pytest.approx(0.9, abs=0.01)
+
+
+# Meshes
+
+
+def test_places_are_welded_within_twenty_micrometres() -> None:
+    vertices = np.array([[0, 0, 0], [1e-5, 0, 0], [0.1, 0, 0], [0.1, 1e-5, -1e-5], [0, 5e-5, 0]])
+    assert weld(vertices).tolist() == [0, 0, 2, 2, 4]
+
+
+def test_a_grid_has_its_border_as_boundary() -> None:
+    assert len(boundary_edges(grid_faces(4, 6))) == 2 * (3 + 5)
+
+
+def test_a_seam_is_a_boundary_in_uv_and_none_in_space() -> None:
+    faces = np.array([[0, 1, 2], [3, 5, 4]])
+    place = np.array([0, 1, 2, 1, 4, 2])
+    assert len(boundary_edges(faces)) == 6
+    assert len(boundary_edges(faces, place)) == 4
+
+
+def test_a_flat_sheet_needs_few_triangles_and_keeps_its_corners() -> None:
+    u, v = np.meshgrid(np.linspace(0, 1, 20), np.linspace(0, 1, 20))
+    uv = np.stack([u, v], -1).reshape(-1, 2)
+    flat = np.concatenate([uv, np.zeros((400, 1))], axis=1)
+    mesh = Simplifier(flat[None], uv, grid_faces(20, 20))
+    mesh.reduce(40, map_size=256)
+    faces = mesh.faces()
+    assert len(faces) <= 40
+    assert {0, 19, 380, 399} <= set(faces.reshape(-1).tolist())
+
+
+def test_a_crease_of_another_expression_is_kept() -> None:
+    u, v = np.meshgrid(np.linspace(0, 1, 21), np.linspace(0, 1, 21))
+    uv = np.stack([u, v], -1).reshape(-1, 2)
+    flat = np.concatenate([uv, np.zeros((441, 1))], axis=1)
+    folded = flat.copy()
+    folded[:, 2] = 0.3 * np.abs(uv[:, 0] - 0.5)
+    mesh = Simplifier(np.stack([flat, folded]), uv, grid_faces(21, 21))
+    mesh.reduce(60, map_size=256)
+    used = uv[np.unique(mesh.faces())]
+    assert (np.abs(used[:, 0] - 0.5) < 1e-6).sum() >= 2
+
+
+def test_vertices_within_a_texel_of_the_map_go_first() -> None:
+    u, v = np.meshgrid(np.linspace(0, 1, 33), np.linspace(0, 1, 33))
+    waves = 0.05 * np.sin(40 * u) * np.sin(40 * v)
+    shape = np.stack([u, v, waves], -1).reshape(-1, 3)
+    squeezed = np.where(u < 0.5, 0.1 * u, 1.9 * u - 0.9)  # half of the mesh in a twentieth of UV
+    uv = np.stack([squeezed, v], -1).reshape(-1, 2)
+    crowded = []
+    for map_size in (16, 256):
+        mesh = Simplifier(shape[None], uv, grid_faces(33, 33))
+        mesh.reduce(800, map_size)
+        crowded.append((uv[np.unique(mesh.faces()), 0] < 0.05).sum())
+    assert crowded[0] < 0.9 * crowded[1]
+
+
+@pytest.mark.parametrize(("level", "part"), [(64, 0.16), (128, 0.28)])
+def test_a_shipped_avatars_mesh_fits_its_level(level: int, part: float) -> None:
+    whole = len(shipped().tensors["mesh.faces"])
+    assert len(shipped().level_faces(level)) == pytest.approx(part * whole, rel=0.03)
+
+
+@pytest.mark.parametrize("level", [64, 128])
+def test_a_shipped_avatars_coarser_mesh_opens_no_crack(level: int) -> None:
+    tensors = shipped().tensors
+    rest = sample_vertices(tensors["geometry.mean"], tensors["mesh.vertex_uv"])
+    place = weld(rest)
+    before = boundary_edges(tensors["mesh.faces"], place)
+    after = boundary_edges(shipped().level_faces(level), place)
+    assert len(boundary_edges(tensors["mesh.faces"])) > 1.2 * len(before), "there are seams"
+    assert len(after) <= len(before)
+    # A crack would be a boundary where there was none: at vertices inside the full mesh.
+    assert set(after.reshape(-1).tolist()) <= set(before.reshape(-1).tolist())
+
+
+@pytest.mark.parametrize(("level", "limit_mm"), [(64, 0.3), (128, 0.15)])
+def test_a_shipped_avatars_exit_is_near_its_full_model(level: int, limit_mm: float) -> None:
+    avatar = shipped()
+    uv = avatar.tensors["mesh.vertex_uv"][np.unique(avatar.level_faces(level))]
+    latent = some_latent(avatar, 3)
+    full = sample_vertices(decode_position_map(avatar, latent), uv)
+    low = decode_vertices(avatar, latent, level)
+    assert np.linalg.norm(low - full, axis=1).mean() * 1000 < limit_mm
+    view = np.array([0.3, 0.1, 0.95])
+    colours = [
+        decode_pixels(
+            avatar.spec,
+            avatar.tensors,
+            sample_bilinear(decode_expression_map(avatar, latent, view, size), uv),
+            full,
+            uv,
+        )
+        for size in (level, avatar.spec.map_size)
+    ]
+    assert np.square(255 * (colours[0] - colours[1])).mean() < {64: 40, 128: 16}[level]
+
+
+# The command
+
+
+def test_the_command_adds_levels_to_a_file_and_leaves_the_rest_of_it_alone(tmp_path: Path) -> None:
+    path = tmp_path / "toy.pica"
+    save_avatar(path, TOY)
+    before = load_avatar(path)
+    found = avatar_levels(AvatarLevelsOptions(file=path, out=path, levels=QUICK, threads=1))
+    assert [row["level"] for row in found["levels"]] == [32, 64]
+    assert found["id"] == avatar_id(path)
+    after = load_avatar(path)
+    assert after.levels == (32, 64, 128)
+    for name, array in before.tensors.items():
+        np.testing.assert_array_equal(after.tensors[name], array, err_msg=name)
+
+
+def test_the_command_refuses_no_threads(tmp_path: Path) -> None:
+    with pytest.raises(TrainingOptionError, match="threads is 0"):
+        AvatarLevelsOptions(file=tmp_path / "a", out=tmp_path / "b", threads=0)

@@ -1,0 +1,92 @@
+"""Training on what others publish: without truth, depth and expressions, with damaged images."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.published_capture import SEGMENTS, write_original
+from pica_core.capture.dataset.dataset import Capture
+from pica_core.errors import CaptureError
+from pica_core.train.cli.train import ExportOptions, export
+from pica_core.train.config import PRESETS
+from pica_core.train.data import TrainingData
+from pica_core.train.eval.evaluate import evaluate
+from pica_core.train.loop import open_trainer
+
+pytestmark = pytest.mark.train
+
+TINY = PRESETS["tiny"]
+CONFIG = replace(
+    TINY,
+    schedule=replace(TINY.schedule, geometry_steps=2, joint_steps=6, driver_steps=4, joint_batch=4),
+    watch_every=4,
+)
+
+
+@pytest.fixture
+def original(tmp_path: Path) -> Path:
+    return write_original(tmp_path / "m--0001")
+
+
+def test_a_published_capture_with_holes_is_trained_on(original: Path, tmp_path: Path) -> None:
+    shutil.rmtree(original / "images" / SEGMENTS[2] / "right")
+    (original / "images" / SEGMENTS[1] / "front" / "000001.png").unlink()
+    for name in ("000000", "000002"):
+        (original / "images" / SEGMENTS[0] / "left" / f"{name}.png").write_bytes(b"no image")
+    data = TrainingData(Capture.open(original), 256)
+
+    with open_trainer(data, CONFIG, tmp_path / "run") as trainer:
+        trainer.run()
+        rows = evaluate(trainer)
+
+    assert trainer.step == 8  # the driver phase needs expressions
+    assert {row["source"] for row in rows} == {"encoder"}
+    assert all(math.isfinite(row["mse"]) for row in rows)
+    assert data.reader.bad  # counted
+    text = (tmp_path / "run" / "metrics.jsonl").read_text()
+    lines = [json.loads(line) for line in text.splitlines()]
+    notes = " ".join(line["text"] for line in lines if line["kind"] == "note")
+    assert "no expressions" in notes
+    assert "no exact meshes" in notes
+
+
+def test_a_frame_without_any_readable_image_is_named(original: Path, tmp_path: Path) -> None:
+    for path in (original / "images").glob("*/*/*.png"):
+        if path.name != "000003.png":
+            path.write_bytes(b"no image")
+    data = TrainingData(Capture.open(original), 256)
+    config = replace(CONFIG, schedule=replace(CONFIG.schedule, geometry_steps=0))
+    with (
+        open_trainer(data, config, tmp_path / "run") as trainer,
+        pytest.raises(CaptureError, match="no image of"),
+    ):
+        trainer.run()
+
+
+def test_the_neutral_frame_of_a_capture_without_expressions_is_the_mean_one(
+    original: Path,
+) -> None:
+    data = TrainingData(Capture.open(original), 256)
+    away = np.abs(data.neutral_m("tracked") - data.tracked_mean_m).max()
+    every = np.abs(data.tracked_m[data.train_frames] - data.tracked_mean_m).max((1, 2))
+    assert away == pytest.approx(every.min())
+
+
+def test_without_expressions_no_avatar_is_exported(original: Path, tmp_path: Path) -> None:
+    data = TrainingData(Capture.open(original), 256)
+    config = replace(CONFIG, schedule=replace(CONFIG.schedule, joint_steps=0))
+    with open_trainer(data, config, tmp_path / "run") as trainer:
+        trainer.run()
+    options = ExportOptions(
+        run=tmp_path / "run", capture=original, out=tmp_path / "a.pica", name="A"
+    )
+    with pytest.raises(CaptureError, match="no expressions"):
+        export(options)
+    assert not options.out.exists()

@@ -1,0 +1,107 @@
+"""Members of rooms without any socket: the bytes between session and hub are carried by hand."""
+
+from collections.abc import Callable
+
+from pica_protocol.client_session import ClientSession, Ticket
+from pica_protocol.codec import decode_message
+from pica_protocol.frames import Frame, decode_media
+from pica_protocol.messages import Message, Metadata, Track
+from pica_server.config.relay import RelayConfig
+from pica_server.hooks.events import Notice
+from pica_server.room.connection import Connection
+from pica_server.room.hub import Hub
+
+FACE = Track(kind="face")
+VOICE = Track(kind="voice", policy="ordered", deadline_ms=200)
+
+
+class Member:
+    """A client session and its connection."""
+
+    def __init__(
+        self,
+        hub: Hub,
+        name: str,
+        *,
+        room: str = "lobby",
+        tracks: tuple[Track, ...] = (FACE,),
+        now: float = 0.0,
+        address: str = "",
+        token: str = "",
+        metadata: Metadata = (),
+        resumable: bool = False,
+        ticket: Ticket | None = None,
+    ) -> None:
+        self.hub = hub
+        self.connection: Connection = hub.connect(now, address)
+        self.session = ClientSession(
+            room=room,
+            name=name,
+            tracks=tracks,
+            now=now,
+            token=token,
+            metadata=metadata,
+            resumable=resumable,
+            ticket=ticket,
+        )
+        self.speak(now)
+        self.heard = self.listen(now)
+
+    @property
+    def peer_id(self) -> str:
+        return self.session.peer_id
+
+    @property
+    def stream(self) -> int:
+        return self.session.tracks[0].stream
+
+    @property
+    def closed_code(self) -> int | None:
+        return None if self.connection.closed is None else self.connection.closed.code
+
+    def speak(self, now: float) -> None:
+        for data in self.session.messages_to_send(now):
+            self.hub.receive(self.connection, data, now)
+
+    def send_frame(
+        self, payload: bytes, now: float, *, is_keyframe: bool = True, track: int = 0
+    ) -> None:
+        self.session.send_frame(payload, captured_us=0, is_keyframe=is_keyframe, track=track)
+        self.speak(now)
+
+    def listen(self, now: float) -> list[Message | Frame]:
+        heard: list[Message | Frame] = []
+        while (parcel := self.hub.take(self.connection, now)) is not None:
+            self.hub.sent(self.connection, parcel, now)
+            self.session.receive_data(parcel.data, now)
+            if parcel.received_s:
+                heard += decode_media(parcel.data)
+            else:
+                heard.append(decode_message(parcel.data))
+        return heard
+
+    def lose_connection(self, now: float) -> Ticket | None:
+        """Die without a word; returns what there is to come back with."""
+        self.hub.disconnect(self.connection, 1006, "", now)
+        return self.session.ticket
+
+
+def hub_with(
+    *names: str,
+    config: RelayConfig | None = None,
+    resumable: bool = False,
+    notify: Callable[[Notice], None] | None = None,
+) -> tuple[Hub, list[Member]]:
+    """A hub with secrets that count up, and members of one room who have heard all there is."""
+    hub = Hub(config or RelayConfig(), new_secret=counting_secrets(), notify=notify)
+    members = [Member(hub, name, resumable=resumable) for name in names]
+    for member in members:
+        member.listen(now=0.0)
+    hub.take_ready()
+    return hub, members
+
+
+def counting_secrets() -> Callable[[], str]:
+    """Return a source of different secrets that everybody can guess."""
+    numbers = iter(range(1_000_000))
+    return lambda: f"secret{next(numbers)}"

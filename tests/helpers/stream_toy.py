@@ -1,0 +1,196 @@
+"""A small latent stream for tests: faces that move on eight muscles, and the profile learned from
+them.
+
+Everything is made from seeds. The metric says that a change along any of twelve directions shows in
+the picture as much as such changes do in the shipped avatars, so residuals, bits and silences look
+like those of a real stream, at a tenth of the cost.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from unittest import mock
+
+import numpy as np
+import numpy.typing as npt
+
+from helpers.toy import make_toy_avatar
+from pica_core.avatar.file import Avatar
+from pica_core.codec import latent_encoder
+from pica_core.codec.frames import FrameState, encode_frame
+from pica_core.codec.latent_sample import DecodedFrame
+from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
+from pica_core.codec.learning import LearningConfig, RenderMetric, learn_profile
+from pica_core.codec.profile import StreamProfile
+
+FloatArray = npt.NDArray[np.float64]
+
+NUM_DIRECTIONS = 12
+NUM_COMPONENTS = 8
+STILL = np.zeros(3)
+
+
+@functools.cache
+def toy_metric() -> RenderMetric:
+    """Twelve directions, the first of which shows sixteen times as much as the last."""
+    random = np.random.default_rng(5).standard_normal((256, NUM_DIRECTIONS))
+    directions = np.linalg.qr(random)[0].T
+    return RenderMetric(directions, np.diag(np.geomspace(4.0, 0.25, NUM_DIRECTIONS) ** 2))
+
+
+def toy_faces(seed: int, num_frames: int, liveliness: float = 1.0) -> FloatArray:
+    """Latents of a face that talks, blinks and rests. ``[T, 8, 8, 4]``."""
+    rng = np.random.default_rng([seed, 77])
+    times_s = np.arange(num_frames)[:, None] / 30
+    muscles = np.zeros((num_frames, NUM_DIRECTIONS))
+    for period_s in (3.1, 1.3, 0.45):
+        phase = rng.uniform(0, 2 * np.pi, (1, NUM_DIRECTIONS))
+        muscles += rng.uniform(0, 0.7, (1, NUM_DIRECTIONS)) * np.sin(
+            2 * np.pi * times_s / period_s + phase
+        )
+    blinks = rng.random(num_frames) < 0.02
+    muscles[:, 0] += 3.0 * np.convolve(blinks, [0.6, 1.0, 0.7, 0.3])[:num_frames]
+    talks = np.repeat(rng.random(num_frames // 60 + 1) < 0.8, 60)[:num_frames, None]
+    moving = np.cumsum(talks, axis=0)[:, 0] - 1  # at rest the face stays where it is
+    muscles = muscles[np.maximum(moving, 0)]
+    faces: FloatArray = (liveliness * muscles @ toy_metric().directions).reshape(-1, 8, 8, 4)
+    return faces
+
+
+def toy_pose(seed: int, num_frames: int) -> FloatArray:
+    """A head that nods and sways: rotation and translation. ``[T, 2, 3]``."""
+    rng = np.random.default_rng([seed, 78])
+    times_s = np.arange(num_frames)[:, None, None] / 30
+    phase = rng.uniform(0, 2 * np.pi, (1, 2, 3))
+    reach = np.array([[0.1], [0.01]])
+    pose: FloatArray = reach * np.sin(2 * np.pi * times_s / rng.uniform(1, 4, (1, 2, 3)) + phase)
+    return pose
+
+
+@functools.cache
+def toy_profile() -> StreamProfile:
+    """Eight components and eight tables, learned in a fraction of a second."""
+    faces = [toy_faces(seed, 150, live) for seed, live in ((1, 1.0), (2, 0.5), (3, 0.2))]
+    config = LearningConfig(num_components=NUM_COMPONENTS, num_tables=8, turn_sweeps=2)
+    return learn_profile(faces, toy_metric(), config)
+
+
+@functools.cache
+def other_profile() -> StreamProfile:
+    """What another version of the same avatar would bring."""
+    config = LearningConfig(num_components=NUM_COMPONENTS, num_tables=5, turn_sweeps=0)
+    return learn_profile([toy_faces(9, 150)], toy_metric(), config)
+
+
+@functools.cache
+def stream_avatar(seed: int = 7) -> Avatar:
+    """The toy avatar with the toy stream."""
+    avatar = make_toy_avatar(seed=seed)
+    return Avatar(avatar.manifest, {**avatar.tensors, **toy_profile().to_tensors()})
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Sent:
+    """A frame on the wire, and what its encoder goes on with."""
+
+    number: int
+    """Counts the frames; on the wire modulo 65536."""
+    captured_us: int
+    layer: int
+    is_keyframe: bool
+    payload: bytes
+    state: FrameState
+
+    @property
+    def sequence(self) -> int:
+        """As it stands in the header."""
+        return self.number % 65536
+
+
+class Publisher:
+    """An encoder with what it sent and what it believes the receivers see."""
+
+    def __init__(
+        self,
+        config: StreamConfig | None = None,
+        *,
+        first_number: int = 0,
+        profile: StreamProfile | None = None,
+    ) -> None:
+        self.encoder = LatentEncoder(profile or toy_profile(), config)
+        self.sent: list[Sent] = []
+        self._first = first_number
+
+    def show(self, face: FloatArray, pose: FloatArray, now_us: int) -> Sent | None:
+        """Encode one face; None when there was nothing to send."""
+        states: list[FrameState] = []
+
+        def spy(*arguments: object, **options: object) -> tuple[bytes, FrameState]:
+            payload, state = encode_frame(*arguments, **options)  # type: ignore[arg-type]
+            states.append(state)
+            return payload, state
+
+        with mock.patch.object(latent_encoder, "encode_frame", spy):
+            frame = self.encoder.encode(face, pose[0], pose[1], now_us)
+        if frame is None:
+            return None
+        sent = Sent(
+            number=self._first + len(self.sent),
+            captured_us=now_us,
+            layer=frame.layer,
+            is_keyframe=frame.is_keyframe,
+            payload=frame.payload,
+            state=states[-1],
+        )
+        self.sent.append(sent)
+        return sent
+
+    def show_all(self, faces: FloatArray, poses: FloatArray, *, fps: float = 30) -> list[Sent]:
+        """Encode a performance, going on in time after what was sent before."""
+        begin_us = self.sent[-1].captured_us + round(1e6 / fps) if self.sent else 0
+        before = len(self.sent)
+        for index, (face, pose) in enumerate(zip(faces, poses, strict=True)):
+            self.show(face, pose, begin_us + round(index * 1e6 / fps))
+        return self.sent[before:]
+
+
+def perform(
+    seed: int = 1,
+    num_frames: int = 120,
+    config: StreamConfig | None = None,
+    *,
+    first_number: int = 0,
+) -> list[Sent]:
+    """The frames of a performance."""
+    publisher = Publisher(config, first_number=first_number)
+    return publisher.show_all(toy_faces(seed, num_frames), toy_pose(seed, num_frames))
+
+
+def deliver(decoder: LatentDecoder, frame: Sent) -> list[DecodedFrame]:
+    """Hand a frame to a decoder as the wire would."""
+    return decoder.receive(
+        frame.sequence, frame.captured_us, frame.layer, frame.is_keyframe, frame.payload
+    )
+
+
+def deliver_all(decoder: LatentDecoder, frames: Iterable[Sent]) -> Iterator[DecodedFrame]:
+    """What comes out of a decoder for all these frames."""
+    for frame in frames:
+        yield from deliver(decoder, frame)
+
+
+def assert_shown_is_true(shown: Iterable[DecodedFrame], sent: Iterable[Sent]) -> None:
+    """Every face shown is, to the bit, the one that the encoder went on with for that frame."""
+    profile = toy_profile()
+    states = {frame.sequence: frame for frame in sent}
+    count = profile.num_components
+    for face in shown:
+        truth = states[face.sequence]
+        latent = profile.synthesise(truth.state.coefficients[:count])
+        np.testing.assert_array_equal(face.sample.latent.reshape(-1), latent)
+        pose = truth.state.coefficients[count:] / 2**14
+        np.testing.assert_array_equal(face.sample.rotation, pose[:3])
+        np.testing.assert_array_equal(face.sample.translation_m, pose[3:])
+        assert (face.captured_us, face.layer) == (truth.captured_us, truth.layer)

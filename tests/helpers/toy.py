@@ -1,0 +1,157 @@
+"""A small avatar with random weights but the look of a head, for tests that need a valid one."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.avatar.file import Avatar, Manifest, spec_tensor_shapes
+from pica_core.avatar.level_tensors import error_tensors, exit_shapes, faces_name, sheet_rows
+from pica_core.avatar.levels import default_errors, level_sizes
+from pica_core.avatar.spec import AvatarSpec
+from pica_core.avatar.variants import VARIANTS
+
+FloatArray = npt.NDArray[np.float32]
+
+TOY_SPEC = AvatarSpec(uv_encoding_size=64, axis_encoding_size=200)
+"""The shipped sizes but for smaller encoding maps: files of 1 MB, tests of milliseconds."""
+
+
+def head_surface(u: FloatArray, v: FloatArray) -> FloatArray:
+    """A bumpy head in metres: u runs from the right ear over the face (0.5) to the left one.
+
+    v runs from top to chin. The back is open, so UVs have no seam.
+    """
+    turn = (u - 0.5) * 1.7 * np.pi
+    tilt = (v - 0.5) * 0.92 * np.pi
+    nose = 0.022 * np.exp(-((turn / 0.18) ** 2) - ((tilt - 0.15) / 0.28) ** 2)
+    eyes = -0.012 * np.exp(-(((np.abs(turn) - 0.42) / 0.16) ** 2) - ((tilt + 0.12) / 0.11) ** 2)
+    mouth = 0.006 * np.exp(-((turn / 0.3) ** 2) - ((tilt - 0.62) / 0.07) ** 2)
+    radius = 0.095 + nose + eyes + mouth
+    x = radius * np.cos(tilt) * np.sin(turn) * 0.85
+    y = -radius * np.sin(tilt) * 1.25
+    z = radius * np.cos(tilt) * np.cos(turn)
+    return np.stack([x, y, z], axis=-1).astype(np.float32)
+
+
+def grid_faces(rows: int, columns: int) -> npt.NDArray[np.int32]:
+    """Two counter-clockwise triangles per cell of a grid: columns run to +x, rows downwards."""
+    corner = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
+    a, b, c, d = corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]
+    triangles = np.stack([np.stack([a, c, b], -1), np.stack([b, c, d], -1)], axis=-2)
+    return np.ascontiguousarray(triangles.reshape(-1, 3))
+
+
+def make_toy_avatar(
+    *, seed: int = 7, spec: AvatarSpec = TOY_SPEC, grid: int = 48, name: str = "Toy"
+) -> Avatar:
+    """A valid avatar: plausible mesh, skin-like colours with features, random decoders."""
+    rng = np.random.default_rng(seed)
+    tensors: dict[str, npt.NDArray[np.generic]] = {}
+    for key, shape in spec_tensor_shapes(spec).items():
+        fan_in = int(np.prod(shape[1:])) if key.endswith(".weight") else 1
+        spread = 0.05 if "bias" in key else np.sqrt(1.5 / fan_in)
+        tensors[key] = (rng.standard_normal(shape) * spread).astype(np.float32)
+    texel = (np.arange(spec.map_size, dtype=np.float32) + 0.5) / spec.map_size
+    tensors["geometry.mean"] = head_surface(*np.meshgrid(texel, texel))
+    tensors |= _paint(spec, rng, tensors)
+    corner = np.linspace(0.004, 0.996, grid, dtype=np.float32)
+    u, v = np.meshgrid(corner, corner)
+    tensors["mesh.vertex_uv"] = np.stack([u, v], axis=-1).reshape(-1, 2)
+    tensors["mesh.faces"] = grid_faces(grid, grid)
+    width = 52
+    for index, out in enumerate((32, 256)):
+        tensors[f"encoder.{index}.weight"] = (
+            rng.standard_normal((out, width)) / np.sqrt(width)
+        ).astype(np.float32)
+        tensors[f"encoder.{index}.bias"] = np.zeros(out, np.float32)
+        width = out
+    manifest = Manifest(
+        name=name,
+        identity=f"toy-{seed}",
+        licence="Apache-2.0",
+        spec=spec,
+        position_scale_m=0.003,
+        latent_scale=(4.0, 4.0, 4.0, 4.0),
+        bounds_min_m=(-0.15, -0.2, -0.15),
+        bounds_max_m=(0.15, 0.2, 0.2),
+        variant=next(name for name, row in VARIANTS.items() if row.encoding == spec.encoding),
+        model_card={"training": "none: random weights"},
+    )
+    return Avatar(manifest, tensors)
+
+
+def with_toy_levels(avatar: Avatar, *, seed: int = 8, errors: bool = True) -> Avatar:
+    """A toy avatar with exits of random weights, coarser grids as their meshes, and a guessed
+    table of errors."""
+    rng = np.random.default_rng(seed)
+    tensors = dict(avatar.tensors)
+    grid = round(len(tensors["mesh.vertex_uv"]) ** 0.5)
+    *exits, full = level_sizes(avatar.spec)
+    for level in exits:
+        kept = np.unique(np.linspace(0, grid - 1, max(3, grid * level // full)).round())
+        corner = kept.astype(np.int32)
+        index = (corner[:, None] * grid + corner).reshape(-1).astype(np.int32)
+        tensors[faces_name(level)] = index[grid_faces(len(corner), len(corner))]
+        rows = sheet_rows(len(index), level)
+        for name, shape in exit_shapes(avatar.spec, level, rows, 2).items():
+            inputs = shape[-1] / 3 if "geometry" in name else np.prod(shape[1:])
+            spread = np.sqrt(1.5 / inputs) if name.endswith("weight") else 0.05
+            tensors[name] = (rng.standard_normal(shape) * spread).astype(np.float32)
+        rest = np.zeros((rows * level, 3), np.float32)
+        rest[: len(index)] = head_surface(*tensors["mesh.vertex_uv"][index].T)
+        tensors[f"level.{level}.geometry.mean"] = rest.reshape(rows, level, 3)
+        texel = rng.integers(level * level, size=(rows, level, 2))
+        tensors[f"level.{level}.geometry.texel"] = texel.astype(np.int32)
+    if errors:
+        tensors |= error_tensors(default_errors((*exits, full)))
+    return Avatar(avatar.manifest, tensors)
+
+
+def _paint(
+    spec: AvatarSpec, rng: np.random.Generator, tensors: dict[str, npt.NDArray[np.generic]]
+) -> dict[str, FloatArray]:
+    """Encodings and a pixel decoder that show eyes, lips and hair, so that a picture is worth a
+    look.
+
+    m_uv holds four masks in [-1, 1]; the hidden layers hand them on through their sines, the last
+    one turns them into colours. All other weights are random and small, so every input matters a
+    little.
+    """
+    texel = (np.arange(spec.uv_encoding_size, dtype=np.float32) + 0.5) / spec.uv_encoding_size
+    u, v = np.meshgrid(texel, texel)
+    turn, tilt = (u - 0.5) * 1.7 * np.pi, (v - 0.5) * 0.92 * np.pi
+    eye = np.exp(-(((np.abs(turn) - 0.42) / 0.15) ** 4) - ((tilt + 0.12) / 0.07) ** 4)
+    iris = np.exp(-(((np.abs(turn) - 0.42) / 0.06) ** 4) - ((tilt + 0.12) / 0.06) ** 4)
+    lips = np.exp(-((turn / 0.3) ** 4) - ((tilt - 0.62) / 0.06) ** 4)
+    hair = 1 / (1 + np.exp((tilt + 0.75 - 0.5 * (np.abs(turn) > 1.2)) * 20))
+    maps = np.stack([eye, iris, lips, hair], axis=-1)
+    painted = {
+        "xyz.0.weight": (tensors["xyz.0.weight"] * 12).astype(np.float32),
+    }
+    num_masks = 0
+    if "joint" in spec.encoding_channels:
+        num_masks = min(4, spec.uv_encoding_channels, min(spec.pixel_channels[:-1]))
+        painted["uv_encoding"] = (2 * maps - 1)[..., : spec.uv_encoding_channels].astype(np.float32)
+    if "axes" in spec.encoding_channels:
+        for name in ("u_encoding", "v_encoding"):
+            painted[name] = (tensors[name] * 0.2).astype(np.float32)
+    first = spec.expression_channels + spec.xyz_channels[-1]
+    last = len(spec.pixel_channels) - 1
+    for layer in range(last + 1):
+        shape = tensors[f"pixel.{layer}.weight"].shape
+        weight = rng.standard_normal(shape) * (0.15 if layer < last else 0.05)
+        for mask in range(num_masks if layer < last else 0):
+            weight[mask] *= 0.2
+            weight[mask, first + mask if layer == 0 else mask] = 1.3
+        painted[f"pixel.{layer}.weight"] = weight.astype(np.float32)
+    skin = np.array([0.80, 0.60, 0.50]) * rng.uniform(0.6, 1.05)
+    white, brown, red = [0.9, 0.9, 0.88], [0.2, 0.13, 0.1], [0.68, 0.3, 0.29]
+    steps = np.array([white - skin, np.subtract(brown, white), red - skin, brown - skin])
+    steps = steps[:num_masks]
+    on = np.float64(1)
+    for _ in range(last):
+        on = np.sin(1.3 * on)
+    painted[f"pixel.{last}.weight"][:, :num_masks] = (steps / (2 * on)).T
+    painted[f"pixel.{last}.bias"] = (skin + steps.sum(axis=0) / 2).astype(np.float32)
+    return painted

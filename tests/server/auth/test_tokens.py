@@ -1,0 +1,233 @@
+import base64
+import contextlib
+import json
+from pathlib import Path
+
+import jwt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pica_protocol.errors import CloseCode
+from pica_protocol.messages import Join, Track
+from pica_server.auth.tokens import ANY_AVATAR, AUDIENCE, Admission, KeyRing, admit, load_keys, mint
+from pica_server.cli.token import TokenOptions, token
+from pica_server.errors import AdmissionError, ConfigurationError, KeyFileError
+
+pytestmark = pytest.mark.unit
+
+OLD, NEW = b"o" * 32, b"n" * 32
+KEYS = KeyRing({"old": OLD, "new": NEW})
+NOW = 1_800_000_000.0
+OWN, ANOTHER = "0f" * 32, "1e" * 32
+ADA = Admission(identity="ada", name="Ada", avatars=(OWN,))
+CLAIMS = {
+    "aud": AUDIENCE,
+    "sub": "ada",
+    "room": "lobby",
+    "nbf": NOW,
+    "exp": NOW + 60,
+    "publish": True,
+    "subscribe": True,
+    "avatars": [OWN],
+}
+
+
+def minted(admission: Admission = ADA, *, starts_s: float = 0.0, keys: KeyRing = KEYS) -> str:
+    return mint(keys, "lobby", admission, now=NOW, lasts_s=60, starts_s=starts_s)
+
+
+def join(token: str, *, room: str = "lobby", avatar: str | None = OWN) -> Join:
+    tracks = () if avatar is None else (Track(kind="face", avatar=avatar),)
+    return Join(room=room, name="n", tracks=tracks, token=token)
+
+
+def signed(claims: object = None, *, key: bytes = NEW, key_id: object = "new") -> str:
+    payload = CLAIMS if claims is None else claims
+    return jwt.encode(payload, key, algorithm="HS256", headers={"kid": key_id})  # type: ignore[arg-type]
+
+
+def test_a_token_says_who_its_owner_is_and_what_they_may() -> None:
+    assert admit(KEYS, join(minted()), now=NOW) == ADA
+    viewer = Admission(identity="bob", may_publish=False, avatars=())
+    assert admit(KEYS, join(minted(viewer), avatar=None), now=NOW) == viewer
+
+
+def test_tokens_of_an_older_key_hold_until_it_is_removed() -> None:
+    token = minted(keys=KeyRing({"old": OLD}))
+    assert admit(KEYS, join(token), now=NOW) == ADA
+    with pytest.raises(AdmissionError, match="a key that is not known here"):
+        admit(KeyRing({"new": NEW}), join(token), now=NOW)
+
+
+@pytest.mark.parametrize(
+    ("now", "complaint"),
+    [(NOW + 69, None), (NOW + 70, "has expired"), (NOW - 10, None), (NOW - 11, "not hold yet")],
+)
+def test_a_token_holds_for_its_time_with_ten_seconds_to_spare(
+    now: float, complaint: str | None
+) -> None:
+    expected = pytest.raises(AdmissionError, match=complaint) if complaint else None
+    with expected or contextlib.nullcontext():
+        admit(KEYS, join(minted()), now=now)
+
+
+def test_a_token_opens_one_room() -> None:
+    with pytest.raises(AdmissionError, match="another room") as caught:
+        admit(KEYS, join(minted(), room="boardroom"), now=NOW)
+    assert caught.value.code == CloseCode.UNAUTHORIZED
+
+
+@pytest.mark.parametrize("avatar", [ANOTHER, "ab" * 32])
+def test_nobody_puts_on_another_persons_face(avatar: str) -> None:
+    with pytest.raises(AdmissionError, match="does not let you wear this") as caught:
+        admit(KEYS, join(minted(), avatar=avatar), now=NOW)
+    assert caught.value.code == CloseCode.FORBIDDEN
+    anybody = Admission(identity="ada", avatars=(ANY_AVATAR,))
+    assert admit(KEYS, join(minted(anybody), avatar=avatar), now=NOW) == anybody
+
+
+def test_who_may_not_publish_may_not_bring_a_track() -> None:
+    viewer = Admission(identity="bob", may_publish=False, avatars=(ANY_AVATAR,))
+    with pytest.raises(AdmissionError, match="does not let you publish") as caught:
+        admit(KEYS, join(minted(viewer)), now=NOW)
+    assert caught.value.code == CloseCode.FORBIDDEN
+
+
+def unsigned() -> str:
+    def part(value: object) -> str:
+        return base64.urlsafe_b64encode(json.dumps(value).encode()).rstrip(b"=").decode()
+
+    return f"{part({'alg': 'none', 'kid': 'new'})}.{part(CLAIMS)}."
+
+
+@pytest.mark.parametrize(
+    "token",
+    [
+        "",
+        "x",
+        "a.b.c",
+        unsigned(),
+        jwt.encode(CLAIMS, bytes(64), algorithm="HS512", headers={"kid": "new"}),
+        jwt.encode(CLAIMS, NEW * 2, algorithm="HS512", headers={"kid": "new"}),
+        jwt.encode(CLAIMS, NEW, algorithm="HS256"),
+        signed(key=OLD),
+        signed(key_id="nobody"),
+        signed({**CLAIMS, "aud": "another-service"}),
+        signed({**CLAIMS, "sub": "../../etc"}),
+        signed({**CLAIMS, "sub": ""}),
+        signed({**CLAIMS, "name": "\x1b[2J"}),
+        signed({**CLAIMS, "name": "  "}),
+        signed({**CLAIMS, "name": 7}),
+        signed({**CLAIMS, "avatars": "all"}),
+        signed({**CLAIMS, "avatars": [7]}),
+        signed({**CLAIMS, "exp": "tomorrow"}),
+        signed({**CLAIMS, "exp": 10**400}),
+        signed({**CLAIMS, "exp": float("inf")}),
+        signed({**CLAIMS, "exp": float("nan")}),
+        signed({**CLAIMS, "nbf": True}),
+        *(signed({k: v for k, v in CLAIMS.items() if k != name}) for name in list(CLAIMS)[:5]),
+        minted()[:-4] + "AAAA",
+    ],
+)
+def test_what_is_no_good_token_is_refused_without_being_quoted(token: str) -> None:
+    with pytest.raises(AdmissionError) as caught:
+        admit(KEYS, join(token), now=NOW)
+    assert caught.value.code == CloseCode.UNAUTHORIZED
+    assert not token or token not in str(caught.value)
+
+
+@pytest.mark.parametrize("grant", ["publish", "subscribe", "avatars"])
+def test_a_grant_that_is_not_there_is_not_granted(grant: str) -> None:
+    claims = {name: value for name, value in CLAIMS.items() if name != grant}
+    admission = admit(KEYS, join(signed(claims), avatar=None), now=NOW)
+    assert not {
+        "publish": admission.may_publish,
+        "subscribe": admission.may_subscribe,
+        "avatars": admission.avatars,
+    }[grant]
+
+
+@given(
+    st.text("abcdefgh.-_019", max_size=60)
+    | st.binary(max_size=40).map(
+        lambda data: ".".join([base64.urlsafe_b64encode(data).rstrip(b"=").decode()] * 3)
+    )
+)
+@settings(max_examples=300)
+def test_any_text_is_a_token_or_an_admission_error(text: str) -> None:
+    with pytest.raises(AdmissionError):
+        admit(KEYS, join(text), now=NOW)
+
+
+def test_a_token_is_not_shown_when_its_join_is_printed() -> None:
+    assert minted() not in repr(join(minted()))
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", "there is no key in it"),
+        ("# only words\n\n", "there is no key in it"),
+        ("k1", "line 1: write a key id and its secret"),
+        ("k1 " + "A" * 20, "line 1: a secret has 32 bytes or more"),
+        ("\nk1 " + "?" * 44, "line 2: a bad key id, or no base64url"),
+        ("k/1 " + "A" * 44, "line 1: a bad key id, or no base64url"),
+        ("k1 " + "A" * 44 + "\nk1 " + "B" * 44, "line 2: key id k1 is there already"),
+    ],
+)
+def test_a_bad_key_file_is_refused_with_its_line_and_without_its_secrets(
+    text: str, complaint: str
+) -> None:
+    with pytest.raises(KeyFileError, match=complaint) as caught:
+        KeyRing.parse(text)
+    assert "AAAA" not in str(caught.value)
+
+
+def test_a_key_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(KeyFileError, match=r"--keys .*missing: No such file"):
+        load_keys(tmp_path / "missing")
+
+
+def test_the_command_makes_keys_and_mints_with_the_newest(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "keys"
+    first = token(TokenOptions(keys=path, new_key=True))["key_id"]
+    second = token(TokenOptions(keys=path, new_key=True))["key_id"]
+    assert path.stat().st_mode & 0o077 == 0
+    result = token(TokenOptions(keys=path, room="r", identity="ada", avatars=("any",)))
+    assert first != second == result["key_id"]
+    assert capsys.readouterr().out.strip() == result["token"]
+    admission = admit(load_keys(path), join(result["token"], room="r"), now=result["expires"] - 1)
+    assert admission == Admission(identity="ada", avatars=(ANY_AVATAR,))
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "complaint"),
+    [
+        ("identity", "", "identity must be"),
+        ("identity", "a b", "identity must be"),
+        ("room", "", "room must be"),
+        ("name", "\n", "name must"),
+        ("lasts_s", 0.0, "begin before it ends"),
+        ("starts_s", -1.0, "begin before it ends"),
+        ("avatars", ("me",), "avatars must be SHA-256"),
+        ("avatars", (OWN,) * 15, "avatars must have at most 14"),
+    ],
+)
+def test_a_bad_option_of_the_command_is_refused_by_name(
+    field: str, value: object, complaint: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "keys"
+    token(TokenOptions(keys=path, new_key=True))
+    options = TokenOptions(**{"keys": path, "identity": "ada", field: value})  # type: ignore[arg-type]
+    with pytest.raises(ConfigurationError, match=complaint):
+        token(options)
+
+
+def test_the_largest_token_fits_a_join() -> None:
+    avatars = tuple(f"{i:064x}" for i in range(14))
+    admission = Admission(identity="i" * 64, name="\U0001f642" * 16, avatars=avatars)
+    token = mint(KEYS, "r" * 64, admission, now=NOW, lasts_s=60, starts_s=0)
+    assert admit(KEYS, join(token, room="r" * 64, avatar=None), now=NOW) == admission

@@ -1,0 +1,349 @@
+"""What can be checked of the container and cluster files without an engine or a cluster.
+
+Not checked here: that the images build, that the tags of other people's images exist, and that a
+cluster accepts the manifests. ``scripts/check_deployment.py`` starts what the relay's image would
+start, from a wheel in an environment of its own.
+"""
+
+import json
+import re
+import shlex
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tyro
+import yaml
+
+from helpers.paths import ROOT
+from pica_server.cli.relay import ENVIRONMENT_PREFIX, RelayOptions
+from pica_server.config.relay import RelayConfig
+from pica_server.config.settings import read_options
+from pica_server.ops.loop_watch import LoopWatch
+from pica_server.ops.status_pages import StatusPages
+from pica_server.room.hub import Hub
+
+pytestmark = pytest.mark.unit
+
+DOCKER = ROOT / "docker"
+DOCKERFILES = sorted(DOCKER.glob("*.Dockerfile"))
+COMPOSE = yaml.safe_load((DOCKER / "compose.yaml").read_text())
+MANIFESTS = {
+    (one["kind"], one["metadata"]["name"]): one
+    for path in sorted((DOCKER / "kubernetes").glob("*.yaml"))
+    for one in yaml.safe_load_all(path.read_text())
+}
+WORKLOADS = [one for kind, one in MANIFESTS.items() if kind[0] in ("Deployment", "StatefulSet")]
+RELAYS = {name: one for name, one in COMPOSE["services"].items() if name.startswith("relay")}
+CLIENTS = {name: one for name, one in COMPOSE["services"].items() if "profiles" in one}
+# A command of our own finds what it opens only where it runs.
+MOUNTED = ("/run/secrets/", "/etc/pica/")
+
+
+def instructions(path: Path) -> list[tuple[str, str]]:
+    """Return the instructions of a Dockerfile, with their arguments on one line."""
+    text = re.sub(r"\\\n\s*", " ", path.read_text())
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    return [(line.split()[0], line.partition(" ")[2].strip()) for line in lines]
+
+
+def relay_options(words: list[str], environment: dict[str, str]) -> RelayConfig:
+    """Read a relay's settings as the command does; unknown ones and bad values raise."""
+
+    def parse(defaults: RelayOptions) -> RelayOptions:
+        return tyro.cli(RelayOptions, args=words, default=defaults)
+
+    options, _ = read_options(RelayOptions, parse, words, environment, prefix=ENVIRONMENT_PREFIX)
+    return options.config
+
+
+def image_environment() -> dict[str, str]:
+    """Return the settings that the relay's image brings."""
+    words = " ".join(
+        arguments for name, arguments in instructions(DOCKER / "relay.Dockerfile") if name == "ENV"
+    )
+    pairs = dict(word.split("=", 1) for word in shlex.split(words))
+    return {name: value for name, value in pairs.items() if name.startswith(ENVIRONMENT_PREFIX)}
+
+
+@pytest.mark.parametrize("path", DOCKERFILES, ids=lambda path: path.name)
+class TestDockerfiles:
+    def test_the_base_is_pinned_to_a_version(self, path: Path) -> None:
+        bases = [arguments.split()[0] for name, arguments in instructions(path) if name == "FROM"]
+        assert bases
+        for base in bases:
+            assert re.fullmatch(r"python:3\.\d+\.\d+-slim-[a-z]+", base), base
+
+    def test_all_that_is_copied_is_there(self, path: Path) -> None:
+        ignored = (ROOT / ".dockerignore").read_text().split()
+        for name, arguments in instructions(path):
+            if name == "COPY" and "--from=" not in arguments:
+                for source in arguments.split()[:-1]:
+                    assert (ROOT / source).exists(), source
+                    assert source not in ignored
+
+    def test_all_that_the_wheel_is_made_of_is_copied(self, path: Path) -> None:
+        build = tomllib.loads((ROOT / "pyproject.toml").read_text())
+        packages = build["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
+        copied = " ".join(arguments for name, arguments in instructions(path) if name == "COPY")
+        for needed in [build["project"]["readme"], *build["project"]["license-files"]]:
+            assert needed in copied
+        for package in packages:
+            assert package.split("/")[0] in copied.split()
+
+    def test_the_extras_exist(self, path: Path) -> None:
+        extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+        named = re.findall(r"'\.\[([a-z,]+)\]'", path.read_text())
+        assert named
+        assert set(named[0].split(",")) <= set(extras["optional-dependencies"])
+
+    def test_it_does_not_run_as_root(self, path: Path) -> None:
+        users = [arguments for name, arguments in instructions(path) if name == "USER"]
+        # By number: Kubernetes cannot tell whether a name is root's.
+        assert users
+        assert re.fullmatch(r"[1-9]\d{3,}(:[1-9]\d{3,})?", users[-1])
+
+    def test_it_starts_without_a_shell_and_leaves_no_package_lists(self, path: Path) -> None:
+        for name, arguments in instructions(path):
+            assert name in {
+                *("FROM", "WORKDIR", "COPY", "RUN", "ENV", "USER", "EXPOSE"),
+                *("STOPSIGNAL", "HEALTHCHECK", "ENTRYPOINT", "CMD"),
+            }
+            if name in ("ENTRYPOINT", "CMD"):
+                assert isinstance(json.loads(arguments), list)
+            if name == "RUN":
+                assert "sudo" not in arguments
+                for tool, wanted in (
+                    ("apt-get install", "--no-install-recommends"),
+                    ("apt-get install", "rm -rf /var/lib/apt/lists/*"),
+                    ("pip install", "--no-cache-dir --constraint constraints.txt"),
+                ):
+                    assert tool not in arguments or wanted in arguments
+
+    def test_its_command_is_one_of_ours(self, path: Path) -> None:
+        words = dict(instructions(path))
+        command = [*json.loads(words["ENTRYPOINT"]), *json.loads(words["CMD"])]
+        scripts = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+        assert command[0] in scripts["scripts"]
+        assert command[1] in scripts["entry-points"]["pica.commands"]
+
+
+def test_the_relays_image_refuses_to_be_open_by_mistake() -> None:
+    with pytest.raises(ValueError, match="this relay has no tokens"):
+        relay_options([], image_environment())
+    config = relay_options([], {**image_environment(), "PICA_RELAY_KEYS": "/run/secrets/keys"})
+    assert (config.host, config.port) == ("0.0.0.0", 8765)
+
+
+def test_the_relays_image_exposes_the_port_that_it_listens_on_and_checks_it() -> None:
+    words = dict(instructions(DOCKER / "relay.Dockerfile"))
+    assert words["EXPOSE"] == image_environment()["PICA_RELAY_PORT"] == "8765"
+    assert "/opt/pica/healthcheck.py" in words["HEALTHCHECK"]
+    assert any(
+        arguments.endswith("/opt/pica/healthcheck.py")
+        for name, arguments in instructions(DOCKER / "relay.Dockerfile")
+        if name == "COPY"
+    )
+
+
+@pytest.mark.parametrize("name", COMPOSE["services"])
+def test_images_of_others_are_pinned_and_ports_are_for_this_machine(name: str) -> None:
+    service = COMPOSE["services"][name]
+    if "build" in service:
+        context = (DOCKER / service["build"]["context"]).resolve()
+        assert (context / service["build"]["dockerfile"]).is_file()
+    else:
+        assert re.fullmatch(r"[a-z/]+:v?\d+\.\d+\.\d+(-[a-z]+)?", service["image"])
+    for port in service.get("ports", []):
+        assert port.startswith("127.0.0.1:")
+    for volume in service.get("volumes", []):
+        source = volume.split(":")[0]
+        assert (DOCKER / source).exists() or source in COMPOSE["volumes"]
+    needed = service.get("depends_on", [])
+    assert set(needed) <= set(COMPOSE["services"])
+
+
+def test_there_are_two_relays_nats_prometheus_and_grafana() -> None:
+    assert len(RELAYS) == 2
+    assert {"nats", "prometheus", "grafana"} <= set(COMPOSE["services"])
+
+
+@pytest.mark.parametrize("name", RELAYS)
+def test_a_relay_of_the_compose_file_can_start_and_may_do_little(name: str) -> None:
+    service = RELAYS[name]
+    command, *words = service["command"]
+    assert command == "relay"
+    environment = {**image_environment(), **service["environment"]}
+    config = relay_options(words, environment)
+    assert config.cluster == "nats://nats:4222"
+    assert config.open_metrics
+    assert service["read_only"]
+    assert service["tmpfs"] == ["/tmp"]
+    assert service["cap_drop"] == ["ALL"]
+    assert int(service["stop_grace_period"].removesuffix("s")) > config.drain_s
+    assert service["ports"][0].endswith(":8765")
+
+
+@pytest.mark.parametrize("name", CLIENTS)
+def test_the_clients_of_the_compose_file_have_options_that_exist(name: str) -> None:
+    from pica_client.cli.commands import SendOptions, ViewOptions
+
+    command, *words = CLIENTS[name]["command"]
+    options = tyro.cli({"send": SendOptions, "view": ViewOptions}[command], args=words)
+    host = re.fullmatch(r"ws://([a-z-]+):8765", options.url)
+    assert host is not None
+    assert host[1] in RELAYS
+
+
+def pod_of(workload: dict[str, Any]) -> dict[str, Any]:
+    pod: dict[str, Any] = workload["spec"]["template"]["spec"]
+    return pod
+
+
+@pytest.mark.parametrize("workload", WORKLOADS, ids=lambda one: one["metadata"]["name"])
+class TestWorkloads:
+    def test_it_may_do_little(self, workload: dict[str, Any]) -> None:
+        pod = pod_of(workload)
+        assert pod["automountServiceAccountToken"] is False
+        assert pod["securityContext"]["runAsNonRoot"] is True
+        assert pod["securityContext"]["runAsUser"] > 0
+        for container in pod["containers"]:
+            context = container["securityContext"]
+            assert context["readOnlyRootFilesystem"] is True
+            assert context["allowPrivilegeEscalation"] is False
+            assert context["capabilities"] == {"drop": ["ALL"]}
+            assert "memory" in container["resources"]["limits"]
+            assert re.search(r":\d+\.\d+\.\d+", container["image"])
+
+    def test_its_labels_find_it_and_its_volumes_are_there(self, workload: dict[str, Any]) -> None:
+        pod = pod_of(workload)
+        labels = workload["spec"]["template"]["metadata"]["labels"]
+        assert workload["spec"]["selector"]["matchLabels"].items() <= labels.items()
+        volumes = {one["name"] for one in pod.get("volumes", [])}
+        volumes |= {
+            one["metadata"]["name"] for one in workload["spec"].get("volumeClaimTemplates", [])
+        }
+        for container in pod["containers"]:
+            assert {mount["name"] for mount in container["volumeMounts"]} == volumes
+
+    def test_its_probes_ask_ports_that_it_has(self, workload: dict[str, Any]) -> None:
+        (container,) = pod_of(workload)["containers"]
+        ports = {port["name"] for port in container["ports"]}
+        for probe in ("livenessProbe", "readinessProbe"):
+            assert container[probe]["httpGet"]["port"] in ports
+
+    def test_kubernetes_sets_no_variables_of_its_own_in_it(self, workload: dict[str, Any]) -> None:
+        assert pod_of(workload)["enableServiceLinks"] is False
+
+
+@pytest.mark.parametrize("kind", ["Service", "PodDisruptionBudget"])
+def test_services_and_budgets_select_pods_and_ports_that_exist(kind: str) -> None:
+    for (one_kind, _), one in MANIFESTS.items():
+        if one_kind != kind:
+            continue
+        selector = one["spec"]["selector"]
+        selector = selector.get("matchLabels", selector)
+        (workload,) = [
+            each
+            for each in WORKLOADS
+            if selector.items() <= each["spec"]["template"]["metadata"]["labels"].items()
+        ]
+        names = {port["name"] for port in pod_of(workload)["containers"][0]["ports"]}
+        assert {port["targetPort"] for port in one["spec"].get("ports", [])} <= names
+
+
+def relay_file(tmp_path: Path) -> Path:
+    path = tmp_path / "relay.toml"
+    path.write_text(MANIFESTS["ConfigMap", "relay"]["data"]["relay.toml"])
+    return path
+
+
+def test_the_relay_of_the_manifests_can_start_and_has_time_to_drain(tmp_path: Path) -> None:
+    pod = pod_of(MANIFESTS["Deployment", "relay"])
+    (container,) = pod["containers"]
+    assert container["args"] == ["relay", "--config", "/etc/pica/relay.toml"]
+    config = relay_options(["--config", str(relay_file(tmp_path))], image_environment())
+    assert config.keys is not None
+    assert not config.open_metrics
+    assert container["ports"][0]["containerPort"] == config.port
+    assert pod["terminationGracePeriodSeconds"] > config.drain_s
+    mounts = {mount["mountPath"] for mount in container["volumeMounts"]}
+    assert "/tmp" in mounts  # the avatar store, on a read-only root
+    for path in (config.keys, config.tls_cert, config.tls_key):
+        assert path is not None
+        assert str(path.parent) in mounts
+    nats = re.fullmatch(r"nats://([a-z]+):(\d+)", config.cluster)
+    assert nats is not None
+    service = MANIFESTS["Service", nats[1]]
+    assert int(nats[2]) in {port["port"] for port in service["spec"]["ports"]}
+
+
+def test_the_probes_of_the_relay_ask_pages_that_it_has(tmp_path: Path) -> None:
+    config = relay_options(["--config", str(relay_file(tmp_path))], {})
+    pages = StatusPages(Hub(config), LoopWatch(), config)
+    (container,) = pod_of(MANIFESTS["Deployment", "relay"])["containers"]
+    for probe, path in (
+        ("startupProbe", "/healthz"),
+        ("livenessProbe", "/healthz"),
+        ("readinessProbe", "/readyz"),
+    ):
+        asked = container[probe]["httpGet"]
+        assert asked["path"] == path
+        assert asked["scheme"] == "HTTPS"
+        assert pages.answer(path, is_local=False, now=0.0) is not None
+
+
+def exported_series() -> set[str]:
+    """Return the names of all series that /metrics has."""
+    config = RelayConfig()
+    page = StatusPages(Hub(config), LoopWatch(), config).answer("/metrics", is_local=True, now=0.0)
+    assert page is not None
+    names = set()
+    for name, kind in re.findall(r"^# TYPE (\w+) (\w+)$", page.text, re.MULTILINE):
+        parts = ("_bucket", "_sum", "_count") if kind == "histogram" else ("",)
+        names |= {name + part for part in parts}
+    return names
+
+
+def expressions() -> list[str]:
+    dashboard = json.loads((DOCKER / "grafana/dashboards/relay.json").read_text())
+    alerts = yaml.safe_load((DOCKER / "prometheus/alerts.yml").read_text())
+    return [
+        *(target["expr"] for panel in dashboard["panels"] for target in panel["targets"]),
+        *(rule["expr"] for group in alerts["groups"] for rule in group["rules"]),
+    ]
+
+
+@pytest.mark.parametrize("expression", expressions())
+def test_dashboards_and_alerts_ask_for_series_that_exist(expression: str) -> None:
+    names = set(re.findall(r"\bpica_\w+", expression))
+    assert names <= exported_series()
+    assert names or expression.startswith("up{")
+
+
+def test_the_dashboard_shows_what_an_operator_is_asked_about_first() -> None:
+    shown = {name for each in expressions() for name in re.findall(r"\bpica_\w+", each)}
+    assert shown >= {
+        *("pica_open_connections", "pica_rooms", "pica_loop_lateness_seconds", "pica_cluster_up"),
+        *("pica_forward_seconds_bucket", "pica_frames_dropped_total", "pica_limits_hit_total"),
+    }
+
+
+def test_prometheus_asks_the_relays_and_grafana_asks_prometheus() -> None:
+    scraped = yaml.safe_load((DOCKER / "prometheus/prometheus.yml").read_text())
+    (job,) = scraped["scrape_configs"]
+    assert job["job_name"] == "relay"  # the alerts say so
+    assert job["static_configs"][0]["targets"] == [f"{name}:8765" for name in RELAYS]
+    for name in scraped["rule_files"]:
+        assert (DOCKER / "prometheus" / name).is_file()
+    provisioned = DOCKER / "grafana/provisioning"
+    (source,) = yaml.safe_load((provisioned / "datasources/prometheus.yaml").read_text())[
+        "datasources"
+    ]
+    assert source["url"] == "http://prometheus:9090"
+    dashboard = json.loads((DOCKER / "grafana/dashboards/relay.json").read_text())
+    assert {panel["datasource"]["uid"] for panel in dashboard["panels"]} == {source["uid"]}
+    (provider,) = yaml.safe_load((provisioned / "dashboards/relay.yaml").read_text())["providers"]
+    mounts = [volume.split(":")[1] for volume in COMPOSE["services"]["grafana"]["volumes"]]
+    assert provider["options"]["path"] in mounts

@@ -1,0 +1,65 @@
+"""What is left in memory of sockets that came and went, over real ones."""
+
+import asyncio
+import gc
+
+import pytest
+
+from pica_server.config.relay import RelayConfig
+from pica_server.net.socket import RelaySocket
+from pica_server.relay import Relay
+
+pytestmark = pytest.mark.realtime
+
+UPGRADE = (
+    b"GET / HTTP/1.1\r\nHost: relay\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Version: 13\r\n"
+)
+
+
+def num_sockets() -> int:
+    """How many of a relay's sockets are in memory, in use or not."""
+    return sum(type(each) is RelaySocket for each in gc.get_objects())
+
+
+async def until_num_sockets(number: int) -> None:
+    for _ in range(200):
+        if num_sockets() == number:
+            return
+        await asyncio.sleep(0.01)
+    raise AssertionError(f"{num_sockets()} sockets stay in memory, not {number}")
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        b"",
+        b"nonsense\r\n\r\n",
+        b"GET /healthz HTTP/1.1\r\nHost: relay\r\n\r\n",
+        UPGRADE + b"\r\n",  # no sub-protocol: it is told so, and closed
+        UPGRADE + b"Sec-WebSocket-Protocol: pica.1\r\n\r\n",
+        UPGRADE + b"Sec-WebSocket-Protocol: pica.1\r\n\r\n" + b"\x7f no frame",
+        UPGRADE + b"Sec-WebSocket-Protocol: pica.store.1\r\n\r\n",
+    ],
+    ids=["silent", "nonsense", "page", "stranger", "guest", "rule-breaker", "giver"],
+)
+def test_a_lost_connection_leaves_nothing_to_the_garbage_collector(said: bytes) -> None:
+    async def come_and_go() -> None:
+        async with Relay(RelayConfig(port=0)) as relay:
+            host, _, port = relay.url.removeprefix("ws://").rpartition(":")
+            gc.collect()
+            num_before = num_sockets()
+            gc.disable()
+            try:
+                for _ in range(3):
+                    reader, writer = await asyncio.open_connection(host, int(port))
+                    await until_num_sockets(num_before + 1)
+                    writer.write(said)
+                    if said:
+                        await reader.read(1)
+                    writer.transport.abort()
+                    await until_num_sockets(num_before)
+            finally:
+                gc.enable()
+
+    asyncio.run(come_and_go())

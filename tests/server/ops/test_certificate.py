@@ -1,0 +1,312 @@
+"""TLS by certificate files: what is refused, and that it is renewed under running calls."""
+
+import asyncio
+import os
+import shutil
+import signal
+import socket
+import ssl
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import pytest
+
+from helpers.certificates import write_certificate
+from pica_client.errors import OptionError, RelayRefusedError
+from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import open_websocket
+from pica_client.transport.link import Link
+from pica_protocol.frames import Frame
+from pica_protocol.messages import Joined, Track
+from pica_server.config.relay import LimitsConfig, RelayConfig
+from pica_server.errors import ConfigurationError
+from pica_server.net.socket import bound_tls_buffer
+from pica_server.ops.certificate import Certificate
+from pica_server.relay import Relay
+
+pytestmark = pytest.mark.realtime
+
+
+@pytest.fixture
+def cert(tmp_path: Path) -> Path:
+    return write_certificate(tmp_path)
+
+
+def key_of(cert: Path) -> Path:
+    return cert.with_suffix(".key")
+
+
+def test_a_certificate_needs_its_key_beside_it() -> None:
+    with pytest.raises(ConfigurationError, match="--tls-cert needs --tls-key beside it"):
+        RelayConfig(tls_cert=Path("a.pem"))
+    with pytest.raises(ConfigurationError, match="--tls-key needs --tls-cert beside it"):
+        RelayConfig(tls_key=Path("a.key"))
+
+
+def test_files_that_cannot_be_used_are_named_in_one_line(cert: Path, tmp_path: Path) -> None:
+    other = write_certificate(tmp_path, "other")
+    locked = write_certificate(tmp_path, "locked", password=b"x")
+    noise, broken = tmp_path / "noise", tmp_path / "broken"
+    noise.write_bytes(b"\x00\xff" * 100)
+    broken.write_text("-----BEGIN CERTIFICATE-----\nnonsense\n-----END CERTIFICATE-----\n")
+    for pair, complaint in (
+        ((tmp_path / "none", key_of(cert)), "--tls-cert .*none: No such file"),
+        ((cert, tmp_path), "--tls-key .*: Is a directory"),
+        ((noise, key_of(cert)), "--tls-cert .*noise: it is no PEM file"),
+        ((cert, key_of(other)), "--tls-key .*other.key: it is not the key of .*relay.pem"),
+        ((cert, key_of(locked)), "--tls-key .*locked.key: it is encrypted"),
+        ((broken, key_of(cert)), "--tls-cert .*broken: it or its key .* cannot be used"),
+        ((cert, cert), "--tls-cert .*relay.pem: it or its key .* cannot be used"),
+    ):
+        with pytest.raises(ConfigurationError, match=complaint) as caught:
+            Certificate(*pair)
+        assert "\n" not in str(caught.value)
+
+
+def test_what_cannot_be_used_never_replaces_what_can(cert: Path, tmp_path: Path) -> None:
+    certificate = Certificate(cert, key_of(cert))
+    assert not certificate.has_changed()
+    other = write_certificate(tmp_path, "other")
+    shutil.copy(other, cert)  # and not its key, yet
+    assert certificate.has_changed()
+    with pytest.raises(ConfigurationError, match="not the key"):
+        certificate.reload()
+    assert not certificate.has_changed()
+    shutil.copy(key_of(other), key_of(cert))
+    assert certificate.has_changed()
+    certificate.reload()
+
+
+def test_files_that_are_gone_for_a_moment_are_a_change_and_no_error(cert: Path) -> None:
+    certificate = Certificate(cert, key_of(cert))
+    cert.rename(cert.with_suffix(".away"))
+    assert certificate.has_changed()
+
+
+def served_certificate(host: str, port: int) -> bytes:
+    context = ssl.create_default_context()
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    with (
+        socket.create_connection((host, port)) as plain,
+        context.wrap_socket(plain, server_hostname=host) as tls,
+    ):
+        return tls.getpeercert(binary_form=True) or b""
+
+
+def test_new_connections_get_the_new_certificate_and_a_call_goes_on(
+    cert: Path, tmp_path: Path
+) -> None:
+    old = cert.read_bytes()
+    (tmp_path / "old.pem").write_bytes(old)
+
+    async def call() -> None:
+        config = RelayConfig(port=0, tls_cert=cert, tls_key=key_of(cert))
+        joined: asyncio.Queue[str] = asyncio.Queue()
+
+        def note(event: object, now: float) -> None:
+            if isinstance(event, Joined):
+                joined.put_nowait(event.peer_id)
+
+        async with Relay(config) as relay, asyncio.timeout(30):
+            assert relay.url.startswith("wss://127.0.0.1:")
+            assert relay.certificate is not None
+            port = int(relay.url.rpartition(":")[2])
+            link = Link(
+                LinkConfig(url=relay.url, room="r", ca_file=tmp_path / "old.pem"), on_event=note
+            )
+            running = asyncio.create_task(link.run())
+            await joined.get()
+            renewed = write_certificate(tmp_path, "renewed")
+            shutil.copy(renewed, cert)
+            shutil.copy(key_of(renewed), key_of(cert))
+            relay.certificate.reload()
+            served = await asyncio.to_thread(served_certificate, "127.0.0.1", port)
+            assert served == ssl.PEM_cert_to_DER_cert(renewed.read_text())
+            websocket = await open_websocket(relay.url, renewed)
+            assert bound_tls_buffer(websocket.transport)
+            await websocket.close()
+            assert link.is_joined
+            assert link.reconnects == 0
+            link.leave()
+            await running
+
+    asyncio.run(call())
+
+
+def test_a_call_goes_through_tls(cert: Path) -> None:
+    num_frames = 100
+
+    async def call() -> None:
+        config = RelayConfig(port=0, tls_cert=cert, tls_key=key_of(cert))
+        joined: asyncio.Queue[object] = asyncio.Queue()
+        frames: asyncio.Queue[bytes] = asyncio.Queue()
+
+        def note(event: object, now: float) -> None:
+            if isinstance(event, Joined):
+                joined.put_nowait(event)
+            elif isinstance(event, Frame):
+                frames.put_nowait(event.payload)
+
+        async with Relay(config) as relay, asyncio.timeout(60):
+            there = LinkConfig(url=relay.url, room="r", ca_file=cert)
+            links = [Link(there, (Track(kind="face"),), on_event=note) for _ in range(2)]
+            running = [asyncio.create_task(link.run()) for link in links]
+            for _ in links:
+                await joined.get()
+            # In step, so that none replaces another; the writers must wait for TLS, and go on.
+            for i in range(num_frames):
+                links[0].send_frame(bytes([i]) * 1000, captured_us=i)
+                assert await frames.get() == bytes([i]) * 1000
+            for link in links:
+                link.leave()
+            await asyncio.gather(*running)
+
+    asyncio.run(call())
+
+
+def test_whom_a_client_does_not_trust_it_does_not_join(cert: Path, tmp_path: Path) -> None:
+    other = write_certificate(tmp_path, "other")
+
+    async def call() -> None:
+        config = RelayConfig(port=0, tls_cert=cert, tls_key=key_of(cert))
+        async with Relay(config) as relay, asyncio.timeout(30):
+            for ca_file in (None, other):
+                link = Link(LinkConfig(url=relay.url, room="r", ca_file=ca_file))
+                with pytest.raises(RelayRefusedError, match=r"its certificate is not trusted: "):
+                    await link.run()
+            link = Link(LinkConfig(url=relay.url, room="r", ca_file=key_of(cert)))
+            with pytest.raises(OptionError, match=r"ca-file .*: it holds no certificate"):
+                await link.run()
+
+    asyncio.run(call())
+
+
+def test_certificates_to_trust_are_for_wss() -> None:
+    with pytest.raises(OptionError, match="ca-file says whom to trust with wss://"):
+        LinkConfig(url="ws://a", ca_file=Path("ca.pem"))
+
+
+@contextmanager
+def relay_process(cert: Path) -> Iterator[tuple["subprocess.Popen[str]", int]]:
+    arguments = ["--port", "0", "--tls-cert", str(cert), "--tls-key", str(key_of(cert))]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "pica_command", "relay", *arguments],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stderr is not None
+        line = process.stderr.readline()
+        assert line.startswith("listening on wss://"), line + process.stderr.read()
+        yield process, int(line.rpartition(":")[2])
+    finally:
+        if process.poll() is None:
+            process.terminate()
+        process.communicate(timeout=60)
+
+
+def wait_for(process: "subprocess.Popen[str]", text: str) -> str:
+    assert process.stderr is not None
+    while text not in (line := process.stderr.readline()):
+        assert line, f"the relay ended before it said {text!r}"
+    return line
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs SIGHUP")
+def test_a_running_relay_reads_its_certificate_again_when_told_and_when_it_changes(
+    cert: Path, tmp_path: Path
+) -> None:
+    with relay_process(cert) as (process, port):
+        process.send_signal(signal.SIGHUP)
+        wait_for(process, "read the certificate again")
+        renewed = write_certificate(tmp_path, "renewed")
+        shutil.copy(key_of(renewed), key_of(cert))
+        shutil.copy(renewed, cert)
+        wait_for(process, "read the certificate again")
+        assert served_certificate("127.0.0.1", port) == ssl.PEM_cert_to_DER_cert(
+            renewed.read_text()
+        )
+        cert.write_text("oh")
+        process.send_signal(signal.SIGHUP)
+        assert "it is no PEM file" in wait_for(process, "the old certificate stays: ")
+        assert served_certificate("127.0.0.1", port) == ssl.PEM_cert_to_DER_cert(
+            renewed.read_text()
+        )
+
+
+def test_an_unreadable_certificate_ends_in_one_line_and_exit_code_two(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "pica_command", "relay", "--tls-cert", "no.pem", "--tls-key", "no"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "pica relay: --tls-cert no.pem: No such file or directory\n"
+
+
+def client_context() -> ssl.SSLContext:
+    context = ssl.create_default_context()
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    return context
+
+
+def page_asked_for_with_the_last_of_the_handshake(port: int) -> bytes:
+    """Ask for a page in one piece with the end of the handshake, and return the answer."""
+    incoming, outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
+    tls = client_context().wrap_bio(incoming, outgoing)
+    with socket.create_connection(("127.0.0.1", port), 5) as plain:
+        while True:
+            try:
+                tls.do_handshake()
+                break
+            except ssl.SSLWantReadError:
+                plain.sendall(outgoing.read())
+                incoming.write(plain.recv(65_536))
+        tls.write(b"GET /healthz HTTP/1.1\r\nHost: relay\r\n\r\n")
+        plain.sendall(outgoing.read())
+        while data := plain.recv(65_536):
+            incoming.write(data)
+            try:
+                return tls.read(65_536)
+            except ssl.SSLWantReadError:
+                continue
+    return b""
+
+
+def test_what_comes_with_the_end_of_the_handshake_is_not_lost(cert: Path) -> None:
+    async def ask() -> None:
+        async with Relay(RelayConfig(port=0, tls_cert=cert, tls_key=key_of(cert))) as relay:
+            port = int(relay.url.rpartition(":")[2])
+            page = await asyncio.to_thread(page_asked_for_with_the_last_of_the_handshake, port)
+            assert page.startswith(b"HTTP/1.1 200 OK")
+
+    asyncio.run(ask())
+
+
+def test_sockets_in_a_tls_handshake_are_counted_and_free_their_places(cert: Path) -> None:
+    async def call() -> None:
+        config = RelayConfig(
+            port=0, tls_cert=cert, tls_key=key_of(cert), limits=LimitsConfig(handshakes=2)
+        )
+        async with Relay(config) as relay, asyncio.timeout(30):
+            port = int(relay.url.rpartition(":")[2])
+            silent = [await asyncio.open_connection("127.0.0.1", port) for _ in range(2)]
+            reader, writer = await asyncio.open_connection("127.0.0.1", port)
+            with suppress(ConnectionResetError):
+                assert await reader.read() == b""  # cut without a word of TLS
+            assert relay.stats()["limits_hit"] == {"sockets": 1}
+            silent[0][1].transport.abort()
+            silent[1][1].write(b"no TLS at all")
+            with suppress(ConnectionResetError):
+                await silent[1][0].read()
+            websocket = await open_websocket(relay.url, cert)
+            await websocket.close()
+            for each in (writer, silent[1][1]):
+                each.transport.abort()
+
+    asyncio.run(call())

@@ -1,0 +1,87 @@
+"""The operators' page: its commands have options that exist, its numbers are those of the code."""
+
+import re
+import shlex
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+import tyro
+
+from helpers.paths import ROOT
+from pica_protocol.errors import CloseCode
+from pica_server.cli.relay import ENVIRONMENT_PREFIX, RelayOptions
+from pica_server.cli.token import TokenOptions
+from pica_server.config.relay import LimitsConfig
+from pica_server.config.settings import read_options, settings_of
+
+pytestmark = pytest.mark.unit
+
+PAGE = (ROOT / "docs" / "operating.md").read_text()
+COMMANDS = [
+    line
+    for block in re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
+    for line in block.splitlines()
+    if line.startswith("pica ")
+]
+SETTINGS = {setting.flag: setting for setting in settings_of(RelayOptions)}
+
+
+def read_relay_options(words: list[str], environment: dict[str, str]) -> RelayOptions:
+    def parse(defaults: RelayOptions) -> RelayOptions:
+        return tyro.cli(RelayOptions, args=words, default=defaults)
+
+    return read_options(RelayOptions, parse, words, environment, prefix=ENVIRONMENT_PREFIX)[0]
+
+
+@pytest.mark.parametrize("line", COMMANDS)
+def test_every_command_has_options_that_exist(
+    line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "relay.toml").write_text("room_capacity = 8\n")
+    _, command, *words = shlex.split(line.partition(" > ")[0])
+    if command == "relay":
+        read_relay_options(words, {})
+    else:
+        assert command == "token"
+        tyro.cli(TokenOptions, args=words)
+
+
+def test_every_limit_stands_on_the_page_with_its_default() -> None:
+    for field in fields(LimitsConfig):
+        assert f"`--limits.{field.name.replace('_', '-')}`" in PAGE
+    options = read_relay_options([], {})
+    rows = re.findall(r"^\| (`--[^|]+) \| ([^|]+) \| [^|]+ \| ([^|]+) \|([^|]*)\|$", PAGE, re.M)
+    assert len(rows) == 11
+    for flags, defaults, code, _ in rows:
+        if code != "cut":
+            CloseCode(int(code))
+        for flag, default in zip(flags.split(", "), defaults.split(", "), strict=True):
+            value: object = options
+            for attribute in SETTINGS[flag.strip("`")].path:
+                value = getattr(value, attribute)
+            assert value == float(default.removesuffix(" s"))
+
+
+def test_every_flag_on_the_page_exists() -> None:
+    known = {*SETTINGS, "--config", "--print-config", "--json", "--token-file", "--ca-file"}
+    known |= {f"--{field.name.replace('_', '-')}" for field in fields(TokenOptions)}
+    spoken = re.findall(r"`(--[a-z.-]+)", PAGE)
+    assert spoken
+    assert set(spoken) <= {*known, "--profile"}
+
+
+def test_the_three_ways_to_write_a_setting_are_one(tmp_path: Path) -> None:
+    rows = re.findall(r"^\| `(--[^`]+)` \| `(PICA_[^`]+)` \| `([^`]+)`([^|]*) \|$", PAGE, re.M)
+    assert len(rows) == 4
+    for flag, variable, key, table in rows:
+        file = tmp_path / "relay.toml"
+        file.write_text(("[limits]\n" if "[limits]" in table else "") + key)
+        name, _, value = variable.partition("=")
+        one, two, three = (
+            read_relay_options(shlex.split(flag), {}).config,
+            read_relay_options([], {name: value}).config,
+            read_relay_options(["--config", str(file)], {}).config,
+        )
+        assert one == two == three

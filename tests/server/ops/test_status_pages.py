@@ -1,0 +1,102 @@
+import re
+from http import HTTPStatus
+
+import pytest
+
+from pica_server.config.relay import LimitsConfig, RelayConfig
+from pica_server.ops.loop_watch import LoopWatch
+from pica_server.ops.metrics import BOUNDS_S, metrics_text
+from pica_server.ops.stats import RelayStats
+from pica_server.ops.status_pages import Page, StatusPages
+from pica_server.room.hub import Hub
+
+pytestmark = pytest.mark.unit
+
+SAMPLE = re.compile(r"""pica_[a-z_]+(\{[a-z]+="[^"]*"\})? [0-9.e+-]+""")
+
+
+def pages(config: RelayConfig | None = None) -> tuple[StatusPages, Hub, LoopWatch]:
+    config = config or RelayConfig()
+    hub, watch = Hub(config), LoopWatch()
+    return StatusPages(hub, watch, config), hub, watch
+
+
+def status(pages: StatusPages, path: str, now: float, *, is_local: bool = True) -> int | None:
+    page = pages.answer(path, is_local=is_local, now=now)
+    return None if page is None else page.status
+
+
+def test_health_turns_bad_when_the_loop_stalls_and_good_when_that_is_over() -> None:
+    answers, _, watch = pages()
+    watch.note(due_s=1.0, now=1.2)
+    assert status(answers, "/healthz", now=1.2) == 200
+    watch.note(due_s=1.7, now=2.9)
+    page = answers.answer("/healthz", is_local=True, now=3.0)
+    assert page == Page(HTTPStatus.SERVICE_UNAVAILABLE, "stalled for 1.2 s\n")
+    assert status(answers, "/healthz", now=12.8) == 503
+    assert status(answers, "/healthz", now=13.0) == 200
+
+
+def test_a_full_relay_is_not_ready_but_well() -> None:
+    answers, hub, _ = pages(RelayConfig(max_connections=1))
+    assert status(answers, "/readyz", now=0.0) == 200
+    hub.connect(now=0.0)
+    assert status(answers, "/readyz", now=0.0) == 503
+    assert status(answers, "/healthz", now=0.0) == 200
+
+
+def test_a_relay_that_sends_everybody_away_is_not_ready_but_well() -> None:
+    answers, hub, _ = pages()
+    hub.drain(now=0.0)
+    page = answers.answer("/readyz", is_local=True, now=0.0)
+    assert page == Page(HTTPStatus.SERVICE_UNAVAILABLE, "draining\n")
+    assert status(answers, "/healthz", now=0.0) == 200
+
+
+def test_numbers_are_for_this_machine_unless_told_otherwise() -> None:
+    closed, _, _ = pages()
+    opened, _, _ = pages(RelayConfig(open_metrics=True))
+    assert status(closed, "/metrics", now=0.0) == 200
+    assert status(closed, "/metrics", now=0.0, is_local=False) == 403
+    assert status(opened, "/metrics", now=0.0, is_local=False) == 200
+
+
+def test_other_paths_are_for_websockets() -> None:
+    answers, _, _ = pages()
+    assert status(answers, "/", now=0.0) is None
+
+
+def test_every_line_of_the_numbers_is_one_that_prometheus_reads() -> None:
+    answers, hub, _ = pages(RelayConfig(limits=LimitsConfig(connections_per_address=1)))
+    for _ in range(2):
+        hub.connect(now=0.0, address="192.0.2.1")
+    hub.stats.dropped["upper_replaced"] += 3
+    hub.stats.frames_in_by_layer[2] += 1_234_567
+    page = answers.answer("/metrics", is_local=True, now=0.0)
+    assert page is not None
+    assert page.content_type.startswith("text/plain; version=0.0.4")
+    families = set()
+    for line in page.text.splitlines():
+        if line.startswith("# TYPE"):
+            families.add(line.split()[2])
+        elif not line.startswith("# HELP"):
+            assert SAMPLE.fullmatch(line), line
+            name = re.split(r"[ {]", line)[0]
+            assert name in families or name.rsplit("_", 1)[0] in families
+    assert 'pica_frames_dropped_total{reason="upper_replaced"} 3' in page.text
+    assert 'pica_frames_in_total{layer="2"} 1234567' in page.text
+    assert 'pica_limits_hit_total{limit="address"} 1' in page.text
+    assert 'pica_closed_total{code="4010"} 1' in page.text
+    assert "192.0.2.1" not in page.text
+
+
+def test_the_latency_histogram_is_cumulative_and_complete() -> None:
+    stats = RelayStats()
+    latencies_s = (0.0001, 0.0009, 0.004, 0.03, 3.0, 100.0)
+    for latency_s in latencies_s:
+        stats.forwarding.record(latency_s)
+    text = metrics_text(stats, {})
+    counts = [int(line.split()[1]) for line in text.splitlines() if "_seconds_bucket" in line]
+    expected = [sum(latency_s <= bound_s for latency_s in latencies_s) for bound_s in BOUNDS_S]
+    assert counts == [*expected, len(latencies_s)]
+    assert f"pica_forward_seconds_sum {sum(latencies_s):.6f}" in text

@@ -1,0 +1,187 @@
+"""Sending everybody away: in which order, what they are told, and what still reaches them."""
+
+import asyncio
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pica_protocol.client_session import ClientSession
+from pica_protocol.codec import decode_message
+from pica_protocol.errors import CloseCode
+from pica_protocol.messages import Bye, Message, PeerJoined, PeerLeft, Track, Whisper
+from pica_protocol.session import Closed
+from pica_server.config.relay import LimitsConfig, RelayConfig
+from pica_server.errors import ConfigurationError
+from pica_server.relay import Relay
+from pica_server.room.drain import TELLING_SHARE, departures
+from pica_server.room.hub import Hub
+from simnet.clock import current_network, in_virtual_time
+from simnet.peers import now, open_websocket, peer_in_room
+
+pytestmark = pytest.mark.call
+
+URL = "ws://relay:8765"
+ELSEWHERE = "ws://other:8765"
+
+
+def test_a_few_rooms_go_at_once() -> None:
+    assert departures([5, 5, 3], per_s=50, burst=200, longest_s=20) == [0, 0, 0]
+
+
+def test_many_rooms_go_as_fast_as_another_relay_lets_them_in() -> None:
+    offsets_s = departures([5] * 80, per_s=50, burst=200, longest_s=20)
+    assert offsets_s[:40] == [0] * 40
+    assert offsets_s[40:42] == pytest.approx([0.1, 0.2])
+    assert offsets_s[-1] == pytest.approx(4.0)
+
+
+@given(
+    st.lists(st.integers(1, 64), max_size=300),
+    st.floats(0.1, 1e4),
+    st.floats(1, 1e4),
+    st.floats(0.1, 3600),
+)
+def test_all_are_told_in_order_and_in_time(
+    sizes: list[int], per_s: float, burst: float, longest_s: float
+) -> None:
+    offsets_s = departures(sizes, per_s=per_s, burst=burst, longest_s=longest_s)
+    assert len(offsets_s) == len(sizes)
+    assert offsets_s == sorted(offsets_s)
+    assert all(0 <= each <= TELLING_SHARE * longest_s * (1 + 1e-9) for each in offsets_s)
+
+
+class Guest:
+    """A client without a socket."""
+
+    def __init__(self, hub: Hub, room: str, at: float = 0.0) -> None:
+        self.hub = hub
+        self.connection = hub.connect(at)
+        tracks = (Track(kind="face"),)
+        self.session = ClientSession(room=room, name="guest", tracks=tracks, now=at)
+        self.speak(at)
+        self.hear(at)
+
+    def speak(self, at: float) -> None:
+        for data in self.session.messages_to_send(at):
+            self.hub.receive(self.connection, data, at)
+
+    def hear(self, at: float) -> list[Message]:
+        heard = []
+        while (parcel := self.hub.take(self.connection, at)) is not None:
+            self.hub.sent(self.connection, parcel, at)
+            self.session.receive_data(parcel.data, at)
+            heard.append(decode_message(parcel.data))
+        return heard
+
+
+def draining_hub(**limits: float) -> Hub:
+    config = RelayConfig(drain_s=10, drain_to=ELSEWHERE, limits=LimitsConfig(**limits))
+    return Hub(config)
+
+
+def test_a_room_goes_together_and_nobody_is_told_how_the_others_leave() -> None:
+    hub = draining_hub()
+    guests = [Guest(hub, "tea") for _ in range(3)]
+    for guest in guests:
+        guest.hear(0.0)
+    hub.drain(now=1.0)
+    bye = Bye(code=1001, reason="the relay is stopping", url=ELSEWHERE)
+    assert [guest.hear(1.0) for guest in guests] == [[bye]] * 3
+    assert hub.num_connections == 0
+
+
+def test_what_waits_for_somebody_goes_out_before_their_goodbye() -> None:
+    hub = draining_hub()
+    ada, bob = Guest(hub, "tea"), Guest(hub, "tea")
+    ada.hear(0.0)
+    bob.session.whisper(str(ada.session.peer_id), b"wait")
+    bob.speak(1.0)
+    bob.session.leave(1.0)
+    bob.speak(1.0)
+    hub.drain(now=1.0)
+    assert [type(message) for message in ada.hear(1.0)] == [Whisper, PeerLeft, Bye]
+
+
+def test_rooms_follow_one_after_the_other_and_talk_on_until_then() -> None:
+    hub = draining_hub(joins_burst=2, joins_per_s=1)
+    first = [Guest(hub, "first", at) for at in (0.0, 0.0)]
+    second = [Guest(hub, "second", at) for at in (5.0, 10.0)]
+    hub.drain(now=20.0)
+    assert [guest.connection.closed is not None for guest in first] == [True, True]
+    assert hub.next_timer() is not None
+    assert hub.num_connections == 2
+    hub.handle_timer(now=21.9)
+    second[0].session.whisper(str(second[1].session.peer_id), b"still here")
+    second[0].speak(21.9)
+    assert second[1].hear(21.9) == [
+        Whisper(peer_id=str(second[0].session.peer_id), data=b"still here")
+    ]
+    hub.handle_timer(now=22.0)
+    assert hub.num_connections == 0
+
+
+def test_who_comes_while_the_relay_drains_is_told_where_to_go() -> None:
+    hub = draining_hub(joins_burst=1, joins_per_s=1)
+    waiting = hub.connect(0.0)
+    Guest(hub, "a", 0.0)
+    Guest(hub, "b", 5.0)
+    hub.drain(now=20.0)
+    late = hub.connect(20.1)
+    for connection in (waiting, late):
+        parcel = hub.take(connection, 20.1)
+        assert parcel is not None
+        assert decode_message(parcel.data) == Bye(
+            code=1001, reason="the relay is stopping", url=ELSEWHERE
+        )
+
+
+@pytest.mark.parametrize("url", ["http://a", "other:8765", "ws://me:secret@a"])
+def test_what_is_no_relay_is_no_place_to_send_anybody(url: str) -> None:
+    with pytest.raises(ConfigurationError, match="--drain-to must be empty or ws"):
+        RelayConfig(drain_to=url)
+
+
+@in_virtual_time
+async def test_a_drain_ends_as_soon_as_everybody_is_gone() -> None:
+    async with (
+        Relay(RelayConfig(drain_to=ELSEWHERE)) as relay,
+        peer_in_room(URL, "Ada") as ada,
+        peer_in_room(URL, "Bob") as bob,
+    ):
+        await ada.until(PeerJoined)
+        start = now()
+        await relay.drain()
+        assert now() - start < 0.1
+        for peer in (ada, bob):
+            closed = await peer.until(Closed)
+            assert (closed.code, closed.url) == (CloseCode.GOING_AWAY, ELSEWHERE)
+            assert peer.told(PeerLeft) == []
+
+
+@in_virtual_time
+async def test_who_does_not_go_is_cut_at_the_end_of_the_drain() -> None:
+    async with Relay(RelayConfig(drain_s=7)) as relay, peer_in_room(URL, "Ada") as ada:
+        async with peer_in_room("ws://train:8765", "Bob") as bob:
+            current_network().cut("train")
+            start = now()
+            await relay.drain()
+            assert now() - start == pytest.approx(7)
+            assert relay.hub.num_connections == 0
+            bob.websocket.transport.abort()
+        assert ada.told(Closed)
+
+
+@in_virtual_time
+async def test_a_draining_relay_answers_but_is_not_ready() -> None:
+    config = RelayConfig(drain_s=10)
+    async with Relay(config) as relay, peer_in_room("ws://train:8765", "Ada") as ada:
+        current_network().cut("train")
+        draining = asyncio.create_task(relay.drain())
+        await asyncio.sleep(1)
+        async with open_websocket(URL) as websocket:
+            bye = decode_message(bytes(await websocket.recv()))
+            assert isinstance(bye, Bye)
+            assert bye.code == CloseCode.GOING_AWAY
+        await draining
+        ada.websocket.transport.abort()

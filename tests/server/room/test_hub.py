@@ -1,0 +1,283 @@
+"""The whole relay with literal times and no socket."""
+
+import pytest
+
+from helpers.members import Member, hub_with
+from pica_protocol.codec import encode_message
+from pica_protocol.errors import CloseCode
+from pica_protocol.messages import (
+    Bye,
+    Join,
+    PeerJoined,
+    PeerLeft,
+    Report,
+    StreamReport,
+    Whisper,
+)
+from pica_protocol.session import State
+from pica_server.auth.tokens import Admission
+from pica_server.config.relay import LimitsConfig, RelayConfig
+from pica_server.errors import AdmissionError
+from pica_server.room.hub import Hub
+
+pytestmark = pytest.mark.unit
+
+
+def test_a_frame_makes_its_receivers_ready_and_nobody_else() -> None:
+    hub, (ada, bob, cyd) = hub_with("Ada", "Bob", "Cyd")
+    ada.send_frame(b"x", now=1.0)
+    assert hub.take_ready() == [bob.connection, cyd.connection]
+    assert hub.take_ready() == []
+
+
+def test_forwarding_latency_runs_from_receipt_to_the_socket() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob")
+    ada.send_frame(b"x", now=1.0)
+    bob.listen(now=1.010)
+    assert hub.stats.as_dict()["forward_ms"]["p50"] == pytest.approx(10, rel=0.05)
+
+
+def test_every_frame_is_delivered_or_counted_as_dropped() -> None:
+    hub, (ada, bob, cyd) = hub_with("Ada", "Bob", "Cyd")
+    for i in range(10):
+        ada.send_frame(bytes([i]), now=1.0 + i)
+        bob.listen(now=1.0 + i)
+    hub.disconnect(cyd.connection, 1006, "", now=20.0)
+    stats = hub.stats
+    assert stats.frames_in == 10
+    assert stats.frames_out == 10
+    assert stats.dropped == {"replaced": 9, "departed": 1}
+
+
+def test_frames_still_waiting_when_their_publisher_goes_are_not_delivered() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob")
+    ada.send_frame(b"x", now=1.0)
+    hub.disconnect(ada.connection, 1006, "", now=1.1)
+    assert bob.listen(now=1.2) == [PeerLeft(peer_id=ada.session.peer_id, reason="lost")]
+    assert hub.stats.dropped == {"departed": 1}
+
+
+def test_a_foreign_stream_closes_its_sender_and_forwards_none_of_the_message() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob")
+    own = b"\x00\x01" + bytes(14)
+    bobs = b"\x00\x02" + bytes(14)
+    hub.receive(ada.connection, b"\x02" + own + bobs, now=1.0)
+    assert ada.connection.closed is not None
+    assert ada.connection.closed.code == CloseCode.FOREIGN_STREAM
+    assert bob.listen(now=1.0) == [PeerLeft(peer_id=ada.session.peer_id, reason="removed")]
+
+
+def test_a_peer_that_lets_control_pile_up_is_closed_and_the_rest_is_told() -> None:
+    limits = LimitsConfig(joins_burst=10_000)
+    config = RelayConfig(max_control_bytes=65_536, room_capacity=64, limits=limits)
+    hub, (ada, bob) = hub_with("Ada", "Bob", config=config)
+    for i in range(1000):  # people come and go; Bob does not read
+        guest = Member(hub, f"Guest {i}", now=1.0)
+        hub.disconnect(guest.connection, 1006, "", now=1.0)
+        ada.listen(now=1.0)
+        assert bob.connection.outbox.waiting_control_bytes <= 65_536 + 200
+    assert bob.connection.closed is not None
+    assert bob.connection.closed.code == CloseCode.TOO_SLOW
+    assert bob.session.peer_id not in ada.session.peers
+    heard = bob.listen(now=2.0)
+    assert isinstance(heard[-1], Bye)  # and what had piled up before it, in order
+    assert sum(isinstance(message, PeerJoined) for message in heard) > 100
+
+
+def test_a_handshake_is_late_at_its_deadline() -> None:
+    hub = Hub(RelayConfig(handshake_timeout_s=5))
+    connection = hub.connect(now=10.0)
+    assert hub.next_timer() == 15.0
+    hub.handle_timer(now=14.9)
+    assert connection.closed is None
+    hub.handle_timer(now=15.0)
+    assert connection.closed is not None
+    assert connection.closed.code == CloseCode.HANDSHAKE_TIMEOUT
+    assert hub.num_connections == 0
+
+
+def test_a_socket_that_takes_nothing_is_closed_after_the_stall_timeout() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob", config=RelayConfig(stall_timeout_s=10))
+    ada.send_frame(b"x", now=100.0)
+    assert hub.take(bob.connection, now=100.0) is not None  # and never sent
+    while bob.connection.closed is None:
+        now = hub.next_timer()
+        assert now is not None
+        hub.handle_timer(now)
+    assert now == 110.0
+    assert bob.connection.closed.code == CloseCode.TOO_SLOW
+    assert ada.connection.closed is None
+
+
+def test_a_peer_that_merely_has_nothing_to_read_is_not_late() -> None:
+    hub, (ada, _) = hub_with("Ada", "Bob")
+    for _ in range(100):
+        now = hub.next_timer()
+        assert now is not None
+        hub.handle_timer(now)
+    assert ada.connection.closed is None
+
+
+def test_one_timer_is_kept_for_each_connection() -> None:
+    hub, members = hub_with("Ada", "Bob")
+    for i in range(1000):
+        members[0].send_frame(b"x", now=i / 30)
+        members[1].listen(now=i / 30)
+    deadlines = 0
+    while hub.next_timer() is not None:
+        for member in members:
+            hub.disconnect(member.connection, 1000, "", now=100.0)
+        hub.handle_timer(hub.next_timer() or 0.0)
+        deadlines += 1
+    assert deadlines <= 2
+
+
+def hub_of_limits(**limits: float) -> Hub:
+    return Hub(RelayConfig(limits=LimitsConfig(**limits)))  # type: ignore[arg-type]
+
+
+def closed_code(member: Member) -> int | None:
+    return None if member.connection.closed is None else member.connection.closed.code
+
+
+def test_a_publisher_above_its_rate_is_closed_and_one_below_it_is_not() -> None:
+    hub = hub_of_limits(messages_per_s=60, burst_s=1)
+    ada, flood = Member(hub, "Ada"), Member(hub, "Flood")
+    for i in range(300):
+        ada.send_frame(b"x", now=i / 30)
+        if closed_code(flood) is None:
+            flood.send_frame(b"x", now=i / 300)
+    assert closed_code(ada) is None
+    assert closed_code(flood) == CloseCode.TOO_FAST
+    assert hub.stats.limits_hit == {"messages": 1}
+
+
+def test_frames_are_counted_one_by_one_however_many_share_a_message() -> None:
+    hub = hub_of_limits(messages_per_s=10, burst_s=1)
+    ada = Member(hub, "Ada")
+    frame = b"\x00\x01" + bytes(14)
+    hub.receive(ada.connection, b"\x02" + frame * 9, now=1.0)
+    assert closed_code(ada) is None
+    hub.receive(ada.connection, b"\x02" + frame * 3, now=1.1)
+    assert closed_code(ada) == CloseCode.TOO_FAST
+    assert hub.stats.frames_in == 9
+
+
+def test_a_publisher_of_too_many_bytes_is_closed() -> None:
+    hub = hub_of_limits(bytes_per_s=1024, burst_s=2)
+    ada = Member(hub, "Ada")
+    ada.send_frame(bytes(1000), now=1.0)
+    assert closed_code(ada) is None
+    ada.send_frame(bytes(1100), now=1.0)
+    assert closed_code(ada) == CloseCode.TOO_FAST
+    assert hub.stats.limits_hit == {"bytes": 1}
+
+
+def test_more_joins_than_the_relay_takes_are_told_to_come_later() -> None:
+    hub = hub_of_limits(joins_per_s=1, joins_burst=3)
+    guests = [Member(hub, f"Guest {i}", now=1.0) for i in range(5)]
+    assert [closed_code(guest) for guest in guests] == [None] * 3 + [CloseCode.BUSY] * 2
+    assert closed_code(Member(hub, "Later", now=2.0)) is None
+    assert hub.stats.limits_hit == {"joins": 2}
+
+
+def test_who_may_not_join_does_not_use_up_the_joins_of_those_who_may() -> None:
+    def admit(join: Join) -> Admission:
+        if join.name != "Ada":
+            raise AdmissionError("no", CloseCode.UNAUTHORIZED)
+        return Admission()
+
+    limits = LimitsConfig(joins_per_s=1, joins_burst=1)
+    hub = Hub(RelayConfig(limits=limits), admit)
+    strangers = [Member(hub, f"Stranger {i}") for i in range(5)]
+    assert {closed_code(stranger) for stranger in strangers} == {CloseCode.UNAUTHORIZED}
+    assert closed_code(Member(hub, "Ada")) is None
+
+
+def test_one_address_has_a_limit_of_its_own_and_gets_its_places_back() -> None:
+    hub = hub_of_limits(connections_per_address=2)
+    members = [Member(hub, f"m{i}", address="192.0.2.1") for i in range(3)]
+    assert [closed_code(member) for member in members] == [None, None, CloseCode.TOO_MANY]
+    assert closed_code(Member(hub, "other", address="192.0.2.2")) is None
+    assert closed_code(Member(hub, "here")) is None
+    hub.disconnect(members[0].connection, 1006, "", now=1.0)
+    assert closed_code(Member(hub, "next", address="192.0.2.1")) is None
+
+
+def test_an_empty_room_is_forgotten() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob")
+    assert hub.num_rooms == 1
+    for member in (ada, bob):
+        hub.disconnect(member.connection, 1000, "", now=1.0)
+    assert hub.num_rooms == 0
+
+
+def test_reports_are_added_up() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob")
+    report = Report(streams=(StreamReport(stream=1, received=9, lost=2, concealed=1),) * 2)
+    bob.session.report(report)
+    bob.speak(now=1.0)
+    assert (hub.stats.reported_lost, hub.stats.reported_concealed) == (4, 2)
+    assert ada.listen(now=1.0) == []
+
+
+def test_a_whisper_reaches_one_peer_under_its_senders_name() -> None:
+    hub, (ada, bob, cyd) = hub_with("Ada", "Bob", "Cyd")
+    ada.session.whisper(bob.session.peer_id, b"key")
+    ada.speak(now=1.0)
+    assert bob.listen(now=1.0) == [Whisper(peer_id=ada.session.peer_id, data=b"key")]
+    assert ada.listen(now=1.0) == cyd.listen(now=1.0) == []
+    assert hub.stats.whispers == 1
+
+
+def test_a_whisper_stays_in_its_room() -> None:
+    hub, (ada,) = hub_with("Ada")
+    eve = Member(hub, "Eve", room="elsewhere")
+    for receiver in (eve.session.peer_id, ada.session.peer_id, "p99"):
+        ada.session.whisper(receiver, b"key")
+    ada.speak(now=1.0)
+    assert eve.listen(now=1.0) == ada.listen(now=1.0) == []
+    assert hub.stats.whispers_dropped == {"nobody": 3}
+
+
+def test_who_whispers_too_much_is_not_heard_for_a_while() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob")
+    heard = []
+    for now in (1.0, 1.5, 100.0):
+        for _ in range(200):
+            ada.session.whisper(bob.session.peer_id, b"x")
+        ada.speak(now)
+        heard.append(len(bob.listen(now)))
+    assert heard == [128, 8, 128]
+    assert hub.stats.whispers_dropped == {"rate": 600 - 264}
+    assert ada.connection.closed is None
+
+
+def test_whispers_do_not_get_a_slow_reader_closed() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob", config=RelayConfig(max_control_bytes=65_536))
+    for second in range(60):
+        for _ in range(100):
+            ada.session.whisper(bob.session.peer_id, bytes(512))
+        ada.speak(now=float(second))
+    assert bob.connection.closed is None
+    assert bob.connection.outbox.waiting_control_bytes < 20_000
+    assert hub.stats.whispers_dropped["backlog"] > 0
+
+
+def test_close_codes_that_peers_make_up_are_counted_together() -> None:
+    hub, members = hub_with("Ada", "Bob", "Cyd")
+    for member, code in zip(members, (3001, 4444, 1000), strict=True):
+        hub.receive(member.connection, encode_message(Bye(code=code)), now=1.0)
+    assert hub.stats.closed == {0: 2, 1000: 1}
+
+
+def test_a_message_after_the_end_is_ignored() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob")
+    hub.close(ada.connection, CloseCode.INTERNAL_ERROR, "test", now=1.0)
+    bob.listen(now=1.0)
+    hub.receive(ada.connection, encode_message(Bye(code=1000)), now=1.1)
+    hub.receive(ada.connection, b"\x02\x00\x01" + bytes(14), now=1.1)
+    hub.disconnect(ada.connection, 1006, "", now=1.2)
+    assert bob.listen(now=1.3) == []
+    assert bob.session.state is State.JOINED
+    assert hub.stats.closed == {1011: 1}

@@ -1,0 +1,294 @@
+"""Who is away, who comes back, what peers say of themselves: the hub with literal times."""
+
+from dataclasses import replace
+
+import pytest
+
+from helpers.members import FACE, VOICE, Member, counting_secrets, hub_with
+from pica_protocol.client_session import Ticket
+from pica_protocol.errors import CloseCode
+from pica_protocol.frames import Frame
+from pica_protocol.messages import (
+    Bye,
+    Joined,
+    Message,
+    PeerAway,
+    PeerBack,
+    PeerJoined,
+    PeerLeft,
+    PeerUpdated,
+)
+from pica_protocol.session import State
+from pica_server.auth.tokens import Admission
+from pica_server.config.relay import LimitsConfig, RelayConfig
+from pica_server.room.hub import Hub
+
+pytestmark = pytest.mark.unit
+
+
+def come_back(hub: Hub, ticket: Ticket | None, now: float, name: str = "Ada") -> Member:
+    assert ticket is not None
+    member = Member(hub, name, now=now, resumable=True, ticket=ticket)
+    member.heard += member.listen(now)
+    return member
+
+
+def joined_of(member: Member) -> Joined:
+    return next(each for each in member.heard if isinstance(each, Joined))
+
+
+def control(heard: list[Message | Frame]) -> list[Message]:
+    return [each for each in heard if not isinstance(each, Frame)]
+
+
+def test_who_comes_back_in_time_has_its_old_id_and_streams_and_nobody_saw_it_leave() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True)
+    ticket = ada.lose_connection(now=1.0)
+    assert bob.listen(now=1.0) == [PeerAway(peer_id=ada.peer_id)]
+    again = come_back(hub, ticket, now=10.9)
+    assert (again.peer_id, again.stream) == (ada.peer_id, ada.stream)
+    assert joined_of(again).resumed
+    assert list(again.session.peers) == [bob.peer_id]
+    assert bob.listen(now=10.9) == [PeerBack(peer_id=ada.peer_id)]
+    assert hub.stats.resumes == {"away": 1, "resumed": 1}
+    hub.handle_timer(now=30.0)
+    assert bob.listen(now=30.0) == []
+
+
+def test_frames_flow_both_ways_after_coming_back() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True)
+    bob.send_frame(b"bob", now=0.5)
+    again = come_back(hub, ada.lose_connection(now=1.0), now=2.0)
+    bob.listen(now=2.0)
+    assert [each.payload for each in again.heard if isinstance(each, Frame)] == [b"bob"]
+    again.send_frame(b"ada", now=2.1)
+    bob.send_frame(b"more", now=2.1)
+    assert [f.payload for f in bob.listen(now=2.1) if isinstance(f, Frame)] == [b"ada"]
+    assert [f.payload for f in again.listen(now=2.1) if isinstance(f, Frame)] == [b"more"]
+
+
+def test_who_does_not_come_back_has_left_when_the_grace_is_over() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True)
+    ticket = ada.lose_connection(now=1.0)
+    bob.listen(now=1.0)
+    while hub.num_rooms and bob.session.peers:
+        now = hub.next_timer()
+        assert now is not None
+        hub.handle_timer(now)
+        left = bob.listen(now)
+    assert now == 11.0
+    assert left == [PeerLeft(peer_id=ada.peer_id, reason="lost")]
+    again = come_back(hub, ticket, now=11.1)
+    assert not joined_of(again).resumed
+    assert again.peer_id != ada.peer_id
+    assert hub.stats.resumes == {"away": 1, "unknown": 1}
+
+
+def test_an_empty_room_is_kept_for_those_who_may_come_back_and_then_forgotten() -> None:
+    hub, (ada,) = hub_with("Ada", resumable=True)
+    ticket = ada.lose_connection(now=1.0)
+    assert (hub.num_connections, hub.num_rooms) == (0, 1)
+    again = come_back(hub, ticket, now=5.0)
+    assert again.peer_id == ada.peer_id
+    again.lose_connection(now=6.0)
+    hub.handle_timer(now=16.0)
+    assert hub.num_rooms == 0
+    assert hub.next_timer() is None or hub.next_timer() > 16.0
+
+
+def test_a_secret_is_good_once_and_another_one_comes_with_each_return() -> None:
+    hub, (ada, _bob) = hub_with("Ada", "Bob", resumable=True)
+    first = ada.lose_connection(now=1.0)
+    again = come_back(hub, first, now=2.0)
+    second = again.lose_connection(now=3.0)
+    assert first is not None
+    assert second is not None
+    assert first.secret != second.secret
+    thief = come_back(hub, first, now=4.0)
+    assert thief.peer_id != ada.peer_id
+    assert come_back(hub, second, now=5.0).peer_id == ada.peer_id
+
+
+def test_whoever_comes_back_before_the_relay_has_noticed_takes_the_place_over() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True)
+    again = come_back(hub, ada.session.ticket, now=5.0)
+    assert again.peer_id == ada.peer_id
+    assert ada.closed_code == CloseCode.REPLACED
+    assert isinstance(ada.listen(now=5.0)[-1], Bye)
+    assert bob.listen(now=5.0) == [PeerBack(peer_id=ada.peer_id)]
+    hub.disconnect(ada.connection, 1006, "", now=6.0)
+    again.send_frame(b"x", now=6.0)
+    assert [each.payload for each in bob.listen(now=6.0) if isinstance(each, Frame)] == [b"x"]
+    assert hub.num_connections == 2
+
+
+def test_who_goes_on_purpose_or_breaks_the_protocol_is_gone_at_once() -> None:
+    hub, (ada, bob, cyd) = hub_with("Ada", "Bob", "Cyd", resumable=True)
+    ada.session.leave(now=1.0)
+    ada.speak(now=1.0)
+    hub.receive(bob.connection, b"\x03", now=1.0)
+    assert control(cyd.listen(now=1.0)) == [
+        PeerLeft(peer_id=ada.peer_id, reason="left"),
+        PeerLeft(peer_id=bob.peer_id, reason="removed"),
+    ]
+    for former in (ada, bob):
+        assert come_back(hub, former.session.ticket, now=2.0).peer_id != former.peer_id
+
+
+def test_who_did_not_say_that_it_comes_back_is_gone_at_once() -> None:
+    _hub, (ada, bob) = hub_with("Ada", "Bob")
+    assert ada.lose_connection(now=1.0) is None
+    assert bob.listen(now=1.0) == [PeerLeft(peer_id=ada.peer_id, reason="lost")]
+
+
+def test_a_place_that_is_kept_counts_for_the_capacity() -> None:
+    hub, (ada, _bob) = hub_with("Ada", "Bob", config=RelayConfig(room_capacity=2), resumable=True)
+    ticket = ada.lose_connection(now=1.0)
+    assert Member(hub, "Cyd", now=2.0).closed_code == CloseCode.ROOM_FULL
+    assert come_back(hub, ticket, now=3.0).peer_id == ada.peer_id
+
+
+def test_a_newcomer_learns_who_is_away() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True)
+    ada.lose_connection(now=1.0)
+    cyd = Member(hub, "Cyd", now=2.0)
+    assert set(cyd.session.peers) == {ada.peer_id, bob.peer_id}
+    assert cyd.session.away == {ada.peer_id}
+
+
+def test_nobody_comes_back_into_another_room_or_with_other_tracks() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True)
+    ticket = ada.lose_connection(now=1.0)
+    bob.listen(now=1.0)
+    elsewhere = Member(hub, "Ada", room="elsewhere", now=2.0, ticket=ticket, resumable=True)
+    assert elsewhere.peer_id != ada.peer_id
+    other = Member(
+        hub, "Ada", now=3.0, ticket=ticket, resumable=True, tracks=(replace(FACE, kind="mask"),)
+    )
+    assert other.peer_id != ada.peer_id
+    assert [type(each) for each in bob.listen(now=3.0)] == [PeerLeft, PeerJoined]
+    assert come_back(hub, ticket, now=4.0).peer_id != ada.peer_id
+    assert hub.stats.resumes == {"away": 1, "unknown": 2, "unfit": 1}
+
+
+def hub_of_identities() -> Hub:
+    """Tokens are the identities themselves."""
+    return Hub(
+        RelayConfig(),
+        lambda join: Admission(identity=join.token),
+        new_secret=counting_secrets(),
+    )
+
+
+def test_a_stolen_identity_cannot_come_back_to_a_place_without_its_secret() -> None:
+    hub = hub_of_identities()
+    ada = Member(hub, "Ada", token="ada", resumable=True)
+    bob = Member(hub, "Bob", token="bob", resumable=True)
+    ada.lose_connection(now=1.0)
+    bob.listen(now=1.0)
+    thief = Member(hub, "Ada", token="ada", resumable=True, now=2.0)
+    assert thief.peer_id != ada.peer_id
+    assert [type(each) for each in bob.listen(now=2.0)] == [PeerLeft, PeerJoined]
+
+
+def test_a_stolen_secret_is_worth_nothing_to_another_identity() -> None:
+    hub = hub_of_identities()
+    ada = Member(hub, "Ada", token="ada", resumable=True)
+    ticket = ada.lose_connection(now=1.0)
+    thief = Member(hub, "Ada", token="mallory", resumable=True, now=2.0, ticket=ticket)
+    assert thief.peer_id != ada.peer_id
+    assert not joined_of(thief).resumed
+
+
+def test_of_two_with_one_identity_the_newer_stays_and_the_older_is_told() -> None:
+    hub = hub_of_identities()
+    old = Member(hub, "Ada", token="ada")
+    bob = Member(hub, "Bob", token="bob")
+    bob.listen(now=0.0)
+    new = Member(hub, "Ada", token="ada", now=1.0)
+    assert old.closed_code == CloseCode.REPLACED
+    assert old.listen(now=1.0)[-1] == Bye(code=4013, reason="you have joined again from elsewhere")
+    heard = bob.listen(now=1.0)
+    assert heard[0] == PeerLeft(peer_id=old.peer_id, reason="removed")
+    assert isinstance(heard[1], PeerJoined)
+    assert new.session.state is State.JOINED
+    assert Member(hub, "Ada", token="ada", room="elsewhere").closed_code is None
+    assert new.closed_code is None
+
+
+def test_nobody_is_kept_while_a_relay_drains() -> None:
+    hub, (ada, _bob) = hub_with("Ada", "Bob", resumable=True)
+    ada.lose_connection(now=1.0)
+    hub.drain(now=2.0)
+    assert (hub.num_connections, hub.num_rooms) == (0, 0)
+
+
+def test_what_a_peer_says_of_itself_reaches_the_others_and_those_who_come_later() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob")
+    for metadata in ((("hand", "up"),), (("hand", "up"),), (("hand", "down"),)):
+        ada.session.update_metadata(metadata)
+        ada.speak(now=1.0)
+    assert bob.listen(now=1.0) == [
+        PeerUpdated(peer_id=ada.peer_id, metadata=(("hand", "up"),)),
+        PeerUpdated(peer_id=ada.peer_id, metadata=(("hand", "down"),)),
+    ]
+    assert ada.listen(now=1.0) == []
+    cyd = Member(hub, "Cyd", now=2.0, metadata=(("role", "guest"),))
+    assert cyd.session.peers[ada.peer_id].metadata == (("hand", "down"),)
+    (arrival,) = bob.listen(now=2.0)
+    assert isinstance(arrival, PeerJoined)
+    assert arrival.peer.metadata == (("role", "guest"),)
+
+
+def test_what_a_peer_says_when_it_comes_back_is_news_only_if_it_has_changed() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True)
+    again = come_back(hub, ada.lose_connection(now=1.0), now=2.0)
+    assert [type(each) for each in bob.listen(now=2.0)] == [PeerAway, PeerBack]
+    ticket = again.lose_connection(now=3.0)
+    Member(hub, "Ada", now=4.0, ticket=ticket, metadata=(("hand", "up"),))
+    assert [type(each) for each in bob.listen(now=4.0)] == [PeerAway, PeerBack, PeerUpdated]
+
+
+def test_who_changes_what_it_says_too_often_is_closed() -> None:
+    _hub, (ada, bob) = hub_with("Ada", "Bob")
+    for i in range(30):
+        if ada.session.state is State.JOINED:
+            ada.session.update_metadata((("n", str(i)),))
+            ada.speak(now=1.0)
+            ada.listen(now=1.0)
+    assert ada.closed_code == CloseCode.TOO_FAST
+    assert sum(isinstance(each, PeerUpdated) for each in bob.listen(now=1.0)) == 10
+
+
+def test_a_slow_reader_that_was_closed_may_come_back_to_its_place() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True)
+    ada.send_frame(b"x", now=100.0)
+    assert hub.take(bob.connection, now=100.0) is not None  # and never sent
+    while bob.connection.closed is None:
+        hub.handle_timer(hub.next_timer() or 0.0)
+    assert bob.closed_code == CloseCode.TOO_SLOW
+    assert control(ada.listen(now=110.0)) == [PeerAway(peer_id=bob.peer_id)]
+    assert come_back(hub, bob.session.ticket, now=111.0, name="Bob").peer_id == bob.peer_id
+
+
+def test_places_that_are_kept_are_no_more_than_the_joins_that_the_relay_takes() -> None:
+    limits = LimitsConfig(joins_per_s=10, joins_burst=20)
+    hub, _ = hub_with(config=RelayConfig(limits=limits))
+    for i in range(3000):
+        member = Member(hub, "x", room=f"r{i % 500}", now=i / 100, resumable=True)
+        member.lose_connection(now=i / 100)
+        hub.handle_timer(now=i / 100)
+        assert hub.num_rooms <= 20 + 10 * 10 + 1
+
+
+def test_voice_waits_in_order_without_keyframes_and_not_for_long() -> None:
+    hub, _ = hub_with()
+    ada = Member(hub, "Ada", tracks=(FACE, VOICE))
+    bob = Member(hub, "Bob", tracks=())
+    for i in range(20):
+        ada.send_frame(bytes([i]), now=1.0 + i * 0.02, is_keyframe=False, track=1)
+    assert [f.payload[0] for f in bob.listen(now=1.39) if isinstance(f, Frame)] == [*range(10, 20)]
+    assert hub.stats.dropped == {"expired": 10}
+    late = Member(hub, "Late", tracks=(), now=2.0)
+    assert not any(isinstance(each, Frame) for each in late.heard + late.listen(now=2.0))
+    assert not hub.stats.keyframe_requests

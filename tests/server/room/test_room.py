@@ -1,0 +1,178 @@
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+from pica_protocol.messages import Peer, Track
+from pica_server.errors import RoomFullError
+from pica_server.room.room import Room, Stream
+
+pytestmark = pytest.mark.unit
+
+FACE = Track(kind="face")
+CAPACITY = 4
+
+
+def room_of(*names: str) -> Room:
+    room = Room("lobby", capacity=8)
+    for name in names:
+        room.join(name, name, (FACE,))
+    return room
+
+
+def test_a_newcomer_is_told_who_is_here_and_which_streams_are_its_own() -> None:
+    room = room_of("ada")
+    joined = room.join("bob", "Bob", (FACE, FACE))
+    assert joined.peers == (
+        Peer(peer_id="ada", name="ada", tracks=(Track(kind="face", stream=1),)),
+    )
+    assert [track.stream for track in joined.tracks] == [2, 3]
+
+
+def test_a_room_takes_no_more_than_its_capacity() -> None:
+    room = Room("lobby", capacity=1)
+    room.join("ada", "Ada", ())
+    with pytest.raises(RoomFullError, match="room lobby is full: 1 peers"):
+        room.join("bob", "Bob", ())
+    assert len(room) == 1
+
+
+def test_a_stream_is_not_used_again_right_after_its_owner_left() -> None:
+    room = room_of("ada")
+    room.leave("ada")
+    assert room.join("bob", "Bob", (FACE,)).tracks[0].stream == 2
+
+
+def test_streams_wrap_around_those_in_use() -> None:
+    room = room_of("ada")  # holds stream 1
+    for _ in range(65_534):
+        room.join("guest", "Guest", (FACE,))
+        room.leave("guest")
+    assert room.join("bob", "Bob", (FACE,)).tracks[0].stream == 2
+
+
+def test_a_wish_limits_the_layers_of_one_stream_for_one_peer() -> None:
+    room = room_of("ada", "bob", "cyd")
+    room.want("bob", stream=1, layer=1)
+    assert room.receivers(stream=1, layer=1) == ["bob", "cyd"]
+    assert room.receivers(stream=1, layer=2) == ["cyd"]
+    assert room.receivers(stream=3, layer=2) == ["ada", "bob"]
+
+
+def test_a_keyframe_is_asked_for_at_most_once_in_an_interval() -> None:
+    room = room_of("ada", "bob")
+    assert room.request_keyframe(1, interval_s=0.5, now=10.0) == "ada"
+    assert room.request_keyframe(1, interval_s=0.5, now=10.4) is None
+    assert room.request_keyframe(2, interval_s=0.5, now=10.4) == "bob"
+    assert room.request_keyframe(1, interval_s=2.0, now=10.5) is None
+    assert room.request_keyframe(1, interval_s=0.5, now=10.5) == "ada"
+
+
+def test_wishes_and_requests_for_a_stream_that_has_ended_change_nothing() -> None:
+    room = room_of("ada", "bob")
+    room.leave("ada")
+    assert not room.want("bob", stream=1, layer=0)
+    assert room.request_keyframe(1, interval_s=0.5, now=0.0) is None
+
+
+def test_a_peer_that_wants_a_stream_again_is_told_apart_from_one_that_never_stopped() -> None:
+    room = room_of("ada", "bob")
+    wishes = (0, None, None, 2, 1)
+    assert [room.want("bob", 1, layer) for layer in wishes] == [False, False, False, True, False]
+
+
+def test_a_keyframe_and_what_followed_is_kept_as_long_as_its_stream() -> None:
+    room = room_of("ada", "bob")
+    stream = room.stream(1)
+    assert stream is not None
+    assert (stream.chain, stream.is_whole) == ([], False)
+    for frame, is_keyframe in ((b"lost", False), (b"old", True), (b"key", True), (b"base", False)):
+        stream.remember(frame, is_keyframe)
+    assert (stream.chain, stream.is_whole) == ([b"key", b"base"], True)
+    room.leave("ada")
+    assert room.stream(1) is None
+
+
+@pytest.mark.parametrize(("num_bytes", "num_kept"), [(1, 95), (1000, 4)])
+def test_a_chain_that_grows_too_long_is_given_up_but_for_its_keyframe(
+    num_bytes: int, num_kept: int
+) -> None:
+    stream = Stream("ada")
+    stream.remember(b"k", True)
+    for i in range(num_kept):
+        stream.remember(bytes(num_bytes), False)
+        assert stream.is_whole
+        assert len(stream.chain) == i + 2
+    for _ in range(2):
+        stream.remember(bytes(num_bytes), False)
+        assert (stream.chain, stream.is_whole) == ([b"k"], False)
+    stream.remember(b"key", True)
+    assert (stream.chain, stream.is_whole) == ([b"key"], True)
+
+
+class RoomMachine(RuleBasedStateMachine):
+    """A room against a list of who came, with which streams, and a table of every wish."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.room = Room("lobby", CAPACITY)
+        self.present: dict[str, list[int]] = {}
+        self.wishes: dict[tuple[str, int], int | None] = {}
+        self.num_joins = 0
+
+    @rule(num_tracks=st.integers(0, 4))
+    def join(self, num_tracks: int) -> None:
+        self.num_joins += 1
+        peer_id = f"p{self.num_joins}"
+        if len(self.present) == CAPACITY:
+            with pytest.raises(RoomFullError):
+                self.room.join(peer_id, "name", (FACE,) * num_tracks)
+            return
+        joined = self.room.join(peer_id, "name", (FACE,) * num_tracks)
+        assert [peer.peer_id for peer in joined.peers] == list(self.present)
+        taken = {stream for streams in self.present.values() for stream in streams}
+        own = [track.stream for track in joined.tracks]
+        assert len(own) == num_tracks
+        assert not taken & set(own)
+        self.present[peer_id] = own
+
+    @precondition(lambda self: self.present)
+    @rule(data=st.data())
+    def leave(self, data: st.DataObject) -> None:
+        peer_id = data.draw(st.sampled_from(list(self.present)))
+        self.room.leave(peer_id)
+        gone = self.present.pop(peer_id)
+        self.wishes = {
+            key: layer
+            for key, layer in self.wishes.items()
+            if key[0] != peer_id and key[1] not in gone
+        }
+
+    @precondition(lambda self: self.present)
+    @rule(data=st.data(), stream=st.integers(1, 20), layer=st.none() | st.integers(0, 7))
+    def want(self, data: st.DataObject, stream: int, layer: int | None) -> None:
+        peer_id = data.draw(st.sampled_from(list(self.present)))
+        self.room.want(peer_id, stream, layer)
+        if any(stream in streams for streams in self.present.values()):
+            self.wishes[peer_id, stream] = layer
+
+    @invariant()
+    def frames_go_to_whom_the_reference_says(self) -> None:
+        for publisher, streams in self.present.items():
+            for stream in streams:
+                assert self.room.owns(publisher, stream)
+                for layer in (0, 3, 7):
+                    expected = []
+                    for peer_id in self.present:
+                        wish = self.wishes.get((peer_id, stream), 7)
+                        if peer_id != publisher and wish is not None and wish >= layer:
+                            expected.append(peer_id)
+                    assert self.room.receivers(stream, layer) == expected
+
+    @invariant()
+    def everybody_present_is_listed_in_order(self) -> None:
+        assert [peer.peer_id for peer in self.room.peers] == list(self.present)
+
+
+RoomMachine.TestCase.settings = settings(max_examples=60, stateful_step_count=30)
+TestRoomMachine = RoomMachine.TestCase

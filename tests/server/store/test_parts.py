@@ -1,0 +1,231 @@
+"""The store's pure parts: the layout of a file, ranges of it, turns and slots."""
+
+import json
+import struct
+from http import HTTPStatus
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from pica_client.avatars.library import shipped_avatar_files
+from pica_core.avatar import file as avatar_file
+from pica_server.errors import ConfigurationError, UnfitFileError
+from pica_server.store import check as store_check
+from pica_server.store.check import StructureCheck
+from pica_server.store.config import StoreConfig
+from pica_server.store.http import Conditions, answer_for, parse_range
+from pica_server.store.transfer import BusyError, Pace, Slots
+
+pytestmark = pytest.mark.unit
+
+ID = "ab" * 32
+
+
+def file_of(header: object, data: bytes = b"") -> bytes:
+    text = header if isinstance(header, bytes) else json.dumps(header).encode()
+    return struct.pack("<Q", len(text)) + text + data
+
+
+def tensor(begin: int, end: int, shape: list[int], dtype: str = "U8") -> dict[str, object]:
+    return {"dtype": dtype, "shape": shape, "data_offsets": [begin, end]}
+
+
+def header(**tensors: object) -> dict[str, object]:
+    return {"__metadata__": {"pica": "{}"}, **tensors}
+
+
+def check(data: bytes, size: int | None = None) -> None:
+    structure = StructureCheck(len(data) if size is None else size)
+    structure.receive(data)
+    structure.finish()
+
+
+GOOD = file_of(header(a=tensor(0, 6, [2, 3]), b=tensor(6, 14, [2], "F32")), bytes(14))
+
+
+@given(st.lists(st.integers(0, len(GOOD)), max_size=5))
+def test_a_good_layout_is_found_good_in_whatever_pieces_it_comes(cuts: list[int]) -> None:
+    structure = StructureCheck(len(GOOD))
+    edges = [0, *sorted(cuts), len(GOOD)]
+    for begin, end in pairwise(edges):
+        structure.receive(GOOD[begin:end])
+    structure.finish()
+    assert structure.is_done
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"", "ends within its header"),
+        (GOOD[:30], "header would have"),
+        (b"\xff" * 100, "header would have"),
+        (struct.pack("<Q", 2**18 + 1) + bytes(2**19), "header would have 262145 bytes"),
+        (b"\x80\x04\x95" + b"pickle" * 100, "header would have"),
+        (file_of(b"[" * 100_000), "not valid JSON"),
+        (file_of(b'{"a": NaN}'), "not valid JSON"),
+        (file_of(b'{"a": 1, "a": 2}'), "not valid JSON"),
+        (file_of(b"\xff\xfe{}"), "not valid JSON"),
+        (file_of([1]), "no JSON object"),
+        (file_of({}), "no manifest"),
+        (file_of({"a": tensor(0, 1, [1])}, b"x"), "no manifest"),
+        (file_of(header()), "0 tensors"),
+        (file_of(header(a=1)), "no JSON object"),
+        (file_of(header(a=tensor(0, 8, [1], "F64")), bytes(8)), "is of type 'F64'"),
+        (file_of(header(a=tensor(0, 4, [-4])), bytes(4)), "no proper shape"),
+        (file_of(header(a=tensor(0, 1, [True])), bytes(1)), "no proper shape"),
+        (file_of(header(a=tensor(0, 1, [1] * 9)), bytes(1)), "no proper shape"),
+        (file_of(header(a=tensor(0, 1, [2**63])), bytes(1)), "no proper shape"),
+        (file_of(header(a=tensor(-1, 0, [1])), bytes(1)), "no proper place"),
+        (file_of(header(a=tensor(0, 4, [5])), bytes(4)), "size of its shape"),
+        (file_of(header(a=tensor(0, 4, [4]), b=tensor(2, 6, [4])), bytes(6)), "overlap"),
+        (file_of(header(a=tensor(0, 4, [4]), b=tensor(5, 6, [1])), bytes(6)), "leave a hole"),
+        (file_of(header(a=tensor(0, 4, [4])), bytes(5)), "take 4 bytes, 5 are there"),
+        (file_of(header(a=tensor(0, 4, [4])), bytes(3)), "take 4 bytes, 3 are there"),
+        (file_of(header(**{f"t{i}": tensor(i, i + 1, [1]) for i in range(1025)})), "1025 tensors"),
+    ],
+)
+def test_what_is_no_avatar_file_is_refused_with_a_reason(data: bytes, words: str) -> None:
+    with pytest.raises(UnfitFileError, match=words):
+        check(data)
+
+
+def test_a_file_is_refused_as_soon_as_its_header_is_there() -> None:
+    data = file_of(header(a=tensor(0, 10**7, [10**7])))
+    check(data, size=len(data) + 10**7)
+    with pytest.raises(UnfitFileError, match="are there"):
+        check(data, size=len(data) + 10**7 + 1)
+
+
+@given(st.binary(max_size=400))
+@example(GOOD)
+def test_any_bytes_pass_or_are_refused(data: bytes) -> None:
+    try:
+        check(data)
+    except UnfitFileError:
+        assert data != GOOD
+
+
+@pytest.mark.parametrize("path", shipped_avatar_files(), ids=lambda path: path.stem)
+def test_the_avatars_that_ship_pass(path: Path) -> None:
+    check(path.read_bytes())
+
+
+def test_the_limits_are_those_of_receivers() -> None:
+    assert store_check.MAX_HEADER_BYTES == avatar_file.MAX_HEADER_BYTES
+    assert StoreConfig(largest_bytes=avatar_file.MAX_FILE_BYTES)
+    with pytest.raises(ConfigurationError, match=r"--store\.largest-bytes"):
+        StoreConfig(largest_bytes=avatar_file.MAX_FILE_BYTES + 1)
+
+
+# Ranges
+
+CONTENT = bytes(range(50))
+numbers = st.integers(0, 60)
+
+
+@given(numbers, numbers)
+def test_a_range_from_to_is_that_slice(first: int, last: int) -> None:
+    got = parse_range(f"bytes={first}-{last}", len(CONTENT))
+    if last < first:
+        assert got is None
+    else:
+        assert got is not None
+        assert CONTENT[got[0] : got[1]] == CONTENT[first : last + 1]
+
+
+@given(numbers)
+def test_an_open_range_is_the_rest_and_a_suffix_the_end(number: int) -> None:
+    rest = parse_range(f"bytes={number}-", len(CONTENT))
+    end = parse_range(f"bytes=-{number}", len(CONTENT))
+    assert rest is not None
+    assert end is not None
+    assert CONTENT[rest[0] : rest[1]] == CONTENT[number:]
+    assert CONTENT[end[0] : end[1]] == (CONTENT[-number:] if number else b"")
+
+
+@given(st.text(alphabet="bytes=-0123456789, ", max_size=30))
+@example("bytes=-")
+@example("bytes=0-1,3-4")
+@example("bytes=" + "9" * 40 + "-")
+@example("lines=1-2")
+def test_any_range_is_a_part_of_the_file_or_ignored(text: str) -> None:
+    got = parse_range(text, len(CONTENT))
+    assert got is None or 0 <= got[0] <= got[1] <= len(CONTENT)
+
+
+@pytest.mark.parametrize(
+    ("conditions", "status", "part"),
+    [
+        (Conditions(), 200, (0, 50)),
+        (Conditions(range="bytes=10-19"), 206, (10, 20)),
+        (Conditions(range="bytes=10-19", if_range=f'"{ID}"'), 206, (10, 20)),
+        (Conditions(range="bytes=10-19", if_range='"other"'), 200, (0, 50)),
+        (Conditions(range="bytes=10-19", if_range=f'W/"{ID}"'), 200, (0, 50)),
+        (Conditions(range="bytes=0-1,4-5"), 200, (0, 50)),
+        (Conditions(range="bytes=50-"), 416, (0, 0)),
+        (Conditions(range="bytes=-0"), 416, (0, 0)),
+        (Conditions(if_none_match=f'"x", W/"{ID}"'), 304, (0, 0)),
+        (Conditions(if_none_match="*", range="bytes=0-1"), 304, (0, 0)),
+        (Conditions(if_none_match='"x"'), 200, (0, 50)),
+    ],
+)
+def test_the_headers_of_a_request_choose_its_answer(
+    conditions: Conditions, status: int, part: tuple[int, int]
+) -> None:
+    answer = answer_for(ID, 50, conditions)
+    assert (answer.status, (answer.begin, answer.end)) == (status, part)
+    assert answer.headers["ETag"] == f'"{ID}"'
+    assert "immutable" in answer.headers["Cache-Control"]
+    if status == HTTPStatus.PARTIAL_CONTENT:
+        assert answer.headers["Content-Range"] == "bytes 10-19/50"
+        assert answer.headers["Content-Length"] == "10"
+    if status == HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE:
+        assert answer.headers["Content-Range"] == "bytes */50"
+
+
+# Turns and slots
+
+
+@given(st.lists(st.tuples(st.integers(1, 16_384), st.floats(0, 0.1)), min_size=1, max_size=100))
+def test_whoever_waits_as_told_keeps_the_rate(steps: list[tuple[int, float]]) -> None:
+    pace, now, sent = Pace(100_000.0), 0.0, 0
+    for num_bytes, pause_s in steps:
+        now += pause_s
+        now += pace.wait_s(num_bytes, now)
+        assert sent <= 100_000 * (now + 0.002) + 1e-6
+        sent += num_bytes
+
+
+def test_on_a_late_loop_transfers_rest_for_a_multiple_of_it_but_not_for_long() -> None:
+    pace = Pace(1e9)
+    pace.note_lateness(0.001, now=1.0)  # no later than any loop
+    assert pace.wait_s(1, 1.0) == 0
+    pace.note_lateness(0.010, now=2.0)
+    pace.note_lateness(0.005, now=2.0)  # somebody else who waited for the same turn
+    assert pace.wait_s(1, 2.0) == pytest.approx(0.040 - 0.002, abs=1e-6)
+    pace.note_lateness(10.0, now=3.0)
+    assert pace.wait_s(1, 3.0) == pytest.approx(0.050 - 0.002, abs=1e-6)
+
+
+def test_slots_are_limited_in_all_and_for_each_address_and_come_back() -> None:
+    slots = Slots(limit=3, per_address=2)
+    with slots.taken("a"), slots.taken("a"):
+        with pytest.raises(BusyError), slots.taken("a"):
+            pass
+        with slots.taken("b"), pytest.raises(BusyError), slots.taken("c"):
+            pass
+    with slots.taken(""), slots.taken(""), slots.taken(""):
+        pass
+
+
+@pytest.mark.parametrize(
+    "field",
+    ["quota_bytes", "largest_bytes", "max_avatars", "bytes_per_s", "uploads", "downloads"],
+)
+def test_a_limit_out_of_range_is_refused_by_name(field: str) -> None:
+    option = "--store." + field.replace("_", "-")
+    with pytest.raises(ConfigurationError, match=f"{option} must be in .*, got 0"):
+        StoreConfig(**{field: 0})

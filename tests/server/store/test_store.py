@@ -1,0 +1,289 @@
+"""The avatar store of a real relay on loopback: what it is for, who may, what cannot work."""
+
+import asyncio
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+from helpers.store_peers import (
+    ask,
+    fake_avatar,
+    id_of,
+    left_in,
+    store_relay,
+    talk,
+    upload,
+)
+from pica_client.avatars.library import shipped_avatar_files
+from pica_protocol.codec import encode_message
+from pica_protocol.errors import CloseCode
+from pica_protocol.store import Offer
+from pica_server.auth.tokens import Admission, KeyRing, mint
+from pica_server.config.relay import RelayConfig
+from pica_server.errors import ConfigurationError, StoreError
+from pica_server.relay import Relay
+from pica_server.store import backends as store_places
+from pica_server.store.backends import FolderPlace
+from pica_server.store.config import StoreConfig
+from pica_server.store.store import AvatarStore
+
+pytestmark = pytest.mark.call
+
+FILE = fake_avatar()
+ID = id_of(FILE)
+
+
+# What it is for
+
+
+@pytest.mark.asyncio
+async def test_what_one_gives_another_gets_byte_for_byte(tmp_path: Path) -> None:
+    async with store_relay(tmp_path) as relay:
+        assert (await ask(relay, f"/avatars/{ID}")).status == 404
+        outcome = await upload(relay, FILE)
+        assert outcome.code == CloseCode.NORMAL
+        assert outcome.stored is not None
+        assert outcome.stored.checked == "structure"
+        reply = await ask(relay, f"/avatars/{ID}")
+        assert (reply.status, reply.body) == (200, FILE)
+        assert reply.headers["etag"] == f'"{ID}"'
+        assert reply.headers["cache-control"] == "public, max-age=31536000, immutable"
+        assert reply.headers["content-length"] == str(len(FILE))
+        assert relay.stats()["store"]["uploads_kept"] == 1
+        numbers = (await ask(relay, "/metrics")).body.decode().splitlines()
+        assert "pica_avatars 1" in numbers
+        assert f"pica_avatar_store_bytes {len(FILE)}" in numbers
+        assert 'pica_store_total{what="uploads_kept"} 1' in numbers
+    assert left_in(tmp_path) == {f"{ID}.pica"}
+
+
+@pytest.mark.asyncio
+async def test_a_store_in_a_folder_outlives_its_relay_and_a_temporary_one_does_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(store_places.tempfile, "tempdir", str(tmp_path / "tmp"))
+    (tmp_path / "tmp").mkdir()
+    for where, is_there in ((tmp_path / "store", True), ("temporary", False)):
+        async with store_relay(where) as relay:
+            assert (await upload(relay, FILE)).code == CloseCode.NORMAL
+        async with store_relay(where) as relay:
+            assert (await ask(relay, f"/avatars/{ID}")).status == (200 if is_there else 404)
+    assert left_in(tmp_path / "tmp") == set()
+
+
+@pytest.mark.asyncio
+async def test_what_is_there_already_is_not_sent_again(tmp_path: Path) -> None:
+    async with store_relay(tmp_path) as relay:
+        await upload(relay, FILE)
+        offer = encode_message(Offer(sha256=ID, size=len(FILE)))
+        outcome = await talk(relay, [offer])
+        assert outcome.code == CloseCode.NORMAL
+        assert outcome.stored is not None
+        assert outcome.stored.checked == ""
+
+
+@pytest.mark.asyncio
+async def test_many_who_give_the_same_file_at_once_all_succeed(tmp_path: Path) -> None:
+    async with store_relay(tmp_path) as relay:
+        outcomes = await asyncio.gather(*(upload(relay, FILE) for _ in range(6)))
+        assert {outcome.code for outcome in outcomes} == {CloseCode.NORMAL}
+        assert (await ask(relay, f"/avatars/{ID}")).body == FILE
+        assert relay.store is not None
+        assert relay.store.used_bytes == len(FILE)
+    assert left_in(tmp_path) == {f"{ID}.pica"}
+
+
+@pytest.mark.asyncio
+async def test_a_head_tells_the_size_and_ranges_are_parts_of_the_file(tmp_path: Path) -> None:
+    async with store_relay(tmp_path) as relay:
+        await upload(relay, FILE)
+        head = await ask(relay, f"/avatars/{ID}", method="HEAD", Range="bytes=0-1")
+        assert (head.status, head.body) == (200, b"")
+        assert head.headers["content-length"] == str(len(FILE))
+        part = await ask(relay, f"/avatars/{ID}", Range="bytes=100-", If_Range=f'"{ID}"')
+        assert (part.status, part.body) == (206, FILE[100:])
+        assert part.headers["content-range"] == f"bytes 100-{len(FILE) - 1}/{len(FILE)}"
+        assert (await ask(relay, f"/avatars/{ID}", Range="bytes=-7")).body == FILE[-7:]
+        beyond = await ask(relay, f"/avatars/{ID}", Range=f"bytes={len(FILE)}-")
+        assert (beyond.status, beyond.headers["content-range"]) == (416, f"bytes */{len(FILE)}")
+        known = await ask(relay, f"/avatars/{ID}", If_None_Match=f'"{ID}"')
+        assert (known.status, known.body) == (304, b"")
+
+
+@pytest.mark.asyncio
+async def test_a_file_larger_than_one_read_comes_whole(tmp_path: Path) -> None:
+    large = fake_avatar(1_000_000)
+    async with store_relay(tmp_path) as relay:
+        assert (await upload(relay, large)).code == CloseCode.NORMAL
+        assert (await ask(relay, f"/avatars/{id_of(large)}")).body == large
+        part = await ask(relay, f"/avatars/{id_of(large)}", Range="bytes=200000-800000")
+        assert part.body == large[200_000:800_001]
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("url", ["memory://avatars", "file://{tmp_path}/avatars"])
+async def test_any_place_that_fsspec_knows_will_do(url: str, tmp_path: Path) -> None:
+    fsspec = pytest.importorskip("fsspec")
+    url = url.format(tmp_path=tmp_path)
+    for _ in range(2):  # the second relay finds what the first has put there
+        async with store_relay(url) as relay:
+            assert (await upload(relay, FILE)).code == CloseCode.NORMAL
+            assert (await ask(relay, f"/avatars/{ID}", Range="bytes=5-9")).body == FILE[5:10]
+    files, root = fsspec.core.url_to_fs(url)
+    assert [path.rpartition("/")[2] for path in files.find(root)] == [f"{ID}.pica"]
+
+
+@pytest.mark.asyncio
+async def test_a_relay_sees_what_another_one_puts_into_the_same_folder(tmp_path: Path) -> None:
+    async with store_relay(tmp_path) as one, store_relay(tmp_path) as other:
+        await upload(one, FILE)
+        assert (await ask(other, f"/avatars/{ID}")).body == FILE
+
+
+@pytest.mark.asyncio
+async def test_a_file_that_the_operator_removes_is_gone_and_can_be_given_again(
+    tmp_path: Path,
+) -> None:
+    async with store_relay(tmp_path) as relay:
+        await upload(relay, FILE)
+        (tmp_path / f"{ID}.pica").unlink()
+        assert (await ask(relay, f"/avatars/{ID}")).status == 404
+        assert (await upload(relay, FILE)).code == CloseCode.NORMAL
+        assert (await ask(relay, f"/avatars/{ID}")).status == 200
+
+
+@pytest.mark.asyncio
+async def test_a_page_of_a_listed_origin_may_read_an_avatar_and_no_other(tmp_path: Path) -> None:
+    config = {"origins": ("https://pica.example",)}
+    async with store_relay(tmp_path, config=config) as relay:
+        await upload(relay, FILE)
+        listed = await ask(relay, f"/avatars/{ID}", Origin="https://pica.example")
+        assert listed.headers["access-control-allow-origin"] == "https://pica.example"
+        other = await ask(relay, f"/avatars/{ID}", Origin="https://evil.example")
+        assert "access-control-allow-origin" not in other.headers
+        assert other.headers["vary"] == "origin"
+
+
+@pytest.mark.asyncio
+async def test_a_relay_without_a_store_says_so_both_ways() -> None:
+    async with store_relay("none") as relay:
+        assert (await ask(relay, f"/avatars/{ID}")).status == 501
+        outcome = await upload(relay, FILE)
+        assert outcome.code == CloseCode.WRONG_VERSION
+        assert outcome.reason == "this relay keeps no avatars"
+
+
+# The full check
+
+
+@pytest.mark.asyncio
+async def test_the_full_check_takes_a_real_avatar_and_refuses_what_only_looks_like_one(
+    tmp_path: Path,
+) -> None:
+    real = shipped_avatar_files()[0].read_bytes()
+    async with store_relay(tmp_path, check="full") as relay:
+        outcome = await upload(relay, real)
+        assert outcome.code == CloseCode.NORMAL
+        assert outcome.stored is not None
+        assert outcome.stored.checked == "full"
+        outcome = await upload(relay, FILE)
+        assert outcome.code == CloseCode.UNFIT_FILE
+        assert "manifest" in outcome.reason
+        assert str(tmp_path) not in outcome.reason
+        assert (await ask(relay, f"/avatars/{ID}")).status == 404
+    assert left_in(tmp_path) == {f"{id_of(real)}.pica"}
+
+
+def test_a_relay_that_shall_check_fully_and_cannot_does_not_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "numpy", None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(StoreError, match="needs numpy beside the relay"):
+        AvatarStore(FolderPlace(tmp_path), StoreConfig(check="full"))
+    store = AvatarStore(FolderPlace(tmp_path), StoreConfig(check="auto"))
+    assert not store.checks_fully
+    store.close()
+
+
+# Who may
+
+
+@pytest.mark.asyncio
+async def test_with_keys_only_who_may_wear_an_avatar_may_upload_it(tmp_path: Path) -> None:
+    line = KeyRing.new_line()
+    (tmp_path / "keys").write_text(line)
+    ring, now = KeyRing.parse(line), 1e9
+
+    def token(begins_s: float = now, **grants: object) -> str:
+        admission = Admission(identity="ada", **grants)  # type: ignore[arg-type]
+        return mint(ring, "lobby", admission, now=begins_s, lasts_s=60, starts_s=0)
+
+    settings = {"keys": tmp_path / "keys"}
+    async with store_relay(tmp_path / "store", config=settings, unix_time=lambda: now) as relay:
+        for bad, code in (
+            ("", CloseCode.UNAUTHORIZED),
+            ("a.b.c", CloseCode.UNAUTHORIZED),
+            (token(now - 3600, avatars=(ID,)), CloseCode.UNAUTHORIZED),
+            (token(avatars=("cd" * 32,)), CloseCode.FORBIDDEN),
+            (token(avatars=(ID,), may_publish=False), CloseCode.FORBIDDEN),
+        ):
+            assert (await upload(relay, FILE, token=bad)).code == code
+        assert left_in(tmp_path / "store") == set()
+        assert (await upload(relay, FILE, token=token(avatars=(ID,)))).code == CloseCode.NORMAL
+        assert (await ask(relay, f"/avatars/{ID}")).status == 200
+
+
+@pytest.mark.asyncio
+async def test_a_relay_that_lets_anybody_in_takes_files_from_nobody(tmp_path: Path) -> None:
+    async with store_relay(tmp_path, config={"insecure": True}) as relay:
+        assert (await upload(relay, FILE)).code == CloseCode.FORBIDDEN
+    assert left_in(tmp_path) == set()
+
+
+# Settings that cannot work
+
+
+@pytest.mark.parametrize(
+    ("where", "words"),
+    [
+        ("/proc/nowhere/store", "cannot be written"),
+        ("nothing://bucket/x", "nothing"),
+        ("file:///proc/nowhere/store", "cannot be written"),
+    ],
+)
+def test_a_store_that_cannot_be_written_stops_the_relay_with_the_setting(
+    where: str, words: str
+) -> None:
+    with pytest.raises(StoreError, match=f"--avatar-store .*{words}"):
+        Relay(RelayConfig(avatar_store=where))
+
+
+@pytest.mark.skipif(
+    os.name == "nt" or os.geteuid() == 0, reason="root may write into a folder of 0500"
+)
+def test_a_folder_without_permission_stops_the_relay(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    with pytest.raises(StoreError, match="Permission denied"):
+        AvatarStore(FolderPlace(tmp_path), StoreConfig())
+
+
+def test_more_files_than_a_store_may_hold_are_named_at_the_start(tmp_path: Path) -> None:
+    for number in range(3):
+        (tmp_path / f"{number:064x}.pica").write_bytes(b"x")
+    with pytest.raises(StoreError, match="holds more than 2 avatars"):
+        AvatarStore(FolderPlace(tmp_path), StoreConfig(max_avatars=2))
+
+
+def test_a_password_in_a_url_is_not_quoted() -> None:
+    with pytest.raises(StoreError) as caught:
+        Relay(RelayConfig(avatar_store="nothing://ada:hunter2@host/x?key=abc"))
+    assert "hunter2" not in str(caught.value)
+    assert "abc" not in str(caught.value)
+
+
+def test_an_empty_name_is_no_store() -> None:
+    with pytest.raises(ConfigurationError, match="--avatar-store is empty"):
+        RelayConfig(avatar_store="")
