@@ -24,7 +24,7 @@ from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
 from pica_client.call.monitor import CallMonitor
 from pica_client.call.receiver import Receiver
-from pica_client.local_call.local_call import ROOM, Stage, StageConfig
+from pica_client.local_call.local_call import ROOM, LocalCall, LocalCallConfig
 from pica_client.local_call.processes import Children
 from pica_client.render.recorder import save_png
 from pica_client.render.renderer import Renderer
@@ -138,7 +138,7 @@ def photograph(folder: Path, size: tuple[int, int]) -> None:
     library = AvatarLibrary()
     try:
         with Children() as children:
-            stage = Stage(StageConfig(peers=PEOPLE), library, children)
+            stage = LocalCall(LocalCallConfig(peers=PEOPLE), library, children)
             call = Call(library)
             publisher = make_publisher("performance:talk", None, library)
             link = LinkConfig(url=stage.url, room=ROOM, name="Me", connect_timeout_s=20)

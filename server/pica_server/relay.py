@@ -24,7 +24,7 @@ from pica_server.admin.server import AdminServer
 from pica_server.auth.tokens import KeyRing, admin_scope, admit, admit_upload, load_keys
 from pica_server.config.relay import RelayConfig
 from pica_server.errors import AdmissionError, ListenError
-from pica_server.hooks.events import Notice
+from pica_server.hooks.events import RoomEvent
 from pica_server.hooks.sender import WebhookSender
 from pica_server.net.limits import SocketGuard
 from pica_server.net.proxies import is_in, networks
@@ -263,7 +263,7 @@ class Relay:
         """Cut every websocket without another word."""
         self._pump.cut()
 
-    def _notify(self, notice: Notice) -> None:
+    def _notify(self, notice: RoomEvent) -> None:
         if self.webhooks is not None:
             self.webhooks.notify(notice)
 

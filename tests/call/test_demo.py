@@ -13,7 +13,7 @@ import pytest
 
 from helpers.toy import make_toy_avatar
 from pica_client.cli.demo import DemoConfig, run_demo
-from pica_client.local_call.local_call import StageConfig
+from pica_client.local_call.local_call import LocalCallConfig
 from pica_client.local_call.processes import Children
 from pica_core.avatar.file import save_avatar
 
@@ -39,7 +39,10 @@ def test_a_short_demo_draws_everybody_and_writes_its_files(
     out = tmp_path / "out"
     stats = run_demo(
         DemoConfig(
-            stage=StageConfig(peers=2, avatar=str(avatar_file)), seconds=2, size="192x108", out=out
+            stage=LocalCallConfig(peers=2, avatar=str(avatar_file)),
+            seconds=2,
+            size="192x108",
+            out=out,
         )
     )
     assert set(stats) >= STATED_FIELDS

@@ -11,7 +11,7 @@ from helpers.toy import make_toy_avatar
 from pica_client.bench.call import BenchConfig, run_bench
 from pica_client.bench.impaired_call_compare import TrueFace
 from pica_client.bench.network.impairment import Impairment
-from pica_client.local_call.local_call import StageConfig
+from pica_client.local_call.local_call import LocalCallConfig
 from pica_core.avatar.file import save_avatar
 from pica_core.codec.latent_sample import LatentSample
 
@@ -32,7 +32,7 @@ def test_a_slow_network_shows_in_latency_and_in_the_rendered_face(tmp_path: Path
     save_avatar(avatar, make_toy_avatar())
     result = run_bench(
         BenchConfig(
-            stage=StageConfig(peers=1, avatar=str(avatar)),
+            stage=LocalCallConfig(peers=1, avatar=str(avatar)),
             seconds=2.0,
             warm_up_s=0.5,
             impairment=Impairment(delay_s=0.15),

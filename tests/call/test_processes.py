@@ -20,7 +20,7 @@ from pica_client.bench.call import BenchConfig, run_bench
 from pica_client.call.call import Call
 from pica_client.call.receiver import Receiver
 from pica_client.errors import CallProcessError, RelayUnreachableError
-from pica_client.local_call.local_call import Stage, StageConfig
+from pica_client.local_call.local_call import LocalCall, LocalCallConfig
 from pica_client.local_call.processes import Child, Children
 from pica_client.transport.config import LinkConfig
 from pica_core.avatar.file import avatar_id, save_avatar
@@ -127,7 +127,7 @@ def test_a_call_survives_the_death_of_sender_and_relay(
 
 def test_a_killed_sender_is_reported_by_name(children: Children, avatar_file: Path) -> None:
     library = AvatarLibrary(shipped=[avatar_file])
-    stage = Stage(StageConfig(peers=2, avatar=str(avatar_file)), library, children)
+    stage = LocalCall(LocalCallConfig(peers=2, avatar=str(avatar_file)), library, children)
     os.kill(stage.senders["Ben"].pid, signal.SIGKILL)
     wait_until(lambda: stage.senders["Ben"].exit_code is not None, "Ben ends")
     stage.check()
@@ -165,7 +165,7 @@ def test_a_sender_without_a_relay_says_so_and_ends_with_two(avatar_file: Path) -
 
 
 def test_a_short_bench_decodes_every_peer_without_errors(avatar_file: Path) -> None:
-    stage = StageConfig(peers=2, avatar=str(avatar_file))
+    stage = LocalCallConfig(peers=2, avatar=str(avatar_file))
     result = run_bench(BenchConfig(stage=stage, seconds=1.5, warm_up_s=0.5))
     json.dumps(result)
     assert (result["peers"], result["decoded_peers"], result["errors"]) == (2, 2, 0)

@@ -7,7 +7,7 @@ from pica_protocol.codec import decode_message
 from pica_protocol.frames import Frame, decode_media
 from pica_protocol.messages import Message, Metadata, Track
 from pica_server.config.relay import RelayConfig
-from pica_server.hooks.events import Notice
+from pica_server.hooks.events import RoomEvent
 from pica_server.room.connection import Connection
 from pica_server.room.hub import Hub
 
@@ -90,7 +90,7 @@ def hub_with(
     *names: str,
     config: RelayConfig | None = None,
     resumable: bool = False,
-    notify: Callable[[Notice], None] | None = None,
+    notify: Callable[[RoomEvent], None] | None = None,
 ) -> tuple[Hub, list[Member]]:
     """A hub with secrets that count up, and members of one room who have heard all there is."""
     hub = Hub(config or RelayConfig(), new_secret=counting_secrets(), notify=notify)

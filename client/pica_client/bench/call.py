@@ -40,8 +40,8 @@ from pica_client.local_call.local_call import (
     CHECK_INTERVAL_S,
     JOIN_TIMEOUT_S,
     ROOM,
-    Stage,
-    StageConfig,
+    LocalCall,
+    LocalCallConfig,
     bitrates,
     require_all,
 )
@@ -63,7 +63,7 @@ FRONT = np.array([0, 0, 1], np.float32)
 class BenchConfig:
     """What to measure."""
 
-    stage: StageConfig = field(default_factory=StageConfig)
+    stage: LocalCallConfig = field(default_factory=LocalCallConfig)
     seconds: float = 20.0
     """Measured time, after everybody is there and has warmed up."""
     warm_up_s: float = 2.0
@@ -141,13 +141,13 @@ def run_bench(config: BenchConfig, *, avatar_files: list[Path] | None = None) ->
     library = AvatarLibrary(avatar_files or ())
     try:
         with Children() as children:
-            stage = Stage(config.stage, library, children)
+            stage = LocalCall(config.stage, library, children)
             return asyncio.run(_measure(config, stage, library))
     finally:
         library.close()
 
 
-async def _measure(config: BenchConfig, stage: Stage, library: AvatarLibrary) -> dict[str, Any]:
+async def _measure(config: BenchConfig, stage: LocalCall, library: AvatarLibrary) -> dict[str, Any]:
     async with contextlib.AsyncExitStack() as stack:
         url, witness = stage.url, None
         if config.impairment is not None:
@@ -165,7 +165,7 @@ async def _measure_through(
     url: str,
     witness: Witness | None,
     config: BenchConfig,
-    stage: Stage,
+    stage: LocalCall,
     library: AvatarLibrary,
 ) -> dict[str, Any]:
     call = Call(library, CallConfig(playout=config.playout))
@@ -253,6 +253,6 @@ async def _pause(tasks: list[asyncio.Task[None]], seconds: float = CHECK_INTERVA
         task.result()
 
 
-def _missing(call: Call, stage: Stage, now: float) -> list[str]:
+def _missing(call: Call, stage: LocalCall, now: float) -> list[str]:
     seen = {peer["name"] for peer in call.stats(now)["peers"] if peer["received"]}
     return [name for name in stage.names if name not in seen]

@@ -125,7 +125,7 @@ def run_decode_bench(
     Args:
         config: What.
         avatar: Whose decoders.
-        say: Told what is going on.
+        say: LayerSubscription what is going on.
 
     Raises:
         OptionError: The provider cannot be had.

@@ -89,7 +89,7 @@ def measure_levels(
 
     Args:
         avatar: Checked avatar.
-        progress: Told how much is done, 0 to 1.
+        progress: LayerSubscription how much is done, 0 to 1.
 
     Raises:
         GraphicsError: No GL context.

@@ -135,7 +135,7 @@ def run_models_bench(
         config: What.
         models: Of whom, from `bench_model_files.open_models`.
         errors: Theirs, from `join_errors`.
-        progress: Told how much is done, 0 to 1.
+        progress: LayerSubscription how much is done, 0 to 1.
 
     Raises:
         GraphicsError: No GL context.

@@ -115,7 +115,7 @@ def run_pareto_bench(
     Args:
         config: What.
         avatar: Whose face.
-        progress: Told how much is done, 0 to 1.
+        progress: LayerSubscription how much is done, 0 to 1.
 
     Raises:
         GraphicsError: No GL context.

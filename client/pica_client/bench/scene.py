@@ -55,7 +55,7 @@ from pica_client.decode.pool import DecodeRequest, DecodeResult
 from pica_client.errors import OptionError
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement, head_matrix, view_direction
-from pica_client.schedule.frame_planner import SceneDriver, SceneHead
+from pica_client.schedule.frame_planner import FramePlanner, SceneHead
 from pica_client.schedule.scheduler import Choice, Scheduler
 from pica_client.sources.performances import make_performance
 from pica_client.stats import describe_machine
@@ -136,7 +136,7 @@ class _Case:
     budget_s: float = math.inf
     is_away: bool = False
     """The camera looks the other way."""
-    driver: SceneDriver = field(default_factory=lambda: SceneDriver(Scheduler()))
+    driver: FramePlanner = field(default_factory=lambda: FramePlanner(Scheduler()))
     encoders: list[FaceEncoder] = field(default_factory=list)
     layers: dict[str, int | None] = field(default_factory=dict)
     frame: int = 0

@@ -18,8 +18,12 @@ from typing import Any, NamedTuple
 from pica_client.avatars.library import AvatarStore
 from pica_client.call.connection_quality import StreamHealth
 from pica_client.call.faces import FaceState, FaceStatus
-from pica_client.call.layer_subscription import Told, WishConfig, Wishes
-from pica_client.call.participant import CallSeat
+from pica_client.call.layer_subscription import (
+    LayerSubscription,
+    LayerSubscriptionConfig,
+    LayerSubscriptions,
+)
+from pica_client.call.participant import RemoteParticipant
 from pica_client.errors import OptionError
 from pica_client.playout.buffer import PlayoutConfig, TimedSample
 from pica_client.publish.publisher import FACE_TRACK
@@ -54,7 +58,7 @@ class CallConfig:
     """How a receiver plays."""
 
     playout: PlayoutConfig = field(default_factory=PlayoutConfig)
-    wishes: WishConfig = field(default_factory=WishConfig)
+    wishes: LayerSubscriptionConfig = field(default_factory=LayerSubscriptionConfig)
     stale_after_s: float = 2.0
     """A face without a frame for this long is shown as stale."""
 
@@ -106,11 +110,11 @@ class Call:
         self._shown: deque[Shown] = deque(maxlen=MAX_SHOWN if log_shown else 0)
         self._avatars = avatars
         self._lock = threading.Lock()
-        self._seats: dict[str, CallSeat] = {}  # bounded by the protocol's limit on peers
-        self._by_stream: dict[int, CallSeat] = {}
-        self._departed: deque[CallSeat] = deque(maxlen=MAX_DEPARTED)
+        self._seats: dict[str, RemoteParticipant] = {}  # bounded by the protocol's limit on peers
+        self._by_stream: dict[int, RemoteParticipant] = {}
+        self._departed: deque[RemoteParticipant] = deque(maxlen=MAX_DEPARTED)
         self._window_begin_s: float | None = None
-        self._wishes = Wishes(self.config.wishes)
+        self._wishes = LayerSubscriptions(self.config.wishes)
 
     # The network's side
 
@@ -179,7 +183,7 @@ class Call:
                     streams.append(stream)
             return streams
 
-    def take_wishes(self, now: float) -> list[Told]:
+    def take_wishes(self, now: float) -> list[LayerSubscription]:
         """What the relay is to be told now of the layers we want; see `wishes`."""
         with self._lock:
             told = self._wishes.due(now)
@@ -307,7 +311,7 @@ class Call:
                 "strays": self.strays,
             }
 
-    def _all_seats(self) -> list[CallSeat]:
+    def _all_seats(self) -> list[RemoteParticipant]:
         return [*self._departed, *self._seats.values()]
 
     def _add(self, peer: Peer) -> None:
@@ -319,7 +323,7 @@ class Call:
                 # viewer's news, and no reason to lose the connection.
                 with suppress(AvatarFileError):
                     self._avatars.get(track.avatar)
-                seat = CallSeat(peer, track, self.config.playout)
+                seat = RemoteParticipant(peer, track, self.config.playout)
                 self._seats[peer.peer_id] = self._by_stream[track.stream] = seat
                 return  # one face a person
 
@@ -342,7 +346,7 @@ class Call:
         except LatentError:
             self.errors += 1
 
-    def _open_decoder(self, seat: CallSeat) -> bool:
+    def _open_decoder(self, seat: RemoteParticipant) -> bool:
         """Make the decoder of a stream, if its avatar is there and of the sender's version."""
         if seat.trouble:
             self.errors += 1
@@ -362,7 +366,7 @@ class Call:
             return False
         return True
 
-    def _face(self, seat: CallSeat, now: float) -> FaceState:
+    def _face(self, seat: RemoteParticipant, now: float) -> FaceState:
         played, is_held = seat.play(now)
         if played is None:
             return FaceState(

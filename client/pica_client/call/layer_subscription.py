@@ -28,7 +28,7 @@ _NOTHING = -1
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class WishConfig:
+class LayerSubscriptionConfig:
     """How patient wishes are."""
 
     lower_after_s: float = 0.5
@@ -43,7 +43,7 @@ class WishConfig:
                 raise OptionError(f"{name} is {getattr(self, name)}; 0 to 60 is allowed")
 
 
-class Told(NamedTuple):
+class LayerSubscription(NamedTuple):
     """Something to tell the relay."""
 
     stream: int
@@ -66,11 +66,11 @@ class _Stream:
     lowered_s: float = -math.inf
 
 
-class Wishes:
+class LayerSubscriptions:
     """The wishes for all streams of a call; unknown streams begin as the relay does, with all."""
 
-    def __init__(self, config: WishConfig | None = None) -> None:
-        self.config = config or WishConfig()
+    def __init__(self, config: LayerSubscriptionConfig | None = None) -> None:
+        self.config = config or LayerSubscriptionConfig()
         self._streams: dict[int, _Stream] = {}  # bounded by its owner, who forgets streams
 
     def wish(self, stream: int, layer: int | None, now: float) -> bool:
@@ -99,7 +99,7 @@ class Wishes:
             self._lower(entry, now)
         return True
 
-    def due(self, now: float) -> list[Told]:
+    def due(self, now: float) -> list[LayerSubscription]:
         """Take what the relay is to be told by now."""
         told = []
         for stream, entry in self._streams.items():
@@ -113,7 +113,9 @@ class Wishes:
                 continue
             entry.former, entry.told = entry.told, layer
             is_resumption = entry.former == _NOTHING
-            told.append(Told(stream, None if layer == _NOTHING else layer, is_resumption))
+            told.append(
+                LayerSubscription(stream, None if layer == _NOTHING else layer, is_resumption)
+            )
         return told
 
     def _lower(self, entry: _Stream, now: float) -> None:

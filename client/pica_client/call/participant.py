@@ -35,7 +35,7 @@ class StreamWindow:
     before: PlayoutReport = field(default_factory=PlayoutReport)
 
 
-class CallSeat:
+class RemoteParticipant:
     """One peer with a face, and what has come from it."""
 
     def __init__(self, peer: Peer, track: Track, config: PlayoutConfig) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.bench.network.impairment import Impairment
 from pica_client.errors import OptionError
-from pica_client.local_call.local_call import StageConfig, choose_avatars
+from pica_client.local_call.local_call import LocalCallConfig, choose_avatars
 from pica_client.output import check_writable, say
 from pica_client.playout.config import PlayoutConfig, playout_with_floor
 from pica_client.signals import terminate_as_interrupt
@@ -57,7 +57,7 @@ def bench_call(options: BenchCallOptions) -> dict[str, Any]:
     from pica_client.bench.call import BenchConfig, run_bench
 
     config = BenchConfig(
-        stage=StageConfig(
+        stage=LocalCallConfig(
             peers=options.peers,
             source=options.source,
             avatar=options.avatar,

@@ -16,7 +16,7 @@ import tyro
 from pica_client.avatars.library import AvatarLibrary, shipped_avatar_files
 from pica_client.avatars.upload import AvatarGiver, Push
 from pica_client.errors import OptionError
-from pica_client.local_call.local_call import StageConfig, choose_avatars
+from pica_client.local_call.local_call import LocalCallConfig, choose_avatars
 from pica_client.output import check_writable, say, writing
 from pica_client.playout.config import PlayoutConfig, playout_with_floor
 from pica_client.publish.sender import Sender, SenderConfig
@@ -312,7 +312,7 @@ def demo(options: DemoOptions) -> dict[str, Any]:
 
     _size(options.size)
     config = DemoConfig(
-        stage=StageConfig(
+        stage=LocalCallConfig(
             peers=options.peers,
             source=options.source,
             avatar=options.avatar,

@@ -18,7 +18,13 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.errors import CallProcessError, OptionError
 from pica_client.local_call.latency import frame_times, latency_summary
-from pica_client.local_call.local_call import CHECK_INTERVAL_S, ROOM, Stage, StageConfig, bitrates
+from pica_client.local_call.local_call import (
+    CHECK_INTERVAL_S,
+    ROOM,
+    LocalCall,
+    LocalCallConfig,
+    bitrates,
+)
 from pica_client.local_call.processes import Child, Children
 from pica_client.output import make_folder, writing
 from pica_client.stats import describe_machine
@@ -32,7 +38,7 @@ VIEWER_NAME = "viewer"
 class DemoConfig:
     """What to show and where to put it."""
 
-    stage: StageConfig = field(default_factory=StageConfig)
+    stage: LocalCallConfig = field(default_factory=LocalCallConfig)
     seconds: float = 20.0
     """How long the call is drawn."""
     size: str = "960x540"
@@ -60,7 +66,7 @@ def run_demo(config: DemoConfig) -> dict[str, Any]:
     library = AvatarLibrary()
     try:
         with Children() as children:
-            stage = Stage(config.stage, library, children)
+            stage = LocalCall(config.stage, library, children)
             log = children.folder / "view.json"
             viewer = children.start("viewer", *_view_arguments(config, stage, log))
             _watch(config, stage, viewer)
@@ -78,7 +84,7 @@ def run_demo(config: DemoConfig) -> dict[str, Any]:
     return stats
 
 
-def _view_arguments(config: DemoConfig, stage: Stage, log: Path) -> list[str]:
+def _view_arguments(config: DemoConfig, stage: LocalCall, log: Path) -> list[str]:
     arguments = ["view", "--url", stage.url, "--room", ROOM, "--name", VIEWER_NAME]
     arguments += ["--size", config.size, "--seconds", f"{config.seconds:g}"]
     arguments += ["--expect", str(config.stage.peers), "--frame-log", str(log)]
@@ -92,7 +98,7 @@ def _view_arguments(config: DemoConfig, stage: Stage, log: Path) -> list[str]:
     return [*arguments, "--statistics", "--no-preferences"]
 
 
-def _watch(config: DemoConfig, stage: Stage, viewer: Child) -> None:
+def _watch(config: DemoConfig, stage: LocalCall, viewer: Child) -> None:
     """Wait for the viewer to end, looking after everybody meanwhile."""
     begin_s = time.monotonic()
     reported: list[str] = []
@@ -116,7 +122,7 @@ def _watch(config: DemoConfig, stage: Stage, viewer: Child) -> None:
 
 def _stats(
     config: DemoConfig,
-    stage: Stage,
+    stage: LocalCall,
     shown: dict[str, Any],
     sent: dict[str, dict[str, Any]],
     log: dict[str, Any],

@@ -35,7 +35,7 @@ FrameKey = tuple[str, int]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class StageConfig:
+class LocalCallConfig:
     """Who is in the call."""
 
     peers: int = 5
@@ -61,7 +61,7 @@ class StageConfig:
         SenderConfig(quality=self.quality)  # checks it
 
 
-class Stage:
+class LocalCall:
     """The processes of a call. Start it inside a `Children` block, which ends them.
 
     Attributes:
@@ -72,7 +72,7 @@ class Stage:
         names: The senders, in order.
     """
 
-    def __init__(self, config: StageConfig, library: AvatarLibrary, children: Children) -> None:
+    def __init__(self, config: LocalCallConfig, library: AvatarLibrary, children: Children) -> None:
         """Check everything that can be checked, then start relay and senders.
 
         Raises:
@@ -180,7 +180,7 @@ def bitrates(sent: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]
     }
 
 
-def require_all(names: Sequence[str], missing: Sequence[str], stage: Stage) -> None:
+def require_all(names: Sequence[str], missing: Sequence[str], stage: LocalCall) -> None:
     """Raise when peers did not come in time.
 
     Raises:

@@ -14,7 +14,7 @@ Theory of operation. Every part has its module:
     jitter        how much longer than the fastest the others take
     cadence       the interval of the frames that arrive, and which were lost
     timeline      the frames in order, and the face's path through them
-    media_clock   the moment of the time line that the display is at
+    playhead   the moment of the time line that the display is at
     motion        the face on its way, and what takes it back to its path without a snap
 
 A frame captured at t is due at
@@ -39,7 +39,7 @@ from pica_client.playout.config import ADAPTIVE, FIXED, POLICIES, UNBUFFERED, Pl
 from pica_client.playout.frame_interval import Cadence
 from pica_client.playout.jitter import JitterEstimate
 from pica_client.playout.motion import Correction
-from pica_client.playout.playhead import MediaClock
+from pica_client.playout.playhead import Playhead
 from pica_client.playout.sender_clock import SenderTime
 from pica_client.playout.timed_sample import TimedSample
 from pica_client.playout.timeline import Timeline
@@ -142,7 +142,7 @@ class Playout:
         self._time, self._timeline = SenderTime(), self._new_timeline()
         self._jitter = JitterEstimate(quantile=config.jitter_quantile, window_s=config.window_s)
         self._cadence = Cadence()
-        self._media = MediaClock(faster=config.faster, slower=config.slower, leap_s=config.leap_s)
+        self._media = Playhead(faster=config.faster, slower=config.slower, leap_s=config.leap_s)
         self._correction = Correction(seconds=config.blend_s, limit=config.correction_limit)
         self._shown: LatentSample | None = None  # the last face of `sample_at`
         self._end_s = math.inf  # where it had stopped to move, on the time line

@@ -24,7 +24,7 @@ class Step(NamedTuple):
     is_leap: bool = False
 
 
-class MediaClock:
+class Playhead:
     """The display's time of one stream.
 
     Attributes:

@@ -1,6 +1,6 @@
 """Between the scene and the scheduler: what each head looks like now, and what its plan asks for.
 
-    driver = SceneDriver(Scheduler())
+    driver = FramePlanner(Scheduler())
     plan = driver.plan(heads, cameras, size_px, budget_s, now)
     for slot, request in driver.requests(plan): pool.submit(slot, request)
     ...
@@ -94,7 +94,7 @@ class _Entry:
         self.blend_from_s = now
 
 
-class SceneDriver:
+class FramePlanner:
     """Plans frames of a scene.
 
     Attributes:

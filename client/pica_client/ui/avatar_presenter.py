@@ -2,7 +2,7 @@
 
 Between a source of faces, a pool of decoders and a renderer; knows no window and no loop:
 
-    stage = FaceStage(source, renderer, pool)
+    stage = AvatarPresenter(source, renderer, pool)
     scene = stage.arrange(now, SeatWish(...), renderer.size)    # who sits where, seen from where
     stage.decide(scene)                         # what is decoded this frame
     stage.collect()                             # what has been decoded goes to the GPU
@@ -33,7 +33,7 @@ from pica_client.render.seats import (
     plan_camera,
     plan_seats,
 )
-from pica_client.schedule.frame_planner import SceneDriver, SceneHead
+from pica_client.schedule.frame_planner import FramePlanner, SceneHead
 from pica_client.schedule.scheduler import Plan
 from pica_client.stats import Samples, Summary
 from pica_core.avatar.file import Avatar
@@ -116,7 +116,7 @@ class _Seat:
     speaking: SpeakingMeter = field(default_factory=SpeakingMeter)
 
 
-class FaceStage:
+class AvatarPresenter:
     """Keeps the seats of a call.
 
     Args:
@@ -136,7 +136,7 @@ class FaceStage:
         source: FaceSource,
         renderer: Renderer,
         pool: DecodePool,
-        driver: SceneDriver,
+        driver: FramePlanner,
         *,
         meter: Meter | None = None,
         on_decoded: Callable[[DecodeResult], None] | None = None,

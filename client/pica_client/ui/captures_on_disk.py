@@ -15,7 +15,7 @@ from pica_client.render.recorder import Image, Recorder, save_png
 MAX_NUMBER = 9999
 
 
-class Keepsakes:
+class CapturesOnDisk:
     """Writes into one folder, which is made when it is first needed.
 
     Its methods return what to tell the user, empty for nothing.

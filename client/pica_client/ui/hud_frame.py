@@ -11,7 +11,7 @@ from pica_client.call.faces import FaceState
 from pica_client.call.status import CallStatus
 from pica_client.render.scene import Placement, Rect, head_rect_px, seat_rects_px
 from pica_client.render.seats import MAX_FREE, FreeShares, ViewState, plan_camera, plan_seats
-from pica_client.ui.avatar_presenter import FaceStage, Meter, StageScene
+from pica_client.ui.avatar_presenter import AvatarPresenter, Meter, StageScene
 from pica_client.ui.controls import ControlState
 from pica_client.ui.hud import POOR_NOTE, banner_items, help_item, margin_px, name_items, own_items
 from pica_client.ui.statistics_table import (
@@ -63,7 +63,7 @@ class HudFrame:
         self,
         now: float,
         scene: StageScene,
-        stage: FaceStage,
+        stage: AvatarPresenter,
         state: ControlState,
         size: tuple[int, int],
         *,
@@ -95,7 +95,7 @@ class HudFrame:
         )
         return items if help_panel is None else [*items, help_panel]
 
-    def names(self, now: float, scene: StageScene, stage: FaceStage) -> list[OverlayItem]:
+    def names(self, now: float, scene: StageScene, stage: AvatarPresenter) -> list[OverlayItem]:
         """The names of a scene, as its camera sees them; all else is the same for two eyes."""
         return name_items(
             scene.faces,
@@ -107,7 +107,7 @@ class HudFrame:
         )
 
     def _set_statistics(
-        self, now: float, scene: StageScene, stage: FaceStage, size: tuple[int, int]
+        self, now: float, scene: StageScene, stage: AvatarPresenter, size: tuple[int, int]
     ) -> list[OverlayItem]:
         rects = {
             placement.slot: _on_picture(head_rect_px(scene.camera, placement.world_from_head), size)

@@ -68,7 +68,7 @@ class PreferencesFile:
 
         Args:
             folder: Where it is; by default `default_folder`.
-            warn: Told, at most once, what is wrong with it.
+            warn: LayerSubscription, at most once, what is wrong with it.
         """
         self.path = (default_folder() if folder is None else folder) / FILE_NAME
         self._warn = warn

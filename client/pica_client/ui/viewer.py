@@ -4,8 +4,8 @@
         viewer.run(seconds=20.0)
         print(viewer.report())
 
-Each frame: take what the user did, let `face_stage` arrange and decode the faces, draw them, put
-the texts of `hud_frame` over them, show or record.
+Each frame: take what the user did, let `avatar_presenter` arrange and decode the faces, draw them,
+put the texts of `hud_frame` over them, show or record.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from pica_client.render.renderer import DrawStats, Renderer, RenderOptions
 from pica_client.render.scene import pick_head
 from pica_client.render.seats import Layout
 from pica_client.render.stereo import MAX_EYE_DISTANCE_M, side_by_side, stereo_cameras
-from pica_client.schedule.frame_planner import SceneDriver
+from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Scheduler, SchedulerOptions
-from pica_client.ui.avatar_presenter import FaceStage, Meter, SeatWish, StageScene
-from pica_client.ui.captures_on_disk import Keepsakes
+from pica_client.ui.avatar_presenter import AvatarPresenter, Meter, SeatWish, StageScene
+from pica_client.ui.captures_on_disk import CapturesOnDisk
 from pica_client.ui.controls import Controls, ControlState, InputEvent, Order, OwnFace
 from pica_client.ui.hud_frame import HudFrame
 from pica_client.ui.text_raster import OverlayItem
@@ -117,7 +117,7 @@ class Viewer:
         status: How the call stands, at a time of `clock`; asked twice a second.
         on_decoded: Told of every decode that reached the GPU, on the drawing thread; its slot is
             the peer id.
-        on_wish: Told in every frame what is worth having of a peer's stream, see `face_stage`.
+        on_wish: Told in every frame what is worth having of a peer's stream.
         on_own_face: Told when the user mutes or freezes their own face, or lets it go on.
         window: To show it in, which stays open afterwards; by default a new one.
         clock: Seconds, monotonic; the same clock that stamps `FaceState.captured_us` when sender
@@ -173,13 +173,13 @@ class Viewer:
             self._recorder = None
             if self.options.record is not None:
                 self._recorder = stack.enter_context(Recorder(self.options.record, size))
-            self._keepsakes = stack.enter_context(Keepsakes(self.options.keep_in))
+            self._keepsakes = stack.enter_context(CapturesOnDisk(self.options.keep_in))
             self._pool = stack.enter_context(
                 DecodePool(self.options.decode, self._make_decoder, self._clock)
             )
             self._draw_clock: DrawClock[_DrawnFrame] = DrawClock(context)
-            self._driver = SceneDriver(Scheduler(self.options.scheduler))
-            self._stage = FaceStage(
+            self._driver = FramePlanner(Scheduler(self.options.scheduler))
+            self._stage = AvatarPresenter(
                 source,
                 self._renderer,
                 self._pool,

@@ -16,7 +16,8 @@ trackers serve it too; vertices are the mean mesh plus the position scale times 
 texture begins as the capture's mean texture (the bias of its last layer has a value for every
 texel); the light encoder takes a texture of 256 and leaves out the two convolutions that a larger
 one needs; a smaller texture leaves out the decoder's last but one layers; layers with very many
-inputs learn more slowly (`_Tamed`), without which the baseline does not bear the others' rates.
+inputs learn more slowly (`EqualizedLayer`), without which the baseline does not bear the others'
+rates.
 """
 
 from __future__ import annotations
@@ -55,11 +56,11 @@ _ENCODERS: dict[str, tuple[int, tuple[int, ...]]] = {
     "light": (256, (16, 32, 64, 64, 128, 128)),
 }
 USUAL_INPUTS = 288
-"""Inputs of an output in the full model's decoders: 32 channels, 3x3 (see `_Tamed`)."""
+"""Inputs of an output in the full model's decoders: 32 channels, 3x3 (see `EqualizedLayer`)."""
 _GAIN = (2 / (1 + LEAKY_SLOPE**2)) ** 0.5
 
 
-class _Tamed(nn.Module):
+class EqualizedLayer(nn.Module):
     """A layer whose weights are held larger than they act, by the factor that its number of inputs
     exceeds `USUAL_INPUTS`.
 
@@ -87,7 +88,7 @@ class _Tamed(nn.Module):
         return self.scale * self.held
 
 
-class Connected(_Tamed):
+class Connected(EqualizedLayer):
     """A fully connected layer."""
 
     def __init__(self, inputs: int, outputs: int, gain: float = _GAIN) -> None:
@@ -98,7 +99,7 @@ class Connected(_Tamed):
         return functional.linear(values, self.weight, self.bias)
 
 
-class Halving(_Tamed):
+class Halving(EqualizedLayer):
     """A convolution 4x4 of stride 2."""
 
     def __init__(self, c_in: int, c_out: int) -> None:
@@ -109,7 +110,7 @@ class Halving(_Tamed):
         return functional.conv2d(values, self.weight, self.bias, stride=2, padding=1)
 
 
-class Doubling(_Tamed):
+class Doubling(EqualizedLayer):
     """A transposed convolution 4x4 of stride 2, without a bias of its own."""
 
     def __init__(self, c_in: int, c_out: int, gain: float = _GAIN) -> None:

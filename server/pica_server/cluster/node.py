@@ -39,8 +39,8 @@ from pica_server.cluster.room import (
     Refused,
     Replaced,
     Request,
-    RoomEvent,
     SharedRoom,
+    SharedRoomEvent,
 )
 from pica_server.errors import ClusterMessageError
 from pica_server.room.connection import Connection
@@ -155,7 +155,7 @@ class ClusterNode:
     # What the hub says.
 
     def join(self, connection: Connection, join: Join, admission: Admission, now: float) -> None:
-        """Find a place for somebody; see `Neighbours`."""
+        """Find a place for somebody; see `ClusterPeers`."""
         shared = self._room(join.room)
         tracks = tuple(replace(t, stream=self._new_stream(shared)) for t in join.tracks)
         name = admission.name or join.name
@@ -165,21 +165,21 @@ class ClusterNode:
         self._dirty[shared.key] = None
 
     def leave(self, connection: Connection, reason: str) -> None:
-        """Note that somebody has gone; see `Neighbours`."""
+        """Note that somebody has gone; see `ClusterPeers`."""
         place = self._places.pop(connection.peer_id, None)
         if place is not None:
             place.shared.leave(connection.peer_id, reason)
             self._dirty[place.shared.key] = None
 
     def come_back(self, connection: Connection, room: Room) -> None:
-        """Note that somebody has come back; see `Neighbours`."""
+        """Note that somebody has come back; see `ClusterPeers`."""
         place = self._places.get(connection.peer_id)
         if place is not None:
             place.connection = connection
         self.note_wishes(room)
 
     def note_member(self, room: Room, peer_id: str) -> None:
-        """Note that something is different about a peer; see `Neighbours`."""
+        """Note that something is different about a peer; see `ClusterPeers`."""
         place = self._places.get(peer_id)
         if place is not None:
             peer = room.peer(peer_id)
@@ -187,14 +187,14 @@ class ClusterNode:
             self._dirty[place.shared.key] = None
 
     def bar(self, room: Room, identity: str) -> None:
-        """Keep an identity out everywhere; see `Neighbours`."""
+        """Keep an identity out everywhere; see `ClusterPeers`."""
         shared = self._rooms.get(room_key(room.name))
         if shared is not None and identity:
             shared.bar(identity_key(identity))
             self._dirty[shared.key] = None
 
     def order(self, room: Room, what: str, target: str) -> None:
-        """Have something done elsewhere; see `Neighbours`."""
+        """Have something done elsewhere; see `ClusterPeers`."""
         key = room_key(room.name)
         shared = self._rooms.get(key)
         if shared is None:
@@ -210,15 +210,15 @@ class ClusterNode:
             self._tell(node, Order(key, what, target))
 
     def note_wishes(self, room: Room) -> None:
-        """Look at what the peers here want; see `Neighbours`."""
+        """Look at what the peers here want; see `ClusterPeers`."""
         self._dirty[room_key(room.name)] = None
 
     def ask_for_keyframe(self, room: Room, publisher: str, stream: int, why: str) -> None:
-        """Ask a publisher elsewhere; see `Neighbours`."""
+        """Ask a publisher elsewhere; see `ClusterPeers`."""
         self._tell(room.node_of(publisher), Ask(room_key(room.name), stream, why))
 
     def whisper(self, room: Room, sender: str, whisper: Whisper) -> bool:
-        """Send a whisper elsewhere; see `Neighbours`."""
+        """Send a whisper elsewhere; see `ClusterPeers`."""
         node = room.node_of(whisper.peer_id)
         if node:
             self._tell(node, Passed(room_key(room.name), sender, whisper))
@@ -375,7 +375,7 @@ class ClusterNode:
         """
         return self._exchanges.take_media(now)
 
-    def _handle(self, shared: SharedRoom, event: RoomEvent, now: float) -> None:
+    def _handle(self, shared: SharedRoom, event: SharedRoomEvent, now: float) -> None:
         match event:
             case Admitted(peer=peer):
                 place = self._places.get(peer.peer_id)

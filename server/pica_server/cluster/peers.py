@@ -8,7 +8,7 @@ from pica_server.room.connection import Connection
 from pica_server.room.room import Room
 
 
-class Neighbours(Protocol):
+class ClusterPeers(Protocol):
     """The other nodes, as the hub sees them; `pica_server.cluster.node` is the real thing.
 
     Nothing here calls the hub back at once: what comes of it comes later.

@@ -154,7 +154,7 @@ class Heard:
     node: str
 
 
-RoomEvent = Admitted | Refused | Arrived | Changed | Departed | Replaced | Heard
+SharedRoomEvent = Admitted | Refused | Arrived | Changed | Departed | Replaced | Heard
 
 
 class SharedRoom:
@@ -190,7 +190,7 @@ class SharedRoom:
         self._outgoing: Request | None = None
         self._last_ticket = 0
         self._retry_s = 0.0
-        self._events: list[RoomEvent] = []
+        self._events: list[SharedRoomEvent] = []
 
     @property
     def is_over(self) -> bool:
@@ -329,7 +329,7 @@ class SharedRoom:
                 return
         self._refuse(liveness)
 
-    def take_events(self) -> list[RoomEvent]:
+    def take_events(self) -> list[SharedRoomEvent]:
         """Take what has come out, in order."""
         events, self._events = self._events, []
         return events

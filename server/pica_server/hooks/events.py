@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Notice:
+class RoomEvent:
     """Something that happened in a room. A peer that is away for a moment has not left."""
 
     event: str

@@ -20,7 +20,7 @@ import h11
 
 from pica_server.config.relay import WebhookConfig
 from pica_server.errors import ConfigurationError
-from pica_server.hooks.events import Notice
+from pica_server.hooks.events import RoomEvent
 from pica_server.hooks.webhooks import (
     ID_HEADER,
     SIGNATURE_HEADER,
@@ -77,7 +77,7 @@ class WebhookSender:
         self._task: asyncio.Task[None] | None = None
         self._has_failed = False
 
-    def notify(self, notice: Notice) -> None:
+    def notify(self, notice: RoomEvent) -> None:
         """Queue an event."""
         now = asyncio.get_running_loop().time()
         self.queue.offer(notice, unix_s=self._unix_time(), now=now)

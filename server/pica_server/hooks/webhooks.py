@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Final
 
-from pica_server.hooks.events import Notice
+from pica_server.hooks.events import RoomEvent
 
 FIRST_WAIT_S: Final = 0.5
 LONGEST_WAIT_S: Final = 60.0
@@ -78,7 +78,7 @@ class WebhookQueue:
     def __len__(self) -> int:
         return len(self._waiting) + (self._under_way is not None)
 
-    def offer(self, notice: Notice, *, unix_s: float, now: float) -> None:
+    def offer(self, notice: RoomEvent, *, unix_s: float, now: float) -> None:
         """Queue an event."""
         event_id = self._new_id()
         told = {key: value for key, value in asdict(notice).items() if value}

@@ -28,9 +28,9 @@ from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
 from pica_server.config.relay import RelayConfig
 from pica_server.net.socket import RelaySocket, websocket_message
-from pica_server.room.batching_window import WaitingLine
+from pica_server.room.batching_window import BatchingWindow
 from pica_server.room.connection import Connection
-from pica_server.room.frame_batches import Parcel
+from pica_server.room.frame_batches import OutboundMessage
 from pica_server.room.hub import Hub
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ class Pump:
         self._unread: dict[Connection, asyncio.Transport] = {}
         self._loop_time: Callable[[], float] = time.monotonic
         self._soon: asyncio.Handle | None = None
-        self._held: WaitingLine[Connection] = WaitingLine()
+        self._held: BatchingWindow[Connection] = BatchingWindow()
         self._release: asyncio.TimerHandle | None = None
 
     def start(self) -> None:
@@ -269,7 +269,7 @@ class Pump:
         """
         # Once for every message that goes out: written for speed.
         wakers, now = self._wakers, self._loop_time()
-        taken: list[tuple[Connection, _Waker, Parcel]] = []
+        taken: list[tuple[Connection, _Waker, OutboundMessage]] = []
         for connection in connections:
             waker = wakers.get(connection)
             if waker is None:
@@ -283,7 +283,7 @@ class Pump:
             waker.wake()
             if connection.closed is not None:
                 waker.cut_after(self._close_timeout_s())
-        written: list[Parcel] = []
+        written: list[OutboundMessage] = []
         last, framed = None, b""
         for connection, waker, parcel in taken:
             if parcel is not last:  # many get the very same
@@ -338,7 +338,7 @@ class _Waker:
     def __init__(self, websocket: RelaySocket) -> None:
         self.websocket = websocket
         self.is_idle = False
-        self.under_way: Parcel | None = None
+        self.under_way: OutboundMessage | None = None
         self._event = asyncio.Event()
         self._cut: asyncio.TimerHandle | None = None
 

@@ -28,7 +28,7 @@ of what event loops promise)."""
 T = TypeVar("T")
 
 
-class WaitingLine(Generic[T]):
+class BatchingWindow(Generic[T]):
     """Who waits, and until when. Served in the order of coming."""
 
     def __init__(self) -> None:

@@ -17,7 +17,7 @@ from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import Message
 from pica_protocol.server_session import ServerSession
-from pica_server.cluster.peers import Neighbours
+from pica_server.cluster.peers import ClusterPeers
 from pica_server.config.relay import RelayConfig
 from pica_server.errors import OutboxFullError
 from pica_server.ops.stats import RelayStats
@@ -58,7 +58,7 @@ class Switchboard:
         self.timers: list[tuple[float, int, Connection]] = []
         self.on_over: Callable[[Connection, float], None] = _nothing_more
         self.is_draining = False
-        self.neighbours: Neighbours | None = None
+        self.neighbours: ClusterPeers | None = None
         self.prefix = "p"
         self._serials = count(1)
         self._by_address: Counter[str] = Counter()  # bounded by the number of connections

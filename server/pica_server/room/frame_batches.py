@@ -25,7 +25,7 @@ MAX_BUNDLES: Final = 4
 _NONE: Final[frozenset[int]] = frozenset()
 
 
-class Parcel(NamedTuple):
+class OutboundMessage(NamedTuple):
     """One websocket message on its way out."""
 
     data: bytes
@@ -50,7 +50,7 @@ class Bundle:
         self.num_bytes = 0
         self.bases = bases
         self._streams: set[int] = set()
-        self._parcels: dict[frozenset[int], Parcel] = {}
+        self._parcels: dict[frozenset[int], OutboundMessage] = {}
 
     def add(self, stream: int, frame: bytes, layer: int, is_keyframe: bool, now: float) -> None:
         """Take a frame; nobody has taken the bundle yet."""
@@ -71,7 +71,7 @@ class Bundle:
         """Whether no frame of the largest size fits any more."""
         return len(self.frames) >= MAX_BUNDLE_FRAMES or self.num_bytes > MAX_BUNDLE_BYTES
 
-    def parcel(self, streams: Set[int]) -> Parcel:
+    def parcel(self, streams: Set[int]) -> OutboundMessage:
         """Return the media message of the frames of some streams.
 
         This ends the bundle: nothing may be added any more.
@@ -80,7 +80,7 @@ class Bundle:
         found = self._parcels.get(frozenset(without) if without else _NONE)
         if found is None:
             chosen = [item for item in self.frames if item[0] not in without]
-            found = self._parcels[frozenset(without)] = Parcel(
+            found = self._parcels[frozenset(without)] = OutboundMessage(
                 media_message([item[1] for item in chosen]),
                 tuple([item[4] for item in chosen]),
             )

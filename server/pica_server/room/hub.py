@@ -19,19 +19,19 @@ from pica_protocol.errors import CloseCode
 from pica_protocol.messages import Join, KeyframeRequest, Report, UpdateMetadata, Want, Whisper
 from pica_protocol.session import Closed, Media, ServerEvent
 from pica_server.auth.tokens import Admission
-from pica_server.cluster.peers import Neighbours
+from pica_server.cluster.peers import ClusterPeers
 from pica_server.config.relay import RelayConfig
-from pica_server.hooks.events import Notice
+from pica_server.hooks.events import RoomEvent
 from pica_server.ops.stats import RelayStats
 from pica_server.room.batching_window import Coalescing
 from pica_server.room.connection import Connection
 from pica_server.room.connections import Switchboard
 from pica_server.room.drain import departures
 from pica_server.room.forwarding import Forwarding
-from pica_server.room.frame_batches import Parcel
+from pica_server.room.frame_batches import OutboundMessage
 from pica_server.room.membership import Membership
 from pica_server.room.moderation import Moderation
-from pica_server.room.resume_tickets import Returns
+from pica_server.room.resume_tickets import ResumeTickets
 from pica_server.room.room import Room
 
 
@@ -51,7 +51,7 @@ class Hub:
         admit: Callable[[Join], Admission] | None = None,
         *,
         new_secret: Callable[[], str] | None = None,
-        notify: Callable[[Notice], None] | None = None,
+        notify: Callable[[RoomEvent], None] | None = None,
     ) -> None:
         """Begin empty.
 
@@ -64,7 +64,7 @@ class Hub:
         """
         self.stats = RelayStats()
         grace_s = 0.0 if new_secret is None else config.resume_grace_s
-        self._returns = Returns(grace_s, new_secret or str)
+        self._returns = ResumeTickets(grace_s, new_secret or str)
         self._switchboard = Switchboard(config, self.stats)
         self.forwarding = Forwarding(self._switchboard)
         self.membership = Membership(
@@ -80,7 +80,7 @@ class Hub:
         self._coalescing = Coalescing(config.coalesce_above_busy, config.coalesce_longest_s)
         self._departures: deque[tuple[float, str]] = deque()
 
-    def meet(self, neighbours: Neighbours, prefix: str) -> None:
+    def meet(self, neighbours: ClusterPeers, prefix: str) -> None:
         """Be one node of a cluster from now on; nobody is here yet.
 
         Args:
@@ -90,7 +90,7 @@ class Hub:
         self._switchboard.neighbours, self._switchboard.prefix = neighbours, prefix
 
     @property
-    def neighbours(self) -> Neighbours | None:
+    def neighbours(self) -> ClusterPeers | None:
         """The other nodes of its cluster, or None."""
         return self._switchboard.neighbours
 
@@ -206,7 +206,7 @@ class Hub:
         self._ready.clear()
         return ready
 
-    def take(self, connection: Connection, now: float) -> Parcel | None:
+    def take(self, connection: Connection, now: float) -> OutboundMessage | None:
         """Take the next message for a connection; the shell calls ``sent`` when it is out."""
         parcel = connection.outbox.take(now)
         if parcel is not None:
@@ -217,16 +217,16 @@ class Hub:
         """Take note that a socket did not take a message at once; ``sent`` follows when it has."""
         connection.sending_since = now
 
-    def sent(self, connection: Connection, parcel: Parcel, now: float) -> None:
+    def sent(self, connection: Connection, parcel: OutboundMessage, now: float) -> None:
         """Take note that the socket took a message."""
         connection.sending_since = None
         self.all_sent([parcel], now)
 
-    def all_sent(self, parcels: Sequence[Parcel], now: float) -> None:
+    def all_sent(self, parcels: Sequence[OutboundMessage], now: float) -> None:
         """Take note that the sockets took these messages."""
         # Once for every message that goes out: written for speed.
         num_bytes = num_frames = num_alike = 0
-        last: Parcel | None = None
+        last: OutboundMessage | None = None
         for parcel in parcels:
             data, received_s = parcel
             num_bytes += len(data)
@@ -243,7 +243,7 @@ class Hub:
         stats.bytes_out += num_bytes
         stats.frames_out += num_frames
 
-    def _record_forwarding(self, parcel: Parcel, num_receivers: int, now: float) -> None:
+    def _record_forwarding(self, parcel: OutboundMessage, num_receivers: int, now: float) -> None:
         record = self.stats.forwarding.record
         for moment_s in parcel.received_s:
             record(now - moment_s, num_receivers)

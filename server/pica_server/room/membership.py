@@ -25,12 +25,12 @@ from pica_protocol.session import Closed
 from pica_server.auth.tokens import Admission
 from pica_server.cluster.messages import Member
 from pica_server.errors import AdmissionError, RoomFullError
-from pica_server.hooks.events import Notice
+from pica_server.hooks.events import RoomEvent
 from pica_server.net.limits import TokenBucket
 from pica_server.room.connection import Connection
 from pica_server.room.connections import Switchboard
 from pica_server.room.forwarding import Forwarding
-from pica_server.room.resume_tickets import Returns
+from pica_server.room.resume_tickets import ResumeTickets
 from pica_server.room.room import Room
 
 
@@ -45,9 +45,9 @@ class Membership:
         self,
         switchboard: Switchboard,
         forwarding: Forwarding,
-        returns: Returns,
+        returns: ResumeTickets,
         admit: Callable[[Join], Admission],
-        notify: Callable[[Notice], None],
+        notify: Callable[[RoomEvent], None],
     ) -> None:
         """Begin empty, and clear up after the switchboard's connections from now on.
 
@@ -247,7 +247,7 @@ class Membership:
         now: float,
     ) -> None:
         if len(room) == 1:
-            self._notify(Notice(event="room_started", room=room.name))
+            self._notify(RoomEvent(event="room_started", room=room.name))
         self.rooms[room.name] = room
         self._stats.joins += 1
         self._note(room, connection.peer_id, "peer_joined")
@@ -336,7 +336,7 @@ class Membership:
             for node in list(room.links):
                 self._forwarding.drop_link(room, node)
             del self.rooms[room.name]
-            self._notify(Notice(event="room_ended", room=room.name))
+            self._notify(RoomEvent(event="room_ended", room=room.name))
             return
         for track in peer.tracks:
             self._forwarding.forget_stream(room, track.stream)
@@ -346,7 +346,7 @@ class Membership:
     def _note(self, room: Room, peer_id: str, event: str, reason: str = "") -> None:
         """Tell whoever keeps books about a peer of this node."""
         self._notify(
-            Notice(
+            RoomEvent(
                 event=event,
                 room=room.name,
                 peer_id=peer_id,

@@ -20,7 +20,7 @@ from pica_protocol.limits import MAX_MEDIA_MESSAGE_BYTES
 from pica_protocol.ordered_queue import OrderedQueue
 from pica_protocol.stream_queue import Put, StreamQueue, Waiting
 from pica_server.errors import OutboxFullError
-from pica_server.room.frame_batches import MAX_BUNDLES, Bundle, Parcel, SharedFrames
+from pica_server.room.frame_batches import MAX_BUNDLES, Bundle, OutboundMessage, SharedFrames
 
 _WAITS = Put.WAITS
 
@@ -174,7 +174,7 @@ class Outbox:
         self._control_bytes += sum(map(len, last_words))
         return dropped
 
-    def take(self, now: float = -math.inf) -> Parcel | None:
+    def take(self, now: float = -math.inf) -> OutboundMessage | None:
         """Take the next message: control first, then as many frames as one message holds.
 
         Frames of ordered streams that are too old by ``now`` are dropped.
@@ -182,7 +182,7 @@ class Outbox:
         if self._control:
             data = self._control.popleft()
             self._control_bytes -= len(data)
-            return Parcel(data, ())
+            return OutboundMessage(data, ())
         line = self._line
         if self._bundles:
             if not line:
@@ -211,12 +211,12 @@ class Outbox:
                 del line[stream]
         if not items:
             return None
-        return Parcel(
+        return OutboundMessage(
             media_message([item.frame for item in items]),
             tuple([item.received_s for item in items]),
         )
 
-    def _take_bundles(self) -> Parcel:
+    def _take_bundles(self) -> OutboundMessage:
         bundles = self._bundles
         newest = self._last_taken = bundles[-1]
         shared = self.shared
@@ -230,7 +230,9 @@ class Outbox:
         parcels = [bundle.parcel(self.flowing) for bundle in bundles]
         bundles.clear()
         data = MEDIA_PREFIX + b"".join([parcel.data[len(MEDIA_PREFIX) :] for parcel in parcels])
-        return Parcel(data, tuple([moment for _, moments in parcels for moment in moments]))
+        return OutboundMessage(
+            data, tuple([moment for _, moments in parcels for moment in moments])
+        )
 
     def _unbundle(self) -> None:
         """Put what waits in bundles into the queues, and let these know what has gone out in

@@ -21,7 +21,7 @@ class _Place:
     away_until_s: float | None = None
 
 
-class Returns:
+class ResumeTickets:
     """The places of one relay that may be come back to; as many as there are peers."""
 
     def __init__(self, grace_s: float, new_secret: Callable[[], str]) -> None:

@@ -8,17 +8,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pica_client.call.layer_subscription import Told, WishConfig, Wishes
+from pica_client.call.layer_subscription import (
+    LayerSubscription,
+    LayerSubscriptionConfig,
+    LayerSubscriptions,
+)
 from pica_client.errors import OptionError
 from pica_protocol.limits import MAX_LAYER
 
 pytestmark = pytest.mark.unit
 
-CONFIG = WishConfig(lower_after_s=0.5, lower_interval_s=1.0)
+CONFIG = LayerSubscriptionConfig(lower_after_s=0.5, lower_interval_s=1.0)
 
 
-def wishes() -> Wishes:
-    return Wishes(CONFIG)
+def wishes() -> LayerSubscriptions:
+    return LayerSubscriptions(CONFIG)
 
 
 def test_a_relay_that_was_told_nothing_sends_everything() -> None:
@@ -34,7 +38,7 @@ def test_a_wish_for_less_is_told_late() -> None:
     assert made.wish(1, None, now=10.0)
     assert made.due(10.4) == []
     assert made.next_timer() == 10.5
-    assert made.due(10.5) == [Told(1, None, is_resumption=False)]
+    assert made.due(10.5) == [LayerSubscription(1, None, is_resumption=False)]
     assert not made.wants(1)
     assert made.next_timer() is None
 
@@ -44,9 +48,9 @@ def test_a_wish_for_more_is_told_at_once() -> None:
     made.wish(1, None, now=0.0)
     made.due(0.5)
     assert made.wish(1, 2, now=0.51)
-    assert made.due(0.51) == [Told(1, 2, is_resumption=True)]
+    assert made.due(0.51) == [LayerSubscription(1, 2, is_resumption=True)]
     made.wish(1, 3, now=0.52)
-    assert made.due(0.52) == [Told(1, 3, is_resumption=False)]
+    assert made.due(0.52) == [LayerSubscription(1, 3, is_resumption=False)]
 
 
 def test_a_glance_aside_tells_nothing() -> None:
@@ -62,9 +66,9 @@ def test_what_was_wished_meanwhile_is_not_taken_away() -> None:
     made.wish(1, 0, now=0.0)
     made.wish(1, 2, now=0.3)
     made.wish(1, 1, now=0.4)
-    assert made.due(0.5) == [Told(1, 2, is_resumption=False)]
+    assert made.due(0.5) == [LayerSubscription(1, 2, is_resumption=False)]
     assert made.due(1.4) == []
-    assert made.due(1.5) == [Told(1, 1, is_resumption=False)]
+    assert made.due(1.5) == [LayerSubscription(1, 1, is_resumption=False)]
 
 
 def test_a_wish_that_could_not_be_told_is_due_again() -> None:
@@ -73,11 +77,11 @@ def test_a_wish_that_could_not_be_told_is_due_again() -> None:
     made.due(0.5)
     made.note_untold(1, now=0.5)
     assert made.wants(1)
-    assert made.due(2.0) == [Told(1, None, is_resumption=False)]
+    assert made.due(2.0) == [LayerSubscription(1, None, is_resumption=False)]
     made.wish(1, 1, now=3.0)
     assert made.due(3.0)
     made.note_untold(1, now=3.0)
-    assert made.due(3.0) == [Told(1, 1, is_resumption=True)]
+    assert made.due(3.0) == [LayerSubscription(1, 1, is_resumption=True)]
 
 
 def test_a_new_connection_is_told_all_wishes_for_less() -> None:
@@ -87,7 +91,7 @@ def test_a_new_connection_is_told_all_wishes_for_less() -> None:
     made.due(0.5)
     made.begin(now=20.0)
     assert made.wants(1)
-    assert made.due(20.0) == [Told(1, None, False), Told(2, 1, False)]
+    assert made.due(20.0) == [LayerSubscription(1, None, False), LayerSubscription(2, 1, False)]
 
 
 def test_a_stream_that_ended_is_forgotten() -> None:
@@ -102,7 +106,7 @@ def test_a_stream_that_ended_is_forgotten() -> None:
 @pytest.mark.parametrize("name", ["lower_after_s", "lower_interval_s"])
 def test_patience_out_of_range_is_refused(name: str) -> None:
     with pytest.raises(OptionError, match=f"{name} is -1"):
-        WishConfig(**{name: -1})
+        LayerSubscriptionConfig(**{name: -1})
 
 
 layers = st.one_of(st.none(), st.integers(0, MAX_LAYER))

@@ -16,7 +16,7 @@ from pica_client.playout.clock_map import FALL_S, ClockMap, hull_line
 from pica_client.playout.frame_interval import Cadence
 from pica_client.playout.jitter import JitterEstimate
 from pica_client.playout.motion import Correction, Distance, blend, coasted_s, distance
-from pica_client.playout.playhead import MediaClock
+from pica_client.playout.playhead import Playhead
 from pica_client.playout.rotation import blend_rotations, turn_between, turned
 
 pytestmark = pytest.mark.unit
@@ -224,7 +224,7 @@ def test_frames_that_are_merely_overtaken_are_not_lost() -> None:
 
 
 def test_display_time_speeds_up_by_a_tenth_and_slows_down_by_a_quarter() -> None:
-    media = MediaClock(faster=0.1, slower=0.25, leap_s=1.0)
+    media = Playhead(faster=0.1, slower=0.25, leap_s=1.0)
     media.advance(0.0, 10.0, math.inf)
     assert media.advance(0.1, 10.5, math.inf).moved_s == pytest.approx(0.11)
     assert media.advance(0.2, 10.0, math.inf).moved_s == pytest.approx(0.075)
@@ -232,7 +232,7 @@ def test_display_time_speeds_up_by_a_tenth_and_slows_down_by_a_quarter() -> None
 
 
 def test_display_time_that_is_far_behind_leaps_and_never_back() -> None:
-    media = MediaClock(faster=0.1, slower=0.25, leap_s=1.0)
+    media = Playhead(faster=0.1, slower=0.25, leap_s=1.0)
     media.advance(0.0, 10.0, math.inf)
     assert media.advance(0.1, 15.0, math.inf).is_leap
     assert (media.position_s, media.num_leaps) == (15.0, 1)
@@ -241,7 +241,7 @@ def test_display_time_that_is_far_behind_leaps_and_never_back() -> None:
 
 
 def test_where_nothing_moves_any_more_display_time_may_fall_back() -> None:
-    media = MediaClock(faster=0.1, slower=0.25, leap_s=1.0)
+    media = Playhead(faster=0.1, slower=0.25, leap_s=1.0)
     media.advance(0.0, 10.0, math.inf)
     media.advance(1.0, 11.0, 10.3)
     assert media.advance(1.1, 10.6, 10.3).moved_s == 0
@@ -251,7 +251,7 @@ def test_where_nothing_moves_any_more_display_time_may_fall_back() -> None:
 
 
 def test_a_clock_that_steps_back_stops_the_display() -> None:
-    media = MediaClock(faster=0.1, slower=0.25, leap_s=1.0)
+    media = Playhead(faster=0.1, slower=0.25, leap_s=1.0)
     media.advance(5.0, 10.0, math.inf)
     media.advance(4.0, 9.0, math.inf)
     assert media.position_s == 10.0

@@ -12,7 +12,7 @@ from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_client.decode.decoder import DecodedMaps
 from pica_client.decode.pool import DecodeResult
 from pica_client.render.scene import Placement, head_matrix, view_direction
-from pica_client.schedule.frame_planner import BLEND_S, SceneDriver, SceneHead
+from pica_client.schedule.frame_planner import BLEND_S, FramePlanner, SceneHead
 from pica_client.schedule.scheduler import Plan, Scheduler
 from pica_core.avatar.file import Avatar
 from pica_core.camera import Camera, look_at
@@ -48,7 +48,7 @@ def head(avatar: Avatar, slot: str = "ada", x_m: float = 0.0, value: float = 0.0
 
 
 def planned(
-    driver: SceneDriver, *heads: SceneHead, camera: Camera | None = None, now: float = 0.0
+    driver: FramePlanner, *heads: SceneHead, camera: Camera | None = None, now: float = 0.0
 ) -> Plan:
     return driver.plan(heads, [camera or camera_at()], SIZE, AMPLE_S, now)
 
@@ -60,14 +60,14 @@ def decoded(slot: str, level: int, decode_s: float = 1e-3) -> DecodeResult:
 
 
 def test_a_face_that_is_new_is_decoded_and_one_that_stands_still_is_not(avatar: Avatar) -> None:
-    driver = SceneDriver(Scheduler())
+    driver = FramePlanner(Scheduler())
     first = driver.requests(planned(driver, head(avatar)), 0.0)
     assert [slot for slot, _ in first] == ["ada"]
     assert driver.requests(planned(driver, head(avatar), now=FRAME_S), FRAME_S) == []
 
 
 def test_a_face_that_moves_is_decoded_anew_with_its_newest_latent(avatar: Avatar) -> None:
-    driver = SceneDriver(Scheduler())
+    driver = FramePlanner(Scheduler())
     driver.requests(planned(driver, head(avatar)), 0.0)
     moved = head(avatar, value=1.0)
     ((_, request),) = driver.requests(planned(driver, moved, now=FRAME_S), FRAME_S)
@@ -78,7 +78,7 @@ def test_a_face_that_moves_is_decoded_anew_with_its_newest_latent(avatar: Avatar
 def test_a_view_that_turns_past_a_still_face_makes_its_expression_map_alone(
     avatar: Avatar,
 ) -> None:
-    driver = SceneDriver(Scheduler())
+    driver = FramePlanner(Scheduler())
     still = head(avatar)
     driver.requests(planned(driver, still), 0.0)
     plan = planned(driver, still, camera=camera_at(side_m=0.6), now=FRAME_S)
@@ -91,7 +91,7 @@ def test_a_view_that_turns_past_a_still_face_makes_its_expression_map_alone(
 def test_behind_the_viewer_nothing_is_decoded_and_the_stream_is_given_up_later(
     avatar: Avatar,
 ) -> None:
-    driver = SceneDriver(Scheduler())
+    driver = FramePlanner(Scheduler())
     away = camera_at(away=True)
     layers = []
     for frame in range(90):
@@ -104,7 +104,7 @@ def test_behind_the_viewer_nothing_is_decoded_and_the_stream_is_given_up_later(
 
 
 def test_who_comes_back_into_view_is_decoded_in_the_very_next_frame(avatar: Avatar) -> None:
-    driver = SceneDriver(Scheduler())
+    driver = FramePlanner(Scheduler())
     for frame in range(60):
         planned(driver, head(avatar), camera=camera_at(away=True), now=frame * FRAME_S)
     plan = planned(driver, head(avatar), now=2.0)
@@ -115,15 +115,15 @@ def test_who_comes_back_into_view_is_decoded_in_the_very_next_frame(avatar: Avat
 def test_where_time_is_short_a_far_head_gives_up_more_than_a_near_one(avatar: Avatar) -> None:
     near, far = head(avatar, "near"), head(avatar, "far", x_m=1.0)
     far.world_from_head[2, 3] = -4.0
-    free = planned(SceneDriver(Scheduler()), near, far)
+    free = planned(FramePlanner(Scheduler()), near, far)
     budget_s = free.floor_s + 0.5 * (free.cost_s - free.floor_s)
-    plan = SceneDriver(Scheduler()).plan([near, far], [camera_at()], SIZE, budget_s, 0.0)
+    plan = FramePlanner(Scheduler()).plan([near, far], [camera_at()], SIZE, budget_s, 0.0)
     assert plan.limited
     assert plan.choices["far"].level < plan.choices["near"].level
 
 
 def test_maps_of_another_level_fade_in_and_those_of_the_same_do_not(avatar: Avatar) -> None:
-    driver = SceneDriver(Scheduler())
+    driver = FramePlanner(Scheduler())
     planned(driver, head(avatar))
     placement = Placement(slot="ada", world_from_head=np.eye(4, dtype=np.float32))
     driver.note_decoded(decoded("ada", 64), 1e-4, now=1.0)
@@ -136,7 +136,7 @@ def test_maps_of_another_level_fade_in_and_those_of_the_same_do_not(avatar: Avat
 
 
 def test_a_change_of_mesh_fades_in_too(avatar: Avatar) -> None:
-    driver, far = SceneDriver(Scheduler()), head(avatar)
+    driver, far = FramePlanner(Scheduler()), head(avatar)
     far.world_from_head[2, 3] = -40.0
     near = head(avatar)
     placement = Placement(slot="ada", world_from_head=np.eye(4, dtype=np.float32))
@@ -155,7 +155,7 @@ def test_a_change_of_mesh_fades_in_too(avatar: Avatar) -> None:
 
 
 def test_what_is_measured_reaches_the_cost_model(avatar: Avatar) -> None:
-    driver = SceneDriver(Scheduler())
+    driver = FramePlanner(Scheduler())
     planned(driver, head(avatar))
     model = f"{avatar.manifest.variant} {avatar.spec.block}"
     before_s = driver.scheduler.costs.decode_s(model, 256, "both")
@@ -166,17 +166,17 @@ def test_what_is_measured_reaches_the_cost_model(avatar: Avatar) -> None:
 
 
 def test_both_eyes_share_one_decode(avatar: Avatar) -> None:
-    driver = SceneDriver(Scheduler())
+    driver = FramePlanner(Scheduler())
     eyes = [camera_at(side_m=side_m) for side_m in (-0.03, 0.03)]
     plan = driver.plan([head(avatar)], eyes, SIZE, AMPLE_S, 0.0)
     assert len(driver.requests(plan, 0.0)) == 1
-    one = SceneDriver(Scheduler())
+    one = FramePlanner(Scheduler())
     planned(one, head(avatar))
     assert driver.expected_shading_px() == pytest.approx(2 * one.expected_shading_px(), rel=0.1)
 
 
 def test_another_avatar_in_the_same_place_starts_anew(avatar: Avatar) -> None:
-    driver = SceneDriver(Scheduler())
+    driver = FramePlanner(Scheduler())
     driver.requests(planned(driver, head(avatar)), 0.0)
     other = make_toy_avatar(seed=9)
     ((_, request),) = driver.requests(planned(driver, head(other), now=FRAME_S), FRAME_S)
@@ -184,7 +184,7 @@ def test_another_avatar_in_the_same_place_starts_anew(avatar: Avatar) -> None:
 
 
 def test_views_are_those_of_the_scene(avatar: Avatar) -> None:
-    driver = SceneDriver(Scheduler())
+    driver = FramePlanner(Scheduler())
     side = head(avatar, x_m=0.3)
     camera = camera_at(side_m=-0.2)
     ((_, request),) = driver.requests(planned(driver, side, camera=camera), 0.0)
@@ -194,6 +194,6 @@ def test_views_are_those_of_the_scene(avatar: Avatar) -> None:
 
 
 def test_an_empty_room_costs_nothing() -> None:
-    plan = planned(SceneDriver(Scheduler()))
+    plan = planned(FramePlanner(Scheduler()))
     assert plan.choices == {}
     assert plan.cost_s == 0

@@ -22,8 +22,8 @@ from pica_server.cluster.room import (
     Refused,
     Replaced,
     Request,
-    RoomEvent,
     SharedRoom,
+    SharedRoomEvent,
     Write,
     Written,
 )
@@ -74,7 +74,7 @@ class Node:
             self.note(event, now)
         return self.room.take_request()
 
-    def note(self, event: RoomEvent, now: float) -> None:
+    def note(self, event: SharedRoomEvent, now: float) -> None:
         match event:
             case Heard(node=name):
                 self.liveness.receive_beat(name, now)

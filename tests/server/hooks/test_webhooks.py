@@ -10,7 +10,7 @@ import pytest
 
 from pica_server.config.relay import RelayConfig, WebhookConfig
 from pica_server.errors import ConfigurationError
-from pica_server.hooks.events import Notice
+from pica_server.hooks.events import RoomEvent
 from pica_server.hooks.webhooks import Delivery, WebhookQueue, signature
 
 pytestmark = pytest.mark.unit
@@ -30,7 +30,7 @@ def queue(max_waiting: int = 10, give_up_s: float = 600.0) -> tuple[WebhookQueue
 
 
 def offer(waiting: WebhookQueue, now: float = 0.0) -> None:
-    waiting.offer(Notice(event="room_started", room="lobby"), unix_s=1e9, now=now)
+    waiting.offer(RoomEvent(event="room_started", room="lobby"), unix_s=1e9, now=now)
 
 
 def taken(waiting: WebhookQueue, now: float) -> Delivery:
@@ -41,7 +41,7 @@ def taken(waiting: WebhookQueue, now: float) -> Delivery:
 
 def test_an_event_says_what_happened_and_nothing_that_is_empty() -> None:
     waiting, _ = queue()
-    notice = Notice(event="peer_left", room="lobby", peer_id="p1", name="Ada", reason="lost")
+    notice = RoomEvent(event="peer_left", room="lobby", peer_id="p1", name="Ada", reason="lost")
     waiting.offer(notice, unix_s=1_700_000_000.5, now=0.0)
     assert json.loads(taken(waiting, 0.0).body) == {
         "id": "e0",

@@ -1,6 +1,6 @@
 import pytest
 
-from pica_server.room.batching_window import Coalescing, WaitingLine
+from pica_server.room.batching_window import BatchingWindow, Coalescing
 
 pytestmark = pytest.mark.unit
 
@@ -55,7 +55,7 @@ def test_a_clock_that_stands_still_changes_nothing() -> None:
 
 
 def test_who_waits_is_served_in_the_order_of_coming_when_the_time_has_come() -> None:
-    line: WaitingLine[str] = WaitingLine()
+    line: BatchingWindow[str] = BatchingWindow()
     line.join("Ada", due_s=1.0)
     line.join("Bob", due_s=1.004)
     assert line.next_timer() == 1.0
@@ -67,7 +67,7 @@ def test_who_waits_is_served_in_the_order_of_coming_when_the_time_has_come() -> 
 
 
 def test_who_waits_already_waits_no_longer_for_what_comes_then() -> None:
-    line: WaitingLine[str] = WaitingLine()
+    line: BatchingWindow[str] = BatchingWindow()
     line.join("Ada", due_s=1.0)
     line.join("Ada", due_s=1.008)
     assert line.take_due(now=1.0) == ["Ada"]

@@ -8,7 +8,7 @@ from pica_protocol.frames import Frame
 from pica_protocol.messages import KeyframeRequest, PeerLeft, StreamMuted
 from pica_server.auth.tokens import Admission
 from pica_server.config.relay import RelayConfig
-from pica_server.hooks.events import Notice
+from pica_server.hooks.events import RoomEvent
 from pica_server.room.hub import Hub
 
 pytestmark = pytest.mark.unit
@@ -133,7 +133,7 @@ def test_what_is_not_there_cannot_be_muted_removed_or_closed() -> None:
 
 
 def test_whoever_keeps_books_hears_who_came_and_went_but_not_who_was_away() -> None:
-    notices: list[Notice] = []
+    notices: list[RoomEvent] = []
     hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True, notify=notices.append)
     Member(hub, "Ada", now=2.0, ticket=ada.lose_connection(now=1.0))
     hub.moderation.remove("lobby", ada.peer_id, bar=False, now=3.0)

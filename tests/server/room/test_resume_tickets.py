@@ -4,15 +4,15 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from helpers.members import counting_secrets
-from pica_server.room.resume_tickets import Returns
+from pica_server.room.resume_tickets import ResumeTickets
 
 pytestmark = pytest.mark.unit
 
 GRACE_S = 10.0
 
 
-def returns(grace_s: float = GRACE_S) -> Returns:
-    return Returns(grace_s, counting_secrets())
+def returns(grace_s: float = GRACE_S) -> ResumeTickets:
+    return ResumeTickets(grace_s, counting_secrets())
 
 
 def test_a_secret_opens_its_place_once() -> None:
@@ -57,7 +57,7 @@ def test_without_a_grace_time_no_place_is_kept() -> None:
 
 
 def test_the_secrets_themselves_are_not_kept() -> None:
-    places = Returns(GRACE_S, lambda: "correct-horse-battery")
+    places = ResumeTickets(GRACE_S, lambda: "correct-horse-battery")
     places.issue("lobby", "p1")
     kept = [getattr(places, name) for name in vars(places)]
     assert "correct-horse" not in repr(kept)

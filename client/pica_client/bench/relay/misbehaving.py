@@ -58,7 +58,7 @@ BOMBS: Final = (
 """Control messages that are small here and would be large there."""
 
 
-class Intruder:
+class MisbehavingClient:
     """A websocket with no manners: a blocking socket, and the library without its loop.
 
     Attributes:
@@ -155,7 +155,7 @@ def connect(url: str, receive_buffer_bytes: int | None = None) -> socket.socket:
 
 def stop_reading(url: str, room: str, end_s: float) -> dict[str, Any]:
     """Come into a room, read a little and then nothing more."""
-    intruder = Intruder(url, receive_buffer_bytes=4096)
+    intruder = MisbehavingClient(url, receive_buffer_bytes=4096)
     intruder.join(room)
     _sleep_until(end_s)
     intruder.read_to_end(5.0)
@@ -164,7 +164,7 @@ def stop_reading(url: str, room: str, end_s: float) -> dict[str, Any]:
 
 def read_slowly(url: str, room: str, end_s: float) -> dict[str, Any]:
     """Come into a room and read 8 kbit/s of it."""
-    intruder = Intruder(url, receive_buffer_bytes=4096)
+    intruder = MisbehavingClient(url, receive_buffer_bytes=4096)
     intruder.join(room)
     num_bytes = 0
     while time.monotonic() < end_s:
@@ -183,7 +183,7 @@ def flood(url: str, room: str, end_s: float) -> dict[str, Any]:
     """Publish at a hundred times the usual rate, again and again."""
     codes: list[int | None] = []
     while time.monotonic() < end_s:
-        intruder = Intruder(url)
+        intruder = MisbehavingClient(url)
         joined = intruder.join(room)
         intruder.sock.setblocking(True)
         begin_s, num_sent = time.monotonic(), 0
@@ -214,7 +214,7 @@ def open_slowly(url: str, room: str, end_s: float) -> dict[str, Any]:
 
 def say_nothing(url: str, room: str, end_s: float) -> dict[str, Any]:
     """Half-open sockets: some that say nothing, some that are websockets and say nothing."""
-    intruders = [Intruder(url) for _ in range(NUM_SOCKETS // 4)]
+    intruders = [MisbehavingClient(url) for _ in range(NUM_SOCKETS // 4)]
     result = _hold_sockets(url, end_s, lambda sock, turn: None)
     for intruder in intruders:
         intruder.read_to_end(0.2)
@@ -272,7 +272,7 @@ def _offend(url: str, room: str, end_s: float, messages: list[bytes]) -> dict[st
     """Come in, send one of the messages, and again."""
     codes: list[int | None] = []
     while time.monotonic() < end_s:
-        intruder = Intruder(url)
+        intruder = MisbehavingClient(url)
         if intruder.join(f"{room}-side"):
             intruder.send(messages[len(codes) % len(messages)])
             intruder.read_to_end(2.0)

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from pica_client.bench.relay.bench import Load, RelayBenchConfig, start_relay
 from pica_client.bench.relay.figures import describe
-from pica_client.bench.relay.misbehaving import Intruder
+from pica_client.bench.relay.misbehaving import MisbehavingClient
 from pica_client.bench.relay.processes import Workers, memory_bytes
 from pica_client.errors import OptionError
 from pica_client.local_call.processes import Children
@@ -97,7 +97,7 @@ def run_soak(config: SoakConfig) -> dict[str, Any]:
 
 def _drain(pid: int, url: str, load: Load) -> dict[str, Any]:
     """Stop the relay while somebody is being whispered to."""
-    listener, speaker = Intruder(url), Intruder(url)
+    listener, speaker = MisbehavingClient(url), MisbehavingClient(url)
     joined = listener.join("soak-witness")
     if joined is None or speaker.join("soak-witness") is None:
         raise OptionError("soak: the witnesses were not let in")
