@@ -19,6 +19,7 @@ from PIL import Image
 from pica_core.avatar.arkit import ARKIT_NAMES
 from pica_core.train.eval.judge import Judge, model_rasteriser
 from pica_core.train.eval.run import EvalLimits, build, open_run, prepare
+from pica_core.types import ByteArray
 
 TILE_PX = 224
 FRAMES = 40
@@ -26,7 +27,6 @@ FRAMES = 40
 MARGIN = 0.25
 """Of a crop's size, around the region."""
 
-Picture = npt.NDArray[np.uint8]
 Box = tuple[int, int, int, int]
 """Left, top, right, bottom, pixels."""
 
@@ -41,7 +41,7 @@ def main() -> None:
     Image.fromarray(sheet).quantize(256, dither=Image.Dither.NONE).save(options.out, optimize=True)
 
 
-def row_of(folder: Path) -> list[Picture]:
+def row_of(folder: Path) -> list[ByteArray]:
     """The tiles of one run."""
     run = open_run(folder)
     limits = EvalLimits(frames=FRAMES, geometry_frames=0, near_frames=0)
@@ -53,7 +53,7 @@ def row_of(folder: Path) -> list[Picture]:
     with model_rasteriser(data.capture, model) as rasteriser:
         judge = Judge(data, model, rasteriser)
 
-        def pair(frame: int, view: str, region: str = "") -> list[Picture]:
+        def pair(frame: int, view: str, region: str = "") -> list[ByteArray]:
             seen, view_camera = data.image(frame, view), data.camera(frame, view)
             picture = judge.draw(judge.drive(frame), view_camera, samples=3)
             drawn = picture.on(np.full_like(seen, seen[0, 0]))
@@ -80,7 +80,7 @@ def square_around(points_px: npt.NDArray[np.float64]) -> Box:
     return int(left), int(top), int(right), int(bottom)
 
 
-def tile(picture: Picture, box: Box) -> Picture:
+def tile(picture: ByteArray, box: Box) -> ByteArray:
     """A part of a picture at the size of a tile."""
     part = Image.fromarray(picture).resize((TILE_PX, TILE_PX), Image.Resampling.BICUBIC, box=box)
     return np.asarray(part)

@@ -12,7 +12,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from PIL import Image
 from torch import Tensor
@@ -20,6 +19,7 @@ from torch import Tensor
 from pica_core.camera import Camera, look_at
 from pica_core.train.eval.judge import Judge, model_rasteriser
 from pica_core.train.eval.run import EvalLimits, build, open_run, prepare
+from pica_core.types import ByteArray
 
 TILE_PX = 192
 COLUMNS = 6
@@ -27,8 +27,6 @@ SIGMAS = (3.0, 6.0)
 GRAZING = ((86.0, 0.0), (-86.0, 0.0), (70.0, 40.0), (-70.0, -35.0), (0.0, 75.0), (0.0, -65.0))
 """Azimuth towards the subject's left and elevation, degrees."""
 BACKGROUND = 40
-
-Picture = npt.NDArray[np.uint8]
 
 
 def main() -> None:
@@ -79,13 +77,13 @@ def far_codes(judge: Judge, sigma: float) -> list[Tensor]:
     return list((mean + sigma * deviation * noise.sign())[:, None])
 
 
-def draw(judge: Judge, code: Tensor, view: Camera) -> Picture:
+def draw(judge: Judge, code: Tensor, view: Camera) -> ByteArray:
     """The picture of a code on a plain background, uint8 ``[H, W, 3]``."""
     plain = np.full((view.height, view.width, 3), BACKGROUND, np.uint8)
     return judge.draw(code, view).on(plain).round().astype(np.uint8)
 
 
-def pad(row: list[Picture]) -> list[Picture]:
+def pad(row: list[ByteArray]) -> list[ByteArray]:
     """A row of `COLUMNS` tiles."""
     return row + [np.zeros_like(row[0])] * (COLUMNS - len(row))
 

@@ -12,9 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.errors import ShapeError
-
-FloatArray = npt.NDArray[np.float32]
-Float64Array = npt.NDArray[np.float64]
+from pica_core.types import Float64Array, FloatArray
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[Any]
+from pica_core.types import Array
+
 EYES = {"eye_left": (0.032, 0.03, 0.078), "eye_right": (-0.032, 0.03, 0.078)}
 
 

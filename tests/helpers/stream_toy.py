@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from unittest import mock
 
 import numpy as np
-import numpy.typing as npt
 
 from helpers.toy import make_toy_avatar
 from pica_core.avatar.file import Avatar
@@ -24,8 +23,7 @@ from pica_core.codec.latent_sample import DecodedFrame
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
 from pica_core.codec.learning import LearningConfig, RenderMetric, learn_profile
 from pica_core.codec.profile import StreamProfile
-
-FloatArray = npt.NDArray[np.float64]
+from pica_core.types import Float64Array
 
 NUM_DIRECTIONS = 12
 NUM_COMPONENTS = 8
@@ -40,7 +38,7 @@ def toy_metric() -> RenderMetric:
     return RenderMetric(directions, np.diag(np.geomspace(4.0, 0.25, NUM_DIRECTIONS) ** 2))
 
 
-def toy_faces(seed: int, num_frames: int, liveliness: float = 1.0) -> FloatArray:
+def toy_faces(seed: int, num_frames: int, liveliness: float = 1.0) -> Float64Array:
     """Latents of a face that talks, blinks and rests. ``[T, 8, 8, 4]``."""
     rng = np.random.default_rng([seed, 77])
     times_s = np.arange(num_frames)[:, None] / 30
@@ -55,17 +53,17 @@ def toy_faces(seed: int, num_frames: int, liveliness: float = 1.0) -> FloatArray
     talks = np.repeat(rng.random(num_frames // 60 + 1) < 0.8, 60)[:num_frames, None]
     moving = np.cumsum(talks, axis=0)[:, 0] - 1  # at rest the face stays where it is
     muscles = muscles[np.maximum(moving, 0)]
-    faces: FloatArray = (liveliness * muscles @ toy_metric().directions).reshape(-1, 8, 8, 4)
+    faces: Float64Array = (liveliness * muscles @ toy_metric().directions).reshape(-1, 8, 8, 4)
     return faces
 
 
-def toy_pose(seed: int, num_frames: int) -> FloatArray:
+def toy_pose(seed: int, num_frames: int) -> Float64Array:
     """A head that nods and sways: rotation and translation. ``[T, 2, 3]``."""
     rng = np.random.default_rng([seed, 78])
     times_s = np.arange(num_frames)[:, None, None] / 30
     phase = rng.uniform(0, 2 * np.pi, (1, 2, 3))
     reach = np.array([[0.1], [0.01]])
-    pose: FloatArray = reach * np.sin(2 * np.pi * times_s / rng.uniform(1, 4, (1, 2, 3)) + phase)
+    pose: Float64Array = reach * np.sin(2 * np.pi * times_s / rng.uniform(1, 4, (1, 2, 3)) + phase)
     return pose
 
 
@@ -123,7 +121,7 @@ class Publisher:
         self.sent: list[Sent] = []
         self._first = first_number
 
-    def show(self, face: FloatArray, pose: FloatArray, now_us: int) -> Sent | None:
+    def show(self, face: Float64Array, pose: Float64Array, now_us: int) -> Sent | None:
         """Encode one face; None when there was nothing to send."""
         states: list[FrameState] = []
 
@@ -147,7 +145,7 @@ class Publisher:
         self.sent.append(sent)
         return sent
 
-    def show_all(self, faces: FloatArray, poses: FloatArray, *, fps: float = 30) -> list[Sent]:
+    def show_all(self, faces: Float64Array, poses: Float64Array, *, fps: float = 30) -> list[Sent]:
         """Encode a performance, going on in time after what was sent before."""
         begin_us = self.sent[-1].captured_us + round(1e6 / fps) if self.sent else 0
         before = len(self.sent)

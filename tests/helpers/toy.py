@@ -10,8 +10,7 @@ from pica_core.avatar.level_tensors import error_tensors, exit_shapes, faces_nam
 from pica_core.avatar.levels import default_errors, level_sizes
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import VARIANTS
-
-FloatArray = npt.NDArray[np.float32]
+from pica_core.types import FloatArray
 
 TOY_SPEC = AvatarSpec(uv_encoding_size=64, axis_encoding_size=200)
 """The shipped sizes but for smaller encoding maps: files of 1 MB, tests of milliseconds."""

@@ -42,13 +42,11 @@ from statistics import median
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_client.bench.difference_sheet import Cell, write_sheet
 from pica_client.bench.render_error import (
     Drawing,
     FaceRenderer,
-    Image,
     evaluation_cameras,
     masked_mse,
     psnr_db,
@@ -68,6 +66,7 @@ from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamCo
 from pica_core.codec.plain_stream import LatentProfile, decode_latent, encode_latent
 from pica_core.codec.profile import StreamProfile
 from pica_core.errors import ProfileError
+from pica_core.types import FloatArray, Image
 from pica_protocol.frames import HEADER_BYTES, SEQUENCE_MODULUS
 
 FPS = 30
@@ -79,7 +78,6 @@ SHEET_PROFILES = (
     *("rate-500", "rate-250", "plain-8-bit"),
 )
 """What the sheet shows: the ends and the middle, and where it breaks."""
-FloatArray = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

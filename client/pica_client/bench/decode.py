@@ -43,7 +43,6 @@ import onnxruntime
 
 from pica_client.decode.decoder import (
     BaselineDecoder,
-    FloatArray,
     OnnxDecoder,
     OnnxOptions,
     Parts,
@@ -63,6 +62,7 @@ from pica_core.graphs.decoder_layers import decoder_layers
 from pica_core.graphs.onnx_graph import decoder_graph
 from pica_core.reference.baseline import baseline_like
 from pica_core.reference.mesh import sample_vertices
+from pica_core.types import FloatArray
 
 EQUAL = 1e-4
 """Share of the largest value by which two exports may differ (float32 through some dozen layers,

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image as Pillow
 from PIL import ImageDraw
 
 from pica_client.output import writing
-
-Image = npt.NDArray[np.uint8]
+from pica_core.types import Image
 
 COLUMNS = 4
 CAPTION_PX = 16

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_client.errors import OptionError
 from pica_client.render.gpu_textured import TexturedMesh
@@ -16,8 +15,8 @@ from pica_client.render.scene import head_matrix
 from pica_client.sources.performances import make_performance
 from pica_core.camera import Camera, look_at
 from pica_core.reference.baseline import BaselineAvatar
+from pica_core.types import FloatArray
 
-FloatArray = npt.NDArray[np.float32]
 T = TypeVar("T")
 
 FIELD_OF_VIEW = math.radians(50)

@@ -43,10 +43,7 @@ from pica_core.avatar.level_tensors import error_tensors
 from pica_core.avatar.levels import NUM_DRAWINGS, SENSITIVITY_HEAD_PX, LevelErrors
 from pica_core.camera import Camera, look_at
 from pica_core.gl import create_context
-
-FloatArray = npt.NDArray[np.float32]
-Image = npt.NDArray[np.uint8]
-Mask = npt.NDArray[np.bool_]
+from pica_core.types import BoolArray, FloatArray, Image
 
 HEAD_PX = (32.0, 64.0, 128.0, 256.0, 512.0, 1024.0)
 """Heights of the table: a face across a hall to one that fills the screen."""
@@ -172,7 +169,9 @@ class _Judge:
         size = 2 * math.ceil(head_px / FRAME_FILL / 2)
         renderer, level = self._renderer(size), self._avatar.levels[-1]
 
-        def drawn(latent: FloatArray, direction: FloatArray, camera: Camera) -> tuple[Image, Mask]:
+        def drawn(
+            latent: FloatArray, direction: FloatArray, camera: Camera
+        ) -> tuple[Image, BoolArray]:
             maps = self._decoder.decode(latent, direction, level)
             renderer.update_maps("head", maps.position_map, maps.expression_map)
             return self._draw(renderer, camera)
@@ -200,7 +199,7 @@ class _Judge:
 
     def _draw(
         self, renderer: Renderer, camera: Camera, mesh_level: int | None = None
-    ) -> tuple[Image, Mask]:
+    ) -> tuple[Image, BoolArray]:
         placement = Placement(slot="head", world_from_head=HEAD, mesh_level=mesh_level)
         renderer.draw([placement], camera)
         return renderer.read_image(), renderer.read_surface()[2] >= 0

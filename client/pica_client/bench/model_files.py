@@ -6,8 +6,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-import numpy.typing as npt
 import safetensors
 
 from pica_client.bench.eval_rows import ModelKey
@@ -20,8 +18,7 @@ from pica_core.avatar.baseline_file import load_baseline
 from pica_core.avatar.expression_encoder import ExpressionEncoder, HasTensors
 from pica_core.avatar.file import load_avatar
 from pica_core.avatar.variants import VARIANTS, ModelCost, pixel_codec_cost
-
-FloatArray = npt.NDArray[np.float32]
+from pica_core.types import FloatArray
 
 BASELINE = "baseline"
 """Its row of the paper's tables."""

@@ -45,7 +45,6 @@ from typing import Any
 
 import moderngl
 import numpy as np
-import numpy.typing as npt
 import onnxruntime
 
 from pica_client.bench.eval_rows import EvalRows, HeldOutError
@@ -66,8 +65,7 @@ from pica_client.render.scene import Placement, view_direction
 from pica_client.stats import describe_machine
 from pica_core.camera import Camera
 from pica_core.gl import create_context, wait_for_gpu
-
-FloatArray = npt.NDArray[np.float32]
+from pica_core.types import FloatArray
 
 WARM_UP_FRAMES = 2
 PARTS = ("decode", "upload", "draw", "total")

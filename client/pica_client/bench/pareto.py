@@ -38,12 +38,11 @@ from typing import Any
 
 import moderngl
 import numpy as np
-import numpy.typing as npt
 
 from pica_client.bench.decode import random_decoders
 from pica_client.bench.head import check_distances, front_camera, talk_frames
 from pica_client.bench.render_error import masked_mse
-from pica_client.decode.decoder import FloatArray, OnnxDecoder
+from pica_client.decode.decoder import OnnxDecoder
 from pica_client.errors import OptionError
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement, view_direction
@@ -54,9 +53,7 @@ from pica_core.avatar.spec import BLOCKS
 from pica_core.avatar.storage import DEFAULT_STORAGE, Storage
 from pica_core.camera import Camera
 from pica_core.gl import create_context, wait_for_gpu
-
-Image = npt.NDArray[np.uint8]
-Mask = npt.NDArray[np.bool_]
+from pica_core.types import BoolArray, FloatArray, Image
 
 SAMPLES = 3
 """Of the truth, along each side of a pixel."""
@@ -102,7 +99,7 @@ class _Contender:
     draw_s: list[float] = field(default_factory=list)
     mse: list[float] = field(default_factory=list)
     change_mse: list[float] = field(default_factory=list)
-    shown: tuple[Image, Mask] | None = None
+    shown: tuple[Image, BoolArray] | None = None
 
 
 def run_pareto_bench(
@@ -156,7 +153,7 @@ class _Bench:
     def run(self, progress: Callable[[float], None]) -> list[dict[str, Any]]:
         """Show all frames in all ways."""
         config, encoder = self._config, ExpressionEncoder(self._avatar)
-        truths: dict[float, tuple[Image, Mask]] = {}
+        truths: dict[float, tuple[Image, BoolArray]] = {}
         count = WARM_UP_FRAMES + config.frames
         talk = talk_frames(config.performance, config.start_s, WARM_UP_FRAMES, config.frames)
         for index, (arkit, matrix) in enumerate(talk):
@@ -197,8 +194,8 @@ class _Bench:
         latent: FloatArray,
         matrix: FloatArray,
         is_measured: bool,
-        truths: dict[float, tuple[Image, Mask]],
-        before: dict[float, tuple[Image, Mask]],
+        truths: dict[float, tuple[Image, BoolArray]],
+        before: dict[float, tuple[Image, BoolArray]],
     ) -> None:
         """Decode and draw one frame, and compare it with the truth."""
         distance = contender.distance_cm
@@ -231,7 +228,7 @@ class _Bench:
 
     def _truth(
         self, latent: FloatArray, matrix: FloatArray, distance_cm: float
-    ) -> tuple[Image, Mask]:
+    ) -> tuple[Image, BoolArray]:
         size = self._config.image_size
         camera = self._camera(distance_cm, size * SAMPLES)
         maps = self._truth_decoder.decode(latent, view_direction(matrix, camera.centre_m))
@@ -297,10 +294,10 @@ def _row(contender: _Contender) -> dict[str, Any]:
 
 
 def _change_mse(
-    shown_before: tuple[Image, Mask],
-    shown: tuple[Image, Mask],
-    truth_before: tuple[Image, Mask],
-    truth: tuple[Image, Mask],
+    shown_before: tuple[Image, BoolArray],
+    shown: tuple[Image, BoolArray],
+    truth_before: tuple[Image, BoolArray],
+    truth: tuple[Image, BoolArray],
 ) -> float:
     """The error of the change between two frames, over what any of the four pictures covers."""
     where = shown_before[1] | shown[1] | truth_before[1] | truth[1]
@@ -311,5 +308,5 @@ def _change_mse(
     return float(np.square(changed - should).mean())
 
 
-def _read(renderer: Renderer) -> tuple[Image, Mask]:
+def _read(renderer: Renderer) -> tuple[Image, BoolArray]:
     return renderer.read_image(), renderer.read_surface()[2] >= 0

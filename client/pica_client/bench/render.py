@@ -43,7 +43,6 @@ from typing import Any, Literal
 
 import moderngl
 import numpy as np
-import numpy.typing as npt
 
 from pica_client.bench.head import (
     FIELD_OF_VIEW,
@@ -66,7 +65,6 @@ from pica_core.camera import Camera
 from pica_core.gl import create_context, wait_for_gpu
 from pica_core.reference.baseline import BaselineAvatar, baseline_like
 
-FloatArray = npt.NDArray[np.float32]
 Draw = Callable[[], object]
 Model = Literal["pica", "baseline"]
 Weights = Literal["auto", "block", "constants", "turns"]

@@ -28,9 +28,7 @@ from pica_core.camera import Camera
 from pica_core.capture.stage.dome import EVALUATION_VIEWS, dome_cameras
 from pica_core.errors import ShapeError
 from pica_core.gl import create_context
-
-Image = npt.NDArray[np.uint8]
-FloatArray = npt.NDArray[np.float32]
+from pica_core.types import FloatArray, Image
 
 PEAK = 255.0
 _NO_POSE = np.zeros(3, np.float32)

@@ -65,9 +65,7 @@ from pica_core.camera import Camera
 from pica_core.codec.factory import FaceEncoder, open_encoder
 from pica_core.codec.latent_stream import StreamConfig
 from pica_core.gl import create_context, wait_for_gpu
-
-FloatArray = npt.NDArray[np.float32]
-Image = npt.NDArray[np.uint8]
+from pica_core.types import Image
 
 SPACING_M = 0.25
 """Between neighbours (the paper's section 4.3)."""

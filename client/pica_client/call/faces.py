@@ -14,11 +14,9 @@ from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.avatar.file import Avatar
-
-FloatArray = npt.NDArray[np.float32]
+from pica_core.types import FloatArray
 
 FaceStatus = Literal["waiting", "live", "concealed", "stale", "away"]
 """How fresh a face is.

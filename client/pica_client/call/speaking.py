@@ -23,8 +23,7 @@ import numpy.typing as npt
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-
-FloatArray = npt.NDArray[np.float32]
+from pica_core.types import FloatArray
 
 PROBE_JAW = (0.0, 0.2, 0.4, 0.7, 1.0)
 PROBE_OTHER = (0.0, 0.5)

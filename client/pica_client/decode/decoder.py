@@ -20,8 +20,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
-import numpy as np
-import numpy.typing as npt
 import onnxruntime
 
 from pica_client.errors import OptionError
@@ -29,8 +27,8 @@ from pica_core.avatar.file import Avatar
 from pica_core.graphs.baseline_graph import baseline_graph
 from pica_core.graphs.onnx_graph import decoder_graph
 from pica_core.reference.baseline import BaselineAvatar
+from pica_core.types import FloatArray
 
-FloatArray = npt.NDArray[np.float32]
 Parts = Literal["both", "expression"]
 
 CPU_PROVIDER = "CPUExecutionProvider"

@@ -28,9 +28,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Self
 
-from pica_client.decode.decoder import DecodedMaps, FloatArray, ObjectDecoder, Parts
+from pica_client.decode.decoder import DecodedMaps, ObjectDecoder, Parts
 from pica_client.errors import OptionError
 from pica_core.avatar.file import Avatar
+from pica_core.types import FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

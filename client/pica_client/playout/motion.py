@@ -14,12 +14,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_client.playout.rotation import blend_rotations, turn_between, turned
 from pica_core.codec.latent_sample import LatentSample
-
-FloatArray = npt.NDArray[np.float32]
+from pica_core.types import FloatArray
 
 UNSEEN = 1e-5
 """A difference below this, in any unit, is none."""

@@ -24,8 +24,8 @@ from pica_core.avatar.file import Avatar
 from pica_core.avatar.level_tensors import sheet_uv
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.reference.mesh import order_faces
+from pica_core.types import FloatArray
 
-FloatArray = npt.NDArray[np.float32]
 MeshPrograms = tuple[moderngl.Program, moderngl.Program]
 """Of the surface pass: for a head that is drawn whole, and for one that shares its pixels."""
 WeightsPlace = Literal["block", "constants", "turns"]

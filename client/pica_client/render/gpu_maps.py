@@ -11,11 +11,9 @@ from collections.abc import Mapping
 
 import moderngl
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.errors import ShapeError
-
-FloatArray = npt.NDArray[np.float32]
+from pica_core.types import FloatArray
 
 
 class MapSeries:

@@ -6,13 +6,11 @@ from typing import Any
 
 import moderngl
 import numpy as np
-import numpy.typing as npt
 
 from pica_client.errors import ShaderError
 from pica_client.render.shader_source import ShaderSource
 from pica_core.gl import link_program
-
-FloatArray = npt.NDArray[np.float32]
+from pica_core.types import FloatArray
 
 UNIT_VISIBLE_XYZ, UNIT_VISIBLE_UV, UNIT_POSITION, UNIT_EXPRESSION = 0, 1, 2, 3
 UNIT_UV_ENCODING, UNIT_U_ENCODING, UNIT_V_ENCODING = 4, 5, 6

@@ -14,8 +14,7 @@ import numpy.typing as npt
 
 from pica_core.errors import ShapeError
 from pica_core.reference.mesh import order_faces
-
-FloatArray = npt.NDArray[np.float32]
+from pica_core.types import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -16,8 +16,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import moderngl
-import numpy as np
-import numpy.typing as npt
 
 from pica_client.render.gpu_avatar import Body, Mesh, upload_placeholder
 from pica_client.render.gpu_program import (
@@ -36,8 +34,7 @@ from pica_client.render.targets import (
     clip_rect,
     inset_rect,
 )
-
-FloatArray = npt.NDArray[np.float32]
+from pica_core.types import FloatArray
 
 WHOLE = (0.0, 1.0)
 """The share of a head that no other level is mixed into."""

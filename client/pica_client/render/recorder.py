@@ -16,12 +16,10 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_client.errors import OptionError
 from pica_client.output import writing
-
-Image = npt.NDArray[np.uint8]
+from pica_core.types import Image
 
 TICKS_PER_S = 1000
 """Resolution of a frame's time; also the finest that MPEG-4 part 2 can state."""

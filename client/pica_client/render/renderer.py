@@ -52,11 +52,10 @@ from pica_core.avatar.spec import POSITION_CHANNELS
 from pica_core.camera import Camera
 from pica_core.errors import GraphicsError
 from pica_core.gl import GL_VERSION, wait_for_gpu
+from pica_core.types import FloatArray, Image
 
 __all__ = ["DrawStats", "HeadStats", "RenderOptions", "Renderer"]
 
-FloatArray = npt.NDArray[np.float32]
-Image = npt.NDArray[np.uint8]
 
 MAX_SIDE_PX = 8192
 

@@ -28,9 +28,8 @@ from pica_client.render.seats import (
     plan_seats,
 )
 from pica_core.camera import Camera
+from pica_core.types import Float64Array, FloatArray
 
-FloatArray = npt.NDArray[np.float32]
-Float64Array = npt.NDArray[np.float64]
 Rect = tuple[float, float, float, float]
 
 __all__ = [

@@ -22,11 +22,9 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.camera import Camera, look_at
-
-Float64Array = npt.NDArray[np.float64]
+from pica_core.types import Float64Array
 
 Layout = Literal["line", "arc", "table", "grid"]
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)

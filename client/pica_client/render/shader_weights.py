@@ -16,15 +16,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_client.errors import ShaderError
 from pica_core.avatar.spec import AvatarSpec
+from pica_core.types import Array
 
-Array = npt.NDArray[Any]
 Sine = Literal["builtin", "polynomial"]
 
 VECTOR = 4

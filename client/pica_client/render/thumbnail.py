@@ -20,8 +20,7 @@ from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.gl import create_context
-
-Image = npt.NDArray[np.uint8]
+from pica_core.types import Image
 
 
 def draw_thumbnail(

@@ -24,7 +24,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pica_client.decode.decoder import FloatArray
 from pica_client.decode.pool import DecodeRequest, DecodeResult
 from pica_client.render.scene import FAR_M, NEAR_M, Placement
 from pica_client.schedule.error_model import ErrorModel
@@ -34,6 +33,7 @@ from pica_core.avatar.file import Avatar
 from pica_core.avatar.levels import default_errors
 from pica_core.avatar.spec import LATENT_SHAPE
 from pica_core.camera import Camera
+from pica_core.types import FloatArray
 
 BLEND_S = 0.12
 """How long maps of another level take to fade in (chosen: the eye sees no step, and the mixed face

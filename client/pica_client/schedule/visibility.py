@@ -23,10 +23,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float32]
-Float64Array = npt.NDArray[np.float64]
+from pica_core.types import Float64Array, FloatArray
 
 NUM_POINTS = 64
 """Looked at per head: a hidden share is known to a few hundredths (chosen)."""

@@ -23,8 +23,9 @@ import numpy.typing as npt
 from pica_client.errors import SourceError
 from pica_client.sources import tracks
 from pica_client.sources.source import Recording
-from pica_client.sources.tracks import SAMPLE_FPS, Track
+from pica_client.sources.tracks import SAMPLE_FPS
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
+from pica_core.types import Float64Array
 
 DURATION_S = 60.0
 """Length of a performance before it repeats."""
@@ -56,20 +57,20 @@ class Mixer:
         self.values = np.zeros((num_samples, NUM_ARKIT))
         self.add(np.ones(num_samples), REST)
 
-    def add(self, track: Track, weights: Mapping[str, float]) -> None:
+    def add(self, track: Float64Array, weights: Mapping[str, float]) -> None:
         """Add a movement. A name without a side stands for both sides where the shape has sides."""
         for name, weight in weights.items():
             names = (name,) if name in ARKIT_INDEX else (f"{name}Left", f"{name}Right")
             for each in names:
                 self.values[:, ARKIT_INDEX[each]] += weight * track
 
-    def blink(self, track: Track) -> None:
+    def blink(self, track: Float64Array) -> None:
         """Close both lids; a blink covers whatever the lids did before."""
         for side, strength in (("Left", 1.0), ("Right", 0.98)):
             column = self.values[:, ARKIT_INDEX[f"eyeBlink{side}"]]
             np.maximum(column, strength * track, out=column)
 
-    def look(self, left: Track, up: Track) -> None:
+    def look(self, left: Float64Array, up: Float64Array) -> None:
         """Turn both eyes, lids following the gaze down."""
         self.add(np.maximum(left, 0), {"eyeLookOutLeft": 1.0, "eyeLookInRight": 1.0})
         self.add(np.maximum(-left, 0), {"eyeLookInLeft": 1.0, "eyeLookOutRight": 1.0})
@@ -106,7 +107,7 @@ class Mixer:
         return values.astype(np.float32)
 
 
-def _talk(rng: np.random.Generator, times_s: Track) -> tuple[Mixer, Track]:
+def _talk(rng: np.random.Generator, times_s: Float64Array) -> tuple[Mixer, Float64Array]:
     mixer = Mixer(len(times_s))
     speech = tracks.speech(rng, times_s)
     mixer.speak(speech, 1.1)
@@ -124,7 +125,7 @@ def _talk(rng: np.random.Generator, times_s: Track) -> tuple[Mixer, Track]:
     return mixer, pitch
 
 
-def _listen(rng: np.random.Generator, times_s: Track) -> tuple[Mixer, Track]:
+def _listen(rng: np.random.Generator, times_s: Float64Array) -> tuple[Mixer, Float64Array]:
     mixer = Mixer(len(times_s))
     answers = tracks.speech(rng, times_s, phrase_s=(0.5, 1.0), pause_s=(3.0, 6.0))
     mixer.speak(answers, 0.6)
@@ -166,7 +167,7 @@ MOTIONS: tuple[Mapping[str, float], ...] = (
 """What an actor is asked for, one after the other; sides together where no side is named."""
 
 
-def _range_of_motion(rng: np.random.Generator, times_s: Track) -> tuple[Mixer, Track]:
+def _range_of_motion(rng: np.random.Generator, times_s: Float64Array) -> tuple[Mixer, Float64Array]:
     mixer = Mixer(len(times_s))
     slot_s = (times_s[-1] - 2 * tracks.EDGE_S) / len(MOTIONS)
     for index, motion in enumerate(rng.permutation(len(MOTIONS))):
@@ -181,7 +182,9 @@ def _range_of_motion(rng: np.random.Generator, times_s: Track) -> tuple[Mixer, T
     return mixer, 0.05 * tracks.nods(rng, times_s, every_s=(6.0, 12.0))
 
 
-PERFORMANCES: dict[str, Callable[[np.random.Generator, Track], tuple[Mixer, Track]]] = {
+PERFORMANCES: dict[
+    str, Callable[[np.random.Generator, Float64Array], tuple[Mixer, Float64Array]]
+] = {
     "talk": _talk,
     "listen": _listen,
     "range_of_motion": _range_of_motion,

@@ -14,8 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.avatar.arkit import NUM_ARKIT, ExpressionFrame
-
-FloatArray = npt.NDArray[np.float32]
+from pica_core.types import FloatArray
 
 
 class Source(Protocol):

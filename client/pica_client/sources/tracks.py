@@ -11,9 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-Track = npt.NDArray[np.float64]
+from pica_core.types import Float64Array
 
 SAMPLE_FPS = 60.0
 """Samples a second of every generated track (chosen: twice the usual stream, so that a blink keeps
@@ -27,44 +26,46 @@ two."""
 class Speech:
     """What a mouth does while somebody talks; every track is about [0, 1], float64 ``[T]``."""
 
-    jaw: Track
+    jaw: Float64Array
     """How far the jaw is open: one bump a syllable."""
-    rounding: Track
+    rounding: Float64Array
     """Lips forward and round, as in "oh"."""
-    spreading: Track
+    spreading: Float64Array
     """Lips drawn apart, as in "ee"."""
-    closure: Track
+    closure: Float64Array
     """Lips pressed on each other, as in "m", "b", "p"."""
-    stress: Track
+    stress: Float64Array
     """Raised over the syllables that carry the weight of a phrase; brows and head go with it."""
 
 
-def sample_times(duration_s: float) -> Track:
+def sample_times(duration_s: float) -> Float64Array:
     """The times of all samples of a track of that length."""
     return np.arange(round(duration_s * SAMPLE_FPS)) / SAMPLE_FPS
 
 
-def smooth(track: Track, width_s: float) -> Track:
+def smooth(track: Float64Array, width_s: float) -> Float64Array:
     """Round a track off with a raised-cosine window of the given full width at half height."""
     half = max(round(width_s * SAMPLE_FPS), 1)
     window = np.hanning(2 * half + 1)
     padded = np.pad(track, half, mode="edge")
-    smoothed: Track = np.convolve(padded, window / window.sum(), mode="valid")
+    smoothed: Float64Array = np.convolve(padded, window / window.sum(), mode="valid")
     return smoothed
 
 
-def bump(times_s: Track, begin_s: float, rise_s: float, hold_s: float, fall_s: float) -> Track:
+def bump(
+    times_s: Float64Array, begin_s: float, rise_s: float, hold_s: float, fall_s: float
+) -> Float64Array:
     """From 0 to 1 and back with smooth ends; exactly 0 before and after."""
     rising = np.clip((times_s - begin_s) / rise_s, 0, 1)
     falling = np.clip((begin_s + rise_s + hold_s + fall_s - times_s) / fall_s, 0, 1)
     shape = np.minimum(rising, falling)
-    eased: Track = shape * shape * (3 - 2 * shape)
+    eased: Float64Array = shape * shape * (3 - 2 * shape)
     return eased
 
 
 def blinks(
-    rng: np.random.Generator, times_s: Track, *, every_s: tuple[float, float] = (2.0, 6.0)
-) -> Track:
+    rng: np.random.Generator, times_s: Float64Array, *, every_s: tuple[float, float] = (2.0, 6.0)
+) -> Float64Array:
     """Lids that close and open: 150 to 300 ms in all, shutting faster than they open."""
     track = np.zeros_like(times_s)
     begin_s = rng.uniform(EDGE_S, every_s[0])
@@ -77,8 +78,8 @@ def blinks(
 
 
 def saccades(
-    rng: np.random.Generator, times_s: Track, *, spread: float, rest_s: tuple[float, float]
-) -> tuple[Track, Track]:
+    rng: np.random.Generator, times_s: Float64Array, *, spread: float, rest_s: tuple[float, float]
+) -> tuple[Float64Array, Float64Array]:
     """Where the eyes look: (to the subject's left, up), ±`spread`; jumps of 50 ms, then rest."""
     left, up = np.zeros_like(times_s), np.zeros_like(times_s)
     begin_s = EDGE_S
@@ -94,10 +95,12 @@ def saccades(
     return smooth(left, 0.04), smooth(up, 0.04)
 
 
-def drift(rng: np.random.Generator, times_s: Track, *, period_s: tuple[float, float]) -> Track:
+def drift(
+    rng: np.random.Generator, times_s: Float64Array, *, period_s: tuple[float, float]
+) -> Float64Array:
     """A slow wandering of about ±1 that closes on itself at the end of the track."""
     duration_s = len(times_s) / SAMPLE_FPS
-    track: Track = np.zeros_like(times_s)
+    track: Float64Array = np.zeros_like(times_s)
     weights = rng.uniform(0.5, 1.0, size=4)
     for weight in weights:
         turns = max(round(duration_s / rng.uniform(*period_s)), 1)
@@ -107,7 +110,9 @@ def drift(rng: np.random.Generator, times_s: Track, *, period_s: tuple[float, fl
     return track
 
 
-def nods(rng: np.random.Generator, times_s: Track, *, every_s: tuple[float, float]) -> Track:
+def nods(
+    rng: np.random.Generator, times_s: Float64Array, *, every_s: tuple[float, float]
+) -> Float64Array:
     """Nods of two or three swings at about 2 Hz; +1 is the chin at its lowest."""
     track = np.zeros_like(times_s)
     begin_s = rng.uniform(EDGE_S, every_s[0])
@@ -124,7 +129,7 @@ def nods(rng: np.random.Generator, times_s: Track, *, every_s: tuple[float, floa
 
 def speech(
     rng: np.random.Generator,
-    times_s: Track,
+    times_s: Float64Array,
     *,
     phrase_s: tuple[float, float] = (1.6, 4.5),
     pause_s: tuple[float, float] = (0.4, 1.3),
@@ -162,7 +167,7 @@ def speech(
             put(name, syllable_s + 0.12, 0.0)
         begin_s = syllable_s + 0.12 + rng.uniform(*pause_s)
 
-    def fill(name: str, width_s: float) -> Track:
+    def fill(name: str, width_s: float) -> Float64Array:
         at_s, values = np.array(knots[name]).T
         return smooth(np.interp(times_s, at_s, values), width_s)
 

@@ -10,7 +10,8 @@ from typing import Self
 
 from pica_client.errors import OptionError
 from pica_client.output import make_folder, writing
-from pica_client.render.recorder import Image, Recorder, save_png
+from pica_client.render.recorder import Recorder, save_png
+from pica_core.types import Image
 
 MAX_NUMBER = 9999
 

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import safetensors
 import safetensors.numpy
 
@@ -25,8 +24,7 @@ from pica_core.avatar.spec import NUM_LATENT
 from pica_core.avatar.storage import MAX_MAGNITUDE
 from pica_core.errors import AvatarFileError
 from pica_core.reference.baseline import BaselineAvatar, BaselineSpec
-
-Array = npt.NDArray[Any]
+from pica_core.types import Array
 
 KEY = "pica_baseline"
 MAX_FILE_BYTES = 256 * 2**20

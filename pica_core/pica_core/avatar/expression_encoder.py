@@ -19,8 +19,7 @@ import numpy.typing as npt
 from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.spec import LATENT_SHAPE, LEAKY_SLOPE
 from pica_core.errors import ShapeError
-
-FloatArray = npt.NDArray[np.float32]
+from pica_core.types import FloatArray
 
 
 class HasTensors(Protocol):

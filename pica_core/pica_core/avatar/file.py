@@ -68,6 +68,7 @@ from pica_core.codec.profile import StreamProfile, profile_shapes
 from pica_core.errors import AvatarFileError, ProfileError
 from pica_core.graphs.decoder_layers import decoder_layers
 from pica_core.reference.surface_encoding import encoding_shapes
+from pica_core.types import Array
 
 __all__ = [
     "SCHEMA_VERSION",
@@ -79,7 +80,6 @@ __all__ = [
     "spec_tensor_shapes",
 ]
 
-Array = npt.NDArray[Any]
 
 MAX_FILE_BYTES = 64 * 2**20
 MAX_HEADER_BYTES = 256 * 2**10

@@ -22,7 +22,6 @@ column k % S. What is left of the last row belongs to nobody.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -31,8 +30,7 @@ from pica_core.avatar.levels import NUM_DRAWINGS, LevelErrors, level_sizes
 from pica_core.avatar.spec import POSITION_CHANNELS, AvatarSpec
 from pica_core.errors import AvatarFileError
 from pica_core.graphs.decoder_layers import trunk_channels
-
-Array = npt.NDArray[Any]
+from pica_core.types import Array
 
 PREFIX = "level."
 MAX_HEIGHTS = 64

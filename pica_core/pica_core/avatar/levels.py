@@ -26,11 +26,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.avatar.spec import LATENT_SIZE, AvatarSpec
-
-FloatArray = npt.NDArray[np.float32]
+from pica_core.types import FloatArray
 
 NUM_DRAWINGS = 2
 """Ways to draw the mesh of a level: with what the level makes, and with the full maps."""

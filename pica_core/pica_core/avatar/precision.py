@@ -12,10 +12,9 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar, load_avatar, save_avatar
@@ -24,8 +23,8 @@ from pica_core.capture.stage.expressions import sentence
 from pica_core.reference.decoders import decode_expression_map, decode_position_map
 from pica_core.reference.mesh import sample_vertices
 from pica_core.reference.pixel import decode_pixels, sample_bilinear
+from pica_core.types import Array
 
-Array = npt.NDArray[Any]
 FRONT = (0.0, 0.0, 1.0)
 
 

@@ -11,14 +11,13 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.avatar.level_tensors import PREFIX as LEVEL_PREFIX
 from pica_core.avatar.level_tensors import is_index
 from pica_core.codec.profile import PREFIX as STREAM_PREFIX
 from pica_core.errors import AvatarFileError
+from pica_core.types import Array
 
-Array = npt.NDArray[Any]
 Storage = Literal["f32", "f16", "u8", "u16"]
 
 MAX_MAGNITUDE = 1e6

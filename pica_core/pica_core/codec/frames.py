@@ -38,8 +38,7 @@ from pica_core.codec.profile import (
 )
 from pica_core.codec.range_coder import Range, SymbolReader, Table, uniform, write_symbols
 from pica_core.errors import LatentError, MissingReferenceError
-
-IntArray = npt.NDArray[np.int64]
+from pica_core.types import Int64Array
 
 HAS_LATENT, HAS_POSE, IS_STILL = 1, 2, 4
 QUALITY_BITS = 4
@@ -67,9 +66,9 @@ class FrameState:
     """Counts the frames of the stream; never wraps here."""
     layer: int
     quality: int
-    coefficients: IntArray
+    coefficients: Int64Array
     """int64 ``[C]``."""
-    motion: IntArray
+    motion: Int64Array
     """Less those of the frame's own reference; 0 for a keyframe. int64 ``[C]``."""
 
 
@@ -90,20 +89,24 @@ def frame_type(layer: int, reference: FrameState | None) -> int:
     return 1 + layer + (reference.layer == 1)
 
 
-def predict(profile: StreamProfile, kind: int, reference: FrameState | None) -> IntArray:
+def predict(profile: StreamProfile, kind: int, reference: FrameState | None) -> Int64Array:
     """What a frame of a type is expected to be. int64 ``[C]``."""
     if reference is None:
         return np.zeros(profile.num_coefficients, np.int64)
-    prediction: IntArray = reference.coefficients + ((profile.gains[kind] * reference.motion) >> 6)
+    prediction: Int64Array = reference.coefficients + (
+        (profile.gains[kind] * reference.motion) >> 6
+    )
     return prediction
 
 
-def quantise(residual: IntArray, steps: npt.NDArray[Any], rounding: int | IntArray) -> IntArray:
+def quantise(
+    residual: Int64Array, steps: npt.NDArray[Any], rounding: int | Int64Array
+) -> Int64Array:
     """Residuals in steps; `rounding` / 64 is added before cutting off, 32 is to the nearest."""
     magnitudes = ((np.abs(residual) << DEAD_ZONE_BITS) + rounding * steps) // (
         steps << DEAD_ZONE_BITS
     )
-    quantised: IntArray = np.where(residual < 0, -magnitudes, magnitudes)
+    quantised: Int64Array = np.where(residual < 0, -magnitudes, magnitudes)
     return quantised
 
 
@@ -121,7 +124,7 @@ def motion_levels(
 
 def encode_frame(
     profile: StreamProfile,
-    quantised: IntArray,
+    quantised: Int64Array,
     *,
     sequence: int,
     layer: int,
@@ -232,7 +235,7 @@ def decode_frame(
 
 def next_state(
     profile: StreamProfile,
-    quantised: IntArray,
+    quantised: Int64Array,
     kind: int,
     sequence: int,
     layer: int,

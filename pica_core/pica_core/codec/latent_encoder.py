@@ -11,7 +11,6 @@ from pica_core.avatar.spec import LATENT_SHAPE, NUM_LATENT
 from pica_core.codec.frames import (
     MAX_RESIDUAL,
     FrameState,
-    IntArray,
     encode_frame,
     frame_type,
     predict,
@@ -27,6 +26,7 @@ from pica_core.codec.profile import (
 )
 from pica_core.codec.rate_control import RateController
 from pica_core.errors import LatentError, ShapeError
+from pica_core.types import Int64Array
 
 LAYER_PATTERNS: dict[int, tuple[int, ...]] = {1: (0,), 2: (0, 1), 3: (0, 2, 1, 2)}
 """Layers of successive frames, by the number of layers."""
@@ -99,7 +99,7 @@ class StreamConfig:
         )
 
 
-def rounding_by_type(num_components: int) -> IntArray:
+def rounding_by_type(num_components: int) -> Int64Array:
     """What is added before residuals are cut off, in 64ths of a step. int64 ``[types, C]``."""
     return np.array(
         [
@@ -212,7 +212,7 @@ class LatentEncoder:
 
     def _coefficients(
         self, latent: npt.ArrayLike, rotation: npt.ArrayLike, translation_m: npt.ArrayLike
-    ) -> IntArray:
+    ) -> Int64Array:
         values = np.asarray(latent, np.float64)
         pose = np.array((rotation, translation_m), np.float64)
         if values.shape != LATENT_SHAPE or pose.shape != (2, 3):
@@ -228,15 +228,15 @@ class LatentEncoder:
         np.clip(face, -MAX_COEFFICIENT // 2, MAX_COEFFICIENT // 2, out=face)
         return np.concatenate((face, units.astype(np.int64)))
 
-    def _is_quiet(self, wanted: IntArray, base: FrameState) -> bool:
+    def _is_quiet(self, wanted: Int64Array, base: FrameState) -> bool:
         """Whether a face looks as the last base frame does: a dead zone everywhere, or it would tip
         at every rounding edge."""
         steps = self.profile.steps[self._quality]
         return not quantise(wanted - base.coefficients, steps, QUIET_ROUNDING).any()
 
     def _residual(
-        self, wanted: IntArray, reference: FrameState | None, kind: int, quality: int
-    ) -> IntArray:
+        self, wanted: Int64Array, reference: FrameState | None, kind: int, quality: int
+    ) -> Int64Array:
         """Quantised difference from what a frame type predicts."""
         expected = predict(self.profile, kind, reference)
         return quantise(wanted - expected, self.profile.steps[quality], self._rounding[kind])
@@ -247,7 +247,7 @@ class LatentEncoder:
 
     def _send(
         self,
-        wanted: IntArray,
+        wanted: Int64Array,
         layer: int,
         reference: FrameState | None,
         now_us: int,

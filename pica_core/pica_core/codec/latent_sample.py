@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
-FloatArray = npt.NDArray[np.float32]
+from pica_core.types import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -55,8 +55,7 @@ from pica_core.codec.profile import (
 )
 from pica_core.codec.range_coder import TOTAL
 from pica_core.errors import ProfileError, ShapeError
-
-Float64Array = npt.NDArray[np.float64]
+from pica_core.types import Float64Array
 
 LATENT_STEPS = (80, 56, 40, 28, 22, 16, 11, 8)
 """By quality, in 64ths of a root of rendered MSE: a step of 22 leaves an MSE near 0.5 over 48

@@ -28,8 +28,6 @@ from pica_core.avatar.spec import LATENT_CHANNELS, LATENT_SHAPE, NUM_LATENT
 from pica_core.codec.latent_sample import DecodedFrame, EncodedFrame, LatentSample
 from pica_core.errors import LatentError, ShapeError
 
-FloatArray = npt.NDArray[np.float32]
-
 FORMAT_PLAIN = 1
 ROTATION_RANGE = float(np.pi)
 """Largest component of a rotation vector, radians; longer vectors turn more than half a circle."""

@@ -37,9 +37,7 @@ import numpy.typing as npt
 from pica_core.avatar.spec import NUM_LATENT
 from pica_core.codec.range_coder import TOTAL, Table, make_table
 from pica_core.errors import ProfileError
-
-IntArray = npt.NDArray[Any]
-FloatArray = npt.NDArray[np.float64]
+from pica_core.types import Array, Float64Array
 
 PREFIX = "stream."
 FORMAT = "pica latent stream 1\n"
@@ -102,17 +100,17 @@ class StreamProfile:
             out of range; names it.
     """
 
-    mean: IntArray
-    analysis: IntArray
-    synthesis: IntArray
-    synthesis_shift: IntArray
-    steps: IntArray
-    gains: IntArray
-    tables: IntArray
-    table_index: IntArray
-    header_tables: IntArray
-    distance_tables: IntArray
-    quality_table: IntArray
+    mean: Array
+    analysis: Array
+    synthesis: Array
+    synthesis_shift: Array
+    steps: Array
+    gains: Array
+    tables: Array
+    table_index: Array
+    header_tables: Array
+    distance_tables: Array
+    quality_table: Array
 
     def __post_init__(self) -> None:
         shapes = profile_shapes({name: getattr(self, name).shape for name in _TYPES})
@@ -172,12 +170,12 @@ class StreamProfile:
             digest.update(array.astype(array.dtype.newbyteorder("<")).tobytes())
         return digest.hexdigest()
 
-    def to_tensors(self) -> dict[str, IntArray]:
+    def to_tensors(self) -> dict[str, Array]:
         """The arrays under the names that they have in the avatar file."""
         return {PREFIX + item.name: getattr(self, item.name) for item in fields(self)}
 
     @classmethod
-    def from_tensors(cls, tensors: Mapping[str, IntArray]) -> Self | None:
+    def from_tensors(cls, tensors: Mapping[str, Array]) -> Self | None:
         """The profile among an avatar's tensors, or None if it has none.
 
         Raises:
@@ -217,12 +215,12 @@ class StreamProfile:
         return make_table(self.quality_table)
 
     @cached_property
-    def _analysis_exact(self) -> FloatArray:
+    def _analysis_exact(self) -> Float64Array:
         # All sums stay below 2⁵³, so float64 is exact and BLAS may add in any order.
         return np.ascontiguousarray(self.analysis.astype(np.float64))
 
     @cached_property
-    def _synthesis_exact(self) -> FloatArray:
+    def _synthesis_exact(self) -> Float64Array:
         return np.ascontiguousarray(self.synthesis.astype(np.float64))
 
     def analyse(self, latent: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.int64]:

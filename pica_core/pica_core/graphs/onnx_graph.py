@@ -32,10 +32,9 @@ ONNX Runtime's CPU kernels. One thread of AVX-512, block C, both maps, in one ru
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import (
@@ -47,11 +46,11 @@ from pica_core.avatar.spec import (
 )
 from pica_core.graphs.decoder_layers import Layer, decoder_layers, trunk_layers
 from pica_core.graphs.graph_builder import GraphBuilder, Shape
+from pica_core.types import Array
 
 TURN_CONVOLUTION_SIZE = 64
 """From this many rows on a narrowing 3x3 convolution is written as a transposed one."""
 
-Array = npt.NDArray[Any]
 Parts = Literal["both", "expression", "geometry"]
 
 

@@ -6,16 +6,13 @@ pixel_decoder_graph(avatar)  expression [N, 4], xyz_m [N, 3], uv [N, 2] -> rgb [
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import NUM_FREQUENCIES, RGB_CHANNELS
 from pica_core.graphs.graph_builder import GraphBuilder
-
-Array = npt.NDArray[Any]
+from pica_core.types import Array
 
 
 def pixel_decoder_graph(avatar: Avatar) -> bytes:

@@ -21,15 +21,14 @@ from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
 from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.spec import LATENT_CHANNELS, LATENT_SIZE, LEAKY_SLOPE, NUM_LATENT, AvatarSpec
 from pica_core.avatar.variants import ModelCost, TopologyName
+from pica_core.types import FloatArray
 
-FloatArray = npt.NDArray[np.float32]
 GroupName = Literal["shape", "appearance", "pixel", "encoding"]
 ParameterGroups = dict[GroupName, list[nn.Parameter]]
 

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -32,9 +31,7 @@ from pica_core.avatar.spec import NUM_LATENT, RGB_CHANNELS, VIEW_CHANNELS
 from pica_core.reference.decoders import decode_expression_map
 from pica_core.reference.mesh import sample_vertices
 from pica_core.reference.pixel import decode_pixels, sample_bilinear
-
-Array = npt.NDArray[Any]
-FloatArray = npt.NDArray[np.float32]
+from pica_core.types import Array, FloatArray
 
 VIEW_FEATURES = 8
 """Values that the view direction becomes."""

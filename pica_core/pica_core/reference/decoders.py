@@ -6,8 +6,6 @@ a second; for drawing there are the graphs of `onnx_graph`.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
@@ -15,8 +13,7 @@ from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import LATENT_SIZE, LEAKY_SLOPE, POSITION_CHANNELS
 from pica_core.graphs.decoder_layers import Layer, decoder_layers, trunk_layers
 from pica_core.reference.pixel import sample_bilinear
-
-Array = npt.NDArray[Any]
+from pica_core.types import Array
 
 
 def decode_position_map(avatar: Avatar, latent: npt.ArrayLike, level: int | None = None) -> Array:

@@ -3,15 +3,12 @@ judge."""
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
 from pica_core.errors import ShapeError
 from pica_core.reference.pixel import sample_bilinear
-
-Array = npt.NDArray[Any]
+from pica_core.types import Array
 
 
 def sample_vertices(position_map: npt.ArrayLike, vertex_uv: npt.ArrayLike) -> Array:

@@ -15,7 +15,6 @@ Every frequency (SIREN's omega) is folded into the weights. How maps are looked 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +22,7 @@ import numpy.typing as npt
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.reference.sampling import Dtype, sample_bilinear, sample_linear
 from pica_core.reference.surface_encoding import encode_surface
+from pica_core.types import Array
 
 __all__ = [
     "count_parameters",
@@ -32,8 +32,6 @@ __all__ = [
     "sample_linear",
     "siren",
 ]
-
-Array = npt.NDArray[Any]
 
 
 def siren(

@@ -6,14 +6,12 @@ CLAMP_TO_EDGE does.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
 from pica_core.errors import ShapeError
+from pica_core.types import Array
 
-Array = npt.NDArray[Any]
 Dtype = type[np.float32] | type[np.float64]
 
 

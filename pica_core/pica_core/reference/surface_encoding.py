@@ -19,15 +19,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, Protocol, final
+from typing import Protocol, final
 
 import numpy as np
 import numpy.typing as npt
 
 from pica_core.avatar.spec import NUM_FREQUENCIES, AvatarSpec
 from pica_core.reference.sampling import Dtype, sample_bilinear, sample_linear
+from pica_core.types import Array
 
-Array = npt.NDArray[Any]
 Shapes = dict[str, tuple[int, ...]]
 
 

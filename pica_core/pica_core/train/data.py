@@ -25,9 +25,8 @@ from pica_core.errors import CaptureError
 from pica_core.model.decoders import sample_map
 from pica_core.model.encoder import resize_texture
 from pica_core.train.rasterise import Rasteriser
+from pica_core.types import Float64Array, FloatArray
 
-FloatArray = npt.NDArray[np.float32]
-Float64Array = npt.NDArray[np.float64]
 IMPORTANT_REGIONS = ("mouth", "lips", "eyes", "eyeballs", "lids", "teeth", "tongue")
 """Vertex regions of a capture's topology that are small on the map and large to the eye."""
 MeshSource = Literal["truth", "tracked"]

@@ -18,8 +18,8 @@ from pica_core.model.interface import Surface
 from pica_core.train.edge_gradient import Edges, find_edges, screen_positions
 from pica_core.train.losses import screen_normals
 from pica_core.train.rasterise import Hits, Rasteriser, Views, hit_points
+from pica_core.types import Int64Array
 
-IndexArray = npt.NDArray[np.int64]
 NORMAL_SHARE = 4
 """Where pixels are drawn, every fourth has a normal: it needs the depth of two neighbours."""
 EDGE_PAIRS = 2048
@@ -34,8 +34,8 @@ class PixelList(NamedTuple):
         pixel: Flat index within the image, int64 ``[P]``.
     """
 
-    image: IndexArray
-    pixel: IndexArray
+    image: Int64Array
+    pixel: Int64Array
 
 
 class DrawnPixels(NamedTuple):
@@ -93,7 +93,7 @@ class EdgePixels(NamedTuple):
     image: Tensor
     front: Tensor
     back: Tensor
-    back_pixel: IndexArray
+    back_pixel: Int64Array
     along: Tensor
     sign: Tensor
     scale: Tensor
@@ -228,7 +228,7 @@ class MeshDrawer:
             scale=torch.from_numpy(np.concatenate([each for _, _, each in parts])).to(vertices_m),
         )
 
-    def _hits(self, vertices_m: Tensor, wanted: IndexArray) -> tuple[Hits, Tensor]:
+    def _hits(self, vertices_m: Tensor, wanted: Int64Array) -> tuple[Hits, Tensor]:
         pixels, device = self._list(wanted), vertices_m.device
         triangles = torch.from_numpy(self._ids.reshape(-1)[wanted].astype(np.int64)).to(device)
         views = Views.of(self._cameras, vertices_m)
@@ -256,28 +256,28 @@ class MeshDrawer:
         xyz_m = Views.of(self._cameras, vertices_m).to_head(image, rays * depth_m[:, None])
         return Surface(image, uv, xyz_m)
 
-    def _list(self, flat: IndexArray) -> PixelList:
+    def _list(self, flat: Int64Array) -> PixelList:
         image = flat // self._ids.shape[1]
         return PixelList(image, flat - image * self._ids.shape[1])
 
     def _choose(
         self, ids: npt.NDArray[np.int32], rng: np.random.Generator, wanted: int
-    ) -> IndexArray:
+    ) -> Int64Array:
         """Covered pixels of an image, each with its chance, so that about `wanted` come."""
-        covered: IndexArray = np.flatnonzero(ids >= 0)
+        covered: Int64Array = np.flatnonzero(ids >= 0)
         if wanted == 0 or len(covered) <= wanted:
             return covered
         weights = self._face_weights[ids[covered]]
         drawn = rng.random(len(covered), np.float32) * np.float32(weights.sum() / wanted) < weights
-        chosen: IndexArray = covered[drawn]
+        chosen: Int64Array = covered[drawn]
         return chosen
 
-    def _with_neighbours(self, places: IndexArray) -> IndexArray:
+    def _with_neighbours(self, places: Int64Array) -> Int64Array:
         """Those of some pixels whose right and lower neighbours are covered, too."""
         camera = self._cameras[0]
         column = places % camera.width
         row = places // camera.width % camera.height
         places = places[(column + 1 < camera.width) & (row + 1 < camera.height)]
         flat = self._ids.reshape(-1)
-        kept: IndexArray = places[(flat[places + 1] >= 0) & (flat[places + camera.width] >= 0)]
+        kept: Int64Array = places[(flat[places + 1] >= 0) & (flat[places + camera.width] >= 0)]
         return kept

@@ -24,7 +24,6 @@ from torch import Tensor
 
 from pica_core.train.losses import MILLIMETRES, mean_norm
 
-FloatArray = npt.NDArray[np.float32]
 COTANGENT_LIMIT = 50.0
 """Largest size of a cotangent (chosen: angles from 1 to 179 degrees go through)."""
 LEAST_WEIGHT = 1e-6

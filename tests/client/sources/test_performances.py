@@ -13,21 +13,21 @@ from pica_client.sources import tracks
 from pica_client.sources.performances import PERFORMANCES, make_performance
 from pica_client.sources.source import Recording
 from pica_core.avatar.arkit import ARKIT_INDEX
+from pica_core.types import Float64Array
 
 pytestmark = pytest.mark.unit
 
 FPS = 30
 SEEDS = (0, 1, 2)
-Values = npt.NDArray[np.float64]
 
 
-def sampled(recording: Recording) -> Values:
+def sampled(recording: Recording) -> Float64Array:
     """One minute at the stream's 30 frames a second, ``[1800, 52]``."""
     faces = [recording.frame_at(index / FPS).arkit for index in range(60 * FPS)]
     return np.stack(faces).astype(np.float64)
 
 
-def components_for(values: Values, share: float) -> int:
+def components_for(values: Float64Array, share: float) -> int:
     energy = np.linalg.svd(values - values.mean(axis=0), compute_uv=False) ** 2
     return int(np.searchsorted(np.cumsum(energy) / energy.sum(), share)) + 1
 
@@ -39,25 +39,25 @@ def spans(mask: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 @pytest.fixture(scope="module", params=[(name, seed) for name in PERFORMANCES for seed in SEEDS])
-def performance(request: pytest.FixtureRequest) -> tuple[str, Values]:
+def performance(request: pytest.FixtureRequest) -> tuple[str, Float64Array]:
     name, seed = request.param
     return name, sampled(make_performance(name, seed=seed))
 
 
-def test_values_stay_between_zero_and_one(performance: tuple[str, Values]) -> None:
+def test_values_stay_between_zero_and_one(performance: tuple[str, Float64Array]) -> None:
     _, values = performance
     assert values.min() >= 0
     assert values.max() <= 1
 
 
-def test_few_principal_components_carry_the_face(performance: tuple[str, Values]) -> None:
+def test_few_principal_components_carry_the_face(performance: tuple[str, Float64Array]) -> None:
     name, values = performance
     low, high = {"talk": (5, 6), "listen": (4, 6), "range_of_motion": (12, 15)}[name]
     assert low <= components_for(values, 0.95) <= high
 
 
 def test_the_mean_step_per_frame_is_that_of_real_recordings(
-    performance: tuple[str, Values],
+    performance: tuple[str, Float64Array],
 ) -> None:
     _, values = performance
     steps = np.abs(np.diff(values, axis=0))
@@ -66,7 +66,7 @@ def test_the_mean_step_per_frame_is_that_of_real_recordings(
 
 
 def test_mouth_close_never_exceeds_the_open_jaw_by_more_than_real_ones(
-    performance: tuple[str, Values],
+    performance: tuple[str, Float64Array],
 ) -> None:
     _, values = performance
     margin = values[:, ARKIT_INDEX["mouthClose"]] - values[:, ARKIT_INDEX["jawOpen"]]
@@ -74,7 +74,7 @@ def test_mouth_close_never_exceeds_the_open_jaw_by_more_than_real_ones(
 
 
 def test_both_eyes_blink_together_every_two_to_six_seconds(
-    performance: tuple[str, Values],
+    performance: tuple[str, Float64Array],
 ) -> None:
     name, values = performance
     left, right = (values[:, ARKIT_INDEX[f"eyeBlink{side}"]] for side in ("Left", "Right"))

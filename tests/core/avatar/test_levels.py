@@ -26,6 +26,7 @@ from pica_core.avatar.levels import LevelErrors, default_errors, level_sizes
 from pica_core.avatar.spec import BLOCKS, AvatarSpec
 from pica_core.errors import AvatarFileError
 from pica_core.graphs.decoder_layers import decoder_layers, trunk_channels, trunk_layers
+from pica_core.types import Array
 
 pytestmark = pytest.mark.unit
 
@@ -33,8 +34,6 @@ SPEC = AvatarSpec(uv_encoding_size=16, axis_encoding_size=20)
 PLAIN = make_toy_avatar(grid=8, spec=SPEC)
 TOY = with_toy_levels(PLAIN)
 LEVEL_NAMES = sorted(name for name in TOY.tensors if name.startswith("level."))
-
-Array = np.ndarray[Any, Any]
 
 
 @pytest.fixture(scope="module")

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import functools
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import onnx
 import onnxruntime
 import pytest
@@ -19,10 +17,9 @@ from pica_core.graphs.onnx_graph import Parts, decoder_graph
 from pica_core.graphs.pixel_graph import pixel_decoder_graph
 from pica_core.reference.decoders import decode_expression_map, decode_position_map
 from pica_core.reference.pixel import decode_pixels
+from pica_core.types import Array
 
 pytestmark = pytest.mark.unit
-
-Array = npt.NDArray[Any]
 
 
 @functools.cache

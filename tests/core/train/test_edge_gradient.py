@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import torch
 from torch import Tensor
@@ -13,10 +12,10 @@ from torch import Tensor
 from pica_core.camera import Camera, look_at
 from pica_core.train.edge_gradient import edge_term, find_edges, screen_positions
 from pica_core.train.rasterise import Hits, Rasteriser, Views, hit_points
+from pica_core.types import FloatArray
 
 pytestmark = pytest.mark.train
 
-FloatArray = npt.NDArray[np.float32]
 FINE_SIZE = 384
 """Rows of the picture that the finite differences are made of: a supersampled one."""
 BACKGROUND = np.array([0.1, 0.2, 0.3], np.float32)

@@ -18,10 +18,9 @@ from pica_core.train.laplacian import (
     laplacian_smoothness,
     smoothness_weights,
 )
+from pica_core.types import Float64Array
 
 pytestmark = pytest.mark.train
-
-Float64Array = npt.NDArray[np.float64]
 
 
 def random(*shape: int, seed: int = 0) -> Tensor:

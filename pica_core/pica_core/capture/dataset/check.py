@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.capture.dataset import multiface
 from pica_core.capture.dataset.check_geometry import depth_problem, silhouette_problem
@@ -30,7 +29,6 @@ from pica_core.capture.dataset.files import (
 from pica_core.errors import CaptureError
 
 Result = TypeVar("Result")
-FloatArray = npt.NDArray[np.float32]
 
 PIXEL_FRAMES = 16
 """Frames whose pixels are decoded, unless said otherwise (chosen)."""

@@ -7,9 +7,7 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw
 
 from pica_core.camera import Camera
-
-FloatArray = npt.NDArray[np.float32]
-ByteArray = npt.NDArray[np.uint8]
+from pica_core.types import ByteArray, FloatArray
 
 DRAWN_PX = 192
 """Shorter side of the silhouette that is compared."""

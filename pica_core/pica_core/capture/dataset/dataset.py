@@ -35,13 +35,10 @@ from pica_core.capture.dataset.files import (
 from pica_core.capture.dataset.published import is_original, open_original
 from pica_core.capture.stage.head_motion import camera_in_head
 from pica_core.errors import CaptureError
+from pica_core.types import ByteArray, Float64Array, FloatArray, Int64Array
 
 __all__ = ["SPLITS", "Capture", "CaptureFrame", "Topology"]
 
-FloatArray = npt.NDArray[np.float32]
-Float64Array = npt.NDArray[np.float64]
-ByteArray = npt.NDArray[np.uint8]
-IntArray = npt.NDArray[np.int64]
 
 log = logging.getLogger(__name__)
 
@@ -83,8 +80,8 @@ class Capture:
         arkit: FloatArray | None,
         topology: Topology,
         tracked_topology: Topology,
-        dense_vertex: IntArray | None,
-        mesh_vertex: IntArray | None,
+        dense_vertex: Int64Array | None,
+        mesh_vertex: Int64Array | None,
         num_mesh_vertices: int,
     ) -> None:
         where = path / multiface.CAPTURE

@@ -15,11 +15,7 @@ from PIL import Image, UnidentifiedImageError
 from pica_core.avatar.arkit import ARKIT_NAMES, NUM_ARKIT
 from pica_core.capture.dataset import multiface
 from pica_core.errors import CaptureError
-
-FloatArray = npt.NDArray[np.float32]
-Float64Array = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int32]
-BoolArray = npt.NDArray[np.bool_]
+from pica_core.types import BoolArray, Float64Array, FloatArray, IntArray
 
 SPLITS = ("train", "test")
 MAX_IMAGE_PIXELS = 64_000_000

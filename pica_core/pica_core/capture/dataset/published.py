@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.capture.dataset import multiface
 from pica_core.capture.dataset.files import (
@@ -27,9 +26,7 @@ from pica_core.capture.dataset.files import (
     read_frame_list,
 )
 from pica_core.errors import CaptureError
-
-ByteArray = npt.NDArray[np.uint8]
-IntArray = npt.NDArray[np.int64]
+from pica_core.types import ByteArray, Int64Array
 
 HELD_OUT_EVERY = 10
 """Of the segments in the order of their names, the fifth of every so many is for testing."""
@@ -51,7 +48,7 @@ class Original:
     """
 
     topology: Topology
-    mesh_vertex: IntArray
+    mesh_vertex: Int64Array
     num_mesh_vertices: int
     frames: tuple[CaptureFrame, ...]
     width: int
@@ -140,7 +137,7 @@ def _texture_size(root: Path) -> int:
     raise CaptureError(f"{root}: no unwrapped_uv_SIZE directory")
 
 
-def read_obj_topology(path: Path) -> tuple[Topology, IntArray, int]:
+def read_obj_topology(path: Path) -> tuple[Topology, Int64Array, int]:
     """Faces and UVs of an OBJ file; places are not taken.
 
     Returns:

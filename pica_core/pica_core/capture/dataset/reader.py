@@ -21,15 +21,12 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from threading import RLock
 from types import TracebackType
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import CaptureError
-
-Array = npt.NDArray[Any]
+from pica_core.types import Array
 
 log = logging.getLogger(__name__)
 

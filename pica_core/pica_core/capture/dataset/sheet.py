@@ -20,9 +20,7 @@ from pica_core.capture.dataset import multiface
 from pica_core.capture.dataset.dataset import Capture, CaptureFrame
 from pica_core.capture.dataset.published import for_looking
 from pica_core.errors import CaptureError
-
-ByteArray = npt.NDArray[np.uint8]
-FloatArray = npt.NDArray[np.float32]
+from pica_core.types import ByteArray, FloatArray
 
 TILE = 300
 """Side of a tile, pixels."""

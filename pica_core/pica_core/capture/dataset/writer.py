@@ -20,9 +20,7 @@ from pica_core.avatar.arkit import ARKIT_NAMES
 from pica_core.capture.dataset import multiface
 from pica_core.capture.dataset.files import Topology
 from pica_core.capture.stage.expressions import Take
-
-FloatArray = npt.NDArray[np.float32]
-ByteArray = npt.NDArray[np.uint8]
+from pica_core.types import ByteArray, FloatArray
 
 ENCODERS = 2
 """Threads that encode images; what they call lets other threads run."""

@@ -16,8 +16,8 @@ from pica_core.capture.lighting.shadow import POSES, DrawDepth, lit, softbox, sp
 from pica_core.capture.procedural.heads import Head
 from pica_core.capture.procedural.layout import EYE_ROW
 from pica_core.capture.procedural.skin import smoothstep
+from pica_core.types import FloatArray
 
-FloatArray = npt.NDArray[np.float32]
 DOME_DIRECTIONS = 32
 KEY_DIRECTIONS = 7
 SMOOTHING = 2

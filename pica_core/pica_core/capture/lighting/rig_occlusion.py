@@ -13,8 +13,8 @@ import numpy.typing as npt
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.capture.lighting.shadow import POSES, DrawDepth, lit, softbox, sphere
 from pica_core.capture.rig.head import RigHead
+from pica_core.types import FloatArray
 
-FloatArray = npt.NDArray[np.float32]
 DOME_DIRECTIONS = 28
 KEY_DIRECTIONS = 6
 SPAN_M, CENTRE_M = 0.42, (0.0, -0.03, 0.0)

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float32]
-Float64Array = npt.NDArray[np.float64]
+from pica_core.types import Float64Array, FloatArray
+
 DrawDepth = Callable[[FloatArray, FloatArray, int], FloatArray]
 """Draws a depth map of vertices along a clip matrix, so many texels wide."""
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.capture.procedural.hair import hairline
 from pica_core.capture.procedural.identity import Identity
@@ -23,10 +22,7 @@ from pica_core.capture.procedural.skin import (
     smoothstep,
 )
 from pica_core.capture.procedural.surface import EYE_RADIUS
-
-FloatArray = npt.NDArray[np.float32]
-Float64Array = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
+from pica_core.types import BoolArray, Float64Array, FloatArray
 
 MATERIALS = ("skin", "eye", "teeth", "tongue", "mouth_bag", "collar", "hair")
 """Material ids, in the order that the appearance shader knows."""

@@ -13,7 +13,6 @@ from pica_core.capture.procedural.heads import Head
 from pica_core.capture.stage.gpu import (
     BAKE_SIZE,
     DEPTH_TOLERANCE_M,
-    FloatArray,
     MeshRenderer,
     View,
     attributes,
@@ -21,6 +20,7 @@ from pica_core.capture.stage.gpu import (
     shader_text,
 )
 from pica_core.gl import link_program
+from pica_core.types import FloatArray
 
 __all__ = ["BAKE_SIZE", "DEPTH_TOLERANCE_M", "StageRenderer", "View"]
 

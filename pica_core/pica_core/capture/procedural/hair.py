@@ -8,14 +8,12 @@ frame.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.capture.procedural.identity import Identity
 from pica_core.capture.procedural.layout import Chart
 from pica_core.capture.procedural.skin import smoothstep
 from pica_core.capture.procedural.surface import HeadField, cast
-
-Float64Array = npt.NDArray[np.float64]
+from pica_core.types import Float64Array
 
 
 def _periodic_noise(angle: Float64Array, seed: int, low: int, high: int) -> Float64Array:

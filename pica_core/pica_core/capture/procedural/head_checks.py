@@ -11,9 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.capture.procedural.heads import Head
-
-Float64Array = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from pica_core.types import Float64Array, Int64Array
 
 SMALL_MM2 = 0.25
 """Smaller faces are left out: half a millimetre across, a pixel of a whole-head picture."""
@@ -91,7 +89,7 @@ class HeadChecks:
         folded: npt.NDArray[np.bool_] = against & (0.5 * size > SMALL_MM2)
         return folded
 
-    def folded(self, vertices: Float64Array) -> IntArray:
+    def folded(self, vertices: Float64Array) -> Int64Array:
         """Indices into the skin's triangles that fold over."""
         return np.flatnonzero(self._folds(vertices) & ~self._folded_at_rest)
 
@@ -130,7 +128,7 @@ class HeadChecks:
 _ARCHES = ("teeth_upper", "teeth_lower")
 
 
-def _edge_neighbours(faces: IntArray) -> tuple[IntArray, IntArray]:
+def _edge_neighbours(faces: Int64Array) -> tuple[Int64Array, Int64Array]:
     """Pairs of faces that share an edge."""
     edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     owner = np.repeat(np.arange(len(faces)), 3)
@@ -140,7 +138,7 @@ def _edge_neighbours(faces: IntArray) -> tuple[IntArray, IntArray]:
     return owner[:-1][same], owner[1:][same]
 
 
-def front_depth(vertices: Float64Array, faces: IntArray, points: Float64Array) -> Float64Array:
+def front_depth(vertices: Float64Array, faces: Int64Array, points: Float64Array) -> Float64Array:
     """Depth z of the foremost face over each point, seen along -z; +inf where none covers it.
 
     Args:

@@ -10,8 +10,7 @@ import numpy.typing as npt
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES, NUM_ARKIT
 from pica_core.capture.procedural.heads import Head
 from pica_core.capture.procedural.surface import EYE_Y
-
-Float64Array = npt.NDArray[np.float64]
+from pica_core.types import Float64Array
 
 ZONES = ("brow", "eye", "nose", "cheek", "mouth", "jaw", "rest", "eyeball", "inside", "tongue")
 """Zones: parts of the skin, then what is not skin. `inside`: lower teeth and mouth cavity; `jaw`

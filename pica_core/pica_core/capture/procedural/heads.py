@@ -38,10 +38,7 @@ from pica_core.capture.procedural.skin import (
 )
 from pica_core.capture.procedural.surface import EYE_Y, HeadField
 from pica_core.errors import ShapeError
-
-FloatArray = npt.NDArray[np.float32]
-Float64Array = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int32]
+from pica_core.types import Float64Array, FloatArray, IntArray
 
 JAW_PIVOT = (0.0, 2.0, 8.0)
 """The condyle axis, mm: a little below and ahead of the ear axis."""

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-IntArray = npt.NDArray[np.int32]
-FloatArray = npt.NDArray[np.float32]
+from pica_core.types import FloatArray, IntArray
 
 MAP_SIZE = 256
 """Texels along each side of the position map."""

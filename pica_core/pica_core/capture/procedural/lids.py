@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.capture.procedural.identity import FaceShape
 from pica_core.capture.procedural.layout import EYE_ROW, Chart
@@ -23,9 +22,7 @@ from pica_core.capture.procedural.skin import (
     lid_lines,
     smoothstep,
 )
-
-Float64Array = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from pica_core.types import Float64Array, Int64Array
 
 CLOSED_AT = 0.16
 """Where the lids meet: at this share of the opening above the lower lid."""
@@ -61,7 +58,7 @@ class Lids:
             weight * smoothstep(inner - 5.5, inner - 0.5, u) * smoothstep(outer + 8, outer + 0.5, u)
         )
         chosen = (weight > 1e-4) & (points[..., 2] > 40)
-        self.index: IntArray = np.flatnonzero(chosen)
+        self.index: Int64Array = np.flatnonzero(chosen)
         self.weight = weight[chosen]
         self._surface = surface
         self._u = u[chosen]

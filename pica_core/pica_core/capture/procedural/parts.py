@@ -6,14 +6,12 @@ Each function fills one chart's grid with positions in the head frame, millimetr
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.capture.procedural.identity import FaceShape
 from pica_core.capture.procedural.layout import Chart
 from pica_core.capture.procedural.skin import EyeSurface, bump, smoothstep
 from pica_core.capture.procedural.surface import EYE_RADIUS, HeadField, cast
-
-Float64Array = npt.NDArray[np.float64]
+from pica_core.types import Float64Array
 
 
 def _disc(chart: Chart) -> tuple[Float64Array, Float64Array]:

@@ -10,12 +10,10 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.capture.procedural.identity import FaceShape
 from pica_core.capture.procedural.surface import EYE_Y, HeadField
-
-Float64Array = npt.NDArray[np.float64]
+from pica_core.types import Float64Array
 
 
 def _across(

@@ -16,15 +16,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.capture.procedural.identity import FaceShape
 from pica_core.capture.procedural.layout import MOUTH_ROW, Chart
 from pica_core.capture.procedural.skin import Skin, bump, mouth_lines, smoothstep
 from pica_core.capture.procedural.surface import HeadField
-
-Float64Array = npt.NDArray[np.float64]
+from pica_core.types import Float64Array
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

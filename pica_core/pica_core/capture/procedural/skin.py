@@ -19,9 +19,7 @@ from pica_core.capture.procedural.identity import FaceShape
 from pica_core.capture.procedural.layout import EYE_ROW, MIDLINE_COLUMN, MOUTH_ROW, Chart
 from pica_core.capture.procedural.sculpt import relief
 from pica_core.capture.procedural.surface import EYE_RADIUS, EYE_Y, HeadField, cast, gradient
-
-Float64Array = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
+from pica_core.types import BoolArray, Float64Array
 
 CREASE_ROW = 60
 """Row of the fold above the upper lid."""

@@ -15,8 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.capture.procedural.identity import FaceShape
-
-Float64Array = npt.NDArray[np.float64]
+from pica_core.types import Float64Array
 
 SELLION_Y = 30.0
 """Height of the nasal root above the ear axis (chosen from Farkas' facial profile)."""

@@ -23,10 +23,7 @@ from pica_core.capture.procedural.layout import MAP_SIZE
 from pica_core.capture.rig.mesh import components
 from pica_core.capture.rig.uv_gutter import MAX_SKIRT_TEXELS, add_skirts
 from pica_core.errors import CaptureError
-
-FloatArray = npt.NDArray[np.float32]
-Float64Array = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int32]
+from pica_core.types import Float64Array, FloatArray, IntArray
 
 FLOW_GRIDS = ((2000, 128), (0, 48))
 """From how many triangles on, and cells along each side of the grid on which density spreads."""

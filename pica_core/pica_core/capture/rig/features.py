@@ -12,18 +12,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
 from pica_core.capture.procedural.coordinates import MATERIALS
 from pica_core.capture.rig.mesh import RigMesh, components, nearest
 from pica_core.capture.rig.visibility import FrontView, front_view, visibility
 from pica_core.capture.rig.zones import find_ears, find_neck, hair_coverage
-
-FloatArray = npt.NDArray[np.float32]
-Float64Array = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
-IntArray = npt.NDArray[np.int32]
+from pica_core.types import BoolArray, Float64Array, IntArray
 
 UPPER_LIP_M, LOWER_LIP_M = 0.0075, 0.0095
 """Heights of the vermilion (Farkas 1994, as the built-in heads), where nothing else is known."""

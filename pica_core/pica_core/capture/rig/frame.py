@@ -13,9 +13,7 @@ import numpy.typing as npt
 
 from pica_core.capture.rig.names import NameMap
 from pica_core.errors import CaptureError
-
-FloatArray = npt.NDArray[np.float32]
-Float64Array = npt.NDArray[np.float64]
+from pica_core.types import Float64Array, FloatArray
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 FACE_M = (0.036, 0.36)

@@ -18,10 +18,7 @@ import numpy.typing as npt
 
 from pica_core.capture.rig.source import RigSource, check_counts, check_source, read_bytes
 from pica_core.errors import CaptureError
-
-FloatArray = npt.NDArray[np.float32]
-Float64Array = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int32]
+from pica_core.types import Float64Array, FloatArray, IntArray
 
 MAGIC, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 COMPONENT = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}

@@ -14,14 +14,13 @@ from pica_core.capture.rig.head import RigHead
 from pica_core.capture.rig.skin import IRIS_RADIUS_M, split_parts, surface
 from pica_core.capture.stage.gpu import (
     BAKE_SIZE,
-    ByteArray,
-    FloatArray,
     MeshRenderer,
     attributes,
     set_uniforms,
     shader_text,
 )
 from pica_core.gl import link_program
+from pica_core.types import ByteArray, FloatArray
 
 MOVING = {"position_m": 3, "normal": 3, "occlusion": 2}
 """What moves with the face, by vertex."""

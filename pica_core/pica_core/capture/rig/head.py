@@ -24,10 +24,7 @@ from pica_core.capture.rig.obj import read_obj_folder
 from pica_core.capture.rig.source import RigSource
 from pica_core.capture.rig.visibility import visibility
 from pica_core.errors import CaptureError, ShapeError
-
-FloatArray = npt.NDArray[np.float32]
-Float64Array = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int32]
+from pica_core.types import Float64Array, FloatArray
 
 SEEN_FULLY = 0.27
 """Visibility of skin that faces the dome (measured on one head)."""

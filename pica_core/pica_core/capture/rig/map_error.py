@@ -8,12 +8,9 @@ take away; it depends on the chart alone.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.capture.procedural.layout import MAP_SIZE
-
-FloatArray = npt.NDArray[np.float32]
-Float64Array = npt.NDArray[np.float64]
+from pica_core.types import Float64Array, FloatArray
 
 ITERATIONS = 60
 

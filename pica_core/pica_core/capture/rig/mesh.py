@@ -18,11 +18,7 @@ from pica_core.capture.rig.frame import EYES_AT_M, RigFrame, find_frame
 from pica_core.capture.rig.names import NameMap
 from pica_core.capture.rig.source import RigSource
 from pica_core.errors import CaptureError
-
-FloatArray = npt.NDArray[np.float32]
-Float64Array = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int32]
-BoolArray = npt.NDArray[np.bool_]
+from pica_core.types import BoolArray, Float64Array, FloatArray, IntArray
 
 OVERLAY = re.compile(
     r"occlu|lacrimal|tear|fluid|blend|cornea|meniscus|eye_?shadow|wetness|lash|eye_?brow", re.I

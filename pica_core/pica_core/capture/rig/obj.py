@@ -14,9 +14,7 @@ import numpy.typing as npt
 
 from pica_core.capture.rig.source import RigSource, check_counts, check_source, read_bytes
 from pica_core.errors import CaptureError
-
-Float64Array = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int32]
+from pica_core.types import Float64Array, IntArray
 
 NEUTRAL_WORDS = ("neutral", "basis", "rest", "base")
 """What the name of the neutral face's file contains, the first that is found."""

@@ -18,9 +18,7 @@ from pica_core.capture.rig.head import RigHead
 from pica_core.capture.rig.source import RigSource, read_bytes
 from pica_core.capture.rig.zones import hair_coverage
 from pica_core.errors import CaptureError
-
-FloatArray = npt.NDArray[np.float32]
-ByteArray = npt.NDArray[np.uint8]
+from pica_core.types import ByteArray, FloatArray
 
 MAX_ALBEDO_SIDE = 8192
 ALBEDO_MODES = ("RGB", "RGBA", "L", "LA", "P")

@@ -10,13 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.errors import CaptureError
-
-FloatArray = npt.NDArray[np.float32]
-Float64Array = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int32]
+from pica_core.types import Float64Array, FloatArray, IntArray
 
 MAX_FILE_BYTES = 1 << 30
 """Larger files are refused before reading."""

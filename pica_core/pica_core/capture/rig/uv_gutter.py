@@ -10,18 +10,14 @@ too; it needs no point of its own.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-Float64Array = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int32]
-IndexArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
+from pica_core.types import BoolArray, Float64Array, Int64Array, IntArray
 
 MAX_SKIRT_TEXELS = 2.5
 """How far a skirt reaches from the seam, at most."""
 
 
-def find_seams(split: IntArray, faces: IntArray) -> tuple[IndexArray, IndexArray]:
+def find_seams(split: IntArray, faces: IntArray) -> tuple[Int64Array, Int64Array]:
     """Edges that two triangles share in space and not in the plane.
 
     Args:
@@ -54,7 +50,7 @@ def add_skirts(
     faces: IntArray,
     seen: BoolArray,
     reach: float,
-) -> tuple[Float64Array, IntArray, IndexArray, IndexArray]:
+) -> tuple[Float64Array, IntArray, Int64Array, Int64Array]:
     """Let islands reach under their neighbours.
 
     Args:
@@ -99,15 +95,15 @@ def add_skirts(
     return tip, triangles, far, np.concatenate([theirs // 3, copied]).astype(np.int64)
 
 
-def _as_copied(triangles: IndexArray, corner: IndexArray) -> IntArray:
+def _as_copied(triangles: Int64Array, corner: Int64Array) -> IntArray:
     """Turn triangles until their first vertex is in this corner, as in what they copy."""
     turned = np.take_along_axis(triangles, (np.arange(3) - corner[:, None]) % 3, 1)
     return turned.astype(np.int32)
 
 
 def _between(
-    points: Float64Array, faces: IntArray, skirts: IndexArray, welded: IndexArray
-) -> tuple[IntArray, IndexArray]:
+    points: Float64Array, faces: IntArray, skirts: Int64Array, welded: Int64Array
+) -> tuple[IntArray, Int64Array]:
     """Triangles between skirts that follow each other along a seam.
 
     Args:
@@ -140,7 +136,7 @@ def _between(
     return _as_copied(triangles[fits], place[fits] % 3), place[fits] // 3
 
 
-def _turn(points: Float64Array, triangles: IndexArray) -> Float64Array:
+def _turn(points: Float64Array, triangles: Int64Array) -> Float64Array:
     """Twice the signed area. ``[N]``."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
     result: Float64Array = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1])

@@ -10,9 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-Float64Array = npt.NDArray[np.float64]
-FloatArray = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.int32]
+from pica_core.types import Float64Array, IntArray
 
 CELL_M = 0.003
 """Cells of the depth maps for `visibility`."""

@@ -11,13 +11,9 @@ height from mouth to eyes. A rig without mouth or eyeballs has none of the two.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.capture.rig.mesh import components, nearest
-
-Float64Array = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
-IntArray = npt.NDArray[np.int32]
+from pica_core.types import BoolArray, Float64Array, IntArray
 
 HAIRLINE = (
     (0.0, 0.100), (25.0, 0.102), (45.0, 0.092), (62.0, 0.072), (72.0, 0.030),

@@ -19,10 +19,7 @@ import numpy.typing as npt
 
 from pica_core.camera import Camera
 from pica_core.gl import create_context, link_program, wait_for_gpu
-
-FloatArray = npt.NDArray[np.float32]
-ByteArray = npt.NDArray[np.uint8]
-BoolArray = npt.NDArray[np.bool_]
+from pica_core.types import BoolArray, ByteArray, FloatArray
 
 BAKE_SIZE = 2048
 """Side of the appearance textures: 8 texels per position-map texel, about 0.1 mm on the face."""

@@ -9,8 +9,7 @@ import numpy.typing as npt
 
 from pica_core.camera import Camera
 from pica_core.capture.stage.waves import TimeWaves
-
-Float64Array = npt.NDArray[np.float64]
+from pica_core.types import Float64Array
 
 TURN_DEG = (2.5, 3.5, 1.5)
 """Standard deviations of nodding, turning and tilting, degrees (chosen: a seated speaker)."""

@@ -11,14 +11,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image, ImageDraw
 
 from pica_core.capture.procedural.layout import MAP_SIZE
-
-FloatArray = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
+from pica_core.types import BoolArray, FloatArray, Int64Array
 
 SIZES = ((64, 32), (56, 28), (48, 24), (40, 20), (32, 16), (24, 12))
 """Columns and rows that the surface may take on the position map, texels; the first that is free.
@@ -38,13 +34,17 @@ class MouthCover(NamedTuple):
         faces: Triangles over new vertices, numbered from 0, turned as the mesh's are. ``[F, 3]``.
     """
 
-    source: IntArray
+    source: Int64Array
     uv: FloatArray
-    faces: IntArray
+    faces: Int64Array
 
 
 def cover_mouth(
-    faces: IntArray, vertex_uv: FloatArray, places: IntArray, open_m: FloatArray, lips: BoolArray
+    faces: Int64Array,
+    vertex_uv: FloatArray,
+    places: Int64Array,
+    open_m: FloatArray,
+    lips: BoolArray,
 ) -> MouthCover | None:
     """Span the mouth.
 
@@ -86,7 +86,7 @@ def cover_mouth(
     return MouthCover(source, ((texel + 0.5) / MAP_SIZE).astype(np.float32), strip)
 
 
-def _borders(faces: IntArray) -> list[IntArray]:
+def _borders(faces: Int64Array) -> list[Int64Array]:
     """Closed borders, as places in the direction of the triangles beside them."""
     edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     undirected = np.sort(edges, axis=1)
@@ -105,19 +105,19 @@ def _borders(faces: IntArray) -> list[IntArray]:
     return loops
 
 
-def _first_vertices(places: IntArray) -> IntArray:
+def _first_vertices(places: Int64Array) -> Int64Array:
     """The first vertex at each place, by the place's number."""
     first = np.full(int(places.max()) + 1, -1, np.int64)
     first[places[::-1]] = np.arange(len(places))[::-1]
     return first
 
 
-def _count(loop: IntArray, places: IntArray, lips: BoolArray) -> int:
+def _count(loop: Int64Array, places: Int64Array, lips: BoolArray) -> int:
     """How many places of a border belong to the lips."""
     return int(np.count_nonzero(lips[_first_vertices(places)[loop]]))
 
 
-def _lips(loop: IntArray, open_m: FloatArray) -> tuple[IntArray, IntArray]:
+def _lips(loop: Int64Array, open_m: FloatArray) -> tuple[Int64Array, Int64Array]:
     """Upper and lower border, both from the corner at the subject's right to that at the left."""
     x = open_m[loop, 0]
     loop = np.roll(loop, -int(x.argmin()))
@@ -128,17 +128,17 @@ def _lips(loop: IntArray, open_m: FloatArray) -> tuple[IntArray, IntArray]:
     return one, other
 
 
-def _columns(points_m: FloatArray, count: int) -> IntArray:
+def _columns(points_m: FloatArray, count: int) -> Int64Array:
     """A column for each point of a line, by its length along the line; no two share one."""
     along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points_m, axis=0), axis=1)))
     column = np.rint(along / along[-1] * (count - 1)).astype(np.int64)
     steps = np.arange(len(column))
     column = np.maximum.accumulate(column - steps) + steps
-    distinct: IntArray = np.minimum(column, count - len(column) + steps)
+    distinct: Int64Array = np.minimum(column, count - len(column) + steps)
     return distinct
 
 
-def _strip(above: IntArray, below: IntArray, column: IntArray) -> IntArray:
+def _strip(above: Int64Array, below: Int64Array, column: Int64Array) -> Int64Array:
     """Triangles between two lines with common ends, going from left to right over the columns."""
     triangles, i, j = [], 0, 0
     while i + 1 < len(above) or j + 1 < len(below):
@@ -149,12 +149,12 @@ def _strip(above: IntArray, below: IntArray, column: IntArray) -> IntArray:
         i, j = (i + 1, j) if goes_above else (i, j + 1)
     strip = np.array(triangles)
     a, b, c = strip.T
-    whole: IntArray = strip[(a != b) & (b != c) & (c != a)]
+    whole: Int64Array = strip[(a != b) & (b != c) & (c != a)]
     return whole
 
 
 def _free_rectangle(
-    faces: IntArray, vertex_uv: FloatArray, least_columns: int
+    faces: Int64Array, vertex_uv: FloatArray, least_columns: int
 ) -> tuple[int, int, int, int] | None:
     """Left, top, columns and rows of a part of the position map that no triangle touches."""
     page = Image.new("L", (MAP_SIZE, MAP_SIZE))

@@ -17,10 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.camera import Camera
-
-FloatArray = npt.NDArray[np.float32]
-ByteArray = npt.NDArray[np.uint8]
-BoolArray = npt.NDArray[np.bool_]
+from pica_core.types import BoolArray, ByteArray, FloatArray
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

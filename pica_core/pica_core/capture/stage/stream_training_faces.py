@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.capture.stage.expressions import (
     combinations,
@@ -18,8 +17,7 @@ from pica_core.capture.stage.expressions import (
     range_of_motion,
     sentence,
 )
-
-FloatArray = npt.NDArray[np.float32]
+from pica_core.types import FloatArray
 
 TEMPOS = (1, 2, 4)
 """Times as slow. The generators are livelier than seven real takes were."""

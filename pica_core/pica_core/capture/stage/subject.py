@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import Any, Protocol
 
-import numpy as np
 import numpy.typing as npt
 
 from pica_core.camera import Camera
@@ -14,10 +13,7 @@ from pica_core.capture.procedural.coordinates import MATERIALS
 from pica_core.capture.procedural.gpu import BAKE_SIZE, StageRenderer, View
 from pica_core.capture.procedural.heads import make_head
 from pica_core.capture.procedural.layout import MAP_SIZE
-
-FloatArray = npt.NDArray[np.float32]
-ByteArray = npt.NDArray[np.uint8]
-BoolArray = npt.NDArray[np.bool_]
+from pica_core.types import BoolArray, ByteArray, FloatArray
 
 
 class Subject(Protocol):

@@ -37,8 +37,8 @@ from pica_core.capture.stage.subject import HeadSubject, Subject
 from pica_core.capture.stage.tracked_topology import NUM_VERTICES, track_topology
 from pica_core.capture.stage.tracker import Tracker, lagged_arkit
 from pica_core.errors import CaptureError
+from pica_core.types import FloatArray
 
-FloatArray = npt.NDArray[np.float32]
 Progress = Callable[[int, int], None]
 
 OPENING = (

@@ -19,10 +19,7 @@ import numpy.typing as npt
 
 from pica_core.capture.dataset.files import Topology
 from pica_core.capture.stage.mouth_cover import cover_mouth
-
-FloatArray = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
+from pica_core.types import BoolArray, FloatArray, Int64Array
 
 NUM_VERTICES = 7000
 """Vertices that are aimed at (paper: 5K; the published Multiface meshes have 7,306)."""
@@ -50,7 +47,7 @@ SAME_PLACE_M = 2e-5
 
 def track_topology(
     topology: Topology, shapes_m: FloatArray, num_vertices: int = NUM_VERTICES
-) -> tuple[Topology, IntArray]:
+) -> tuple[Topology, Int64Array]:
     """Choose the tracked mesh of a dense one.
 
     Args:
@@ -93,8 +90,8 @@ def track_topology(
 
 
 def _with_mouth_cover(
-    tracked: Topology, chosen: IntArray, places: IntArray, open_m: FloatArray
-) -> tuple[Topology, IntArray]:
+    tracked: Topology, chosen: Int64Array, places: Int64Array, open_m: FloatArray
+) -> tuple[Topology, Int64Array]:
     """The tracked mesh with its mouth covered, where it has lips."""
     lips = tracked.regions.get("lips", np.zeros(len(chosen), np.bool_))
     faces = tracked.faces.astype(np.int64)
@@ -121,7 +118,7 @@ def _density(topology: Topology, count: int) -> npt.NDArray[np.float64]:
     return density
 
 
-def _borders(faces: IntArray, count: int) -> tuple[BoolArray, IntArray]:
+def _borders(faces: Int64Array, count: int) -> tuple[BoolArray, Int64Array]:
     """Vertices and edges that have a triangle on one side only; UV seams are among them."""
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     unique, uses = np.unique(edges, axis=0, return_counts=True)
@@ -131,16 +128,16 @@ def _borders(faces: IntArray, count: int) -> tuple[BoolArray, IntArray]:
     return border, alone
 
 
-def _same_places(places: FloatArray) -> IntArray:
+def _same_places(places: FloatArray) -> Int64Array:
     """For every vertex the number of its place. int64 ``[V]``."""
     cells = np.rint(places / SAME_PLACE_M).astype(np.int64)
-    inverse: IntArray = np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
+    inverse: Int64Array = np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
     return inverse
 
 
 def _spread(
-    places: FloatArray, used: BoolArray, weight: FloatArray, twins: IntArray, count: int
-) -> IntArray:
+    places: FloatArray, used: BoolArray, weight: FloatArray, twins: Int64Array, count: int
+) -> Int64Array:
     """Farthest-point choice of about `count` vertices; with each all vertices of its place."""
     index = np.flatnonzero(used)
     index = index[np.argsort(places[index, 1], kind="stable")]
@@ -149,7 +146,7 @@ def _spread(
     order = np.argsort(twins[index], kind="stable")
     sorted_places = twins[index][order]
     score = np.full(len(index), np.inf, np.float32)  # squared weighted distance to the chosen
-    chosen: list[IntArray] = []
+    chosen: list[Int64Array] = []
     total, at = 0, 0
     while total < min(count, len(index)) and score[at] > 0.0:
         place = twins[index[at]]
@@ -171,11 +168,11 @@ def _spread(
 
 def _patches(
     places: FloatArray,
-    faces: IntArray,
+    faces: Int64Array,
     border: BoolArray,
-    border_edges: IntArray,
-    seeds: IntArray,
-) -> IntArray:
+    border_edges: Int64Array,
+    seeds: Int64Array,
+) -> Int64Array:
     """The seed that each vertex joins, -1 where it reaches none. int64 ``[V]``."""
     owner = np.full(len(places), -1, np.int64)
     owner[seeds] = seeds
@@ -189,7 +186,7 @@ def _patches(
 
 
 def _relax(
-    places: FloatArray, edges: IntArray, owner: IntArray, distance: FloatArray, fixed: BoolArray
+    places: FloatArray, edges: Int64Array, owner: Int64Array, distance: FloatArray, fixed: BoolArray
 ) -> None:
     """Shortest ways from the owned vertices along edges, in place."""
     start = np.concatenate([edges[:, 0], edges[:, 1]])

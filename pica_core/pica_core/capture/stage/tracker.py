@@ -16,9 +16,7 @@ import numpy.typing as npt
 
 from pica_core.capture.dataset.files import Topology
 from pica_core.capture.stage.waves import SpaceTimeWaves, TimeWaves
-
-FloatArray = npt.NDArray[np.float32]
-Float64Array = npt.NDArray[np.float64]
+from pica_core.types import Float64Array, FloatArray
 
 SPREAD_MM: dict[str, float] = {
     "hair": 0.32,

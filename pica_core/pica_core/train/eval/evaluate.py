@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
 import numpy as np
-import numpy.typing as npt
 from torch import Tensor
 
 from pica_core.model.interface import AvatarModel
@@ -22,8 +21,8 @@ from pica_core.train.data import TrainingData, spaced
 from pica_core.train.eval.judge import Judge, Picture
 from pica_core.train.eval.metrics import bootstrap_interval, change_mse, mse, psnr_db, ssim
 from pica_core.train.rasterise import Rasteriser
+from pica_core.types import FloatArray
 
-FloatArray = npt.NDArray[np.float32]
 Source = Literal["encoder", "driver"]
 Split = Literal["train", "test"]
 

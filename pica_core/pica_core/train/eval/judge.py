@@ -16,8 +16,7 @@ from pica_core.capture.dataset.dataset import Capture, Topology
 from pica_core.model.interface import AvatarModel, Surface
 from pica_core.train.data import TrainingData, view_direction
 from pica_core.train.rasterise import Rasteriser, interpolate
-
-FloatArray = npt.NDArray[np.float32]
+from pica_core.types import FloatArray
 
 
 class Picture(NamedTuple):

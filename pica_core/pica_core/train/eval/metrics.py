@@ -12,8 +12,9 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
+from pica_core.types import BoolArray
+
 FloatArray = npt.NDArray[np.floating]
-BoolArray = npt.NDArray[np.bool_]
 Image = FloatArray | npt.NDArray[np.uint8]
 
 WHITE = 255.0

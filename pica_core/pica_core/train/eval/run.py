@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.avatar.variants import VARIANTS
 from pica_core.capture.dataset.dataset import Capture
@@ -32,11 +31,10 @@ from pica_core.train.eval.truth import (
 )
 from pica_core.train.loop import read_checkpoint
 from pica_core.train.prior import face_prior
+from pica_core.types import ByteArray
 
 RUN_FILE = "run.json"
 """What `pica train` writes down of a run beside its checkpoint."""
-
-ByteArray = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -27,8 +27,7 @@ from pica_core.capture.stage.subject import HeadSubject
 from pica_core.train.data import TrainingData
 from pica_core.train.eval.metrics import mse
 from pica_core.train.rasterise import Rasteriser
-
-FloatArray = npt.NDArray[np.float32]
+from pica_core.types import FloatArray
 
 DEPTH_CAP_MM = 20.0
 REGIONS = ("mouth", "eyes", "rest")

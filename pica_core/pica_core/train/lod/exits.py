@@ -29,8 +29,7 @@ from pica_core.avatar.file import Avatar
 from pica_core.graphs.decoder_layers import trunk_layers
 from pica_core.model.decoders import MapDecoder, sample_map, tile_view_direction
 from pica_core.reference.pixel import decode_pixels
-
-Array = npt.NDArray[np.float64]
+from pica_core.types import Float64Array
 
 CHUNK = 8
 """Faces decoded at once."""
@@ -249,7 +248,7 @@ def fit_map(points: Tensor, values: Tensor, weights: Tensor, start: Tensor) -> T
 
 
 def colour_metric(
-    avatar: Avatar, codes: list[Array], xyz_m: Array, points: Array
+    avatar: Avatar, codes: list[Float64Array], xyz_m: Float64Array, points: Float64Array
 ) -> npt.NDArray[np.float64]:
     """How squared differences of colour follow from differences of expression codes, at points.
 

@@ -11,10 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -37,8 +35,7 @@ from pica_core.train.lod.exits import (
     fit_sheet,
 )
 from pica_core.train.lod.simplify import Simplifier
-
-Array = npt.NDArray[Any]
+from pica_core.types import Array
 
 NOISE_RATIO = 0.1
 """Noise on a latent, as a share of its standard deviation over the faces: between the practised

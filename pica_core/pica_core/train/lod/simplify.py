@@ -17,14 +17,12 @@ vertices, tear seams or come without binaries:
 from __future__ import annotations
 
 import heapq
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from pica_core.reference.mesh import order_faces
-
-Array = npt.NDArray[Any]
+from pica_core.types import Array
 
 WELD_M = 2e-5
 """Vertices this near to each other at rest are one place with several UVs. Files keep positions to

@@ -19,10 +19,11 @@ import torch
 from pica_core.camera import Camera
 from pica_core.errors import TrainingDivergedError
 from pica_core.train.config import PAPER_LOSSES, TrainConfig
-from pica_core.train.data import FloatArray, TrainingData
+from pica_core.train.data import TrainingData
 from pica_core.train.loop import open_trainer
 from pica_core.train.monitor import curve
 from pica_core.train.watch import look
+from pica_core.types import FloatArray
 
 OUTLIER_RATIO = 0.3
 """Part of the known depths that are made wrong."""

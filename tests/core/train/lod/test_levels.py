@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -24,10 +23,10 @@ from pica_core.train.cli.levels import AvatarLevelsOptions, avatar_levels
 from pica_core.train.lod.exits import fit_map
 from pica_core.train.lod.levels import LevelOptions, LevelReport, add_levels
 from pica_core.train.lod.simplify import Simplifier, boundary_edges, weld
+from pica_core.types import Array
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
-Array = np.ndarray[Any, Any]
 
 SMALL = AvatarSpec(
     map_size=128, hidden_channels=(8, 6, 4), uv_encoding_size=16, axis_encoding_size=20
