@@ -39,7 +39,8 @@ def test_every_module_of_the_client_imports_without_torch() -> None:
 def test_a_sender_imports_without_graphics_and_inference() -> None:
     blocked = ["torch", "moderngl", "glfw", "onnx", "onnxruntime", "PIL", "av", "cryptography"]
     wanted = [
-        "pica_client.cli.commands",
+        "pica_client.cli.send",
+        "pica_client.cli.view",
         "pica_client.publish.sender",
         "pica_client.call.call",
         "pica_client.cli.demo",

@@ -1,4 +1,4 @@
-"""``pica avatar push``: give a relay an avatar before anybody wears it."""
+"""``pica avatar push`` and ``pica avatar thumbnail``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from typing import Any
 
 import tyro
 
+from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.upload import Push, push_avatar
+from pica_client.cli.options import parse_size
 from pica_client.output import say
 from pica_client.transport.config import LinkConfig
 from pica_core.avatar.file import avatar_id, load_avatar
@@ -57,3 +59,31 @@ def avatar_push(options: AvatarPushOptions) -> dict[str, Any]:
     else:
         say(f"{options.file}: the relay had it already")
     return {"sha256": push.identity, "was_there": not stored.checked, "checked": stored.checked}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ThumbnailOptions:
+    """Options of ``pica avatar thumbnail``."""
+
+    avatar: tyro.conf.Positional[str]
+    """Name of a shipped avatar, or a .pica file."""
+    out: Path = Path("avatar.png")
+    """PNG file to write."""
+    size: str = "256x256"
+    """Columns x rows of the picture."""
+
+
+def avatar_thumbnail(options: ThumbnailOptions) -> dict[str, Any]:
+    """Draw an avatar's resting face into a PNG file."""
+    from pica_client.render.recorder import save_png
+    from pica_client.render.thumbnail import draw_thumbnail
+
+    size = parse_size(options.size)
+    library = AvatarLibrary()
+    try:
+        avatar = library.load(library.find(options.avatar))
+    finally:
+        library.close()
+    save_png(options.out, draw_thumbnail(avatar, size))
+    say(f"wrote {options.out}")
+    return {"name": avatar.manifest.name, "out": str(options.out)}

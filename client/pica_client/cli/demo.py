@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from pica_client.avatars.library import AvatarLibrary
+from pica_client.cli.options import parse_size
 from pica_client.errors import CallProcessError, OptionError
 from pica_client.local_call.latency import frame_times, latency_summary
 from pica_client.local_call.local_call import (
@@ -26,12 +27,77 @@ from pica_client.local_call.local_call import (
     bitrates,
 )
 from pica_client.local_call.processes import Child, Children
-from pica_client.output import make_folder, writing
+from pica_client.output import make_folder, say, writing
+from pica_client.signals import terminate_as_interrupt
 from pica_client.stats import describe_machine
+from pica_client.ui.display import has_display
+from pica_core.codec.latent_stream import DEFAULT_QUALITY
 
 END_TIMEOUT_S = 90.0
 """For the viewer to start, see everybody and write its files, on top of the call itself."""
 VIEWER_NAME = "viewer"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DemoOptions:
+    """Options of ``pica demo``."""
+
+    peers: int = 5
+    """Number of senders, each a process."""
+    seconds: float = 20.0
+    """How long the call is drawn."""
+    headless: bool = False
+    """No window, even where there is a display."""
+    size: str = "960x540"
+    """Columns x rows of the window or picture."""
+    source: str | None = None
+    """What all senders play, each starting elsewhere in it; by default shipped performances."""
+    avatar: str | None = None
+    """Names or .pica files of avatars, separated by commas, dealt in turn."""
+    fps: float = 30.0
+    """Frames a second of each sender."""
+    quality: int = DEFAULT_QUALITY
+    """Fineness of the coded streams, 0 to 7."""
+    plain: bool = False
+    """Send 8 bits a value instead of coded streams."""
+    out: Path = Path("demo-out")
+    """Folder for call.mp4, frame.png and stats.json."""
+    encrypt: bool = False
+    """Encrypt end to end, with a secret made for this call."""
+
+
+def demo(options: DemoOptions) -> dict[str, Any]:
+    """Hold a call on this machine: a relay, simulated senders and a viewer.
+
+    Opens a window if there is a display, else draws into a recording. Writes call.mp4, frame.png
+    and stats.json.
+    """
+    parse_size(options.size)
+    config = DemoConfig(
+        stage=LocalCallConfig(
+            peers=options.peers,
+            source=options.source,
+            avatar=options.avatar,
+            fps=options.fps,
+            quality=options.quality,
+            plain=options.plain,
+            is_encrypted=options.encrypt,
+        ),
+        seconds=options.seconds,
+        size=options.size,
+        is_headless=options.headless or not has_display(),
+        out=options.out,
+    )
+    with terminate_as_interrupt():
+        stats = run_demo(config)
+    latency = stats["latency_ms"]
+    say(
+        f"{stats['rendered_peers']} of {stats['peers']} peers drawn at {stats['render_fps']} "
+        f"images/s with {stats['gl_renderer']}; source sample to decoded avatar "
+        f"p50 {latency['p50']} ms, p99 {latency['p99']} ms; errors: {stats['errors']}"
+    )
+    say(f"see call.mp4, frame.png and stats.json in {options.out}")
+    return stats
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

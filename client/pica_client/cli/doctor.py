@@ -5,10 +5,12 @@ from __future__ import annotations
 import importlib
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from pica_client.avatars.library import shipped_avatar_files
+from pica_client.output import say
+from pica_client.ui.display import has_display
 from pica_core.errors import GraphicsError
 
 DISTRIBUTION = "pica-telepresence"
@@ -21,6 +23,19 @@ EXTRAS = {
 """Each extra by what its modules are called."""
 
 Level = Literal["good", "lacking"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DoctorOptions:
+    """``pica doctor`` has no options."""
+
+
+def doctor(options: DoctorOptions) -> dict[str, Any]:
+    """Say what this machine can do: GL, inference, display, extras, with the fix for each lack."""
+    findings = examine(has_display=has_display)
+    for finding in findings:
+        say(finding.line)
+    return {"findings": [asdict(finding) for finding in findings]}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -187,7 +187,8 @@ def test_a_relay_of_the_compose_file_can_start_and_may_do_little(name: str) -> N
 
 @pytest.mark.parametrize("name", CLIENTS)
 def test_the_clients_of_the_compose_file_have_options_that_exist(name: str) -> None:
-    from pica_client.cli.commands import SendOptions, ViewOptions
+    from pica_client.cli.send import SendOptions
+    from pica_client.cli.view import ViewOptions
 
     command, *words = CLIENTS[name]["command"]
     options = tyro.cli({"send": SendOptions, "view": ViewOptions}[command], args=words)

@@ -1,0 +1,19 @@
+"""What the options of several commands share."""
+
+from __future__ import annotations
+
+from pica_client.errors import OptionError
+
+CONNECT_TIMEOUT_S = 3.0
+"""How long a command tries to reach a relay before it gives up, unless told to wait."""
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """``960x540`` as columns and rows."""
+    columns, _, rows = text.partition("x")
+    if not (columns.isdecimal() and rows.isdecimal()):
+        raise OptionError(f"size is {text!r}; write COLUMNSxROWS, such as 960x540")
+    size = int(columns), int(rows)
+    if not all(16 <= length <= 8192 for length in size):
+        raise OptionError(f"size is {text}; 16 to 8192 columns and rows are allowed")
+    return size

@@ -1,0 +1,155 @@
+"""``pica view``: everybody in a room, in a window or a recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from pica_client.avatars.library import AvatarLibrary
+from pica_client.cli.options import CONNECT_TIMEOUT_S, parse_size
+from pica_client.output import say
+from pica_client.playout.config import PlayoutConfig, playout_with_floor
+from pica_client.render.seats import Layout
+from pica_client.signals import on_stop_signal
+from pica_client.transport.config import LinkConfig
+from pica_client.ui.display import has_display
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ViewOptions:
+    """Options of ``pica view``."""
+
+    url: str | None = None
+    """Address of the relay, ws:// or wss://. Without one, and with a display, a form asks; off the
+    screen it is ws://127.0.0.1:8765."""
+    room: str | None = None
+    """Room to look into; lobby by default."""
+    name: str | None = None
+    """Our own name."""
+    send: str | None = None
+    """Send one's own face as well: a source as in pica send, such as performance:talk. M mutes it,
+    F freezes it."""
+    own_avatar: str | None = None
+    """Avatar of one's own face: a shipped one by its name, or a .pica file."""
+    layout: Layout | None = None
+    """How people sit: line, arc, table or grid; L goes through them. By default as it was left."""
+    size: str | None = None
+    """Columns x rows of the window or picture; by default as the window was left, or 960x540."""
+    headless: bool = False
+    """Draw without a window."""
+    record: Path | None = None
+    """Record into this MP4 file."""
+    png: Path | None = None
+    """Write the last image into this PNG file."""
+    png_folder: Path | None = None
+    """Write an image a second into this folder."""
+    avatar: str | None = None
+    """Further avatar files, separated by commas, for peers whose avatar neither ships nor is at the
+    relay."""
+    avatar_folder: Path | None = None
+    """A folder with further avatar files."""
+    seconds: float = 0.0
+    """How long to look; 0 is until the window is closed, or Ctrl-C."""
+    wait: bool = False
+    """Wait for a relay that is not there yet instead of giving up after 3 seconds."""
+    expect: int = 0
+    """Begin to draw once so many peers are seen."""
+    statistics: bool = False
+    """Show the statistics from the start; S toggles them, H shows all keys."""
+    keep_in: Path | None = None
+    """Folder for the pictures and recordings made by key, instead of the one used last."""
+    preferences: bool = True
+    """Begin as the last call in a window ended, and remember how this one ends."""
+    max_fps: float = 30.0
+    """Draw at most so many images a second."""
+    frame_budget_ms: float = 0.0
+    """What decoding and drawing an image may take before detail is given up; 0 is most of the time
+    that --max-fps leaves."""
+    stereo: bool = False
+    """Draw for two eyes, side by side."""
+    playout_floor_ms: float = field(default=PlayoutConfig().floor_s * 1e3)
+    """Least playout delay, milliseconds; 33 makes 30 frames a second smooth on a fast display."""
+    frame_log: Path | None = None
+    """Write the times of every frame into this file at the end."""
+    token_file: Path | None = None
+    """File with the join token that the relay wants, see pica token."""
+    ca_file: Path | None = None
+    """With a wss:// address, trust the certificates of this PEM file instead of the system's."""
+    secret_file: Path | None = None
+    """File with the room secret of those who encrypt: shows them, and nobody else."""
+    fetch: bool = True
+    """Get avatars that are not on this machine from the relay, and keep them."""
+    avatar_cache: Path | None = None
+    """Where to keep those, instead of this user's folder for such things."""
+
+
+def view(options: ViewOptions) -> dict[str, Any]:
+    """Show everybody in a room, in a window or, with --headless, into a recording.
+
+    Comes back by itself when the relay goes away and returns.
+    """
+    from pica_client.call.call import CallConfig
+    from pica_client.render.stereo import EYE_DISTANCE_M
+    from pica_client.ui.join_form import JoinForm
+    from pica_client.ui.preferences import Preferences, PreferencesFile
+    from pica_client.ui.view import ViewConfig
+    from pica_client.ui.view_session import (
+        Destination,
+        ask_and_look,
+        keep_folder,
+        look,
+        make_publisher,
+    )
+    from pica_client.ui.viewer import ViewerOptions
+
+    kept = PreferencesFile() if options.preferences and not options.headless else None
+    preferences = Preferences() if kept is None else kept.load()
+    going = Destination(url=options.url, room=options.room, name=options.name)
+    base = LinkConfig(
+        connect_timeout_s=None if options.wait else CONNECT_TIMEOUT_S,
+        secret_file=options.secret_file,
+        token_file=options.token_file,
+    )
+    asks = not options.headless and options.url is None and has_display()
+    # Until the form is filled the address is not known to be wss://.
+    link = base if asks else replace(going.link(base), ca_file=options.ca_file)
+    config = ViewConfig(
+        link=link,
+        call=CallConfig(playout=playout_with_floor(options.playout_floor_ms)),
+        viewer=ViewerOptions(
+            size=preferences.window_size if options.size is None else parse_size(options.size),
+            headless=options.headless,
+            record=options.record,
+            keep_in=keep_folder(options.keep_in, preferences),
+            max_fps=options.max_fps,
+            frame_budget_ms=options.frame_budget_ms,
+            layout=options.layout or preferences.layout,
+            eye_distance_m=EYE_DISTANCE_M if options.stereo else 0.0,
+            show_statistics=options.statistics or preferences.show_statistics,
+        ),
+        seconds=options.seconds,
+        expect=options.expect,
+        png=options.png,
+        png_folder=options.png_folder,
+        frame_log=options.frame_log,
+        fetch=options.fetch,
+        avatar_cache=options.avatar_cache,
+    )
+    library = AvatarLibrary(folder=options.avatar_folder)
+    try:
+        for name in (options.avatar or "").split(","):
+            if name:
+                library.load(library.find(name))
+        publisher = None
+        if options.send is not None:
+            publisher = make_publisher(options.send, options.own_avatar, library)
+        if asks:
+            form = JoinForm(going.fields(preferences), base=base, ca_file=options.ca_file)
+            result = ask_and_look(config, library, publisher, on_stop_signal, kept=kept, form=form)
+        else:
+            result = look(config, library, publisher, on_stop_signal, kept=kept)
+    finally:
+        library.close()
+    say(f"drew {result['frames_rendered']} images at {result['render_fps']} a second")
+    return result
