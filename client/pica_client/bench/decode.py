@@ -39,7 +39,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import onnxruntime
 
 from pica_client.decode.decoder import (
     BaselineDecoder,
@@ -48,6 +47,7 @@ from pica_client.decode.decoder import (
     Parts,
     open_session,
 )
+from pica_client.decode.onnx_runtime import onnxruntime
 from pica_client.errors import OptionError
 from pica_client.schedule.error_model import ErrorModel
 from pica_client.schedule.scheduler import HeadView, Scheduler

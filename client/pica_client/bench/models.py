@@ -45,7 +45,6 @@ from typing import Any
 
 import moderngl
 import numpy as np
-import onnxruntime
 
 from pica_client.bench.eval_rows import EvalRows, HeldOutError
 from pica_client.bench.head import (
@@ -58,6 +57,7 @@ from pica_client.bench.head import (
 from pica_client.bench.model_files import Model
 from pica_client.bench.pareto import mark_best
 from pica_client.decode.decoder import OnnxOptions
+from pica_client.decode.onnx_runtime import onnxruntime
 from pica_client.errors import OptionError
 from pica_client.render.draw_list import DrawStats
 from pica_client.render.renderer import Renderer

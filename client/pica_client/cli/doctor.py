@@ -55,8 +55,15 @@ class Finding:
         return f"{mark}  {self.subject}: {self.detail}{fix}"
 
 
+def load_module(name: str) -> Any:
+    """Import a module by name; ONNX Runtime comes with its telemetry off, as everywhere."""
+    if name == "onnxruntime":
+        return importlib.import_module("pica_client.decode.onnx_runtime").onnxruntime
+    return importlib.import_module(name)
+
+
 def examine(
-    load: Callable[[str], Any] = importlib.import_module,
+    load: Callable[[str], Any] = load_module,
     *,
     has_display: Callable[[], bool],
 ) -> list[Finding]:

@@ -20,8 +20,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
-import onnxruntime
-
+from pica_client.decode.onnx_runtime import onnxruntime
 from pica_client.errors import OptionError
 from pica_core.avatar.file import Avatar
 from pica_core.graphs.baseline_graph import baseline_graph

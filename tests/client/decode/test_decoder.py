@@ -6,7 +6,6 @@ import threading
 from typing import Any
 
 import numpy as np
-import onnxruntime
 import pytest
 
 from helpers.toy import make_toy_avatar, with_toy_levels
@@ -18,6 +17,7 @@ from pica_client.decode.decoder import (
     OnnxOptions,
     Parts,
 )
+from pica_client.decode.onnx_runtime import onnxruntime
 from pica_client.decode.pool import DecodePool, DecodePoolOptions, DecodeRequest
 from pica_client.errors import OptionError
 from pica_core.avatar.file import Avatar

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import onnx
-import onnxruntime
 import pytest
 
 from helpers.toy import make_toy_avatar, with_toy_levels
+from pica_client.decode.onnx_runtime import onnxruntime
 from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.spec import LEAKY_SLOPE, AvatarSpec

@@ -7,13 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import onnxruntime
 import pytest
 import safetensors.numpy
 import torch
 
 from helpers.toy import grid_faces
 from helpers.trainable import toy_prior
+from pica_client.decode.onnx_runtime import onnxruntime
 from pica_core.avatar.baseline_file import KEY, load_baseline, save_baseline
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.spec import AvatarSpec

@@ -7,13 +7,13 @@ GL context. Tolerances and their reasons stand in `tests/tolerances.py`.
 from __future__ import annotations
 
 import numpy as np
-import onnxruntime
 import pytest
 import torch
 
 from helpers.tolerances import EXPRESSION_ONNX, MAP_TORCH_M, PIXEL_FLOAT32, PIXEL_ONNX
 from helpers.toy import grid_faces, with_toy_levels
 from helpers.trainable import grid_uv, toy_prior
+from pica_client.decode.onnx_runtime import onnxruntime
 from pica_core.avatar.file import Avatar, Manifest
 from pica_core.avatar.spec import BLOCKS, AvatarSpec
 from pica_core.graphs.onnx_graph import decoder_graph

@@ -6,13 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import onnxruntime
 import pytest
 import torch
 
 from helpers.tolerances import PIXEL_FLOAT32, PIXEL_ONNX
 from helpers.toy import grid_faces
 from helpers.trainable import grid_uv, toy_prior
+from pica_client.decode.onnx_runtime import onnxruntime
 from pica_core.avatar.file import Avatar, Manifest, load_avatar, save_avatar
 from pica_core.avatar.manifest import DRAWN_VARIANTS
 from pica_core.avatar.spec import PAPER_SPEC, AvatarSpec
