@@ -22,14 +22,14 @@ from PIL import Image
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
-from pica_client.call.monitor import CallMonitor
-from pica_client.call.receiver import Receiver
 from pica_client.local_call.local_call import ROOM, LocalCall, LocalCallConfig
 from pica_client.local_call.processes import Children
 from pica_client.render.recorder import save_png
 from pica_client.render.renderer import Renderer
 from pica_client.render.seats import LAYOUTS
 from pica_client.transport.config import LinkConfig
+from pica_client.transport.monitor import CallMonitor
+from pica_client.transport.receiver import Receiver
 from pica_client.ui.controls import KeyPressed, OwnFace
 from pica_client.ui.join_dialog import empty_room
 from pica_client.ui.join_form import Fields, JoinForm

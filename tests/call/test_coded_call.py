@@ -25,11 +25,11 @@ from pica_client.avatars.library import LoadedAvatars
 from pica_client.call import call as call_module
 from pica_client.call.call import Call
 from pica_client.call.faces import FaceState
-from pica_client.call.receiver import Receiver
 from pica_client.local_call.load import make_senders
 from pica_client.publish import publisher as publisher_module
 from pica_client.publish.sender import Sender, SenderConfig
 from pica_client.transport.config import LinkConfig
+from pica_client.transport.receiver import Receiver
 from pica_core.avatar.file import Avatar, load_avatar
 from pica_core.codec import factory as stream_ends
 from pica_core.codec import latent_encoder

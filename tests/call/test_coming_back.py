@@ -12,11 +12,11 @@ import pytest
 from helpers.toy import make_toy_avatar
 from pica_client.avatars.library import LoadedAvatars
 from pica_client.call.call import Call
-from pica_client.call.receiver import Receiver
 from pica_client.e2ee.secret import RoomSecret, save_secret
 from pica_client.local_call.load import make_senders, run_senders
 from pica_client.publish.sender import SenderConfig
 from pica_client.transport.config import LinkConfig
+from pica_client.transport.receiver import Receiver
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time

@@ -15,10 +15,10 @@ pytest.importorskip("cryptography", reason="needs the extra seal")
 from helpers.toy import make_toy_avatar
 from pica_client.avatars.library import LoadedAvatars
 from pica_client.call.call import Call
-from pica_client.call.receiver import Receiver
 from pica_client.e2ee.secret import RoomSecret, save_secret
 from pica_client.local_call.processes import Children
 from pica_client.transport.config import LinkConfig
+from pica_client.transport.receiver import Receiver
 from pica_core.avatar.file import avatar_id, save_avatar
 
 pytestmark = pytest.mark.realtime

@@ -21,12 +21,12 @@ import pytest
 from helpers.toy import make_toy_avatar
 from pica_client.avatars.library import LoadedAvatars
 from pica_client.call.call import Call
-from pica_client.call.receiver import Receiver
 from pica_client.local_call.load import make_senders, run_senders
 from pica_client.publish.sender import SenderConfig
 from pica_client.stats import percentile
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.link import Link
+from pica_client.transport.receiver import Receiver
 from pica_core.avatar.file import Avatar
 from pica_protocol.messages import Track
 from pica_server.config.relay import RelayConfig

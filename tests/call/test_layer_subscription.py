@@ -20,11 +20,11 @@ import pytest
 from pica_client.avatars.library import LoadedAvatars
 from pica_client.call.call import Call
 from pica_client.call.faces import FaceState
-from pica_client.call.receiver import Receiver
 from pica_client.local_call.load import make_senders
 from pica_client.publish.sender import Sender, SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
+from pica_client.transport.receiver import Receiver
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar, load_avatar
 from pica_protocol.limits import MAX_LAYER

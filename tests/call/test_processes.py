@@ -18,11 +18,11 @@ from helpers.toy import make_toy_avatar
 from pica_client.avatars.library import AvatarLibrary, LoadedAvatars
 from pica_client.bench.call import BenchConfig, run_bench
 from pica_client.call.call import Call
-from pica_client.call.receiver import Receiver
 from pica_client.errors import CallProcessError, RelayUnreachableError
 from pica_client.local_call.local_call import LocalCall, LocalCallConfig
 from pica_client.local_call.processes import Child, Children
 from pica_client.transport.config import LinkConfig
+from pica_client.transport.receiver import Receiver
 from pica_core.avatar.file import avatar_id, save_avatar
 
 pytestmark = pytest.mark.realtime

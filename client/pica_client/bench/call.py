@@ -32,7 +32,6 @@ from pica_client.bench.impaired_call_compare import Witness
 from pica_client.bench.network.impairment import Impairment
 from pica_client.bench.network.proxy import ImpairedProxy
 from pica_client.call.call import Call, CallConfig, DueFrame
-from pica_client.call.receiver import Receiver
 from pica_client.decode.decoder import ObjectDecoder, OnnxDecoder
 from pica_client.errors import CallProcessError, OptionError
 from pica_client.local_call.latency import FrameTimes, latency_summary
@@ -49,6 +48,7 @@ from pica_client.local_call.processes import Children
 from pica_client.playout.buffer import PlayoutConfig
 from pica_client.stats import describe_machine
 from pica_client.transport.config import LinkConfig
+from pica_client.transport.receiver import Receiver
 from pica_core.avatar.file import Avatar
 
 MAX_DECODES_WAITING = 64

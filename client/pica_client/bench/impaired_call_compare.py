@@ -27,11 +27,11 @@ import numpy as np
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.bench.render_error import FaceRenderer, rendered_mse
 from pica_client.call.call import Call, CallConfig
-from pica_client.call.receiver import Receiver
 from pica_client.local_call.local_call import ROOM
 from pica_client.playout.rotation import blend_rotations
 from pica_client.stats import percentile, summarise_ms
 from pica_client.transport.config import LinkConfig
+from pica_client.transport.receiver import Receiver
 from pica_core.codec.latent_sample import LatentSample
 
 DISPLAY_HZ = 60.0

@@ -1,7 +1,7 @@
 """The receiving half of a call: who is there, their streams, and their faces at display time.
 
 Events of the link go in on the network thread, faces come out on the drawing thread, one lock
-between them. No socket and no clock: `receiver.Receiver` is the shell around it.
+between them. No socket and no clock: `transport.receiver.Receiver` is the shell around it.
 
 What is wrong with one stream stays with that stream: a payload that cannot be read is counted and
 the face is held; a peer whose avatar nobody has gets a seat without a face.
@@ -26,7 +26,7 @@ from pica_client.call.layer_subscription import (
 from pica_client.call.participant import RemoteParticipant
 from pica_client.errors import OptionError
 from pica_client.playout.buffer import PlayoutConfig, TimedSample
-from pica_client.publish.publisher import FACE_TRACK
+from pica_client.publish.face_track import FACE_TRACK
 from pica_core.avatar.file import Avatar
 from pica_core.codec.factory import open_decoder
 from pica_core.errors import AvatarFileError, LatentError, ProfileError

@@ -11,7 +11,7 @@ from typing import Any
 
 from pica_client.call.connection_quality import StreamHealth
 from pica_client.playout.buffer import PlayedFace, Playout, PlayoutConfig, PlayoutReport
-from pica_client.publish.publisher import FACE_KEY
+from pica_client.publish.face_track import FACE_KEY
 from pica_core.codec.factory import FaceDecoder
 from pica_core.codec.latent_sample import DecodedFrame
 from pica_protocol.frames import Frame

@@ -1,8 +1,8 @@
 """A face on its way out: source -> expression encoder -> payload -> frame, at a steady rate.
 
-Knows a link that somebody else runs: a `sender.Sender`, which does nothing else, or a
-`receiver.Receiver`, which also listens. Encoding takes a fraction of a millisecond and so runs on
-the event loop itself; a thread would cost more than it saves.
+The link is run by somebody else: a `sender.Sender`, which does nothing else, or a
+`transport.receiver.Receiver`, which also listens. Encoding takes a fraction of a millisecond and so
+runs on the event loop itself; a thread would cost more than it saves.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ import math
 import time
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 from pica_client.errors import OptionError
+from pica_client.publish.face_track import FACE_KEY, FACE_TRACK, FaceMode
 from pica_client.publish.pacer import Pacer
 from pica_client.sources import Source
 from pica_client.stats import Samples
@@ -31,16 +32,10 @@ from pica_protocol.session import ClientEvent
 
 _log = logging.getLogger(__name__)
 
-FACE_TRACK = "face"
-"""Kind of the tracks whose payloads are latents."""
-FACE_KEY = "face"
-"""What a peer says of itself under this key is why its face stands still: "muted" or "frozen"."""
 MAX_LOGGED_FRAMES = 100_000
 """Encoding times kept for a latency analysis: 55 minutes at 30 a second."""
 TELL_INTERVAL_S = 1.0
 """Between two changes of what we say of ourselves: the relay takes no more for long."""
-
-FaceMode = Literal["sent", "frozen", "muted"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

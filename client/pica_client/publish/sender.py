@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from pica_client.publish.publisher import FACE_TRACK, Publisher, SenderConfig
+from pica_client.publish.publisher import Publisher, SenderConfig
 from pica_client.sources import Source
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.link import Connector, Link
@@ -19,7 +19,7 @@ from pica_core.avatar.file import Avatar
 from pica_protocol.messages import Joined
 from pica_protocol.session import ClientEvent
 
-__all__ = ["FACE_TRACK", "Sender", "SenderConfig"]
+__all__ = ["Sender", "SenderConfig"]
 
 
 class Sender:

@@ -14,14 +14,14 @@ from pica_client.avatars.cache import AvatarCache
 from pica_client.avatars.fetch import AvatarFetcher
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call, CallConfig
-from pica_client.call.monitor import CallMonitor
-from pica_client.call.receiver import Receiver
 from pica_client.decode.pool import DecodeResult
 from pica_client.errors import OptionError, RelayUnreachableError
 from pica_client.output import check_writable, make_folder, writing
 from pica_client.publish.publisher import Publisher
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.connect import trusting
+from pica_client.transport.monitor import CallMonitor
+from pica_client.transport.receiver import Receiver
 from pica_client.ui.controls import CloseWanted, ControlState, OwnFace
 from pica_client.ui.viewer import Viewer, ViewerOptions
 from pica_client.ui.window import Window

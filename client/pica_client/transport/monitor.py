@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from pica_client.call.connection_quality import QualityMeter, StreamHealth, own_quality
-from pica_client.call.receiver import Receiver
 from pica_client.call.status import CallStatus, PeerStatus
+from pica_client.transport.receiver import Receiver
 
 
 class CallMonitor:
