@@ -21,11 +21,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from pica_client.avatars.library import LoadedAvatars
+from helpers.senders import LoadedAvatars, make_senders
 from pica_client.call import call as call_module
 from pica_client.call.call import Call
 from pica_client.call.faces import FaceState
-from pica_client.local_call.load import make_senders
 from pica_client.publish import publisher as publisher_module
 from pica_client.publish.sender import Sender, SenderConfig
 from pica_client.transport.config import LinkConfig

@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.senders import LoadedAvatars, make_senders, run_senders
 from helpers.toy import make_toy_avatar
-from pica_client.avatars.library import LoadedAvatars
 from pica_client.call.call import Call
 from pica_client.e2ee.secret import RoomSecret, save_secret
-from pica_client.local_call.load import make_senders, run_senders
 from pica_client.publish.sender import SenderConfig
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.receiver import Receiver

@@ -14,12 +14,12 @@ import pytest
 
 pytest.importorskip("cryptography", reason="needs the extra seal")
 
-from pica_client.avatars.library import AvatarLibrary, LoadedAvatars
+from helpers.senders import LoadedAvatars, make_senders
+from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
 from pica_client.e2ee.guard import Guard
 from pica_client.e2ee.secret import RoomSecret, save_secret
 from pica_client.e2ee.suites import AES_128_CTR_HMAC_SHA256_64, Suite
-from pica_client.local_call.load import make_senders
 from pica_client.publish.sender import SenderConfig
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.link import Link

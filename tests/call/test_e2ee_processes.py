@@ -12,8 +12,8 @@ import pytest
 
 pytest.importorskip("cryptography", reason="needs the extra seal")
 
+from helpers.senders import LoadedAvatars
 from helpers.toy import make_toy_avatar
-from pica_client.avatars.library import LoadedAvatars
 from pica_client.call.call import Call
 from pica_client.e2ee.secret import RoomSecret, save_secret
 from pica_client.local_call.processes import Children

@@ -18,10 +18,9 @@ from typing import Any
 
 import pytest
 
+from helpers.senders import LoadedAvatars, make_senders, run_senders
 from helpers.toy import make_toy_avatar
-from pica_client.avatars.library import LoadedAvatars
 from pica_client.call.call import Call
-from pica_client.local_call.load import make_senders, run_senders
 from pica_client.publish.sender import SenderConfig
 from pica_client.stats import percentile
 from pica_client.transport.config import LinkConfig

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import random
-from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
@@ -17,10 +16,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from pica_client.avatars.library import LoadedAvatars
+from helpers.senders import LoadedAvatars, make_senders
 from pica_client.call.call import Call
 from pica_client.call.faces import FaceState
-from pica_client.local_call.load import make_senders
 from pica_client.publish.sender import Sender, SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
@@ -68,7 +66,7 @@ def _from(host: str, url: str) -> str:
 
 
 class Viewer:
-    """Looks thirty times a second, and wishes each time what it sees."""
+    """Looks thirty times a second, and subscribes each time to what it sees."""
 
     def __init__(self, receiver: Receiver) -> None:
         self.receiver = receiver
@@ -84,14 +82,14 @@ class Viewer:
             await asyncio.sleep(DISPLAY_FRAME_S)
             now = loop.time()
             for face in self.receiver.call.faces(now):
-                self.receiver.wish(face.peer_id, self.layer)
+                self.receiver.call.subscribe(face.peer_id, self.layer, now)
                 self.faces.append((now, face))
             self.looked.set()
         self.receiver.stop()
         await running
 
-    async def wish_when_asked(self, layer: int | None) -> float:
-        """Wish something else from the next display frame on; return its time."""
+    async def subscribe_from_now(self, layer: int | None) -> float:
+        """Subscribe to something else from the next display frame on; return its time."""
         self.layer = layer
         self.looked.clear()
         await self.looked.wait()
@@ -181,7 +179,7 @@ async def test_back_in_view_the_face_of_now_is_there_within_two_display_frames(
         await asyncio.sleep(5)
         viewer.layer = None
         await asyncio.sleep(away_s)
-        back_s = await viewer.wish_when_asked(MAX_LAYER)
+        back_s = await viewer.subscribe_from_now(MAX_LAYER)
         await watching
         await sending
     truth = Truth(avatar, began_s)
@@ -226,7 +224,7 @@ async def test_a_wish_outlives_the_connection(avatar: Avatar) -> None:
         before = viewer.payload_bytes()
         await asyncio.sleep(4)
         assert viewer.payload_bytes() == before
-        back_s = await viewer.wish_when_asked(MAX_LAYER)
+        back_s = await viewer.subscribe_from_now(MAX_LAYER)
         await watching
         await sending
     assert {face.status for _, face in viewer.after(back_s + 0.07 + BASE_S)} == {"live"}
@@ -268,7 +266,7 @@ async def test_who_leaves_while_unseen_is_gone_and_a_silent_one_turns_stale_once
         viewer.layer = None
         await asyncio.sleep(3)
         current_network().stall("ada", 60)
-        back_s = await viewer.wish_when_asked(MAX_LAYER)
+        back_s = await viewer.subscribe_from_now(MAX_LAYER)
         await watching
         sender.stop()
         sending.cancel()
@@ -278,7 +276,7 @@ async def test_who_leaves_while_unseen_is_gone_and_a_silent_one_turns_stale_once
     assert {status for since_s, status in statuses if since_s > 2.5} == {"stale"}
 
 
-def test_a_config_of_a_call_holds_that_of_its_wishes() -> None:
+def test_a_subscription_to_a_peer_who_is_not_there_changes_nothing() -> None:
     call = Call(LoadedAvatars({}))
-    assert replace(call.config.wishes, lower_after_s=1.0) != call.config.wishes
-    assert not call.wish("nobody", None, 0.0)
+    call.subscribe("unknown", None, 0.0)
+    assert call.tell_subscriptions(lambda stream, layer: False, 0.0) is None

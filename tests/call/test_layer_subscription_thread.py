@@ -1,17 +1,17 @@
-"""Wishes from the drawing thread, on a real clock: the receiver runs in a thread of its own."""
+"""Subscriptions from the drawing thread, on a real clock; the receiver has a thread of its own."""
 
 from __future__ import annotations
 
 import asyncio
 import random
+import time
 from collections.abc import Callable
 
 import pytest
 
+from helpers.senders import LoadedAvatars, make_senders
 from helpers.toy import make_toy_avatar
-from pica_client.avatars.library import LoadedAvatars
 from pica_client.call.call import Call
-from pica_client.local_call.load import make_senders
 from pica_client.publish.sender import SenderConfig
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.receiver import Receiver
@@ -42,7 +42,7 @@ async def until(condition: Callable[[], bool], every_s: float = 0.01) -> None:
         await asyncio.sleep(every_s)
 
 
-def test_a_wish_of_another_thread_reaches_the_relay_and_is_taken_back() -> None:
+def test_a_subscription_of_another_thread_reaches_the_relay_and_is_taken_back() -> None:
     async def call() -> None:
         async with asyncio.timeout(PATIENCE_S), Relay(RelayConfig(port=0)) as relay:
             config = LinkConfig(url=relay.url, room="kitchen", name="ada")
@@ -50,14 +50,14 @@ def test_a_wish_of_another_thread_reaches_the_relay_and_is_taken_back() -> None:
             sending = asyncio.create_task(sender.run())
             viewer = LinkConfig(url=relay.url, room="kitchen", name="viewer")
             receiver = Receiver(viewer, Call(LoadedAvatars(AVATARS)), rng=random.Random(1))
-            receiver.wish("nobody", None)  # before it runs: no error, and no effect
+            receiver.call.subscribe("nobody", None, time.monotonic())  # before it runs: no error
             with receiver:
                 await until(lambda: received(receiver) > 10)
                 (peer_id,) = receiver.call.names()
-                receiver.wish(peer_id, None)
+                receiver.call.subscribe(peer_id, None, time.monotonic())
                 counts = [-1]
                 await until(lambda: is_silent(receiver, counts), SILENCE_S)
-                receiver.wish(peer_id, MAX_LAYER)
+                receiver.call.subscribe(peer_id, MAX_LAYER, time.monotonic())
                 await until(lambda: received(receiver) > counts[-1] + 10)
                 receiver.stop()
                 await until(lambda: not receiver.is_connected)

@@ -14,8 +14,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
+from helpers.senders import LoadedAvatars
 from helpers.toy import make_toy_avatar
-from pica_client.avatars.library import LoadedAvatars
 from pica_client.call.call import Call
 from pica_client.call.faces import FaceState
 from pica_client.call.status import CallStatus

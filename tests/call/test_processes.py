@@ -14,8 +14,9 @@ from pathlib import Path
 
 import pytest
 
+from helpers.senders import LoadedAvatars
 from helpers.toy import make_toy_avatar
-from pica_client.avatars.library import AvatarLibrary, LoadedAvatars
+from pica_client.avatars.library import AvatarLibrary
 from pica_client.bench.call import BenchConfig, run_bench
 from pica_client.call.call import Call
 from pica_client.errors import CallProcessError, RelayUnreachableError

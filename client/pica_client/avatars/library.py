@@ -8,7 +8,7 @@ of a second, in which neither network nor display may stand still.
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from importlib import resources
 from pathlib import Path
@@ -164,22 +164,3 @@ class AvatarLibrary:
                 future = self._pool.submit(load_avatar, self._paths[identity])
                 self._loading[identity] = future
         return future
-
-
-class LoadedAvatars:
-    """Avatars that are in memory already, by hash."""
-
-    def __init__(self, avatars: Mapping[str, Avatar]) -> None:
-        self._avatars = dict(avatars)
-
-    def has(self, identity: str) -> bool:
-        """See `AvatarStore.has`."""
-        return identity in self._avatars
-
-    def get(self, identity: str) -> Avatar | None:
-        """See `AvatarStore.get`."""
-        return self._avatars.get(identity)
-
-    def note(self, identity: str) -> str:
-        """See `AvatarStore.note`."""
-        return ""

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
@@ -18,12 +19,8 @@ from typing import Any, NamedTuple
 from pica_client.avatars.library import AvatarStore
 from pica_client.call.connection_quality import StreamHealth
 from pica_client.call.faces import FaceState, FaceStatus
-from pica_client.call.layer_subscription import (
-    LayerSubscription,
-    LayerSubscriptionConfig,
-    LayerSubscriptions,
-)
-from pica_client.call.participant import RemoteParticipant
+from pica_client.call.layer_subscription import LayerSubscriptionConfig
+from pica_client.call.participant import RemoteParticipant, Tell
 from pica_client.errors import OptionError
 from pica_client.playout.buffer import PlayoutConfig, TimedSample
 from pica_client.publish.face_track import FACE_TRACK
@@ -58,7 +55,7 @@ class CallConfig:
     """How a receiver plays."""
 
     playout: PlayoutConfig = field(default_factory=PlayoutConfig)
-    wishes: LayerSubscriptionConfig = field(default_factory=LayerSubscriptionConfig)
+    subscription: LayerSubscriptionConfig = field(default_factory=LayerSubscriptionConfig)
     stale_after_s: float = 2.0
     """A face without a frame for this long is shown as stale."""
 
@@ -95,6 +92,7 @@ class Call:
         errors: Payloads that could not be read.
         without_avatar: Frames whose avatar is not there, or not yet.
         strays: Frames of streams that nobody owns, as when their peer has just left.
+        on_subscription: Called, on any thread, when `tell_subscriptions` has news.
     """
 
     def __init__(
@@ -114,7 +112,7 @@ class Call:
         self._by_stream: dict[int, RemoteParticipant] = {}
         self._departed: deque[RemoteParticipant] = deque(maxlen=MAX_DEPARTED)
         self._window_begin_s: float | None = None
-        self._wishes = LayerSubscriptions(self.config.wishes)
+        self.on_subscription: Callable[[], None] = lambda: None
 
     # The network's side
 
@@ -132,7 +130,7 @@ class Call:
                         seat.is_behind = True
                         seat.is_away = seat.is_muted = False  # we are told again if it is so
                         seat.resume(now)
-                    self._wishes.begin(now)
+                        seat.subscription.begin(now)
                     for peer in peers:
                         self._add(peer)
                 case PeerJoined(peer=peer):
@@ -183,42 +181,25 @@ class Call:
                     streams.append(stream)
             return streams
 
-    def take_wishes(self, now: float) -> list[LayerSubscription]:
-        """What the relay is to be told now of the layers we want; see `wishes`."""
-        with self._lock:
-            told = self._wishes.due(now)
-            for stream, layer, is_resumption in told:
-                seat = self._by_stream.get(stream)
-                if seat is not None and layer is None:
-                    seat.pause()
-                elif seat is not None and is_resumption:
-                    seat.resume(now)
-            return told
+    def tell_subscriptions(self, tell: Tell, now: float) -> float | None:
+        """Tell the relay which layers are wanted by now.
 
-    def note_untold(self, stream: int, now: float) -> None:
-        """Note that the relay could not be told the last wish for a stream."""
+        Returns:
+            When to call again; None until somebody subscribes or joins.
+        """
         with self._lock:
-            self._wishes.note_untold(stream, now)
-            seat = self._by_stream.get(stream)
-            if seat is not None and self._wishes.wants(stream):
-                seat.resume(now)
-
-    def next_wish_timer(self) -> float | None:
-        """When `take_wishes` will have something, if nobody wishes anything else."""
-        with self._lock:
-            return self._wishes.next_timer()
+            timers = [seat.tell_subscription(tell, now) for seat in self._seats.values()]
+        return min((timer for timer in timers if timer is not None), default=None)
 
     # The display's side
 
-    def wish(self, peer_id: str, layer: int | None, now: float) -> bool:
-        """Say how much of a peer's stream is worth having now; None is nothing at all.
-
-        Returns:
-            Whether `take_wishes` or `next_wish_timer` may say something new.
-        """
+    def subscribe(self, peer_id: str, layer: int | None, now: float) -> None:
+        """See `FaceSource.subscribe`."""
         with self._lock:
             seat = self._seats.get(peer_id)
-            return seat is not None and self._wishes.wish(seat.track.stream, layer, now)
+            has_changed = seat is not None and seat.subscription.subscribe(layer, now)
+        if has_changed:
+            self.on_subscription()
 
     def faces(self, now: float) -> list[FaceState]:
         """See `FaceSource.faces`."""
@@ -323,7 +304,7 @@ class Call:
                 # viewer's news, and no reason to lose the connection.
                 with suppress(AvatarFileError):
                     self._avatars.get(track.avatar)
-                seat = RemoteParticipant(peer, track, self.config.playout)
+                seat = RemoteParticipant(peer, track, self.config.playout, self.config.subscription)
                 self._seats[peer.peer_id] = self._by_stream[track.stream] = seat
                 return  # one face a person
 
@@ -331,7 +312,6 @@ class Call:
         seat = self._seats.pop(peer_id, None)
         if seat is not None:
             self._by_stream.pop(seat.track.stream, None)
-            self._wishes.forget(seat.track.stream)
             self._departed.append(seat)
 
     def _receive_frame(self, frame: Frame, now: float) -> None:

@@ -6,6 +6,7 @@ of recordings, a test).
 
     faces = source.faces(now)            # once per drawn frame, on the drawing thread
     avatar = source.avatar(face.avatar_id)
+    source.subscribe(face.peer_id, layer, now)
 """
 
 from __future__ import annotations
@@ -69,5 +70,15 @@ class FaceSource(Protocol):
         Raises:
             AvatarFileError: It came, and must not be used. The viewer shows a placeholder with the
                 message.
+        """
+        ...
+
+    def subscribe(self, peer_id: str, layer: int | None, now: float) -> None:
+        """Say how much of a peer's stream is worth having, as often as every drawn frame.
+
+        Args:
+            peer_id: Whose; somebody who has left is no error.
+            layer: Highest temporal layer to receive; None is nothing at all.
+            now: Local time, seconds.
         """
         ...

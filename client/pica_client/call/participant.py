@@ -6,10 +6,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from pica_client.call.connection_quality import StreamHealth
+from pica_client.call.layer_subscription import (
+    NOTHING,
+    LayerSubscription,
+    LayerSubscriptionConfig,
+)
 from pica_client.playout.buffer import PlayedFace, Playout, PlayoutConfig, PlayoutReport
 from pica_client.publish.face_track import FACE_KEY
 from pica_core.codec.factory import FaceDecoder
@@ -20,8 +26,14 @@ from pica_protocol.messages import Peer, Track
 CATCH_UP_S = 0.02
 """Whoever comes late gets the frames since the last keyframe at once, to decode from. They are old;
 only the newest is shown, or the playout would take them for a network that delays."""
+RETRY_S = 0.1
+"""Until a subscription is told again that could not be, as while the network takes nothing."""
 FACE_NOTES = {"muted": "face is off", "frozen": "face is frozen"}
 """Why a face stands still, by what its owner says under `FACE_KEY`."""
+
+
+Tell = Callable[[int, int | None], bool]
+"""Asks the relay for a stream up to a layer, or for nothing; False if it could not be told."""
 
 
 @dataclass(kw_only=True, slots=True)
@@ -38,9 +50,16 @@ class StreamWindow:
 class RemoteParticipant:
     """One peer with a face, and what has come from it."""
 
-    def __init__(self, peer: Peer, track: Track, config: PlayoutConfig) -> None:
+    def __init__(
+        self,
+        peer: Peer,
+        track: Track,
+        config: PlayoutConfig,
+        subscription: LayerSubscriptionConfig,
+    ) -> None:
         self.peer = peer
         self.track = track
+        self.subscription = LayerSubscription(subscription)
         self.playout = Playout(config)
         self.decoder: FaceDecoder | None = None
         self.trouble = ""
@@ -99,6 +118,20 @@ class RemoteParticipant:
             self.catch_up = None
             receive = self.playout.restart if self.is_resuming else self.playout.receive_frame
             receive(frame.sequence, frame.captured_us, frame.sample, arrived_s)
+
+    def tell_subscription(self, tell: Tell, now: float) -> float | None:
+        """Tell the relay which layers are wanted, if that is due; return when to call again."""
+        subscription = self.subscription
+        layer, before = subscription.due(now), subscription.told
+        if layer is not None:
+            if not tell(self.track.stream, None if layer == NOTHING else layer):
+                return now + RETRY_S
+            subscription.note_told(layer, now)
+            if layer == NOTHING:
+                self.pause()
+            elif before == NOTHING:
+                self.resume(now)
+        return subscription.next_timer()
 
     def pause(self) -> None:
         """Note that the relay was told to send nothing: the face stands still on purpose."""

@@ -17,10 +17,9 @@ from typing import Any
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.errors import AvatarLookupError, CallProcessError, OptionError
-from pica_client.local_call.load import peer_sources
 from pica_client.local_call.processes import Child, Children
 from pica_client.publish.sender import SenderConfig
-from pica_client.sources import open_source
+from pica_client.sources import open_source, start_later
 from pica_core.codec.latent_stream import DEFAULT_QUALITY
 
 NAMES = ("Ada", "Ben", "Cho", "Dee", "Eve", "Fay", "Gus", "Hal")
@@ -29,6 +28,18 @@ JOIN_TIMEOUT_S = 30.0
 """For all peers to be seen; five Pythons that import numpy on two busy cores take some seconds."""
 CHECK_INTERVAL_S = 0.25
 """Between two looks at whether all processes are alive."""
+
+DEFAULT_SOURCES = (
+    "performance:talk#1",
+    "performance:range_of_motion#2",
+    "performance:talk#3@7",
+    "performance:listen#4",
+    "performance:talk#5@21",
+)
+"""What the peers of a demo play, in turn: three who talk, one who tries every muscle, one who
+listens."""
+SOURCE_STEP_S = 23.7
+"""Between the starting points of peers that play the same recording (chosen: no two in phase)."""
 
 FrameKey = tuple[str, int]
 """A frame by its sender's name and its capture time in microseconds."""
@@ -156,6 +167,18 @@ def _make_secret(children: Children) -> list[str]:
     save_secret(file, RoomSecret.new())
     guard_from(file)
     return ["--secret-file", str(file)]
+
+
+def peer_sources(source: str | None, num_peers: int) -> list[str]:
+    """What each of some peers plays.
+
+    Args:
+        source: One source for all, each starting elsewhere in it; None for `DEFAULT_SOURCES`.
+        num_peers: How many.
+    """
+    if source is None:
+        return [DEFAULT_SOURCES[index % len(DEFAULT_SOURCES)] for index in range(num_peers)]
+    return [start_later(source, index * SOURCE_STEP_S) for index in range(num_peers)]
 
 
 def choose_avatars(names: str | None, library: AvatarLibrary) -> list[str]:

@@ -153,7 +153,7 @@ class Link:
     def want(self, stream: int, layer: int | None) -> bool:
         """Ask the relay for the frames of a stream up to ``layer``, or for none.
 
-        A wish ends with the connection: it must be told anew after each ``Joined``.
+        It ends with the connection: ask anew after each ``Joined``.
 
         Returns:
             False if it could not be told: not joined, or the network takes nothing.

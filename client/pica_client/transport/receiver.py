@@ -20,8 +20,6 @@ from pica_client.transport.link import Connector, Link
 from pica_protocol.messages import Joined
 from pica_protocol.session import ClientEvent
 
-RETRY_WISH_S = 0.1
-"""When a wish could not be told, as while the network takes nothing."""
 REPORT_INTERVAL_S = 5.0
 """Between two reports to the relay."""
 JOIN_TIMEOUT_S = 5.0
@@ -52,7 +50,8 @@ class Receiver:
         self.link = Link(link_config, tracks, on_event=self._on_event, connector=connector, rng=rng)
         self.arrived = asyncio.Event()
         """Set by every event; for those who wait on the same loop."""
-        self._wished = asyncio.Event()
+        self._subscribed = asyncio.Event()
+        call.on_subscription = self._wake_subscriptions
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread: threading.Thread | None = None
         self._error: BaseException | None = None
@@ -67,7 +66,7 @@ class Receiver:
         stopping = asyncio.Event()
         tasks = [
             asyncio.create_task(self._report(), name="reports"),
-            asyncio.create_task(self._tell_wishes(), name="wishes"),
+            asyncio.create_task(self._tell_subscriptions(), name="subscriptions"),
         ]
         if self.publisher is not None:
             pacing = self.publisher.pace(self.link, stopping)
@@ -86,19 +85,6 @@ class Receiver:
         if self._loop is not None:
             with contextlib.suppress(RuntimeError):  # the loop may be closed by now
                 self._loop.call_soon_threadsafe(self.link.leave)
-
-    def wish(self, peer_id: str, layer: int | None) -> None:
-        """Say how much of a peer's stream is worth having from now on; any thread may call it, as
-        often as it likes.
-
-        Args:
-            peer_id: Whose; nobody's is no error.
-            layer: Highest temporal layer to receive; None is nothing at all.
-        """
-        loop = self._loop
-        if loop is not None and self.call.wish(peer_id, layer, loop.time()):
-            with contextlib.suppress(RuntimeError):  # the loop may be closed by now
-                loop.call_soon_threadsafe(self._wished.set)
 
     def check(self) -> None:
         """Raise what ended the thread, if anything did.
@@ -164,26 +150,27 @@ class Receiver:
         for stream in self.call.take_keyframe_requests(now):
             self.link.request_keyframe(stream)
         if isinstance(event, Joined):
-            self._wished.set()
+            self._subscribed.set()
         self.arrived.set()
 
-    async def _tell_wishes(self) -> None:
-        """Tell the relay what is wanted, when it changes and when its time has come."""
+    def _wake_subscriptions(self) -> None:
+        loop = self._loop
+        if loop is not None:
+            with contextlib.suppress(RuntimeError):  # the loop may be closed by now
+                loop.call_soon_threadsafe(self._subscribed.set)
+
+    async def _tell_subscriptions(self) -> None:
+        """Tell the relay which layers are wanted, when that changes and when its time has come."""
         loop = asyncio.get_running_loop()
         while True:
-            self._wished.clear()
+            self._subscribed.clear()
             timer = None  # who is not in the room waits for the next join
             if self.link.is_joined:
-                now = loop.time()
-                told = self.call.take_wishes(now)
-                untold = [each.stream for each in told if not self.link.want(*each[:2])]
-                for stream in untold:
-                    self.call.note_untold(stream, now)
-                timer = now + RETRY_WISH_S if untold else self.call.next_wish_timer()
+                timer = self.call.tell_subscriptions(self.link.want, loop.time())
             with contextlib.suppress(TimeoutError):
                 # A loop may fire a timer up to its clock's resolution too early.
                 async with asyncio.timeout_at(None if timer is None else timer + 1e-6):
-                    await self._wished.wait()
+                    await self._subscribed.wait()
 
     async def _report(self) -> None:
         while True:

@@ -126,8 +126,6 @@ class AvatarPresenter:
         driver: Says what is decoded, and how finely it is drawn.
         meter: Where durations go.
         on_decoded: Told of every decode that reached the GPU; its slot is the peer id.
-        on_wish: Told in every frame the highest layer of a peer's stream that is worth having, None
-            for nothing at all.
         clock: Seconds, monotonic; see `viewer.Viewer`.
     """
 
@@ -140,7 +138,6 @@ class AvatarPresenter:
         *,
         meter: Meter | None = None,
         on_decoded: Callable[[DecodeResult], None] | None = None,
-        on_wish: Callable[[str, int | None], None] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.num_errors = 0
@@ -148,7 +145,6 @@ class AvatarPresenter:
         self._renderer = renderer
         self._pool = pool
         self._driver = driver
-        self._on_wish = on_wish
         self._meter = meter or Meter()
         self._on_decoded = on_decoded
         self._clock = clock
@@ -215,9 +211,8 @@ class AvatarPresenter:
         plan = self._driver.plan(heads, cameras, size, budget_s, scene.now)
         for slot, request in self._driver.requests(plan, scene.now):
             self._pool.submit(slot, request)
-        if self._on_wish is not None:
-            for slot, choice in plan.choices.items():
-                self._on_wish(slot, choice.wanted_layer)
+        for slot, choice in plan.choices.items():
+            self._source.subscribe(slot, choice.wanted_layer, scene.now)
         return plan
 
     def collect(self, now: float) -> None:

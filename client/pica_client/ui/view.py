@@ -142,7 +142,6 @@ class View:
                 replace(config.viewer, sends_face=self._publisher is not None),
                 status=CallMonitor(self._receiver).status,
                 on_decoded=self._note_decode if config.frame_log is not None else None,
-                on_wish=self._receiver.wish,
                 on_own_face=self._set_own_face,
                 window=self._window,
             ) as viewer:

@@ -117,7 +117,6 @@ class Viewer:
         status: How the call stands, at a time of `clock`; asked twice a second.
         on_decoded: Told of every decode that reached the GPU, on the drawing thread; its slot is
             the peer id.
-        on_wish: Told in every frame what is worth having of a peer's stream.
         on_own_face: Told when the user mutes or freezes their own face, or lets it go on.
         window: To show it in, which stays open afterwards; by default a new one.
         clock: Seconds, monotonic; the same clock that stamps `FaceState.captured_us` when sender
@@ -137,7 +136,6 @@ class Viewer:
         *,
         status: StatusSource = lambda now: CallStatus(),
         on_decoded: Callable[[DecodeResult], None] | None = None,
-        on_wish: Callable[[str, int | None], None] | None = None,
         on_own_face: Callable[[OwnFace], None] | None = None,
         window: Window | None = None,
         clock: Callable[[], float] = time.monotonic,
@@ -186,7 +184,6 @@ class Viewer:
                 self._driver,
                 meter=self._meter,
                 on_decoded=on_decoded,
-                on_wish=on_wish,
                 clock=clock,
             )
             self._resources = stack.pop_all()

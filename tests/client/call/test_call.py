@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.senders import LoadedAvatars
 from helpers.stream_toy import (
     Publisher,
     Sent,
@@ -20,7 +21,7 @@ from helpers.stream_toy import (
     toy_profile,
 )
 from helpers.toy import make_toy_avatar
-from pica_client.avatars.library import AvatarLibrary, LoadedAvatars
+from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
 from pica_client.errors import AvatarLookupError
 from pica_core.avatar.file import Avatar, save_avatar

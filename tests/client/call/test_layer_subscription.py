@@ -1,4 +1,4 @@
-"""Wishes for layers: up at once, down late, never more than a few messages."""
+"""Subscriptions to layers: up at once, down late, never more than a few messages."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pica_client.call.layer_subscription import (
+    NOTHING,
     LayerSubscription,
     LayerSubscriptionConfig,
-    LayerSubscriptions,
 )
 from pica_client.errors import OptionError
 from pica_protocol.limits import MAX_LAYER
@@ -21,86 +21,79 @@ pytestmark = pytest.mark.unit
 CONFIG = LayerSubscriptionConfig(lower_after_s=0.5, lower_interval_s=1.0)
 
 
-def wishes() -> LayerSubscriptions:
-    return LayerSubscriptions(CONFIG)
+def tell(subscription: LayerSubscription, now: float) -> int | None:
+    """What the relay is told now."""
+    layer = subscription.due(now)
+    if layer is not None:
+        subscription.note_told(layer, now)
+    return layer
 
 
 def test_a_relay_that_was_told_nothing_sends_everything() -> None:
-    made = wishes()
-    assert made.wants(1)
-    assert not made.wish(1, MAX_LAYER, now=0.0)
-    assert made.due(0.0) == []
+    made = LayerSubscription(CONFIG)
+    assert made.told == MAX_LAYER
+    assert not made.subscribe(MAX_LAYER, now=0.0)
+    assert made.due(0.0) is None
     assert made.next_timer() is None
 
 
-def test_a_wish_for_less_is_told_late() -> None:
-    made = wishes()
-    assert made.wish(1, None, now=10.0)
-    assert made.due(10.4) == []
+def test_less_is_asked_for_late() -> None:
+    made = LayerSubscription(CONFIG)
+    assert made.subscribe(None, now=10.0)
+    assert tell(made, 10.4) is None
     assert made.next_timer() == 10.5
-    assert made.due(10.5) == [LayerSubscription(1, None, is_resumption=False)]
-    assert not made.wants(1)
+    assert tell(made, 10.5) == NOTHING
+    assert made.told == NOTHING
     assert made.next_timer() is None
 
 
-def test_a_wish_for_more_is_told_at_once() -> None:
-    made = wishes()
-    made.wish(1, None, now=0.0)
-    made.due(0.5)
-    assert made.wish(1, 2, now=0.51)
-    assert made.due(0.51) == [LayerSubscription(1, 2, is_resumption=True)]
-    made.wish(1, 3, now=0.52)
-    assert made.due(0.52) == [LayerSubscription(1, 3, is_resumption=False)]
+def test_more_is_asked_for_at_once() -> None:
+    made = LayerSubscription(CONFIG)
+    made.subscribe(None, now=0.0)
+    tell(made, 0.5)
+    assert made.subscribe(2, now=0.51)
+    assert tell(made, 0.51) == 2
+    made.subscribe(3, now=0.52)
+    assert tell(made, 0.52) == 3
 
 
 def test_a_glance_aside_tells_nothing() -> None:
-    made = wishes()
-    made.wish(1, None, now=0.0)
-    made.wish(1, MAX_LAYER, now=0.4)
-    assert made.due(5.0) == []
+    made = LayerSubscription(CONFIG)
+    made.subscribe(None, now=0.0)
+    made.subscribe(MAX_LAYER, now=0.4)
+    assert tell(made, 5.0) is None
     assert made.next_timer() is None
 
 
-def test_what_was_wished_meanwhile_is_not_taken_away() -> None:
-    made = wishes()
-    made.wish(1, 0, now=0.0)
-    made.wish(1, 2, now=0.3)
-    made.wish(1, 1, now=0.4)
-    assert made.due(0.5) == [LayerSubscription(1, 2, is_resumption=False)]
-    assert made.due(1.4) == []
-    assert made.due(1.5) == [LayerSubscription(1, 1, is_resumption=False)]
+def test_what_was_wanted_meanwhile_is_not_taken_away() -> None:
+    made = LayerSubscription(CONFIG)
+    made.subscribe(0, now=0.0)
+    made.subscribe(2, now=0.3)
+    made.subscribe(1, now=0.4)
+    assert tell(made, 0.5) == 2
+    assert tell(made, 1.4) is None
+    assert tell(made, 1.5) == 1
 
 
-def test_a_wish_that_could_not_be_told_is_due_again() -> None:
-    made = wishes()
-    made.wish(1, None, now=0.0)
-    made.due(0.5)
-    made.note_untold(1, now=0.5)
-    assert made.wants(1)
-    assert made.due(2.0) == [LayerSubscription(1, None, is_resumption=False)]
-    made.wish(1, 1, now=3.0)
-    assert made.due(3.0)
-    made.note_untold(1, now=3.0)
-    assert made.due(3.0) == [LayerSubscription(1, 1, is_resumption=True)]
+def test_what_could_not_be_told_stays_due() -> None:
+    made = LayerSubscription(CONFIG)
+    made.subscribe(None, now=0.0)
+    assert made.due(0.5) == NOTHING
+    assert made.told == MAX_LAYER
+    assert tell(made, 2.0) == NOTHING
+    made.subscribe(1, now=3.0)
+    assert made.due(3.0) == 1
+    assert tell(made, 3.1) == 1
 
 
-def test_a_new_connection_is_told_all_wishes_for_less() -> None:
-    made = wishes()
-    for stream, layer in ((1, None), (2, 1), (3, MAX_LAYER)):
-        made.wish(stream, layer, now=0.0)
-    made.due(0.5)
+@pytest.mark.parametrize(("layer", "told"), [(None, NOTHING), (1, 1), (MAX_LAYER, None)])
+def test_a_new_connection_is_told_every_wish_for_less(layer: int | None, told: int | None) -> None:
+    made = LayerSubscription(CONFIG)
+    made.subscribe(layer, now=0.0)
+    tell(made, 0.5)
     made.begin(now=20.0)
-    assert made.wants(1)
-    assert made.due(20.0) == [LayerSubscription(1, None, False), LayerSubscription(2, 1, False)]
-
-
-def test_a_stream_that_ended_is_forgotten() -> None:
-    made = wishes()
-    made.wish(1, None, now=0.0)
-    made.forget(1)
-    made.forget(2)
-    assert made.due(9.0) == []
-    assert made.wants(1)
+    assert made.told == MAX_LAYER
+    assert tell(made, 20.0) == told
 
 
 @pytest.mark.parametrize("name", ["lower_after_s", "lower_interval_s"])
@@ -110,30 +103,30 @@ def test_patience_out_of_range_is_refused(name: str) -> None:
 
 
 layers = st.one_of(st.none(), st.integers(0, MAX_LAYER))
-steps = st.lists(st.tuples(st.floats(0, 0.4), layers), min_size=1, max_size=120)
+steps = st.lists(st.tuples(st.floats(0, 0.4), layers, st.booleans()), min_size=1, max_size=120)
 
 
 @given(steps)
-def test_whatever_is_wished_the_relay_hears_the_last_of_it_and_little_else(
-    chosen: list[tuple[float, int | None]],
+def test_whatever_is_wanted_the_relay_hears_the_last_of_it_and_little_else(
+    chosen: list[tuple[float, int | None, bool]],
 ) -> None:
-    made, now, told, lowered = wishes(), 0.0, MAX_LAYER, []
-    rank = {None: -1}
-    for elapsed_s, layer in chosen:
+    made, now, told, lowered = LayerSubscription(CONFIG), 0.0, MAX_LAYER, []
+    for elapsed_s, layer, can_tell in chosen:
         now += elapsed_s
-        made.wish(1, layer, now)
-        for each in made.due(now):
-            assert each.is_resumption == (told == -1)
-            if rank.get(each.layer, each.layer) < told:
+        made.subscribe(layer, now)
+        if can_tell and (said := tell(made, now)) is not None:
+            if said < told:
                 lowered.append(now)
-            told = rank.get(each.layer, each.layer)
-        # Never less than is wished.
-        assert told >= rank.get(layer, layer)
-    while (timer := made.next_timer()) is not None:
-        now = max(now, timer)
-        for each in made.due(now):
-            lowered.append(now)
-            told = rank.get(each.layer, each.layer)
-    assert told == rank.get(chosen[-1][1], chosen[-1][1])
+            told = said
+        assert made.told == told
+        # Never less than is wanted.
+        assert not can_tell or told >= (NOTHING if layer is None else layer)
+    while (timer := made.next_timer()) is not None or made.due(now) is not None:
+        now = max(now, timer or now)
+        if (said := tell(made, now)) is not None:
+            if said < told:
+                lowered.append(now)
+            told = said
+    assert told == (NOTHING if chosen[-1][1] is None else chosen[-1][1])
     gaps = [after - before for before, after in pairwise(lowered)]
     assert all(gap >= CONFIG.lower_interval_s - 1e-9 for gap in gaps)

@@ -46,6 +46,7 @@ class Faces:
         self.avatar_of = dict.fromkeys(peers, "toy")
         self.without_latent: set[str] = set()
         self.status: FaceStatus = "live"
+        self.subscribed: set[tuple[str, int | None]] = set()
 
     def faces(self, now: float) -> list[FaceState]:
         return [
@@ -64,6 +65,9 @@ class Faces:
         if avatar_id == "evil":
             raise AvatarFileError("evil.pica: tensor u_encoding is missing")
         return self.avatars[avatar_id]
+
+    def subscribe(self, peer_id: str, layer: int | None, now: float) -> None:
+        self.subscribed.add((peer_id, layer))
 
 
 def step_until_decoded(viewer: Viewer, now: float = 1.0) -> None:
@@ -410,16 +414,13 @@ def test_a_viewer_short_of_time_gives_up_detail_and_says_which() -> None:
 
 
 def test_the_call_is_told_what_is_worth_having_of_each_stream() -> None:
-    wishes: list[tuple[str, int | None]] = []
     source = Faces("ada", "grace")
     with Viewer(
-        source,
-        replace(SMALL, scheduler=SchedulerOptions(layer_px=(8.0, 200.0))),
-        on_wish=lambda *wish: wishes.append(wish),
+        source, replace(SMALL, scheduler=SchedulerOptions(layer_px=(8.0, 200.0)))
     ) as viewer:
         for frame in range(4):
             step_until_decoded(viewer, now=1.0 + 0.1 * frame)
-    assert set(wishes) == {("ada", 1), ("grace", 1)}
+    assert source.subscribed == {("ada", 1), ("grace", 1)}
 
 
 def test_a_frame_budget_out_of_range_is_refused_by_name() -> None:

@@ -1,44 +1,36 @@
-"""Simulated peers: many senders on one event loop, for tests and for load.
-
-The senders are the real ones; what is simulated is that they share a process. A relay sees no
-difference, the machine does: `pica demo` and `pica bench call` use a process for each.
-"""
+"""Many senders on one event loop: the real ones, but sharing a process, and avatars in memory."""
 
 from __future__ import annotations
 
 import asyncio
 import random
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from pica_client.local_call.local_call import peer_sources
 from pica_client.publish.sender import Sender, SenderConfig
-from pica_client.sources import Source, open_source, start_later
+from pica_client.sources import Source, open_source
 from pica_client.transport.config import LinkConfig
 from pica_core.avatar.file import Avatar
 
-DEFAULT_SOURCES = (
-    "performance:talk#1",
-    "performance:range_of_motion#2",
-    "performance:talk#3@7",
-    "performance:listen#4",
-    "performance:talk#5@21",
-)
-"""What the peers of a demo play, in turn: three who talk, one who tries every muscle, one who
-listens."""
-SOURCE_STEP_S = 23.7
-"""Between the starting points of peers that play the same recording (chosen: no two in phase)."""
 
+class LoadedAvatars:
+    """Avatars that are in memory already, by hash."""
 
-def peer_sources(source: str | None, num_peers: int) -> list[str]:
-    """What each of some peers plays.
+    def __init__(self, avatars: Mapping[str, Avatar]) -> None:
+        self._avatars = dict(avatars)
 
-    Args:
-        source: One source for all, each starting elsewhere in it; None for `DEFAULT_SOURCES`.
-        num_peers: How many.
-    """
-    if source is None:
-        return [DEFAULT_SOURCES[index % len(DEFAULT_SOURCES)] for index in range(num_peers)]
-    return [start_later(source, index * SOURCE_STEP_S) for index in range(num_peers)]
+    def has(self, identity: str) -> bool:
+        """See `AvatarStore.has`."""
+        return identity in self._avatars
+
+    def get(self, identity: str) -> Avatar | None:
+        """See `AvatarStore.get`."""
+        return self._avatars.get(identity)
+
+    def note(self, identity: str) -> str:
+        """See `AvatarStore.note`."""
+        return ""
 
 
 def make_senders(
