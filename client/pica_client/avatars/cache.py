@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import os
 import secrets
-import sys
 import tempfile
 import time
-from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
+from pica_client.user_folders import cache_folder
 from pica_core.avatar.file import avatar_id
 from pica_core.errors import AvatarFileError
 
@@ -25,25 +24,6 @@ UNFINISHED = ".part"
 ABANDONED_AFTER_S = 86_400.0
 
 
-def default_folder(
-    environment: Mapping[str, str] | None = None, platform: str = sys.platform
-) -> Path:
-    """The folder for cached avatars of this user.
-
-    Three lines for three systems; a package that knows more of them would be one more to install
-    for every receiver.
-    """
-    environment = os.environ if environment is None else environment
-    if platform == "win32":
-        base = Path(environment.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
-        return base / "pica-telepresence" / "Cache" / "avatars"
-    if platform == "darwin":
-        return Path.home() / "Library" / "Caches" / "pica-telepresence" / "avatars"
-    given = environment.get("XDG_CACHE_HOME", "")
-    base = Path(given) if given.startswith("/") else Path.home() / ".cache"
-    return base / "pica-telepresence" / "avatars"
-
-
 class AvatarCache:
     """A bounded folder of avatar files by hash. One thread uses it; processes may share it."""
 
@@ -51,13 +31,13 @@ class AvatarCache:
         """Prepare the folder.
 
         Args:
-            folder: Where; by default `default_folder`. When it cannot be written, a temporary one
+            folder: Where; by default `cache_folder`. When it cannot be written, a temporary one
                 that ends with the cache.
             max_bytes: Of all files together; the newest is kept whatever its size.
         """
         self._max_bytes = max_bytes
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
-        self.folder = default_folder() if folder is None else folder
+        self.folder = cache_folder() if folder is None else folder
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             trial = self.unfinished("trial")

@@ -9,8 +9,7 @@ from __future__ import annotations
 import json
 import os
 import secrets
-import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -19,6 +18,7 @@ from urllib.parse import urlsplit, urlunsplit
 
 from pica_client.output import say
 from pica_client.render.seats import LAYOUTS, Layout
+from pica_client.user_folders import preferences_folder
 
 FILE_NAME = "preferences.json"
 MAX_FILE_BYTES = 65_536
@@ -67,10 +67,10 @@ class PreferencesFile:
         """Name the file.
 
         Args:
-            folder: Where it is; by default `default_folder`.
+            folder: Where it is; by default `preferences_folder`.
             warn: LayerSubscription, at most once, what is wrong with it.
         """
-        self.path = (default_folder() if folder is None else folder) / FILE_NAME
+        self.path = (preferences_folder() if folder is None else folder) / FILE_NAME
         self._warn = warn
 
     def load(self) -> Preferences:
@@ -104,21 +104,6 @@ class PreferencesFile:
                     unfinished.unlink(missing_ok=True)
         except OSError as error:
             self._warn(f"{self.path}: preferences cannot be kept: {error.strerror or error}")
-
-
-def default_folder(
-    environment: Mapping[str, str] | None = None, platform: str = sys.platform
-) -> Path:
-    """The folder for this user's preferences: where the system has them, as for `avatar_cache`."""
-    environment = os.environ if environment is None else environment
-    if platform == "win32":
-        base = Path(environment.get("APPDATA") or Path.home() / "AppData" / "Roaming")
-        return base / "pica-telepresence"
-    if platform == "darwin":
-        return Path.home() / "Library" / "Application Support" / "pica-telepresence"
-    given = environment.get("XDG_CONFIG_HOME", "")
-    base = Path(given) if given.startswith("/") else Path.home() / ".config"
-    return base / "pica-telepresence"
 
 
 def default_keep_folder() -> Path:

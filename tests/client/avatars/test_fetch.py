@@ -20,7 +20,7 @@ from helpers.store_peers import ask, fake_avatar, id_of, store_relay, upload
 from helpers.toy import make_toy_avatar
 from pica_client.avatars import download as avatar_download
 from pica_client.avatars import fetch as avatar_fetch
-from pica_client.avatars.cache import AvatarCache, default_folder
+from pica_client.avatars.cache import AvatarCache
 from pica_client.avatars.download import (
     DownloadError,
     NoStoreError,
@@ -248,17 +248,6 @@ def test_what_a_dead_process_left_is_deleted_after_a_day(tmp_path: Path) -> None
     os.utime(old, (1e9, 1e9))
     AvatarCache(tmp_path)
     assert (old.exists(), new.exists()) == (False, True)
-
-
-def test_each_system_has_its_place_for_caches() -> None:
-    home = Path.home()
-    assert default_folder({}, "linux") == home / ".cache/pica-telepresence/avatars"
-    given = {"XDG_CACHE_HOME": "/var/cache/ada"}
-    assert default_folder(given, "linux") == Path("/var/cache/ada/pica-telepresence/avatars")
-    assert default_folder({"XDG_CACHE_HOME": "relative"}, "linux") == default_folder({}, "linux")
-    assert default_folder({}, "darwin") == home / "Library/Caches/pica-telepresence/avatars"
-    local = default_folder({"LOCALAPPDATA": "/ada/Local"}, "win32")
-    assert local == Path("/ada/Local/pica-telepresence/Cache/avatars")
 
 
 # The library that fetches

@@ -14,7 +14,6 @@ from pica_client.ui.preferences import (
     MAX_FILE_BYTES,
     Preferences,
     PreferencesFile,
-    default_folder,
     without_secrets,
 )
 
@@ -127,18 +126,3 @@ def test_a_folder_that_cannot_be_made_is_a_warning(tmp_path: Path) -> None:
     kept = Kept(tmp_path / "file")
     kept.file.save(KEPT)
     assert len(kept.warnings) == 1
-
-
-@pytest.mark.parametrize(
-    ("platform", "environment", "expected"),
-    [
-        ("linux", {"XDG_CONFIG_HOME": "/etc/mine"}, "/etc/mine/pica-telepresence"),
-        ("linux", {"XDG_CONFIG_HOME": "relative"}, str(Path.home() / ".config/pica-telepresence")),
-        ("darwin", {}, str(Path.home() / "Library/Application Support/pica-telepresence")),
-        ("win32", {"APPDATA": "/roaming"}, "/roaming/pica-telepresence"),
-    ],
-)
-def test_the_file_is_where_the_platform_has_such_files(
-    platform: str, environment: dict[str, str], expected: str
-) -> None:
-    assert str(default_folder(environment, platform)) == expected
