@@ -98,7 +98,7 @@ def test_a_relay_answers_health_checks_and_shows_its_numbers() -> None:
             assert reply.headers.get_all("Content-Type") == [
                 "text/plain; version=0.0.4; charset=utf-8"
             ]
-            assert b"pica_open_connections 0\n" in reply.read()
+            assert b"pica_open_connections 0.0\n" in reply.read()
 
 
 def test_a_killed_peer_is_reported_and_noise_on_the_port_hurts_nobody() -> None:

@@ -3,7 +3,7 @@
 import math
 from bisect import bisect_right
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 _BUCKETS_PER_OCTAVE = 8
@@ -113,32 +113,20 @@ class RelayStats:
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain values; latencies in milliseconds."""
-        percentiles = {f"p{p}": self.forwarding.percentile_s(p) for p in (50, 95, 99)}
-        return {
-            "connections": self.connections,
-            "joins": self.joins,
-            "frames_in": self.frames_in,
-            "bytes_in": self.bytes_in,
-            "frames_out": self.frames_out,
-            "bytes_out": self.bytes_out,
-            "messages_out": self.messages_out,
-            "dropped": dict(self.dropped),
-            "unwanted": self.unwanted,
-            "frames_resumed": self.frames_resumed,
-            "keyframe_requests": dict(self.keyframe_requests),
-            "whispers": self.whispers,
-            "whispers_dropped": dict(self.whispers_dropped),
-            "cluster": dict(self.cluster),
-            "cluster_dropped": dict(self.cluster_dropped),
-            "limits_hit": dict(self.limits_hit),
-            "closed": {str(code): count for code, count in sorted(self.closed.items())},
-            "store": dict(self.store),
-            "webhooks": dict(self.webhooks),
-            "resumes": dict(self.resumes),
-            "reported_lost": self.reported_lost,
-            "reported_concealed": self.reported_concealed,
-            "forward_ms": {
-                name: None if value is None else round(value * 1000, 4)
-                for name, value in percentiles.items()
-            },
+        counters = {
+            each.name: _plain(getattr(self, each.name))
+            for each in fields(self)
+            if each.name != "forwarding"
         }
+        percentiles = {f"p{p}": self.forwarding.percentile_s(p) for p in (50, 95, 99)}
+        forward_ms = {
+            name: None if value is None else round(value * 1000, 4)
+            for name, value in percentiles.items()
+        }
+        return {**counters, "forward_ms": forward_ms}
+
+
+def _plain(count: "int | Counter[Any]") -> int | dict[str, int]:
+    if isinstance(count, int):
+        return count
+    return {str(key): count[key] for key in sorted(count, key=str)}

@@ -1,12 +1,13 @@
 """What the relay answers to plain HTTP: is it alive, is there a place, its numbers. Pure."""
 
 from http import HTTPStatus
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from pica_server.config.relay import RelayConfig
 from pica_server.ops.loop_watch import WORST_S, LoopWatch
 from pica_server.ops.metrics import CONTENT_TYPE, metrics_text
 from pica_server.room.hub import Hub
+from pica_server.store.store import AvatarStore
 
 
 class Page(NamedTuple):
@@ -17,25 +18,6 @@ class Page(NamedTuple):
     content_type: str = "text/plain; charset=utf-8"
 
 
-class StoreNumbers(Protocol):
-    """What is told of an avatar store."""
-
-    @property
-    def num_avatars(self) -> int:
-        """Files in it."""
-        ...
-
-    @property
-    def used_bytes(self) -> int:
-        """Of all files."""
-        ...
-
-    @property
-    def num_free_bytes(self) -> int:
-        """Left of its quota."""
-        ...
-
-
 class StatusPages:
     """The pages of one relay."""
 
@@ -44,7 +26,7 @@ class StatusPages:
         hub: Hub,
         watch: LoopWatch,
         config: RelayConfig,
-        store: StoreNumbers | None = None,
+        store: AvatarStore | None = None,
     ) -> None:
         self._hub = hub
         self._watch = watch

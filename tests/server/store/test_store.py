@@ -53,9 +53,9 @@ async def test_what_one_gives_another_gets_byte_for_byte(tmp_path: Path) -> None
         assert reply.headers["content-length"] == str(len(FILE))
         assert relay.stats()["store"]["uploads_kept"] == 1
         numbers = (await ask(relay, "/metrics")).body.decode().splitlines()
-        assert "pica_avatars 1" in numbers
-        assert f"pica_avatar_store_bytes {len(FILE)}" in numbers
-        assert 'pica_store_total{what="uploads_kept"} 1' in numbers
+        assert "pica_avatars 1.0" in numbers
+        assert f"pica_avatar_store_bytes {float(len(FILE))}" in numbers
+        assert 'pica_store_total{what="uploads_kept"} 1.0' in numbers
     assert left_in(tmp_path) == {f"{ID}.pica"}
 
 
