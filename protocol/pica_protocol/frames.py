@@ -154,7 +154,7 @@ def sequence_distance(sequence: int, reference: int) -> int:
 
 
 def unwrap_sequence(sequence: int, near: int) -> int:
-    """Return the number without wrap, nearest to ``near``, whose last sixteen bits are ``sequence``.
+    """Return the number nearest to ``near`` that is ``sequence`` modulo 65536.
 
     A receiver does this once, on arrival, with the newest number of the stream so far; a frame
     from before the first one may become a negative number.
