@@ -44,9 +44,7 @@ def test_offenders_get_their_close_codes_and_healthy_rooms_every_frame() -> None
         load.connect(config.rooms)
         before = memory_bytes(target.pid) or 0
         offenders = {
-            kind: workers.start(
-                "bench_relay_offender", kind, target.url, load.first_room, str(OFFENCE_S)
-            )
+            kind: workers.start("misbehaving", kind, target.url, load.first_room, str(OFFENCE_S))
             for kind in kinds
         }
         beside = load.measure(config.rooms, config.seconds)
@@ -70,9 +68,7 @@ def test_a_slow_reader_stays_while_it_reads_and_costs_nobody_else_a_frame() -> N
     with Workers() as workers, Children() as children, relay_target(config, children) as target:
         load = Load(config, target, workers)
         load.connect(config.rooms)
-        slow = workers.start(
-            "bench_relay_offender", "slow-reader", target.url, load.first_room, "4"
-        )
+        slow = workers.start("misbehaving", "slow-reader", target.url, load.first_room, "4")
         beside = load.measure(config.rooms, config.seconds)
         report = slow.answer(30.0)
         load.leave()

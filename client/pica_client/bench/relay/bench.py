@@ -1,14 +1,14 @@
 """`pica bench relay`: rooms full of simulated peers, and what they cost the relay.
 
 Every peer is a real websocket that publishes one stream and receives those of the others in its
-room (`bench_relay_peer`); payloads have the sizes and layers of a coded face
-(`bench_relay_traffic`). Without an address the bench starts a relay of its own on a core of its
+room (`peer`); payloads have the sizes and layers of a coded face
+(`traffic`). Without an address the bench starts a relay of its own on a core of its
 own, and keeps the load on the others.
 
 What the figures are:
 
 - ``forward_ms``: from just before a peer's send call to just after another's receive call, of all
-  frames captured in the window (`bench_relay_swarm`). It includes the network, and the time that
+  frames captured in the window (`swarm`). It includes the network, and the time that
   frames wait in a busy load generator: ``generator.turn_ms`` bounds that.
 - ``relay_forward_ms``: the relay's own, from receipt to the socket's taking it, as the upper bounds
   of its histogram's buckets.
@@ -172,7 +172,7 @@ class Load:
         names = [self._room(index) for index in range(config.most_rooms)]
         self._swarms = [
             workers.start(
-                "bench_relay_swarm",
+                "swarm",
                 json.dumps(
                     asdict(
                         SwarmConfig(
@@ -391,10 +391,10 @@ def _rival(
         per_message = result["frames_per_message"] or 1
         # As many in a message as the relay puts there, rounded down to what divides.
         fitting = [n for n in range(1, copies + 1) if copies % n == 0 and n <= per_message + 0.25]
-        worker = workers.start("bench_relay_echo", str(copies), str(fitting[-1]), core=core)
+        worker = workers.start("echo", str(copies), str(fitting[-1]), core=core)
     else:
         loop = ["uvloop"] if name == "naive-uvloop" else []
-        worker = workers.start("bench_naive_relay", *loop, core=core)
+        worker = workers.start("naive", *loop, core=core)
     yield Target(url=worker.line(START_TIMEOUT_S), pid=worker.pid)
     workers.stop([worker])
 

@@ -86,7 +86,7 @@ def _beside(
     _, cores = share_cores()
     duration_s = seconds + EXTRA_S
     offender = workers.start(
-        "bench_relay_offender",
+        "misbehaving",
         *(kind, target.url, load.first_room, f"{duration_s:g}"),
         core=cores[-1],
     )

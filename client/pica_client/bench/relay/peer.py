@@ -8,7 +8,7 @@ session of `pica_protocol`), while media is written and read here, by hand:
   relay unmasks it as any other; random keys are for the protection of proxies (RFC 6455 10.3);
 - of a message that comes in, the frames' headers are walked, the payloads are not looked at.
 
-No event loop: `bench_relay_swarm` calls `on_readable` when the socket is.
+No event loop: `swarm` calls `on_readable` when the socket is.
 """
 
 from __future__ import annotations

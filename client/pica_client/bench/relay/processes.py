@@ -117,7 +117,7 @@ class Workers:
 
     def start(self, module: str, *arguments: str, core: int | None = None) -> Worker:
         """Start a module of this package."""
-        worker = Worker(f"pica_client.{module}", *arguments, core=core)
+        worker = Worker(f"pica_client.bench.relay.{module}", *arguments, core=core)
         self._workers.append(worker)
         return worker
 
