@@ -53,12 +53,12 @@ from pica_client.schedule.error_model import ErrorModel
 from pica_client.schedule.scheduler import HeadView, Scheduler
 from pica_client.sources import open_source
 from pica_client.stats import describe_machine, percentile
+from pica_core.avatar.decoder_layers import decoder_layers
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.level_tensors import exit_shapes, is_index
 from pica_core.avatar.levels import default_errors
 from pica_core.avatar.spec import BLOCKS
-from pica_core.graphs.decoder_layers import decoder_layers
 from pica_core.graphs.onnx_graph import decoder_graph
 from pica_core.reference.baseline import baseline_like
 from pica_core.reference.mesh import sample_vertices

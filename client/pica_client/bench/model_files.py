@@ -13,8 +13,8 @@ from pica_client.bench.head import Bounded, textured_mesh
 from pica_client.decode.decoder import BaselineDecoder, OnnxDecoder, OnnxOptions
 from pica_client.errors import OptionError
 from pica_client.render.renderer import Renderer
-from pica_core.avatar.baseline_file import KEY as BASELINE_KEY
-from pica_core.avatar.baseline_file import load_baseline
+from pica_core.avatar.baseline import KEY as BASELINE_KEY
+from pica_core.avatar.baseline import load_baseline
 from pica_core.avatar.expression_encoder import ExpressionEncoder, HasTensors
 from pica_core.avatar.file import load_avatar
 from pica_core.avatar.variants import VARIANTS, ModelCost, pixel_codec_cost

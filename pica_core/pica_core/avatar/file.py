@@ -43,6 +43,7 @@ import safetensors
 import safetensors.numpy
 
 from pica_core.avatar.arkit import NUM_ARKIT
+from pica_core.avatar.decoder_layers import decoder_layers
 from pica_core.avatar.level_tensors import PREFIX as LEVEL_PREFIX
 from pica_core.avatar.level_tensors import (
     check_sheets,
@@ -66,7 +67,6 @@ from pica_core.avatar.storage import (
 from pica_core.codec.profile import PREFIX as STREAM_PREFIX
 from pica_core.codec.profile import StreamProfile, profile_shapes
 from pica_core.errors import AvatarFileError, ProfileError
-from pica_core.graphs.decoder_layers import decoder_layers
 from pica_core.reference.surface_encoding import encoding_shapes
 from pica_core.types import Array
 

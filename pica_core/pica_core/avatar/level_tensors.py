@@ -26,10 +26,10 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 import numpy.typing as npt
 
+from pica_core.avatar.decoder_layers import trunk_channels
 from pica_core.avatar.levels import NUM_DRAWINGS, LevelErrors, level_sizes
 from pica_core.avatar.spec import POSITION_CHANNELS, AvatarSpec
 from pica_core.errors import AvatarFileError
-from pica_core.graphs.decoder_layers import trunk_channels
 from pica_core.types import Array
 
 PREFIX = "level."

@@ -21,8 +21,8 @@ from math import prod
 from types import MappingProxyType
 from typing import Literal
 
+from pica_core.avatar.decoder_layers import decoder_layers
 from pica_core.avatar.spec import AvatarSpec
-from pica_core.graphs.decoder_layers import decoder_layers
 from pica_core.reference.surface_encoding import encoding_shapes
 
 TopologyName = Literal["dense", "tracked"]

@@ -11,13 +11,13 @@ import numpy as np
 import tyro
 
 from pica_core.avatar.arkit import NUM_ARKIT
+from pica_core.avatar.decoder_layers import decoder_layers
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar, avatar_id, load_avatar
-from pica_core.avatar.precision import measure_precisions
 from pica_core.codec.plain_stream import LatentProfile, decode_latent, encode_latent
 from pica_core.errors import AvatarFileError
-from pica_core.graphs.decoder_layers import decoder_layers
 from pica_core.reference.pixel import count_parameters
+from pica_core.reference.precision import measure_precisions
 from pica_core.reference.surface_encoding import encoding_shapes
 
 

@@ -36,6 +36,7 @@ from typing import Literal
 
 import numpy as np
 
+from pica_core.avatar.decoder_layers import Layer, decoder_layers, trunk_layers
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import (
     LATENT_SHAPE,
@@ -44,7 +45,6 @@ from pica_core.avatar.spec import (
     POSITION_CHANNELS,
     VIEW_CHANNELS,
 )
-from pica_core.graphs.decoder_layers import Layer, decoder_layers, trunk_layers
 from pica_core.graphs.graph_builder import GraphBuilder, Shape
 from pica_core.types import Array
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from pica_core.avatar.decoder_layers import Layer, decoder_layers, trunk_layers
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import LATENT_SIZE, LEAKY_SLOPE, POSITION_CHANNELS
-from pica_core.graphs.decoder_layers import Layer, decoder_layers, trunk_layers
 from pica_core.reference.pixel import sample_bilinear
 from pica_core.types import Array
 

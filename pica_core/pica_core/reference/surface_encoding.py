@@ -1,7 +1,7 @@
 """What the pixel decoder is told about a surface point, in plain numpy: the judge of the others.
 
 An encoding is a few parts side by side (`spec.ENCODINGS`). Each part is one class here, one in
-torch (`model.encodings`), one in ONNX (`pixel_graph`) and one file of GLSL:
+torch (`model.encodings`), one in ONNX (for the tests) and one file of GLSL:
 
     joint       m_uv(u, v), a learned map read bilinearly           uv_encoding        [T, T, 4]
     axes        m_u(u), m_v(v), learned tables read linearly        u_, v_encoding     [L, 2]

@@ -14,7 +14,7 @@ import torch
 from helpers.toy import grid_faces
 from helpers.trainable import toy_prior
 from pica_client.decode.onnx_runtime import onnxruntime
-from pica_core.avatar.baseline_file import KEY, load_baseline, save_baseline
+from pica_core.avatar.baseline import KEY, load_baseline, save_baseline
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.errors import AvatarFileError

@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.toy import make_toy_avatar, with_toy_levels
+from pica_core.avatar.decoder_layers import decoder_layers, trunk_channels, trunk_layers
 from pica_core.avatar.file import Avatar, load_avatar, save_avatar
 from pica_core.avatar.level_tensors import (
     error_tensors,
@@ -25,7 +26,6 @@ from pica_core.avatar.level_tensors import (
 from pica_core.avatar.levels import LevelErrors, default_errors, level_sizes
 from pica_core.avatar.spec import BLOCKS, AvatarSpec
 from pica_core.errors import AvatarFileError
-from pica_core.graphs.decoder_layers import decoder_layers, trunk_channels, trunk_layers
 from pica_core.types import Array
 
 pytestmark = pytest.mark.unit

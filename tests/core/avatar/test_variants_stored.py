@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from helpers.toy import make_toy_avatar
-from pica_core.avatar.precision import PrecisionCost, measure_precisions
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.storage import DEFAULT_STORAGE, storage_of
+from pica_core.reference.precision import PrecisionCost, measure_precisions
 
 pytestmark = pytest.mark.unit
 

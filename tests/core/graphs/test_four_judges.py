@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from helpers.pixel_graph import pixel_decoder_graph
 from helpers.tolerances import EXPRESSION_ONNX, MAP_TORCH_M, PIXEL_FLOAT32, PIXEL_ONNX
 from helpers.toy import grid_faces, with_toy_levels
 from helpers.trainable import grid_uv, toy_prior
@@ -17,7 +18,6 @@ from pica_client.decode.onnx_runtime import onnxruntime
 from pica_core.avatar.file import Avatar, Manifest
 from pica_core.avatar.spec import BLOCKS, AvatarSpec
 from pica_core.graphs.onnx_graph import decoder_graph
-from pica_core.graphs.pixel_graph import pixel_decoder_graph
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.interface import Surface
 from pica_core.reference.pixel import count_parameters, decode_pixels, sample_bilinear

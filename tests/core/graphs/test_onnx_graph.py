@@ -9,12 +9,12 @@ import onnx
 import pytest
 
 from helpers import tolerances
+from helpers.pixel_graph import pixel_decoder_graph
 from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_client.decode.onnx_runtime import onnxruntime
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import BLOCKS, AvatarSpec
 from pica_core.graphs.onnx_graph import Parts, decoder_graph
-from pica_core.graphs.pixel_graph import pixel_decoder_graph
 from pica_core.reference.decoders import decode_expression_map, decode_position_map
 from pica_core.reference.pixel import decode_pixels
 from pica_core.types import Array

@@ -7,8 +7,8 @@ import torch
 from torch import nn
 
 from helpers.trainable import toy_prior
+from pica_core.avatar.decoder_layers import decoder_layers
 from pica_core.avatar.spec import BLOCKS, PAPER_SPEC, AvatarSpec
-from pica_core.graphs.decoder_layers import decoder_layers
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.decoders import MapDecoder, sample_map
 from pica_core.model.encoder import LightEncoder, PaperEncoder

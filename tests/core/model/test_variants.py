@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from helpers.pixel_graph import pixel_decoder_graph
 from helpers.tolerances import PIXEL_FLOAT32, PIXEL_ONNX
 from helpers.toy import grid_faces
 from helpers.trainable import grid_uv, toy_prior
@@ -18,7 +19,6 @@ from pica_core.avatar.manifest import DRAWN_VARIANTS
 from pica_core.avatar.spec import PAPER_SPEC, AvatarSpec
 from pica_core.avatar.variants import FULL, TABLE_1, TABLE_2
 from pica_core.errors import AvatarFileError
-from pica_core.graphs.pixel_graph import pixel_decoder_graph
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.interface import AvatarModel, FacePrior, Surface
 from pica_core.model.variants import VARIANTS, make_model

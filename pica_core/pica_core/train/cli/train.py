@@ -16,7 +16,7 @@ import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from pica_core.avatar.baseline_file import save_baseline
+from pica_core.avatar.baseline import save_baseline
 from pica_core.avatar.file import avatar_id, save_avatar
 from pica_core.avatar.storage import Precision, storage_of
 from pica_core.capture.dataset.dataset import Capture
