@@ -68,3 +68,19 @@ class TrainingMemoryError(PicaCoreError):
 
 class TrainingOptionError(PicaCoreError, ValueError):
     """An option of a training run is out of range: names it, its value and the limit."""
+
+
+def check_ranges(
+    owner: object, error: type[Exception] = ValueError, **ranges: tuple[float, float]
+) -> None:
+    """Refuse numbers that are out of range.
+
+    Args:
+        owner: The object whose attributes are checked.
+        error: What to raise: it names the attribute, its value and the range.
+        ranges: The lowest and the highest value allowed, by attribute.
+    """
+    for name, (low, high) in ranges.items():
+        value = getattr(owner, name)
+        if not low <= value <= high:
+            raise error(f"{name} is {value}; {low} to {high} is allowed")

@@ -12,6 +12,9 @@ from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import VARIANTS
 from pica_core.types import FloatArray
 
+PAPER_SPEC = AvatarSpec(block="H2")
+"""The paper's sizes; H2 is the block whose parameter count lies nearest to the paper's 5.47 M."""
+
 TOY_SPEC = AvatarSpec(uv_encoding_size=64, axis_encoding_size=200)
 """The shipped sizes but for smaller encoding maps: files of 1 MB, tests of milliseconds."""
 

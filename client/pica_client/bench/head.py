@@ -13,8 +13,8 @@ from pica_client.errors import OptionError
 from pica_client.render.gpu_textured import TexturedMesh
 from pica_client.render.scene import head_matrix
 from pica_client.sources.performances import make_performance
+from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.camera import Camera, look_at
-from pica_core.reference.baseline import BaselineAvatar
 from pica_core.types import FloatArray
 
 T = TypeVar("T")

@@ -59,11 +59,12 @@ from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement, view_direction
 from pica_client.stats import describe_machine
 from pica_core.avatar.arkit import NUM_ARKIT
+from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.camera import Camera
 from pica_core.gl import create_context, wait_for_gpu
-from pica_core.reference.baseline import BaselineAvatar, baseline_like
+from pica_core.reference.baseline import baseline_like
 
 Draw = Callable[[], object]
 Model = Literal["pica", "baseline"]

@@ -22,10 +22,10 @@ from typing import Any, Literal, Protocol
 
 from pica_client.decode.onnx_runtime import onnxruntime
 from pica_client.errors import OptionError
+from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.file import Avatar
 from pica_core.graphs.baseline_graph import baseline_graph
 from pica_core.graphs.onnx_graph import decoder_graph
-from pica_core.reference.baseline import BaselineAvatar
 from pica_core.types import FloatArray
 
 Parts = Literal["both", "expression"]

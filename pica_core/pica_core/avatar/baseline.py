@@ -1,17 +1,29 @@
-"""A trained baseline in a file, so that what is measured of avatars can be measured of it too.
+"""The paper's baseline as a second kind of avatar: one network makes vertices and a whole texture.
 
-Safetensors as avatar files are: numbers and a manifest, nothing that runs. Decoder and expression
-encoder are stored in fp16, positions in float32. It is a measuring instrument, not an avatar: no
-stream tables, no levels, nothing that a call needs, and 35 MB at the published sizes.
+Deep Appearance Models (Lombardi et al. 2018) as later published with a face capture data set; the
+decoder alone, since that is what a receiver runs and what the paper's runtime tables compare:
 
-Tensors: those of `BaselineSpec.tensor_shapes`, ``mesh.vertex_uv`` ``[V, 2]``, ``mesh.faces``
-``[F, 3]`` int32, and ``encoder.{i}.weight .bias`` as in an avatar file.
+    view direction 3 -> 8; latent z -> z
+    mesh      fully connected z -> 3V
+    texture   fully connected z + 8 -> z x 4 x 4, then eight transposed convolutions 4x4, stride 2,
+              to channels z, 64, 64, 32, 32, 16, 16, 3, each with an untied bias at its output size
+
+A LeakyReLU (slope 0.2) follows every layer but the two that end in vertices and texture. At z = 256
+and 7,306 vertices these are 17.4 M parameters and 755 M multiply-adds in the convolutions.
+
+It is a measuring instrument: no stream tables, no levels, nothing that a call needs. `pica train
+--variant baseline` and `pica export` make one. Its file is safetensors with a manifest, as avatar
+files are, 35 MB at the published sizes: decoder and expression encoder in fp16, positions in
+float32. Tensors: those of `BaselineSpec.tensor_shapes`, ``mesh.vertex_uv`` ``[V, 2]``,
+``mesh.faces`` ``[F, 3]`` int32, and ``encoder.{i}.weight .bias`` as in an avatar file.
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +32,16 @@ import safetensors
 import safetensors.numpy
 
 from pica_core.avatar.arkit import NUM_ARKIT
-from pica_core.avatar.spec import NUM_LATENT
-from pica_core.avatar.storage import MAX_MAGNITUDE
-from pica_core.errors import AvatarFileError
-from pica_core.reference.baseline import BaselineAvatar, BaselineSpec
-from pica_core.types import Array
+from pica_core.avatar.file import naming, read_bytes, write_bytes
+from pica_core.avatar.spec import NUM_LATENT, RGB_CHANNELS, VIEW_CHANNELS
+from pica_core.avatar.storage import check_finite
+from pica_core.errors import check_ranges
+from pica_core.types import Array, FloatArray, IntArray
 
+VIEW_FEATURES = 8
+"""Values that the view direction becomes."""
+FIRST_SIZE = 4
+"""Rows and columns of the texture decoder's first grid."""
 KEY = "pica_baseline"
 MAX_FILE_BYTES = 256 * 2**20
 MAX_FACES = 400_000
@@ -34,17 +50,123 @@ _EXACT = ("mesh.bias", "mesh.vertex_uv")
 """Stored in float32: half a millimetre would be lost of a position in fp16."""
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BaselineSpec:
+    """Sizes of a baseline decoder; the defaults are those that were published."""
+
+    num_latent: int = NUM_LATENT
+    """Length z of the latent; ours, flattened, by default."""
+    num_vertices: int = 7306
+    channels: tuple[int, ...] = (NUM_LATENT, 64, 64, 32, 32, 16, 16, RGB_CHANNELS)
+    """Output channels of the transposed convolutions."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self, num_latent=(1, 4096), num_vertices=(1, 200_000))
+        if not 1 <= len(self.channels) <= 8 or not all(1 <= c <= 4096 for c in self.channels):
+            raise ValueError(f"channels are {self.channels}; 1 to 8 layers of 1 to 4096 are needed")
+        if self.channels[-1] != RGB_CHANNELS:
+            raise ValueError(f"channels end in {self.channels[-1]}; colours have {RGB_CHANNELS}")
+
+    @property
+    def texture_size(self) -> int:
+        """Rows and columns of the texture: 1024 by default."""
+        return FIRST_SIZE << len(self.channels)
+
+    def tensor_shapes(self) -> dict[str, tuple[int, ...]]:
+        """Name and shape of every tensor; fully connected ones ``[out, in]``, transposed
+        convolutions ``[in, out, 4, 4]``."""
+        z = self.num_latent
+        grid = z * FIRST_SIZE * FIRST_SIZE
+        shapes: dict[str, tuple[int, ...]] = {}
+        for name, inputs, outputs in (
+            ("view", VIEW_CHANNELS, VIEW_FEATURES),
+            ("latent", z, z),
+            ("mesh", z, 3 * self.num_vertices),
+            ("grid", z + VIEW_FEATURES, grid),
+        ):
+            shapes[f"{name}.weight"] = (outputs, inputs)
+            shapes[f"{name}.bias"] = (outputs,)
+        channels, size = z, FIRST_SIZE
+        for index, outputs in enumerate(self.channels):
+            size *= 2
+            shapes[f"texture.{index}.weight"] = (channels, outputs, 4, 4)
+            shapes[f"texture.{index}.bias"] = (outputs, size, size)
+            channels = outputs
+        return shapes
+
+    @property
+    def num_parameters(self) -> int:
+        """Numbers in all tensors."""
+        return sum(map(prod, self.tensor_shapes().values()))
+
+    @property
+    def multiply_adds(self) -> int:
+        """Multiply-adds of one frame; biases and activations are not counted."""
+        total, size = 0, FIRST_SIZE
+        for name, shape in self.tensor_shapes().items():
+            if len(shape) == 4:  # stride 2: four of sixteen taps meet at every output
+                size *= 2
+                total += 4 * shape[0] * shape[1] * size * size
+            elif name.endswith(".weight"):
+                total += shape[0] * shape[1]
+        return total
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class BaselineAvatar:
+    """A baseline decoder of one person, and the mesh that its vertices belong to."""
+
+    spec: BaselineSpec
+    tensors: Mapping[str, Array]
+    """As `BaselineSpec.tensor_shapes` names and shapes them, float32; a trained one has
+    ``encoder.{i}.weight`` and ``.bias`` beside them, from 52 ARKit values to the latent."""
+    vertex_uv: FloatArray
+    """Where vertices lie in the texture, in [0, 1], row 0 is v = 0. float32 ``[V, 2]``."""
+    faces: IntArray
+    """int32 ``[F, 3]``, counter-clockwise seen from outside."""
+    bounds_min_m: tuple[float, float, float]
+    """Lower corner of all positions, head frame, metres."""
+    bounds_max_m: tuple[float, float, float]
+    """Upper corner of all positions, head frame, metres."""
+
+    def __post_init__(self) -> None:
+        for name, shape in self.spec.tensor_shapes().items():
+            if name not in self.tensors or self.tensors[name].shape != shape:
+                raise ValueError(f"tensor {name} is missing or not of shape {list(shape)}")
+        if self.vertex_uv.shape != (self.spec.num_vertices, 2):
+            raise ValueError(f"vertex_uv is {self.vertex_uv.shape}; one row a vertex is needed")
+        if self.faces.min() < 0 or self.faces.max() >= self.spec.num_vertices:
+            raise ValueError("faces name vertices that are not there")
+
+
+def baseline_channels(texture_size: int) -> tuple[int, ...]:
+    """The published channels for a texture of another size: the last layers but one are left out.
+
+    Args:
+        texture_size: Rows and columns, texels: 1024 as published, or 32, 64, ... below.
+
+    Raises:
+        ValueError: Another size.
+    """
+    published = BaselineSpec().channels
+    sizes = {FIRST_SIZE << count: count for count in range(3, len(published) + 1)}
+    if texture_size not in sizes:
+        known = ", ".join(map(str, sizes))
+        raise ValueError(f"texture_size is {texture_size}; known are {known}")
+    return (*published[: sizes[texture_size] - 1], RGB_CHANNELS)
+
+
 def save_baseline(path: Path | str, baseline: BaselineAvatar) -> None:
     """Write a baseline; what is written is read back and checked.
 
     Raises:
         AvatarFileError: It is none that `load_baseline` would accept, or cannot be written.
     """
+    tensors = {**baseline.tensors, "mesh.vertex_uv": baseline.vertex_uv}
     stored: dict[str, Array] = {
         name: np.ascontiguousarray(array, np.float32 if name in _EXACT else np.float16)
-        for name, array in baseline.tensors.items()
+        for name, array in tensors.items()
     }
-    stored["mesh.vertex_uv"] = np.ascontiguousarray(baseline.vertex_uv, np.float32)
     stored["mesh.faces"] = np.ascontiguousarray(baseline.faces, np.int32)
     manifest = {
         "schema_version": 1,
@@ -53,11 +175,9 @@ def save_baseline(path: Path | str, baseline: BaselineAvatar) -> None:
         "bounds_max_m": baseline.bounds_max_m,
     }
     data = safetensors.numpy.save(stored, {KEY: json.dumps(manifest)})
-    _read(str(path), data)
-    try:
-        Path(path).write_bytes(data)
-    except OSError as error:
-        raise AvatarFileError(f"{path}: cannot be written: {error.strerror or error}") from error
+    with naming(path):
+        _parse(data)
+    write_bytes(path, data)
 
 
 def load_baseline(path: Path | str) -> BaselineAvatar:
@@ -66,22 +186,16 @@ def load_baseline(path: Path | str) -> BaselineAvatar:
     Raises:
         AvatarFileError: Missing, too large, not safetensors, or not what its manifest asks for.
     """
-    try:
-        with Path(path).open("rb") as file:
-            data = file.read(MAX_FILE_BYTES + 1)
-    except OSError as error:
-        raise AvatarFileError(f"{path}: cannot be read: {error.strerror or error}") from error
-    return _read(str(path), data)
+    data = read_bytes(path, MAX_FILE_BYTES)
+    with naming(path):
+        return _parse(data)
 
 
-def _read(where: str, data: bytes) -> BaselineAvatar:
-    if len(data) > MAX_FILE_BYTES:
-        raise AvatarFileError(f"{where}: larger than {MAX_FILE_BYTES} bytes, the limit")
+def _parse(data: bytes) -> BaselineAvatar:
     try:
         stored = safetensors.numpy.load(data)
         length = int.from_bytes(data[:8], "little")
-        header = json.loads(data[8 : 8 + length])
-        manifest = json.loads(header["__metadata__"][KEY])
+        manifest = json.loads(json.loads(data[8 : 8 + length])["__metadata__"][KEY])
         sizes = manifest["spec"]
         spec = BaselineSpec(
             num_latent=int(sizes["num_latent"]),
@@ -90,49 +204,41 @@ def _read(where: str, data: bytes) -> BaselineAvatar:
         )
         low, high = (_corner(manifest[f"bounds_{end}_m"]) for end in ("min", "max"))
     except (safetensors.SafetensorError, ValueError, KeyError, TypeError) as error:
-        raise AvatarFileError(f"{where}: not a baseline file ({error})") from error
+        raise ValueError(f"not a baseline file ({error})") from error
     faces = stored.pop("mesh.faces", np.zeros((0, 3), np.int32))
     if faces.dtype != np.int32 or faces.ndim != 2 or faces.shape[1] != 3:
-        raise AvatarFileError(f"{where}: tensor mesh.faces is {faces.dtype} {list(faces.shape)}")
+        raise ValueError(f"tensor mesh.faces is {faces.dtype} {list(faces.shape)}")
     if not 1 <= len(faces) <= MAX_FACES:
-        raise AvatarFileError(f"{where}: {len(faces)} faces; 1 to {MAX_FACES} are allowed")
+        raise ValueError(f"{len(faces)} faces; 1 to {MAX_FACES} are allowed")
     tensors = {name: array.astype(np.float32) for name, array in stored.items()}
-    for name, array in tensors.items():
-        # One pass: NaN fails both comparisons' negation.
-        if not (array.min() >= -MAX_MAGNITUDE and array.max() <= MAX_MAGNITUDE):
-            raise AvatarFileError(
-                f"{where}: tensor {name} has values that are not finite or beyond {MAX_MAGNITUDE:g}"
-            )
+    check_finite(tensors)
     vertex_uv = tensors.pop("mesh.vertex_uv", np.zeros((0, 2), np.float32))
-    _check_encoder(where, tensors)
-    known = {*spec.tensor_shapes(), *(name for name in tensors if name.startswith("encoder."))}
-    if unknown := sorted(set(tensors) - known):
-        raise AvatarFileError(f"{where}: tensor {unknown[0]!r:.80} is unknown")
-    try:
-        return BaselineAvatar(
-            spec=spec,
-            tensors=tensors,
-            vertex_uv=vertex_uv,
-            faces=faces,
-            bounds_min_m=low,
-            bounds_max_m=high,
-        )
-    except ValueError as error:
-        raise AvatarFileError(f"{where}: {error}") from error
+    _check_encoder(tensors)
+    unknown = {n for n in tensors if not n.startswith("encoder.")} - set(spec.tensor_shapes())
+    if unknown:
+        raise ValueError(f"tensor {min(unknown)!r:.80} is unknown")
+    return BaselineAvatar(
+        spec=spec,
+        tensors=tensors,
+        vertex_uv=vertex_uv,
+        faces=faces,
+        bounds_min_m=low,
+        bounds_max_m=high,
+    )
 
 
-def _check_encoder(where: str, tensors: dict[str, Array]) -> None:
-    """Layers that lead from 52 values to a latent, or none at all."""
+def _check_encoder(tensors: dict[str, Array]) -> None:
+    """Layers must lead from 52 values to a latent, or there must be none at all."""
     count = sum(name.startswith("encoder.") for name in tensors)
     width = NUM_ARKIT
     for index in range(count // 2):
         weight = tensors.get(f"encoder.{index}.weight", np.zeros((0, 0)))
         bias = tensors.get(f"encoder.{index}.bias", np.zeros(0))
         if weight.ndim != 2 or weight.shape[1] != width or bias.shape != weight.shape[:1]:
-            raise AvatarFileError(f"{where}: tensors encoder.{index} do not fit {width} inputs")
+            raise ValueError(f"tensors encoder.{index} do not fit {width} inputs")
         width = weight.shape[0]
     if count % 2 or (count and width != NUM_LATENT):
-        raise AvatarFileError(f"{where}: the expression encoder ends in {width} values")
+        raise ValueError(f"the expression encoder ends in {width} values")
 
 
 def _corner(values: Any) -> tuple[float, float, float]:

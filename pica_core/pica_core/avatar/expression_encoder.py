@@ -27,7 +27,7 @@ class HasTensors(Protocol):
 
     @property
     def tensors(self) -> Mapping[str, npt.NDArray[Any]]:
-        """By name."""
+        """Arrays by name."""
         ...
 
 

@@ -31,14 +31,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import safetensors
 import safetensors.numpy
 
@@ -46,6 +46,7 @@ from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.decoder_layers import decoder_layers
 from pica_core.avatar.level_tensors import PREFIX as LEVEL_PREFIX
 from pica_core.avatar.level_tensors import (
+    check_indices,
     check_sheets,
     faces_name,
     is_faces,
@@ -55,20 +56,19 @@ from pica_core.avatar.level_tensors import (
     wanted_shapes,
 )
 from pica_core.avatar.levels import LevelErrors
-from pica_core.avatar.manifest import SCHEMA_VERSION, Manifest, manifest_from_json
+from pica_core.avatar.manifest import SCHEMA_VERSION, Manifest
 from pica_core.avatar.spec import NUM_LATENT, AvatarSpec
 from pica_core.avatar.storage import (
     DEFAULT_STORAGE,
-    MAX_MAGNITUDE,
     Storage,
+    check_finite,
     to_memory,
     to_storage,
 )
 from pica_core.codec.profile import PREFIX as STREAM_PREFIX
 from pica_core.codec.profile import StreamProfile, profile_shapes
-from pica_core.errors import AvatarFileError, ProfileError
-from pica_core.reference.surface_encoding import encoding_shapes
-from pica_core.types import Array
+from pica_core.errors import AvatarFileError
+from pica_core.types import Array, IntArray
 
 __all__ = [
     "SCHEMA_VERSION",
@@ -88,8 +88,8 @@ MAX_FACES = 400_000
 MAX_ENCODER_LAYERS = 8
 MAX_ENCODER_WIDTH = 2048
 
-_FLOAT_TYPES = {"F32", "F16"}
-_AFFINE_TYPES = {"U8", "U16"}
+_INDEX_TYPES = {"I32", "U16"}
+_WEIGHT_TYPES = {"F32", "F16", "U8", "U16"}
 _STREAM_TYPES = {"I32", "I16", "U16", "U8"}
 
 
@@ -110,7 +110,7 @@ class Avatar:
         """Map sizes that it can be decoded to, ascending; ends with `spec.map_size`."""
         return levels_of(self.spec, self.tensors)
 
-    def level_faces(self, level: int) -> npt.NDArray[np.int32]:
+    def level_faces(self, level: int) -> IntArray:
         """Triangles to draw at a level, int32 ``[F, 3]``.
 
         Raises:
@@ -120,7 +120,7 @@ class Avatar:
             known = ", ".join(map(str, self.levels))
             raise ValueError(f"level is {level}; this avatar has {known}")
         name = "mesh.faces" if level == self.spec.map_size else faces_name(level)
-        faces: npt.NDArray[np.int32] = self.tensors[name]
+        faces: IntArray = self.tensors[name]
         return faces
 
     def position_rows(self, level: int) -> int:
@@ -151,7 +151,7 @@ def spec_tensor_shapes(spec: AvatarSpec) -> dict[str, tuple[int, ...]]:
     for decoder in spec.decoder_channels:
         for layer in decoder_layers(spec, decoder):
             shapes.update(layer.tensor_shapes())
-    shapes |= encoding_shapes(spec)
+    shapes |= spec.encoding_shapes
     for prefix, width, outputs in (
         ("xyz", 3, spec.xyz_channels),
         ("pixel", spec.pixel_input_channels, spec.pixel_channels),
@@ -169,8 +169,7 @@ def avatar_id(source: Path | str | bytes) -> str:
     Raises:
         AvatarFileError: The file cannot be read or is larger than any avatar.
     """
-    data = source if isinstance(source, bytes) else _read(Path(source))
-    return hashlib.sha256(data).hexdigest()
+    return hashlib.sha256(_content(source)).hexdigest()
 
 
 def save_avatar(
@@ -194,10 +193,10 @@ def save_avatar(
         AvatarFileError: The avatar is not one that `load_avatar` would accept, or the file cannot
             be written.
     """
-    where = str(path)
     # Row after row: safetensors writes the memory of an array as it lies there.
     tensors = {name: np.ascontiguousarray(array) for name, array in avatar.tensors.items()}
-    _check_tensors(where, avatar.spec, tensors)
+    with naming(path):
+        _check_tensors(avatar.spec, tensors)
     kept = _stored_as_they_stand(like, tensors) if like is not None else {}
     stored: dict[str, Array] = {}
     affine: dict[str, Any] = {}
@@ -212,11 +211,8 @@ def save_avatar(
         "storage": json.dumps(affine, allow_nan=False),
     }
     data = _with_ordered_metadata(safetensors.numpy.save(stored, metadata))
-    load_avatar(data, where)  # what we write, we must be able to read; also checks the manifest
-    try:
-        Path(path).write_bytes(data)
-    except OSError as error:
-        raise AvatarFileError(f"{path}: cannot be written: {error.strerror or error}") from error
+    load_avatar(data, str(path))  # what we write, we must be able to read; checks the manifest, too
+    write_bytes(path, data)
 
 
 def load_avatar(source: Path | str | bytes, name: str | None = None) -> Avatar:
@@ -230,41 +226,81 @@ def load_avatar(source: Path | str | bytes, name: str | None = None) -> Avatar:
         AvatarFileError: Missing, too large, not safetensors, or anything in it differs from what
             its spec asks for. The message names file, field and limit.
     """
-    where = name or ("avatar" if isinstance(source, bytes) else str(source))
-    data = source if isinstance(source, bytes) else _read(Path(source))
-    header = _read_header(where, data)
-    metadata = header.pop("__metadata__", None)
-    if not isinstance(metadata, dict) or "pica" not in metadata:
-        raise AvatarFileError(
-            f"{where}: metadata has no 'pica' manifest; this is not an avatar file"
-        )
-    manifest = manifest_from_json(_parse_json(where, "manifest", metadata["pica"]), where)
-    affine = _parse_json(where, "storage", metadata.get("storage", "{}"))
-    shapes = _check_header(where, manifest.spec, header)
-    try:
-        stored = safetensors.numpy.load(data)
-    except (safetensors.SafetensorError, ValueError, KeyError) as error:
-        raise AvatarFileError(
-            f"{where}: cut or damaged, not valid safetensors ({error}); get the file again"
-        ) from error
-    tensors = {
-        key: to_memory(where, key, stored[key], shapes[key], affine) for key in sorted(shapes)
-    }
-    _check_tensors(where, manifest.spec, tensors)
+    data = _content(source)
+    with naming(name or ("avatar" if isinstance(source, bytes) else source)):
+        header = _read_header(data)
+        metadata = header.pop("__metadata__", None)
+        if not isinstance(metadata, dict) or "pica" not in metadata:
+            raise ValueError("metadata has no 'pica' manifest; this is not an avatar file")
+        manifest = Manifest.from_json(_parse_json("manifest", metadata["pica"]))
+        affine = _parse_json("storage", metadata.get("storage", "{}"))
+        _check_header(manifest.spec, header)
+        try:
+            stored = safetensors.numpy.load(data)
+        except (safetensors.SafetensorError, ValueError, KeyError) as error:
+            raise ValueError(
+                f"cut or damaged, not valid safetensors ({error}); get the file again"
+            ) from error
+        tensors = {key: to_memory(key, stored[key], affine) for key in sorted(header)}
+        _check_tensors(manifest.spec, tensors)
     for array in tensors.values():
         array.flags.writeable = False
     return Avatar(manifest, MappingProxyType(tensors))
+
+
+def read_bytes(path: Path | str, limit: int) -> bytes:
+    """The content of a file that is not larger than a limit.
+
+    Raises:
+        AvatarFileError: It cannot be read, or it is larger.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            data = file.read(limit + 1)
+    except OSError as error:
+        raise AvatarFileError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if len(data) > limit:
+        raise AvatarFileError(f"{path}: file is larger than {limit} bytes, the limit")
+    return data
+
+
+def write_bytes(path: Path | str, data: bytes) -> None:
+    """Write a file.
+
+    Raises:
+        AvatarFileError: It cannot be written.
+    """
+    try:
+        Path(path).write_bytes(data)
+    except OSError as error:
+        raise AvatarFileError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+@contextmanager
+def naming(where: Path | str) -> Iterator[None]:
+    """Turn what is wrong with a file's content into an error that names the file.
+
+    Raises:
+        AvatarFileError: In place of each ValueError.
+    """
+    try:
+        yield
+    except ValueError as error:
+        raise AvatarFileError(f"{where}: {error}") from error
+
+
+def _content(source: Path | str | bytes) -> bytes:
+    return source if isinstance(source, bytes) else read_bytes(source, MAX_FILE_BYTES)
 
 
 def _stored_as_they_stand(
     source: Path | str | bytes, tensors: Mapping[str, Array]
 ) -> dict[str, tuple[Array, dict[str, Any] | None]]:
     """What a file stores of those tensors that it has just so, and their tables."""
-    data = source if isinstance(source, bytes) else _read(Path(source))
+    data = _content(source)
     before = load_avatar(data, None if isinstance(source, bytes) else str(source)).tensors
     stored = safetensors.numpy.load(data)
-    metadata = _read_header("avatar", data)["__metadata__"]
-    affine = json.loads(metadata.get("storage", "{}"))
+    affine = json.loads(_read_header(data)["__metadata__"].get("storage", "{}"))
     return {
         name: (stored[name], affine.get(name))
         for name, array in tensors.items()
@@ -272,40 +308,27 @@ def _stored_as_they_stand(
     }
 
 
-def _read(path: Path) -> bytes:
-    try:
-        with path.open("rb") as file:
-            data = file.read(MAX_FILE_BYTES + 1)
-    except OSError as error:
-        raise AvatarFileError(f"{path}: cannot be read: {error.strerror or error}") from error
-    if len(data) > MAX_FILE_BYTES:
-        raise AvatarFileError(f"{path}: file is larger than {MAX_FILE_BYTES} bytes, the limit")
-    return data
-
-
-def _read_header(where: str, data: bytes) -> dict[str, Any]:
-    if len(data) > MAX_FILE_BYTES:
-        raise AvatarFileError(f"{where}: {len(data)} bytes; the limit is {MAX_FILE_BYTES}")
-    if len(data) < 8:
-        raise AvatarFileError(f"{where}: {len(data)} bytes are too few for an avatar file")
+def _read_header(data: bytes) -> dict[str, Any]:
+    if not 8 <= len(data) <= MAX_FILE_BYTES:
+        raise ValueError(f"{len(data)} bytes; an avatar file has 8 to {MAX_FILE_BYTES}")
     length = int.from_bytes(data[:8], "little")
     if length > MAX_HEADER_BYTES:
-        raise AvatarFileError(
-            f"{where}: header of {length} bytes (the limit is {MAX_HEADER_BYTES}); "
+        raise ValueError(
+            f"header of {length} bytes (the limit is {MAX_HEADER_BYTES}); "
             "this is not an avatar file"
         )
     if 8 + length > len(data):
-        raise AvatarFileError(
-            f"{where}: cut: the header alone needs {8 + length} bytes, {len(data)} are there; "
+        raise ValueError(
+            f"cut: the header alone needs {8 + length} bytes, {len(data)} are there; "
             "get the file again"
         )
-    header = _parse_json(where, "header", data[8 : 8 + length])
+    header = _parse_json("header", data[8 : 8 + length])
     if not isinstance(header, dict):
-        raise AvatarFileError(f"{where}: header is not a JSON object; this is not an avatar file")
+        raise ValueError("header is not a JSON object; this is not an avatar file")
     return header
 
 
-def _parse_json(where: str, field: str, text: object) -> Any:
+def _parse_json(field: str, text: object) -> Any:
     def refuse_constant(constant: str) -> None:
         raise ValueError(f"the constant {constant} is not allowed")
 
@@ -316,125 +339,94 @@ def _parse_json(where: str, field: str, text: object) -> Any:
         return found
 
     if not isinstance(text, str | bytes):
-        raise AvatarFileError(f"{where}: {field} is {type(text).__name__}; JSON text is needed")
+        raise ValueError(f"{field} is {type(text).__name__}; JSON text is needed")
     try:
         return json.loads(text, parse_constant=refuse_constant, object_pairs_hook=refuse_duplicates)
     except (ValueError, RecursionError) as error:
-        raise AvatarFileError(f"{where}: {field} is not valid JSON: {error}") from error
+        raise ValueError(f"{field} is not valid JSON: {error}") from error
 
 
-def _check_header(
-    where: str, spec: AvatarSpec, header: Mapping[str, Any]
-) -> dict[str, tuple[int, ...]]:
-    """Names, shapes and stored types of all tensors, before any of them is materialised."""
+def _check_header(spec: AvatarSpec, header: Mapping[str, Any]) -> None:
+    """Check names, shapes and stored types of all tensors, before any of them is materialised."""
     shapes: dict[str, tuple[int, ...]] = {}
-    types: dict[str, str] = {}
     for name, entry in header.items():
         shape = entry.get("shape") if isinstance(entry, dict) else None
         if not isinstance(shape, list) or not all(type(n) is int and n > 0 for n in shape):
-            raise AvatarFileError(f"{where}: tensor {name!r:.80} has no proper shape")
+            raise ValueError(f"tensor {name!r:.80} has no proper shape")
         shapes[name] = tuple(shape)
-        types[name] = str(entry.get("dtype"))
-    _check_shapes(where, spec, shapes)
-    for name, stored in types.items():
-        allowed = {"I32", "U16"} if is_index(name) else _FLOAT_TYPES | _AFFINE_TYPES
+    _check_shapes(spec, shapes)
+    for name, entry in header.items():
+        allowed = _INDEX_TYPES if is_index(name) else _WEIGHT_TYPES
         if name.startswith(STREAM_PREFIX):
             allowed = _STREAM_TYPES
-        if stored not in allowed:
-            raise AvatarFileError(
-                f"{where}: tensor {name} is stored as {stored:.20}; "
-                f"allowed are {', '.join(sorted(allowed))}"
+        if (stored := str(entry.get("dtype"))) not in allowed:
+            raise ValueError(
+                f"tensor {name} is stored as {stored:.20}; allowed are {', '.join(sorted(allowed))}"
             )
-    return shapes
 
 
-def _check_shapes(where: str, spec: AvatarSpec, shapes: Mapping[str, tuple[int, ...]]) -> None:
+def _check_shapes(spec: AvatarSpec, shapes: Mapping[str, tuple[int, ...]]) -> None:
     wanted = spec_tensor_shapes(spec)
-    num_layers = sum(
-        1 for name in shapes if name.startswith("encoder.") and name.endswith(".weight")
-    )
+    num_layers = sum(name.startswith("encoder.") and name.endswith(".weight") for name in shapes)
     if not 1 <= num_layers <= MAX_ENCODER_LAYERS:
-        raise AvatarFileError(
-            f"{where}: encoder has {num_layers} layers; allowed are 1 to {MAX_ENCODER_LAYERS}"
-        )
+        raise ValueError(f"encoder has {num_layers} layers; allowed are 1 to {MAX_ENCODER_LAYERS}")
     width = NUM_ARKIT
     for index in range(num_layers):
-        last = index + 1 == num_layers
-        found = shapes.get(f"encoder.{index}.weight", (0,))
-        out = NUM_LATENT if last else found[0]
+        rows = (*shapes.get(f"encoder.{index}.weight", ()), 0)[0]
+        out = NUM_LATENT if index + 1 == num_layers else rows
         if not 1 <= out <= MAX_ENCODER_WIDTH:
-            raise AvatarFileError(
-                f"{where}: tensor encoder.{index}.weight is missing or has {out} outputs; "
+            raise ValueError(
+                f"tensor encoder.{index}.weight is missing or has {out} outputs; "
                 f"allowed are 1 to {MAX_ENCODER_WIDTH}"
             )
         wanted[f"encoder.{index}.weight"] = (out, width)
         wanted[f"encoder.{index}.bias"] = (out,)
         width = out
     for name, columns, limit in (("mesh.vertex_uv", 2, MAX_VERTICES), ("mesh.faces", 3, MAX_FACES)):
-        rows = shapes.get(name, (0,))[0]
-        if name in shapes and rows > limit:
-            raise AvatarFileError(f"{where}: tensor {name} has {rows} rows; the limit is {limit}")
+        rows = (*shapes.get(name, ()), 0)[0]
+        if rows > limit:
+            raise ValueError(f"tensor {name} has {rows} rows; the limit is {limit}")
         wanted[name] = (rows, columns)
-    wanted |= wanted_shapes(where, spec, shapes, MAX_FACES)
+    wanted |= wanted_shapes(spec, shapes, MAX_FACES)
     stream = {
         name.removeprefix(STREAM_PREFIX): shape
         for name, shape in shapes.items()
         if name.startswith(STREAM_PREFIX)
     }
     if stream:
-        try:
-            wanted |= {STREAM_PREFIX + name: s for name, s in profile_shapes(stream).items()}
-        except ProfileError as error:
-            raise AvatarFileError(f"{where}: {error}") from error
+        wanted |= {STREAM_PREFIX + name: shape for name, shape in profile_shapes(stream).items()}
     if missing := sorted(set(wanted) - set(shapes)):
-        raise AvatarFileError(f"{where}: tensor {missing[0]} is missing ({len(missing)} in total)")
+        raise ValueError(f"tensor {missing[0]} is missing ({len(missing)} in total)")
     if unknown := sorted(set(shapes) - set(wanted)):
-        raise AvatarFileError(f"{where}: tensor {unknown[0]!r:.80} is unknown")
+        raise ValueError(f"tensor {unknown[0]!r:.80} is unknown")
     for name, shape in wanted.items():
         if shapes[name] != shape:
-            raise AvatarFileError(
-                f"{where}: tensor {name} has shape {list(shapes[name])}; {list(shape)} is needed"
+            raise ValueError(
+                f"tensor {name} has shape {list(shapes[name])}; {list(shape)} is needed"
             )
 
 
-def _check_tensors(where: str, spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
-    _check_shapes(where, spec, {name: array.shape for name, array in tensors.items()})
-    try:
-        StreamProfile.from_tensors(tensors)
-    except ProfileError as error:
-        raise AvatarFileError(f"{where}: {error}") from error
-    for name, array in tensors.items():
-        if name.startswith(STREAM_PREFIX):
-            continue
+def _check_tensors(spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
+    _check_shapes(spec, {name: array.shape for name, array in tensors.items()})
+    StreamProfile.from_tensors(tensors)
+    own = {name: a for name, a in tensors.items() if not name.startswith(STREAM_PREFIX)}
+    for name, array in own.items():
         wanted = np.int32 if is_index(name) else np.float32
         if array.dtype != wanted:
-            raise AvatarFileError(
-                f"{where}: tensor {name} is {array.dtype}; {np.dtype(wanted)} is needed"
-            )
-        if is_index(name):
-            continue
-        # One pass: NaN fails both comparisons' negation.
-        if not (array.min() >= -MAX_MAGNITUDE and array.max() <= MAX_MAGNITUDE):
-            raise AvatarFileError(
-                f"{where}: tensor {name} has values that are not finite or beyond {MAX_MAGNITUDE:g}"
-            )
+            raise ValueError(f"tensor {name} is {array.dtype}; {np.dtype(wanted)} is needed")
+    check_finite({name: array for name, array in own.items() if not is_index(name)})
     uv = tensors["mesh.vertex_uv"]
     if uv.min() < 0 or uv.max() > 1:
-        raise AvatarFileError(
-            f"{where}: tensor mesh.vertex_uv spans {uv.min():g} to {uv.max():g}; 0 to 1 is allowed"
+        raise ValueError(
+            f"tensor mesh.vertex_uv spans {uv.min():g} to {uv.max():g}; 0 to 1 is allowed"
         )
     for name in filter(is_faces, tensors):
-        faces = tensors[name]
-        if faces.min() < 0 or faces.max() >= len(uv):
-            raise AvatarFileError(
-                f"{where}: tensor {name} names vertices {faces.min()} to {faces.max()}; "
-                f"allowed are 0 to {len(uv) - 1}"
-            )
-    check_sheets(where, spec, tensors)
+        check_indices(name, tensors[name], len(uv), "vertices")
+    check_sheets(spec, tensors)
     try:
         read_errors(spec, tensors)
     except ValueError as error:
-        raise AvatarFileError(f"{where}: {LEVEL_PREFIX}{error}") from error
+        raise ValueError(f"{LEVEL_PREFIX}{error}") from error
 
 
 def _with_ordered_metadata(data: bytes) -> bytes:

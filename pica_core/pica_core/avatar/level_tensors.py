@@ -16,7 +16,7 @@ channels of the trunk there, R the rows that hold the vertices of its mesh, T is
 
 A level is there as a whole or not at all, and so is the table of errors. The geometry is a *sheet*:
 the k-th vertex that the level's mesh uses, counted from the lowest number, stands in row k // S and
-column k % S. What is left of the last row belongs to nobody.
+column k % S. What is left of the last row belongs to no vertex.
 """
 
 from __future__ import annotations
@@ -29,14 +29,13 @@ import numpy.typing as npt
 from pica_core.avatar.decoder_layers import trunk_channels
 from pica_core.avatar.levels import NUM_DRAWINGS, LevelErrors, level_sizes
 from pica_core.avatar.spec import POSITION_CHANNELS, AvatarSpec
-from pica_core.errors import AvatarFileError
 from pica_core.types import Array
 
 PREFIX = "level."
 MAX_HEIGHTS = 64
 """Entries of an error table along the height of the head."""
 MAX_TEXELS = 4
-"""Of the trunk that a vertex is made of."""
+"""Most texels of the trunk that a vertex is made of."""
 _TABLE = ("head_px", "errors", "sensitivity")
 
 
@@ -76,8 +75,8 @@ def exit_shapes(
     Args:
         spec: Sizes of the avatar.
         level: Columns of its sheet.
-        rows: Of its sheet.
-        num_texels: That a vertex is made of.
+        rows: Rows of its sheet.
+        num_texels: Texels of the trunk that a vertex is made of.
     """
     channels, prefix = trunk_channels(spec, level), f"{PREFIX}{level}"
     codes = spec.expression_channels
@@ -99,69 +98,75 @@ def levels_of(spec: AvatarSpec, names: Iterable[str]) -> tuple[int, ...]:
 
 
 def wanted_shapes(
-    where: str, spec: AvatarSpec, shapes: Mapping[str, tuple[int, ...]], max_faces: int
+    spec: AvatarSpec, shapes: Mapping[str, tuple[int, ...]], max_faces: int
 ) -> dict[str, tuple[int, ...]]:
     """Shapes that the ``level.*`` tensors of a file must have, judged by which of them it has.
 
     Args:
-        where: Name of the file, for messages.
         spec: Sizes of the avatar.
-        shapes: Of every tensor of the file.
+        shapes: Shape of every tensor of the file.
         max_faces: Most triangles of a mesh.
 
     Raises:
-        AvatarFileError: A number of triangles or heights is out of its limits. Names that nobody
-            knows are left to the caller, who compares names.
+        ValueError: A number of triangles or heights is out of its limits. Unknown names are left to
+            the caller, who compares names.
     """
+
+    def rows(name: str, limit: int) -> int:
+        count = (*shapes.get(name, (1,)), 0)[0]
+        if not 1 <= count <= limit:
+            raise ValueError(f"tensor {name} has {count} rows; allowed are 1 to {limit}")
+        return count
+
     levels = levels_of(spec, shapes)
     wanted: dict[str, tuple[int, ...]] = {}
     for size in level_sizes(spec)[:-1]:
-        faces, mean = faces_name(size), f"{PREFIX}{size}.geometry.mean"
+        faces, sheet = faces_name(size), f"{PREFIX}{size}.geometry"
         if size in levels or faces in shapes:
-            rows = _rows(where, mean, shapes.get(mean, (1,)), sheet_rows(3 * max_faces, size))
-            texel = shapes.get(f"{PREFIX}{size}.geometry.texel", (1,))
-            num_texels = min(max(texel[-1] if texel else 1, 1), MAX_TEXELS)
-            wanted |= exit_shapes(spec, size, rows, num_texels)
-            wanted[faces] = (_rows(where, faces, shapes.get(faces, (1,)), max_faces), 3)
-    table = {name: PREFIX + name for name in _TABLE}
-    if shapes.keys() & table.values():
-        name = table["head_px"]
-        heights = _rows(where, name, shapes.get(name, (1,)), MAX_HEIGHTS)
-        wanted[name] = (heights,)
-        wanted[table["errors"]] = (len(levels), NUM_DRAWINGS, heights)
-        wanted[table["sensitivity"]] = (2,)
+            num_texels = (1, *shapes.get(f"{sheet}.texel", ()))[-1]
+            num_texels = min(max(num_texels, 1), MAX_TEXELS)
+            num_rows = rows(f"{sheet}.mean", sheet_rows(3 * max_faces, size))
+            wanted |= exit_shapes(spec, size, num_rows, num_texels)
+            wanted[faces] = (rows(faces, max_faces), 3)
+    head_px, errors, sensitivity = (PREFIX + name for name in _TABLE)
+    if shapes.keys() & {head_px, errors, sensitivity}:
+        heights = rows(head_px, MAX_HEIGHTS)
+        wanted[head_px] = (heights,)
+        wanted[errors] = (len(levels), NUM_DRAWINGS, heights)
+        wanted[sensitivity] = (2,)
     return wanted
 
 
-def _rows(where: str, name: str, shape: tuple[int, ...], limit: int) -> int:
-    rows = shape[0] if shape else 0
-    if not 1 <= rows <= limit:
-        raise AvatarFileError(f"{where}: tensor {name} has {rows} rows; allowed are 1 to {limit}")
-    return rows
-
-
-def check_sheets(where: str, spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
+def check_sheets(spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
     """Compare the sheets of an avatar's levels with their meshes; names and shapes fit already.
 
     Raises:
-        AvatarFileError: A sheet has more or fewer rows than its vertices need, or a vertex is made
-            of a texel that is not there.
+        ValueError: A sheet has more or fewer rows than its vertices need, or a vertex is made of a
+            texel that is not there.
     """
     for level in levels_of(spec, tensors)[:-1]:
         mean, texel = (f"{PREFIX}{level}.geometry.{name}" for name in ("mean", "texel"))
         num_vertices = len(np.unique(tensors[faces_name(level)]))
         rows = sheet_rows(num_vertices, level)
         if len(tensors[mean]) != rows:
-            raise AvatarFileError(
-                f"{where}: tensor {mean} has {len(tensors[mean])} rows; the {num_vertices} "
+            raise ValueError(
+                f"tensor {mean} has {len(tensors[mean])} rows; the {num_vertices} "
                 f"vertices of {faces_name(level)} need {rows}"
             )
-        numbers = tensors[texel]
-        if numbers.min() < 0 or numbers.max() >= level * level:
-            raise AvatarFileError(
-                f"{where}: tensor {texel} names texels {numbers.min()} to {numbers.max()}; "
-                f"allowed are 0 to {level * level - 1}"
-            )
+        check_indices(texel, tensors[texel], level * level, "texels")
+
+
+def check_indices(name: str, indices: Array, count: int, what: str) -> None:
+    """Refuse indices that do not lie below a count.
+
+    Raises:
+        ValueError: Names the tensor, its lowest and highest index and the limit.
+    """
+    low, high = indices.min(), indices.max()
+    if low < 0 or high >= count:
+        raise ValueError(
+            f"tensor {name} names {what} {low} to {high}; allowed are 0 to {count - 1}"
+        )
 
 
 def read_errors(spec: AvatarSpec, tensors: Mapping[str, Array]) -> LevelErrors | None:

@@ -10,7 +10,6 @@ from typing import Any
 
 from pica_core.avatar.spec import LATENT_CHANNELS, AvatarSpec
 from pica_core.avatar.variants import VARIANTS
-from pica_core.errors import AvatarFileError
 
 SCHEMA_VERSION = 1
 MAX_TEXT = 200
@@ -41,7 +40,7 @@ class Manifest:
     bounds_min_m: tuple[float, float, float]
     """Lower corner of all positions of the head, head frame, metres."""
     bounds_max_m: tuple[float, float, float]
-    """Upper corner."""
+    """Upper corner of all positions of the head, head frame, metres."""
     variant: str = "full"
     """One of `DRAWN_VARIANTS`; its encoding must be the spec's."""
     model_card: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
@@ -49,115 +48,88 @@ class Manifest:
     schema_version: int = SCHEMA_VERSION
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON values; `manifest_from_json` reads them back."""
-        values: dict[str, Any] = {}
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if isinstance(value, AvatarSpec):
-                value = value.to_json()
-            elif isinstance(value, Mapping):
-                value = dict(value)
-            elif isinstance(value, tuple):
-                value = list(value)
-            values[item.name] = value
-        return values
+        """Plain JSON values; `from_json` reads them back."""
+        values = {item.name: getattr(self, item.name) for item in fields(self)}
+        for name in ("latent_scale", "bounds_min_m", "bounds_max_m"):
+            values[name] = list(values[name])
+        return values | {"spec": self.spec.to_json(), "model_card": dict(self.model_card)}
+
+    @classmethod
+    def from_json(cls, values: Any) -> Manifest:
+        """Read a manifest from parsed JSON of any type.
+
+        Raises:
+            ValueError: A field is missing, unknown, of the wrong type, or out of range.
+        """
+        if not isinstance(values, dict):
+            raise ValueError(f"manifest is {type(values).__name__}; a map is needed")
+        version = values.get("schema_version")
+        if version != SCHEMA_VERSION or type(version) is not int:
+            raise ValueError(
+                f"manifest.schema_version is {version!r:.40}; this program reads {SCHEMA_VERSION}"
+            )
+        known = {item.name for item in fields(cls)}
+        if wrong := sorted(known.symmetric_difference(values)):
+            raise ValueError(f"manifest field {wrong[0]!r:.80} is missing or unknown")
+        try:
+            spec = AvatarSpec.from_json(values["spec"])
+        except ValueError as error:
+            raise ValueError(f"manifest.spec: {error}") from error
+        found: dict[str, Any] = {
+            key: _text(key, values[key]) for key in ("name", "identity", "licence", "variant")
+        }
+        variant = found["variant"]
+        if variant not in DRAWN_VARIANTS:
+            raise ValueError(
+                f"manifest.variant is {variant!r:.40}; known are {', '.join(DRAWN_VARIANTS)}"
+            )
+        if spec.encoding != (wanted := VARIANTS[variant].encoding):
+            raise ValueError(
+                f"manifest.spec.encoding is {spec.encoding!r}; variant {variant} has {wanted!r}"
+            )
+        corners = {
+            name: _numbers(values, name, 3, -MAX_EXTENT_M, MAX_EXTENT_M)
+            for name in ("bounds_min_m", "bounds_max_m")
+        }
+        if not all(a < b for a, b in zip(*corners.values(), strict=True)):
+            raise ValueError("manifest.bounds_min_m is not below bounds_max_m")
+        scale_m = values["position_scale_m"]
+        found |= {
+            **corners,
+            "latent_scale": _numbers(values, "latent_scale", LATENT_CHANNELS, 1e-6, MAX_LATENT),
+            "position_scale_m": _number("position_scale_m", scale_m, 1e-9, MAX_POSITION_SCALE_M),
+        }
+        return cls(spec=spec, model_card=_card(values["model_card"]), **found)
 
 
-def manifest_from_json(values: Any, where: str) -> Manifest:
-    """Read a manifest.
-
-    Args:
-        values: Parsed JSON, of any type.
-        where: Name of the file, for messages.
-
-    Raises:
-        AvatarFileError: A field is missing, unknown, of the wrong type, or out of range.
-    """
-    if not isinstance(values, dict):
-        raise AvatarFileError(f"{where}: manifest is {type(values).__name__}; a map is needed")
-    version = values.get("schema_version")
-    if version != SCHEMA_VERSION or type(version) is not int:
-        raise AvatarFileError(
-            f"{where}: manifest.schema_version is {version!r:.40}; "
-            f"this program reads {SCHEMA_VERSION}"
-        )
-    known = {item.name for item in fields(Manifest)}
-    if wrong := sorted(known.symmetric_difference(values)):
-        raise AvatarFileError(f"{where}: manifest field {wrong[0]!r:.80} is missing or unknown")
-    try:
-        spec = AvatarSpec.from_json(values["spec"])
-    except ValueError as error:
-        raise AvatarFileError(f"{where}: manifest.spec: {error}") from error
-    text = {
-        key: _text(where, key, values[key]) for key in ("name", "identity", "licence", "variant")
-    }
-    if text["variant"] not in DRAWN_VARIANTS:
-        raise AvatarFileError(
-            f"{where}: manifest.variant is {text['variant']!r:.40}; "
-            f"known are {', '.join(DRAWN_VARIANTS)}"
-        )
-    wanted = VARIANTS[text["variant"]].encoding
-    if spec.encoding != wanted:
-        raise AvatarFileError(
-            f"{where}: manifest.spec.encoding is {spec.encoding!r}; "
-            f"variant {text['variant']} has {wanted!r}"
-        )
-    low = _numbers(where, values, "bounds_min_m", 3, -MAX_EXTENT_M, MAX_EXTENT_M)
-    high = _numbers(where, values, "bounds_max_m", 3, -MAX_EXTENT_M, MAX_EXTENT_M)
-    if not all(a < b for a, b in zip(low, high, strict=True)):
-        raise AvatarFileError(f"{where}: manifest.bounds_min_m is not below bounds_max_m")
-    scale = _numbers(where, values, "latent_scale", LATENT_CHANNELS, 1e-6, MAX_LATENT)
-    return Manifest(
-        name=text["name"],
-        identity=text["identity"],
-        licence=text["licence"],
-        variant=text["variant"],
-        spec=spec,
-        position_scale_m=_number(
-            where, "position_scale_m", values["position_scale_m"], 1e-9, MAX_POSITION_SCALE_M
-        ),
-        latent_scale=(scale[0], scale[1], scale[2], scale[3]),
-        bounds_min_m=(low[0], low[1], low[2]),
-        bounds_max_m=(high[0], high[1], high[2]),
-        model_card=_card(where, values["model_card"]),
-    )
-
-
-def _text(where: str, field_name: str, value: object, limit: int = MAX_TEXT) -> str:
+def _text(name: str, value: object, limit: int = MAX_TEXT) -> str:
     if not isinstance(value, str) or not 1 <= len(value) <= limit or not value.isprintable():
-        raise AvatarFileError(
-            f"{where}: manifest.{field_name} must be 1 to {limit} printable characters"
-        )
+        raise ValueError(f"manifest.{name} must be 1 to {limit} printable characters")
     return value
 
 
-def _number(where: str, field_name: str, value: object, low: float, high: float) -> float:
-    if type(value) not in (int, float) or not low <= float(value) <= high:  # type: ignore[arg-type]
-        raise AvatarFileError(
-            f"{where}: manifest.{field_name} is {value!r:.40}; "
-            f"a number from {low:g} to {high:g} is needed"
+def _number(name: str, value: Any, low: float, high: float) -> float:
+    if type(value) not in (int, float) or not low <= value <= high:
+        raise ValueError(
+            f"manifest.{name} is {value!r:.40}; a number from {low:g} to {high:g} is needed"
         )
-    return float(value)  # type: ignore[arg-type]
+    return float(value)
 
 
 def _numbers(
-    where: str, values: Mapping[str, Any], name: str, count: int, low: float, high: float
-) -> list[float]:
+    values: Mapping[str, Any], name: str, count: int, low: float, high: float
+) -> tuple[float, ...]:
     found = values[name]
     if not isinstance(found, list) or len(found) != count:
-        raise AvatarFileError(f"{where}: manifest.{name} must be {count} numbers")
-    return [_number(where, name, value, low, high) for value in found]
+        raise ValueError(f"manifest.{name} must be {count} numbers")
+    return tuple(_number(name, value, low, high) for value in found)
 
 
-def _card(where: str, value: object) -> Mapping[str, str]:
+def _card(value: object) -> Mapping[str, str]:
     if not isinstance(value, dict) or len(value) > MAX_CARD_ENTRIES:
-        raise AvatarFileError(
-            f"{where}: manifest.model_card must be a map of at most {MAX_CARD_ENTRIES} entries"
-        )
-    card: dict[str, str] = {}
+        raise ValueError(f"manifest.model_card must be a map of at most {MAX_CARD_ENTRIES} entries")
     for key, text in value.items():
+        _text("model_card key", key)
         shown = text.replace("\n", " ") if isinstance(text, str) else text
-        _text(where, "model_card key", key, MAX_TEXT)
-        _text(where, f"model_card.{key:.40}", shown, MAX_CARD_TEXT)
-        card[key] = text
-    return MappingProxyType(card)
+        _text(f"model_card.{key:.40}", shown, MAX_CARD_TEXT)
+    return MappingProxyType(dict(value))

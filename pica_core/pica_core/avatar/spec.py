@@ -8,9 +8,11 @@ checkpoints, and whoever reads one rebuilds graphs and shaders from these number
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from types import MappingProxyType
 from typing import Any
+
+from pica_core.errors import check_ranges
 
 LATENT_SIZE = 8
 LATENT_CHANNELS = 4
@@ -23,9 +25,7 @@ RGB_CHANNELS = 3
 LEAKY_SLOPE = 0.2
 """Negative slope of every LeakyReLU (paper A.1)."""
 BLOCKS = ("B", "H2", "C", "G")
-"""Building blocks of the decoders that we know. The paper draws its block in Fig. 3b, which the
-text does not give.
-"""
+"""Building blocks of the decoders that we know: the paper draws its own in a figure only (3b)."""
 
 ENCODINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -43,9 +43,7 @@ joint: a learned map m_uv. axes: learned tables m_u and m_v. Both are the paper'
 4). uv: the coordinates themselves. sinusoids: 40 sines and cosines of them.
 """
 NUM_FREQUENCIES = 10
-"""Octaves of the sinusoids: two coordinates, sine and cosine make 40 values, the number that the
-paper gives (section 6, "Ablation Studies").
-"""
+"""Octaves of the sinusoids: two coordinates, sine and cosine make 40 values (paper 6)."""
 _ADDED_LATER = {"encoding": "full"}
 """Fields that the first files lack, and what they mean by that. Left out where they say nothing
 new, so that older programs still read the files that they can draw."""
@@ -89,16 +87,14 @@ class AvatarSpec:
                 f"map_size is {self.map_size}; "
                 f"{doublings} decoder blocks make {LATENT_SIZE << doublings}"
             )
-        for name, low, high in (
-            ("expression_channels", 1, 16),
-            ("uv_encoding_size", 1, 4096),
-            ("uv_encoding_channels", 1, 4),
-            ("axis_encoding_size", 1, 16_384),
-            ("axis_encoding_channels", 1, 2),
-        ):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ValueError(f"{name} is {value}; allowed are {low} to {high}")
+        check_ranges(
+            self,
+            expression_channels=(1, 16),
+            uv_encoding_size=(1, 4096),
+            uv_encoding_channels=(1, 4),
+            axis_encoding_size=(1, 16_384),
+            axis_encoding_channels=(1, 2),
+        )
         for name in ("hidden_channels", "xyz_channels", "pixel_channels"):
             widths = getattr(self, name)
             if not 1 <= len(widths) <= 8 or not all(1 <= width <= 64 for width in widths):
@@ -129,6 +125,18 @@ class AvatarSpec:
         return {part: channels[part] for part in ENCODINGS[self.encoding]}
 
     @property
+    def encoding_shapes(self) -> dict[str, tuple[int, ...]]:
+        """Name and shape of every tensor of the surface encoding; maps have row 0 at v = 0."""
+        size = self.uv_encoding_size
+        table = (self.axis_encoding_size, self.axis_encoding_channels)
+        shapes: dict[str, dict[str, tuple[int, ...]]] = {
+            "joint": {"uv_encoding": (size, size, self.uv_encoding_channels)},
+            "axes": {"u_encoding": table, "v_encoding": table},
+        }
+        parts = [shapes[part] for part in ENCODINGS[self.encoding] if part in shapes]
+        return {name: shape for part in parts for name, shape in part.items()}
+
+    @property
     def pixel_input_channels(self) -> int:
         """Width of p = [z, x, u]: expression code, encoded xyz, encoded uv. 16 in the paper."""
         uv_channels = sum(self.encoding_channels.values())
@@ -149,32 +157,16 @@ class AvatarSpec:
         """
         if not isinstance(values, dict):
             raise ValueError(f"spec is {type(values).__name__}; a map is needed")
-        values = {**_ADDED_LATER, **values}
-        known = {field.name for field in fields(cls)}
-        if set(values) != known:
-            wrong = sorted(known.symmetric_difference(map(str, values)))
+        read = {**_ADDED_LATER, **values}
+        usual = asdict(cls())
+        if wrong := sorted(usual.keys() ^ set(map(str, read))):
             raise ValueError(f"spec fields missing or unknown: {', '.join(wrong)}")
-        read: dict[str, Any] = {}
-        for name, value in values.items():
-            if name in ("block", "encoding"):
-                if not isinstance(value, str):
-                    raise ValueError(f"spec.{name} is {value!r}; a string is needed")
-                read[name] = value
-            elif isinstance(value, list | tuple):
-                if len(value) > 8 or not all(type(item) is int for item in value):
-                    raise ValueError(f"spec.{name} is {value!r}; at most 8 integers are allowed")
+        for name, value in read.items():
+            kind = type(usual[name])
+            if isinstance(value, list) and len(value) <= 8:
                 read[name] = tuple(value)
-            elif type(value) is int:
-                read[name] = value
-            else:
-                raise ValueError(f"spec.{name} is {value!r}; an integer is needed")
-        for name in ("hidden_channels", "xyz_channels", "pixel_channels"):
-            if not isinstance(read[name], tuple):
-                raise ValueError(f"spec.{name} is {read[name]!r}; a list is needed")
+            whole = kind is not tuple or all(type(item) is int for item in read[name])
+            if type(read[name]) is not kind or not whole:
+                needed = {str: "a string", int: "an integer", tuple: "a list of up to 8 integers"}
+                raise ValueError(f"spec.{name} is {value!r}; {needed[kind]} is needed")
         return cls(**read)
-
-
-PAPER_SPEC = AvatarSpec(block="H2")
-"""The paper's sizes; H2 is the candidate block whose parameter count lies nearest to the paper's
-5.47 M.
-"""

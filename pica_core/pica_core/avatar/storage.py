@@ -15,7 +15,6 @@ import numpy as np
 from pica_core.avatar.level_tensors import PREFIX as LEVEL_PREFIX
 from pica_core.avatar.level_tensors import is_index
 from pica_core.codec.profile import PREFIX as STREAM_PREFIX
-from pica_core.errors import AvatarFileError
 from pica_core.types import Array
 
 Storage = Literal["f32", "f16", "u8", "u16"]
@@ -54,12 +53,12 @@ def storage_of(precision: Precision, names: Iterable[str]) -> dict[str, Storage]
         precision: mixed is `DEFAULT_STORAGE`. f32 rounds nothing. f16 and u8 store decoders,
             encodings and expression encoder so; positions and UVs stay at 16-bit integers, and the
             two small sine networks at float32: they are 343 numbers.
-        names: Of the avatar's tensors.
+        names: Names of the avatar's tensors.
     """
     if precision == "mixed":
         return dict(DEFAULT_STORAGE)
-    own = [name for name in names if not name.startswith((STREAM_PREFIX, LEVEL_PREFIX))]
-    own = [name for name in own if not is_index(name)]
+    apart = (STREAM_PREFIX, LEVEL_PREFIX)
+    own = [name for name in names if not (name.startswith(apart) or is_index(name))]
     if precision == "f32":
         return dict.fromkeys(own, "f32")
     weights = [name for name in own if not name.startswith(("xyz.", "pixel."))]
@@ -72,9 +71,9 @@ def to_storage(
     """A tensor as the file holds it.
 
     Args:
-        name: Of the tensor.
+        name: Name of the tensor.
         array: Its values in memory.
-        num_vertices: Of the mesh: triangles of small meshes take half the bytes.
+        num_vertices: Vertices of the mesh: triangles of small meshes take half the bytes.
         kind: How to store it; None for fp16 or float32, as is usual for its name.
 
     Returns:
@@ -91,18 +90,16 @@ def to_storage(
     return array.astype(np.float32 if kind == "f32" else np.float16), None
 
 
-def to_memory(where: str, name: str, stored: Array, shape: tuple[int, ...], affine: Any) -> Array:
+def to_memory(name: str, stored: Array, affine: Any) -> Array:
     """A tensor as it was before `to_storage`, but for rounding.
 
     Args:
-        where: Name of the file, for messages.
-        name: Of the tensor.
+        name: Name of the tensor.
         stored: What the file holds.
-        shape: Its shape.
         affine: The file's tables by tensor, of any type: nothing is trusted.
 
     Raises:
-        AvatarFileError: The tensor needs a table, and it is missing or not of finite numbers.
+        ValueError: The tensor needs a table, and it is missing or not of finite numbers.
     """
     if is_index(name):
         return stored.astype(np.int32)
@@ -116,12 +113,12 @@ def to_memory(where: str, name: str, stored: Array, shape: tuple[int, ...], affi
         values = entry.get(key) if isinstance(entry, dict) else None
         proper = (
             isinstance(values, list)
-            and len(values) == shape[-1]
+            and len(values) == stored.shape[-1]
             and all(type(v) in (int, float) and abs(v) <= MAX_MAGNITUDE for v in values)
         )
         if not proper:
-            raise AvatarFileError(
-                f"{where}: storage.{name}.{key} must be {shape[-1]} finite numbers "
+            raise ValueError(
+                f"storage.{name}.{key} must be {stored.shape[-1]} finite numbers "
                 f"up to {MAX_MAGNITUDE:g}"
             )
         channels.append(np.asarray(values, np.float32))
@@ -129,6 +126,20 @@ def to_memory(where: str, name: str, stored: Array, shape: tuple[int, ...], affi
     if name == "mesh.vertex_uv":  # the rounding of offset + scale * q may step over the edge
         np.clip(memory, 0, 1, out=memory)
     return memory
+
+
+def check_finite(tensors: Mapping[str, Array]) -> None:
+    """Refuse values that are not finite, or too large.
+
+    Raises:
+        ValueError: Names the tensor and the limit.
+    """
+    for name, array in tensors.items():
+        # One pass: NaN fails both comparisons' negation.
+        if not (array.min() >= -MAX_MAGNITUDE and array.max() <= MAX_MAGNITUDE):
+            raise ValueError(
+                f"tensor {name} has values that are not finite or beyond {MAX_MAGNITUDE:g}"
+            )
 
 
 def _usual(name: str) -> Storage:

@@ -23,7 +23,6 @@ from typing import Literal
 
 from pica_core.avatar.decoder_layers import decoder_layers
 from pica_core.avatar.spec import AvatarSpec
-from pica_core.reference.surface_encoding import encoding_shapes
 
 TopologyName = Literal["dense", "tracked"]
 Network = Literal["pixel_codec", "deep_appearance"]
@@ -67,16 +66,16 @@ class ModelCost:
     parameters: int
     """Trained numbers of everything that a receiver runs."""
     per_object_multiply_adds: int
-    """Of one frame of one person; biases and activations are not counted."""
+    """Multiply-adds of one frame of one person; biases and activations are not counted."""
     per_pixel_multiply_adds: int
-    """Of one pixel; lookups in maps and tables are not counted."""
+    """Multiply-adds of one pixel; lookups in maps and tables are not counted."""
 
 
 def pixel_codec_cost(spec: AvatarSpec) -> ModelCost:
     """The cost of a Pixel Codec Avatar: both decoders, the encoding, the two sine networks."""
     layers = [layer for name in spec.decoder_channels for layer in decoder_layers(spec, name)]
     shapes = [shape for layer in layers for shape in layer.tensor_shapes().values()]
-    shapes += encoding_shapes(spec).values()
+    shapes += spec.encoding_shapes.values()
     widths = ((3, *spec.xyz_channels), (spec.pixel_input_channels, *spec.pixel_channels))
     per_pixel = 0
     for network in widths:

@@ -18,7 +18,6 @@ from pica_core.codec.plain_stream import LatentProfile, decode_latent, encode_la
 from pica_core.errors import AvatarFileError
 from pica_core.reference.pixel import count_parameters
 from pica_core.reference.precision import measure_precisions
-from pica_core.reference.surface_encoding import encoding_shapes
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -123,7 +122,7 @@ def _describe(path: Path, avatar: Avatar) -> dict[str, Any]:
             for shape in layer.tensor_shapes().values()
         ),
         "encoding": spec.encoding,
-        "encodings": sum(int(np.prod(shape)) for shape in encoding_shapes(spec).values()),
+        "encodings": sum(int(np.prod(shape)) for shape in spec.encoding_shapes.values()),
         "decode_mmac": round(multiply_adds / 1e6, 2),
         "latent_scale": list(manifest.latent_scale),
         "model_card": dict(manifest.model_card),

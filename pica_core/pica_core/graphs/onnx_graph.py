@@ -49,7 +49,7 @@ from pica_core.graphs.graph_builder import GraphBuilder, Shape
 from pica_core.types import Array
 
 TURN_CONVOLUTION_SIZE = 64
-"""From this many rows on a narrowing 3x3 convolution is written as a transposed one."""
+"""Rows from which on a narrowing 3x3 convolution is written as a transposed one."""
 
 Parts = Literal["both", "expression", "geometry"]
 

@@ -28,6 +28,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from pica_core.avatar.baseline import FIRST_SIZE, VIEW_FEATURES, BaselineSpec, baseline_channels
 from pica_core.avatar.spec import LEAKY_SLOPE, NUM_LATENT, VIEW_CHANNELS, AvatarSpec
 from pica_core.avatar.variants import ModelCost
 from pica_core.model.decoders import UntiedBias, sample_map, sample_per_image
@@ -44,7 +45,6 @@ from pica_core.model.interface import (
     grid_of_latent,
     uv_buffer,
 )
-from pica_core.reference.baseline import FIRST_SIZE, VIEW_FEATURES, BaselineSpec, baseline_channels
 
 TEXTURE_SCALE = 0.25
 """Unit of the texture decoder's output, where 1.0 is white (chosen: about the deviation of a

@@ -1,161 +1,28 @@
-"""The paper's baseline as a second kind of avatar: one network makes vertices and a whole texture.
+"""A baseline dressed in somebody's mean face, for where no trained one is at hand.
 
-Deep Appearance Models (Lombardi et al. 2018) as later published with a face capture data set; the
-decoder alone, since that is what a receiver runs and what the paper's runtime tables compare:
-
-    view direction 3 -> 8; latent z -> z
-    mesh      fully connected z -> 3V
-    texture   fully connected z + 8 -> z x 4 x 4, then eight transposed convolutions 4x4, stride 2,
-              to channels z, 64, 64, 32, 32, 16, 16, 3, each with an untied bias at its output size
-
-A LeakyReLU (slope 0.2) follows every layer but the two that end in vertices and texture. At z = 256
-and 7,306 vertices these are 17.4 M parameters and 755 M multiply-adds in the convolutions.
-
-Trained ones come out of `pica train --variant baseline` and `pica export` (`baseline_file`). Where
-none is at hand, `baseline_like` dresses random weights in somebody's mean face so that they look
-right and cost what trained ones cost. Their motion means nothing.
+It looks right and costs what a trained one costs; its motion means nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.avatar.arkit import NUM_ARKIT
+from pica_core.avatar.baseline import BaselineAvatar, BaselineSpec
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.spec import NUM_LATENT, RGB_CHANNELS, VIEW_CHANNELS
+from pica_core.avatar.spec import RGB_CHANNELS
 from pica_core.reference.decoders import decode_expression_map
 from pica_core.reference.mesh import sample_vertices
 from pica_core.reference.pixel import decode_pixels, sample_bilinear
 from pica_core.types import Array, FloatArray
 
-VIEW_FEATURES = 8
-"""Values that the view direction becomes."""
-FIRST_SIZE = 4
-"""Rows and columns of the texture decoder's first grid."""
 MESH_SPREAD_M = 2e-4
 """Standard deviation of the random motion of a vertex, metres, for unit latents."""
 TEXTURE_SPREAD = 0.01
 """Standard deviation of the random change of a texel, where 1.0 is white."""
 BAKED_ROWS = 64
 """Rows of a texture that are baked at once, to bound memory."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class BaselineSpec:
-    """Sizes of a baseline decoder; the defaults are those that were published."""
-
-    num_latent: int = NUM_LATENT
-    """Length z of the latent; ours, flattened, by default."""
-    num_vertices: int = 7306
-    channels: tuple[int, ...] = (NUM_LATENT, 64, 64, 32, 32, 16, 16, RGB_CHANNELS)
-    """Output channels of the transposed convolutions."""
-
-    def __post_init__(self) -> None:
-        for name, value, high in (
-            ("num_latent", self.num_latent, 4096),
-            ("num_vertices", self.num_vertices, 200_000),
-        ):
-            if not 1 <= value <= high:
-                raise ValueError(f"{name} is {value}; allowed are 1 to {high}")
-        if not 1 <= len(self.channels) <= 8 or not all(1 <= c <= 4096 for c in self.channels):
-            raise ValueError(f"channels are {self.channels}; 1 to 8 layers of 1 to 4096 are needed")
-        if self.channels[-1] != RGB_CHANNELS:
-            raise ValueError(f"channels end in {self.channels[-1]}; colours have {RGB_CHANNELS}")
-
-    @property
-    def texture_size(self) -> int:
-        """Rows and columns of the texture: 1024 by default."""
-        return FIRST_SIZE << len(self.channels)
-
-    def tensor_shapes(self) -> dict[str, tuple[int, ...]]:
-        """Name and shape of every tensor; fully connected ones ``[out, in]``, transposed
-        convolutions ``[in, out, 4, 4]``."""
-        z = self.num_latent
-        grid = z * FIRST_SIZE * FIRST_SIZE
-        shapes: dict[str, tuple[int, ...]] = {}
-        for name, inputs, outputs in (
-            ("view", VIEW_CHANNELS, VIEW_FEATURES),
-            ("latent", z, z),
-            ("mesh", z, 3 * self.num_vertices),
-            ("grid", z + VIEW_FEATURES, grid),
-        ):
-            shapes[f"{name}.weight"] = (outputs, inputs)
-            shapes[f"{name}.bias"] = (outputs,)
-        channels, size = z, FIRST_SIZE
-        for index, outputs in enumerate(self.channels):
-            size *= 2
-            shapes[f"texture.{index}.weight"] = (channels, outputs, 4, 4)
-            shapes[f"texture.{index}.bias"] = (outputs, size, size)
-            channels = outputs
-        return shapes
-
-    @property
-    def num_parameters(self) -> int:
-        """Numbers in all tensors."""
-        return sum(int(np.prod(shape)) for shape in self.tensor_shapes().values())
-
-    @property
-    def multiply_adds(self) -> int:
-        """Multiply-adds of one frame; biases and activations are not counted."""
-        total, size = 0, FIRST_SIZE
-        for name, shape in self.tensor_shapes().items():
-            if not name.endswith(".weight"):
-                continue
-            if len(shape) == 4:  # stride 2: four of sixteen taps meet at every output
-                size *= 2
-                total += 4 * shape[0] * shape[1] * size * size
-            else:
-                total += shape[0] * shape[1]
-        return total
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class BaselineAvatar:
-    """A baseline decoder of one person, and the mesh that its vertices belong to."""
-
-    spec: BaselineSpec
-    tensors: Mapping[str, Array]
-    """As `BaselineSpec.tensor_shapes` names and shapes them, float32; a trained one has
-    ``encoder.{i}.weight`` and ``.bias`` beside them, from 52 ARKit values to the latent."""
-    vertex_uv: FloatArray
-    """Where vertices lie in the texture, in [0, 1], row 0 is v = 0. float32 ``[V, 2]``."""
-    faces: npt.NDArray[np.int32]
-    """int32 ``[F, 3]``, counter-clockwise seen from outside."""
-    bounds_min_m: tuple[float, float, float]
-    """Lower corner of all positions, head frame, metres."""
-    bounds_max_m: tuple[float, float, float]
-    """Upper corner."""
-
-    def __post_init__(self) -> None:
-        for name, shape in self.spec.tensor_shapes().items():
-            if name not in self.tensors or self.tensors[name].shape != shape:
-                raise ValueError(f"tensor {name} is missing or not of shape {list(shape)}")
-        if self.vertex_uv.shape != (self.spec.num_vertices, 2):
-            raise ValueError(f"vertex_uv is {self.vertex_uv.shape}; one row a vertex is needed")
-        if self.faces.min() < 0 or self.faces.max() >= self.spec.num_vertices:
-            raise ValueError("faces name vertices that are not there")
-
-
-def baseline_channels(texture_size: int) -> tuple[int, ...]:
-    """The published channels for a texture of another size: the last layers but one are left out.
-
-    Args:
-        texture_size: Rows and columns, texels: 1024 as published, or 32, 64, ... below.
-
-    Raises:
-        ValueError: Another size.
-    """
-    published = BaselineSpec().channels
-    sizes = {FIRST_SIZE << count: count for count in range(3, len(published) + 1)}
-    if texture_size not in sizes:
-        known = ", ".join(map(str, sizes))
-        raise ValueError(f"texture_size is {texture_size}; known are {known}")
-    return (*published[: sizes[texture_size] - 1], RGB_CHANNELS)
 
 
 def baseline_like(avatar: Avatar, seed: int = 0) -> BaselineAvatar:
@@ -167,7 +34,7 @@ def baseline_like(avatar: Avatar, seed: int = 0) -> BaselineAvatar:
 
     Args:
         avatar: Whom to look like.
-        seed: Of the weights.
+        seed: Seed of the weights.
     """
     meshes = [avatar.level_faces(level) for level in avatar.levels]
     mesh = min(meshes, key=lambda faces: abs(len(faces) - 10_936))

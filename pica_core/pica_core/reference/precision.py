@@ -36,9 +36,9 @@ class PrecisionCost:
     bytes: int
     """Size of the file."""
     mse: float
-    """Of colours against the avatar in memory, on 0-255."""
+    """Mean squared error of colours against the avatar in memory, on 0-255."""
     flicker_mse: float
-    """Of the colour error's change from frame to frame, on 0-255."""
+    """Mean square of the colour error's change from frame to frame, on 0-255."""
     position_error_um: float
     """Mean distance of vertices, micrometres."""
 
@@ -49,7 +49,7 @@ def measure_precisions(avatar: Avatar, frames: int = 8, seed: int = 0) -> list[P
     Args:
         avatar: The truth; best one whose file was stored as float32.
         frames: How many consecutive frames, at 30 a second. Each takes seconds.
-        seed: Of the sentence.
+        seed: Seed of the sentence.
     """
     arkit = sentence(np.random.default_rng(seed), frames)
     latents = ExpressionEncoder(avatar).encode(arkit)

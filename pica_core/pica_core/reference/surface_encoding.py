@@ -1,7 +1,7 @@
 """What the pixel decoder is told about a surface point, in plain numpy: the judge of the others.
 
-An encoding is a few parts side by side (`spec.ENCODINGS`). Each part is one class here, one in
-torch (`model.encodings`), one in ONNX (for the tests) and one file of GLSL:
+An encoding is a few parts side by side (`spec.ENCODINGS`). Each part is one function here, one
+class in torch (`model.encodings`), one graph in ONNX (in the tests) and one file of GLSL:
 
     joint       m_uv(u, v), a learned map read bilinearly           uv_encoding        [T, T, 4]
     axes        m_u(u), m_v(v), learned tables read linearly        u_, v_encoding     [L, 2]
@@ -17,9 +17,7 @@ Source of joint and axes: Ma et al., "Pixel Codec Avatars" (CVPR 2021), section 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from types import MappingProxyType
-from typing import Protocol, final
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -28,99 +26,10 @@ from pica_core.avatar.spec import NUM_FREQUENCIES, AvatarSpec
 from pica_core.reference.sampling import Dtype, sample_bilinear, sample_linear
 from pica_core.types import Array
 
-Shapes = dict[str, tuple[int, ...]]
+Tensors = Mapping[str, Array]
 
 
-class SurfacePart(Protocol):
-    """One part of a surface encoding."""
-
-    def tensor_shapes(self, spec: AvatarSpec) -> Shapes:
-        """Name and shape of its tensors in an avatar file."""
-
-    def encode(self, tensors: Mapping[str, Array], uv: Array, dtype: Dtype) -> Array:
-        """Points ``[..., 2]`` to codes ``[..., C]``, computed in `dtype`."""
-
-
-@final
-class JointMap:
-    """m_uv: one code for each place of the surface."""
-
-    def tensor_shapes(self, spec: AvatarSpec) -> Shapes:
-        """A square map, row 0 at v = 0."""
-        size = spec.uv_encoding_size
-        return {"uv_encoding": (size, size, spec.uv_encoding_channels)}
-
-    def encode(self, tensors: Mapping[str, Array], uv: Array, dtype: Dtype) -> Array:
-        """Bilinear lookup."""
-        return sample_bilinear(tensors["uv_encoding"], uv, dtype)
-
-
-@final
-class AxisTables:
-    """m_u and m_v: codes of a column and of a row, at a resolution that no map could have."""
-
-    def tensor_shapes(self, spec: AvatarSpec) -> Shapes:
-        """Two tables."""
-        table = (spec.axis_encoding_size, spec.axis_encoding_channels)
-        return {"u_encoding": table, "v_encoding": table}
-
-    def encode(self, tensors: Mapping[str, Array], uv: Array, dtype: Dtype) -> Array:
-        """Linear lookups."""
-        along = (
-            sample_linear(tensors[name], uv[..., axis], dtype)
-            for axis, name in enumerate(("u_encoding", "v_encoding"))
-        )
-        return np.concatenate(list(along), axis=-1)
-
-
-@final
-class RawUv:
-    """The coordinates themselves, as the xyz of the head: about [-1, 1]."""
-
-    def tensor_shapes(self, spec: AvatarSpec) -> Shapes:
-        """None."""
-        return {}
-
-    def encode(self, tensors: Mapping[str, Array], uv: Array, dtype: Dtype) -> Array:
-        """2 uv - 1."""
-        centred: Array = 2 * uv - dtype(1)
-        return centred
-
-
-@final
-class Sinusoids:
-    """Ten octaves of sines and cosines."""
-
-    def tensor_shapes(self, spec: AvatarSpec) -> Shapes:
-        """None."""
-        return {}
-
-    def encode(self, tensors: Mapping[str, Array], uv: Array, dtype: Dtype) -> Array:
-        """Whole turns are taken off first: that is exact, and the sines stay so."""
-        octaves: list[Array] = []
-        for octave in range(NUM_FREQUENCIES):
-            turns = uv * dtype(1 << octave)
-            angle = (turns - np.floor(turns)) * dtype(2 * np.pi)
-            octaves += [np.sin(angle), np.cos(angle)]
-        return np.concatenate(octaves, axis=-1)
-
-
-PARTS: Mapping[str, SurfacePart] = MappingProxyType(
-    {"joint": JointMap(), "axes": AxisTables(), "uv": RawUv(), "sinusoids": Sinusoids()}
-)
-
-
-def encoding_shapes(spec: AvatarSpec) -> Shapes:
-    """Name and shape of every tensor of a spec's encoding."""
-    shapes: Shapes = {}
-    for part in spec.encoding_channels:
-        shapes |= PARTS[part].tensor_shapes(spec)
-    return shapes
-
-
-def encode_surface(
-    spec: AvatarSpec, tensors: Mapping[str, Array], uv: npt.ArrayLike, dtype: Dtype
-) -> Array:
+def encode_surface(spec: AvatarSpec, tensors: Tensors, uv: npt.ArrayLike, dtype: Dtype) -> Array:
     """The vector u of surface points.
 
     Args:
@@ -134,5 +43,38 @@ def encode_surface(
     """
     where = np.asarray(uv, dtype)
     nothing: Array = np.zeros((*where.shape[:-1], 0), dtype)
-    parts = [PARTS[part].encode(tensors, where, dtype) for part in spec.encoding_channels]
+    parts = [_PARTS[part](tensors, where, dtype) for part in spec.encoding_channels]
     return np.concatenate([nothing, *parts], axis=-1)
+
+
+def _joint(tensors: Tensors, uv: Array, dtype: Dtype) -> Array:
+    return sample_bilinear(tensors["uv_encoding"], uv, dtype)
+
+
+def _axes(tensors: Tensors, uv: Array, dtype: Dtype) -> Array:
+    along_u = sample_linear(tensors["u_encoding"], uv[..., 0], dtype)
+    along_v = sample_linear(tensors["v_encoding"], uv[..., 1], dtype)
+    return np.concatenate([along_u, along_v], axis=-1)
+
+
+def _uv(tensors: Tensors, uv: Array, dtype: Dtype) -> Array:
+    centred: Array = 2 * uv - dtype(1)
+    return centred
+
+
+def _sinusoids(tensors: Tensors, uv: Array, dtype: Dtype) -> Array:
+    octaves: list[Array] = []
+    for octave in range(NUM_FREQUENCIES):
+        turns = uv * dtype(1 << octave)
+        # Whole turns are taken off first: that is exact, and the sines stay so.
+        angle = (turns - np.floor(turns)) * dtype(2 * np.pi)
+        octaves += [np.sin(angle), np.cos(angle)]
+    return np.concatenate(octaves, axis=-1)
+
+
+_PARTS: Mapping[str, Callable[[Tensors, Array, Dtype], Array]] = {
+    "joint": _joint,
+    "axes": _axes,
+    "uv": _uv,
+    "sinusoids": _sinusoids,
+}

@@ -9,6 +9,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.manifest import Manifest
 from pica_core.codec.profile import StreamProfile
@@ -16,7 +17,6 @@ from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.baseline import DeepAppearanceModel
 from pica_core.model.interface import AvatarModel
 from pica_core.model.pixel_decoder import XYZ_UNIT_M
-from pica_core.reference.baseline import BaselineAvatar
 from pica_core.train.data import TrainingData
 from pica_core.train.eval.judge import drawn_topology
 

@@ -16,11 +16,10 @@ from pica_client.bench.model_files import Model, open_models
 from pica_client.bench.models import ModelsBenchConfig, join_errors, run_models_bench
 from pica_client.errors import OptionError
 from pica_command.main import main
-from pica_core.avatar.baseline import save_baseline
+from pica_core.avatar.baseline import BaselineAvatar, BaselineSpec, baseline_channels, save_baseline
 from pica_core.avatar.file import save_avatar
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.errors import AvatarFileError
-from pica_core.reference.baseline import BaselineAvatar, BaselineSpec, baseline_channels
 
 pytestmark = pytest.mark.render
 

@@ -14,7 +14,13 @@ import torch
 from helpers.toy import grid_faces
 from helpers.trainable import toy_prior
 from pica_client.decode.onnx_runtime import onnxruntime
-from pica_core.avatar.baseline import KEY, load_baseline, save_baseline
+from pica_core.avatar.baseline import (
+    KEY,
+    BaselineAvatar,
+    baseline_channels,
+    load_baseline,
+    save_baseline,
+)
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.errors import AvatarFileError
@@ -22,7 +28,6 @@ from pica_core.graphs.baseline_graph import baseline_graph
 from pica_core.model.baseline import USUAL_INPUTS, Connected, DeepAppearanceModel
 from pica_core.model.interface import flat_latent
 from pica_core.model.variants import make_model
-from pica_core.reference.baseline import BaselineAvatar, baseline_channels
 
 pytestmark = pytest.mark.train
 

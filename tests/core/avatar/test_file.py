@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from helpers.stream_toy import toy_profile
-from helpers.toy import make_toy_avatar
+from helpers.toy import PAPER_SPEC, make_toy_avatar
 from pica_core.avatar import file as avatar_file
 from pica_core.avatar.file import (
     Avatar,
@@ -25,7 +25,7 @@ from pica_core.avatar.file import (
     save_avatar,
     spec_tensor_shapes,
 )
-from pica_core.avatar.spec import BLOCKS, PAPER_SPEC, AvatarSpec
+from pica_core.avatar.spec import BLOCKS, AvatarSpec
 from pica_core.errors import AvatarFileError
 
 pytestmark = pytest.mark.unit

@@ -11,12 +11,12 @@ import torch
 
 from helpers.pixel_graph import pixel_decoder_graph
 from helpers.tolerances import PIXEL_FLOAT32, PIXEL_ONNX
-from helpers.toy import grid_faces
+from helpers.toy import PAPER_SPEC, grid_faces
 from helpers.trainable import grid_uv, toy_prior
 from pica_client.decode.onnx_runtime import onnxruntime
 from pica_core.avatar.file import Avatar, Manifest, load_avatar, save_avatar
 from pica_core.avatar.manifest import DRAWN_VARIANTS
-from pica_core.avatar.spec import PAPER_SPEC, AvatarSpec
+from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import FULL, TABLE_1, TABLE_2
 from pica_core.errors import AvatarFileError
 from pica_core.model.avatar import PixelCodecAvatar
