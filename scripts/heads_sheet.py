@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import io
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -20,13 +21,17 @@ from PIL import Image
 from pica_core.avatar.arkit import ARKIT_NAMES, NUM_ARKIT
 from pica_core.camera import Camera, look_at
 from pica_core.capture.procedural.gpu import StageRenderer
-from pica_core.capture.procedural.head_checks import Faults, HeadChecks
-from pica_core.capture.procedural.head_zones import all_motions, zones_of
 from pica_core.capture.procedural.heads import make_head
 from pica_core.capture.procedural.identity import IDENTITIES
 from pica_core.capture.stage.expressions import blend, sample_takes
 
-DOCS = Path(__file__).resolve().parent.parent / "docs"
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "tests"))
+
+from helpers.head_checks import Faults, HeadChecks  # noqa: E402
+from helpers.head_zones import all_motions, zones_of  # noqa: E402
+
+DOCS = ROOT / "docs"
 TILE_PX = 224
 SEED = 7
 GRIN = blend(jawOpen=0.12, mouthSmile=0.9, mouthUpperUp=0.45, mouthLowerDown=0.4, cheekSquint=0.6)

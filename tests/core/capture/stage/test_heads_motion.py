@@ -5,15 +5,15 @@ import functools
 import numpy as np
 import pytest
 
-from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
-from pica_core.capture.procedural.head_checks import HeadChecks, front_depth
-from pica_core.capture.procedural.head_zones import (
+from helpers.head_checks import HeadChecks, front_depth
+from helpers.head_zones import (
     LEAST_SHARE,
     MOST_ELSEWHERE_MM,
     Motion,
     all_motions,
     zones_of,
 )
+from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
 from pica_core.capture.procedural.heads import make_head
 from pica_core.capture.procedural.identity import IDENTITIES
 from pica_core.capture.stage.expressions import sample_takes
