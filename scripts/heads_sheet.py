@@ -20,7 +20,7 @@ from PIL import Image
 
 from pica_core.avatar.arkit import ARKIT_NAMES, NUM_ARKIT
 from pica_core.camera import Camera, look_at
-from pica_core.capture.procedural.gpu import StageRenderer
+from pica_core.capture.procedural.gpu import ProceduralRenderer
 from pica_core.capture.procedural.heads import make_head
 from pica_core.capture.procedural.identity import IDENTITIES
 from pica_core.capture.stage.expressions import blend, sample_takes
@@ -28,7 +28,7 @@ from pica_core.capture.stage.expressions import blend, sample_takes
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "tests"))
 
-from helpers.head_checks import Faults, HeadChecks  # noqa: E402
+from helpers.head_checks import HeadChecks, HeadFaults  # noqa: E402
 from helpers.head_zones import all_motions, zones_of  # noqa: E402
 
 DOCS = ROOT / "docs"
@@ -58,7 +58,7 @@ def draw_sheet() -> bytes:
     """One row per head; PNG with at most 256 colours."""
     rows = []
     for name in IDENTITIES:
-        renderer = StageRenderer(make_head(name))
+        renderer = ProceduralRenderer(make_head(name))
         tiles = []
         for azimuth, arkit in VIEWS:
             renderer.pose(arkit)
@@ -109,7 +109,7 @@ def count_faults(combinations: int, worst: Path | None) -> list[str]:
         if closest is None or min(room) < closest[0]:
             closest = (min(room), name, part[int(np.argmin(room))])
     if worst is not None and closest is not None:
-        renderer = StageRenderer(make_head(closest[1]))
+        renderer = ProceduralRenderer(make_head(closest[1]))
         renderer.pose(closest[2])
         tiles = [renderer.draw_image(camera(azimuth, 640, 0.2)) for azimuth in (0.0, 30.0)]
         renderer.release()
@@ -117,7 +117,7 @@ def count_faults(combinations: int, worst: Path | None) -> list[str]:
     return lines
 
 
-def _sum(faults: list[Faults]) -> int:
+def _sum(faults: list[HeadFaults]) -> int:
     return sum(fault.total for fault in faults)
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.capture.procedural.heads import Head
+from pica_core.capture.procedural.heads import ProceduralHead
 from pica_core.types import Float64Array, Int64Array
 
 SMALL_MM2 = 0.25
@@ -23,7 +23,7 @@ POKE_MM = 0.15
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Faults:
+class HeadFaults:
     """What is wrong with one posed head."""
 
     folded: int
@@ -48,7 +48,7 @@ class HeadChecks:
         head: The head.
     """
 
-    def __init__(self, head: Head) -> None:
+    def __init__(self, head: ProceduralHead) -> None:
         self.head = head
         skin = head.charts["skin"]
         on_skin = (head.faces < skin.first + skin.count).all(1) & (head.faces >= skin.first).all(1)
@@ -113,11 +113,11 @@ class HeadChecks:
         eyes, teeth = (points[below < -POKE_MM] for points, below in self.clearance(vertices))
         return eyes, teeth
 
-    def faults(self, arkit: npt.ArrayLike) -> Faults:
+    def faults(self, arkit: npt.ArrayLike) -> HeadFaults:
         """Pose the head and count."""
         vertices = self.head.vertices(arkit).astype(np.float64) * 1000.0
         eyes, teeth = (below for _, below in self.clearance(vertices))
-        return Faults(
+        return HeadFaults(
             folded=len(self.folded(vertices)),
             eyes=int((eyes < -POKE_MM).sum()),
             teeth=int((teeth < -POKE_MM).sum()),

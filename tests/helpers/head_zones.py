@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES, NUM_ARKIT
-from pica_core.capture.procedural.heads import Head
+from pica_core.capture.procedural.heads import ProceduralHead
 from pica_core.capture.procedural.surface import EYE_Y
 from pica_core.types import Float64Array
 
@@ -73,7 +73,7 @@ def side_of(shape: str) -> float:
     return 1.0 if shape.endswith("Left") else -1.0 if shape.endswith("Right") else 0.0
 
 
-def vertex_zones(head: Head) -> npt.NDArray[np.int64]:
+def vertex_zones(head: ProceduralHead) -> npt.NDArray[np.int64]:
     """Index into `ZONES` of every vertex. ``[V]``."""
     x, y, z = (head.coordinates.rest_m.astype(np.float64) * 1000.0).T
     x = np.abs(x)
@@ -123,7 +123,7 @@ class Motion:
     """Share of squared motion by zone, zones below one percent left out."""
 
 
-def all_motions(head: Head) -> list[Motion]:
+def all_motions(head: ProceduralHead) -> list[Motion]:
     """Measure every ARKit shape of one head at 1.
 
     `mouthClose` is a corrective, so it is measured over an open jaw.
@@ -141,7 +141,9 @@ def all_motions(head: Head) -> list[Motion]:
     return result
 
 
-def _measure(head: Head, shape: str, zone: npt.NDArray[np.int64], distance: Float64Array) -> Motion:
+def _measure(
+    head: ProceduralHead, shape: str, zone: npt.NDArray[np.int64], distance: Float64Array
+) -> Motion:
     square = distance**2
     total = max(float(square.sum()), 1e-12)
     wanted = [ZONES.index(name) for name in zones_of(shape)]

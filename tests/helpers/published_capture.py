@@ -15,7 +15,7 @@ SEGMENTS = ("E001_Neutral_Eyes_Open", "SEN-01-call_me", "SEN-02-later")
 PLACES_MM = np.array([[0, 0, 80], [60, 0, 80], [0, 60, 80], [60, 60, 80]], np.float32)
 
 
-def write_original(root: Path, frames: int = 4) -> Path:
+def write_published(root: Path, frames: int = 4) -> Path:
     """A directory as Multiface publishes it, of a square with a UV seam along its diagonal."""
     cameras = dome_cameras(3, WIDTH, HEIGHT)
     root.mkdir()

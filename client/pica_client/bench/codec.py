@@ -57,10 +57,10 @@ from pica_client.sources import open_source
 from pica_client.stats import describe_machine, wire_bytes
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.capture.procedural.gpu import StageRenderer
+from pica_core.capture.procedural.gpu import ProceduralRenderer
 from pica_core.capture.procedural.heads import make_head
 from pica_core.capture.procedural.identity import IDENTITIES
-from pica_core.capture.stage.stream_training_faces import practice_performances
+from pica_core.capture.stage.stream_training_faces import stream_training_performances
 from pica_core.codec.latent_sample import LatentSample
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
 from pica_core.codec.plain_stream import LatentProfile, decode_latent, encode_latent
@@ -202,7 +202,7 @@ def _draw_truth(
     if avatar.manifest.identity not in IDENTITIES:
         return None
     # One GL context at a time on this thread: the stage's is gone before the renderer's comes.
-    stage = StageRenderer(make_head(avatar.manifest.identity))
+    stage = ProceduralRenderer(make_head(avatar.manifest.identity))
     try:
         images = []
         for moment in moments:
@@ -400,7 +400,7 @@ def _zstd(
     encoder = ExpressionEncoder(avatar)
     samples: list[bytes | bytearray | memoryview] = [
         encode_latent(latent, np.zeros(3), np.zeros(3), profile)
-        for arkit in practice_performances(rounds=6)
+        for arkit in stream_training_performances(rounds=6)
         for latent in encoder.encode(arkit)
     ]
     dictionary = zstandard.train_dictionary(DICTIONARY_BYTES, samples)

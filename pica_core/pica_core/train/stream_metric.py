@@ -19,7 +19,7 @@ from torch import Tensor
 from pica_core.avatar.spec import LATENT_SHAPE, NUM_LATENT
 from pica_core.camera import Camera
 from pica_core.capture.stage.dome import dome_cameras
-from pica_core.capture.stage.stream_training_faces import practice_performances
+from pica_core.capture.stage.stream_training_faces import stream_training_performances
 from pica_core.codec.learning import LearningConfig, RenderMetric, learn_profile
 from pica_core.codec.profile import StreamProfile
 from pica_core.model.avatar import PixelCodecAvatar
@@ -75,7 +75,7 @@ def make_stream_profile(
     with torch.no_grad():
         sequences = [
             model.expression_encoder(torch.from_numpy(arkit)).permute(0, 2, 3, 1).numpy()
-            for arkit in practice_performances(options.practice_rounds, seed=options.seed)
+            for arkit in stream_training_performances(options.practice_rounds, seed=options.seed)
         ]
         codes = np.concatenate(sequences).reshape(-1, NUM_LATENT).astype(np.float64)
         painter = _Painter(model, rasteriser, faces, vertex_uv, options)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.published_capture import SEGMENTS, write_original
+from helpers.published_capture import SEGMENTS, write_published
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import CaptureError
 from pica_core.train.cli.train import ExportOptions, export
@@ -32,7 +32,7 @@ CONFIG = replace(
 
 @pytest.fixture
 def original(tmp_path: Path) -> Path:
-    return write_original(tmp_path / "m--0001")
+    return write_published(tmp_path / "m--0001")
 
 
 def test_a_published_capture_with_holes_is_trained_on(original: Path, tmp_path: Path) -> None:

@@ -176,7 +176,7 @@ def _check_tables(findings: _Findings, capture: Capture) -> None:
         known = sum(problem.startswith(f"{folder}{os.sep}") for problem in capture.left_out)
         if extra > known:
             findings.add(folder, f"{extra - known} meshes of frames that are not listed")
-    if capture.is_original:
+    if capture.is_published:
         return
     stated = capture.info.get("num_vertices")
     if stated != capture.num_vertices:
@@ -263,7 +263,7 @@ def _check_frame(findings: _Findings, capture: Capture, frame: CaptureFrame) -> 
     if not present:
         findings.add(f"{frame.segment} {frame.name}", "no camera has an image of the frame")
     for camera in capture.cameras:
-        if capture.is_original and camera.name not in present:
+        if capture.is_published and camera.name not in present:
             continue  # published captures miss frames of single cameras
         for kind, mode in kinds:
             path = root / multiface.image_path(kind, frame.segment, camera.name, frame.name)

@@ -32,7 +32,7 @@ from pica_core.capture.dataset.files import (
     read_transform,
     read_vertices,
 )
-from pica_core.capture.dataset.published import is_original, open_original
+from pica_core.capture.dataset.published import is_published, open_published
 from pica_core.capture.stage.head_motion import camera_in_head
 from pica_core.errors import CaptureError
 from pica_core.types import ByteArray, Float64Array, FloatArray, Int64Array
@@ -67,7 +67,7 @@ class Capture:
         has_depth: At least one frame has depth.
         has_masks: Masks are there.
         has_expressions: Frames come with their 52 values.
-        is_original: A directory as published, without our additions.
+        is_published: A directory as published, without our additions.
         texture_size: Side of the average textures, texels.
     """
 
@@ -101,7 +101,7 @@ class Capture:
         self.dense_vertex = dense_vertex
         self._mesh_vertex = mesh_vertex
         self._num_mesh_vertices = num_mesh_vertices
-        self.is_original = mesh_vertex is not None
+        self.is_published = mesh_vertex is not None
         self.has_truth = (path / multiface.TRUTH_MESH).is_dir()
         self.has_depth = (path / "depth").is_dir()
         self.has_masks = (path / "mask").is_dir()
@@ -161,8 +161,8 @@ class Capture:
         if not root.is_dir():
             raise CaptureError(f"{root}: no such directory")
         if not (root / multiface.CAPTURE).is_file():
-            if is_original(root) and not (root / multiface.MARKER).exists():
-                return cls._open_original(root, test_segments)
+            if is_published(root) and not (root / multiface.MARKER).exists():
+                return cls._open_published(root, test_segments)
             raise CaptureError(
                 f"{root}: no {multiface.CAPTURE}; not a capture, or one that is not finished"
             )
@@ -190,8 +190,8 @@ class Capture:
         )
 
     @classmethod
-    def _open_original(cls, root: Path, test_segments: Collection[str] | None) -> Capture:
-        found = open_original(root, test_segments)
+    def _open_published(cls, root: Path, test_segments: Collection[str] | None) -> Capture:
+        found = open_published(root, test_segments)
         return cls(
             root,
             info=found.info(),

@@ -35,8 +35,8 @@ GAMMA = 1.5
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Original:
-    """What describes an original directory.
+class PublishedCapture:
+    """What describes a published directory.
 
     Attributes:
         topology: Vertices are pairs of place and UV, so there may be more than in a mesh file.
@@ -67,13 +67,13 @@ class Original:
         }
 
 
-def is_original(root: Path) -> bool:
+def is_published(root: Path) -> bool:
     """Whether a directory without `capture.json` looks like a published one."""
     return all((root / name).exists() for name in (multiface.KRT, "images", "tracked_mesh"))
 
 
-def open_original(root: Path, test_segments: Collection[str] | None = None) -> Original:
-    """Find out what describes an original directory.
+def open_published(root: Path, test_segments: Collection[str] | None = None) -> PublishedCapture:
+    """Find out what describes a published directory.
 
     Args:
         root: The directory.
@@ -101,7 +101,7 @@ def open_original(root: Path, test_segments: Collection[str] | None = None) -> O
     )
     topology, mesh_vertex, count = read_obj_topology(_first_obj(root, names))
     width, height = _image_size(root)
-    return Original(
+    return PublishedCapture(
         topology=topology,
         mesh_vertex=mesh_vertex,
         num_mesh_vertices=count,
@@ -188,7 +188,7 @@ def _corner(word: str, num_vertices: int, num_uvs: int) -> tuple[int, int]:
     return found[0], found[1]
 
 
-def for_looking(image: ByteArray) -> ByteArray:
+def displayable(image: ByteArray) -> ByteArray:
     """A raw, greenish picture made fit to be looked at; training takes images as they are.
 
     Channels are scaled so that their 99th percentiles agree, then brightened by `GAMMA`.

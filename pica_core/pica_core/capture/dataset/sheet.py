@@ -1,7 +1,7 @@
 """A look at a capture on one page: views, cameras, tracked mesh over an image, depth, expressions.
 
 What a capture does not have is left empty; what cannot be read says why in its tile. Pictures of a
-published directory are made fit for looking at (`original.for_looking`).
+published directory are made fit for looking at (`published.displayable`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from PIL import Image, ImageDraw
 from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.capture.dataset import multiface
 from pica_core.capture.dataset.dataset import Capture, CaptureFrame
-from pica_core.capture.dataset.published import for_looking
+from pica_core.capture.dataset.published import displayable
 from pica_core.errors import CaptureError
 from pica_core.types import ByteArray, FloatArray
 
@@ -73,7 +73,7 @@ def _wrapped(text: str, width: int = 44) -> str:
 
 def _image(capture: Capture, frame: CaptureFrame, camera: str) -> Image.Image:
     image = capture.image(frame, camera)
-    return Image.fromarray(for_looking(image) if capture.is_original else image)
+    return Image.fromarray(displayable(image) if capture.is_published else image)
 
 
 def _face(capture: Capture, frame: CaptureFrame, camera_name: str) -> Image.Image:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.capture.lighting.shadow import POSES, DrawDepth, lit, softbox, sphere
-from pica_core.capture.procedural.heads import Head
+from pica_core.capture.procedural.heads import ProceduralHead
 from pica_core.capture.procedural.layout import EYE_ROW
 from pica_core.capture.procedural.skin import smoothstep
 from pica_core.types import FloatArray
@@ -26,7 +26,7 @@ SPAN_M, CENTRE_M = 0.36, (0.0, -0.01, 0.0)
 """Of the depth maps."""
 
 
-def shade_eyes(head: Head, vertices: FloatArray, shade: FloatArray) -> None:
+def shade_eyes(head: ProceduralHead, vertices: FloatArray, shade: FloatArray) -> None:
     """Darken the eyeballs under lids and lashes, in place: lids are thinner than a shadow map sees.
 
     Args:
@@ -56,10 +56,10 @@ class Occlusion:
 
     Args:
         head: The head.
-        draw_depth: Draws a depth map (`StageRenderer`).
+        draw_depth: Draws a depth map (`ProceduralRenderer`).
     """
 
-    def __init__(self, head: Head, draw_depth: DrawDepth) -> None:
+    def __init__(self, head: ProceduralHead, draw_depth: DrawDepth) -> None:
         self._head = head
         self._draw_depth = draw_depth
         zero = np.zeros(NUM_ARKIT, np.float32)

@@ -124,7 +124,7 @@ def surface_coordinates(
 def name_regions(
     charts: dict[str, Chart], coordinates: SurfaceCoordinates, lids: BoolArray
 ) -> dict[str, BoolArray]:
-    """Named vertex sets (`heads.Head.regions`).
+    """Named vertex sets (`ProceduralHead.regions`).
 
     Args:
         charts: Charts by name.

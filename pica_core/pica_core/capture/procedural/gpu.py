@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.capture.lighting.head_occlusion import Occlusion, shade_eyes
-from pica_core.capture.procedural.heads import Head
+from pica_core.capture.procedural.heads import ProceduralHead
 from pica_core.capture.stage.gpu import (
     BAKE_SIZE,
     DEPTH_TOLERANCE_M,
@@ -22,13 +22,13 @@ from pica_core.capture.stage.gpu import (
 from pica_core.gl import link_program
 from pica_core.types import FloatArray
 
-__all__ = ["BAKE_SIZE", "DEPTH_TOLERANCE_M", "StageRenderer", "View"]
+__all__ = ["BAKE_SIZE", "DEPTH_TOLERANCE_M", "ProceduralRenderer", "View"]
 
 MOVING = {"position_m": 3, "normal": 3, "tangent": 3, "occlusion": 2}
 """What moves with the face, by vertex; the tangent is that of strands."""
 
 
-class StageRenderer(MeshRenderer):
+class ProceduralRenderer(MeshRenderer):
     """Draws one head on the stage.
 
     Args:
@@ -42,7 +42,12 @@ class StageRenderer(MeshRenderer):
     """
 
     def __init__(
-        self, head: Head, context: Any = None, *, bake_size: int = BAKE_SIZE, occlusion: bool = True
+        self,
+        head: ProceduralHead,
+        context: Any = None,
+        *,
+        bake_size: int = BAKE_SIZE,
+        occlusion: bool = True,
     ) -> None:
         self.head = head
         self._bake_size = bake_size

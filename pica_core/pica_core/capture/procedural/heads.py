@@ -52,7 +52,7 @@ EYE_YAW, EYE_PITCH_UP, EYE_PITCH_DOWN = np.radians([35.0, 25.0, 28.0])
 """Gaze at a look shape of 1."""
 
 
-class Head:
+class ProceduralHead:
     """One identity's head.
 
     Attributes:
@@ -303,11 +303,11 @@ class Head:
 
 
 @functools.lru_cache(maxsize=8)
-def make_head(name: str) -> Head:
+def make_head(name: str) -> ProceduralHead:
     """Build a built-in head by identity name (``S1`` to ``S6``). Heads do not change, so calls
     share them.
 
     Raises:
         CaptureError: No identity has this name.
     """
-    return Head(get_identity(name))
+    return ProceduralHead(get_identity(name))

@@ -21,7 +21,7 @@ import xatlas
 
 from pica_core.capture.procedural.layout import MAP_SIZE
 from pica_core.capture.rig.mesh import components
-from pica_core.capture.rig.uv_gutter import MAX_SKIRT_TEXELS, add_skirts
+from pica_core.capture.rig.uv_gutter import MAX_GUTTER_TEXELS, add_gutters
 from pica_core.errors import CaptureError
 from pica_core.types import Float64Array, FloatArray, IntArray
 
@@ -263,8 +263,8 @@ def pack(
         uv_faces: Triangles in `uv`. ``[F, 3]``.
         faces: The same triangles in welded vertices. ``[F, 3]``.
         need: Wanted share of each triangle; None keeps the areas that the file gives. ``[F]``.
-        rest: Welded vertices in space, for skirts; None makes none. ``[P, 3]``.
-        seen: Triangles whose seams need skirts. bool ``[F]``.
+        rest: Welded vertices in space, for gutters; None makes none. ``[P, 3]``.
+        seen: Triangles whose seams need gutters. bool ``[F]``.
 
     Raises:
         CaptureError: An island cannot be packed.
@@ -297,10 +297,10 @@ def pack(
     face_source = np.arange(len(faces))
     if rest is not None and seen is not None:
         texel = np.sqrt(np.abs(_areas(points, split)).sum() / USUAL_FILL) / MAP_SIZE
-        tips, skirts, far, copied = add_skirts(
-            points, split, rest, faces, seen, MAX_SKIRT_TEXELS * texel
+        tips, gutters, far, copied = add_gutters(
+            points, split, rest, faces, seen, MAX_GUTTER_TEXELS * texel
         )
-        points, split = np.concatenate([points, tips]), np.concatenate([split, skirts])
+        points, split = np.concatenate([points, tips]), np.concatenate([split, gutters])
         source = np.concatenate([source, far])
         face_source = np.concatenate([face_source, copied])
     packed, covered = _place(points, split)

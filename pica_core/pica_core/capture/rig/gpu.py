@@ -24,7 +24,7 @@ from pica_core.types import ByteArray, FloatArray
 
 MOVING = {"position_m": 3, "normal": 3, "occlusion": 2}
 """What moves with the face, by vertex."""
-LOOKS: dict[str, Any] = {
+PAINT: dict[str, Any] = {
     "seed": 3.0,
     "skin_rgb": (0.60, 0.36, 0.26),
     "lip_rgb": (0.46, 0.19, 0.165),
@@ -76,7 +76,7 @@ class RigRenderer(MeshRenderer):
         radius = eyes[0].radius_m if eyes else 0.012
         mouth_y = float(np.mean(f.mouth.y)) if f.mouth is not None else -0.045
         numbers = {
-            **LOOKS,
+            **PAINT,
             "iris_reach": max(IRIS_RADIUS_M, 0.44 * radius) / radius,
             "eye_mm": tuple(1000 * eye),
             "brow_mm": 1000 * f.brow_y,
@@ -121,7 +121,7 @@ class RigRenderer(MeshRenderer):
         result = np.zeros((len(chart.source), 2), np.float32)
         if mesh.uv is not None and mesh.uv_faces is not None:
             result[chart.faces] = mesh.uv[mesh.uv_faces[chart.face_source]]
-            own = chart.faces[: len(mesh.faces)]  # a skirt's edge belongs to its own island
+            own = chart.faces[: len(mesh.faces)]  # a gutter's edge belongs to its own island
             result[own] = mesh.uv[mesh.uv_faces]
         return result
 

@@ -78,7 +78,7 @@ def texel_need(mesh: RigMesh, features: Features, seen: Float64Array) -> Float64
     return need
 
 
-def _look_poses(mesh: RigMesh) -> list[Float64Array]:
+def _revealing_poses(mesh: RigMesh) -> list[Float64Array]:
     """Poses that show what there is: at rest, mouth open, teeth bared, eyes closed."""
     poses = [mesh.rest_m]
     for names in (
@@ -131,7 +131,7 @@ class RigHead:
             self.mended = len(mesh.faces)
         else:
             uv, uv_faces, self.mended = mend_islands(mesh.rest_m, mesh.faces, uv, uv_faces)
-        seen = visibility(_look_poses(mesh), mesh.faces)
+        seen = visibility(_revealing_poses(mesh), mesh.faces)
         need = texel_need(mesh, self.features, seen)
         skin = self.features.part == MATERIALS.index("skin")
         self.chart: PackedChart = pack(

@@ -1,4 +1,4 @@
-"""Skirts: islands reach a triangle under each other, so that a decoded head shows no cracks.
+"""Gutters: islands reach a triangle under each other, so that a decoded head shows no cracks.
 
 A decoder that is not perfect puts the two copies of a vertex at a seam in slightly different
 places, and a gap opens along the seam. So each island gets copies of the triangles on the far side
@@ -13,8 +13,8 @@ import numpy as np
 
 from pica_core.types import BoolArray, Float64Array, Int64Array, IntArray
 
-MAX_SKIRT_TEXELS = 2.5
-"""How far a skirt reaches from the seam, at most."""
+MAX_GUTTER_TEXELS = 2.5
+"""How far a gutter reaches from the seam, at most."""
 
 
 def find_seams(split: IntArray, faces: IntArray) -> tuple[Int64Array, Int64Array]:
@@ -43,7 +43,7 @@ def find_seams(split: IntArray, faces: IntArray) -> tuple[Int64Array, Int64Array
     return one[chosen], other[chosen]
 
 
-def add_skirts(
+def add_gutters(
     points: Float64Array,
     split: IntArray,
     rest: Float64Array,
@@ -58,8 +58,8 @@ def add_skirts(
         split: Triangles in split vertices. ``[F, 3]``.
         rest: Welded vertices in space. ``[P, 3]``.
         faces: The same triangles in welded vertices. ``[F, 3]``.
-        seen: Triangles that need skirts. bool ``[F]``.
-        reach: How far a skirt may reach in the plane.
+        seen: Triangles that need gutters. bool ``[F]``.
+        reach: How far a gutter may reach in the plane.
 
     Returns:
         New points ``[N, 2]``, new triangles in split vertices (new ones counted on from V)
@@ -88,10 +88,10 @@ def add_skirts(
     away = np.minimum(away, reach / length)
     tip = points[begin] + np.clip(along, 0.0, 1.0)[:, None] * flat + away[:, None] * normal
     index = len(points) + np.arange(len(tip))
-    skirts = np.stack([end, begin, index], 1)
+    gutters = np.stack([end, begin, index], 1)
     welded = np.stack([faces[face, (corner + 1) % 3], far], 1).astype(np.int64)
-    between, copied = _between(np.concatenate([points, tip]), faces, skirts, welded)
-    triangles = np.concatenate([_as_copied(skirts, theirs % 3), between])
+    between, copied = _between(np.concatenate([points, tip]), faces, gutters, welded)
+    triangles = np.concatenate([_as_copied(gutters, theirs % 3), between])
     return tip, triangles, far, np.concatenate([theirs // 3, copied]).astype(np.int64)
 
 
@@ -102,23 +102,23 @@ def _as_copied(triangles: Int64Array, corner: Int64Array) -> IntArray:
 
 
 def _between(
-    points: Float64Array, faces: IntArray, skirts: Int64Array, welded: Int64Array
+    points: Float64Array, faces: IntArray, gutters: Int64Array, welded: Int64Array
 ) -> tuple[IntArray, Int64Array]:
-    """Triangles between skirts that follow each other along a seam.
+    """Triangles between gutters that follow each other along a seam.
 
     Args:
         points: Split vertices and tips in the plane. ``[V, 2]``.
         faces: The mesh's triangles in welded vertices. ``[F, 3]``.
-        skirts: End and begin of each skirt's edge, and its tip, in `points`. ``[N, 3]``.
+        gutters: End and begin of each gutter's edge, and its tip, in `points`. ``[N, 3]``.
         welded: Its edge's end and its tip, in welded vertices. ``[N, 2]``.
 
     Returns:
         Triangles in `points` ``[M, 3]``, and what each copies. Where the far side has more than one
-        triangle between two skirts there is none.
+        triangle between two gutters there is none.
     """
-    end, begin, tip = skirts.T
+    end, begin, tip = gutters.T
     next_skirt = np.full(len(points), -1)
-    next_skirt[begin] = np.arange(len(skirts))
+    next_skirt[begin] = np.arange(len(gutters))
     single = np.bincount(begin, minlength=len(points))[end] == 1
     one = np.flatnonzero(single & (np.bincount(end, minlength=len(points))[end] == 1))
     other = next_skirt[end[one]]
@@ -131,7 +131,7 @@ def _between(
     place = order[np.minimum(np.searchsorted(key[order], wanted), len(order) - 1)]
     third = faces[place // 3, (place % 3 + 2) % 3]
     triangles = np.stack([end[one], tip[one], tip[other]], 1)
-    flipped = _turn(points, triangles) * _turn(points, skirts[one]) <= 0  # skirts overlap here
+    flipped = _turn(points, triangles) * _turn(points, gutters[one]) <= 0  # gutters overlap here
     fits = (key[place] == wanted) & (third == welded[other, 1]) & ~flipped
     return _as_copied(triangles[fits], place[fits] % 3), place[fits] // 3
 

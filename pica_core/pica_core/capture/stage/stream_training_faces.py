@@ -31,7 +31,9 @@ KINDS: tuple[tuple[Callable[[np.random.Generator, int], FloatArray], int], ...] 
 """Each with how rarely it comes: eyes alone every third round."""
 
 
-def practice_performances(rounds: int = 36, frames: int = 120, seed: int = 0) -> list[FloatArray]:
+def stream_training_performances(
+    rounds: int = 36, frames: int = 120, seed: int = 0
+) -> list[FloatArray]:
     """Generate performances.
 
     Args:

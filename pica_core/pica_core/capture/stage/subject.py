@@ -10,7 +10,7 @@ import numpy.typing as npt
 from pica_core.camera import Camera
 from pica_core.capture.dataset.files import Topology
 from pica_core.capture.procedural.coordinates import MATERIALS
-from pica_core.capture.procedural.gpu import BAKE_SIZE, StageRenderer, View
+from pica_core.capture.procedural.gpu import BAKE_SIZE, ProceduralRenderer, View
 from pica_core.capture.procedural.heads import make_head
 from pica_core.capture.procedural.layout import MAP_SIZE
 from pica_core.types import BoolArray, ByteArray, FloatArray
@@ -47,7 +47,7 @@ class Subject(Protocol):
         ...
 
     def unwrap(self, images: list[tuple[Camera, View]], size: int) -> tuple[ByteArray, BoolArray]:
-        """Average texture of the pose and where it is known, as `StageRenderer.unwrap`."""
+        """Average texture of the pose and where it is known, as `ProceduralRenderer.unwrap`."""
         ...
 
     def release(self) -> None:
@@ -109,7 +109,7 @@ class Drawn(ABC):
             self._renderer = None
 
 
-class HeadSubject(Drawn):
+class ProceduralSubject(Drawn):
     """A built-in head on the stage. Its GL context is made with the first pose.
 
     Args:
@@ -147,5 +147,5 @@ class HeadSubject(Drawn):
             },
         }
 
-    def _make_renderer(self) -> StageRenderer:
-        return StageRenderer(self.head, bake_size=self._bake_size, occlusion=self._self_shadow)
+    def _make_renderer(self) -> ProceduralRenderer:
+        return ProceduralRenderer(self.head, bake_size=self._bake_size, occlusion=self._self_shadow)

@@ -33,9 +33,9 @@ from pica_core.capture.stage.dome import EVALUATION_VIEWS, LENSES, dome_cameras
 from pica_core.capture.stage.expressions import RATE_HZ, STRIDE, Take, blend, sample_takes
 from pica_core.capture.stage.head_motion import HeadMotion, camera_in_head
 from pica_core.capture.stage.mvs_depth import MvsErrors, find_depth
-from pica_core.capture.stage.subject import HeadSubject, Subject
+from pica_core.capture.stage.subject import ProceduralSubject, Subject
 from pica_core.capture.stage.tracked_topology import NUM_VERTICES, track_topology
-from pica_core.capture.stage.tracker import Tracker, lagged_arkit
+from pica_core.capture.stage.tracker import SimulatedTracker, lagged_arkit
 from pica_core.errors import CaptureError
 from pica_core.types import FloatArray
 
@@ -128,7 +128,7 @@ def render_capture(
     """Render a built-in head; arguments, result and errors as `render_subject`."""
 
     def make() -> Subject:
-        return HeadSubject(
+        return ProceduralSubject(
             options.head, bake_size=options.bake_size, self_shadow=options.self_shadow
         )
 
@@ -191,7 +191,7 @@ class _Rendering:
         self.tracked_topology, self.tracked = track_topology(
             subject.topology, shapes, options.tracked_vertices
         )
-        self.tracker = Tracker(
+        self.tracker = SimulatedTracker(
             self.tracked_topology, shapes[0, self.tracked], options.seed, self.tracked
         )
         multiface.write_aside(out / multiface.KRT, multiface.krt_text(self.cameras).encode())

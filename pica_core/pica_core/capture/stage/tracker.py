@@ -49,7 +49,7 @@ LIMIT_MM = 0.98
 """No vertex is farther off than this."""
 
 
-class Tracker:
+class SimulatedTracker:
     """A tracker's errors on one mesh.
 
     Args:

@@ -23,7 +23,7 @@ import numpy.typing as npt
 from pica_core.camera import Camera, look_at
 from pica_core.capture.dataset.dataset import Capture, Topology
 from pica_core.capture.procedural.identity import IDENTITIES
-from pica_core.capture.stage.subject import HeadSubject
+from pica_core.capture.stage.subject import ProceduralSubject
 from pica_core.train.data import TrainingData
 from pica_core.train.eval.metrics import mse
 from pica_core.train.rasterise import Rasteriser
@@ -157,7 +157,7 @@ class NearField:
 def near_field(
     data: TrainingData,
     frames: list[int],
-    make_subject: Callable[[str], HeadSubject] = HeadSubject,
+    make_subject: Callable[[str], ProceduralSubject] = ProceduralSubject,
 ) -> NearField:
     """Draw the truth of some frames close to the mouth. Makes and releases a GL context.
 
@@ -184,7 +184,7 @@ def near_field(
 def one_sample_mse(
     data: TrainingData,
     frames: list[int],
-    make_subject: Callable[[str], HeadSubject] = HeadSubject,
+    make_subject: Callable[[str], ProceduralSubject] = ProceduralSubject,
 ) -> float | None:
     """What the head itself leaves if each pixel is one sample of it (the middle ninth of the
     pixel), against the capture's images, whose pixels are means: what a model that is drawn so can
@@ -211,8 +211,8 @@ def one_sample_mse(
 
 @contextmanager
 def _on_stage(
-    data: TrainingData, frame: int, make_subject: Callable[[str], HeadSubject]
-) -> Iterator[HeadSubject | str]:
+    data: TrainingData, frame: int, make_subject: Callable[[str], ProceduralSubject]
+) -> Iterator[ProceduralSubject | str]:
     """The capture's subject, or why nobody can draw it."""
     capture = data.capture
     name = str(capture.info.get("head", ""))

@@ -21,7 +21,7 @@ from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.level_tensors import MAX_TEXELS, PREFIX, faces_name, sheet_rows
 from pica_core.avatar.levels import EXIT_DIVISORS, level_sizes
-from pica_core.capture.stage.stream_training_faces import practice_performances
+from pica_core.capture.stage.stream_training_faces import stream_training_performances
 from pica_core.errors import TrainingOptionError
 from pica_core.model.decoders import sample_map
 from pica_core.reference.pixel import decode_pixels
@@ -160,7 +160,7 @@ def _draw_faces(avatar: Avatar, options: LevelOptions) -> tuple[FaceSet, FaceSet
     ):
         rng = np.random.default_rng([options.seed, number])
         seed = int(rng.integers(2**31))
-        arkit = np.concatenate(practice_performances(options.rounds, seed=seed))
+        arkit = np.concatenate(stream_training_performances(options.rounds, seed=seed))
         shown = arkit[:, [ARKIT_NAMES.index(name) for name in MORE_OF]].max(axis=1)
         chance = LEAST_CHANCE + np.clip(shown, 0, 1)
         chosen = rng.choice(len(arkit), count, replace=len(arkit) < count, p=chance / chance.sum())

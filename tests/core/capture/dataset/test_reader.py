@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from helpers.published_capture import HEIGHT, PLACES_MM, SEGMENTS, TEXTURE, WIDTH, write_original
+from helpers.published_capture import HEIGHT, PLACES_MM, SEGMENTS, TEXTURE, WIDTH, write_published
 from pica_core.capture.dataset.check import check_capture
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.capture.dataset.published import for_looking
+from pica_core.capture.dataset.published import displayable
 from pica_core.capture.dataset.reader import CaptureReader, Request
 from pica_core.capture.dataset.sheet import write_sheet
 from pica_core.errors import CaptureError
@@ -23,13 +23,13 @@ pytestmark = pytest.mark.unit
 
 @pytest.fixture
 def original(tmp_path: Path) -> Path:
-    return write_original(tmp_path / "m--0001")
+    return write_published(tmp_path / "m--0001")
 
 
 def test_a_published_directory_is_read_as_it_is(original: Path) -> None:
     capture = Capture.open(original)
 
-    assert capture.is_original
+    assert capture.is_published
     assert not capture.has_depth
     assert not capture.has_truth
     assert not capture.has_masks
@@ -138,7 +138,7 @@ def test_an_obj_that_points_nowhere_is_named(original: Path) -> None:
 def test_a_picture_for_looking_at_is_not_green() -> None:
     raw = np.full((8, 8, 3), (60, 120, 50), np.uint8)
     raw[:4] //= 2
-    looked = for_looking(raw)
+    looked = displayable(raw)
     assert np.ptp(looked[0, 0].astype(int)) <= 2
     assert looked[0, 0].mean() > raw[0, 0].mean()
 

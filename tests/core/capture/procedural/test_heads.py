@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
-from pica_core.capture.procedural.heads import Head, make_head
+from pica_core.capture.procedural.heads import ProceduralHead, make_head
 from pica_core.capture.procedural.identity import IDENTITIES, get_identity
 from pica_core.capture.procedural.layout import EYE_ROW, MAP_SIZE
 from pica_core.capture.procedural.skin import LOWER_CONTACT_ROW, UPPER_CONTACT_ROW
@@ -19,39 +19,39 @@ NAMES = sorted(IDENTITIES)
 
 
 @functools.cache
-def head_of(name: str) -> Head:
+def head_of(name: str) -> ProceduralHead:
     return make_head(name)
 
 
 @pytest.fixture(params=NAMES)
-def head(request: pytest.FixtureRequest) -> Head:
+def head(request: pytest.FixtureRequest) -> ProceduralHead:
     return head_of(request.param)
 
 
-def posed_mm(head: Head, **shapes: float) -> np.ndarray:
+def posed_mm(head: ProceduralHead, **shapes: float) -> np.ndarray:
     return head.vertices(blend(**shapes)) * 1000.0
 
 
-def skin_row(head: Head, vertices: np.ndarray, row: int) -> np.ndarray:
+def skin_row(head: ProceduralHead, vertices: np.ndarray, row: int) -> np.ndarray:
     chart = head.charts["skin"]
     grid = vertices[chart.span].reshape(*chart.shape, 3)
     return grid[int(np.flatnonzero(chart.rows == row)[0])]
 
 
-def eye_columns(head: Head) -> np.ndarray:
+def eye_columns(head: ProceduralHead) -> np.ndarray:
     """Front columns inside the left eye's slit."""
     upper = skin_row(head, posed_mm(head), EYE_ROW)
     lower = skin_row(head, posed_mm(head), EYE_ROW + 1)
     return (upper[:, 1] - lower[:, 1] > 2.0) & (upper[:, 0] > 0) & (upper[:, 2] > 50)
 
 
-def test_every_vertex_sits_on_a_texel_centre_of_its_own(head: Head) -> None:
+def test_every_vertex_sits_on_a_texel_centre_of_its_own(head: ProceduralHead) -> None:
     texels = head.vertex_uv * MAP_SIZE - 0.5
     assert np.abs(texels - np.rint(texels)).max() < 1e-4
     assert len(np.unique(np.rint(texels).astype(int), axis=0)) == head.num_vertices
 
 
-def test_faces_point_at_vertices_that_exist_and_use_all_of_them(head: Head) -> None:
+def test_faces_point_at_vertices_that_exist_and_use_all_of_them(head: ProceduralHead) -> None:
     assert head.faces.min() == 0
     assert set(np.unique(head.faces)) == set(range(head.num_vertices))
 
@@ -66,13 +66,13 @@ def test_charts_keep_two_texels_between_each_other() -> None:
         taken[chart.rows[0] : chart.rows[-1] + 1, chart.columns[0] : chart.columns[-1] + 1] = index
 
 
-def test_no_face_is_degenerate_at_rest(head: Head) -> None:
+def test_no_face_is_degenerate_at_rest(head: ProceduralHead) -> None:
     a, b, c = (posed_mm(head)[head.faces[:, k]].astype(np.float64) for k in range(3))
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
     assert (area < 1e-5).mean() < 0.002
 
 
-def test_faces_of_the_face_look_forward(head: Head) -> None:
+def test_faces_of_the_face_look_forward(head: ProceduralHead) -> None:
     vertices = posed_mm(head)
     chosen = head.regions["face"] & ~head.regions["lids"] & ~head.regions["lips"]
     forward = vertices[:, 2] > 75
@@ -82,7 +82,7 @@ def test_faces_of_the_face_look_forward(head: Head) -> None:
     assert (np.cross(b - a, c - a)[:, 2] < 0).mean() < 0.02
 
 
-def test_a_full_blink_leaves_less_than_a_third_of_a_millimetre_open(head: Head) -> None:
+def test_a_full_blink_leaves_less_than_a_third_of_a_millimetre_open(head: ProceduralHead) -> None:
     vertices = posed_mm(head, eyeBlink=1.0)
     inside = eye_columns(head)
     gap = skin_row(head, vertices, EYE_ROW)[inside] - skin_row(head, vertices, EYE_ROW + 1)[inside]
@@ -91,14 +91,14 @@ def test_a_full_blink_leaves_less_than_a_third_of_a_millimetre_open(head: Head) 
 
 
 @pytest.mark.parametrize("blink", [0.0, 0.3, 0.6, 1.0])
-def test_lids_stay_outside_the_eyeball(head: Head, blink: float) -> None:
+def test_lids_stay_outside_the_eyeball(head: ProceduralHead, blink: float) -> None:
     vertices = posed_mm(head, eyeBlink=blink)
     centre = np.array([0.5 * head.identity.face.eye_distance, 22.0, 76.5])
     lids = vertices[head.regions["lids"] & head.regions["left"]]
     assert np.linalg.norm(lids - centre, axis=1).min() > 12.1
 
 
-def test_looks_turn_both_eyes_to_the_same_side(head: Head) -> None:
+def test_looks_turn_both_eyes_to_the_same_side(head: ProceduralHead) -> None:
     vertices = posed_mm(head, eyeLookOutLeft=1.0, eyeLookInRight=1.0) - posed_mm(head)
     for name in ("eye_left", "eye_right"):
         chart = head.charts[name]
@@ -106,7 +106,7 @@ def test_looks_turn_both_eyes_to_the_same_side(head: Head) -> None:
         assert vertices[middle, 0] > 3.0  # the subject's left is +x
 
 
-def test_jaw_open_takes_chin_and_lower_teeth_down_and_leaves_the_nose(head: Head) -> None:
+def test_jaw_open_takes_chin_and_lower_teeth_down_and_leaves_the_nose(head: ProceduralHead) -> None:
     moved = posed_mm(head, jawOpen=1.0) - posed_mm(head)
     teeth = moved[head.charts["teeth_lower"].span]
     assert teeth[:, 1].min() < -25.0
@@ -117,7 +117,7 @@ def test_jaw_open_takes_chin_and_lower_teeth_down_and_leaves_the_nose(head: Head
     assert np.abs(skin_row(head, moved, 92)[nose]).max() < 1.5
 
 
-def test_mouth_close_brings_the_lips_together_over_an_open_jaw(head: Head) -> None:
+def test_mouth_close_brings_the_lips_together_over_an_open_jaw(head: ProceduralHead) -> None:
     def gap(**shapes: float) -> float:
         vertices = posed_mm(head, **shapes)
         upper = skin_row(head, vertices, UPPER_CONTACT_ROW)
@@ -130,7 +130,7 @@ def test_mouth_close_brings_the_lips_together_over_an_open_jaw(head: Head) -> No
     assert gap(jawOpen=0.5, mouthClose=0.5) < gap() + 0.6
 
 
-def test_mouth_close_alone_does_nothing(head: Head) -> None:
+def test_mouth_close_alone_does_nothing(head: ProceduralHead) -> None:
     assert np.abs(posed_mm(head, mouthClose=1.0) - posed_mm(head)).max() == 0.0
 
 
@@ -164,7 +164,7 @@ def test_mirrored_expressions_make_mirrored_skin() -> None:
     np.testing.assert_allclose(left[:, ::-1] * [-1, 1, 1], right, atol=2e-6)
 
 
-def test_a_batch_equals_its_members(head: Head) -> None:
+def test_a_batch_equals_its_members(head: ProceduralHead) -> None:
     takes = sample_takes(12, 3)
     arkit = np.concatenate([take.arkit for take in takes])[:4]
     batch = head.vertices_batch(arkit)
@@ -172,14 +172,14 @@ def test_a_batch_equals_its_members(head: Head) -> None:
         np.testing.assert_allclose(head.vertices(values), vertices, atol=1e-6)
 
 
-def test_real_like_combinations_stay_finite_and_near_the_head(head: Head) -> None:
+def test_real_like_combinations_stay_finite_and_near_the_head(head: ProceduralHead) -> None:
     arkit = np.concatenate([take.arkit for take in sample_takes(60, 1)])
     vertices = head.vertices_batch(arkit)
     assert np.isfinite(vertices).all()
     assert np.abs(vertices - head.vertices(np.zeros(52))).max() < 0.06
 
 
-def test_normals_are_unit_and_agree_across_the_seam(head: Head) -> None:
+def test_normals_are_unit_and_agree_across_the_seam(head: ProceduralHead) -> None:
     normals = head.normals(head.vertices(np.zeros(52)))
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-4)
     chart = head.charts["skin"]
@@ -195,7 +195,7 @@ def test_identities_share_one_topology() -> None:
 
 
 def test_two_builds_of_a_head_are_bit_identical() -> None:
-    again = Head(get_identity("S1"))
+    again = ProceduralHead(get_identity("S1"))
     arkit = blend(jawOpen=0.4, mouthSmile=0.5)
     assert again.vertices(arkit).tobytes() == head_of("S1").vertices(arkit).tobytes()
 

@@ -14,7 +14,7 @@ from pica_core.capture.rig.chart import equalise, pack
 from pica_core.capture.rig.head import RigHead, make_rig, read_rig
 from pica_core.capture.rig.map_error import map_error_m
 from pica_core.capture.rig.subject import chart_error_mm
-from pica_core.capture.rig.uv_gutter import add_skirts
+from pica_core.capture.rig.uv_gutter import add_gutters
 from pica_core.capture.stage.expressions import blend
 from pica_core.errors import CaptureError, ShapeError
 
@@ -44,7 +44,7 @@ def signed_areas(
 
 
 def assert_no_overlap(head: RigHead, size: int = 256) -> None:
-    """No texel centre lies in two triangles of the mesh, but for those on rims; skirts may."""
+    """No texel centre lies in two triangles of the mesh, but for those on rims; gutters may."""
     chart = head.chart
     hits = np.zeros((size, size), np.int32)
     own = chart.faces[: len(head.mesh.faces)]
@@ -78,14 +78,14 @@ def test_the_chart_holds_every_triangle_once(toy: RigHead) -> None:
 
 def test_islands_reach_under_each_other_at_seams_that_are_seen(toy: RigHead) -> None:
     chart, own = toy.chart, len(toy.mesh.faces)
-    skirts = chart.faces[own:]
+    gutters = chart.faces[own:]
     copied = chart.face_source[own:]
 
-    assert 10 < len(skirts) <= 2 * 35  # the seam at the back of the toy's head, as far as seen
+    assert 10 < len(gutters) <= 2 * 35  # the seam at the back of the toy's head, as far as seen
     assert (toy.features.part[copied] == 0).all()
-    np.testing.assert_array_equal(chart.source[skirts], toy.mesh.faces[copied])
+    np.testing.assert_array_equal(chart.source[gutters], toy.mesh.faces[copied])
     rest = toy.vertices(np.zeros(NUM_ARKIT))
-    a, b, c = (rest[skirts[:, k]] for k in range(3))
+    a, b, c = (rest[gutters[:, k]] for k in range(3))
     d, e, f = (rest[chart.faces[copied][:, k]] for k in range(3))
     turned = (np.cross(b - a, c - a) * np.cross(e - d, f - d)).sum(1)
     assert (turned > 0).all()  # they face where the triangles face that they copy
@@ -104,17 +104,17 @@ def test_skirts_leave_no_gap_at_the_vertices_of_a_seam() -> None:
     split[right] += len(rest)
     points = np.concatenate([rest[:, :2], rest[:, :2] + 10.0])
 
-    tips, skirts, far, copied = add_skirts(
+    tips, gutters, far, copied = add_gutters(
         points, split, rest, faces, np.ones(len(faces), np.bool_), 9.0
     )
 
     plane = np.concatenate([points, tips])
-    areas = signed_areas(plane.astype(np.float32), skirts)
+    areas = signed_areas(plane.astype(np.float32), gutters)
     assert (areas > 0).all()
     # A strip of one column on either side, but for a triangle at one of its ends.
     assert areas.sum() == pytest.approx(2 * (rows - 0.5))
     source = np.concatenate([np.tile(np.arange(len(rest)), 2), far])
-    np.testing.assert_array_equal(source[skirts], faces[copied])
+    np.testing.assert_array_equal(source[gutters], faces[copied])
 
 
 def test_a_flow_gives_triangles_the_area_they_need_and_folds_none() -> None:

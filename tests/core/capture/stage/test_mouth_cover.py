@@ -13,7 +13,7 @@ from pica_core.capture.procedural.layout import MAP_SIZE
 from pica_core.capture.stage.expressions import blend
 from pica_core.capture.stage.mouth_cover import cover_mouth
 from pica_core.capture.stage.tracked_topology import COVER, track_topology
-from pica_core.capture.stage.tracker import Tracker
+from pica_core.capture.stage.tracker import SimulatedTracker
 
 pytestmark = pytest.mark.unit
 
@@ -76,7 +76,7 @@ def test_a_tracker_keeps_cover_and_lips_together(
 ) -> None:
     topology, index, name = tracked
     rest = make_head(name).vertices(blend())[index]
-    found = Tracker(topology, rest, 3, index).follow(rest, rest, 0, 1.5)
+    found = SimulatedTracker(topology, rest, 3, index).follow(rest, rest, 0, 1.5)
     for dense in np.unique(index[topology.regions[COVER]]):
         assert len(np.unique(found[index == dense], axis=0)) == 1
 

@@ -12,7 +12,7 @@ from pica_core.capture.dataset.multiface import krt_text, read_krt
 from pica_core.capture.dataset.sheet import write_sheet
 from pica_core.capture.dataset.writer import BackgroundWriter
 from pica_core.capture.procedural.coordinates import MATERIALS
-from pica_core.capture.procedural.gpu import DEPTH_TOLERANCE_M, StageRenderer
+from pica_core.capture.procedural.gpu import DEPTH_TOLERANCE_M, ProceduralRenderer
 from pica_core.capture.procedural.heads import make_head
 from pica_core.capture.stage.dome import EVALUATION_VIEWS, dome_cameras
 from pica_core.capture.stage.expressions import blend
@@ -37,8 +37,8 @@ OPTIONS = StageOptions(
 
 
 @pytest.fixture(scope="module")
-def renderer() -> StageRenderer:
-    return StageRenderer(make_head("S1"), bake_size=256, occlusion=False)
+def renderer() -> ProceduralRenderer:
+    return ProceduralRenderer(make_head("S1"), bake_size=256, occlusion=False)
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def files_of(root: Path) -> dict[str, bytes]:
     }
 
 
-def test_projected_vertices_meet_the_rendered_depth(renderer: StageRenderer) -> None:
+def test_projected_vertices_meet_the_rendered_depth(renderer: ProceduralRenderer) -> None:
     camera = dome_cameras(1, 256, 256)[0]
     vertices = renderer.pose(blend(jawOpen=0.3))
     depth, mask = renderer.draw_geometry(camera)
@@ -90,7 +90,7 @@ def test_projected_vertices_meet_the_rendered_depth(renderer: StageRenderer) -> 
     assert (off > -0.003).mean() > 0.995
 
 
-def test_closed_lids_hide_the_eyes(renderer: StageRenderer) -> None:
+def test_closed_lids_hide_the_eyes(renderer: ProceduralRenderer) -> None:
     camera = dome_cameras(1, 384, 384)[0]
     eye = MATERIALS.index("eye") + 1
     renderer.pose(blend())
@@ -101,7 +101,7 @@ def test_closed_lids_hide_the_eyes(renderer: StageRenderer) -> None:
     assert (closed_mask == eye).sum() <= 6
 
 
-def test_teeth_show_when_the_mouth_opens_and_not_at_rest(renderer: StageRenderer) -> None:
+def test_teeth_show_when_the_mouth_opens_and_not_at_rest(renderer: ProceduralRenderer) -> None:
     camera = dome_cameras(1, 384, 384)[0]
     teeth = MATERIALS.index("teeth") + 1
     renderer.pose(blend())
@@ -113,7 +113,7 @@ def test_teeth_show_when_the_mouth_opens_and_not_at_rest(renderer: StageRenderer
 
 
 def test_an_unwrapped_texture_covers_the_face_and_matches_the_image(
-    renderer: StageRenderer,
+    renderer: ProceduralRenderer,
 ) -> None:
     cameras = dome_cameras(5, 192, 192)
     renderer.pose(blend())

@@ -12,7 +12,7 @@ from pica_core.capture.stage.expressions import blend, sample_takes
 from pica_core.capture.stage.head_motion import HeadMotion, camera_in_head
 from pica_core.capture.stage.mvs_depth import MvsErrors, find_depth
 from pica_core.capture.stage.tracked_topology import track_topology
-from pica_core.capture.stage.tracker import LIMIT_MM, Tracker, lagged_arkit
+from pica_core.capture.stage.tracker import LIMIT_MM, SimulatedTracker, lagged_arkit
 
 pytestmark = pytest.mark.unit
 
@@ -87,7 +87,7 @@ def test_a_tracker_errs_smoothly_by_less_than_a_millimetre(
 ) -> None:
     topology, index = tracked
     rest = head.vertices(blend())[index]
-    tracker = Tracker(topology, rest, 3, index)
+    tracker = SimulatedTracker(topology, rest, 3, index)
 
     moments = [tracker.follow(rest, rest, 0, time) - rest for time in (0.0, 1 / 30, 4.0)]
     other_take = tracker.follow(rest, rest, 1, 0.0) - rest
@@ -111,7 +111,7 @@ def test_lips_that_move_fast_are_tracked_late(
     before, now = blend().astype(np.float32), blend(jawOpen=0.35).astype(np.float32)
     behind = lagged_arkit(now, np.stack([before, before]))
     exact = head.vertices(now)[index]
-    tracker = Tracker(topology, head.vertices(blend())[index], 3, index)
+    tracker = SimulatedTracker(topology, head.vertices(blend())[index], 3, index)
 
     late = tracker.follow(exact, head.vertices(behind)[index], 0, 0.0)
     prompt = tracker.follow(exact, exact, 0, 0.0)

@@ -12,7 +12,7 @@ from pica_core.camera import Camera
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.stage.dome import dome_cameras
 from pica_core.capture.stage.expressions import blend
-from pica_core.capture.stage.subject import HeadSubject
+from pica_core.capture.stage.subject import ProceduralSubject
 from pica_core.capture.stage.synth import StageOptions, render_capture
 from pica_core.gl import create_context, link_program
 from pica_core.reference.pixel import sample_bilinear
@@ -162,7 +162,7 @@ def rerendered() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A held-out camera's image, the same from a texture of the others, and where that is known."""
     cameras = dome_cameras(9, 320, 320)
     held_out = cameras[0]
-    subject = HeadSubject("S1", bake_size=512, self_shadow=False)
+    subject = ProceduralSubject("S1", bake_size=512, self_shadow=False)
     vertices = subject.pose(blend(jawOpen=0.2, mouthSmile=0.4))
     views = [(camera, subject.draw(camera)) for camera in cameras[1:]]
     texture, covered = subject.unwrap(views, 512)

@@ -14,7 +14,7 @@ import torch
 from pica_core.avatar.spec import BLOCKS
 from pica_core.avatar.variants import VARIANTS
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.capture.stage.subject import HeadSubject
+from pica_core.capture.stage.subject import ProceduralSubject
 from pica_core.capture.stage.synth import StageOptions, render_capture
 from pica_core.errors import CheckpointError, TrainingOptionError
 from pica_core.train.checkpoint import write_checkpoint
@@ -205,7 +205,7 @@ def test_the_near_camera_is_closer_than_any_of_the_capture(data: TrainingData) -
     assert 0.2 * min(distances) > NEAR_DISTANCE_M
 
 
-class KeptSubject(HeadSubject):
+class KeptSubject(ProceduralSubject):
     """A head that stays for another go: baking one takes seconds."""
 
     def release(self) -> None:
@@ -223,7 +223,7 @@ def test_near_field_pictures_are_skipped_where_the_stage_draws_another_picture(
         monkeypatch.setattr(data, "image", lambda frame, view: image(frame, view) // 2)
         other = near_field(data, frames, lambda name: subject)
     finally:
-        HeadSubject.release(subject)
+        ProceduralSubject.release(subject)
 
     assert "no longer draws what the capture holds" in str(other.skipped)
     assert same.skipped is None
@@ -255,7 +255,7 @@ def test_one_sample_a_pixel_errs_by_less_than_a_picture_half_a_pixel_off(
             seen = data.image(frame, view)[is_head].astype(float)
             errors.append(mse(moved[is_head].astype(float), seen))
     finally:
-        HeadSubject.release(subject)
+        ProceduralSubject.release(subject)
 
     assert error is not None
     assert 1 < error < np.mean(errors)
