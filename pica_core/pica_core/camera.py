@@ -6,7 +6,7 @@ points to camera axes. Pixel centres lie at integer + 0.5; image row 0 is the to
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -81,13 +81,19 @@ class Camera:
     def scaled(self, width: int, height: int) -> Camera:
         """The same camera with another image size; the field of view stays if the aspect does."""
         scale = np.diag([width / self.width, height / self.height, 1.0])
-        return Camera(
-            name=self.name,
-            intrinsics=scale @ self.intrinsics,
-            rotation=self.rotation,
-            translation_m=self.translation_m,
-            width=width,
-            height=height,
+        return replace(self, intrinsics=scale @ self.intrinsics, width=width, height=height)
+
+    def in_head(self, head_to_world: npt.ArrayLike) -> Camera:
+        """The camera in the axes of a head: what it sees of head-frame points.
+
+        Args:
+            head_to_world: Rotation and translation, metres. ``[3, 4]``.
+        """
+        pose = np.asarray(head_to_world, np.float64)
+        return replace(
+            self,
+            rotation=self.rotation @ pose[:, :3],
+            translation_m=self.rotation @ pose[:, 3] + self.translation_m,
         )
 
 

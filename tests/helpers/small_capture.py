@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pica_core.capture.stage.synth import StageOptions, render_capture
+from pica_core.capture.procedural.subject import StageOptions, render_capture
 
 
 def render_small(folder: Path, *, frames: int = 6, cameras: int = 2, size: int = 64) -> Path:

@@ -13,8 +13,8 @@ from rich.console import Console
 
 from pica_core.capture.dataset.check import PIXEL_FRAMES, check_capture
 from pica_core.capture.dataset.sheet import write_sheet
+from pica_core.capture.procedural.subject import StageOptions, render_capture
 from pica_core.capture.stage.progress import rendering_bar
-from pica_core.capture.stage.synth import StageOptions, render_capture
 from pica_core.errors import CaptureError
 
 SHOWN_PROBLEMS = 20

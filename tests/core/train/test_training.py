@@ -14,7 +14,7 @@ import torch
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.capture.stage.synth import StageOptions, render_capture
+from pica_core.capture.procedural.subject import StageOptions, render_capture
 from pica_core.errors import CheckpointError, TrainingDivergedError, TrainingOptionError
 from pica_core.model.decoders import sample_map
 from pica_core.train.config import PRESETS, TrainConfig

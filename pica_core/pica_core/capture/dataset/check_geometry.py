@@ -97,13 +97,12 @@ def depth_problem(
 def _is_inside(
     camera: Camera, pixels: npt.NDArray[np.float64], distance: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.bool_]:
-    inside: npt.NDArray[np.bool_] = (
+    return (
         (distance > 0)
         & (pixels >= 0).all(axis=1)
         & (pixels[:, 0] < camera.width)
         & (pixels[:, 1] < camera.height)
     )
-    return inside
 
 
 def _inside(
@@ -128,8 +127,7 @@ def _facing(
             )
     way = camera.centre_m - vertices_m
     size = np.linalg.norm(normal, axis=1) * np.linalg.norm(way, axis=1)
-    cosine: npt.NDArray[np.float64] = (normal * way).sum(axis=1) / np.maximum(size, 1e-20)
-    return cosine
+    return (normal * way).sum(axis=1) / np.maximum(size, 1e-20)
 
 
 def _grow(mask: npt.NDArray[np.bool_], reach: int) -> npt.NDArray[np.bool_]:

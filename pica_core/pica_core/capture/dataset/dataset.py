@@ -33,7 +33,6 @@ from pica_core.capture.dataset.files import (
     read_vertices,
 )
 from pica_core.capture.dataset.published import is_published, open_published
-from pica_core.capture.stage.head_motion import camera_in_head
 from pica_core.errors import CaptureError
 from pica_core.types import ByteArray, Float64Array, FloatArray, Int64Array
 
@@ -253,8 +252,7 @@ class Capture:
         """
         if self._arkit is None:
             raise CaptureError(f"{self.path}: no {multiface.EXPRESSIONS}")
-        values: FloatArray = self._arkit[frame.index]
-        return values
+        return self._arkit[frame.index]
 
     def image(self, frame: CaptureFrame, camera: str) -> ByteArray:
         """sRGB image as stored, row 0 on top. uint8 ``[H, W, 3]``."""
@@ -329,7 +327,7 @@ class Capture:
         Raises:
             CaptureError: No such camera, or no head pose.
         """
-        return camera_in_head(self.camera(name), self.head_to_world(frame))
+        return self.camera(name).in_head(self.head_to_world(frame))
 
     def average_texture(self, frame: CaptureFrame) -> ByteArray:
         """Average texture, row 0 is v = 0, black where no camera looked. uint8 ``[S, S, 3]``."""

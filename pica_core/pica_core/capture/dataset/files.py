@@ -18,6 +18,8 @@ from pica_core.errors import CaptureError
 from pica_core.types import BoolArray, Float64Array, FloatArray, IntArray
 
 SPLITS = ("train", "test")
+MAP_SIZE = 256
+"""Texels along each side of the position map that charts are made for."""
 MAX_IMAGE_PIXELS = 64_000_000
 """Larger images are refused before decoding."""
 MAX_LENGTH_M = 100.0
@@ -55,6 +57,23 @@ class Topology:
     vertex_uv: FloatArray
     faces: IntArray
     regions: dict[str, BoolArray]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Take:
+    """One uninterrupted performance that is to be captured.
+
+    Attributes:
+        segment: Name, unique within a capture.
+        arkit: Values of the captured moments. float32 ``[T, 52]``.
+        history: Values of a few moments before each, the latest first. float32 ``[T, K, 52]``.
+        split: ``train`` or ``test``.
+    """
+
+    segment: str
+    arkit: FloatArray
+    history: FloatArray
+    split: str
 
 
 def load_image(path: Path, mode: str, size: tuple[int, int] | None) -> npt.NDArray[Any]:

@@ -48,6 +48,8 @@ TOPOLOGY = "topology.npz"
 TRACKED_TOPOLOGY = "tracked_topology.npz"
 MARKER = "render.json"
 """There while a capture is being rendered."""
+MATERIALS = ("skin", "eye", "teeth", "tongue", "mouth_bag", "collar", "hair")
+"""Material ids, in the order that the appearance shaders know; masks hold id + 1."""
 TRUTH_MESH = "truth_mesh"
 TRUTH_DEPTH = "depth_truth"
 SCHEMA = 1
@@ -55,6 +57,11 @@ MAX_KRT = 1e6
 """No number of a KRT file is larger: pixels, or mm."""
 DEPTH_UNIT_M = 0.0001
 MILLIMETRES = 1000.0
+
+
+def describe_masks() -> dict[str, str]:
+    """Names of a mask's values, as `capture.json` holds them."""
+    return {"0": "background"} | {str(k + 1): name for k, name in enumerate(MATERIALS)}
 
 
 def image_path(kind: str, segment: str, camera: str, frame: str) -> Path:

@@ -199,5 +199,4 @@ def displayable(image: ByteArray) -> ByteArray:
     values = image.astype(np.float32)
     bright = np.maximum(np.percentile(values.reshape(-1, 3), 99, axis=0), 1.0)
     scaled = np.clip(values / bright, 0.0, 1.0) ** np.float32(1.0 / GAMMA)
-    looked: ByteArray = np.rint(255.0 * scaled).astype(np.uint8)
-    return looked
+    return np.rint(255.0 * scaled).astype(np.uint8)

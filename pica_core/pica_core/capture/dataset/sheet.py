@@ -137,7 +137,7 @@ def _camera_plan(capture: Capture, axes: tuple[int, int], signs: tuple[int, int]
     scale = 0.78 * side / max(float(np.ptp(points, axis=0).max()), 0.3)
 
     def at(point: npt.NDArray[np.float64]) -> list[float]:
-        return ((point - middle) * scale + side / 2).tolist()  # type: ignore[no-any-return]
+        return ((point - middle) * scale + side / 2).tolist()
 
     radius = 0.1 * scale
     x, y = at(np.zeros(2))

@@ -18,8 +18,7 @@ import numpy.typing as npt
 
 from pica_core.avatar.arkit import ARKIT_NAMES
 from pica_core.capture.dataset import multiface
-from pica_core.capture.dataset.files import Topology
-from pica_core.capture.stage.expressions import Take
+from pica_core.capture.dataset.files import SPLITS, Take, Topology
 from pica_core.types import ByteArray, FloatArray
 
 ENCODERS = 2
@@ -65,8 +64,7 @@ def png(array: npt.NDArray[Any]) -> bytes:
 def depth_units(depth_m: FloatArray) -> npt.NDArray[np.uint16]:
     """Depth as files hold it."""
     units = np.rint(depth_m / np.float32(multiface.DEPTH_UNIT_M))
-    held: npt.NDArray[np.uint16] = np.clip(units, 0, 65535).astype(np.uint16)
-    return held
+    return np.clip(units, 0, 65535).astype(np.uint16)
 
 
 class BackgroundWriter(AbstractContextManager["BackgroundWriter"]):
@@ -189,9 +187,6 @@ def write_tables(out: Path, takes: list[Take], info: dict[str, Any]) -> None:
             names.append(f"{take.segment} {index:06d}")
     multiface.write_aside(out / multiface.EXPRESSIONS, ("\n".join(lines) + "\n").encode())
     multiface.write_aside(out / multiface.FRAME_LIST, ("\n".join(names) + "\n").encode())
-    split = {
-        split: [take.segment for take in takes if take.split == split]
-        for split in ("train", "test")
-    }
+    split = {split: [take.segment for take in takes if take.split == split] for split in SPLITS}
     whole = {"schema": multiface.SCHEMA, **info, "split": split}
     multiface.write_aside(out / multiface.CAPTURE, json.dumps(whole, indent=1).encode() + b"\n")

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.procedural.hair import hairline
 from pica_core.capture.procedural.identity import Identity
 from pica_core.capture.procedural.layout import EYE_ROW, MOUTH_ROW, Chart
@@ -24,8 +25,6 @@ from pica_core.capture.procedural.skin import (
 from pica_core.capture.procedural.surface import EYE_RADIUS
 from pica_core.types import BoolArray, Float64Array, FloatArray
 
-MATERIALS = ("skin", "eye", "teeth", "tongue", "mouth_bag", "collar", "hair")
-"""Material ids, in the order that the appearance shader knows."""
 _MATERIAL_OF = {
     "eye_left": "eye",
     "eye_right": "eye",

@@ -1,39 +1,23 @@
-"""GL side of the built-in heads: bake an identity's appearance, pose it with its shadow."""
+"""GL side of the built-in heads: paint an identity's appearance, pose it with its shadow."""
 
 from __future__ import annotations
 
 from typing import Any
 
-import moderngl
 import numpy as np
-import numpy.typing as npt
 
-from pica_core.capture.lighting.head_occlusion import Occlusion, shade_eyes
 from pica_core.capture.procedural.heads import ProceduralHead
-from pica_core.capture.stage.gpu import (
-    BAKE_SIZE,
-    DEPTH_TOLERANCE_M,
-    MeshRenderer,
-    View,
-    attributes,
-    set_uniforms,
-    shader_text,
-)
-from pica_core.gl import link_program
+from pica_core.capture.procedural.shading import shade_eyes, soften
+from pica_core.capture.stage.gpu import BAKE_SIZE, MeshRenderer
+from pica_core.capture.stage.shadow import ShadowPlan
 from pica_core.types import FloatArray
-
-__all__ = ["BAKE_SIZE", "DEPTH_TOLERANCE_M", "ProceduralRenderer", "View"]
-
-MOVING = {"position_m": 3, "normal": 3, "tangent": 3, "occlusion": 2}
-"""What moves with the face, by vertex; the tangent is that of strands."""
 
 
 class ProceduralRenderer(MeshRenderer):
-    """Draws one head on the stage.
+    """Draws one built-in head on the stage.
 
     Args:
         head: The head to draw.
-        context: A GL context to use; None makes one.
         bake_size: Side of the appearance textures, texels.
         occlusion: False leaves out self-shadowing (and the seconds that measuring it takes).
 
@@ -42,28 +26,30 @@ class ProceduralRenderer(MeshRenderer):
     """
 
     def __init__(
-        self,
-        head: ProceduralHead,
-        context: Any = None,
-        *,
-        bake_size: int = BAKE_SIZE,
-        occlusion: bool = True,
+        self, head: ProceduralHead, *, bake_size: int = BAKE_SIZE, occlusion: bool = True
     ) -> None:
         self.head = head
-        self._bake_size = bake_size
+        shadows = ShadowPlan(
+            dome_directions=32,
+            key_directions=7,
+            span_m=0.36,
+            centre_m=(0.0, -0.01, 0.0),
+            smooth=lambda shade: soften(shade, head.charts),
+        )
         super().__init__(
-            context,
+            head,
             "stage",
             faces=head.faces,
             vertex_uv=head.vertex_uv,
             material=head.coordinates.material,
-            moving=MOVING,
+            moving={"tangent": 3},
+            bake_size=bake_size,
+            bleed=lambda reach: [1] * reach,
+            shadows=shadows if occlusion else None,
         )
-        self._occlusion = Occlusion(head, self._draw_depth_map) if occlusion else None
 
-    def _bake(self) -> tuple[Any, Any]:
-        c, head, who = self._context, self.head, self.head.identity
-        size = self._bake_size
+    def _paint(self) -> None:
+        head, who = self.head, self.head.identity
         numbers: dict[str, Any] = {
             "seed": float(who.seed), "skin_rgb": who.skin.rgb, "redness": who.skin.redness,
             "lip_rgb": who.skin.lip_rgb, "freckles": who.skin.freckles, "stubble": who.skin.stubble,
@@ -76,40 +62,19 @@ class ProceduralRenderer(MeshRenderer):
         }  # fmt: skip
         k = head.coordinates
         data = np.concatenate([head.vertex_uv, k.rest_m, k.local], 1).astype(np.float32)
-        buffer, layout = c.buffer(data.tobytes()), {"vertex_uv": 2, "rest_m": 3, "local": 4}
-        targets = [c.texture((size, size), 4) for _ in range(2)]
-        framebuffer = c.framebuffer(targets)
-        framebuffer.use()
-        c.enable_only(moderngl.NOTHING)
-        framebuffer.clear(0, 0, 0, 0)
+        buffer = self._context.buffer(data.tobytes())
+        vertices = buffer, {"vertex_uv": 2, "rest_m": 3, "local": 4}
         for material, (first, count) in self._spans.items():
-            program: Any = link_program(
-                c,
-                vertex=shader_text("bake.vert"),
-                fragment=shader_text("appearance.frag", material),
+            shaders = "bake", "appearance"
+            self._paint_part(
+                shaders, material, vertices, self._faces, numbers, vertices=count, first=first
             )
-            set_uniforms(program, numbers)
-            array = c.vertex_array(program, [attributes(program, buffer, layout)], self._faces)
-            array.render(vertices=count, first=first)
-        self._settle(targets, [1] * (2 * size // 256 + 2))
-        del framebuffer, array, buffer
-        c.gc()
-        return targets[0], targets[1]
 
-    def pose(self, arkit: npt.ArrayLike) -> FloatArray:
-        """Pose the head for the draws that follow; returns its vertices, metres ``[V, 3]``."""
-        head = self.head
-        vertices = head.vertices(arkit)
-        shade = np.ones((len(vertices), 2), np.float32)
-        if self._occlusion is not None:
-            shade = self._occlusion.at(np.asarray(arkit, np.float32))
-        shade_eyes(head, vertices, shade)
-        self._upload(vertices, shade)
-        return vertices
-
-    def _upload(self, vertices: FloatArray, shade: FloatArray) -> None:
+    def _more_moving(self, vertices: FloatArray, shade: FloatArray) -> tuple[FloatArray, ...]:
+        """The direction of hair strands; lids shade the eyeballs."""
+        shade_eyes(self.head, vertices, shade)
         hair = self.head.charts["hair"]
         grid = vertices[hair.span].reshape(*hair.shape, 3)
         tangent = np.zeros_like(vertices)
         tangent[hair.span] = np.asarray(np.gradient(grid, axis=0)).reshape(-1, 3)
-        self._write_moving(vertices, self.head.normals(vertices), tangent, shade)
+        return (tangent,)

@@ -23,8 +23,7 @@ def _periodic_noise(angle: Float64Array, seed: int, low: int, high: int) -> Floa
     for frequency in range(low, high + 1):
         phase, gain = random.uniform(0, 2 * np.pi), random.normal()
         total += gain * np.cos(frequency * angle + phase)
-    noise: Float64Array = total / np.sqrt(0.5 * (high - low + 1))
-    return noise
+    return total / np.sqrt(0.5 * (high - low + 1))
 
 
 COILED = 0.8
@@ -38,8 +37,7 @@ def _lumps(points: Float64Array, seed: int) -> Float64Array:
     for _ in range(28):
         wave = random.normal(0.0, 0.16, 3)
         total += np.cos(points @ wave + random.uniform(0, 2 * np.pi))
-    lumps: Float64Array = total / np.sqrt(14.0)
-    return lumps
+    return total / np.sqrt(14.0)
 
 
 def hairline(identity: Identity, azimuth: Float64Array) -> Float64Array:

@@ -37,6 +37,7 @@ from pica_core.capture.procedural.skin import (
     smoothstep,
 )
 from pica_core.capture.procedural.surface import EYE_Y, HeadField
+from pica_core.capture.stage.gaze import gaze, turn
 from pica_core.errors import ShapeError
 from pica_core.types import Float64Array, FloatArray, IntArray
 
@@ -48,8 +49,6 @@ JAW_TONGUE = np.radians(6.0)
 """Rotation that tongueOut brings along, so that the tongue finds a gap."""
 JAW_SLIDE = (6.5, 5.0)
 """jawLeft/jawRight and jawForward at 1, mm."""
-EYE_YAW, EYE_PITCH_UP, EYE_PITCH_DOWN = np.radians([35.0, 25.0, 28.0])
-"""Gaze at a look shape of 1."""
 
 
 class ProceduralHead:
@@ -167,8 +166,7 @@ class ProceduralHead:
         values = np.asarray(arkit, np.float32)
         if values.shape != (NUM_ARKIT,):
             raise ShapeError(f"arkit is {values.shape}; [{NUM_ARKIT}] is needed")
-        posed: FloatArray = self.vertices_batch(values[None])[0]
-        return posed
+        return self.vertices_batch(values[None])[0]
 
     def vertices_batch(self, arkit: npt.ArrayLike) -> FloatArray:
         """Pose the head several times: arkit ``[N, 52]`` to float32 ``[N, V, 3]``, metres.
@@ -194,35 +192,23 @@ class ProceduralHead:
         return points
 
     def _shape(self, values: FloatArray, name: str) -> FloatArray:
-        column: FloatArray = values[:, ARKIT_INDEX[name]]
-        return column
+        return values[:, ARKIT_INDEX[name]]
 
     def _closing(self, values: FloatArray) -> FloatArray:
         """How far the lips are closed over an open jaw, 0 to 1: mouthClose / jawOpen. ``[N]``."""
         opening = np.maximum(self._shape(values, "jawOpen"), 1e-3)
-        closed: FloatArray = np.clip(self._shape(values, "mouthClose") / opening, 0.0, 1.0)
-        return closed
+        return np.clip(self._shape(values, "mouthClose") / opening, 0.0, 1.0)
 
     def _turn_eyes(self, points: FloatArray, values: FloatArray) -> None:
         for lids, side, name in zip(self._lids, (1.0, -1.0), ("Left", "Right"), strict=True):
-            yaw = (
-                side
-                * EYE_YAW
-                * (
-                    self._shape(values, f"eyeLookOut{name}")
-                    - self._shape(values, f"eyeLookIn{name}")
-                )
+            out, inwards, up, down = (
+                self._shape(values, f"eyeLook{key}{name}") for key in ("Out", "In", "Up", "Down")
             )
-            pitch = EYE_PITCH_UP * self._shape(values, f"eyeLookUp{name}")
-            pitch = pitch - EYE_PITCH_DOWN * self._shape(values, f"eyeLookDown{name}")
+            yaw, pitch = gaze(side, out=out, inwards=inwards, up=up, down=down)
             span = self.charts[f"eye_{name.lower()}"].span
             centre = self._eye_centre * [side, 1.0, 1.0]
             local = (self._rest[span] - centre).astype(np.float32)
-            yaws, pitches = yaw[:, None] * self._eye_turns, pitch[:, None] * self._eye_turns
-            sp, cp, sy, cy = np.sin(pitches), np.cos(pitches), np.sin(yaws), np.cos(yaws)
-            y = cp * local[:, 1] + sp * local[:, 2]
-            z = cp * local[:, 2] - sp * local[:, 1]
-            turned = np.stack([cy * local[:, 0] + sy * z, y, cy * z - sy * local[:, 0]], -1)
+            turned = turn(local, yaw[:, None] * self._eye_turns, pitch[:, None] * self._eye_turns)
             points[:, span] = turned + centre.astype(np.float32)
             pose = LidPose(
                 blink=self._shape(values, f"eyeBlink{name}").astype(np.float64),
@@ -298,8 +284,7 @@ class ProceduralHead:
             normals[first] = both
             normals[last] = both
         length = np.linalg.norm(normals, axis=1, keepdims=True)
-        unit: FloatArray = normals / np.maximum(length, 1e-20)
-        return unit
+        return normals / np.maximum(length, 1e-20)
 
 
 @functools.lru_cache(maxsize=8)

@@ -14,10 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pica_core.capture.dataset.files import MAP_SIZE
 from pica_core.types import FloatArray, IntArray
-
-MAP_SIZE = 256
-"""Texels along each side of the position map."""
 
 EYE_ROW = 70
 """Skin row of the upper lid's inner edge; the lower lid's is the next row."""

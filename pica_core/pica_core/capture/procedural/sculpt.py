@@ -47,8 +47,7 @@ def _stroke(
     """A soft line of unit height; `offset` shifts it to the left of its direction."""
     away, along = _across(x, y, line)
     fade = np.clip(along / ends, 0.0, 1.0) * np.clip((1.0 - along) / ends, 0.0, 1.0)
-    profile: Float64Array = np.exp(-0.5 * ((away - offset) / width) ** 2) * fade
-    return profile
+    return np.exp(-0.5 * ((away - offset) / width) ** 2) * fade
 
 
 def relief(
@@ -109,5 +108,4 @@ def relief(
     # Frown lines between the brows.
     frown = [(6.5, EYE_Y + face.brow_height + 5.0), (5.5, EYE_Y + face.brow_height - 6.0)]
     h -= 0.9 * age * _stroke(x, y, frown, 1.6, ends=0.4)
-    relief_mm: Float64Array = h * front
-    return relief_mm
+    return h * front

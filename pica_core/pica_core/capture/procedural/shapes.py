@@ -77,8 +77,7 @@ class _Strokes:
 
 
 def _vector(weight: Float64Array, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Float64Array:
-    field: Float64Array = weight[..., None] * np.array([x, y, z])
-    return field
+    return weight[..., None] * np.array([x, y, z])
 
 
 def _sided(s: _Strokes, face: FaceShape, field: HeadField) -> dict[str, Float64Array]:

@@ -57,8 +57,7 @@ def smoothstep(low: float, high: float, value: npt.ArrayLike) -> Float64Array:
 
 def bump(value: npt.ArrayLike, centre: float, width: float) -> Float64Array:
     """A Gaussian of unit height; `width` is its standard deviation."""
-    result: Float64Array = np.exp(-0.5 * ((np.asarray(value, np.float64) - centre) / width) ** 2)
-    return result
+    return np.exp(-0.5 * ((np.asarray(value, np.float64) - centre) / width) ** 2)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -107,8 +106,7 @@ class EyeSurface:
         """Depth of the socket without an eyeball, mm."""
         u = np.clip(u, -20, 21)
         v = np.clip(y - self.centre[1], -15, 16)
-        depth: Float64Array = self._basis(u, v) @ self._coefficients
-        return depth
+        return self._basis(u, v) @ self._coefficients
 
     def depth(self, u: Float64Array, y: Float64Array, thickness: npt.ArrayLike) -> Float64Array:
         """Depth z of a lid point that lies `thickness` mm above the eyeball, mm."""
@@ -244,8 +242,7 @@ def _heights(
     values = np.stack([value for _, value in anchors])
     at = np.clip(np.searchsorted(rows, chart.rows, side="right") - 1, 0, len(rows) - 2)
     t = ((chart.rows - rows[at]) / (rows[at + 1] - rows[at]))[:, None]
-    heights: Float64Array = values[at] + t * (values[at + 1] - values[at])
-    return heights
+    return values[at] + t * (values[at + 1] - values[at])
 
 
 def _rays(

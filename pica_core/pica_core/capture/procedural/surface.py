@@ -37,8 +37,7 @@ def smooth_max(a: Float64Array, b: Float64Array, k: float) -> Float64Array:
 
 
 def _length(v: Float64Array) -> Float64Array:
-    length: Float64Array = np.sqrt(np.einsum("...i,...i->...", v, v))
-    return length
+    return np.sqrt(np.einsum("...i,...i->...", v, v))
 
 
 def _ellipsoid(
@@ -47,8 +46,7 @@ def _ellipsoid(
     q = p - np.asarray(centre)
     r = np.asarray(radii)
     k0, k1 = _length(q / r), _length(q / (r * r))
-    distance: Float64Array = k0 * (k0 - 1.0) / np.maximum(k1, 1e-9)
-    return distance
+    return k0 * (k0 - 1.0) / np.maximum(k1, 1e-9)
 
 
 def _cone(
@@ -59,8 +57,7 @@ def _cone(
     axis = end - start
     t = np.clip((p - start) @ axis / (axis @ axis), 0.0, 1.0)
     gap = _length(p - start - t[..., None] * axis)
-    distance: Float64Array = gap - (radius_a + (radius_b - radius_a) * t)
-    return distance
+    return gap - (radius_a + (radius_b - radius_a) * t)
 
 
 class _Curve:
@@ -256,5 +253,4 @@ def gradient(field: HeadField, points: Float64Array, step: float = 0.5) -> Float
     mirror[:, 0] = np.where(points[:, 0] < 0, -1.0, 1.0)
     values = np.stack([field(points + step * corner * mirror) for corner in _CORNERS], -1)
     slope = values @ _CORNERS * mirror
-    normals: Float64Array = slope / np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-9)
-    return normals
+    return slope / np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-9)

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 import xatlas
 
-from pica_core.capture.procedural.layout import MAP_SIZE
+from pica_core.capture.dataset.files import MAP_SIZE
 from pica_core.capture.rig.mesh import components
 from pica_core.capture.rig.uv_gutter import MAX_GUTTER_TEXELS, add_gutters
 from pica_core.errors import CaptureError
@@ -69,8 +69,7 @@ def _areas(uv: Float64Array, faces: IntArray) -> Float64Array:
     """Signed areas of triangles in the plane. ``[F]``."""
     a, b, c = (uv[faces[:, k]] for k in range(3))
     cross: Float64Array = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1])
-    result: Float64Array = 0.5 * (cross - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0]))
-    return result
+    return 0.5 * (cross - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0]))
 
 
 def make_islands(points: Float64Array, faces: IntArray) -> tuple[Float64Array, IntArray]:
@@ -129,8 +128,7 @@ def mend_islands(
 
 def _areas_in_space(points: Float64Array, faces: IntArray) -> Float64Array:
     a, b, c = (points[faces[:, k]] for k in range(3))
-    result: Float64Array = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    return result
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
 def _density_modes(size: int) -> tuple[Float64Array, Float64Array, Float64Array]:
@@ -152,8 +150,7 @@ def _bilinear(fields: Float64Array, at: Float64Array) -> Float64Array:
     tx, ty = t[:, :1], t[:, 1:]
     top = fields[y, x] * (1 - tx) + fields[y, x + 1] * tx
     bottom = fields[y + 1, x] * (1 - tx) + fields[y + 1, x + 1] * tx
-    result: Float64Array = top * (1 - ty) + bottom * ty
-    return result
+    return top * (1 - ty) + bottom * ty
 
 
 def equalise(uv: Float64Array, faces: IntArray, need: Float64Array) -> Float64Array:
@@ -205,8 +202,7 @@ def _flow(uv: Float64Array, faces: IntArray, need: Float64Array) -> Float64Array
         blend *= 0.9
     else:
         mixed = points
-    result: Float64Array = mixed * span / size + start
-    return result
+    return mixed * span / size + start
 
 
 def _need_density(
@@ -236,15 +232,13 @@ def _need_density(
         wanted, covered = _spread(wanted), _spread(covered)
     mean = need.sum() / area.sum()
     density = (wanted + 0.02 * mean) / (covered + 0.02)
-    result: Float64Array = np.clip(density / mean, 1 / FLOW_CONTRAST, FLOW_CONTRAST)
-    return result
+    return np.clip(density / mean, 1 / FLOW_CONTRAST, FLOW_CONTRAST)
 
 
 def _spread(field: Float64Array) -> Float64Array:
     padded = np.pad(field, 1, mode="edge")
     rows = 0.25 * padded[:-2] + 0.5 * padded[1:-1] + 0.25 * padded[2:]
-    result: Float64Array = 0.25 * rows[:, :-2] + 0.5 * rows[:, 1:-1] + 0.25 * rows[:, 2:]
-    return result
+    return 0.25 * rows[:, :-2] + 0.5 * rows[:, 1:-1] + 0.25 * rows[:, 2:]
 
 
 def pack(

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
-from pica_core.capture.procedural.coordinates import MATERIALS
+from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.mesh import RigMesh, components, nearest
 from pica_core.capture.rig.visibility import FrontView, front_view, visibility
 from pica_core.capture.rig.zones import find_ears, find_neck, hair_coverage
@@ -92,8 +92,7 @@ class Features:
 def _length(mesh: RigMesh, *names: str) -> Float64Array:
     """Largest displacement of each vertex over shapes whose name starts with one of these."""
     chosen = [k for k, name in enumerate(ARKIT_NAMES) if name.startswith(names)]
-    result: Float64Array = np.linalg.norm(mesh.motion_m[chosen], axis=2).max(0).astype(np.float64)
-    return result
+    return np.linalg.norm(mesh.motion_m[chosen], axis=2).max(0).astype(np.float64)
 
 
 def find_mouth(mesh: RigMesh) -> Mouth | None:

@@ -40,8 +40,7 @@ class RigFrame:
 
     def points(self, positions: npt.NDArray[np.floating]) -> Float64Array:
         """Positions or displacements in metres and our axes, without an offset. ``[..., 3]``."""
-        result: Float64Array = positions @ self.axes.T * UNITS[self.unit]
-        return result
+        return positions @ self.axes.T * UNITS[self.unit]
 
     @property
     def mirrored(self) -> bool:
@@ -68,8 +67,7 @@ def _centre(
             weight += (length / length.max()) ** 2
     if weight.sum() <= 0:
         return None
-    centre: Float64Array = weight @ positions / weight.sum()
-    return centre
+    return weight @ positions / weight.sum()
 
 
 def find_frame(positions: Float64Array, shapes: dict[str, FloatArray], names: NameMap) -> RigFrame:
@@ -133,8 +131,7 @@ def find_frame(positions: Float64Array, shapes: dict[str, FloatArray], names: Na
 def _asymmetry(offsets: Float64Array) -> Float64Array:
     """How little the mesh looks the same from both ends of each axis, 0 for a mirror image."""
     order = np.sort(offsets, axis=0)
-    result: Float64Array = np.abs(order + order[::-1]).mean(0) / np.ptp(offsets, axis=0)
-    return result
+    return np.abs(order + order[::-1]).mean(0) / np.ptp(offsets, axis=0)
 
 
 def _snap(direction: Float64Array, free: Float64Array) -> Float64Array:

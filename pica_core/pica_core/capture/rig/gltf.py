@@ -142,8 +142,7 @@ class _File:
             self._fill_sparse(sparse, values, dtype, index)
         if entry.get("normalized") is True and dtype != "<f4":
             scale = float(np.iinfo(dtype).max)
-            floats: FloatArray = np.maximum(values.astype(np.float32) / np.float32(scale), -1.0)
-            return floats
+            return np.maximum(values.astype(np.float32) / np.float32(scale), -1.0)
         return np.asarray(values)
 
     def _fill_sparse(

@@ -1,29 +1,18 @@
-"""GL side of a rig: bake its appearance, pose it with its shadow."""
+"""GL side of a rig: paint its appearance, pose it with its shadow."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from typing import Any
 
-import moderngl
 import numpy as np
-import numpy.typing as npt
 
-from pica_core.capture.lighting.rig_occlusion import RigOcclusion
 from pica_core.capture.rig.head import RigHead
 from pica_core.capture.rig.skin import IRIS_RADIUS_M, split_parts, surface
-from pica_core.capture.stage.gpu import (
-    BAKE_SIZE,
-    MeshRenderer,
-    attributes,
-    set_uniforms,
-    shader_text,
-)
-from pica_core.gl import link_program
+from pica_core.capture.stage.gpu import BAKE_SIZE, MeshRenderer
+from pica_core.capture.stage.shadow import ShadowPlan
 from pica_core.types import ByteArray, FloatArray
 
-MOVING = {"position_m": 3, "normal": 3, "occlusion": 2}
-"""What moves with the face, by vertex."""
 PAINT: dict[str, Any] = {
     "seed": 3.0,
     "skin_rgb": (0.60, 0.36, 0.26),
@@ -55,21 +44,29 @@ class RigRenderer(MeshRenderer):
         bake_size: int = BAKE_SIZE,
         occlusion: bool = True,
     ) -> None:
-        self.head = head
-        self._albedo, self._bake_size = albedo or {}, bake_size
+        self.head, self._albedo = head, albedo or {}
         self._material = split_parts(head).astype(np.float32)
+        shadows = ShadowPlan(
+            dome_directions=28,
+            key_directions=6,
+            span_m=0.42,
+            centre_m=(0.0, -0.03, 0.0),
+            drivers=head.names.drivers,
+        )
         super().__init__(
-            None,
+            head,
             "rig_stage",
             faces=head.chart.faces,
             vertex_uv=head.chart.vertex_uv,
             material=self._material,
-            moving=MOVING,
+            moving={},
+            bake_size=bake_size,
+            bleed=_doubling,
+            shadows=shadows if occlusion else None,
         )
-        self._occlusion = RigOcclusion(head, self._draw_depth_map) if occlusion else None
 
-    def _bake(self) -> tuple[Any, Any]:
-        c, head, size = self._context, self.head, self._bake_size
+    def _paint(self) -> None:
+        c, head = self._context, self.head
         f, mesh = head.features, head.mesh
         eyes = mesh.eyes
         eye = eyes[0].centre_m * [eyes[0].side, 1, 1] if eyes else np.array([0.031, 0.022, 0.074])
@@ -83,37 +80,23 @@ class RigRenderer(MeshRenderer):
             "nose_mm": tuple(1000 * f.nose_tip),
             "mouth_mm": 1000 * mouth_y,
         }
-        uv = self._source_uv()
         rest = mesh.rest_m[head.chart.source]
+        uv = self._source_uv()
         data = np.concatenate([head.chart.vertex_uv, rest, surface(head), uv], 1)
         buffer = c.buffer(data.astype(np.float32).tobytes())
-        layout = {"vertex_uv": 2, "rest_m": 3, "local": 4, "source_uv": 2}
-        targets = [c.texture((size, size), 4) for _ in range(2)]
-        framebuffer = c.framebuffer(targets)
-        framebuffer.use()
-        c.enable_only(moderngl.NOTHING)
-        framebuffer.clear(0, 0, 0, 0)
+        vertices = buffer, {"vertex_uv": 2, "rest_m": 3, "local": 4, "source_uv": 2}
         faces, part = head.chart.faces, self._material[head.chart.faces[:, 2]]
         material = mesh.material[head.chart.face_source]
         for painted, name in sorted(set(zip(part.tolist(), material.tolist(), strict=True))):
-            program: Any = link_program(
-                c,
-                vertex=shader_text("rig_bake.vert"),
-                fragment=shader_text("rig_appearance.frag", int(painted)),
-            )
             mine = c.buffer(faces[(part == painted) & (material == name)].astype("i4").tobytes())
-            array = c.vertex_array(program, [attributes(program, buffer, layout)], mine)
             image = self._albedo.get(name)
-            set_uniforms(program, {**numbers, "albedo": 0, "has_albedo": float(image is not None)})
             if image is not None:
                 picture = c.texture(image.shape[1::-1], 3, image.tobytes(), alignment=1)
                 picture.build_mipmaps()
                 picture.use(0)
-            array.render()
-        self._settle(targets, _doubling(2 * size // 256 + 2))
-        del framebuffer, buffer
-        c.gc()
-        return targets[0], targets[1]
+            values = {**numbers, "albedo": 0, "has_albedo": float(image is not None)}
+            shaders = "rig_bake", "rig_appearance"
+            self._paint_part(shaders, int(painted), vertices, mine, values)
 
     def _source_uv(self) -> FloatArray:
         """The file's own texture coordinates of each split vertex. float32 ``[V, 2]``."""
@@ -125,17 +108,8 @@ class RigRenderer(MeshRenderer):
             result[own] = mesh.uv[mesh.uv_faces]
         return result
 
-    def pose(self, arkit: npt.ArrayLike) -> FloatArray:
-        """Pose the rig for the draws that follow; returns its vertices, metres ``[V, 3]``."""
-        vertices = self.head.vertices(arkit)
-        shade = np.ones((len(vertices), 2), np.float32)
-        if self._occlusion is not None:
-            shade = self._occlusion.at(np.asarray(arkit, np.float32))
-        self._upload(vertices, shade)
-        return vertices
-
-    def _upload(self, vertices: FloatArray, shade: FloatArray) -> None:
-        self._write_moving(vertices, self.head.normals(vertices), shade)
+    def _more_moving(self, vertices: FloatArray, shade: FloatArray) -> tuple[FloatArray, ...]:
+        return ()
 
 
 def _doubling(reach: int) -> Iterator[int]:

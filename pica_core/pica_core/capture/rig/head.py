@@ -13,8 +13,7 @@ import numpy.typing as npt
 
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.capture.dataset.files import Topology
-from pica_core.capture.procedural.coordinates import MATERIALS
-from pica_core.capture.procedural.heads import EYE_PITCH_DOWN, EYE_PITCH_UP, EYE_YAW
+from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.chart import PackedChart, make_islands, mend_islands, pack
 from pica_core.capture.rig.features import Features, find_features
 from pica_core.capture.rig.gltf import read_glb
@@ -23,6 +22,7 @@ from pica_core.capture.rig.names import NameMap, map_names
 from pica_core.capture.rig.obj import read_obj_folder
 from pica_core.capture.rig.source import RigSource
 from pica_core.capture.rig.visibility import visibility
+from pica_core.capture.stage.gaze import gaze, turn
 from pica_core.errors import CaptureError, ShapeError
 from pica_core.types import Float64Array, FloatArray
 
@@ -74,8 +74,7 @@ def texel_need(mesh: RigMesh, features: Features, seen: Float64Array) -> Float64
     by_count = (HIDDEN_SHARE + (1 - HIDDEN_SHARE) * visible) * importance
     by_area = area * (0.02 + np.clip(seen / SEEN_FULLY, 0.0, 1.0)) * importance
     share = SHARE_BY_COUNT * by_count / by_count.sum()
-    need: Float64Array = share + (1 - SHARE_BY_COUNT) * by_area / by_area.sum()
-    return need
+    return share + (1 - SHARE_BY_COUNT) * by_area / by_area.sum()
 
 
 def _revealing_poses(mesh: RigMesh) -> list[Float64Array]:
@@ -198,8 +197,8 @@ class RigHead:
             close, opening = ARKIT_INDEX["mouthClose"], ARKIT_INDEX["jawOpen"]
             values[close] = min(values[close], max(float(values[opening]), 0.0))
         points: FloatArray = self._rest + (values[self._shapes] @ self._motion).reshape(-1, 3)
-        for turn in self._turns:
-            points[turn.vertices] = _turned(turn, values)
+        for eye in self._turns:
+            points[eye.vertices] = _turned(eye, values)
         return points
 
     def normals(self, vertices: FloatArray) -> FloatArray:
@@ -219,21 +218,14 @@ class RigHead:
         return unit[self.chart.source]
 
 
-def _turned(turn: _Turn, values: FloatArray) -> FloatArray:
-    """An eyeball's vertices at a gaze. Angles at 1 are those of the built-in heads."""
-    name = "Left" if turn.side > 0 else "Right"
-    look = {
-        key: float(values[ARKIT_INDEX[f"eyeLook{key}{name}"]])
-        for key in ("Out", "In", "Up", "Down")
-    }
-    yaw = turn.side * EYE_YAW * (look["Out"] - look["In"])
-    pitch = EYE_PITCH_UP * look["Up"] - EYE_PITCH_DOWN * look["Down"]
-    sp, cp, sy, cy = np.sin(pitch), np.cos(pitch), np.sin(yaw), np.cos(yaw)
-    x, y, z = turn.local.T
-    y, z = cp * y + sp * z, cp * z - sp * y
-    turned = np.stack([cy * x + sy * z, y, cy * z - sy * x], 1)
-    result: FloatArray = (turned + turn.centre).astype(np.float32)
-    return result
+def _turned(eye: _Turn, values: FloatArray) -> FloatArray:
+    """An eyeball's vertices at a gaze."""
+    name = "Left" if eye.side > 0 else "Right"
+    out, inwards, up, down = (
+        float(values[ARKIT_INDEX[f"eyeLook{key}{name}"]]) for key in ("Out", "In", "Up", "Down")
+    )
+    yaw, pitch = gaze(eye.side, out=out, inwards=inwards, up=up, down=down)
+    return (turn(eye.local, yaw, pitch) + eye.centre).astype(np.float32)
 
 
 def make_rig(source: RigSource, table: dict[str, str | None] | None = None) -> RigHead:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pica_core.capture.procedural.layout import MAP_SIZE
+from pica_core.capture.dataset.files import MAP_SIZE
 from pica_core.types import Float64Array, FloatArray
 
 ITERATIONS = 60
@@ -44,12 +44,10 @@ def map_error_m(vertex_uv: FloatArray, poses_m: FloatArray, size: int = MAP_SIZE
     from_vertex, from_weight = order // 4, weight.ravel()[order][:, None]
 
     def read(values: Float64Array) -> Float64Array:
-        result: Float64Array = np.einsum("vk,vkc->vc", weight, values[flat])
-        return result
+        return np.einsum("vk,vkc->vc", weight, values[flat])
 
     def spread(values: Float64Array) -> Float64Array:
-        result: Float64Array = np.add.reduceat(values[from_vertex] * from_weight, starts, axis=0)
-        return result
+        return np.add.reduceat(values[from_vertex] * from_weight, starts, axis=0)
 
     wanted = poses_m.astype(np.float64).transpose(1, 0, 2).reshape(count, -1)
     # Conjugate gradients on the normal equations (CGLS), all columns at once.
@@ -67,5 +65,4 @@ def map_error_m(vertex_uv: FloatArray, poses_m: FloatArray, size: int = MAP_SIZE
         after = (gradient * gradient).sum(0)
         direction = gradient + after / np.maximum(norm, 1e-30) * direction
         norm = after
-    error: Float64Array = np.linalg.norm(residual.reshape(count, -1, 3), axis=2).T
-    return error
+    return np.linalg.norm(residual.reshape(count, -1, 3), axis=2).T

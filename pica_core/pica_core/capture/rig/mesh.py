@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
-from pica_core.capture.procedural.coordinates import MATERIALS
+from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.frame import EYES_AT_M, RigFrame, find_frame
 from pica_core.capture.rig.names import NameMap
 from pica_core.capture.rig.source import RigSource
@@ -309,8 +309,7 @@ def _eye_point(
 ) -> Float64Array:
     """The middle between the eyeballs, or where lids move, or a guess from the outline."""
     if len(eyes) == 2:
-        middle: Float64Array = 0.5 * (eyes[0].centre_m + eyes[1].centre_m)
-        return middle
+        return 0.5 * (eyes[0].centre_m + eyes[1].centre_m)
     lids = [ARKIT_INDEX[f"eyeBlink{side}"] for side in ("Left", "Right")]
     weight = (np.linalg.norm(motion[lids], axis=2) ** 2).sum(0)
     if weight.sum() > 0:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, UnidentifiedImageError
 
-from pica_core.capture.procedural.coordinates import MATERIALS
+from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.head import RigHead
 from pica_core.capture.rig.source import RigSource, read_bytes
 from pica_core.capture.rig.zones import hair_coverage

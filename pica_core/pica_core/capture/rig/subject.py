@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from pica_core.capture.procedural.coordinates import MATERIALS
-from pica_core.capture.procedural.layout import MAP_SIZE
+from pica_core.capture.dataset.files import MAP_SIZE
+from pica_core.capture.dataset.multiface import describe_masks
 from pica_core.capture.rig.gpu import RigRenderer
 from pica_core.capture.rig.head import RigHead, make_rig, read_rig
 from pica_core.capture.rig.map_error import map_error_m
@@ -18,7 +18,7 @@ from pica_core.capture.rig.skin import read_albedos
 from pica_core.capture.rig.source import RigSource
 from pica_core.capture.stage.expressions import sample_takes
 from pica_core.capture.stage.gpu import BAKE_SIZE
-from pica_core.capture.stage.subject import Drawn
+from pica_core.capture.stage.subject import Subject
 
 ERROR_POSES = 8
 """Expressions over which the error that the position map leaves is measured."""
@@ -47,7 +47,7 @@ def chart_error_mm(head: RigHead, poses: int = ERROR_POSES) -> dict[str, dict[st
     }
 
 
-class RigSubject(Drawn):
+class RigSubject(Subject):
     """A rig on the stage. Its GL context is made with the first pose.
 
     Args:
@@ -70,7 +70,6 @@ class RigSubject(Drawn):
         bake_size: int = BAKE_SIZE,
         self_shadow: bool = True,
     ) -> None:
-        super().__init__()
         names = read_names(table) if table is not None else None
         source = read_rig(path)
         self._albedo = read_albedos(source, albedo)
@@ -120,7 +119,7 @@ class RigSubject(Drawn):
                 "position_map_error_mm": chart_error_mm(head),
             },
             "position_map_size": MAP_SIZE,
-            "mask": {"0": "background"} | {str(k + 1): name for k, name in enumerate(MATERIALS)},
+            "mask": describe_masks(),
         }
 
     def _make_renderer(self) -> RigRenderer:

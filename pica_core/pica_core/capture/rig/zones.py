@@ -39,8 +39,7 @@ def hair_coverage(points: Float64Array) -> Float64Array:
     """How far above the hairline each point of a scalp lies: 0 at the line, 1 is 14 mm. ``[P]``."""
     azimuth = np.degrees(np.abs(np.arctan2(points[:, 0], points[:, 2] + 0.005)))
     line = np.interp(azimuth, *np.array(HAIRLINE).T)
-    result: Float64Array = np.clip((points[:, 1] - line) / 0.014, -1.0, 1.0)
-    return result
+    return np.clip((points[:, 1] - line) / 0.014, -1.0, 1.0)
 
 
 def find_neck(points: Float64Array, skin: BoolArray, mouth_y: float, eye_y: float) -> BoolArray:

@@ -8,11 +8,11 @@ for testing, so no test frame has a neighbour in the training set.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES, NUM_ARKIT
+from pica_core.capture.dataset.files import Take
 from pica_core.types import Float64Array, FloatArray
 
 Generator = np.random.Generator
@@ -69,25 +69,6 @@ MOODS: tuple[Float64Array, ...] = (
     blend(eyeSquint=0.8, cheekSquint=0.5, mouthStretch=0.5, mouthLowerDown=0.6),
 )
 """Slow, whole-face states."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Take:
-    """One uninterrupted performance.
-
-    Attributes:
-        segment: Name, unique within a capture.
-        arkit: Values of the captured moments, `STRIDE` / `RATE_HZ` seconds apart. float32
-            ``[T, 52]``.
-        history: Values one, two ... `HISTORY` moments at `RATE_HZ` before. float32
-            ``[T, HISTORY, 52]``.
-        split: ``train`` or ``test``.
-    """
-
-    segment: str
-    arkit: FloatArray
-    history: FloatArray
-    split: str
 
 
 def _smooth(values: Float64Array, seconds: float) -> Float64Array:

@@ -1,14 +1,14 @@
-"""GL side of whoever stands on the stage: draw images, depth and masks, unwrap textures.
+"""GL side of the stage: draw images, depth and masks of a head, and unwrap textures.
 
-A subclass says how its mesh is posed and bakes its appearance; all else is here. One thread owns a
-renderer. The mesh keeps its topology, so buffers are made once.
+A subclass paints its appearance; all else is here. The mesh keeps its topology, so buffers are made
+once.
 """
 
 from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
@@ -18,8 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.camera import Camera
+from pica_core.capture.stage.shadow import Occlusion, PosedMesh, ShadowPlan
 from pica_core.gl import create_context, link_program, wait_for_gpu
-from pica_core.types import BoolArray, ByteArray, FloatArray
+from pica_core.types import Array, BoolArray, ByteArray, FloatArray, Int64Array, IntArray
 
 BAKE_SIZE = 2048
 """Side of the appearance textures: 8 texels per position-map texel, about 0.1 mm on the face."""
@@ -51,14 +52,14 @@ def shader_text(name: str, material: int | None = None) -> str:
     )
 
 
-def set_uniforms(program: Any, values: Mapping[str, Any]) -> None:
+def _set_uniforms(program: Any, values: Mapping[str, Any]) -> None:
     """Set what the program has of these; the compiler drops what a shader does not need."""
     for name, value in values.items():
         if name in program:
             program[name].value = value
 
 
-def attributes(program: Any, buffer: Any, layout: Mapping[str, int]) -> tuple[Any, ...]:
+def _attributes(program: Any, buffer: Any, layout: Mapping[str, int]) -> tuple[Any, ...]:
     """What the program has of a buffer's attributes, for `Context.vertex_array`; may be empty.
 
     Args:
@@ -78,7 +79,7 @@ class View:
     Attributes:
         image: sRGB, row 0 on top. uint8 ``[H, W, 3]``.
         depth_m: Distance along the camera axis at pixel centres, 0 where empty. float32 ``[H, W]``.
-        mask: 0 background, else material id + 1 (`coordinates.MATERIALS`). uint8 ``[H, W]``.
+        mask: 0 background, else material id + 1 (`multiface.MATERIALS`). uint8 ``[H, W]``.
     """
 
     image: ByteArray
@@ -87,16 +88,19 @@ class View:
 
 
 class MeshRenderer(ABC):
-    """Draws one mesh on the stage.
+    """Draws one head on the stage. One thread owns a renderer.
 
     Args:
-        context: A GL context to use; None makes one.
+        head: Poses the mesh.
         shader: Name of the shaders that light it.
         faces: Triangles. int32 ``[F, 3]``.
         vertex_uv: In [0, 1]. float32 ``[V, 2]``.
-        material: `coordinates.MATERIALS` by vertex; the last vertex of a triangle counts. ``[V]``.
-        moving: Names and numbers of components of what `_upload` writes for each vertex, in order;
-            ``position_m`` and ``normal`` come first.
+        material: `multiface.MATERIALS` by vertex; the last vertex of a triangle counts. ``[V]``.
+        moving: Names and numbers of components of what `_more_moving` gives for each vertex.
+        bake_size: Side of the appearance textures, texels.
+        bleed: Steps in which charts bleed so many texels into the empty ones around them.
+        shadows: How shadow of the head on itself is measured, which takes seconds; None leaves it
+            out.
 
     Raises:
         GraphicsError: No GL context.
@@ -104,42 +108,60 @@ class MeshRenderer(ABC):
 
     def __init__(
         self,
-        context: Any,
+        head: PosedMesh,
         shader: str,
         *,
-        faces: npt.NDArray[np.int32],
+        faces: IntArray,
         vertex_uv: FloatArray,
-        material: npt.NDArray[Any],
+        material: Array,
         moving: dict[str, int],
+        bake_size: int,
+        bleed: Callable[[int], Iterable[int]],
+        shadows: ShadowPlan | None,
     ) -> None:
-        self._context = c = create_context() if context is None else context
+        self._context = c = create_context()
+        self._mesh = head
         self._framebuffers: dict[tuple[str, int, int], Any] = {}
         self._view_textures: dict[tuple[int, int], tuple[Any, Any]] = {}
-        self._layout = moving
+        self._layout = {"position_m": 3, "normal": 3, "occlusion": 2, **moving}
         by_face = np.rint(material[faces[:, 2]]).astype(np.int64)
         order = np.argsort(by_face, kind="stable")
         self._faces = c.buffer(np.ascontiguousarray(faces[order], np.int32).tobytes())
         self._spans = _spans(by_face[order])
         static = np.concatenate([vertex_uv, material[:, None]], 1)
         self._static = c.buffer(static.astype(np.float32).tobytes())
-        self._moving = c.buffer(reserve=len(vertex_uv) * sum(moving.values()) * 4, dynamic=True)
+        stride = 4 * sum(self._layout.values())
+        self._moving = c.buffer(reserve=len(vertex_uv) * stride, dynamic=True)
         self._shade = {k: self._over_mesh(shader, k) for k in self._spans}
         self._depth = self._over_mesh("depth")
         self._unwrap = self._over_mesh("unwrap")
-        resolve = link_program(
-            c, vertex=shader_text("resolve.vert"), fragment=shader_text("resolve.frag")
-        )
-        self._resolve = c.vertex_array(resolve, [])
+        self._resolve = c.vertex_array(self._program("resolve", "resolve"), [])
         self._vertices: FloatArray = np.zeros((0, 3), np.float32)
-        self._colour, self._relief = self._bake()
+        self._colour, self._relief = self._bake(bake_size, bleed(2 * bake_size // 256 + 2))
+        self._occlusion = Occlusion(head, self._draw_depth_map, shadows) if shadows else None
 
     @abstractmethod
-    def _bake(self) -> tuple[Any, Any]:
-        """Make the textures ``colour_map`` and ``relief_map``."""
+    def _paint(self) -> None:
+        """Draw colour and relief of every part over the charts, by `_paint_part`."""
 
     @abstractmethod
+    def _more_moving(self, vertices: FloatArray, shade: FloatArray) -> tuple[FloatArray, ...]:
+        """What else moves with vertices ``[V, 3]``; may change their light ``[V, 2]`` in place."""
+
+    def pose(self, arkit: npt.ArrayLike) -> FloatArray:
+        """Pose the head for the draws that follow; returns its vertices, metres ``[V, 3]``."""
+        vertices = self._mesh.vertices(arkit)
+        shade = np.ones((len(vertices), 2), np.float32)
+        if self._occlusion is not None:
+            shade = self._occlusion.at(np.asarray(arkit, np.float32))
+        self._upload(vertices, shade)
+        return vertices
+
     def _upload(self, vertices: FloatArray, shade: FloatArray) -> None:
-        """Hand vertices ``[V, 3]`` and their light ``[V, 2]`` to `_write_moving`."""
+        more = self._more_moving(vertices, shade)
+        values = vertices, self._mesh.normals(vertices), shade, *more
+        self._moving.write(np.concatenate(values, 1, dtype=np.float32, casting="same_kind"))
+        self._vertices = vertices
 
     def release(self) -> None:
         """Give the context back; the renderer is useless afterwards."""
@@ -148,54 +170,59 @@ class MeshRenderer(ABC):
         self._context.gc()
         self._context.release()
 
+    def _program(self, vertex: str, fragment: str, material: int | None = None) -> Any:
+        return link_program(
+            self._context,
+            vertex=shader_text(f"{vertex}.vert"),
+            fragment=shader_text(f"{fragment}.frag", material),
+        )
+
     def _over_mesh(self, shader: str, material: int | None = None) -> Any:
         """The mesh with a program that takes what it wants of the vertices."""
-        program = link_program(
-            self._context,
-            vertex=shader_text(f"{shader}.vert"),
-            fragment=shader_text(f"{shader}.frag", material),
-        )
-        fixed = {"vertex_uv": 2, "material": 1}
-        buffers = (self._moving, self._layout), (self._static, fixed)
-        content = [attributes(program, *pair) for pair in buffers]
+        program = self._program(shader, shader, material)
+        buffers = (self._moving, self._layout), (self._static, {"vertex_uv": 2, "material": 1})
+        content = [_attributes(program, *pair) for pair in buffers]
         return self._context.vertex_array(program, [each for each in content if each], self._faces)
 
-    def _write_moving(self, vertices: FloatArray, *rest: npt.NDArray[Any]) -> None:
-        """Upload vertices and what goes with them, in the order of the layout."""
-        data = np.concatenate([vertices, *rest], 1, dtype=np.float32, casting="same_kind")
-        self._moving.write(data)
-        self._vertices = vertices
+    def _bake(self, size: int, steps: Iterable[int]) -> tuple[Any, Any]:
+        """Paint the textures ``colour_map`` and ``relief_map``, and let charts bleed."""
+        c = self._context
+        colour, relief = c.texture((size, size), 4), c.texture((size, size), 4)
+        framebuffer = c.framebuffer([colour, relief])
+        framebuffer.use()
+        c.enable_only(moderngl.NOTHING)
+        framebuffer.clear(0, 0, 0, 0)
+        self._paint()
+        _settle((colour, relief), steps)
+        del framebuffer
+        c.gc()
+        return colour, relief
 
-    def _settle(self, targets: Iterable[Any], steps: Iterable[int]) -> None:
-        """Make baked targets fit for filtering; alpha of the last says where charts are.
-
-        Args:
-            targets: Textures of four bytes per texel.
-            steps: See `_nearby`.
-        """
-        targets = list(targets)
-        size = targets[0].width
-        texels = [np.frombuffer(target.read(), np.uint32) for target in targets]
-        covered = texels[-1].view(np.uint8)[3::4].reshape(size, size) > 0
-        nearby = _nearby(covered, steps)
-        for target, values in zip(targets, texels, strict=True):
-            target.write(values[nearby])
-            target.build_mipmaps(max_level=4)
-            target.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
-            target.repeat_x = target.repeat_y = False
+    def _paint_part(
+        self,
+        shaders: tuple[str, str],
+        material: int,
+        corners: tuple[Any, dict[str, int]],
+        faces: Any,
+        values: Mapping[str, Any],
+        **span: int,
+    ) -> None:
+        """Draw one part's appearance: vertex and fragment shader, a buffer of vertices with its
+        layout, triangles, uniforms, and which of the triangles."""
+        program = self._program(*shaders, material)
+        _set_uniforms(program, values)
+        content = [_attributes(program, *corners)]
+        self._context.vertex_array(program, content, faces).render(**span)
 
     def _framebuffer(self, kind: str, width: int, height: int) -> Any:
         key = (kind, width, height)
         if key not in self._framebuffers:
-            c = self._context
-            if kind == "colour":
-                target = c.texture((width, height), 4)
-            elif kind == "geometry":
-                target = c.texture((width, height), 2, dtype="f4")
+            c, size = self._context, (width, height)
+            components, dtype = {"colour": (4, "f1"), "geometry": (2, "f4"), "sum": (4, "f4")}[kind]
+            target = c.texture(size, components, dtype=dtype)
+            if kind == "geometry":
                 target.filter = (moderngl.NEAREST, moderngl.NEAREST)
-            else:
-                target = c.texture((width, height), 4, dtype="f4")
-            self._framebuffers[key] = c.framebuffer([target], c.depth_renderbuffer((width, height)))
+            self._framebuffers[key] = c.framebuffer([target], c.depth_renderbuffer(size))
         return self._framebuffers[key]
 
     def _draw_depth_map(self, vertices: FloatArray, clip: FloatArray, size: int) -> FloatArray:
@@ -213,14 +240,13 @@ class MeshRenderer(ABC):
         program["depth_plane"].value = tuple(float(value) for value in row)
         self._depth.render()
         raw = np.frombuffer(framebuffer.read(components=1, dtype="f4"), np.float32)
-        depth: FloatArray = raw.reshape(size, size)
-        return depth
+        return raw.reshape(size, size)
 
     def _aim(self, program: Any, camera: Camera) -> None:
         clip = camera.clip_from_world(NEAR_M, FAR_M)
         program["clip_from_head"].write(np.ascontiguousarray(clip.T).tobytes())
         plane = (*camera.rotation[2], camera.translation_m[2])
-        set_uniforms(program, {"camera_m": tuple(camera.centre_m), "depth_plane": plane})
+        _set_uniforms(program, {"camera_m": tuple(camera.centre_m), "depth_plane": plane})
 
     def draw(self, camera: Camera) -> View:
         """Image, exact depth and mask of the pose."""
@@ -236,7 +262,7 @@ class MeshRenderer(ABC):
         framebuffer.use()
         self._context.enable_only(moderngl.NOTHING)
         samples.use(0)
-        set_uniforms(self._resolve.program, {"samples": 0, "side": SUPERSAMPLE})
+        _set_uniforms(self._resolve.program, {"samples": 0, "side": SUPERSAMPLE})
         self._resolve.render(moderngl.TRIANGLES, vertices=3)
         wait_for_gpu(self._context)  # encoders may run meanwhile
         image: ByteArray = np.empty((camera.height, camera.width, 3), np.uint8)
@@ -268,13 +294,11 @@ class MeshRenderer(ABC):
         for material, (first, count) in self._spans.items():
             array = self._shade[material]
             self._aim(array.program, camera)
-            set_uniforms(array.program, {"colour_map": 0, "relief_map": 1})
+            _set_uniforms(array.program, {"colour_map": 0, "relief_map": 1})
             array.render(vertices=count, first=first)
         return framebuffer.color_attachments[0]
 
-    def unwrap(
-        self, images: list[tuple[Camera, View]], size: int
-    ) -> tuple[ByteArray, npt.NDArray[np.bool_]]:
+    def unwrap(self, images: list[tuple[Camera, View]], size: int) -> tuple[ByteArray, BoolArray]:
         """Average texture: every camera's image projected back onto the mesh, where that camera
         sees it.
 
@@ -287,10 +311,10 @@ class MeshRenderer(ABC):
             uint8 ``[S, S, 3]``, bool ``[S, S]``.
         """
         c = self._context
-        framebuffer = self._framebuffer("texture", size, size)
+        framebuffer = self._framebuffer("sum", size, size)
         framebuffer.clear(0.0, 0.0, 0.0, 0.0)
         program = self._unwrap.program
-        set_uniforms(program, {"image": 0, "geometry": 1, "tolerance_m": DEPTH_TOLERANCE_M})
+        _set_uniforms(program, {"image": 0, "geometry": 1, "tolerance_m": DEPTH_TOLERANCE_M})
         framebuffer.use()
         c.enable_only(moderngl.BLEND)
         c.blend_func = moderngl.ONE, moderngl.ONE
@@ -325,6 +349,22 @@ class MeshRenderer(ABC):
         return image, geometry
 
 
+def _settle(targets: tuple[Any, ...], steps: Iterable[int]) -> None:
+    """Make baked textures fit for filtering: charts bleed in these steps (`_nearby`).
+
+    Alpha of the last texture says where charts are; all have four bytes per texel.
+    """
+    size = targets[0].width
+    texels = [np.frombuffer(target.read(), np.uint32) for target in targets]
+    covered = texels[-1].view(np.uint8)[3::4].reshape(size, size) > 0
+    nearby = _nearby(covered, steps)
+    for target, values in zip(targets, texels, strict=True):
+        target.write(values[nearby])
+        target.build_mipmaps(max_level=4)
+        target.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+        target.repeat_x = target.repeat_y = False
+
+
 def _read_geometry(framebuffer: Any) -> tuple[FloatArray, ByteArray]:
     w, h = framebuffer.size
     both: FloatArray = np.empty((h, w, 2), np.float32)
@@ -332,7 +372,7 @@ def _read_geometry(framebuffer: Any) -> tuple[FloatArray, ByteArray]:
     return both[::-1, :, 0].copy(), np.rint(both[::-1, :, 1]).astype(np.uint8)
 
 
-def _spans(materials: npt.NDArray[np.int64]) -> dict[int, tuple[int, int]]:
+def _spans(materials: Int64Array) -> dict[int, tuple[int, int]]:
     """First index of each material's triangles, and how many indices they take."""
     names, first, count = np.unique(materials, return_index=True, return_counts=True)
     return {
@@ -341,7 +381,7 @@ def _spans(materials: npt.NDArray[np.int64]) -> dict[int, tuple[int, int]]:
     }
 
 
-def _nearby(covered: BoolArray, steps: Iterable[int]) -> npt.NDArray[np.int64]:
+def _nearby(covered: BoolArray, steps: Iterable[int]) -> Int64Array:
     """Which texel each texel takes: itself, or a covered one next to an empty one, so that charts
     bleed into the empty texels around them and filtering finds no background.
 

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.camera import Camera
 from pica_core.capture.stage.waves import TimeWaves
 from pica_core.types import Float64Array
 
@@ -52,20 +49,4 @@ def rotation_matrix(rotation_vector: npt.ArrayLike) -> Float64Array:
         return np.eye(3)
     x, y, z = vector / angle
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    turned: Float64Array = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-    return turned
-
-
-def camera_in_head(camera: Camera, head_to_world: npt.ArrayLike) -> Camera:
-    """A camera of the world in the axes of a head: what it sees of head-frame points.
-
-    Args:
-        camera: World to camera.
-        head_to_world: Rotation and translation, metres. ``[3, 4]``.
-    """
-    pose = np.asarray(head_to_world, np.float64)
-    return replace(
-        camera,
-        rotation=camera.rotation @ pose[:, :3],
-        translation_m=camera.rotation @ pose[:, 3] + camera.translation_m,
-    )
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image, ImageDraw
 
-from pica_core.capture.procedural.layout import MAP_SIZE
+from pica_core.capture.dataset.files import MAP_SIZE
 from pica_core.types import BoolArray, FloatArray, Int64Array
 
 SIZES = ((64, 32), (56, 28), (48, 24), (40, 20), (32, 16), (24, 12))
@@ -134,8 +134,7 @@ def _columns(points_m: FloatArray, count: int) -> Int64Array:
     column = np.rint(along / along[-1] * (count - 1)).astype(np.int64)
     steps = np.arange(len(column))
     column = np.maximum.accumulate(column - steps) + steps
-    distinct: Int64Array = np.minimum(column, count - len(column) + steps)
-    return distinct
+    return np.minimum(column, count - len(column) + steps)
 
 
 def _strip(above: Int64Array, below: Int64Array, column: Int64Array) -> Int64Array:
@@ -149,8 +148,7 @@ def _strip(above: Int64Array, below: Int64Array, column: Int64Array) -> Int64Arr
         i, j = (i + 1, j) if goes_above else (i, j + 1)
     strip = np.array(triangles)
     a, b, c = strip.T
-    whole: Int64Array = strip[(a != b) & (b != c) & (c != a)]
-    return whole
+    return strip[(a != b) & (b != c) & (c != a)]
 
 
 def _free_rectangle(

@@ -153,16 +153,14 @@ def _smooth_noise(random: np.random.Generator, shape: tuple[int, int], reach: in
     fine = random.standard_normal(shape, np.float32)
     shared = _box_mean(random.standard_normal(shape, np.float32), reach)
     shared *= 2 * reach + 1
-    mixed: FloatArray = np.sqrt(np.float32(0.5)) * (fine + shared)
-    return mixed
+    return np.sqrt(np.float32(0.5)) * (fine + shared)
 
 
 def _cell_index(shape: tuple[int, int], size: float) -> npt.NDArray[np.int64]:
     """A cell's number for each pixel, cells of about `size` pixels."""
     rows = (np.arange(shape[0]) / size).astype(np.int64)
     columns = (np.arange(shape[1]) / size).astype(np.int64)
-    numbers: npt.NDArray[np.int64] = rows[:, None] * (columns[-1] + 1) + columns[None]
-    return numbers
+    return rows[:, None] * (columns[-1] + 1) + columns[None]
 
 
 def _blotches(random: np.random.Generator, shape: tuple[int, int], size: float) -> FloatArray:

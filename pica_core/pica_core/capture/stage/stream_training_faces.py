@@ -60,7 +60,4 @@ def _slow_down(values: FloatArray, times: int) -> FloatArray:
     moments = np.linspace(0, len(values) - 1, len(values) * times)
     before = np.minimum(moments.astype(np.int64), len(values) - 2)
     share = (moments - before)[:, None]
-    slowed: FloatArray = (values[before] * (1 - share) + values[before + 1] * share).astype(
-        np.float32
-    )
-    return slowed
+    return (values[before] * (1 - share) + values[before + 1] * share).astype(np.float32)

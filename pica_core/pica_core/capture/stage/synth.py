@@ -19,7 +19,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from pica_core.capture.dataset import multiface
-from pica_core.capture.dataset.files import Topology, read_tracked
+from pica_core.capture.dataset.files import Take, Topology, read_tracked
 from pica_core.capture.dataset.writer import (
     BackgroundWriter,
     TrackingErrors,
@@ -28,12 +28,12 @@ from pica_core.capture.dataset.writer import (
     write_tables,
     write_topology,
 )
-from pica_core.capture.procedural.gpu import BAKE_SIZE, View
 from pica_core.capture.stage.dome import EVALUATION_VIEWS, LENSES, dome_cameras
-from pica_core.capture.stage.expressions import RATE_HZ, STRIDE, Take, blend, sample_takes
-from pica_core.capture.stage.head_motion import HeadMotion, camera_in_head
+from pica_core.capture.stage.expressions import RATE_HZ, STRIDE, blend, sample_takes
+from pica_core.capture.stage.gpu import View
+from pica_core.capture.stage.head_motion import HeadMotion
 from pica_core.capture.stage.mvs_depth import MvsErrors, find_depth
-from pica_core.capture.stage.subject import ProceduralSubject, Subject
+from pica_core.capture.stage.subject import Subject
 from pica_core.capture.stage.tracked_topology import NUM_VERTICES, track_topology
 from pica_core.capture.stage.tracker import SimulatedTracker, lagged_arkit
 from pica_core.errors import CaptureError
@@ -90,28 +90,13 @@ class RenderOptions:
             ("depth_every", 1, 100_000),
             ("tracked_vertices", 100, 100_000),
         ):
-            _check_range(self, name, low, high)
+            check_range(self, name, low, high)
         if self.lenses not in LENSES:
             raise CaptureError(f"lenses is {self.lenses!r}; there are {', '.join(LENSES)}")
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class StageOptions(RenderOptions):
-    """Which built-in head to render, and how."""
-
-    head: str = "S1"
-    """Identity."""
-    bake_size: int = BAKE_SIZE
-    """Side of the baked appearance, texels."""
-    self_shadow: bool = True
-    """False leaves out shadow of the face on itself, which takes seconds to measure."""
-
-    def __post_init__(self) -> None:
-        RenderOptions.__post_init__(self)
-        _check_range(self, "bake_size", 64, 8192)
-
-
-def _check_range(options: RenderOptions, name: str, low: int, high: int) -> None:
+def check_range(options: RenderOptions, name: str, low: int, high: int) -> None:
+    """Refuse a value outside of what is allowed."""
     value = getattr(options, name)
     if not low <= value <= high:
         raise CaptureError(f"{name} is {value}; allowed are {low} to {high}")
@@ -120,19 +105,6 @@ def _check_range(options: RenderOptions, name: str, low: int, high: int) -> None
 def _fingerprint(options: RenderOptions, subject: Subject) -> str:
     values = {field.name: getattr(options, field.name) for field in fields(options)}
     return json.dumps({"options": values, "subject": subject.describe()}, sort_keys=True)
-
-
-def render_capture(
-    options: StageOptions, out: Path, progress: Progress | None = None
-) -> dict[str, Any]:
-    """Render a built-in head; arguments, result and errors as `render_subject`."""
-
-    def make() -> Subject:
-        return ProceduralSubject(
-            options.head, bake_size=options.bake_size, self_shadow=options.self_shadow
-        )
-
-    return render_subject(make, options, out, progress)
 
 
 def render_subject(
@@ -209,7 +181,7 @@ class _Rendering:
         pose = HeadMotion(self.options.seed, number).head_to_world(time_s)
         views = []
         for place, camera in enumerate(self.cameras):
-            in_head = camera_in_head(camera, pose)
+            in_head = camera.in_head(pose)
             view = self.subject.draw(in_head)
             views.append((in_head, view))
             self._write_view(take, number, index, place, view)
@@ -257,8 +229,7 @@ class _Rendering:
 
 
 def _millimetres(vertices_m: FloatArray) -> npt.NDArray[np.float32]:
-    scaled: npt.NDArray[np.float32] = (vertices_m * multiface.MILLIMETRES).astype("<f4")
-    return scaled
+    return (vertices_m * multiface.MILLIMETRES).astype("<f4")
 
 
 def _render(

@@ -131,8 +131,7 @@ def _borders(faces: Int64Array, count: int) -> tuple[BoolArray, Int64Array]:
 def _same_places(places: FloatArray) -> Int64Array:
     """For every vertex the number of its place. int64 ``[V]``."""
     cells = np.rint(places / SAME_PLACE_M).astype(np.int64)
-    inverse: Int64Array = np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
-    return inverse
+    return np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def _spread(

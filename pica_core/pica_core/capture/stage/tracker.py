@@ -103,8 +103,7 @@ class SimulatedTracker:
         error += self.lag_weight[:, None] * (lagged_m.astype(np.float64) - exact_m)
         limit = 0.001 * LIMIT_MM
         error *= limit / np.sqrt(limit**2 + (error**2).sum(axis=1, keepdims=True))
-        tracked: FloatArray = (exact_m + error[self._one_point]).astype(np.float32)
-        return tracked
+        return (exact_m + error[self._one_point]).astype(np.float32)
 
 
 def lagged_arkit(arkit: FloatArray, history: FloatArray) -> FloatArray:

@@ -31,8 +31,7 @@ class TimeWaves:
     def at(self, time_s: float) -> Float64Array:
         """The signals at a moment. float64 ``[count]``."""
         waves = np.cos(self._frequency * time_s + self._phase)
-        values: Float64Array = waves.sum(axis=0) * np.sqrt(2.0 / len(waves))
-        return values
+        return waves.sum(axis=0) * np.sqrt(2.0 / len(waves))
 
 
 class SpaceTimeWaves:
@@ -56,5 +55,4 @@ class SpaceTimeWaves:
 
     def mix(self, strengths: Float64Array) -> Float64Array:
         """The field for given strengths ``[waves * 3]`` of unit variance. float64 ``[V, 3]``."""
-        field: Float64Array = self._basis @ strengths.reshape(self.waves, 3)
-        return field
+        return self._basis @ strengths.reshape(self.waves, 3)

@@ -23,7 +23,7 @@ import numpy.typing as npt
 from pica_core.camera import Camera, look_at
 from pica_core.capture.dataset.dataset import Capture, Topology
 from pica_core.capture.procedural.identity import IDENTITIES
-from pica_core.capture.stage.subject import ProceduralSubject
+from pica_core.capture.procedural.subject import ProceduralSubject
 from pica_core.train.data import TrainingData
 from pica_core.train.eval.metrics import mse
 from pica_core.train.rasterise import Rasteriser

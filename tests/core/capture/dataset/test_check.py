@@ -16,7 +16,7 @@ from pica_core.camera import look_at
 from pica_core.capture.dataset.check import check_capture
 from pica_core.capture.dataset.check_geometry import silhouette_problem
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.capture.stage.synth import StageOptions, render_capture
+from pica_core.capture.procedural.subject import StageOptions, render_capture
 from pica_core.cli.capture import CheckOptions, check
 from pica_core.errors import CaptureError
 

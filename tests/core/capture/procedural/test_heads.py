@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
+from pica_core.capture.dataset.files import MAP_SIZE
 from pica_core.capture.procedural.heads import ProceduralHead, make_head
 from pica_core.capture.procedural.identity import IDENTITIES, get_identity
-from pica_core.capture.procedural.layout import EYE_ROW, MAP_SIZE
+from pica_core.capture.procedural.layout import EYE_ROW
 from pica_core.capture.procedural.skin import LOWER_CONTACT_ROW, UPPER_CONTACT_ROW
 from pica_core.capture.stage.expressions import blend, sample_takes
 from pica_core.errors import CaptureError, ShapeError

@@ -11,7 +11,7 @@ from PIL import Image
 from helpers.rig_toy import toy_rig, write_glb, write_obj_folder
 from pica_command.main import main
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.capture.procedural.coordinates import MATERIALS
+from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.skin import open_albedo
 from pica_core.capture.rig.subject import RigSubject
 from pica_core.capture.stage.dome import dome_cameras

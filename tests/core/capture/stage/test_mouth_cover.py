@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from pica_core.capture.dataset.dataset import Topology
+from pica_core.capture.dataset.files import MAP_SIZE
 from pica_core.capture.procedural.heads import make_head
-from pica_core.capture.procedural.layout import MAP_SIZE
 from pica_core.capture.stage.expressions import blend
 from pica_core.capture.stage.mouth_cover import cover_mouth
 from pica_core.capture.stage.tracked_topology import COVER, track_topology

@@ -8,15 +8,15 @@ from PIL import Image
 
 from pica_command.main import main
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.capture.dataset.multiface import krt_text, read_krt
+from pica_core.capture.dataset.multiface import MATERIALS, krt_text, read_krt
 from pica_core.capture.dataset.sheet import write_sheet
 from pica_core.capture.dataset.writer import BackgroundWriter
-from pica_core.capture.procedural.coordinates import MATERIALS
-from pica_core.capture.procedural.gpu import DEPTH_TOLERANCE_M, ProceduralRenderer
+from pica_core.capture.procedural.gpu import ProceduralRenderer
 from pica_core.capture.procedural.heads import make_head
+from pica_core.capture.procedural.subject import StageOptions, render_capture
 from pica_core.capture.stage.dome import EVALUATION_VIEWS, dome_cameras
 from pica_core.capture.stage.expressions import blend
-from pica_core.capture.stage.synth import StageOptions, render_capture
+from pica_core.capture.stage.gpu import DEPTH_TOLERANCE_M
 from pica_core.errors import CaptureError
 
 pytestmark = pytest.mark.render

@@ -7,9 +7,9 @@ import pytest
 
 from pica_core.camera import look_at
 from pica_core.capture.dataset.dataset import Topology
-from pica_core.capture.procedural.heads import Head, make_head
+from pica_core.capture.procedural.heads import ProceduralHead, make_head
 from pica_core.capture.stage.expressions import blend, sample_takes
-from pica_core.capture.stage.head_motion import HeadMotion, camera_in_head
+from pica_core.capture.stage.head_motion import HeadMotion
 from pica_core.capture.stage.mvs_depth import MvsErrors, find_depth
 from pica_core.capture.stage.tracked_topology import track_topology
 from pica_core.capture.stage.tracker import LIMIT_MM, SimulatedTracker, lagged_arkit
@@ -18,17 +18,17 @@ pytestmark = pytest.mark.unit
 
 
 @pytest.fixture(scope="module")
-def head() -> Head:
+def head() -> ProceduralHead:
     return make_head("S1")
 
 
 @pytest.fixture(scope="module")
-def dense(head: Head) -> Topology:
+def dense(head: ProceduralHead) -> Topology:
     return Topology(vertex_uv=head.vertex_uv, faces=head.faces, regions=head.regions)
 
 
 @pytest.fixture(scope="module")
-def tracked(head: Head, dense: Topology) -> tuple[Topology, np.ndarray]:
+def tracked(head: ProceduralHead, dense: Topology) -> tuple[Topology, np.ndarray]:
     shapes = [blend(), blend(jawOpen=0.7), blend(eyeBlink=1.0)]
     return track_topology(dense, head.vertices_batch(np.stack(shapes)))
 
@@ -39,7 +39,7 @@ def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_the_tracked_mesh_is_7000_of_the_dense_vertices_in_one_sheet(
-    head: Head, dense: Topology, tracked: tuple[Topology, np.ndarray]
+    head: ProceduralHead, dense: Topology, tracked: tuple[Topology, np.ndarray]
 ) -> None:
     topology, index = tracked
     assert 6500 <= len(index) <= 7500
@@ -64,7 +64,7 @@ def test_the_tracked_mesh_has_lips_and_no_inside_of_the_mouth(
 
 
 def test_the_mouth_of_the_tracked_mesh_opens(
-    head: Head, tracked: tuple[Topology, np.ndarray]
+    head: ProceduralHead, tracked: tuple[Topology, np.ndarray]
 ) -> None:
     topology, index = tracked
     edges, uses = edges_of(topology.faces)
@@ -75,7 +75,7 @@ def test_the_mouth_of_the_tracked_mesh_opens(
     assert np.ptp(opened[middle, 1]) > 0.01
 
 
-def test_the_tracked_mesh_is_the_same_every_time(head: Head, dense: Topology) -> None:
+def test_the_tracked_mesh_is_the_same_every_time(head: ProceduralHead, dense: Topology) -> None:
     shapes = head.vertices_batch(np.stack([blend(), blend(jawOpen=0.7)]))
     (one, index), (other, other_index) = (track_topology(dense, shapes, 400) for _ in range(2))
     np.testing.assert_array_equal(index, other_index)
@@ -83,7 +83,7 @@ def test_the_tracked_mesh_is_the_same_every_time(head: Head, dense: Topology) ->
 
 
 def test_a_tracker_errs_smoothly_by_less_than_a_millimetre(
-    head: Head, tracked: tuple[Topology, np.ndarray]
+    head: ProceduralHead, tracked: tuple[Topology, np.ndarray]
 ) -> None:
     topology, index = tracked
     rest = head.vertices(blend())[index]
@@ -105,7 +105,7 @@ def test_a_tracker_errs_smoothly_by_less_than_a_millimetre(
 
 
 def test_lips_that_move_fast_are_tracked_late(
-    head: Head, tracked: tuple[Topology, np.ndarray]
+    head: ProceduralHead, tracked: tuple[Topology, np.ndarray]
 ) -> None:
     topology, index = tracked
     before, now = blend().astype(np.float32), blend(jawOpen=0.35).astype(np.float32)
@@ -199,5 +199,5 @@ def test_a_camera_in_head_axes_sees_a_moved_head_as_the_world_does() -> None:
     pose = HeadMotion(1, 0).head_to_world(0.5)
     points = np.random.default_rng(0).uniform(-0.1, 0.1, (20, 3))
     in_world, _ = camera.project(points @ pose[:, :3].T + pose[:, 3])
-    in_head, _ = camera_in_head(camera, pose).project(points)
+    in_head, _ = camera.in_head(pose).project(points)
     np.testing.assert_allclose(in_head, in_world, atol=1e-9)

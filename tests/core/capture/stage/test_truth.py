@@ -10,10 +10,9 @@ import pytest
 
 from pica_core.camera import Camera
 from pica_core.capture.dataset.dataset import Capture
+from pica_core.capture.procedural.subject import ProceduralSubject, StageOptions, render_capture
 from pica_core.capture.stage.dome import dome_cameras
 from pica_core.capture.stage.expressions import blend
-from pica_core.capture.stage.subject import ProceduralSubject
-from pica_core.capture.stage.synth import StageOptions, render_capture
 from pica_core.gl import create_context, link_program
 from pica_core.reference.pixel import sample_bilinear
 

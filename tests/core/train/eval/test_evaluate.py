@@ -14,8 +14,7 @@ import torch
 from pica_core.avatar.spec import BLOCKS
 from pica_core.avatar.variants import VARIANTS
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.capture.stage.subject import ProceduralSubject
-from pica_core.capture.stage.synth import StageOptions, render_capture
+from pica_core.capture.procedural.subject import ProceduralSubject, StageOptions, render_capture
 from pica_core.errors import CheckpointError, TrainingOptionError
 from pica_core.train.checkpoint import write_checkpoint
 from pica_core.train.cli.eval import EvalOptions, eval_runs

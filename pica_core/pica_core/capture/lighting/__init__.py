@@ -1,1 +1,0 @@
-"""How much light reaches each vertex of a head or rig."""
