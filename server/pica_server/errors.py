@@ -7,7 +7,9 @@ RelayError
 ├── AdmissionError       a join without a token that allows it; carries the close code
 ├── StoreError           the avatar store cannot be used
 │   ├── UnfitFileError   a file that it does not take
-│   └── StoreFullError   a file that it has no room for
+│   ├── StoreFullError   a file that it has no room for
+│   ├── BusyError        a transfer more than go on at once
+│   └── TooLateError     a transfer that takes longer than it may
 ├── AdminRequestError    a relay does not do what an admin asks for
 ├── ClusterError         the cluster cannot be joined
 ├── ClusterMessageError  another node sent what cannot be read
@@ -51,9 +53,27 @@ class StoreError(RelayError):
 class UnfitFileError(StoreError):
     """A file is not what was offered, or no avatar file."""
 
+    code = CloseCode.UNFIT_FILE
+
 
 class StoreFullError(StoreError):
     """The store has no room for a file."""
+
+    code = CloseCode.STORE_FULL
+
+
+class BusyError(StoreError):
+    """There are as many transfers at once as there may be."""
+
+    code = CloseCode.BUSY
+
+
+class TooLateError(StoreError):
+    """Somebody takes longer than they may; ``code`` is what they are told."""
+
+    def __init__(self, message: str, code: CloseCode) -> None:
+        super().__init__(message)
+        self.code = code
 
 
 class ClusterError(RelayError):

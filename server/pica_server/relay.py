@@ -34,8 +34,9 @@ from pica_server.ops.certificate import Certificate
 from pica_server.ops.loop_watch import PERIOD_S, LoopWatch
 from pica_server.ops.status_pages import StatusPages
 from pica_server.room.hub import Hub
+from pica_server.store.downloads import Downloads
 from pica_server.store.store import open_store
-from pica_server.store.transfer import StoreDoor
+from pica_server.store.uploads import Uploads
 
 if TYPE_CHECKING:
     from pica_server.cluster.nats import Cluster
@@ -105,12 +106,10 @@ class Relay:
                 raise AdmissionError("this relay has no tokens to ask for", CloseCode.FORBIDDEN)
 
         self.store = open_store(config.avatar_store, config.store)
-        self._door = StoreDoor(
-            self.store,
-            may_upload,
-            self.hub.stats.store,
-            origins=config.origins,
-            offer_timeout_s=config.handshake_timeout_s,
+        counts = self.hub.stats.store
+        self._downloads = Downloads(self.store, counts, origins=config.origins)
+        self._uploads = Uploads(
+            self.store, may_upload, counts, offer_timeout_s=config.handshake_timeout_s
         )
         self.certificate: Certificate | None = None
         if config.tls_cert is not None and config.tls_key is not None:
@@ -221,7 +220,8 @@ class Relay:
             websocket.give_up()
         self.hub.close_all(CloseCode.GOING_AWAY, "the relay is stopping", self._now())
         self._pump.after_events()
-        self._door.close()
+        self._downloads.close()
+        self._uploads.close()
         await self._server.wait_closed()
         if self._cluster is not None:
             await self._cluster.stop()
@@ -241,7 +241,7 @@ class Relay:
         websocket.note_request(request)
         is_local = websocket.is_local or is_in(websocket.direct_from, self._metrics_to)
         if request.path.startswith(AVATARS_PATH):
-            return self._door.answer(websocket, request)
+            return self._downloads.answer(websocket, request)
         page = self._pages.answer(request.path, is_local=is_local, now=self._now())
         if page is None:
             return None
@@ -295,7 +295,7 @@ class Relay:
         assert isinstance(websocket, RelaySocket)
         websocket.note_opened()
         if websocket.subprotocol == STORE_SUBPROTOCOL:
-            await self._door.serve(websocket)
+            await self._uploads.serve(websocket)
         else:
             await self._pump.serve(websocket)
 

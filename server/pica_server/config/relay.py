@@ -115,7 +115,7 @@ class RelayConfig:
     """Address to listen on for that. Speaks TLS if the relay does."""
     avatar_store: str = "temporary"
     """Where avatar files are kept that clients give to each other: a folder; an fsspec URL such as
-    s3://BUCKET/FOLDER (extra `store`, and the driver's own package); temporary, a folder that ends
+    s3://BUCKET/FOLDER (with the package of its driver); temporary, a folder that ends
     with the relay; none."""
     cluster: str = ""
     """Share rooms with other relays over this NATS, as nats://HOST:4222; it needs JetStream.

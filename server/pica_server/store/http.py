@@ -5,6 +5,7 @@ ever, and a range of it can be joined with what somebody got years ago.
 """
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from http import HTTPStatus
 from typing import Final
@@ -27,16 +28,7 @@ class Answer:
     """Instead of bytes of the file: for people."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Conditions:
-    """The headers of a request that change its answer; empty: not there."""
-
-    range: str = ""
-    if_range: str = ""
-    if_none_match: str = ""
-
-
-def answer_for(identity: str, size: int, conditions: Conditions) -> Answer:
+def answer_for(identity: str, size: int, asked: Mapping[str, str]) -> Answer:
     """Say what to answer to a GET of a file that is there; a HEAD gets the same without bytes.
 
     Several ranges at once, and ranges in other units, are answered with the whole file, as the
@@ -45,33 +37,29 @@ def answer_for(identity: str, size: int, conditions: Conditions) -> Answer:
     Args:
         identity: The file's SHA-256 in hexadecimal.
         size: Its length in bytes, above 0.
-        conditions: Of the request.
+        asked: The request's ``Range``, ``If-Range`` and ``If-None-Match``, where it has them.
     """
     tag = f'"{identity}"'
     headers = {"ETag": tag, "Cache-Control": CACHE_CONTROL, "Accept-Ranges": "bytes"}
     # A weak tag is good enough for a cache (RFC 9110 13.1.2) but not for joining ranges (13.1.5).
-    known = [each.strip().removeprefix("W/") for each in conditions.if_none_match.split(",")]
+    known = [each.strip().removeprefix("W/") for each in asked.get("If-None-Match", "").split(",")]
     if tag in known or "*" in known:
         return Answer(status=HTTPStatus.NOT_MODIFIED, headers=headers)
-    headers["Content-Type"] = "application/octet-stream"
-    headers["X-Content-Type-Options"] = "nosniff"
+    headers |= {"Content-Type": "application/octet-stream", "X-Content-Type-Options": "nosniff"}
     wanted = None
-    if conditions.range and conditions.if_range in ("", tag):
-        wanted = parse_range(conditions.range, size)
-    if wanted is None:
-        headers["Content-Length"] = str(size)
-        return Answer(status=HTTPStatus.OK, headers=headers, end=size)
-    begin, end = wanted
-    if begin >= end:
-        headers["Content-Range"] = f"bytes */{size}"
-        return Answer(
-            status=HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE,
-            headers=headers,
-            text=f"the file has {size} bytes\n",
-        )
-    headers["Content-Range"] = f"bytes {begin}-{end - 1}/{size}"
+    if (asked.get("If-Range") or tag) == tag:
+        wanted = parse_range(asked.get("Range", ""), size)
+    begin, end = wanted or (0, size)
     headers["Content-Length"] = str(end - begin)
-    return Answer(status=HTTPStatus.PARTIAL_CONTENT, headers=headers, begin=begin, end=end)
+    if wanted is None:
+        return Answer(status=HTTPStatus.OK, headers=headers, end=end)
+    if begin < end:
+        headers["Content-Range"] = f"bytes {begin}-{end - 1}/{size}"
+        return Answer(status=HTTPStatus.PARTIAL_CONTENT, headers=headers, begin=begin, end=end)
+    headers["Content-Range"] = f"bytes */{size}"
+    return refusal(
+        HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE, f"the file has {size} bytes", headers
+    )
 
 
 def parse_range(text: str, size: int) -> tuple[int, int] | None:
@@ -92,11 +80,12 @@ def parse_range(text: str, size: int) -> tuple[int, int] | None:
     return min(begin, size), min(last + 1, size)
 
 
-def refusal(status: HTTPStatus, text: str) -> Answer:
-    """Say no."""
-    headers = {"Cache-Control": "no-store"}
+def refusal(status: HTTPStatus, text: str, headers: Mapping[str, str] | None = None) -> Answer:
+    """Say no, in a line for people."""
+    found = {"Cache-Control": "no-store", **(headers or {})}
     if status == HTTPStatus.METHOD_NOT_ALLOWED:
-        headers["Allow"] = ", ".join(METHODS)
+        found["Allow"] = ", ".join(METHODS)
     if status == HTTPStatus.SERVICE_UNAVAILABLE:
-        headers["Retry-After"] = "1"
-    return Answer(status=status, headers=headers, text=f"{text}\n")
+        found["Retry-After"] = "1"
+    found |= {"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(text) + 1)}
+    return Answer(status=status, headers=found, text=f"{text}\n")

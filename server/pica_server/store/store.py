@@ -4,32 +4,31 @@ Nobody needs the relay's word for what it gives: whoever gets a file hashes it. 
 has to take care of what it takes: who may give, how much in all, and that it is an avatar file.
 
 What blocks (disk, network, hashing, the check) happens in threads of the store. It knows no
-websocket; `store_door.StoreDoor` is the way in and out.
+websocket; `downloads` and `uploads` are the ways out and in.
 """
 
 import asyncio
 import errno
 import hashlib
-import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from io import BufferedWriter
 from pathlib import Path
 from typing import Final, TypeVar
 
 from pica_server.errors import StoreError, StoreFullError, UnfitFileError
 from pica_server.store import check_process
-from pica_server.store.backends import Place, open_place
+from pica_server.store.backends import Backend
 from pica_server.store.check import StructureCheck
 from pica_server.store.config import StoreConfig
+from pica_server.store.pacing import Pace
 
 NUM_THREADS: Final = 4
 BUFFER_BYTES: Final = 256 * 2**10
 """Of one upload, in memory; then a thread writes it."""
 
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-_logger = logging.getLogger(__name__)
 _T = TypeVar("_T")
 
 
@@ -39,7 +38,7 @@ def open_store(where: str, config: StoreConfig) -> "AvatarStore | None":
     Raises:
         StoreError: It cannot be used.
     """
-    return None if where == "none" else AvatarStore(open_place(where), config)
+    return None if where == "none" else AvatarStore(Backend(where), config)
 
 
 class AvatarStore:
@@ -50,11 +49,11 @@ class AvatarStore:
         checks_fully: Whether uploads get the check that receivers make, or only one of structure.
     """
 
-    def __init__(self, place: Place, config: StoreConfig) -> None:
+    def __init__(self, backend: Backend, config: StoreConfig) -> None:
         """Look what is there.
 
         Raises:
-            StoreError: The place cannot be used, or the check that is asked for cannot be run.
+            StoreError: The backend cannot be used, or the check that is asked for cannot be run.
         """
         self.config = config
         if config.check == "full" and not check_process.is_installed():
@@ -63,8 +62,9 @@ class AvatarStore:
                 "pip install 'pica-telepresence[send]', or use --store.check structure"
             )
         self.checks_fully = config.check != "structure" and check_process.is_installed()
-        self._place = place
-        self._sizes = place.prepare(config.max_avatars)  # bounded by max_avatars
+        self._backend = backend
+        self._sizes = backend.prepare(config.max_avatars)  # bounded by max_avatars
+        self._pace = Pace(config.bytes_per_s)
         self._reserved_bytes = self._num_reserved = 0
         self._threads = ThreadPoolExecutor(NUM_THREADS, thread_name_prefix="avatar-store")
         # One check at a time: it takes a core's worth of work, and must not hold up the readers.
@@ -86,12 +86,13 @@ class AvatarStore:
         return self.config.quota_bytes - self.used_bytes - self._reserved_bytes
 
     async def size(self, identity: str) -> int | None:
-        """Return a file's size, or None if it is not there; asks the place, which others may share.
+        """Return a file's size, or None if it is not there; asks the backend, which others may
+        share.
 
         Raises:
-            OSError: The place does not answer.
+            OSError: The backend does not answer.
         """
-        size = await self._in_thread(lambda: self._place.size(identity))
+        size = await self._in_thread(lambda: self._backend.size(identity))
         if size is None:
             self._sizes.pop(identity, None)
         elif len(self._sizes) < self.config.max_avatars:
@@ -104,10 +105,19 @@ class AvatarStore:
         Raises:
             OSError: It is not there any more, or shorter.
         """
-        data = await self._in_thread(lambda: self._place.read(identity, begin, end))
+        data = await self._in_thread(lambda: self._backend.read(identity, begin, end))
         if len(data) != end - begin:
             raise OSError(errno.EIO, "a file is shorter than it was")
         return data
+
+    async def wait_for_turn(self, num_bytes: int) -> None:
+        """Wait until so many bytes may go in or out, as all transfers share one rate."""
+        loop = asyncio.get_running_loop()
+        began_s = loop.time()
+        wait_s = self._pace.wait_s(num_bytes, began_s)
+        await asyncio.sleep(wait_s)
+        now = loop.time()
+        self._pace.note_lateness(now - began_s - wait_s, now)
 
     async def begin_upload(self, identity: str, size: int) -> "Upload":
         """Make room for a file.
@@ -125,11 +135,10 @@ class AvatarStore:
         self._reserved_bytes += size
         self._num_reserved += 1
         try:
-            path, file = await self._in_thread(self._open_spool)
-        except BaseException as error:
+            with _full_disk_is_full_store():
+                path, file = await self._in_thread(self._open_spool)
+        except BaseException:
             self._release(size)
-            if isinstance(error, OSError) and error.errno in _NO_ROOM:
-                raise StoreFullError("its disk is full") from error
             raise
         return Upload(self, identity, size, path, file)
 
@@ -137,10 +146,10 @@ class AvatarStore:
         """End the threads and clear up."""
         self._checks.shutdown(wait=True, cancel_futures=True)
         self._threads.shutdown(wait=True, cancel_futures=True)
-        self._place.close()
+        self._backend.close()
 
     def _open_spool(self) -> tuple[Path, BufferedWriter]:
-        path = self._place.spool()
+        path = self._backend.spool()
         return path, path.open("xb")
 
     def _release(self, size: int) -> None:
@@ -209,7 +218,8 @@ class Upload:
         await self._write_buffer()
         store = self._store
         loop = asyncio.get_running_loop()
-        await loop.run_in_executor(store._checks, self._check_and_keep)
+        with _full_disk_is_full_store():
+            await loop.run_in_executor(store._checks, self._check_and_keep)
         store._sizes[self._identity] = self._size
         return "full" if store.checks_fully else "structure"
 
@@ -223,26 +233,27 @@ class Upload:
 
     async def _write_buffer(self) -> None:
         data, self._buffer = self._buffer, bytearray()
-        try:
+        with _full_disk_is_full_store():
             await self._store._in_thread(lambda: self._file.write(data))
-        except OSError as error:
-            if error.errno in _NO_ROOM:
-                raise StoreFullError("its disk is full") from error
-            raise
 
     def _check_and_keep(self) -> None:
-        try:
-            self._file.close()
-            if self._store.checks_fully:
-                check_process.check_fully(self._path, self._identity)
-            self._store._place.keep(self._path, self._identity)
-        except OSError as error:
-            if error.errno in _NO_ROOM:
-                raise StoreFullError("its disk is full") from error
-            raise
+        self._file.close()
+        if self._store.checks_fully:
+            check_process.check_fully(self._path, self._identity)
+        self._store._backend.keep(self._path, self._identity)
 
     def _discard(self) -> None:
         with suppress(OSError):
             self._file.close()
         with suppress(OSError):
             self._path.unlink(missing_ok=True)
+
+
+@contextmanager
+def _full_disk_is_full_store() -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        if error.errno in _NO_ROOM:
+            raise StoreFullError("its disk is full") from error
+        raise

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from fsspec.core import url_to_fs
 
 from helpers.store_peers import (
     ask,
@@ -24,8 +25,8 @@ from pica_server.auth.tokens import Admission, KeyRing, mint
 from pica_server.config.relay import RelayConfig
 from pica_server.errors import ConfigurationError, StoreError
 from pica_server.relay import Relay
-from pica_server.store import backends as store_places
-from pica_server.store.backends import FolderPlace
+from pica_server.store import backends
+from pica_server.store.backends import Backend
 from pica_server.store.config import StoreConfig
 from pica_server.store.store import AvatarStore
 
@@ -63,7 +64,7 @@ async def test_what_one_gives_another_gets_byte_for_byte(tmp_path: Path) -> None
 async def test_a_store_in_a_folder_outlives_its_relay_and_a_temporary_one_does_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(store_places.tempfile, "tempdir", str(tmp_path / "tmp"))
+    monkeypatch.setattr(backends.tempfile, "tempdir", str(tmp_path / "tmp"))
     (tmp_path / "tmp").mkdir()
     for where, is_there in ((tmp_path / "store", True), ("temporary", False)):
         async with store_relay(where) as relay:
@@ -125,13 +126,12 @@ async def test_a_file_larger_than_one_read_comes_whole(tmp_path: Path) -> None:
 @pytest.mark.asyncio
 @pytest.mark.parametrize("url", ["memory://avatars", "file://{tmp_path}/avatars"])
 async def test_any_place_that_fsspec_knows_will_do(url: str, tmp_path: Path) -> None:
-    fsspec = pytest.importorskip("fsspec")
     url = url.format(tmp_path=tmp_path)
     for _ in range(2):  # the second relay finds what the first has put there
         async with store_relay(url) as relay:
             assert (await upload(relay, FILE)).code == CloseCode.NORMAL
             assert (await ask(relay, f"/avatars/{ID}", Range="bytes=5-9")).body == FILE[5:10]
-    files, root = fsspec.core.url_to_fs(url)
+    files, root = url_to_fs(url)
     assert [path.rpartition("/")[2] for path in files.find(root)] == [f"{ID}.pica"]
 
 
@@ -202,8 +202,8 @@ def test_a_relay_that_shall_check_fully_and_cannot_does_not_start(
     monkeypatch.setitem(sys.modules, "numpy", None)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(StoreError, match="needs numpy beside the relay"):
-        AvatarStore(FolderPlace(tmp_path), StoreConfig(check="full"))
-    store = AvatarStore(FolderPlace(tmp_path), StoreConfig(check="auto"))
+        AvatarStore(Backend(str(tmp_path)), StoreConfig(check="full"))
+    store = AvatarStore(Backend(str(tmp_path)), StoreConfig(check="auto"))
     assert not store.checks_fully
     store.close()
 
@@ -267,14 +267,14 @@ def test_a_store_that_cannot_be_written_stops_the_relay_with_the_setting(
 def test_a_folder_without_permission_stops_the_relay(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
     with pytest.raises(StoreError, match="Permission denied"):
-        AvatarStore(FolderPlace(tmp_path), StoreConfig())
+        AvatarStore(Backend(str(tmp_path)), StoreConfig())
 
 
 def test_more_files_than_a_store_may_hold_are_named_at_the_start(tmp_path: Path) -> None:
     for number in range(3):
         (tmp_path / f"{number:064x}.pica").write_bytes(b"x")
     with pytest.raises(StoreError, match="holds more than 2 avatars"):
-        AvatarStore(FolderPlace(tmp_path), StoreConfig(max_avatars=2))
+        AvatarStore(Backend(str(tmp_path)), StoreConfig(max_avatars=2))
 
 
 def test_a_password_in_a_url_is_not_quoted() -> None:

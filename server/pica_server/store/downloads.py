@@ -1,0 +1,174 @@
+"""The way out of the avatar store: files leave by HTTP, on the port of the faces.
+
+They must not delay them. So a transfer moves 16 KiB at a time and waits for its turn after each;
+all transfers together keep to a rate, and to a lower one while the event loop is late; and a
+download is never further ahead of its reader than a small socket buffer, so that it does not fill
+the queue of a slow link through which a call goes too. Transfers are limited in number, in all and
+for each address, and one that is slower than it may be is cut.
+
+A websocket library answers small things by HTTP, whole and from memory. A file is written to the
+socket by hand here; the library then finds the connection closed and does nothing more.
+"""
+
+import asyncio
+import logging
+import socket
+from collections import Counter
+from contextlib import suppress
+from email.utils import formatdate
+from http import HTTPStatus
+from typing import Final
+
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+from pica_protocol.store import AVATARS_PATH, is_avatar_id
+from pica_server.errors import BusyError
+from pica_server.net.socket import RelaySocket
+from pica_server.store.http import METHODS, Answer, answer_for, refusal
+from pica_server.store.pacing import Slots
+from pica_server.store.store import AvatarStore
+
+PIECE_BYTES: Final = 16 * 2**10
+"""Written at once (chosen: as a message may have; the kernel takes it in some ten microseconds)."""
+READ_BYTES: Final = 256 * 2**10
+"""Read at once from the store, and held for one download."""
+SEND_BUFFER_BYTES: Final = 32 * 2**10
+"""How far a download may be ahead of its reader, in the kernel, which may double it (chosen: a
+quarter of a second of a link with 2 Mbit/s; with 50 ms there and back still 5 Mbit/s)."""
+
+_logger = logging.getLogger(__name__)
+
+
+class Downloads:
+    """Gives the files of a store, or says that there is none."""
+
+    def __init__(
+        self, store: AvatarStore | None, stats: Counter[str], *, origins: tuple[str, ...]
+    ) -> None:
+        """Begin without transfers.
+
+        Args:
+            store: The files; None: this relay keeps none.
+            stats: Where it counts what it does.
+            origins: Web pages whose scripts may read what they get.
+        """
+        self._store = store
+        self._stats = stats
+        self._origins = origins
+        self._under_way: set[RelaySocket] = set()
+        if store is not None:
+            self._slots = Slots(store.config.downloads, store.config.downloads_per_address)
+
+    def close(self) -> None:
+        """Cut all of them: the relay is stopping."""
+        for websocket in self._under_way:
+            websocket.transport.abort()
+
+    async def answer(self, websocket: RelaySocket, request: Request) -> Response:
+        """Answer a request below ``/avatars/``; for ``process_request``."""
+        store = self._store
+        identity = request.path.removeprefix(AVATARS_PATH).partition("?")[0]
+        if store is None:
+            answer = refusal(HTTPStatus.NOT_IMPLEMENTED, "this relay keeps no avatars")
+        elif request.method not in METHODS:
+            answer = refusal(HTTPStatus.METHOD_NOT_ALLOWED, "use GET; uploads: pica avatar push")
+        elif not is_avatar_id(identity):
+            answer = refusal(HTTPStatus.NOT_FOUND, "an avatar's id is its SHA-256, in 64 digits")
+        else:
+            try:
+                with self._slots.taken(websocket.address):
+                    answer = await self._give(store, websocket, request, identity)
+            except BusyError:
+                self._stats["downloads_refused"] += 1
+                answer = refusal(HTTPStatus.SERVICE_UNAVAILABLE, "too many downloads, try again")
+            except OSError as error:
+                self._stats["faults"] += 1
+                _logger.warning("avatar store failed", extra={"error": type(error).__name__})
+                answer = refusal(HTTPStatus.SERVICE_UNAVAILABLE, "the store does not answer")
+        return self._response(request, answer)
+
+    async def _give(
+        self, store: AvatarStore, websocket: RelaySocket, request: Request, identity: str
+    ) -> Answer:
+        size = await store.size(identity)
+        if not size:
+            return refusal(HTTPStatus.NOT_FOUND, "no such avatar here")
+        asked = {
+            name: values[0]
+            for name in ("Range", "If-Range", "If-None-Match")
+            # A header that is there twice counts as not there.
+            if len(values := request.headers.get_all(name)) == 1
+        }
+        if request.method == "HEAD":
+            asked.pop("Range", None)
+        answer = answer_for(identity, size, asked)
+        if request.method == "GET" and answer.begin < answer.end:
+            await self._send(store, websocket, self._response(request, answer), identity, answer)
+        return answer
+
+    async def _send(
+        self,
+        store: AvatarStore,
+        websocket: RelaySocket,
+        head: Response,
+        identity: str,
+        answer: Answer,
+    ) -> None:
+        """Write the whole answer to the socket and close it."""
+        position, end = answer.begin, answer.end
+        data = await store.read(identity, position, min(position + READ_BYTES, end))
+        websocket.note_opened()  # its handshake is over, so to say
+        transport = websocket.transport
+        _bound_send_buffer(transport)
+        self._stats["downloads"] += 1
+        self._under_way.add(websocket)
+        try:
+            async with asyncio.timeout(store.config.longest_s(end - position)):
+                transport.write(head.serialize())
+                while not transport.is_closing():
+                    await self._send_pieces(store, websocket, data)
+                    position += len(data)
+                    if position == end:
+                        break
+                    data = await store.read(identity, position, min(position + READ_BYTES, end))
+                transport.close()
+                await websocket.wait_closed()
+        except (TimeoutError, OSError):
+            self._stats["downloads_cut"] += 1
+            transport.abort()
+            await websocket.wait_closed()
+        finally:
+            self._under_way.discard(websocket)
+
+    async def _send_pieces(self, store: AvatarStore, websocket: RelaySocket, data: bytes) -> None:
+        for begin in range(0, len(data), PIECE_BYTES):
+            piece = data[begin : begin + PIECE_BYTES]
+            await store.wait_for_turn(len(piece))
+            if websocket.transport.is_closing():
+                return
+            websocket.transport.write(piece)
+            await websocket.drain()
+            self._stats["download_bytes"] += len(piece)
+
+    def _response(self, request: Request, answer: Answer) -> Response:
+        """Return what the library sends: everything but bytes of a file."""
+        headers = Headers(answer.headers)
+        headers["Date"] = formatdate(usegmt=True)
+        headers["Connection"] = "close"
+        if self._origins:
+            headers["Vary"] = "Origin"
+        origins = request.headers.get_all("Origin")
+        if len(origins) == 1 and origins[0] in self._origins:
+            headers["Access-Control-Allow-Origin"] = origins[0]
+            exposed = "Accept-Ranges, Content-Length, Content-Range, ETag"
+            headers["Access-Control-Expose-Headers"] = exposed
+        body = b"" if request.method == "HEAD" else answer.text.encode()
+        return Response(answer.status, answer.status.phrase, headers, body)
+
+
+def _bound_send_buffer(transport: asyncio.Transport) -> None:
+    sock = transport.get_extra_info("socket")
+    if sock is not None and sock.family in (socket.AF_INET, socket.AF_INET6):
+        with suppress(OSError):  # the peer may be gone already
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)

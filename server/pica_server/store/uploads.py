@@ -1,0 +1,158 @@
+"""The way into the avatar store: one file each over a websocket of ``pica.store.1``."""
+
+import asyncio
+import logging
+from collections import Counter
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from typing import Final
+
+from websockets.exceptions import ConnectionClosed
+
+from pica_protocol.codec import decode_store_message, encode_message
+from pica_protocol.errors import CloseCode, RemoteProtocolError
+from pica_protocol.limits import clipped_reason
+from pica_protocol.messages import Bye
+from pica_protocol.store import Offer, Ready, Stored, decode_chunk
+from pica_server.errors import (
+    AdmissionError,
+    BusyError,
+    StoreError,
+    StoreFullError,
+    TooLateError,
+    UnfitFileError,
+)
+from pica_server.net.socket import RelaySocket
+from pica_server.store.pacing import Slots
+from pica_server.store.store import AvatarStore
+
+MOST_OFFERS: Final = 64
+"""Websockets that have not offered anything yet (chosen: eight times the uploads)."""
+
+MayUpload = Callable[[str, str], None]
+"""Takes a token and an avatar's id; raises `AdmissionError` if that must not be uploaded."""
+
+_REFUSALS: Final = (
+    RemoteProtocolError,
+    AdmissionError,
+    BusyError,
+    StoreFullError,
+    TooLateError,
+    UnfitFileError,
+)
+"""Errors that the other side is told of, with their close code."""
+
+_logger = logging.getLogger(__name__)
+
+
+class Uploads:
+    """Takes files into a store, or says that there is none."""
+
+    def __init__(
+        self,
+        store: AvatarStore | None,
+        may_upload: MayUpload,
+        stats: Counter[str],
+        *,
+        offer_timeout_s: float,
+    ) -> None:
+        """Begin without transfers.
+
+        Args:
+            store: The files; None: this relay keeps none.
+            may_upload: Who may give it some.
+            stats: Where it counts what it does.
+            offer_timeout_s: From the open websocket to the offer.
+        """
+        self._store = store
+        self._may_upload = may_upload
+        self._stats = stats
+        self._offer_timeout_s = offer_timeout_s
+        self._under_way: set[RelaySocket] = set()
+        if store is not None:
+            config = store.config
+            # Who has not shown a token yet must not hold the places of those who have.
+            self._offers = Slots(MOST_OFFERS, config.uploads_per_address)
+            self._slots = Slots(config.uploads, config.uploads_per_address)
+
+    def close(self) -> None:
+        """Cut all of them: the relay is stopping."""
+        for websocket in self._under_way:
+            websocket.transport.abort()
+
+    async def serve(self, websocket: RelaySocket) -> None:
+        """Take one file."""
+        self._under_way.add(websocket)
+        try:
+            code, reason = await self._take(websocket)
+            outcome = "uploads_done" if code == CloseCode.NORMAL else "uploads_refused"
+            self._stats[outcome] += 1
+            reason = clipped_reason(reason)
+            await websocket.send(encode_message(Bye(code=code, reason=reason)))
+            await websocket.close(code, reason)
+        except ConnectionClosed:
+            self._stats["uploads_cut"] += 1
+        finally:
+            self._under_way.discard(websocket)
+
+    async def _take(self, websocket: RelaySocket) -> tuple[CloseCode, str]:
+        """Take a file; return how it ended, for the other side."""
+        if self._store is None:
+            return CloseCode.WRONG_VERSION, "this relay keeps no avatars"
+        try:
+            with self._offers.taken(websocket.address):
+                offer = await self._offer(websocket)
+            with self._slots.taken(websocket.address):
+                stored = await self._receive(websocket, self._store, offer)
+                await websocket.send(encode_message(stored))
+        except _REFUSALS as error:
+            return error.code, str(error)
+        except (StoreError, OSError) as error:
+            self._stats["faults"] += 1
+            _logger.warning("avatar store failed", extra={"error": type(error).__name__})
+            return CloseCode.INTERNAL_ERROR, "the store has a fault"
+        return CloseCode.NORMAL, ""
+
+    async def _offer(self, websocket: RelaySocket) -> Offer:
+        """Take the offer, from somebody who may make it."""
+        late = TooLateError("no offer came", CloseCode.HANDSHAKE_TIMEOUT)
+        async with _within(self._offer_timeout_s, late):
+            offer = decode_store_message(await _binary(websocket))
+        if not isinstance(offer, Offer):
+            raise RemoteProtocolError("an offer comes first", CloseCode.UNEXPECTED_MESSAGE)
+        self._may_upload(offer.token, offer.sha256)
+        return offer
+
+    async def _receive(self, websocket: RelaySocket, store: AvatarStore, offer: Offer) -> Stored:
+        """Take the file; return what to say then."""
+        if await store.size(offer.sha256) is not None:
+            self._stats["uploads_known"] += 1
+            return Stored()
+        late = TooLateError("the file came too slowly", CloseCode.TOO_SLOW)
+        async with await store.begin_upload(offer.sha256, offer.size) as upload:
+            async with _within(store.config.longest_s(offer.size), late):
+                await websocket.send(encode_message(Ready()))
+                while upload.num_missing:
+                    chunk = decode_chunk(await _binary(websocket))
+                    self._stats["upload_bytes"] += len(chunk)
+                    await upload.write(chunk)
+                    await store.wait_for_turn(len(chunk))
+            checked = await upload.finish()
+        self._stats["uploads_kept"] += 1
+        return Stored(checked=checked)
+
+
+@asynccontextmanager
+async def _within(limit_s: float, late: TooLateError) -> AsyncIterator[None]:
+    try:
+        async with asyncio.timeout(limit_s):
+            yield
+    except TimeoutError as error:
+        raise late from error
+
+
+async def _binary(websocket: RelaySocket) -> bytes:
+    data = await websocket.recv()
+    if isinstance(data, str):
+        raise RemoteProtocolError("a text message")
+    return data
