@@ -6,7 +6,7 @@ from fuzzing import campaign
 from fuzzing.campaign import FuzzFailure, run
 from pica_protocol.errors import CloseCode
 
-pytestmark = pytest.mark.unit
+pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
 
 def test_twenty_thousand_damaged_messages_are_accepted_or_refused_as_documented() -> None:

@@ -22,7 +22,7 @@ from helpers.playout_trial import (
 )
 from pica_client.playout.buffer import ADAPTIVE, FIXED, UNBUFFERED, Playout
 
-pytestmark = pytest.mark.unit
+pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
 INTERVAL_S = 1 / 30
 RETURN_S = 8.0

@@ -13,7 +13,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from helpers.playout_trial import FAR_CLOCK_US, face, value_of
 from pica_client.playout.buffer import POLICIES, PlayedFace, Playout, PlayoutConfig
 
-pytestmark = pytest.mark.unit
+pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
 FRAME_S = 1 / 30
 FIRST = 65_500

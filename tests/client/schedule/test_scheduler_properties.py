@@ -24,7 +24,7 @@ from pica_client.schedule.cost_model import CostModel, ExpectedCosts
 from pica_client.schedule.lod_knapsack import Climber, Rung, climb, hull
 from pica_client.schedule.scheduler import HeadView, Plan
 
-pytestmark = pytest.mark.unit
+pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
 
 @st.composite

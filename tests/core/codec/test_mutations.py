@@ -33,7 +33,7 @@ from pica_core.codec.profile import MAX_COEFFICIENT, StreamProfile
 from pica_core.codec.range_coder import SymbolReader, Table
 from pica_core.errors import LatentError
 
-pytestmark = pytest.mark.unit
+pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
 NUM_MUTATIONS = 100_000
 NUM_BYTES_GROWN = 2**17

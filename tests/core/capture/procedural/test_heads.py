@@ -14,7 +14,7 @@ from pica_core.capture.procedural.skin import LOWER_CONTACT_ROW, UPPER_CONTACT_R
 from pica_core.capture.stage.expressions import blend, sample_takes
 from pica_core.errors import CaptureError, ShapeError
 
-pytestmark = pytest.mark.unit
+pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
 NAMES = sorted(IDENTITIES)
 

@@ -18,7 +18,7 @@ from pica_core.capture.stage.expressions import blend
 from pica_core.capture.stage.gaze import EYE_YAW
 from pica_core.errors import CaptureError, ShapeError
 
-pytestmark = pytest.mark.unit
+pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
 ICT = SHARED_DATA / "ict_facekit_light"
 needs_ict = pytest.mark.skipif(not ICT.is_dir(), reason="the ICT head is not there")

@@ -18,7 +18,7 @@ from pica_core.capture.procedural.heads import make_head
 from pica_core.capture.procedural.identity import IDENTITIES
 from pica_core.capture.stage.expressions import sample_takes
 
-pytestmark = pytest.mark.unit
+pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
 NAMES = sorted(IDENTITIES)
 ONE_SIDED = [name for name in ARKIT_NAMES if not name.endswith("Right")]

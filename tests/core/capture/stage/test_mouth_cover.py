@@ -15,7 +15,7 @@ from pica_core.capture.stage.mouth_cover import cover_mouth
 from pica_core.capture.stage.tracked_topology import COVER, track_topology
 from pica_core.capture.stage.tracker import SimulatedTracker
 
-pytestmark = pytest.mark.unit
+pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
 OPEN = blend(jawOpen=0.7)
 

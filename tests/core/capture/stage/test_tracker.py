@@ -14,7 +14,7 @@ from pica_core.capture.stage.mvs_depth import MvsErrors, find_depth
 from pica_core.capture.stage.tracked_topology import track_topology
 from pica_core.capture.stage.tracker import LIMIT_MM, SimulatedTracker, lagged_arkit
 
-pytestmark = pytest.mark.unit
+pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
 
 @pytest.fixture(scope="module")
