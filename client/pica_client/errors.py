@@ -21,7 +21,7 @@ class ClientError(Exception):
     exit_code = 2
 
 
-class OptionError(ClientError, ValueError):
+class OptionError(ClientError):
     """An option is out of range: names the option, the value and the limit."""
 
 
