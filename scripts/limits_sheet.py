@@ -23,11 +23,12 @@ import numpy.typing as npt
 from PIL import Image
 
 from pica_client.avatars.library import AvatarLibrary
+from pica_client.bench.head import FaceRenderer
 from pica_client.bench.network.scenarios import BY_NAME
 from pica_client.bench.network.stream_trial import Face, Schedule, deliver, play
 from pica_client.bench.playout import true_face
-from pica_client.bench.render_error import FaceRenderer, rendered_mse
 from pica_client.playout.buffer import POLICIES, Playout
+from pica_client.render.drawing import drawn_mse
 from pica_client.stats import percentile
 from pica_core.avatar.file import Avatar
 from pica_core.codec.latent_sample import LatentSample
@@ -125,20 +126,15 @@ def _cell(
     title: str, pairs: Iterable[tuple[LatentSample, LatentSample]], renderer: FaceRenderer
 ) -> Cell:
     """The pair at the 95th percentile of the error."""
-    drawn = [
-        tuple(
-            renderer.draw(sample.latent, sample.rotation, sample.translation_m) for sample in pair
-        )
-        for pair in pairs
-    ]
-    errors = [rendered_mse(true, shown) for true, shown in drawn]
+    drawn = [tuple(map(renderer.draw_sample, pair)) for pair in pairs]
+    errors = [drawn_mse(true, shown) for true, shown in drawn]
     true, shown = drawn[errors.index(percentile(sorted(errors), 95))]
     mean = float(np.mean(errors))
     rows, columns = np.nonzero(true.covered[0] | shown.covered[0])
     centre = (int(rows.min()) + int(rows.max())) // 2, (int(columns.min()) + columns.max()) // 2
     half = SIZE_PX * 3 // 10
     box = tuple(slice(max(middle - half, 0), max(middle - half, 0) + 2 * half) for middle in centre)
-    return Cell(f"{title} · MSE {mean:.0f}", true.images[0][box], shown.images[0][box])
+    return Cell(f"{title} · MSE {mean:.0f}", true.image[0][box], shown.image[0][box])
 
 
 def _draw(rows: list[tuple[str, list[Cell]]], title: str) -> plt.Figure:

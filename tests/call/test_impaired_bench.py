@@ -32,7 +32,7 @@ def test_a_slow_network_shows_in_latency_and_in_the_rendered_face(tmp_path: Path
     save_avatar(avatar, make_toy_avatar())
     result = run_bench(
         BenchConfig(
-            stage=LocalCallConfig(peers=1, avatar=str(avatar)),
+            call=LocalCallConfig(peers=1, avatar=str(avatar)),
             seconds=2.0,
             warm_up_s=0.5,
             impairment=Impairment(delay_s=0.15),

@@ -1,8 +1,9 @@
 """The same call as the demo's without drawing: every latent that the playout buffer lets go is
 decoded, and the time from the tracker's sample to the decoded maps is what counts.
 
-With an impairment the receiver sits behind a proxy that makes its network worse, and a witness says
-what that does to the rendered faces (`impaired_proxy`, `call_witness`).
+With an impairment the receiver sits behind a proxy that makes its network worse, and a comparison
+with the undisturbed stream says what that does to the rendered faces (`network.proxy`,
+`impaired_call_compare`).
 
 What it does not show: real networks (all is loopback), displays, and more machines than one.
 Wall-clock numbers hold for this machine under its present load.
@@ -18,7 +19,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-import sys
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.bench.impaired_call_compare import Witness
+from pica_client.bench.impaired_call_compare import CallComparison
 from pica_client.bench.network.impairment import Impairment
 from pica_client.bench.network.proxy import ImpairedProxy
 from pica_client.call.call import Call, CallConfig, DueFrame
@@ -45,7 +45,8 @@ from pica_client.local_call.local_call import (
     require_all,
 )
 from pica_client.local_call.processes import Children
-from pica_client.playout.buffer import PlayoutConfig
+from pica_client.output import say
+from pica_client.playout.config import PlayoutConfig
 from pica_client.stats import describe_machine
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.receiver import Receiver
@@ -63,7 +64,7 @@ FRONT = np.array([0, 0, 1], np.float32)
 class BenchConfig:
     """What to measure."""
 
-    stage: LocalCallConfig = field(default_factory=LocalCallConfig)
+    call: LocalCallConfig = field(default_factory=LocalCallConfig)
     seconds: float = 20.0
     """Measured time, after everybody is there and has warmed up."""
     warm_up_s: float = 2.0
@@ -141,31 +142,28 @@ def run_bench(config: BenchConfig, *, avatar_files: list[Path] | None = None) ->
     library = AvatarLibrary(avatar_files or ())
     try:
         with Children() as children:
-            stage = LocalCall(config.stage, library, children)
-            return asyncio.run(_measure(config, stage, library))
+            local = LocalCall(config.call, library, children)
+            return asyncio.run(_measure(config, local, library))
     finally:
         library.close()
 
 
-async def _measure(config: BenchConfig, stage: LocalCall, library: AvatarLibrary) -> dict[str, Any]:
+async def _measure(config: BenchConfig, local: LocalCall, library: AvatarLibrary) -> dict[str, Any]:
     async with contextlib.AsyncExitStack() as stack:
-        url, witness = stage.url, None
-        if config.impairment is not None:
-            proxy = await stack.enter_async_context(ImpairedProxy(stage.url, config.impairment))
-            url = proxy.url
-            witness = Witness(stage.url, url, library, CallConfig(playout=config.playout))
-        result = await _measure_through(url, witness, config, stage, library)
-    if witness is not None and config.impairment is not None:
-        result["impairment"] = asdict(config.impairment)
-        result["rendered"] = witness.compare(library)
-    return result
+        if config.impairment is None:
+            return await _measure_through(local.url, None, config, local, library)
+        proxy = await stack.enter_async_context(ImpairedProxy(local.url, config.impairment))
+        play = CallConfig(playout=config.playout)
+        comparison = CallComparison(local.url, proxy.url, library, play)
+        result = await _measure_through(proxy.url, comparison, config, local, library)
+    return result | {"impairment": asdict(config.impairment), "rendered": comparison.compare()}
 
 
 async def _measure_through(
     url: str,
-    witness: Witness | None,
+    comparison: CallComparison | None,
     config: BenchConfig,
-    stage: LocalCall,
+    local: LocalCall,
     library: AvatarLibrary,
 ) -> dict[str, Any]:
     call = Call(library, CallConfig(playout=config.playout))
@@ -181,25 +179,25 @@ async def _measure_through(
         asyncio.create_task(_release(receiver, lane), name="release"),
         *(asyncio.create_task(lane.run(), name="decode") for _ in range(config.decode_threads)),
     ]
-    if witness is not None:
-        tasks.append(asyncio.create_task(witness.run(), name="witness"))
+    if comparison is not None:
+        tasks.append(asyncio.create_task(comparison.run(), name="comparison"))
     try:
         deadline = loop.time() + JOIN_TIMEOUT_S
-        while call.num_live < len(stage.names):
+        while call.num_live < len(local.names):
             await _pause(tasks)
-            stage.check()
-            if stage.crashed or loop.time() > deadline:
-                require_all(stage.names, _missing(call, stage, loop.time()), stage)
+            local.check()
+            if local.crashed or loop.time() > deadline:
+                require_all(local.names, _missing(call, local, loop.time()), local)
         await _pause(tasks, config.warm_up_s)
         begin_s = loop.time()
         call.begin_window(begin_s)
         lane.begin_window()
-        if witness is not None:
-            witness.begin_window(begin_s)
-        print(f"measuring {config.seconds:g} s of {len(stage.names)} peers", file=sys.stderr)
+        if comparison is not None:
+            comparison.begin_window(begin_s)
+        say(f"measuring {config.seconds:g} s of {len(local.names)} peers")
         while (left_s := begin_s + config.seconds - loop.time()) > 0:
             await _pause(tasks, min(left_s, CHECK_INTERVAL_S))
-            stage.check()
+            local.check()
         received = receiver.stats(loop.time())
         seconds = loop.time() - begin_s
         frames = [frame for frame in lane.frames if frame.captured_us >= begin_s * 1e6]
@@ -209,16 +207,16 @@ async def _measure_through(
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
-    sent = await asyncio.to_thread(stage.finish)
+    sent = await asyncio.to_thread(local.finish)
     decoded = Counter(frame.name for frame in frames)
-    if stage.crashed:
-        raise CallProcessError("; ".join(stage.failures()))
+    if local.crashed:
+        raise CallProcessError("; ".join(local.failures()))
     return {
-        "peers": len(stage.names),
+        "peers": len(local.names),
         "decoded_peers": len(decoded),
         "seconds": round(seconds, 2),
-        "latency_ms": latency_summary(frames, stage.encode_times_s()),
-        "latents_per_s": {name: round(decoded[name] / seconds, 2) for name in stage.names},
+        "latency_ms": latency_summary(frames, local.encode_times_s()),
+        "latents_per_s": {name: round(decoded[name] / seconds, 2) for name in local.names},
         "bitrate_bps": bitrates(sent),
         "dropped": received["dropped"] + lane.num_dropped,
         "concealed": received["concealed"],
@@ -253,6 +251,6 @@ async def _pause(tasks: list[asyncio.Task[None]], seconds: float = CHECK_INTERVA
         task.result()
 
 
-def _missing(call: Call, stage: LocalCall, now: float) -> list[str]:
+def _missing(call: Call, local: LocalCall, now: float) -> list[str]:
     seen = {peer["name"] for peer in call.stats(now)["peers"] if peer["received"]}
-    return [name for name in stage.names if name not in seen]
+    return [name for name in local.names if name not in seen]

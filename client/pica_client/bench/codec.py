@@ -32,7 +32,6 @@ in every `mse`: about 0.2.
 from __future__ import annotations
 
 import struct
-import sys
 import time
 import zlib
 from collections.abc import Callable, Sequence
@@ -44,15 +43,11 @@ from typing import Any
 import numpy as np
 
 from pica_client.bench.difference_sheet import Cell, write_sheet
-from pica_client.bench.render_error import (
-    Drawing,
-    FaceRenderer,
-    evaluation_cameras,
-    masked_mse,
-    psnr_db,
-    rendered_mse,
-)
-from pica_client.errors import OptionError
+from pica_client.bench.harness import check_ranges
+from pica_client.bench.head import FaceRenderer, evaluation_cameras, psnr_db
+from pica_client.bench.option_types import Ints, Words
+from pica_client.output import say
+from pica_client.render.drawing import Drawing, change_mse, drawn_mse, masked_mse
 from pica_client.sources import open_source
 from pica_client.stats import describe_machine, wire_bytes
 from pica_core.avatar.expression_encoder import ExpressionEncoder
@@ -84,32 +79,23 @@ SHEET_PROFILES = (
 class CodecConfig:
     """What to measure."""
 
-    sources: tuple[str, ...] = (
-        "performance:talk",
-        "performance:listen",
-        "performance:range_of_motion",
-    )
+    sources: Words = ("performance:talk", "performance:listen", "performance:range_of_motion")
+    """What is sent, separated by commas; csv:FILE for a recording, see pica send --help."""
     seconds: float = 60.0
-    """Length of each, counted for the bits."""
+    """Length of each source, counted for the bits."""
     moments: int = 40
-    """Moments of each that are drawn."""
+    """Moments of each source that are drawn."""
     image_size: int = 256
-    """Rows and columns of each drawing."""
+    """Rows and columns of each drawing, pixels."""
     thinned_quality: int = 3
     """Quality whose lower layers are measured too."""
-    rates_bps: tuple[int, ...] = (2000, 1000, 500, 250, 125)
-    """Payload bitrates that the stream is told to keep to."""
+    rates_bps: Ints = (2000, 1000, 500, 250, 125)
+    """Payload bitrates that the stream is told to keep to, separated by commas."""
     sheet: Path | None = None
-    """Draw every profile at the moment of its largest error into this PNG, if given."""
+    """Draw every profile at the moment of its largest error on the first source into this PNG."""
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("seconds", 1, 600),
-            ("moments", 1, 2000),
-            ("image_size", 16, 2048),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise OptionError(f"{name} is {getattr(self, name)}; {low} to {high} is allowed")
+        check_ranges(self, seconds=(1, 600), moments=(1, 2000), image_size=(16, 2048))
 
 
 @dataclass(slots=True, eq=False)
@@ -164,15 +150,14 @@ def run_codec_bench(config: CodecConfig, avatar: Avatar) -> dict[str, Any]:
     coders = _coders(profile, avatar, config)
     with FaceRenderer(avatar, size_px=config.image_size, views=VIEWS) as renderer:
         for source, take in takes.items():
-            judge = _Judge(renderer, take, moments[source], truth[source])
+            compare = _Comparison(renderer, take, moments[source], truth[source])
             for name, code in coders.items():
-                print(f"{source}: {name}", file=sys.stderr)
-                row = {"profile": name, "source": source, "fps": FPS, **judge.measure(code(take))}
+                say(f"{source}: {name}")
+                row = {"profile": name, "source": source, "fps": FPS, **compare(code(take))}
                 rows.append(row)
                 if source == config.sources[0] and name in SHEET_PROFILES:
-                    cells.append(
-                        Cell(f"{name}  {row['payload_bps'] / 1e3:.2f} kbit/s", *judge.worst)
-                    )
+                    caption = f"{name}  {row['payload_bps'] / 1e3:.2f} kbit/s"
+                    cells.append(Cell(caption, *compare.worst))
     if config.sheet is not None:
         write_sheet(config.sheet, cells)
     return {
@@ -214,7 +199,7 @@ def _draw_truth(
         stage.release()
 
 
-class _Judge:
+class _Comparison:
     """Draws what a profile shows beside what it should."""
 
     def __init__(
@@ -232,20 +217,20 @@ class _Judge:
     def _draw_pair(self, latents: Sequence[FloatArray] | FloatArray, at: int) -> list[Drawing]:
         return [self._renderer.draw(latents[at]), self._renderer.draw(latents[at + 1])]
 
-    def measure(self, coded: Coded) -> dict[str, Any]:
+    def __call__(self, coded: Coded) -> dict[str, Any]:
         errors, changes, losses = [], [], []
         for index, moment in enumerate(self._moments):
             plain, plain_next = self._uncoded[index]
             shown, shown_next = self._draw_pair(coded.latents, moment)
-            errors.append(rendered_mse(plain, shown))
+            errors.append(drawn_mse(plain, shown))
             if errors[-1] == max(errors):
-                self.worst = (plain.images[0], shown.images[0])
-            changes.append(_change_mse(plain, plain_next, shown, shown_next))
+                self.worst = (plain.image[0], shown.image[0])
+            changes.append(change_mse((shown, shown_next), (plain, plain_next)))
             if self._truth is not None:
                 truth = self._truth[index]
                 losses.append(
-                    psnr_db(masked_mse(truth, plain.images, plain.covered))
-                    - psnr_db(masked_mse(truth, shown.images, shown.covered))
+                    psnr_db(masked_mse(truth, plain.image, plain.covered))
+                    - psnr_db(masked_mse(truth, shown.image, shown.covered))
                 )
         seconds = len(self._take.latents) / FPS
         pose = np.abs(np.stack(coded.poses) - self._take.poses).mean(axis=0)
@@ -264,17 +249,6 @@ class _Judge:
             "encode_us": round(median(coded.encode_s) * 1e6, 1),
             "decode_us": round(median(coded.decode_s) * 1e6, 1),
         }
-
-
-def _change_mse(plain: Drawing, plain_next: Drawing, shown: Drawing, shown_next: Drawing) -> float:
-    """MSE between the change of the true picture and that of the shown one."""
-    where = plain.covered | plain_next.covered | shown.covered | shown_next.covered
-
-    def change(before: Drawing, after: Drawing) -> FloatArray:
-        moved: FloatArray = after.images[where].astype(np.float32) - before.images[where]
-        return moved
-
-    return float(np.square(change(plain, plain_next) - change(shown, shown_next)).mean())
 
 
 Coder = Callable[[Take], Coded]
@@ -409,8 +383,3 @@ def _zstd(
     )
     reader = zstandard.ZstdDecompressor(dict_data=dictionary)
     return writer.compress, lambda data: reader.decompress(data, max_output_size=1 << 12)
-
-
-def parse_sources(text: str) -> tuple[str, ...]:
-    """Sources separated by commas; a path with a comma in it cannot be given."""
-    return tuple(part.strip() for part in text.split(",") if part.strip())

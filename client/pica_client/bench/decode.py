@@ -1,7 +1,7 @@
 """What decoding one face costs: every level, the straightforward export, the baseline, the blocks.
 
-All contenders take turns, one decode each in an order drawn anew for every round, so that a busy
-machine is unfair to nobody; a ratio is the median over rounds of two decodes of the same round.
+All cases take turns, one decode each in an order drawn anew for every round; a ratio is the median
+over rounds of two decodes of the same round.
 
 Rows:
 
@@ -31,15 +31,19 @@ providers than the one chosen.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from statistics import median, quantiles
-from typing import Any
+from functools import partial
+from statistics import median
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
+import tyro
+from tyro.constructors import PrimitiveConstructorSpec
 
+from pica_client.bench.harness import check_ranges, median_ms, spread, take_turns, timed
+from pica_client.bench.option_types import Ints, Words
 from pica_client.decode.decoder import (
     BaselineDecoder,
     OnnxDecoder,
@@ -49,6 +53,7 @@ from pica_client.decode.decoder import (
 )
 from pica_client.decode.onnx_runtime import onnxruntime
 from pica_client.errors import OptionError
+from pica_client.output import say
 from pica_client.schedule.error_model import ErrorModel
 from pica_client.schedule.scheduler import HeadView, Scheduler
 from pica_client.sources import open_source
@@ -76,6 +81,17 @@ WARM_UP_ROUNDS = 3
 AHEAD = np.array([0, 0, 1], np.float32)
 
 Decode = Callable[[FloatArray], object]
+Provider = Annotated[
+    OnnxOptions,
+    tyro.conf.arg(name="provider"),
+    PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="NAME",
+        instance_from_str=lambda words: OnnxOptions.for_provider(words[0]),
+        is_instance=lambda value: isinstance(value, OnnxOptions),
+        str_from_instance=lambda options: [options.provider],
+    ),
+]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -83,32 +99,31 @@ class DecodeBenchConfig:
     """What is measured."""
 
     rounds: int = 60
-    threads: tuple[int, ...] = (1, 2)
-    blocks: tuple[str, ...] = BLOCKS
-    """Candidate blocks to measure with random weights."""
+    """Decodes of each case."""
+    threads: Ints = (1, 2)
+    """Threads of ONNX Runtime, separated by commas."""
+    blocks: Words = BLOCKS
+    """Candidate blocks to measure with random weights, separated by commas; empty for none."""
     head_px: float = 640.0
-    """Height of a head for `mse` and `level_at_head_px` (chosen: 65 cm before the viewer's camera
-    of 32 degrees, in a window 720 rows high)."""
+    """Height of the head on screen, pixels, that errors and the scheduler's level are told for
+    (chosen: 65 cm before the viewer's camera of 32 degrees, in a window 720 rows high)."""
     seed: int = 0
     """Of random weights and of the order of turns."""
-    onnx: OnnxOptions = field(default_factory=OnnxOptions)
-    """Provider; `threads` above counts instead of its own."""
+    onnx: Provider = field(default_factory=OnnxOptions)
+    """ONNX Runtime execution provider, as NAME or NAME:key=value,key=value."""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.rounds <= 10_000:
-            raise OptionError(f"rounds is {self.rounds}; allowed are 1 to 10000")
+        check_ranges(self, rounds=(1, 10_000), head_px=(1, 1e5))
         if not self.threads or not all(1 <= threads <= 64 for threads in self.threads):
             raise OptionError(f"threads is {self.threads}; one or more of 1 to 64 are needed")
         for block in self.blocks:
             if block not in BLOCKS:
                 raise OptionError(f"block is {block!r}; known are {', '.join(BLOCKS)}")
-        if not 0 < self.head_px < 1e5:
-            raise OptionError(f"head-px is {self.head_px:g}; 0 to 100000 is allowed")
 
 
 @dataclass(frozen=True, slots=True)
-class Contender:
-    """Something that is measured."""
+class Case:
+    """One way to decode that is measured."""
 
     model: str
     level: int | None
@@ -117,15 +132,8 @@ class Contender:
     is_plain: bool = False
 
 
-def run_decode_bench(
-    config: DecodeBenchConfig, avatar: Avatar, say: Callable[[str], None] = lambda _: None
-) -> dict[str, Any]:
-    """Measure; see the module for rows and summary.
-
-    Args:
-        config: What.
-        avatar: Whose decoders.
-        say: LayerSubscription what is going on.
+def run_decode_bench(config: DecodeBenchConfig, avatar: Avatar) -> dict[str, Any]:
+    """Measure an avatar's decoders; see the module for rows and summary.
 
     Raises:
         OptionError: The provider cannot be had.
@@ -134,17 +142,25 @@ def run_decode_bench(
     models = {"pica": avatar} | {
         f"block {block}": random_decoders(avatar, block, config.seed) for block in config.blocks
     }
-    decodes = dict(_contenders(config, models))
+    decodes = dict(_cases(config, models))
     differences = {}
     for name, model in models.items():
         say(f"comparing the exports of {name}")
         for level in model.levels:
             differences[name, level] = export_difference(model, level, latents[:4], config.onnx)
-    samples_s = measure_in_turns(decodes, latents, config.rounds, config.seed, say)
+
+    def decode(case: Case, number: int) -> float:
+        return timed(lambda: decodes[case](latents[number % len(latents)]))[0].wall_s
+
+    cases = list(decodes)
+    samples = take_turns(
+        cases, decode, rounds=config.rounds, warm_up=WARM_UP_ROUNDS, seed=config.seed
+    )
+    samples_s = dict(zip(cases, samples, strict=True))
     rows = [
-        _row(contender, samples_s, models.get(contender.model), differences, latents, config)
-        for contender in decodes
-        if not contender.is_plain
+        _row(case, samples_s, models.get(case.model), differences, latents, config)
+        for case in cases
+        if not case.is_plain
     ]
     return {
         "avatar": avatar.manifest.name,
@@ -201,45 +217,19 @@ def export_difference(
     worst = 0.0
     for latent in latents:
         maps = fast.decode(latent, AHEAD, level)
-        feeds = {"latent": latent[None], "view_direction": AHEAD[None]}
-        wanted = plain.run(["position_map", "expression_map"], feeds)
-        for made, judge in zip((maps.position_map, maps.expression_map), wanted, strict=True):
+        wanted = _run_plain(plain, latent)
+        for made, reference in zip((maps.position_map, maps.expression_map), wanted, strict=True):
             assert made is not None
-            worst = max(worst, float(np.abs(made - judge).max() / np.abs(judge).max()))
+            worst = max(worst, float(np.abs(made - reference).max() / np.abs(reference).max()))
     return worst
 
 
-def measure_in_turns(
-    decodes: dict[Contender, Decode],
-    latents: Sequence[FloatArray],
-    rounds: int,
-    seed: int,
-    say: Callable[[str], None],
-) -> dict[Contender, list[float]]:
-    """Let everybody decode once a round; seconds of each, round after round."""
-    rng = np.random.default_rng(seed)
-    samples_s: dict[Contender, list[float]] = {contender: [] for contender in decodes}
-    everybody = list(decodes)
-    for number in range(-WARM_UP_ROUNDS, rounds):
-        if number >= 0 and number % max(rounds // 5, 1) == 0:
-            say(f"round {number} of {rounds}")
-        latent = latents[number % len(latents)]
-        for index in rng.permutation(len(everybody)).tolist():
-            decode = decodes[everybody[index]]
-            begin_s = time.perf_counter()
-            decode(latent)
-            took_s = time.perf_counter() - begin_s
-            if number >= 0:
-                samples_s[everybody[index]].append(took_s)
-    return samples_s
-
-
 def summarise(
-    samples_s: dict[Contender, list[float]], avatar: Avatar, config: DecodeBenchConfig
+    samples_s: dict[Case, list[float]], avatar: Avatar, config: DecodeBenchConfig
 ) -> dict[str, Any]:
-    """The ratios that the product is judged by, and the level that the scheduler would choose."""
+    """The ratios that the product is measured by, and the level that the scheduler would choose."""
 
-    def ratio(over: Contender, under: Contender) -> float:
+    def ratio(over: Case, under: Case) -> float:
         pairs = zip(samples_s[over], samples_s[under], strict=True)
         return round(median(one / other for one, other in pairs), 2)
 
@@ -253,15 +243,10 @@ def summarise(
         )
         level = str(each.level)
         full = replace(each, level=avatar.spec.map_size)
-        ratios["baseline_ratio"][level] = ratio(baseline_of(each), each)
+        ratios["baseline_ratio"][level] = ratio(Case("baseline", None, "all", each.threads), each)
         ratios["plain_ratio"][level] = ratio(replace(each, is_plain=True), each)
         ratios["level_ratio"][level] = ratio(full, each)
     return {"by_threads": by_threads, "level_at_head_px": level_for(avatar, config.head_px)}
-
-
-def baseline_of(contender: Contender) -> Contender:
-    """The baseline at the same number of threads."""
-    return Contender("baseline", None, "all", contender.threads)
 
 
 def level_for(avatar: Avatar, head_px: float) -> int:
@@ -279,9 +264,7 @@ def level_for(avatar: Avatar, head_px: float) -> int:
     return Scheduler().plan([head], budget_s=10.0, now=0.0).choices["head"].level
 
 
-def _contenders(
-    config: DecodeBenchConfig, models: dict[str, Avatar]
-) -> Iterator[tuple[Contender, Decode]]:
+def _cases(config: DecodeBenchConfig, models: dict[str, Avatar]) -> Iterator[tuple[Case, Decode]]:
     baseline = baseline_like(models["pica"], config.seed)
     for threads in config.threads:
         onnx = replace(config.onnx, threads=threads)
@@ -291,65 +274,56 @@ def _contenders(
             for level in avatar.levels:
                 for parts in parts_of:
                     decoder.prepare(level, parts)
-                    yield Contender(name, level, parts, threads), _fast(decoder, level, parts)
+                    decode = partial(_decode, decoder, level=level, parts=parts)
+                    yield Case(name, level, parts, threads), decode
                 plain = open_session(decoder_graph(avatar, level=level, plain=True), onnx)
-                yield Contender(name, level, "both", threads, is_plain=True), _plain(plain)
-        textured = BaselineDecoder(baseline, onnx)
-        yield Contender("baseline", None, "all", threads), _textured(textured)
+                yield Case(name, level, "both", threads, is_plain=True), partial(_run_plain, plain)
+        yield (
+            Case("baseline", None, "all", threads),
+            partial(_decode, BaselineDecoder(baseline, onnx)),
+        )
 
 
-def _fast(decoder: OnnxDecoder, level: int, parts: Parts) -> Decode:
-    return lambda latent: decoder.decode(latent, AHEAD, level, parts)
+def _decode(decoder: Any, latent: FloatArray, **which: Any) -> object:
+    return decoder.decode(latent, AHEAD, **which)
 
 
-def _plain(session: Any) -> Decode:
-    names = ["position_map", "expression_map"]
-    return lambda latent: session.run(
-        names, {"latent": latent[None], "view_direction": AHEAD[None]}
-    )
-
-
-def _textured(decoder: BaselineDecoder) -> Decode:
-    return lambda latent: decoder.decode(latent, AHEAD)
+def _run_plain(session: Any, latent: FloatArray) -> Any:
+    feeds = {"latent": latent[None], "view_direction": AHEAD[None]}
+    return session.run(["position_map", "expression_map"], feeds)
 
 
 def _row(
-    contender: Contender,
-    samples_s: dict[Contender, list[float]],
+    case: Case,
+    samples_s: dict[Case, list[float]],
     avatar: Avatar | None,
     differences: dict[tuple[str, int], float],
     latents: Sequence[FloatArray],
     config: DecodeBenchConfig,
 ) -> dict[str, Any]:
-    ordered = sorted(samples_s[contender])
-    plain = samples_s.get(replace(contender, is_plain=True))
-    level, row = contender.level, {}
-    if plain is not None and level is not None:
-        difference = differences[contender.model, level]
-        row = {
-            "plain_ms": round(median(plain) * 1e3, 3),
-            "is_equal": difference <= EQUAL,
-            "difference": float(f"{difference:.2g}"),
-        }
-    mse = vertex_mm = None
-    if avatar is not None and level is not None and contender.model == "pica":
-        errors = avatar.level_errors
-        mse = None if errors is None else round(errors.at(level, config.head_px), 3)
-        vertex_mm = round(vertex_error_mm(avatar, level, latents), 4)
-    return {
-        "model": contender.model,
+    own = samples_s[case]
+    plain = samples_s.get(replace(case, is_plain=True))
+    level = case.level
+    row = {
+        "model": case.model,
         "level": level,
-        "parts": contender.parts,
-        "threads": contender.threads,
-        "ms": round(median(ordered) * 1e3, 3),
-        "p95": round(percentile(ordered, 95) * 1e3, 3),
-        "spread": round(_spread(ordered), 3),
-        "mse": mse,
-        "vertex_mm": vertex_mm,
-        "plain_ms": None,
-        "is_equal": None,
-        "difference": None,
-    } | row
+        "parts": case.parts,
+        "threads": case.threads,
+        "ms": median_ms(own),
+        "p95": round(percentile(sorted(own), 95) * 1e3, 3),
+        "spread": spread(own),
+        **dict.fromkeys(("mse", "vertex_mm", "plain_ms", "is_equal", "difference")),
+    }
+    if plain is not None and level is not None:
+        difference = differences[case.model, level]
+        row["plain_ms"] = median_ms(plain)
+        row["is_equal"] = difference <= EQUAL
+        row["difference"] = float(f"{difference:.2g}")
+    if avatar is not None and level is not None and case.model == "pica":
+        if (errors := avatar.level_errors) is not None:
+            row["mse"] = round(errors.at(level, config.head_px), 3)
+        row["vertex_mm"] = round(vertex_error_mm(avatar, level, latents), 4)
+    return row
 
 
 def vertex_error_mm(avatar: Avatar, level: int, latents: Sequence[FloatArray]) -> float:
@@ -366,10 +340,3 @@ def vertex_error_mm(avatar: Avatar, level: int, latents: Sequence[FloatArray]) -
         moved = sheet.reshape(-1, 3)[: len(uv)] - sample_vertices(full, uv)
         distances_m.append(float(np.linalg.norm(moved, axis=1).mean()))
     return 1e3 * float(np.mean(distances_m))
-
-
-def _spread(ordered: Sequence[float]) -> float:
-    if len(ordered) < 2:
-        return 0.0
-    low, middle, high = quantiles(ordered, n=4)
-    return (high - low) / middle

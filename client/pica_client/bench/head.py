@@ -1,28 +1,37 @@
-"""What several benches draw and how they time it: one head before a camera, at rest or talking."""
+"""What several benches draw: one head before a camera, at rest, talking, or from the views of the
+stage."""
 
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Iterator
-from typing import NamedTuple, Protocol, TypeVar
+from collections.abc import Iterator, Sequence
+from types import TracebackType
+from typing import NamedTuple, Protocol, Self
 
 import numpy as np
+import numpy.typing as npt
 
+from pica_client.decode.decoder import OnnxDecoder
 from pica_client.errors import OptionError
+from pica_client.render.drawing import Drawing, HeadRenderer, drawn_mse
 from pica_client.render.gpu_textured import TexturedMesh
-from pica_client.render.scene import head_matrix
+from pica_client.render.scene import head_matrix, view_direction
 from pica_client.sources.performances import make_performance
 from pica_core.avatar.baseline import BaselineAvatar
+from pica_core.avatar.file import Avatar
 from pica_core.camera import Camera, look_at
+from pica_core.capture.stage.dome import EVALUATION_VIEWS, dome_cameras
+from pica_core.codec.latent_sample import LatentSample
+from pica_core.errors import ShapeError
+from pica_core.gl import create_context
 from pica_core.types import FloatArray
 
-T = TypeVar("T")
-
 FIELD_OF_VIEW = math.radians(50)
-"""Of the square image, both ways (chosen: `bench_render` says why)."""
+"""Of the square image, both ways (chosen: `bench.render` says why)."""
 FRAME_S = 1 / 30
 """From one frame of a talking head to the next."""
+PEAK = 255.0
+_NO_POSE = np.zeros(3, np.float32)
 
 
 class Bounded(Protocol):
@@ -35,20 +44,8 @@ class Bounded(Protocol):
 
     @property
     def bounds_max_m(self) -> tuple[float, float, float]:
-        """Upper corner."""
+        """Upper corner of all its positions, head frame, metres."""
         ...
-
-
-class Took(NamedTuple):
-    """What some work took.
-
-    Attributes:
-        wall_s: By the clock.
-        cpu_s: Of all threads of this process.
-    """
-
-    wall_s: float
-    cpu_s: float
 
 
 class TalkFrame(NamedTuple):
@@ -85,6 +82,16 @@ def front_camera(
     )
 
 
+def check_distances(distances_cm: tuple[float, ...]) -> None:
+    """Refuse distances to which no camera can be put.
+
+    Raises:
+        OptionError: None at all, or one that is not 1 to 1000 cm.
+    """
+    if not distances_cm or not all(1 <= d <= 1000 for d in distances_cm):
+        raise OptionError(f"distances_cm are {distances_cm}; 1 to 1000 are allowed")
+
+
 def talk_frames(performance: str, start_s: float, warm_up: int, frames: int) -> Iterator[TalkFrame]:
     """Frames of a shipped performance, 30 a second.
 
@@ -112,18 +119,94 @@ def textured_mesh(baseline: BaselineAvatar) -> TexturedMesh:
     )
 
 
-def timed(work: Callable[[], T]) -> tuple[Took, T]:
-    """Do some work; what it took, and what came of it."""
-    wall_s, cpu_s = time.perf_counter(), time.process_time()
-    result = work()
-    return Took(time.perf_counter() - wall_s, time.process_time() - cpu_s), result
+class FaceRenderer:
+    """Draws the latents of one avatar from views of the stage, through the real decoder and
+    renderer; belongs to one thread.
 
-
-def check_distances(distances_cm: tuple[float, ...]) -> None:
-    """Refuse distances to which no camera can be put.
+    Args:
+        avatar: Checked avatar.
+        size_px: Rows and columns of each image.
+        views: Names among the stage's evaluation views; by default the front and the left.
 
     Raises:
-        OptionError: None at all, or one that is not 1 to 1000 cm.
+        GraphicsError: No GL context; names the fix.
     """
-    if not distances_cm or not all(1 <= d <= 1000 for d in distances_cm):
-        raise OptionError(f"distances_cm are {distances_cm}; 1 to 1000 are allowed")
+
+    def __init__(
+        self,
+        avatar: Avatar,
+        *,
+        size_px: int = 256,
+        views: Sequence[str] = ("front", "left"),
+    ) -> None:
+        self._cameras = evaluation_cameras(views, size_px)
+        self._decoder = OnnxDecoder(avatar)
+        self._context = create_context()
+        self._renderer = HeadRenderer(self._context, avatar, size_px)
+
+    def draw(
+        self,
+        latent: FloatArray,
+        rotation: npt.ArrayLike = _NO_POSE,
+        translation_m: npt.ArrayLike = _NO_POSE,
+    ) -> Drawing:
+        """Draw a face from every view.
+
+        Args:
+            latent: float32 ``[8, 8, 4]``.
+            rotation: Head pose, rotation vector in radians ``[3]``.
+            translation_m: Head offset, metres ``[3]``.
+        """
+        matrix = head_matrix(np.eye(4), rotation, translation_m)
+        drawings = []
+        for camera in self._cameras:
+            maps = self._decoder.decode(latent, view_direction(matrix, camera.centre_m))
+            drawings.append(self._renderer.draw(maps, camera, matrix))
+        return Drawing(*map(np.stack, zip(*drawings, strict=True)))
+
+    def draw_sample(self, sample: LatentSample) -> Drawing:
+        """Draw a face at the pose that came with it."""
+        return self.draw(sample.latent, sample.rotation, sample.translation_m)
+
+    def largest_step_mse(self, samples: Sequence[LatentSample], points: FloatArray) -> float:
+        """MSE between the drawings of the two successive samples whose points differ most.
+
+        Args:
+            samples: Faces in the order in which they are shown.
+            points: What they are compared by, ``[T, ...]``.
+        """
+        moved = np.square(np.diff(points.reshape(len(samples), -1), axis=0)).sum(axis=1)
+        where = int(moved.argmax())
+        return drawn_mse(*map(self.draw_sample, samples[where : where + 2]))
+
+    def close(self) -> None:
+        """Give the GL context back."""
+        self._context.release()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def evaluation_cameras(views: Sequence[str], size_px: int) -> tuple[Camera, ...]:
+    """The stage's cameras of some evaluation views.
+
+    Raises:
+        ShapeError: A view that the stage does not have.
+    """
+    if unknown := sorted(set(views) - set(EVALUATION_VIEWS)):
+        raise ShapeError(f"view {unknown[0]!r} is unknown; known are {list(EVALUATION_VIEWS)}")
+    by_name = {camera.name: camera for camera in dome_cameras(5, size_px, size_px)}
+    return tuple(by_name[name] for name in views)
+
+
+def psnr_db(mse: float) -> float:
+    """Peak signal-to-noise ratio of an MSE on 0-255 values; infinite for no error."""
+    return 20 * math.log10(PEAK) - 10 * math.log10(mse) if mse > 0 else math.inf

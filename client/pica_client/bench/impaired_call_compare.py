@@ -1,15 +1,15 @@
 """What a bad network does to the faces of a real call: two more receivers and a comparison.
 
 The *reference* is connected to the relay directly and keeps every frame: the undisturbed stream.
-The *display* sits behind the bad network and looks at its faces `DISPLAY_HZ` times a second, as a
-viewer would. After the call some of what the display saw is rendered and compared with what the
+The *display* sits behind the bad network and samples its faces `DISPLAY_HZ` times a second, as
+a viewer would. After the call some of what the display saw is rendered and compared with what the
 reference knows of the same peer, on the clock that all processes of this machine share.
 
     mse_delayed   against the undisturbed face as long ago as the face on the display usually is
                   (its median age): what stutter, gaps and concealment cost
     mse_now       against the undisturbed face now: with the delay in it
     age_ms        now minus capture of the face on the display
-    largest_step  largest change between two looks over the undisturbed stream's (root mean square)
+    largest_step  largest change between two faces over the undisturbed stream's (root mean square)
 
 What it does not show: the loss of the format itself, which both streams share.
 """
@@ -19,38 +19,46 @@ from __future__ import annotations
 import asyncio
 import bisect
 from collections import defaultdict, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.bench.render_error import FaceRenderer, rendered_mse
+from pica_client.bench.head import FaceRenderer
 from pica_client.call.call import Call, CallConfig
 from pica_client.local_call.local_call import ROOM
 from pica_client.playout.rotation import blend_rotations
+from pica_client.render.drawing import drawn_mse
 from pica_client.stats import percentile, summarise_ms
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.receiver import Receiver
 from pica_core.codec.latent_sample import LatentSample
 
 DISPLAY_HZ = 60.0
-MAX_LOOKS = 30_000
+MAX_SHOWN = 30_000
 """Faces of the display kept, 1 KB each; drops the oldest: 100 s of five peers."""
 MAX_REFERENCE = 20_000
 """Frames of each peer kept for comparison; drops the oldest: 11 minutes."""
 RENDERED_PER_PEER = 40
-"""Looks that are rendered, evenly spread (chosen: seconds of rendering in software)."""
+"""Faces that are rendered, evenly spread (chosen: seconds of rendering in software)."""
 SIZE_PX = 192
 
 
-class Look(NamedTuple):
-    """One face as the display had it."""
+class Shown(NamedTuple):
+    """One face as the display had it; times are microseconds of this machine's clock."""
 
+    name: str
+    avatar_id: str
     now_us: int
     captured_us: int
     sample: LatentSample
     is_fresh: bool
+
+    @property
+    def age_s(self) -> float:
+        """Seconds since it was captured."""
+        return (self.now_us - self.captured_us) / 1e6
 
 
 class TrueFace:
@@ -83,7 +91,7 @@ class TrueFace:
         )
 
 
-class Witness:
+class CallComparison:
     """Both receivers. Let `run` run beside the call, then `compare`."""
 
     def __init__(
@@ -97,6 +105,7 @@ class Witness:
             library: Avatars of the call.
             config: How the display plays.
         """
+        self._library = library
         self._reference = Receiver(
             LinkConfig(url=url, room=ROOM, name="reference"), Call(library, CallConfig())
         )
@@ -106,7 +115,7 @@ class Witness:
         )
         self._true: defaultdict[str, TrueFace] = defaultdict(TrueFace)
         # Drops its oldest when full.
-        self._looks: deque[tuple[str, str, Look]] = deque(maxlen=MAX_LOOKS)
+        self._shown: deque[Shown] = deque(maxlen=MAX_SHOWN)
 
     async def run(self) -> None:
         """Watch until cancelled."""
@@ -117,27 +126,33 @@ class Witness:
 
     def begin_window(self, now: float) -> None:
         """Let the comparison begin here."""
-        self._looks.clear()
+        self._shown.clear()
         self._display.call.begin_window(now)
 
-    def compare(self, library: AvatarLibrary) -> dict[str, Any]:
-        """Render what the display saw, and say how far off it was.
+    def compare(self) -> dict[str, Any]:
+        """Render what the display showed, and say how far off it was.
 
         Raises:
             GraphicsError: No GL context; names the fix.
         """
-        by_peer: defaultdict[tuple[str, str], list[Look]] = defaultdict(list)
-        for name, avatar_id, look in self._looks:
-            by_peer[avatar_id, name].append(look)
-        rows = {}
-        for avatar_id in sorted({avatar for avatar, _ in by_peer}):
-            with FaceRenderer(
-                library.load(avatar_id), size_px=SIZE_PX, views=("front",)
-            ) as renderer:
-                for (avatar, name), looks in by_peer.items():
-                    if avatar == avatar_id:
-                        rows[name] = _compare(renderer, looks, self._true[name])
-        return _summary(rows, [look for _, _, look in self._looks])
+        rows = []
+        for avatar_id in sorted({shown.avatar_id for shown in self._shown}):
+            avatar = self._library.load(avatar_id)
+            with FaceRenderer(avatar, size_px=SIZE_PX, views=("front",)) as renderer:
+                own = [shown for shown in self._shown if shown.avatar_id == avatar_id]
+                for name in dict.fromkeys(shown.name for shown in own):
+                    by_peer = [shown for shown in own if shown.name == name]
+                    rows.append(_compare(renderer, by_peer, self._true[name]))
+        means: dict[str, float | None] = {}
+        for figure in ("mse_delayed", "mse_now", "largest_step"):
+            found = [row[figure] for row in rows if figure in row]
+            means[figure] = round(float(np.mean(found)), 3) if found else None
+        fresh = [shown.is_fresh for shown in self._shown]
+        return means | {
+            "renders": sum(int(row.get("renders", 0)) for row in rows),
+            "concealed_ratio": round(1 - float(np.mean(fresh)), 4) if fresh else None,
+            "age_ms": summarise_ms(shown.age_s for shown in self._shown),
+        }
 
     async def _watch(self) -> None:
         loop = asyncio.get_running_loop()
@@ -149,67 +164,41 @@ class Witness:
             for due in self._reference.call.due_frames(now):
                 self._true[due.name].add(due.frame.captured_us, due.frame.sample)
             for face in self._display.call.faces(now):
-                if face.latent is None:
-                    continue
-                sample = LatentSample(
-                    latent=face.latent, rotation=face.rotation, translation_m=face.translation_m
-                )
-                look = Look(round(now * 1e6), face.captured_us, sample, face.status == "live")
-                self._looks.append((face.name, face.avatar_id, look))
+                if face.latent is not None:
+                    sample = LatentSample(
+                        latent=face.latent, rotation=face.rotation, translation_m=face.translation_m
+                    )
+                    times_us = round(now * 1e6), face.captured_us
+                    is_fresh = face.status == "live"
+                    self._shown.append(
+                        Shown(face.name, face.avatar_id, *times_us, sample, is_fresh)
+                    )
 
 
-def _compare(renderer: FaceRenderer, looks: Sequence[Look], true: TrueFace) -> dict[str, float]:
+def _compare(renderer: FaceRenderer, faces: Sequence[Shown], true: TrueFace) -> dict[str, float]:
     """The errors of one peer; empty if the reference saw nothing of it."""
-    ages = sorted(look.now_us - look.captured_us for look in looks)
-    usual_us = round(percentile([float(age) for age in ages], 50))
+    usual_us = round(percentile(sorted(face.age_s for face in faces), 50) * 1e6)
     errors = []
-    for look in looks[:: max(len(looks) // RENDERED_PER_PEER, 1)]:
-        delayed, now = true.at(look.now_us - usual_us), true.at(look.now_us)
+    for face in faces[:: max(len(faces) // RENDERED_PER_PEER, 1)]:
+        delayed, now = true.at(face.now_us - usual_us), true.at(face.now_us)
         if delayed is None or now is None:
             continue
-        shown, *wanted = (
-            renderer.draw(sample.latent, sample.rotation, sample.translation_m)
-            for sample in (look.sample, delayed, now)
-        )
-        errors.append([rendered_mse(shown, drawn) for drawn in wanted])
+        drawn, *wanted = map(renderer.draw_sample, (face.sample, delayed, now))
+        errors.append([drawn_mse(drawn, each) for each in wanted])
     if not errors:
         return {}
-    mean = np.mean(errors, axis=0)
-    row = {"mse_delayed": float(mean[0]), "mse_now": float(mean[1]), "renders": len(errors)}
-    undisturbed = [true.at(look.now_us - usual_us) for look in looks]
+    mse_delayed, mse_now = np.mean(errors, axis=0).tolist()
+    row = {"mse_delayed": mse_delayed, "mse_now": mse_now, "renders": len(errors)}
+    undisturbed = [true.at(face.now_us - usual_us) for face in faces]
     true_step = _largest_step(renderer, [sample for sample in undisturbed if sample is not None])
     if true_step > 0:
-        shown_step = _largest_step(renderer, [look.sample for look in looks])
+        shown_step = _largest_step(renderer, [face.sample for face in faces])
         row["largest_step"] = (shown_step / true_step) ** 0.5
     return row
 
 
 def _largest_step(renderer: FaceRenderer, samples: Sequence[LatentSample]) -> float:
-    """MSE between the two neighbours whose latents differ most; 0 if there are not two."""
+    """MSE between the two successive faces whose latents differ most; 0 if there are not two."""
     if len(samples) < 2:
         return 0.0
-    latents = np.stack([sample.latent.ravel() for sample in samples])
-    where = int(np.square(np.diff(latents, axis=0)).sum(axis=1).argmax())
-    first, second = (
-        renderer.draw(sample.latent, sample.rotation, sample.translation_m)
-        for sample in samples[where : where + 2]
-    )
-    return rendered_mse(first, second)
-
-
-def _summary(rows: Mapping[str, dict[str, float]], looks: Sequence[Look]) -> dict[str, Any]:
-    """Means over the peers, and what holds for all looks."""
-    figures = ("mse_delayed", "mse_now", "largest_step")
-    found = {
-        name: [row[name] for row in rows.values() if name in row] for name in (*figures, "renders")
-    }
-    return {
-        **{
-            name: round(float(np.mean(found[name])), 3) if found[name] else None for name in figures
-        },
-        "renders": int(sum(found["renders"])),
-        "concealed_ratio": (
-            round(float(np.mean([not look.is_fresh for look in looks])), 4) if looks else None
-        ),
-        "age_ms": summarise_ms((look.now_us - look.captured_us) / 1e6 for look in looks),
-    }
+    return renderer.largest_step_mse(samples, np.stack([sample.latent for sample in samples]))

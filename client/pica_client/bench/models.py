@@ -38,23 +38,18 @@ measured in between has emptied them.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
-from statistics import median, quantiles
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from statistics import quantiles
+from typing import Any, NamedTuple
 
 import moderngl
-import numpy as np
 
 from pica_client.bench.eval_rows import EvalRows, HeldOutError
-from pica_client.bench.head import (
-    Took,
-    check_distances,
-    front_camera,
-    talk_frames,
-    timed,
-)
+from pica_client.bench.harness import Took, check_ranges, gl_context, median_ms, take_turns, timed
+from pica_client.bench.head import check_distances, front_camera, talk_frames
 from pica_client.bench.model_files import Model
+from pica_client.bench.option_types import Floats
 from pica_client.bench.pareto import mark_best
 from pica_client.decode.decoder import OnnxOptions
 from pica_client.decode.onnx_runtime import onnxruntime
@@ -64,7 +59,7 @@ from pica_client.render.renderer import Renderer
 from pica_client.render.scene import Placement, view_direction
 from pica_client.stats import describe_machine
 from pica_core.camera import Camera
-from pica_core.gl import create_context, wait_for_gpu
+from pica_core.gl import wait_for_gpu
 from pica_core.types import FloatArray
 
 WARM_UP_FRAMES = 2
@@ -75,24 +70,24 @@ PARTS = ("decode", "upload", "draw", "total")
 class ModelsBenchConfig:
     """What to measure."""
 
-    distances_cm: tuple[float, ...] = (18.0, 65.0, 120.0)
+    distances_cm: Floats = (18.0, 65.0, 120.0)
+    """From the camera to the front of the head, separated by commas."""
     image_size: int = 768
     """Rows and columns of the image, pixels."""
     frames: int = 30
-    """Of each model at each distance, 30 a second."""
+    """Frames of each model at each distance, 30 a second."""
     threads: int = 1
-    """Of ONNX Runtime."""
+    """Threads of ONNX Runtime."""
     performance: str = "talk"
+    """What the heads do: talk, listen or range-of-motion."""
     start_s: float = 3.0
-    """Where in it the frames begin."""
+    """Second of it at which the frames begin."""
     seed: int = 0
     """Of the order of turns."""
 
     def __post_init__(self) -> None:
         check_distances(self.distances_cm)
-        for name, low, high in (("image_size", 64, 4096), ("frames", 3, 1000), ("threads", 1, 64)):
-            if not low <= getattr(self, name) <= high:
-                raise OptionError(f"{name} is {getattr(self, name)}; {low} to {high} is allowed")
+        check_ranges(self, image_size=(64, 4096), frames=(3, 1000), threads=(1, 64))
 
 
 def join_errors(models: Sequence[Model], rows: EvalRows) -> list[HeldOutError]:
@@ -122,27 +117,21 @@ def join_errors(models: Sequence[Model], rows: EvalRows) -> list[HeldOutError]:
 
 
 def run_models_bench(
-    config: ModelsBenchConfig,
-    models: Sequence[Model],
-    errors: Sequence[HeldOutError],
-    progress: Callable[[float], None] = lambda ratio: None,
+    config: ModelsBenchConfig, models: Sequence[Model], errors: Sequence[HeldOutError]
 ) -> dict[str, Any]:
     """Measure.
 
     Args:
         config: What.
-        models: Of whom, from `bench_model_files.open_models`.
+        models: Of whom, from `model_files.open_models`.
         errors: Theirs, from `join_errors`.
-        progress: LayerSubscription how much is done, 0 to 1.
 
     Raises:
         GraphicsError: No GL context.
     """
-    context = create_context()
-    try:
+    with gl_context() as context:
         bench = _Bench(context, config, models)
-        bench.run(progress)
-        rows, triangles = bench.rows(errors)
+        rows, triangles = bench.run(errors)
         return {
             "gl_renderer": bench.gl_renderer,
             "gl_threads": os.environ.get("LP_NUM_THREADS"),
@@ -154,28 +143,18 @@ def run_models_bench(
             "rows": rows,
             "machine": describe_machine() | {"onnxruntime": onnxruntime.__version__},
         }
-    finally:
-        context.release()
 
 
-def _slot_of(number: int) -> str:
-    """Where a renderer has a model."""
-    return f"model-{number}"
-
-
-@dataclass(slots=True)
-class _Case:
-    """One model at one distance, and what its frames took."""
+class _Case(NamedTuple):
+    """One model, by its number, at one distance."""
 
     number: int
-    """Of the model."""
     distance_cm: float
-    frames: list[dict[str, Took]] = field(default_factory=list)
 
     @property
     def slot(self) -> str:
-        """Of the renderer."""
-        return _slot_of(self.number)
+        """Where the renderer has the model."""
+        return f"model-{self.number}"
 
 
 class _Bench:
@@ -183,46 +162,41 @@ class _Bench:
         self, context: moderngl.Context, config: ModelsBenchConfig, models: Sequence[Model]
     ) -> None:
         self._context, self._config, self._models = context, config, models
-        size = config.image_size
-        self._renderer = Renderer(context, (size, size))
+        self._renderer = Renderer(context, (config.image_size, config.image_size))
         self.gl_renderer = self._renderer.gl_renderer
         onnx = OnnxOptions(threads=config.threads)
+        numbers = range(len(models))
+        self._cases = [_Case(n, distance) for n in numbers for distance in config.distances_cm]
         for number, model in enumerate(models):
-            model.stage(self._renderer, _slot_of(number), onnx)
-        self._cases = [
-            _Case(number, distance)
-            for number in range(len(models))
-            for distance in config.distances_cm
-        ]
-        self._matrix: FloatArray = np.eye(4, dtype=np.float32)
+            model.stage(self._renderer, _Case(number, 0).slot, onnx)
 
-    def run(self, progress: Callable[[float], None]) -> None:
-        """Show all frames in all ways."""
-        config, rng = self._config, np.random.default_rng(self._config.seed)
+    def run(self, errors: Sequence[HeldOutError]) -> tuple[list[dict[str, Any]], list[int]]:
+        """Show all frames in all ways; a row for each case, and each model's triangles."""
+        config = self._config
         talk = talk_frames(config.performance, config.start_s, WARM_UP_FRAMES, config.frames)
-        count = WARM_UP_FRAMES + config.frames
-        for index, (arkit, self._matrix) in enumerate(talk):
-            latents = [model.encoder.encode(arkit) for model in self._models]
-            for turn in rng.permutation(len(self._cases)).tolist():
-                case = self._cases[turn]
-                took = self._show(case, latents[case.number])
-                if index >= WARM_UP_FRAMES:
-                    case.frames.append(took)
-            progress((index + 1) / count)
+        shown = [
+            ([model.encoder.encode(arkit) for model in self._models], matrix)
+            for arkit, matrix in talk
+        ]
 
-    def rows(self, errors: Sequence[HeldOutError]) -> tuple[list[dict[str, Any]], list[int]]:
-        """A row for each case, and each model's triangles."""
+        def show(case: _Case, number: int) -> dict[str, Took]:
+            latents, matrix = shown[number + WARM_UP_FRAMES]
+            return self._show(case, latents[case.number], matrix)
+
+        times = take_turns(
+            self._cases, show, rounds=config.frames, warm_up=WARM_UP_FRAMES, seed=config.seed
+        )
         rows: list[dict[str, Any]] = []
         triangles = [0] * len(self._models)
-        for case in self._cases:
-            stats = self._draw(case, count_pixels=True)
+        for case, frames in zip(self._cases, times, strict=True):
+            stats = self._draw(case, shown[-1][1], count_pixels=True)
             triangles[case.number] = stats.num_triangles
             rows.append(
                 {
                     **self._models[case.number].key._asdict(),
                     "distance_cm": case.distance_cm,
                     "pixels": sum(head.shaded_pixels or 0 for head in stats.heads),
-                    **_times(case.frames),
+                    **_times(frames),
                     "mse": round(errors[case.number].mse, 4),
                 }
             )
@@ -230,18 +204,18 @@ class _Bench:
             mark_best([row for row in rows if row["identity"] == identity])
         return rows, triangles
 
-    def _show(self, case: _Case, latent: FloatArray) -> dict[str, Took]:
+    def _show(self, case: _Case, latent: FloatArray, matrix: FloatArray) -> dict[str, Took]:
         """Decode and draw one frame."""
         model = self._models[case.number]
-        direction = view_direction(self._matrix, self._camera(case).centre_m)
+        direction = view_direction(matrix, self._camera(case).centre_m)
         decoded, _ = timed(lambda: model.decode(latent, direction))
         uploaded, _ = timed(lambda: model.upload(self._renderer, case.slot))
-        drawn, _ = timed(lambda: self._draw(case))
+        drawn, _ = timed(lambda: self._draw(case, matrix))
         total = Took(decoded.wall_s + drawn.wall_s, decoded.cpu_s + drawn.cpu_s)
         return dict(zip(PARTS, (decoded, uploaded, drawn, total), strict=True))
 
-    def _draw(self, case: _Case, *, count_pixels: bool = False) -> DrawStats:
-        placement = Placement(slot=case.slot, world_from_head=self._matrix)
+    def _draw(self, case: _Case, matrix: FloatArray, *, count_pixels: bool = False) -> DrawStats:
+        placement = Placement(slot=case.slot, world_from_head=matrix)
         stats = self._renderer.draw([placement], self._camera(case), count_pixels=count_pixels)
         wait_for_gpu(self._context)
         return stats
@@ -255,11 +229,11 @@ def _times(frames: Sequence[dict[str, Took]]) -> dict[str, float]:
     found: dict[str, float] = {}
     for part in PARTS:
         walls_s = [took[part].wall_s for took in frames]
-        low, middle, high = quantiles(walls_s, n=4, method="inclusive")
-        found[f"{part}_ms"] = round(middle * 1e3, 3)
+        low, _, high = quantiles(walls_s, n=4, method="inclusive")
+        found[f"{part}_ms"] = median_ms(walls_s)
         found[f"{part}_ms_low"] = round(low * 1e3, 3)
         found[f"{part}_ms_high"] = round(high * 1e3, 3)
-        found[f"{part}_cpu_ms"] = round(median(took[part].cpu_s for took in frames) * 1e3, 3)
+        found[f"{part}_cpu_ms"] = median_ms([took[part].cpu_s for took in frames])
     return found
 
 

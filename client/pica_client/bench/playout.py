@@ -2,8 +2,8 @@
 the rendered face. On a virtual clock, so every figure comes out the same on every machine with the
 same renderer.
 
-Each row is one scenario (`impairment_scenarios`) under one policy (`playout.POLICIES`). Unless it
-says otherwise a figure is of the troubled third of the run:
+Each row is one scenario (`network.scenarios`) under one policy (`playout.config.POLICIES`). Unless
+it says otherwise a figure is of the troubled third of the run:
 
     mse_shown        against the true face at the moment that the policy means to show: the refresh
                      less the fastest transit less the policy's own delay. What interpolation,
@@ -30,22 +30,24 @@ MSE is on 0-255 values over covered pixels of a front view of 192 x 192 pixels, 
 second. Which steps are largest is decided between latents and head poses, the steps themselves are
 rendered.
 
-What it does not show: real networks (see `impairment` for what is modelled), displays that miss
-refreshes, and people: performances and avatars are synthetic.
+What it does not show: real networks (see `network.impairment` for what is modelled), displays that
+miss refreshes, and people: performances and avatars are synthetic.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import tyro
 
+from pica_client.bench.harness import check_ranges
+from pica_client.bench.head import FaceRenderer
 from pica_client.bench.network.scenarios import BY_NAME, SCENARIOS
 from pica_client.bench.network.stream_trial import (
     Delivery,
@@ -55,9 +57,11 @@ from pica_client.bench.network.stream_trial import (
     deliver,
     play,
 )
-from pica_client.bench.render_error import Drawing, FaceRenderer, rendered_mse
+from pica_client.bench.option_types import Words
 from pica_client.errors import OptionError
+from pica_client.output import say
 from pica_client.playout.buffer import POLICIES, Playout
+from pica_client.render.drawing import Drawing, drawn_mse
 from pica_client.sources import open_source
 from pica_client.stats import percentile
 from pica_core.avatar.expression_encoder import ExpressionEncoder
@@ -69,9 +73,9 @@ from pica_core.codec.latent_stream import StreamConfig
 SIZE_PX = 192
 MAX_DRAWINGS = 1500
 """Drawings of the true face kept: 0.15 MB each."""
-POSE_WEIGHT = 3.0
-"""Of a radian or a tenth of a metre against a latent's unit, where steps are compared before they
-are drawn (chosen: only the order of candidates depends on it)."""
+TURN_WEIGHT, MOVE_WEIGHT = 3.0, 30.0
+"""Of a radian and a metre against a latent's unit, where steps are compared before they are drawn
+(chosen: only the order of candidates depends on it)."""
 
 CODECS = ("coded", "plain")
 MSE_FIGURES = ("mse_shown", "mse_expression", "mse_now")
@@ -82,21 +86,20 @@ class BenchPlayoutConfig:
     """What to compare."""
 
     source: str = "performance:talk"
+    """The face that is sent; see pica send --help."""
     codec: str = "coded"
-    """Format of the payloads, a name in `CODECS`."""
-    scenarios: tuple[str, ...] = ()
-    """Names of rows; all by default."""
-    schedule: Schedule = field(default_factory=Schedule)
+    """Format of the payloads: coded, or plain for 8 bits a value and every frame alone."""
+    scenarios: Words = ()
+    """Names of troubles, separated by commas; all by default."""
+    schedule: tyro.conf.OmitArgPrefixes[Schedule] = field(default_factory=Schedule)
+    """When frames are captured and shown."""
     renders_per_s: float = 10.0
-    """Refreshes that are rendered for the error, a second."""
+    """Refreshes that are rendered to measure the error, a second."""
     seed: int = 0
+    """Of the network."""
 
     def __post_init__(self) -> None:
-        if not 0.5 <= self.renders_per_s <= self.schedule.display_hz:
-            raise OptionError(
-                f"renders_per_s is {self.renders_per_s:g}; "
-                f"0.5 to {self.schedule.display_hz:g} is allowed"
-            )
+        check_ranges(self, renders_per_s=(0.5, self.schedule.display_hz))
         if self.codec not in CODECS:
             raise OptionError(f"codec {self.codec!r} is unknown; known are {', '.join(CODECS)}")
         for name in self.scenarios:
@@ -133,7 +136,7 @@ def run_bench_playout(config: BenchPlayoutConfig, avatar: Avatar) -> dict[str, A
     chosen = [BY_NAME[name] for name in config.scenarios] or list(SCENARIOS)
     rows = []
     with FaceRenderer(avatar, size_px=SIZE_PX, views=("front",)) as renderer:
-        judge = Judge(renderer, face, config.schedule, config.renders_per_s)
+        compare = _Comparison(renderer, face, config.schedule, config.renders_per_s)
         for scenario in chosen:
             ends = open_ends(avatar, config.codec, config.schedule.fps)
             delivery = deliver(face, ends, scenario, config.schedule, seed=config.seed)
@@ -145,11 +148,11 @@ def run_bench_playout(config: BenchPlayoutConfig, avatar: Avatar) -> dict[str, A
                         "policy": policy,
                         "source": config.source,
                         "codec": config.codec,
-                        **judge.measure(ticks, delivery),
+                        **compare(ticks, delivery),
                         **_network(delivery, config.schedule),
                     }
                 )
-            _say(f"{scenario.name}: {scenario.note}")
+            say(f"{scenario.name}: {scenario.note}")
     return {
         "rows": rows,
         "avatar": avatar.manifest.name,
@@ -181,7 +184,7 @@ def true_face(source: str, avatar: Avatar) -> Face:
     return face
 
 
-class Judge:
+class _Comparison:
     """Compares what was shown with the true face. Draws the true face of a moment once."""
 
     def __init__(
@@ -193,7 +196,7 @@ class Judge:
         self._every = max(round(schedule.display_hz / renders_per_s), 1)
         self._true_drawing = lru_cache(maxsize=MAX_DRAWINGS)(self._draw_true)
 
-    def measure(self, ticks: Sequence[Tick], delivery: Delivery) -> dict[str, Any]:
+    def __call__(self, ticks: Sequence[Tick], delivery: Delivery) -> dict[str, Any]:
         """The figures of one run; see the module."""
         schedule = self._schedule
         troubled = [tick for tick in ticks if schedule.begin_s <= tick.now_s < schedule.end_s]
@@ -219,15 +222,15 @@ class Judge:
         if tick.played is None:
             raise OptionError("nothing is shown in the troubled third; let the run be longer")
         shown = tick.played.sample
-        drawn = self._draw(shown)
+        drawn = self._renderer.draw_sample(shown)
         meant_us = round((tick.now_s - delivery.base_delay_s - tick.report.delay_s) * 1e6)
         pose = self._face(meant_us / 1e6)
         expression = self._renderer.draw(shown.latent, pose.rotation, pose.translation_m)
         meant = self._true_drawing(meant_us)
         return (
-            rendered_mse(drawn, meant),
-            rendered_mse(expression, meant),
-            rendered_mse(drawn, self._true_drawing(round(tick.now_s * 1e6))),
+            drawn_mse(drawn, meant),
+            drawn_mse(expression, meant),
+            drawn_mse(drawn, self._true_drawing(round(tick.now_s * 1e6))),
         )
 
     def _longest_gap_ms(self, ticks: Sequence[Tick]) -> float:
@@ -269,27 +272,17 @@ class Judge:
         return round(math.sqrt(self._drawn_step(shown) / true_step), 2)
 
     def _drawn_step(self, samples: Sequence[LatentSample]) -> float:
-        """MSE between the two neighbours that differ most."""
-        points = np.stack(
-            [
-                np.concatenate(
-                    [
-                        sample.latent.ravel(),
-                        POSE_WEIGHT * sample.rotation,
-                        10 * POSE_WEIGHT * sample.translation_m,
-                    ]
-                )
-                for sample in samples
-            ]
-        )
-        where = int(np.square(np.diff(points, axis=0)).sum(axis=1).argmax())
-        return rendered_mse(self._draw(samples[where]), self._draw(samples[where + 1]))
-
-    def _draw(self, sample: LatentSample) -> Drawing:
-        return self._renderer.draw(sample.latent, sample.rotation, sample.translation_m)
+        """MSE between the two successive faces that differ most, pose included."""
+        points = [
+            np.concatenate(
+                [s.latent.ravel(), TURN_WEIGHT * s.rotation, MOVE_WEIGHT * s.translation_m]
+            )
+            for s in samples
+        ]
+        return self._renderer.largest_step_mse(samples, np.stack(points))
 
     def _draw_true(self, time_us: int) -> Drawing:
-        return self._draw(self._face(time_us / 1e6))
+        return self._renderer.draw_sample(self._face(time_us / 1e6))
 
 
 def _network(delivery: Delivery, schedule: Schedule) -> dict[str, Any]:
@@ -316,7 +309,3 @@ def _added_delay_s(tick: Tick, delivery: Delivery) -> float:
 
 def _is_concealed(tick: Tick) -> bool:
     return tick.played is None or tick.played.is_concealed
-
-
-def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)

@@ -38,23 +38,25 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from statistics import median, quantiles
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import moderngl
 import numpy as np
 
-from pica_client.bench.head import (
-    FIELD_OF_VIEW,
+from pica_client.bench.harness import (
     Took,
-    check_distances,
-    front_camera,
-    textured_mesh,
+    check_ranges,
+    gl_context,
+    median_ms,
+    spread,
+    take_turns,
     timed,
 )
+from pica_client.bench.head import FIELD_OF_VIEW, check_distances, front_camera, textured_mesh
+from pica_client.bench.option_types import Floats
 from pica_client.bench.relay.processes import memory_bytes
 from pica_client.decode.decoder import OnnxDecoder
-from pica_client.errors import OptionError
+from pica_client.render.drawing import HEAD
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement, view_direction
 from pica_client.stats import describe_machine
@@ -63,55 +65,60 @@ from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.camera import Camera
-from pica_core.gl import create_context, wait_for_gpu
+from pica_core.gl import wait_for_gpu
 from pica_core.reference.baseline import baseline_like
 
-Draw = Callable[[], object]
-Model = Literal["pica", "baseline"]
 Weights = Literal["auto", "block", "constants", "turns"]
-
-HEAD = np.eye(4, dtype=np.float32)
+WEIGHTS: tuple[Weights, ...] = ("auto", "block", "constants", "turns")
+"""Places of the pixel decoder's weights, see `RenderOptions`."""
 WARM_UP_FRAMES = 3
 EXTRA_TIMES = 8
 """How many times more than once vertices are worked through to be timed."""
 SWEEP_NEAREST_CM, SWEEP_FARTHEST_CM = 18.0, 400.0
+TIMES = ("draw_ms", "draw_cpu_ms")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RenderBenchConfig:
     """What to measure."""
 
-    distances_cm: tuple[float, ...] = (18.0, 65.0, 120.0)
+    distances_cm: Floats = (18.0, 65.0, 120.0)
+    """From the camera to the front of the head, separated by commas."""
     image_size: int = 1024
     """Rows and columns of the image, pixels."""
     rounds: int = 15
-    """Frames of each case."""
+    """Frames drawn of each case."""
     sweep_points: int = 12
-    """Distances of the sweep."""
+    """Distances of the sweep over pixels."""
     soak_frames: int = 0
     """Then draw so many small frames and watch the memory."""
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("image_size", 64, 4096),
-            ("rounds", 3, 1000),
-            ("sweep_points", 3, 100),
-            ("soak_frames", 0, 10_000_000),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise OptionError(f"{name} is {getattr(self, name)}; {low} to {high} is allowed")
+        check_ranges(
+            self,
+            image_size=(64, 4096),
+            rounds=(3, 1000),
+            sweep_points=(3, 100),
+            soak_frames=(0, 10_000_000),
+        )
         check_distances(self.distances_cm)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class _Case:
-    model: Model
+class _Case(NamedTuple):
+    """A model at one distance; level and mesh are 0 for the baseline."""
+
+    model: str
     level: int
-    """0 for the baseline."""
     mesh: int
-    """Level of the triangles; 0 for the baseline."""
-    weights: Weights
+    weights: str
     distance_cm: float
+
+
+class _Times(NamedTuple):
+    """What one frame took, and its vertices alone."""
+
+    frame: Took
+    vertex: Took
 
 
 def run_render_bench(config: RenderBenchConfig, avatar: Avatar) -> dict[str, Any]:
@@ -120,25 +127,16 @@ def run_render_bench(config: RenderBenchConfig, avatar: Avatar) -> dict[str, Any
     Raises:
         GraphicsError: No GL context.
     """
-    context = create_context()
-    try:
+    with gl_context() as context:
         bench = _Bench(context, config, avatar)
-        rows = bench.measure(bench.table_cases())
-        sweep = bench.measure(bench.sweep_cases())
-        kinds = dict.fromkeys((row["model"], row["level"]) for row in sweep)
-        lines = [
-            {
-                "model": model,
-                "level": level,
-                "time": time_name,
-                **fit_line(
-                    [row for row in sweep if (row["model"], row["level"]) == (model, level)],
-                    time_name,
-                ),
-            }
-            for model, level in kinds
-            for time_name in ("draw_ms", "draw_cpu_ms")
-        ]
+        rows, sweep = bench.measure(bench.table_cases()), bench.measure(bench.sweep_cases())
+        lines = []
+        for kind in dict.fromkeys((row["model"], row["level"]) for row in sweep):
+            own = [row for row in sweep if (row["model"], row["level"]) == kind]
+            for name in TIMES:
+                lines.append(
+                    {"model": kind[0], "level": kind[1], "time": name, **fit_line(own, name)}
+                )
         result = {
             "avatar": avatar.manifest.identity,
             "gl_renderer": bench.gl_renderer,
@@ -155,8 +153,6 @@ def run_render_bench(config: RenderBenchConfig, avatar: Avatar) -> dict[str, Any
         if config.soak_frames:
             result["soak"] = bench.soak(config.soak_frames)
         return result
-    finally:
-        context.release()
 
 
 class _Bench:
@@ -165,111 +161,88 @@ class _Bench:
     def __init__(
         self, context: moderngl.Context, config: RenderBenchConfig, avatar: Avatar
     ) -> None:
-        self._context = context
-        self._config = config
-        self._avatar = avatar
-        self._renderers: dict[str, Renderer] = {}
+        self._context, self._config, self._avatar = context, config, avatar
         latent = ExpressionEncoder(avatar).encode(np.zeros(NUM_ARKIT, np.float32))
-        decoder = OnnxDecoder(avatar)
         direction = view_direction(HEAD, self._camera(100.0).centre_m)
-        baseline = baseline_like(avatar)
-        places: tuple[Weights, ...] = ("auto", "block", "constants", "turns")
-        for place in places:
+        decoder, size = OnnxDecoder(avatar), (config.image_size, config.image_size)
+        self._maps = [decoder.decode(latent, direction, level) for level in avatar.levels]
+        self._renderers: dict[str, Renderer] = {}
+        for place in WEIGHTS:
             renderer = self._renderers[place] = Renderer(
-                context, (config.image_size, config.image_size), RenderOptions(weights=place)
+                context, size, RenderOptions(weights=place)
             )
-            for level in avatar.levels:
-                maps = decoder.decode(latent, direction, level)
-                renderer.add_avatar(f"pica-{level}", avatar)
-                renderer.update_maps(f"pica-{level}", maps.position_map, maps.expression_map)
-        add_baseline(self._renderers["auto"], "baseline-0", baseline)
-        self.gl_renderer = self._renderers["auto"].gl_renderer
-        self.weights = self._renderers["auto"].weights
+            for maps in self._maps:
+                slot = f"pica-{maps.level}"
+                renderer.add_avatar(slot, avatar)
+                renderer.update_maps(slot, maps.position_map, maps.expression_map)
+        chosen = self._renderers["auto"]
+        add_baseline(chosen, "baseline-0", baseline_like(avatar))
+        self.gl_renderer, self.weights = chosen.gl_renderer, chosen.weights
 
     def table_cases(self) -> list[_Case]:
         """Every level, the full maps on every mesh, and the baseline at every distance; the full
         level also with its weights in other places."""
-        full = self._avatar.levels[-1]
-        others: list[Weights] = [place for place in ("block", "constants", "turns")]
-        cases = []
-        for distance in self._config.distances_cm:
-            variants: list[tuple[Model, int, int, Weights]] = [
-                *(("pica", level, level, "auto") for level in self._avatar.levels),
-                *(("pica", full, mesh, "auto") for mesh in self._avatar.levels[:-1]),
-                *(("pica", full, full, place) for place in others if place != self.weights),
+        levels = self._avatar.levels
+        full = levels[-1]
+        return [
+            _Case(*variant, distance)
+            for distance in self._config.distances_cm
+            for variant in (
+                *(("pica", level, level, "auto") for level in levels),
+                *(("pica", full, mesh, "auto") for mesh in levels[:-1]),
+                *(("pica", full, full, place) for place in WEIGHTS[1:] if place != self.weights),
                 ("baseline", 0, 0, "auto"),
-            ]
-            cases += [
-                _Case(
-                    model=model,
-                    level=level,
-                    mesh=mesh,
-                    weights=place,
-                    distance_cm=distance,
-                )
-                for model, level, mesh, place in variants
-            ]
-        return cases
+            )
+        ]
 
     def sweep_cases(self) -> list[_Case]:
         """Every level and the baseline over distances whose pixels are spread evenly on a
         logarithmic scale."""
         distances = np.geomspace(SWEEP_NEAREST_CM, SWEEP_FARTHEST_CM, self._config.sweep_points)
-        models: list[tuple[Model, int]] = [("pica", level) for level in self._avatar.levels]
-        models.append(("baseline", 0))
+        models = [*(("pica", level) for level in self._avatar.levels), ("baseline", 0)]
         return [
-            _Case(
-                model=model,
-                level=level,
-                mesh=level,
-                weights="auto",
-                distance_cm=round(float(distance), 1),
-            )
+            _Case(model, level, level, "auto", round(float(distance), 1))
             for distance in distances
             for model, level in models
         ]
 
     def measure(self, cases: Sequence[_Case]) -> list[dict[str, Any]]:
-        """Draw all cases in turns."""
-        draws = [self._prepare(case) for case in cases]
-        times: list[list[Took]] = [[] for _ in cases]
-        vertex_times: list[list[Took]] = [[] for _ in cases]
-        for index in range(WARM_UP_FRAMES + self._config.rounds):
-            for number, (draw, draw_vertices, draw_once) in enumerate(draws):
-                frame = self._time(draw)
-                many, once = self._time(draw_vertices), self._time(draw_once)
-                vertex = Took(
-                    (many.wall_s - once.wall_s) / EXTRA_TIMES,
-                    (many.cpu_s - once.cpu_s) / EXTRA_TIMES,
-                )
-                if index >= WARM_UP_FRAMES:
-                    times[number].append(frame)
-                    vertex_times[number].append(vertex)
-        rows = []
-        for case, frames, vertices in zip(cases, times, vertex_times, strict=True):
-            renderer = self._renderers[case.weights]
-            stats = renderer.draw(
-                [self._placement(case)], self._camera(case.distance_cm), count_pixels=True
-            )
-            walls = [took.wall_s for took in frames]
-            low, _, high = quantiles(walls, n=4)
-            rows.append(
-                {
-                    "model": case.model,
-                    "level": case.level,
-                    "mesh": case.mesh,
-                    "weights": renderer.weights if case.model == "pica" else None,
-                    "distance_cm": case.distance_cm,
-                    "pixels": sum(head.shaded_pixels or 0 for head in stats.heads),
-                    "triangles": stats.num_triangles,
-                    "draw_ms": round(median(walls) * 1e3, 3),
-                    "vertex_ms": round(median(took.wall_s for took in vertices) * 1e3, 3),
-                    "draw_cpu_ms": round(median(took.cpu_s for took in frames) * 1e3, 3),
-                    "vertex_cpu_ms": round(median(took.cpu_s for took in vertices) * 1e3, 3),
-                    "spread": round((high - low) / median(walls), 3),
-                }
-            )
-        return rows
+        """Draw all cases in turns; a row for each."""
+        rounds = self._config.rounds
+        times = take_turns(cases, self._time, rounds=rounds, warm_up=WARM_UP_FRAMES)
+        return [self._row(*each) for each in zip(cases, times, strict=True)]
+
+    def _row(self, case: _Case, times: Sequence[_Times]) -> dict[str, Any]:
+        renderer, placements, camera = self._scene(case)
+        stats = renderer.draw(placements, camera, count_pixels=True)
+        frames, vertices = zip(*times, strict=True)
+        return case._asdict() | {
+            "weights": renderer.weights if case.model == "pica" else None,
+            "pixels": sum(head.shaded_pixels or 0 for head in stats.heads),
+            "triangles": stats.num_triangles,
+            "draw_ms": median_ms([took.wall_s for took in frames]),
+            "vertex_ms": median_ms([took.wall_s for took in vertices]),
+            "draw_cpu_ms": median_ms([took.cpu_s for took in frames]),
+            "vertex_cpu_ms": median_ms([took.cpu_s for took in vertices]),
+            "spread": spread([took.wall_s for took in frames]),
+        }
+
+    def _time(self, case: _Case, _number: int) -> _Times:
+        """Draw a frame, then its vertices alone many times, and once."""
+        renderer, placements, camera = self._scene(case)
+
+        def time(draw: Callable[[], object]) -> Took:
+            def draw_and_wait() -> None:
+                draw()
+                wait_for_gpu(self._context)
+
+            return timed(draw_and_wait)[0]
+
+        frame = time(lambda: renderer.draw(placements, camera))
+        many = time(lambda: renderer.draw_vertices(placements, camera, 1 + EXTRA_TIMES))
+        once = time(lambda: renderer.draw_vertices(placements, camera))
+        vertex = ((a - b) / EXTRA_TIMES for a, b in zip(many, once, strict=True))
+        return _Times(frame, Took(*vertex))
 
     def soak(self, frames: int, size: int = 64) -> dict[str, Any]:
         """Draw many small frames with fresh maps and read them back; memory before and after.
@@ -278,13 +251,9 @@ class _Bench:
         """
         renderer = Renderer(self._context, (size, size))
         renderer.add_avatar("soak", self._avatar)
-        latent = ExpressionEncoder(self._avatar).encode(np.zeros(NUM_ARKIT, np.float32))
-        decoder = OnnxDecoder(self._avatar)
-        direction = np.array([0, 0, 1], np.float32)
-        maps = [decoder.decode(latent, direction, level) for level in self._avatar.levels]
         samples: list[tuple[int, int]] = []
         for index in range(frames):
-            fresh = maps[index % len(maps)]
+            fresh = self._maps[index % len(self._maps)]
             renderer.update_maps("soak", fresh.position_map, fresh.expression_map)
             placement = Placement(slot="soak", world_from_head=HEAD, blend=0.5 + 0.5 * (index % 2))
             renderer.draw([placement], self._camera(60 + index % 90, size))
@@ -299,29 +268,11 @@ class _Bench:
             "growth_bytes_a_frame": round((settled[-1] - settled[0]) / (0.9 * frames), 1),
         }
 
-    def _prepare(self, case: _Case) -> tuple[Draw, Draw, Draw]:
-        """A frame, its vertices alone and many times, and these once."""
-        renderer = self._renderers[case.weights]
-        placements, camera = [self._placement(case)], self._camera(case.distance_cm)
-        return (
-            lambda: renderer.draw(placements, camera),
-            lambda: renderer.draw_vertices(placements, camera, 1 + EXTRA_TIMES),
-            lambda: renderer.draw_vertices(placements, camera),
+    def _scene(self, case: _Case) -> tuple[Renderer, list[Placement], Camera]:
+        placement = Placement(
+            slot=f"{case.model}-{case.level}", world_from_head=HEAD, mesh_level=case.mesh or None
         )
-
-    def _time(self, draw: Draw) -> Took:
-        def draw_and_wait() -> None:
-            draw()
-            wait_for_gpu(self._context)
-
-        return timed(draw_and_wait)[0]
-
-    def _placement(self, case: _Case) -> Placement:
-        return Placement(
-            slot=f"{case.model}-{case.level}",
-            world_from_head=HEAD,
-            mesh_level=case.mesh or None,
-        )
+        return self._renderers[case.weights], [placement], self._camera(case.distance_cm)
 
     def _camera(self, distance_cm: float, size: int | None = None) -> Camera:
         pixels = size or self._config.image_size
@@ -376,30 +327,15 @@ def summarise(
     ratios: list[dict[str, Any]] = []
     for distance in sorted({row["distance_cm"] for row in own}):
         there = [row for row in own if row["distance_cm"] == distance]
-        (baseline,) = _of(there, "baseline")
-        (whole,) = (row for row in there if row["level"] == full and row["mesh"] == full)
-        ratios += [
-            {
-                "distance_cm": distance,
-                "level": row["level"],
-                "mesh": row["mesh"],
-                **{
-                    f"draw_{clock}over_baseline": round(
-                        row[f"draw_{clock}ms"] / baseline[f"draw_{clock}ms"], 3
-                    )
-                    for clock in ("", "cpu_")
-                },
-                **{
-                    f"vertex_{clock}over_full": round(
-                        row[f"vertex_{clock}ms"] / whole[f"vertex_{clock}ms"], 3
-                    )
-                    for clock in ("", "cpu_")
-                },
-            }
-            for row in _of(there, "pica")
-        ]
+        (baseline,) = (row for row in there if row["model"] == "baseline")
+        (whole,) = (row for row in there if row["level"] == row["mesh"] == full)
+        for row in there:
+            if row["model"] != "pica":
+                continue
+            found = {name: row[name] for name in ("distance_cm", "level", "mesh")}
+            for part, name, base in (("draw", "baseline", baseline), ("vertex", "full", whole)):
+                for clock in ("", "cpu_"):
+                    time = f"{part}_{clock}ms"
+                    found[f"{part}_{clock}over_{name}"] = round(row[time] / base[time], 3)
+            ratios.append(found)
     return {"ratios": ratios, "lines": lines}
-
-
-def _of(rows: Sequence[dict[str, Any]], model: str) -> list[dict[str, Any]]:
-    return [row for row in rows if row["model"] == model]

@@ -47,12 +47,14 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_client.bench.difference_sheet import Cell, write_sheet
-from pica_client.bench.head import FIELD_OF_VIEW, front_camera
-from pica_client.bench.render_error import masked_mse
+from pica_client.bench.harness import check_ranges, gl_context
+from pica_client.bench.head import FIELD_OF_VIEW, check_distances, front_camera
+from pica_client.bench.option_types import Floats, Ints
 from pica_client.bench.scene_summary import AWAY, FULL_SCREEN_CM, summarise
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodeRequest, DecodeResult
 from pica_client.errors import OptionError
+from pica_client.render.drawing import Drawing, drawn_mse, read_drawing
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement, head_matrix, view_direction
 from pica_client.schedule.frame_planner import FramePlanner, SceneHead
@@ -64,14 +66,14 @@ from pica_core.avatar.file import Avatar
 from pica_core.camera import Camera
 from pica_core.codec.factory import FaceEncoder, open_encoder
 from pica_core.codec.latent_stream import StreamConfig
-from pica_core.gl import create_context, wait_for_gpu
+from pica_core.gl import wait_for_gpu
 from pica_core.types import Image
 
 SPACING_M = 0.25
-"""Between neighbours (the paper's section 4.3)."""
+"""Between two heads side by side (the paper's section 4.3)."""
 FPS = 30.0
 WARM_UP_FRAMES = 12
-"""Of each case: the costs are learned, the wishes settle."""
+"""Of each case: the costs are learned, the layers that are asked for settle."""
 TURN_FRAMES = 5
 """Frames of a case before the next one has its turn."""
 ERROR_EVERY = 5
@@ -82,28 +84,36 @@ ERROR_EVERY = 5
 class SceneBenchConfig:
     """What to measure."""
 
-    avatars: tuple[int, ...] = (1, 2, 3, 4, 5)
-    distances_cm: tuple[float, ...] = (65.0, 90.0, 120.0)
-    size: tuple[int, int] = (1280, 720)
-    """Columns and rows of the image, pixels."""
+    avatars: Ints = (1, 2, 3, 4, 5)
+    """How many heads, separated by commas."""
+    distances_cm: Floats = (65.0, 90.0, 120.0)
+    """From the camera to the front of the middle head, separated by commas."""
+    width: int = 1280
+    """Columns of the image, pixels."""
+    height: int = 720
+    """Rows of the image, pixels."""
     rounds: int = 8
-    """Turns of each case, of `TURN_FRAMES` frames."""
+    """Turns of each case, of five frames each."""
     performance: str = "talk"
-    budget_shares: tuple[float, ...] = (0.75, 0.5, 0.35)
-    """Budgets of the largest scenes, as shares of what they cost unconstrained."""
+    """What everybody does: talk, listen or range-of-motion."""
+    budget_shares: Floats = (0.75, 0.5, 0.35)
+    """Budgets of the largest scenes, as shares of what they cost unconstrained, with commas."""
     sheet: Path | None = None
-    """PNG of the nearest of the largest scenes as each way of treating it left it, with the
-    differences, amplified."""
+    """Also write a picture of the nearest of the largest scenes in every treatment here, PNG, with
+    the differences, amplified."""
 
     def __post_init__(self) -> None:
         if not self.avatars or not all(1 <= count <= 16 for count in self.avatars):
             raise OptionError(f"avatars are {self.avatars}; 1 to 16 are allowed")
-        if not self.distances_cm or not all(1 <= d <= 1000 for d in self.distances_cm):
-            raise OptionError(f"distances_cm are {self.distances_cm}; 1 to 1000 are allowed")
-        if not 2 <= self.rounds <= 1000:
-            raise OptionError(f"rounds is {self.rounds}; 2 to 1000 is allowed")
+        check_distances(self.distances_cm)
+        check_ranges(self, rounds=(2, 1000), width=(16, 8192), height=(16, 8192))
         if not all(0 < share <= 1 for share in self.budget_shares):
             raise OptionError(f"budget_shares are {self.budget_shares}; above 0 to 1 is allowed")
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Columns and rows of the image, pixels."""
+        return self.width, self.height
 
 
 @dataclass(slots=True)
@@ -144,7 +154,7 @@ class _Case:
     num_limited: int = 0
     pixels: int = 0
     triangles: int = 0
-    judged: tuple[Image, Image] | None = None
+    compared: tuple[Image, Image] | None = None
     """The last picture whose error was measured, as it should be and as it was."""
 
 
@@ -158,8 +168,7 @@ def run_scene_bench(config: SceneBenchConfig, avatars: Sequence[Avatar]) -> dict
     Raises:
         GraphicsError: No GL context.
     """
-    context = create_context()
-    try:
+    with gl_context() as context:
         bench = _Bench(context, config, avatars)
         cases = bench.free_cases()
         bench.measure(cases)
@@ -179,8 +188,6 @@ def run_scene_bench(config: SceneBenchConfig, avatars: Sequence[Avatar]) -> dict
             "summary": summarise(rows),
             "machine": describe_machine(),
         }
-    finally:
-        context.release()
 
 
 class _Bench:
@@ -276,7 +283,7 @@ class _Bench:
 
     def _frame(self, case: _Case, *, is_measured: bool) -> _Frame:
         now = case.frame / FPS
-        is_judged = is_measured and case.frame % ERROR_EVERY == 0
+        is_compared = is_measured and case.frame % ERROR_EVERY == 0
         case.frame += 1
         camera = self._camera(case)
         heads = self._heads(case, now)
@@ -301,10 +308,11 @@ class _Bench:
                 case.levels[str(choice.level)] += 1
                 case.meshes[str(choice.mesh_level)] += 1
                 case.num_limited += choice.is_limited
-        if is_judged:
-            shown, _ = self._read()
-            frame.error, case.pixels, truth = self._judge(heads, camera, shown)
-            case.judged = (truth, shown)
+        if is_compared:
+            shown = read_drawing(self._renderer)
+            truth = self._draw_truth(heads, camera)
+            frame.error, case.pixels = drawn_mse(shown, truth), int(truth.covered.sum())
+            case.compared = (truth.image, shown.image)
         return frame
 
     def _heads(self, case: _Case, now: float) -> list[SceneHead]:
@@ -391,11 +399,8 @@ class _Bench:
             if coded is not None and wanted is not None and coded.layer <= wanted:
                 frame.payload_bits += 8 * len(coded.payload)
 
-    def _judge(
-        self, heads: Sequence[SceneHead], camera: Camera, shown: Image
-    ) -> tuple[float, int, Image]:
-        """The error of what was shown, the pixels that heads cover, and what should be shown."""
-        covered = self._renderer.read_surface()[2] >= 0
+    def _draw_truth(self, heads: Sequence[SceneHead], camera: Camera) -> Drawing:
+        """What should be shown: everybody's newest latent at the full level."""
         placements = []
         for index, head in enumerate(heads):
             request = _whole(head, camera)
@@ -405,11 +410,7 @@ class _Bench:
                 Placement(slot=f"truth-{index}", world_from_head=head.world_from_head)
             )
         self._renderer.draw(placements, camera)
-        truth, is_head = self._read()
-        return masked_mse(shown, truth, covered | is_head), int(is_head.sum()), truth
-
-    def _read(self) -> tuple[Image, npt.NDArray[np.bool_]]:
-        return self._renderer.read_image(), self._renderer.read_surface()[2] >= 0
+        return read_drawing(self._renderer)
 
     def _camera(self, case: _Case) -> Camera:
         """Before the middle head of the line."""
@@ -421,9 +422,9 @@ def _write_sheet(path: Path, config: SceneBenchConfig, cases: Sequence[_Case]) -
     """The nearest of the largest scenes, one way of treating it under the other."""
     most, nearest = max(config.avatars), min(config.distances_cm)
     shown = [
-        (case, *case.judged)
+        (case, *case.compared)
         for case in cases
-        if case.judged is not None
+        if case.compared is not None
         and not case.is_away
         and (case.num_avatars, case.distance_cm) == (most, nearest)
     ]

@@ -1,4 +1,4 @@
-"""``pica avatar push`` and ``pica avatar thumbnail``."""
+"""``pica avatar push``, ``pica avatar thumbnail`` and ``pica avatar measure``."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import tyro
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.upload import Push, push_avatar
 from pica_client.cli.options import parse_size
-from pica_client.output import say
+from pica_client.output import check_writable, say
 from pica_client.transport.config import LinkConfig
-from pica_core.avatar.file import avatar_id, load_avatar
+from pica_core.avatar.file import avatar_id, load_avatar, save_avatar
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -87,3 +87,43 @@ def avatar_thumbnail(options: ThumbnailOptions) -> dict[str, Any]:
     save_png(options.out, draw_thumbnail(avatar, size))
     say(f"wrote {options.out}")
     return {"name": avatar.manifest.name, "out": str(options.out)}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AvatarMeasureOptions:
+    """Options of ``pica avatar measure``."""
+
+    file: tyro.conf.Positional[Path]
+    """Avatar file (.pica)."""
+    out: Path
+    """Avatar file to write, with the table of errors in it; may be the same."""
+
+
+def avatar_measure(options: AvatarMeasureOptions) -> dict[str, Any]:
+    """Measure how well an avatar's levels of detail serve, and write the table into its file."""
+    from pica_client.avatars.level_errors import measure_levels, with_errors
+
+    check_writable(options.out)
+    avatar = load_avatar(options.file)
+    errors = measure_levels(avatar, lambda ratio: say(f"{ratio:.0%}"))
+    save_avatar(options.out, with_errors(avatar, errors))
+    rows: list[dict[str, Any]] = []
+    full = avatar.levels[-1]
+    for mesh, by_maps in zip(errors.levels, errors.mse.tolist(), strict=True):
+        ways = {mesh: by_maps[0], full: by_maps[1]}  # the full level's two are one
+        for level, by_height in ways.items():
+            rows.append({"level": level, "mesh": mesh, "mse": by_height})
+            figures = "  ".join(
+                f"{height:g} px {error:.1f}"
+                for height, error in zip(errors.head_px.tolist(), by_height, strict=True)
+            )
+            say(f"maps of {level} on the mesh of {mesh}: MSE {figures}")
+    say(f"wrote {options.out}")
+    return {
+        "name": avatar.manifest.name,
+        "sha256": avatar_id(options.out),
+        "head_px": errors.head_px.tolist(),
+        "rows": rows,
+        "view_mse_per_rad2": errors.view_mse_per_rad2,
+        "latent_mse_per_unit2": errors.latent_mse_per_unit2,
+    }

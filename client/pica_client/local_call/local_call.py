@@ -13,7 +13,9 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import tyro
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.errors import AvatarLookupError, CallProcessError, OptionError
@@ -61,7 +63,7 @@ class LocalCallConfig:
     """Of the coded streams, 0 (coarse) to 7 (fine)."""
     plain: bool = False
     """Send 8 bits a value instead of coded streams."""
-    is_encrypted: bool = False
+    is_encrypted: Annotated[bool, tyro.conf.arg(name="encrypt")] = False
     """Encrypt end to end, with a secret made for this call. Needs the extra `seal`."""
 
     def __post_init__(self) -> None:

@@ -10,11 +10,9 @@ import pytest
 
 from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_client.bench.decode import (
-    Contender,
     DecodeBenchConfig,
     export_difference,
     level_for,
-    measure_in_turns,
     random_decoders,
     run_decode_bench,
     vertex_error_mm,
@@ -74,18 +72,6 @@ def test_the_summary_has_the_ratios_of_every_level(result: dict[str, Any]) -> No
     assert ratios["baseline_ratio"]["256"] > 1
     assert set(ratios["plain_ratio"]) == {"64", "128", "256"}
     assert result["summary"]["level_at_head_px"] == 256
-
-
-def test_everybody_decodes_once_a_round_in_an_order_that_changes() -> None:
-    order: list[str] = []
-    contenders = {
-        Contender(name, None, "all", 1): lambda _, name=name: order.append(name) for name in "abc"
-    }
-    samples_s = measure_in_turns(contenders, [np.zeros((8, 8, 4), np.float32)], 20, 0, print)
-    rounds = ["".join(order[i : i + 3]) for i in range(0, len(order), 3)]
-    assert all(sorted(each) == ["a", "b", "c"] for each in rounds)
-    assert len(set(rounds)) > 3
-    assert {len(samples) for samples in samples_s.values()} == {20}
 
 
 def test_an_export_that_differs_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:

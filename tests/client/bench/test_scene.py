@@ -26,7 +26,8 @@ def result(sheet: Path) -> dict[str, Any]:
     config = SceneBenchConfig(
         avatars=(1, 3),
         distances_cm=(120.0,),
-        size=(160, 90),
+        width=160,
+        height=90,
         rounds=2,
         budget_shares=(0.5,),
         sheet=sheet,

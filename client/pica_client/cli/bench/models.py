@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import tyro
+from tyro.conf import OmitArgPrefixes, Positional
 
-from pica_client.cli.bench import read_numbers
+from pica_client.bench.eval_rows import EvalRows
+from pica_client.bench.model_files import open_models
+from pica_client.bench.models import ModelsBenchConfig, join_errors, run_models_bench
 from pica_client.output import say
 
 
@@ -16,19 +18,12 @@ from pica_client.output import say
 class BenchModelsOptions:
     """Options of ``pica bench models``."""
 
-    files: tyro.conf.Positional[tuple[str, ...]]
+    files: Positional[tuple[str, ...]]
     """What `pica export` wrote, or folders of it. A baseline's file does not say whom it shows;
     where avatars of several people are measured, write IDENTITY=FILE."""
     rows: tuple[Path, ...]
     """What `pica eval --json` printed of the same models, or recorded lines of it."""
-    distances_cm: str = "18,65,120"
-    """From the camera to the front of the head, separated by commas."""
-    image_size: int = 768
-    """Rows and columns of the image, pixels."""
-    frames: int = 30
-    """Of each model at each distance."""
-    threads: int = 1
-    """Of ONNX Runtime."""
+    config: OmitArgPrefixes[ModelsBenchConfig] = field(default_factory=ModelsBenchConfig)
 
 
 def bench_models(options: BenchModelsOptions) -> dict[str, Any]:
@@ -36,20 +31,9 @@ def bench_models(options: BenchModelsOptions) -> dict[str, Any]:
 
     Set LP_NUM_THREADS to say how many threads software GL takes.
     """
-    from pica_client.bench.eval_rows import EvalRows
-    from pica_client.bench.model_files import open_models
-    from pica_client.bench.models import ModelsBenchConfig, join_errors, run_models_bench
-
-    config = ModelsBenchConfig(
-        distances_cm=read_numbers("distances_cm", options.distances_cm),
-        image_size=options.image_size,
-        frames=options.frames,
-        threads=options.threads,
-    )
     rows = EvalRows.read(options.rows)
     models = open_models(options.files)
-    errors = join_errors(models, rows)
-    result = run_models_bench(config, models, errors, lambda ratio: say(f"{ratio:.0%}"))
+    result = run_models_bench(options.config, models, join_errors(models, rows))
     for row in result["rows"]:
         say(
             f"{row['distance_cm']:5g} cm  {row['identity']:4} {row['variant']:9}"

@@ -1,0 +1,1 @@
+"""The commands of `pica bench`, one module each."""

@@ -1,0 +1,44 @@
+"""`pica bench render`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from tyro.conf import OmitArgPrefixes
+
+from pica_client.bench.render import RenderBenchConfig, run_render_bench
+from pica_client.cli.bench.avatars import load_bench_avatar
+from pica_client.output import say
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BenchRenderOptions:
+    """Options of ``pica bench render``."""
+
+    avatar: str | None = None
+    """Name of a shipped avatar, or a .pica file; the first shipped one by default."""
+    config: OmitArgPrefixes[RenderBenchConfig] = field(default_factory=RenderBenchConfig)
+
+
+def bench_render(options: BenchRenderOptions) -> dict[str, Any]:
+    """Measure what drawing a head costs, near and far, at every level, beside a textured baseline.
+
+    Set LP_NUM_THREADS to say how many threads software GL takes.
+    """
+    result = run_render_bench(options.config, load_bench_avatar(options.avatar))
+    for row in result["rows"]:
+        name = f"{row['model']} {row['level'] or ''}".strip()
+        say(
+            f"{row['distance_cm']:6g} cm  {name:10} mesh {row['mesh']:3d}  "
+            f"{row['weights'] or '':9}  {row['pixels']:8d} px  {row['triangles']:6d} triangles  "
+            f"draw {row['draw_ms']:8.2f} ms  vertices {row['vertex_ms']:6.2f} ms  "
+            f"processor {row['draw_cpu_ms']:8.2f} ms, {row['vertex_cpu_ms']:6.2f} ms"
+        )
+    for line in result["lines"]:
+        name = f"{line['model']} {line['level'] or ''}".strip()
+        say(
+            f"{name}, {line['time']}: {line['intercept_ms']:.2f} ms + "
+            f"{line['ns_per_pixel']:.1f} ns a pixel, r2 {line['r2']:.4f}"
+        )
+    return result

@@ -1,0 +1,105 @@
+"""One head drawn on its own, and how far two drawings of it are apart.
+
+Whatever shortens, quantises or conceals a latent, or saves triangles, is judged by pictures, never
+by distances between latents. The error is MSE on 0-255 values over rasterised pixels, as in the
+paper's tables; pixels that only one of the two drawings covers count too.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import moderngl
+import numpy as np
+
+from pica_client.decode.decoder import DecodedMaps
+from pica_client.render.renderer import Renderer, RenderOptions
+from pica_client.render.scene import Placement
+from pica_core.avatar.file import Avatar
+from pica_core.camera import Camera
+from pica_core.types import BoolArray, FloatArray, Image
+
+HEAD = np.eye(4, dtype=np.float32)
+"""World from head of a head at rest in the origin."""
+SLOT = "head"
+
+
+class Drawing(NamedTuple):
+    """What was drawn, from one view or from several.
+
+    Attributes:
+        image: uint8 ``[..., H, W, 3]``.
+        covered: Where a head is. bool ``[..., H, W]``.
+    """
+
+    image: Image
+    covered: BoolArray
+
+
+class HeadRenderer:
+    """One avatar on its own in a square image.
+
+    Edges are not smoothed: that belongs to the display, and would hide errors of silhouettes.
+    """
+
+    def __init__(self, context: moderngl.Context, avatar: Avatar, size_px: int) -> None:
+        self._renderer = Renderer(context, (size_px, size_px), RenderOptions(smooth_edges=False))
+        self._renderer.add_avatar(SLOT, avatar)
+        self.gl_renderer = self._renderer.gl_renderer
+
+    def upload(self, maps: DecodedMaps) -> None:
+        """Hand the GPU the maps that the next drawings show."""
+        self._renderer.update_maps(SLOT, maps.position_map, maps.expression_map)
+
+    def submit(
+        self, camera: Camera, matrix: FloatArray = HEAD, mesh_level: int | None = None
+    ) -> None:
+        """Have the head drawn at a pose, by default on the mesh of its maps; does not wait."""
+        placement = Placement(slot=SLOT, world_from_head=matrix, mesh_level=mesh_level)
+        self._renderer.draw([placement], camera)
+
+    def draw(
+        self,
+        maps: DecodedMaps,
+        camera: Camera,
+        matrix: FloatArray = HEAD,
+        mesh_level: int | None = None,
+    ) -> Drawing:
+        """Upload maps, draw them and read the drawing back."""
+        self.upload(maps)
+        self.submit(camera, matrix, mesh_level)
+        return self.read()
+
+    def read(self) -> Drawing:
+        """What was drawn last."""
+        return read_drawing(self._renderer)
+
+
+def read_drawing(renderer: Renderer) -> Drawing:
+    """What a renderer drew last."""
+    return Drawing(renderer.read_image(), renderer.read_surface()[2] >= 0)
+
+
+def drawn_mse(a: Drawing, b: Drawing) -> float:
+    """Mean squared error, 0-255, over the pixels that either drawing covers, all views together."""
+    return masked_mse(a.image, b.image, a.covered | b.covered)
+
+
+def masked_mse(a: Image, b: Image | FloatArray, where: BoolArray) -> float:
+    """Mean squared error, 0-255, over some pixels; 0 if there are none."""
+    return float(np.square(a[where].astype(np.float32) - b[where]).mean()) if where.any() else 0.0
+
+
+def change_mse(shown: tuple[Drawing, Drawing], truth: tuple[Drawing, Drawing]) -> float:
+    """The error of the change from one frame to the next, over what any of the four covers.
+
+    Flicker hides from the error of single frames.
+    """
+    where = np.logical_or.reduce([drawing.covered for drawing in (*shown, *truth)])
+    if not where.any():
+        return 0.0
+    change, wanted = (
+        after.image[where].astype(np.float32) - before.image[where]
+        for before, after in (shown, truth)
+    )
+    return float(np.square(change - wanted).mean())
