@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +61,31 @@ def save(figure: Figure, name: str) -> None:
     print(f"wrote {path.relative_to(ROOT)}")
 
 
+def finish(figure: Figure, source: Line | str, title: str = "", size: float = 7) -> Figure:
+    """Write a title above a figure, and where its data come from below it."""
+    if title:
+        figure.suptitle(title, fontsize=10)
+    text = source if isinstance(source, str) else source_line(source)
+    figure.supxlabel(text, fontsize=size, color="#555555")
+    return figure
+
+
+Column = str | Callable[[Row], object]
+"""How a table shows a row: a field's name, a template such as ``{ms:.1f}``, or a function."""
+
+
+def table(rows: Iterable[Row], columns: Mapping[str, Column]) -> str:
+    """A table of rows, with its columns by their heads; None becomes a dash."""
+
+    def cell(row: Row, column: Column) -> object:
+        if callable(column):
+            return column(row)
+        return column.format_map(row) if "{" in column else row[column]
+
+    cells = ([cell(row, column) for column in columns.values()] for row in rows)
+    return markdown_table(list(columns), cells)
+
+
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """A table; None becomes a dash."""
     lines = [" | ".join(header), " | ".join("---" for _ in header)]
@@ -86,8 +111,23 @@ def short_source(source: str) -> str:
     return f"recording-{stem}" if kind == "csv" else stem
 
 
+def rows_where(rows: Iterable[Row], **wanted: object) -> list[Row]:
+    """The rows whose fields have these values."""
+    return [row for row in rows if all(row[name] == value for name, value in wanted.items())]
+
+
+def values(rows: Iterable[Row], field: str) -> list[Any]:
+    """A field of all rows."""
+    return [row[field] for row in rows]
+
+
 def plain_ticks(axis: Axis) -> None:
     """Write the ticks of a logarithmic axis as plain numbers, at 1, 2 and 5."""
     axis.set_major_locator(LogLocator(base=10, subs=(1, 2, 5)))
     axis.set_minor_locator(NullLocator())
+    number_ticks(axis)
+
+
+def number_ticks(axis: Axis) -> None:
+    """Write the ticks of an axis as plain numbers."""
     axis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
