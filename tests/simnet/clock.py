@@ -17,6 +17,7 @@ Unrealistic: code takes no time, however long it runs, of the processor neither 
 import asyncio
 import functools
 import selectors
+import socket
 from collections.abc import Callable, Coroutine
 from typing import Any, ParamSpec, TypeVar
 from unittest import mock
@@ -56,6 +57,10 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
 
     async def create_connection(self, *args: Any, **kwargs: Any) -> Any:
         return await self.network.create_connection(*args, **kwargs)
+
+    async def getaddrinfo(self, host: Any, port: Any, **_kwargs: Any) -> Any:
+        # The simulated network knows hosts by name; nothing is looked up.
+        return [(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP, "", (host, port))]
 
     async def create_server(self, *args: Any, **kwargs: Any) -> Any:
         return self.network.create_server(*args, **kwargs)

@@ -6,11 +6,22 @@ Modelled: write buffers with high and low water marks, a bounded window between 
 """
 
 import asyncio
+import socket
 from collections import deque
 from collections.abc import Callable
 from typing import Any
 
 from simnet.link import SEGMENT_BYTES, StreamLink
+
+
+class _Ends:
+    """As much of a socket as libraries ask for; no kernel is behind it, so it has no options."""
+
+    family = socket.AF_UNIX
+
+    def __init__(self, sockname: Any, peername: Any) -> None:
+        self.getsockname = lambda: sockname
+        self.getpeername = lambda: peername
 
 
 class SimTransport(asyncio.Transport):
@@ -19,7 +30,8 @@ class SimTransport(asyncio.Transport):
     def __init__(
         self, loop: asyncio.AbstractEventLoop, out: StreamLink, sockname: Any, peername: Any
     ) -> None:
-        super().__init__(extra={"sockname": sockname, "peername": peername})
+        ends = _Ends(sockname, peername)
+        super().__init__(extra={"sockname": sockname, "peername": peername, "socket": ends})
         self._loop = loop
         self._out = out
         self._protocol: Any = None

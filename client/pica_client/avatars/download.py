@@ -6,15 +6,15 @@ The file is known by its hash, so it does not matter who gives it, or in how man
 from __future__ import annotations
 
 import hashlib
+import re
 import ssl
 import time
-import urllib.error
-import urllib.request
 from collections.abc import Callable
-from http.client import HTTPException, HTTPMessage
 from pathlib import Path
-from typing import IO, Any, BinaryIO
+from typing import BinaryIO
 from urllib.parse import urlsplit
+
+import httpx
 
 from pica_client.errors import RelayError
 from pica_client.transport.connect import SOFTWARE, is_loopback
@@ -25,7 +25,6 @@ TIMEOUT_S = 10.0
 """For a relay to say something."""
 SLOWEST_BYTES_PER_S = 1024.0
 """A file that comes more slowly than this, after `TIMEOUT_S`, is given up for now."""
-PIECE_BYTES = 16 * 2**10
 MAX_RESUMES = 8
 """Pieces in which one attempt may come; each must have brought something."""
 
@@ -81,11 +80,30 @@ def download(
         DownloadError: One of its kinds; ``into`` may hold a part then.
         OSError: ``into`` cannot be written.
     """
-    with into.open("xb") as file:
-        transfer = _Transfer(store_url(relay_url, identity), identity, file, progress, tls)
+    url = store_url(relay_url, identity)
+    is_secure = url.startswith("https:")
+    with (
+        into.open("xb") as file,
+        httpx.Client(
+            verify=(tls or ssl.create_default_context()) if is_secure else False,
+            trust_env=not is_loopback(urlsplit(url).hostname or ""),  # for proxies
+            timeout=TIMEOUT_S,
+            headers={"User-Agent": SOFTWARE, "Accept-Encoding": "identity"},
+        ) as client,
+    ):
+        transfer = _Transfer(identity, file, progress)
         for _ in range(MAX_RESUMES):
             before = transfer.received
-            transfer.go_on()
+            try:
+                # Redirects are not followed: a relay redirects nobody; what does is something else.
+                with client.stream("GET", url, headers=transfer.conditions) as response:
+                    transfer.begin(response)
+                    for data in response.iter_raw():
+                        transfer.take(data)
+            except httpx.TransportError as error:
+                # A connection that broke in the middle can be gone on with.
+                if not transfer.received:
+                    raise DownloadError(str(error) or "no answer") from error
             if transfer.is_complete:
                 break
             if transfer.received == before:
@@ -96,110 +114,64 @@ def download(
 
 
 class _Transfer:
-    def __init__(
-        self,
-        url: str,
-        identity: str,
-        file: BinaryIO,
-        progress: Progress,
-        tls: ssl.SSLContext | None,
-    ) -> None:
-        self._url, self._identity, self._file, self._progress = url, identity, file, progress
-        handlers: list[urllib.request.BaseHandler] = [urllib.request.HTTPSHandler(context=tls)]
-        if is_loopback(urlsplit(url).hostname or ""):
-            handlers.append(urllib.request.ProxyHandler({}))
-        self._opener = urllib.request.build_opener(_NoRedirects(), *handlers)
+    """A file on its way, in as many answers as it takes."""
+
+    def __init__(self, identity: str, file: BinaryIO, progress: Progress) -> None:
+        self._identity, self._file, self._progress = identity, file, progress
         self._hash = hashlib.sha256()
-        self._size: int | None = None
+        self._size = 0
         self.received = 0
         self._begin_s = time.monotonic()
 
     @property
     def is_complete(self) -> bool:
-        return self.received == self._size
+        return 0 < self._size == self.received
+
+    @property
+    def conditions(self) -> dict[str, str]:
+        """The headers that ask for what is missing."""
+        if not self.received:
+            return {}
+        return {"Range": f"bytes={self.received}-", "If-Range": f'"{self._identity}"'}
 
     def check(self) -> None:
         if self._hash.hexdigest() != self._identity:
             raise WrongFileError("the relay gave another file than the one it was asked for")
 
-    def go_on(self) -> None:
-        """Ask for what is missing, and take it until the connection ends."""
-        headers = {"User-Agent": SOFTWARE, "Accept-Encoding": "identity"}
-        if self.received:
-            headers |= {"Range": f"bytes={self.received}-", "If-Range": f'"{self._identity}"'}
-        request = urllib.request.Request(self._url, headers=headers)
-        try:
-            with self._opener.open(request, timeout=TIMEOUT_S) as response:
-                self._note_size(response.status, response.headers)
-                while not self.is_complete:
-                    data = response.read1(PIECE_BYTES)
-                    if not data:
-                        return
-                    self._take(data)
-        except urllib.error.HTTPError as error:
-            with error:
-                raise _refusal(error.code) from error
-        except (OSError, HTTPException) as error:
-            if isinstance(error, _DiskError):
-                raise error.__cause__ or error from None
-            # A connection that broke in the middle can be gone on with.
-            if not self.received:
-                raise DownloadError(str(error) or "no answer") from error
-
-    def _note_size(self, status: int, headers: HTTPMessage) -> None:
-        if status == 200 and self.received:
+    def begin(self, response: httpx.Response) -> None:
+        """Take the head of an answer."""
+        if response.status_code == 206:
+            text = response.headers.get("Content-Range", "")
+            found = re.fullmatch(r"bytes (\d{1,18})-\d{1,18}/(\d{1,18})", text)
+            if found is not None and int(found[1]) != self.received:
+                raise DownloadError("the relay gave another range than the one asked for")
+            size = found and found[2]
+        elif response.status_code == 200:
             self._hash = hashlib.sha256()
             self.received = 0
             self._file.seek(0)
             self._file.truncate()
-        try:
-            if status == 206:
-                text = str(headers["Content-Range"])
-                begin, _, size = text.removeprefix("bytes ").replace("/", "-").split("-")
-                if int(begin) != self.received:
-                    raise DownloadError("the relay gave another range than the one asked for")
-                self._size = int(size)
-            else:
-                self._size = int(str(headers["Content-Length"]))
-        except ValueError as error:
-            raise DownloadError("the relay does not say how long the file is") from error
+            size = response.headers.get("Content-Length")
+        else:
+            raise _refusal(response.status_code)
+        if size is None:
+            raise DownloadError("the relay does not say how long the file is")
+        self._size = int(size)
         if not 0 < self._size <= MAX_FILE_BYTES:
             raise WrongFileError(f"a file of {self._size} bytes; the limit is {MAX_FILE_BYTES}")
 
-    def _take(self, data: bytes) -> None:
-        assert self._size is not None
+    def take(self, data: bytes) -> None:
+        """Take the next bytes."""
         self.received += len(data)
         if self.received > self._size:
             raise WrongFileError("the file is longer than was said")
         self._hash.update(data)
-        try:
-            self._file.write(data)
-        except OSError as error:
-            raise _DiskError from error
+        self._file.write(data)
         elapsed_s = time.monotonic() - self._begin_s
         if elapsed_s > TIMEOUT_S + self.received / SLOWEST_BYTES_PER_S:
             raise DownloadError("it comes too slowly")
         if not self._progress(self.received / self._size):
             raise StoppedError("not wanted any more")
-
-
-class _DiskError(OSError):
-    """Ours, and not the network's."""
-
-
-class _NoRedirects(urllib.request.HTTPRedirectHandler):
-    """A relay redirects nobody; what does is something else."""
-
-    def redirect_request(
-        self,
-        req: urllib.request.Request,
-        fp: IO[bytes],
-        code: int,
-        msg: str,
-        headers: HTTPMessage,
-        newurl: str,
-    ) -> Any:
-        return None
 
 
 def _refusal(status: int) -> DownloadError:

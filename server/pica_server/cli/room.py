@@ -1,16 +1,16 @@
 """``pica room``: look at the rooms of a relay that runs with --admin-port, and manage them."""
 
-import http.client
 import json
-import ssl
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote, urlsplit
 
+import httpx
 import tyro
 
 from pica_server.errors import AdminRequestError, ConfigurationError
+from pica_server.ops.certificate import trusting
 
 TIMEOUT_S: Final = 10.0
 MAX_ANSWER_BYTES: Final = 16_777_216
@@ -148,7 +148,6 @@ def _mute(options: MuteOptions, method: str) -> dict[str, Any]:
 
 
 def _ask(options: AdminOptions, method: str, *path: str, query: str = "") -> dict[str, Any]:
-    parts = urlsplit(options.url)
     headers = {}
     if options.token_file is not None:
         try:
@@ -158,33 +157,26 @@ def _ask(options: AdminOptions, method: str, *path: str, query: str = "") -> dic
             raise ConfigurationError(f"--token-file {options.token_file}: {what}") from error
         headers["Authorization"] = f"Bearer {token}"
     target = "/v1/" + "/".join(quote(part, safe="") for part in path) + query
-    connection = _connection(options, parts.hostname or "", parts.port)
+    url = options.url.rstrip("/") + target
+    tls = trusting("--ca-file", options.ca_file)
     try:
-        connection.request(method, target, headers=headers)
-        response = connection.getresponse()
-        answer = json.loads(response.read(MAX_ANSWER_BYTES))
-    except (OSError, http.client.HTTPException, ValueError) as error:
-        what = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        with (
+            httpx.Client(verify=tls, trust_env=False, timeout=TIMEOUT_S) as client,
+            client.stream(method, url, headers=headers) as response,
+        ):
+            body = b""
+            for part in response.iter_bytes():
+                body += part
+                if len(body) > MAX_ANSWER_BYTES:
+                    raise ValueError("its answer is too long")
+        answer = json.loads(body)
+    except (httpx.HTTPError, httpx.InvalidURL, ValueError) as error:
+        what = str(error) or type(error).__name__
         raise AdminRequestError(
             f"no relay answers admins at {options.url} ({what}); start it with --admin-port"
         ) from error
-    finally:
-        connection.close()
     if not isinstance(answer, dict):
         raise AdminRequestError(f"{options.url}: that is no relay's answer")
-    if response.status != 200:
-        raise AdminRequestError(f"{options.url}: {answer.get('error', response.status)}")
+    if response.status_code != 200:
+        raise AdminRequestError(f"{options.url}: {answer.get('error', response.status_code)}")
     return answer
-
-
-def _connection(options: AdminOptions, host: str, port: int | None) -> http.client.HTTPConnection:
-    if not options.url.startswith("https:"):
-        return http.client.HTTPConnection(host, port, timeout=TIMEOUT_S)
-    context = ssl.create_default_context()
-    if options.ca_file is not None:
-        try:
-            context.load_verify_locations(options.ca_file)
-        except OSError as error:
-            what = error.strerror or "no certificates in it"
-            raise ConfigurationError(f"--ca-file {options.ca_file}: {what}") from error
-    return http.client.HTTPSConnection(host, port, timeout=TIMEOUT_S, context=context)

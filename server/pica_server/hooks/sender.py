@@ -1,4 +1,4 @@
-"""The way out for webhooks: one connection for each event, and nothing decided here.
+"""The way out for webhooks, by httpx: one connection for each event, and nothing decided here.
 
 The relay's own work never waits for it: an event is put into a bounded queue, and a task of its own
 does the rest.
@@ -8,15 +8,13 @@ import asyncio
 import logging
 import random
 import secrets
-import ssl
 import time
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Final
-from urllib.parse import urlsplit
 
-import h11
+import httpx
 
 from pica_server.config.relay import WebhookConfig
 from pica_server.errors import ConfigurationError
@@ -28,12 +26,12 @@ from pica_server.hooks.webhooks import (
     WebhookQueue,
     signature,
 )
+from pica_server.ops.certificate import trusting
 
-MAX_ANSWER_BYTES: Final = 65_536
-"""Read of an answer, of which only the status is looked at."""
 MIN_SECRET_BYTES: Final = 16
 
 _logger = logging.getLogger(__name__)
+logging.getLogger("httpx").setLevel(logging.WARNING)  # else it has a line for each attempt
 
 
 class WebhookSender:
@@ -70,7 +68,7 @@ class WebhookSender:
         self._config = config
         self._secret = _read_secret(config)
         self._unix_time = unix_time
-        self._tls = _tls(config)
+        self._tls = trusting("--webhook.ca-file", config.ca_file)
         self._wake = asyncio.Event()
         self._idle = asyncio.Event()
         self._idle.set()
@@ -117,7 +115,7 @@ class WebhookSender:
                 async with asyncio.timeout(self._config.timeout_s):
                     status = await self._post(delivery)
                 trouble = "" if 200 <= status < 300 else f"HTTP {status}"
-            except (OSError, TimeoutError, EOFError, h11.RemoteProtocolError) as error:
+            except (httpx.HTTPError, OSError) as error:
                 trouble = type(error).__name__
             now = loop.time()
             if trouble:
@@ -133,52 +131,24 @@ class WebhookSender:
                 )
 
     async def _post(self, delivery: Delivery) -> int:
-        """Send one event and return the status of the answer."""
-        parts = urlsplit(self._config.url)
-        port = parts.port or (80 if self._tls is None else 443)
-        reader, writer = await asyncio.open_connection(parts.hostname, port, ssl=self._tls)
-        try:
-            http = h11.Connection(h11.CLIENT, max_incomplete_event_size=MAX_ANSWER_BYTES)
-            headers = [
-                ("Host", parts.netloc.rpartition("@")[2]),
-                ("Content-Type", "application/json"),
-                ("Content-Length", str(len(delivery.body))),
-                ("User-Agent", "pica-relay"),
-                ("Connection", "close"),
-                (ID_HEADER, delivery.event_id),
-            ]
-            if self._secret:
-                signed = signature(self._secret, delivery.body, int(self._unix_time()))
-                headers.append((SIGNATURE_HEADER, signed))
-            target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
-            request = h11.Request(method="POST", target=target, headers=headers)
-            for part in (request, h11.Data(data=delivery.body), h11.EndOfMessage()):
-                writer.write(http.send(part) or b"")
-            await writer.drain()
-            while True:
-                event = http.next_event()
-                if isinstance(event, h11.Response):
-                    return event.status_code
-                if event is h11.NEED_DATA:
-                    data = await reader.read(4096)
-                    if not data:
-                        raise EOFError("no answer")
-                    http.receive_data(data)
-        finally:
-            writer.transport.abort()
-
-
-def _tls(config: WebhookConfig) -> ssl.SSLContext | None:
-    if not config.url.startswith("https:"):
-        return None
-    context = ssl.create_default_context()
-    if config.ca_file is not None:
-        try:
-            context.load_verify_locations(config.ca_file)
-        except OSError as error:
-            what = error.strerror or "no certificates in it"
-            raise ConfigurationError(f"--webhook.ca-file {config.ca_file}: {what}") from error
-    return context
+        """Send one event and return the status of the answer, the rest of which is not read."""
+        headers = {
+            "Content-Type": "application/json",
+            "User-Agent": "pica-relay",
+            "Connection": "close",
+            ID_HEADER: delivery.event_id,
+        }
+        if self._secret:
+            signed = signature(self._secret, delivery.body, int(self._unix_time()))
+            headers[SIGNATURE_HEADER] = signed
+        # It follows no redirects, and no proxy that the environment names.
+        async with (
+            httpx.AsyncClient(verify=self._tls, trust_env=False, timeout=None) as client,
+            client.stream(
+                "POST", self._config.url, content=delivery.body, headers=headers
+            ) as response,
+        ):
+            return response.status_code
 
 
 def _read_secret(config: WebhookConfig) -> bytes:

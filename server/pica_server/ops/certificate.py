@@ -59,6 +59,26 @@ class Certificate:
         return tuple(stamps)
 
 
+def trusting(flag: str, ca_file: Path | None) -> ssl.SSLContext:
+    """Return the TLS settings of a client that trusts the system's certificates and a file's.
+
+    Args:
+        flag: The setting that names the file, for the error.
+        ca_file: The file; None for none.
+
+    Raises:
+        ConfigurationError: It cannot be read.
+    """
+    context = ssl.create_default_context()
+    if ca_file is not None:
+        try:
+            context.load_verify_locations(ca_file)
+        except OSError as error:
+            what = error.strerror or "no certificates in it"
+            raise ConfigurationError(f"{flag} {ca_file}: {what}") from error
+    return context
+
+
 def _context(cert: Path, key: Path) -> ssl.SSLContext:
     for flag, path in (("tls-cert", cert), ("tls-key", key)):
         try:
