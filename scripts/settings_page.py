@@ -52,9 +52,7 @@ def page() -> str:
 
 
 def _default(setting: Setting, options: RelayOptions) -> str:
-    value: Any = options
-    for attribute in setting.path:
-        value = getattr(value, attribute)
+    value = setting.value_in(options)
     if value is None or value in ("", ()):
         return ""
     return f"`{str(value).lower() if isinstance(value, bool) else value}`"

@@ -11,11 +11,14 @@ without their checks, because two settings that are wrong alone may be right tog
 the checks run once, on what comes out. Nothing here reads the environment: it is an argument.
 """
 
+import argparse
+import copy
 import difflib
+import functools
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get_origin
@@ -29,7 +32,17 @@ ELSEWHERE: Final = object()
 """Marks, in ``Annotated``, a field of the options that is no setting: the command line alone has
 it."""
 
-_TRUE, _FALSE = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
+_SWITCHES: Final = {
+    **dict.fromkeys(("true", "yes", "on", "1"), True),
+    **dict.fromkeys(("false", "no", "off", "0"), False),
+}
+_WORDS: Final[dict[Any, str]] = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "text",
+    Path: "the name of a file",
+}
 _SECRET_NAMES: Final = ("secret", "password", "token", "credentials")
 _USER_IN_URL: Final = re.compile(r"(?<=://)[^/@\s]*@")
 _HIDDEN: Final = "***"
@@ -43,13 +56,11 @@ class Setting:
         name: In the file, with a dot for each table.
         kind: ``bool``, ``int``, ``float``, ``str``, ``Path``, ``tuple`` of text or a ``Literal``.
         path: The attributes that lead to it from the options.
-        is_optional: Whether it may be None.
     """
 
     name: str
     kind: Any
     path: tuple[str, ...]
-    is_optional: bool
 
     @property
     def flag(self) -> str:
@@ -59,6 +70,18 @@ class Setting:
     def variable(self, prefix: str) -> str:
         """Its name in the environment."""
         return prefix + self.name.replace(".", "_").upper()
+
+    def made_of(self, value: Any) -> Any:
+        """Return the value for what a file, or the environment, says."""
+        return (
+            value
+            if get_origin(self.kind) is Literal
+            else (get_origin(self.kind) or self.kind)(value)
+        )
+
+    def value_in(self, options: Any) -> Any:
+        """Its value in options that have it."""
+        return functools.reduce(getattr, self.path, options)
 
     def is_among(self, flags: set[str]) -> bool:
         """Whether the command line sets it."""
@@ -110,28 +133,26 @@ def read_options(
             range; one line that says where.
     """
     settings = {setting.name: setting for setting in settings_of(options_type)}
-    values: dict[str, Any] = {}
-    sources: dict[str, str] = {}
-    asks_for_help = not {"-h", "--help"}.isdisjoint(words)
-    file = _config_file(words, environment, prefix)
-    if file is not None and not asks_for_help:
-        for name, value in _read_file(file, settings).items():
-            values[name], sources[name] = value, f"{file}"
-    if not asks_for_help:
-        for name, (variable, value) in _read_environment(environment, settings, prefix).items():
-            values[name], sources[name] = value, variable
+    values: dict[Setting, Any] = {}
+    sources: dict[Setting, str] = {}
+    places: dict[Setting, str] = {}
+    if {"-h", "--help"}.isdisjoint(words):
+        file = _config_file(words, environment, prefix)
+        for setting, value in _read_file(file, settings) if file is not None else ():
+            values[setting], sources[setting] = setting.made_of(value), f"{file}"
+            places[setting] = f"{file}: {setting.name}"
+        for setting, value in _read_environment(environment, settings, prefix):
+            values[setting] = setting.made_of(value)
+            sources[setting] = places[setting] = setting.variable(prefix)
     flags = {word.partition("=")[0].replace("_", "-") for word in words if word[:2] == "--"}
     try:
-        options = parse(_unchecked(options_type, settings, values))
+        options = parse(_unchecked(options_type, values))
     except ConfigurationError as error:
-        raise _with_source(error, settings, sources, flags, prefix) from error
+        raise _with_source(error, places, flags) from error
     effective = []
     for setting in settings.values():
-        found: Any = options
-        for attribute in setting.path:
-            found = getattr(found, attribute)
-        source = setting.flag if setting.is_among(flags) else sources.get(setting.name, "default")
-        effective.append(Effective(setting, found, source))
+        source = setting.flag if setting.is_among(flags) else sources.get(setting, "default")
+        effective.append(Effective(setting, setting.value_in(options), source))
     return options, effective
 
 
@@ -174,29 +195,24 @@ def _walk(cls: type, table: str, path: tuple[str, ...]) -> Iterator[Setting]:
             is_nameless = any(getattr(mark, "name", None) == "" for mark in marks)
             yield from _walk(kind, table if is_nameless else f"{table}{field.name}.", here)
             continue
-        is_optional = False
         if get_origin(kind) in (Union, UnionType):
-            is_optional = NoneType in get_args(kind)
             kind, *others = [one for one in get_args(kind) if one is not NoneType]
             if others:
                 raise TypeError(f"{cls.__name__}.{field.name}: a setting has one type")
         is_simple = kind in (bool, int, float, str, Path) or get_origin(kind) is Literal
         if not is_simple and kind != tuple[str, ...]:
             raise TypeError(f"{cls.__name__}.{field.name}: {kind} fits no file")
-        yield Setting(f"{table}{field.name}", kind, here, is_optional)
+        yield Setting(f"{table}{field.name}", kind, here)
 
 
 def _config_file(words: Sequence[str], environment: Mapping[str, str], prefix: str) -> Path | None:
-    name = environment.get(f"{prefix}CONFIG", "")
-    for i, word in enumerate(words):
-        if word == "--config":
-            name = "".join(words[i + 1 : i + 2])
-        elif word.startswith("--config="):
-            name = word.partition("=")[2]
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--config", nargs="?", default=environment.get(f"{prefix}CONFIG"))
+    name = parser.parse_known_args(words)[0].config
     return Path(name) if name else None
 
 
-def _read_file(file: Path, settings: Mapping[str, Setting]) -> dict[str, Any]:
+def _read_file(file: Path, settings: Mapping[str, Setting]) -> Iterator[tuple[Setting, Any]]:
     try:
         document = tomllib.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
@@ -205,57 +221,34 @@ def _read_file(file: Path, settings: Mapping[str, Setting]) -> dict[str, Any]:
         raise ConfigurationError(f"--config {file}: no UTF-8 text at byte {error.start}") from error
     except tomllib.TOMLDecodeError as error:
         raise ConfigurationError(f"--config {file}: no TOML: {error}") from error
-    values = {}
-    for name, value in _leaves(document, settings, ""):
+    tables = {name.rpartition(".")[0] for name in settings}
+    for name, value in _leaves(document, tables, ""):
         setting = settings.get(name)
-        if setting is None and any(known.startswith(f"{name}.") for known in settings):
+        if setting is None and name in tables:
             raise ConfigurationError(f"{file}: {name} must be a table, [{name}]")
         if setting is None:
             raise ConfigurationError(f"{file}: unknown key {name}{_hint(name, list(settings))}")
-        values[name] = _from_toml(setting, value, file)
-    return values
+        if not _fits(setting.kind, value):
+            wanted = _wanted(setting.kind, 'a list of text, ["…", "…"]')
+            is_simple = isinstance(value, (bool, int, float, str))
+            said = _cut(_toml(value) if is_simple else ascii(value))
+            raise ConfigurationError(f"{file}: {name} = {said} must be {wanted}")
+        yield setting, file.parent / value if setting.kind is Path else value
 
 
-def _leaves(
-    table: Mapping[str, Any], settings: Mapping[str, Setting], prefix: str
-) -> Iterator[tuple[str, Any]]:
+def _leaves(table: Mapping[str, Any], tables: set[str], prefix: str) -> Iterator[tuple[str, Any]]:
     for key, value in table.items():
         name = f"{prefix}{key}"
-        is_table = any(known.startswith(f"{name}.") for known in settings)
-        if is_table and not isinstance(value, dict):
-            yield name, value
-        elif is_table:
-            yield from _leaves(value, settings, f"{name}.")
+        if name in tables and isinstance(value, dict):
+            yield from _leaves(value, tables, f"{name}.")
         else:
             yield name, value
 
 
-def _from_toml(setting: Setting, value: Any, file: Path) -> Any:
-    kind = setting.kind
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if kind is float and is_number:
-        return float(value)
-    if kind is int and is_number and not isinstance(value, float):
-        return value
-    if kind in (bool, str) and isinstance(value, kind):
-        return value
-    if kind is Path and isinstance(value, str):
-        return file.parent / value
-    if get_origin(kind) is Literal and value in get_args(kind):
-        return value
-    is_texts = isinstance(value, list) and all(isinstance(item, str) for item in value)
-    if get_origin(kind) is tuple and is_texts:
-        return tuple(value)
-    raise ConfigurationError(
-        f"{file}: {setting.name} = {_cut(_toml_or_repr(value))} must be {_wanted(setting, 'file')}"
-    )
-
-
 def _read_environment(
     environment: Mapping[str, str], settings: Mapping[str, Setting], prefix: str
-) -> dict[str, tuple[str, Any]]:
+) -> Iterator[tuple[Setting, Any]]:
     known = {setting.variable(prefix): setting for setting in settings.values()}
-    values = {}
     for variable, text in sorted(environment.items()):
         if not variable.startswith(prefix) or variable == f"{prefix}CONFIG":
             continue
@@ -263,96 +256,70 @@ def _read_environment(
         if setting is None:
             hint = _hint(variable, list(known))
             raise ConfigurationError(f"unknown environment variable {variable}{hint}")
-        if text:  # empty is not set: a compose file cannot leave a variable out
-            values[setting.name] = (variable, _from_text(setting, text, variable))
-    return values
+        if not text:  # empty is not set: a compose file cannot leave a variable out
+            continue
+        value = _from_text(setting.kind, text)
+        if not _fits(setting.kind, value):
+            # Kubernetes sets NAME_PORT and others for each service; see docs/operating.md.
+            hint = "; it is Kubernetes that set this: use `enableServiceLinks: false`"
+            raise ConfigurationError(
+                f"{variable}={_cut(text)} must be {_wanted(setting.kind, 'text, text, …')}"
+                f"{hint if text.startswith('tcp://') else ''}"
+            )
+        yield setting, value
 
 
-def _from_text(setting: Setting, text: str, variable: str) -> Any:
-    kind = setting.kind
-    if kind in (str, Path):
-        return kind(text)
-    if get_origin(kind) is tuple:
-        return tuple(item.strip() for item in text.split(",") if item.strip())
-    if kind is bool and text.lower() in (*_TRUE, *_FALSE):
-        return text.lower() in _TRUE
-    if get_origin(kind) is Literal and text in get_args(kind):
-        return text
+def _from_text(kind: Any, text: str) -> Any:
+    """Return what the same would be in the file; None for what cannot be read."""
+    if kind is bool:
+        return _SWITCHES.get(text.lower())
     if kind in (int, float):
         try:
             return kind(text)
         except ValueError:
-            pass
-    hint = ""
-    if text.startswith("tcp://"):
-        # Kubernetes sets NAME_PORT and others for each service; see docs/operating.md.
-        hint = "; it is Kubernetes that set this: use `enableServiceLinks: false`"
-    raise ConfigurationError(
-        f"{variable}={_cut(text)} must be {_wanted(setting, 'environment')}{hint}"
-    )
+            return None
+    if get_origin(kind) is tuple:
+        return [item.strip() for item in text.split(",") if item.strip()]
+    return text
 
 
-def _wanted(setting: Setting, place: str) -> str:
-    kind = setting.kind
+def _fits(kind: Any, value: Any) -> bool:
+    if get_origin(kind) is Literal:
+        return value in get_args(kind)
+    if get_origin(kind) is tuple:
+        return isinstance(value, list) and all(isinstance(item, str) for item in value)
+    types = {float: (int, float), Path: (str,)}.get(kind, (kind,))
+    return type(value) in types
+
+
+def _wanted(kind: Any, list_of_text: str) -> str:
     if get_origin(kind) is Literal:
         return "one of " + ", ".join(map(str, get_args(kind)))
     if get_origin(kind) is tuple:
-        return 'a list of text, ["…", "…"]' if place == "file" else "text, text, …"
-    if kind is bool:
-        return "true or false"
-    words = {int: "a whole number", float: "a number", str: "text", Path: "the name of a file"}
-    return words[kind]
+        return list_of_text
+    return _WORDS[kind]
 
 
-def _unchecked(
-    cls: Any, settings: Mapping[str, Setting], values: Mapping[str, Any], path: tuple[str, ...] = ()
-) -> Any:
+def _unchecked(options_type: type[T], values: Mapping[Setting, Any]) -> T:
     """Make defaults that may be wrong until the command line is added to them."""
-    by_path = {settings[name].path: value for name, value in values.items()}
-    hints = hints_of(cls)
-    instance = object.__new__(cls)
-    for field in fields(cls):
-        here = (*path, field.name)
-        kind = hints[field.name]
-        if here in by_path:
-            value = by_path[here]
-        elif any(known[: len(here)] == here for known in by_path) and is_dataclass(kind):
-            value = _unchecked(kind, settings, values, here)
-        else:
-            value = _default(field)
-        object.__setattr__(instance, field.name, value)
-    return instance
-
-
-def _default(field: "Field[Any]") -> Any:
-    if field.default_factory is not MISSING:
-        return field.default_factory()
-    if field.default is MISSING:
-        raise TypeError(f"{field.name}: a setting has a default")
-    return field.default
+    options = copy.deepcopy(options_type())
+    for setting, value in values.items():
+        owner = functools.reduce(getattr, setting.path[:-1], options)
+        object.__setattr__(owner, setting.path[-1], value)
+    return options
 
 
 def _with_source(
-    error: ConfigurationError,
-    settings: Mapping[str, Setting],
-    sources: Mapping[str, str],
-    flags: set[str],
-    prefix: str,
+    error: ConfigurationError, sources: Mapping[Setting, str], flags: set[str]
 ) -> ConfigurationError:
     """Say of a refused value where it stands, if that is not the command line.
 
     The checks begin with the flag of the field that they are about.
     """
-    text = str(error)
-    flag = re.match(r"--[a-z0-9.-]+", text)
-    for setting in settings.values():
-        if flag is None or setting.flag != flag[0] or setting.is_among(flags):
-            continue
-        source = sources.get(setting.name)
-        if source is not None:
-            is_variable = source == setting.variable(prefix)
-            where = source if is_variable else f"{source}: {setting.name}"
-            return ConfigurationError(f"{where}{text[len(flag[0]) :]}")
+    flag, text = re.match(r"(--[a-z0-9.-]+)?(.*)", str(error), re.DOTALL).groups()  # type: ignore[union-attr]
+    for setting, source in sources.items():
+        if setting.flag == flag and not setting.is_among(flags):
+            return ConfigurationError(f"{source}{text}")
     return error
 
 
