@@ -1,0 +1,32 @@
+"""Render a tiny capture of a built-in head: what a camera dome would record, made from nothing.
+
+You learn what training reads: images of several calibrated cameras, a tracked mesh and an
+average texture per frame, depth, and the expression of each frame. The contact sheet shows all
+of it.
+"""
+
+import sys
+import tempfile
+from pathlib import Path
+
+from pica_core.capture.dataset.check import check_capture
+from pica_core.capture.dataset.dataset import Capture
+from pica_core.capture.dataset.sheet import write_sheet
+from pica_core.capture.procedural.subject import StageOptions, render_capture
+
+OUT = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
+OUT.mkdir(parents=True, exist_ok=True)
+OPTIONS = StageOptions(
+    head="S1", frames=6, cameras=2, width=128, height=128, texture_size=64,
+    bake_size=256, self_shadow=False, tracked_vertices=1000,
+)  # fmt: skip
+
+with tempfile.TemporaryDirectory() as folder:
+    counts = render_capture(OPTIONS, Path(folder))
+    capture = Capture.open(Path(folder))
+    print(f"{counts['images']} images by {len(capture.cameras)} cameras")
+    for split in ("train", "test"):
+        print(f"{split}: {len(capture.frames_of(split))} frames")
+    problems = check_capture(Path(folder))["problems"]
+    print(f"{len(problems)} problems found")
+    write_sheet(Path(folder), OUT / "capture.png")

@@ -1,0 +1,37 @@
+"""Seal a frame end to end, open it, and see that nothing of it can be changed on the way.
+
+You learn what the relay does not see. A payload is encrypted in the manner of SFrame (RFC 9605);
+the header stays readable, and is authenticated: a frame moved to another stream or time does not
+open.
+"""
+
+import os
+from dataclasses import replace
+
+from pica_client.e2ee.errors import OpenError
+from pica_client.e2ee.frames import derive_key, metadata_of, open_, seal
+from pica_client.e2ee.suites import AES_128_GCM_SHA256_128
+from pica_protocol.frames import Frame
+
+key = derive_key(os.urandom(16), key_id=0, suite=AES_128_GCM_SHA256_128)
+frame = Frame(
+    stream=7, sequence=41, layer=0, is_keyframe=True, captured_us=1_000_000, payload=b"a face"
+)
+sealed = seal(frame.payload, metadata_of(frame), key, counter=41)
+print(f"{len(frame.payload)} bytes of payload, {len(sealed)} sealed: {sealed.hex()}")
+assert open_(sealed, metadata_of(frame), key) == frame.payload
+
+other = derive_key(os.urandom(16), key_id=0, suite=AES_128_GCM_SHA256_128)
+attempts = {
+    "a flipped bit": (bytes([*sealed[:-1], sealed[-1] ^ 1]), metadata_of(frame), key),
+    "another stream": (sealed, metadata_of(replace(frame, stream=8)), key),
+    "another time": (sealed, metadata_of(replace(frame, captured_us=2_000_000)), key),
+    "another key": (sealed, metadata_of(frame), other),
+}
+for what, arguments in attempts.items():
+    try:
+        open_(*arguments)
+    except OpenError as error:
+        print(f"{what}: {type(error).__name__}")
+    else:
+        raise AssertionError(what)

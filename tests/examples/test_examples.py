@@ -1,0 +1,61 @@
+"""Each example runs, says something, warns of nothing and leaves its files where it is told."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from helpers.paths import ROOT
+
+pytestmark = pytest.mark.realtime
+
+EXAMPLES = sorted((ROOT / "examples").glob("[0-9]*.py"))
+FILES = {
+    "03_avatar_to_png": ["ines-rest.png", "ines-smile.png"],
+    "04_draw_a_head": ["two-heads.png"],
+    "10_render_a_capture": ["capture.png"],
+    "11_train_a_little": ["nobody.pica"],
+    "12_look_into_an_avatar_file": ["somebody.pica"],
+    "13_import_a_rig": ["rig.png"],
+}
+"""What each example writes into the folder that it is given; the others write nothing."""
+PATIENCE_S = 120.0
+"""On a loaded machine; alone, the longest takes eight seconds."""
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_runs_without_a_warning(example: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    done = subprocess.run(
+        [sys.executable, "-W", "error", str(example), str(out)],
+        cwd=tmp_path,
+        env=os.environ | {"LP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip()
+    assert done.stderr == ""
+    written = sorted(path.name for path in tmp_path.rglob("*") if path.is_file())
+    assert written == FILES.get(example.stem, [])
+    assert all((out / name).stat().st_size > 0 for name in written)
+
+
+def test_examples_are_numbered_short_and_say_what_one_learns() -> None:
+    numbers = [int(path.stem.split("_")[0]) for path in EXAMPLES]
+    assert numbers == list(range(1, len(EXAMPLES) + 1))
+    for path in EXAMPLES:
+        text = path.read_text()
+        assert 20 <= len(text.splitlines()) <= 100, path.name
+        assert "You learn" in text.partition('"""')[2].partition('"""')[0], path.name
+
+
+def test_every_example_is_on_the_page_about_them() -> None:
+    page = (ROOT / "examples" / "README.md").read_text()
+    assert [path.name for path in EXAMPLES if f"[{path.name}]({path.name})" not in page] == []
