@@ -21,6 +21,7 @@ import contextlib
 import math
 from collections import Counter
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,7 @@ from pica_client.bench.impaired_call_compare import CallComparison
 from pica_client.bench.network.impairment import Impairment
 from pica_client.bench.network.proxy import ImpairedProxy
 from pica_client.call.call import Call, CallConfig, DueFrame
-from pica_client.decode.decoder import ObjectDecoder, OnnxDecoder
+from pica_client.decode.decoder import OnnxDecoder
 from pica_client.errors import CallProcessError, OptionError
 from pica_client.local_call.latency import FrameTimes, latency_summary
 from pica_client.local_call.local_call import (
@@ -50,7 +51,6 @@ from pica_client.playout.config import PlayoutConfig
 from pica_client.stats import describe_machine
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.receiver import Receiver
-from pica_core.avatar.file import Avatar
 
 MAX_DECODES_WAITING = 64
 """Decodes waiting for a thread; newer ones are dropped and counted (chosen: 0.4 s of a call)."""
@@ -80,56 +80,60 @@ class BenchConfig:
             raise OptionError(f"seconds is {self.seconds:g}; above 0 and at most 600 is allowed")
 
 
-class DecodeLane:
-    """Decodes frames, first come first served, and remembers their times."""
+class DecodeQueue:
+    """Decodes frames, first come first served, and remembers their times.
 
-    def __init__(self, make_decoder: Callable[[Avatar], ObjectDecoder]) -> None:
+    Args:
+        library: Avatars whose decoders are built and warmed up here, which takes a while.
+        threads: Decodes that may run at once.
+    """
+
+    def __init__(self, library: AvatarLibrary, threads: int) -> None:
         self.frames: list[FrameTimes] = []
-        self.num_dropped = 0
-        self.errors = 0
-        self._make_decoder = make_decoder
-        self._decoders: dict[str, ObjectDecoder] = {}
-        # Drops the newest when full.
-        self._waiting: asyncio.Queue[tuple[DueFrame, float]] = asyncio.Queue(MAX_DECODES_WAITING)
+        self.num_dropped = self.errors = 0
+        self._decoders = {name: OnnxDecoder(library.load(name)) for name in library.loaded()}
+        for decoder in self._decoders.values():
+            decoder.decode(np.zeros((8, 8, 4), np.float32), FRONT)
+        self._pool = ThreadPoolExecutor(threads)
+        self._waiting: set[asyncio.Future[None]] = set()  # drops the newest when full
 
-    def prepare(self, avatar_id: str, avatar: Avatar) -> None:
-        """Build and warm up the decoder of an avatar; takes tenths of a second."""
-        decoder = self._decoders[avatar_id] = self._make_decoder(avatar)
-        decoder.decode(np.zeros((8, 8, 4), np.float32), FRONT)
-
-    def submit(self, due: DueFrame, now: float) -> None:
+    def submit(self, due: DueFrame) -> None:
         """Queue a frame that was released now."""
-        try:
-            self._waiting.put_nowait((due, now))
-        except asyncio.QueueFull:
+        if len(self._waiting) >= MAX_DECODES_WAITING:
             self.num_dropped += 1
+            return
+        loop = asyncio.get_running_loop()
+        decode = loop.run_in_executor(self._pool, self._decode, due, loop.time(), loop.time)
+        self._waiting.add(decode)
+        decode.add_done_callback(self._finish)
 
     def begin_window(self) -> None:
         """Let the statistics begin here."""
         self.frames.clear()
         self.num_dropped = self.errors = 0
 
-    async def run(self) -> None:
-        """Decode until cancelled, one at a time; as many of these run as there are threads."""
-        loop = asyncio.get_running_loop()
-        while True:
-            due, released_s = await self._waiting.get()
-            decoder, latent = self._decoders[due.avatar_id], due.frame.sample.latent
-            try:
-                await asyncio.to_thread(decoder.decode, latent, FRONT)
-            except Exception:  # whatever a decoder raises, the call goes on and the count shows it
-                self.errors += 1
-                continue
-            if len(self.frames) < MAX_FRAMES:
-                self.frames.append(
-                    FrameTimes(
-                        name=due.name,
-                        captured_us=due.frame.captured_us,
-                        arrived_s=due.frame.arrived_s,
-                        released_s=released_s,
-                        decoded_s=loop.time(),
-                    )
+    def close(self) -> None:
+        """Forget what waits."""
+        self._pool.shutdown(cancel_futures=True)
+
+    def _decode(self, due: DueFrame, released_s: float, clock: Callable[[], float]) -> None:
+        frame = due.frame
+        self._decoders[due.avatar_id].decode(frame.sample.latent, FRONT)
+        if len(self.frames) < MAX_FRAMES:
+            self.frames.append(
+                FrameTimes(
+                    name=due.name,
+                    captured_us=frame.captured_us,
+                    arrived_s=frame.arrived_s,
+                    released_s=released_s,
+                    decoded_s=clock(),
                 )
+            )
+
+    def _finish(self, decode: asyncio.Future[None]) -> None:
+        self._waiting.discard(decode)
+        if not decode.cancelled() and decode.exception() is not None:
+            self.errors += 1  # whatever a decoder raises, the call goes on and the count shows it
 
 
 def run_bench(config: BenchConfig, *, avatar_files: list[Path] | None = None) -> dict[str, Any]:
@@ -170,17 +174,12 @@ async def _measure_through(
     receiver = Receiver(
         LinkConfig(url=url, room=ROOM, name="bench", connect_timeout_s=JOIN_TIMEOUT_S), call
     )
-    lane = DecodeLane(OnnxDecoder)
-    for identity in library.loaded():
-        lane.prepare(identity, library.load(identity))
+    queue = DecodeQueue(library, config.decode_threads)
     loop = asyncio.get_running_loop()
-    tasks = [
-        asyncio.create_task(receiver.run(), name="receiver"),
-        asyncio.create_task(_release(receiver, lane), name="release"),
-        *(asyncio.create_task(lane.run(), name="decode") for _ in range(config.decode_threads)),
-    ]
+    work = [receiver.run(), _release(receiver, queue)]
     if comparison is not None:
-        tasks.append(asyncio.create_task(comparison.run(), name="comparison"))
+        work.append(comparison.run())
+    tasks = [asyncio.create_task(each) for each in work]
     try:
         deadline = loop.time() + JOIN_TIMEOUT_S
         while call.num_live < len(local.names):
@@ -191,7 +190,7 @@ async def _measure_through(
         await _pause(tasks, config.warm_up_s)
         begin_s = loop.time()
         call.begin_window(begin_s)
-        lane.begin_window()
+        queue.begin_window()
         if comparison is not None:
             comparison.begin_window(begin_s)
         say(f"measuring {config.seconds:g} s of {len(local.names)} peers")
@@ -200,12 +199,13 @@ async def _measure_through(
             local.check()
         received = receiver.stats(loop.time())
         seconds = loop.time() - begin_s
-        frames = [frame for frame in lane.frames if frame.captured_us >= begin_s * 1e6]
+        frames = [frame for frame in queue.frames if frame.captured_us >= begin_s * 1e6]
         receiver.stop()
         await tasks[0]
     finally:
         for task in tasks:
             task.cancel()
+        queue.close()
         await asyncio.gather(*tasks, return_exceptions=True)
     sent = await asyncio.to_thread(local.finish)
     decoded = Counter(frame.name for frame in frames)
@@ -218,17 +218,17 @@ async def _measure_through(
         "latency_ms": latency_summary(frames, local.encode_times_s()),
         "latents_per_s": {name: round(decoded[name] / seconds, 2) for name in local.names},
         "bitrate_bps": bitrates(sent),
-        "dropped": received["dropped"] + lane.num_dropped,
+        "dropped": received["dropped"] + queue.num_dropped,
         "concealed": received["concealed"],
         "errors": received["errors"]
-        + lane.errors
+        + queue.errors
         + sum(result["errors"] for result in sent.values()),
         "playout_delay_ms": {peer["name"]: peer["playout_delay_ms"] for peer in received["peers"]},
         "machine": describe_machine(),
     }
 
 
-async def _release(receiver: Receiver, lane: DecodeLane) -> None:
+async def _release(receiver: Receiver, queue: DecodeQueue) -> None:
     """Hand each frame to the decoder when its time has come."""
     loop, call = asyncio.get_running_loop(), receiver.call
     while True:
@@ -241,7 +241,7 @@ async def _release(receiver: Receiver, lane: DecodeLane) -> None:
         # A loop may fire a timer up to its clock's resolution too early: round up, not down.
         now = loop.time() + 1e-6
         for due in call.due_frames(now):
-            lane.submit(due, loop.time())
+            queue.submit(due)
 
 
 async def _pause(tasks: list[asyncio.Task[None]], seconds: float = CHECK_INTERVAL_S) -> None:

@@ -32,10 +32,10 @@ in every `mse`: about 0.2.
 from __future__ import annotations
 
 import struct
-import time
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -43,10 +43,11 @@ from typing import Any
 import numpy as np
 
 from pica_client.bench.difference_sheet import Cell, write_sheet
-from pica_client.bench.harness import check_ranges
+from pica_client.bench.harness import check_ranges, timed
 from pica_client.bench.head import FaceRenderer, evaluation_cameras, psnr_db
 from pica_client.bench.option_types import Ints, Words
 from pica_client.output import say
+from pica_client.playout.motion import blend
 from pica_client.render.drawing import Drawing, change_mse, drawn_mse, masked_mse
 from pica_client.sources import open_source
 from pica_client.stats import describe_machine, wire_bytes
@@ -102,12 +103,10 @@ class CodecConfig:
 class Coded:
     """A performance after one profile."""
 
-    latents: list[FloatArray]
-    """What is shown at each frame time, ``[8, 8, 4]`` each."""
-    poses: list[FloatArray]
-    """``[6]`` each."""
+    shown: list[LatentSample] = field(default_factory=list)
+    """The face at each frame time."""
     sizes: list[int] = field(default_factory=list)
-    """Payload bytes of each frame sent."""
+    """Payload bytes of each frame that was sent."""
     encode_s: list[float] = field(default_factory=list)
     decode_s: list[float] = field(default_factory=list)
 
@@ -117,10 +116,14 @@ class Take:
     """A performance as a sender has it."""
 
     arkit: FloatArray
-    latents: FloatArray
-    """``[T, 8, 8, 4]``."""
-    poses: FloatArray
-    """Rotation and translation, ``[T, 6]``."""
+    """Expressions, float32 ``[T, 52]``."""
+    samples: list[LatentSample]
+    """Latents and poses, one a frame."""
+
+
+def _pose(sample: LatentSample) -> FloatArray:
+    """Rotation and translation, float32 ``[6]``."""
+    return np.concatenate((sample.rotation, sample.translation_m))
 
 
 def run_codec_bench(config: CodecConfig, avatar: Avatar) -> dict[str, Any]:
@@ -137,7 +140,7 @@ def run_codec_bench(config: CodecConfig, avatar: Avatar) -> dict[str, Any]:
     takes = {source: _read(source, config.seconds, avatar) for source in config.sources}
     moments = {
         source: np.unique(
-            np.linspace(FPS / 2, len(take.latents) - 2, config.moments).astype(int)
+            np.linspace(FPS / 2, len(take.samples) - 2, config.moments).astype(int)
         ).tolist()
         for source, take in takes.items()
     }
@@ -176,8 +179,11 @@ def _read(source: str, seconds: float, avatar: Avatar) -> Take:
     player = open_source(source)
     frames = [player.frame_at(index / FPS) for index in range(round(seconds * FPS))]
     arkit = np.stack([frame.arkit for frame in frames])
-    poses = np.stack([np.concatenate((f.rotation, f.translation_m)) for f in frames])
-    return Take(arkit, ExpressionEncoder(avatar).encode(arkit), poses.astype(np.float32))
+    samples = [
+        LatentSample(latent=latent, rotation=frame.rotation, translation_m=frame.translation_m)
+        for latent, frame in zip(ExpressionEncoder(avatar).encode(arkit), frames, strict=True)
+    ]
+    return Take(arkit, samples)
 
 
 def _draw_truth(
@@ -212,16 +218,16 @@ class _Comparison:
         self._renderer, self._take, self._moments, self._truth = renderer, take, moments, truth
         self.worst: tuple[Image, Image] = (np.zeros((1, 1, 3), np.uint8),) * 2
         """Front view of the largest error of the last measurement: as it should be, as shown."""
-        self._uncoded = [self._draw_pair(take.latents, moment) for moment in moments]
+        self._uncoded = [self._draw_pair(take.samples, moment) for moment in moments]
 
-    def _draw_pair(self, latents: Sequence[FloatArray] | FloatArray, at: int) -> list[Drawing]:
-        return [self._renderer.draw(latents[at]), self._renderer.draw(latents[at + 1])]
+    def _draw_pair(self, samples: Sequence[LatentSample], at: int) -> list[Drawing]:
+        return [self._renderer.draw(sample.latent) for sample in samples[at : at + 2]]
 
     def __call__(self, coded: Coded) -> dict[str, Any]:
         errors, changes, losses = [], [], []
         for index, moment in enumerate(self._moments):
             plain, plain_next = self._uncoded[index]
-            shown, shown_next = self._draw_pair(coded.latents, moment)
+            shown, shown_next = self._draw_pair(coded.shown, moment)
             errors.append(drawn_mse(plain, shown))
             if errors[-1] == max(errors):
                 self.worst = (plain.image[0], shown.image[0])
@@ -232,8 +238,9 @@ class _Comparison:
                     psnr_db(masked_mse(truth, plain.image, plain.covered))
                     - psnr_db(masked_mse(truth, shown.image, shown.covered))
                 )
-        seconds = len(self._take.latents) / FPS
-        pose = np.abs(np.stack(coded.poses) - self._take.poses).mean(axis=0)
+        seconds = len(self._take.samples) / FPS
+        pairs = zip(coded.shown, self._take.samples, strict=True)
+        pose = np.mean([np.abs(_pose(shown) - _pose(sent)) for shown, sent in pairs], axis=0)
         wire = sum(wire_bytes(1 + HEADER_BYTES + size, is_masked=True) for size in coded.sizes)
         return {
             "payload_bps": round(sum(coded.sizes) * 8 / seconds),
@@ -259,7 +266,7 @@ def _coders(profile: StreamProfile, avatar: Avatar, config: CodecConfig) -> dict
 
     def stream(quality: int, highest_layer: int, rate_bps: int | None = None) -> Coder:
         config = StreamConfig(fps=FPS, quality=quality, target_bps=rate_bps)
-        return lambda take: _code_stream(profile, config, highest_layer, take)
+        return partial(_code_stream, profile, config, highest_layer)
 
     coders = {f"quality-{q}": stream(q, 2) for q in range(profile.num_qualities)}
     if config.thinned_quality < profile.num_qualities:
@@ -271,14 +278,14 @@ def _coders(profile: StreamProfile, avatar: Avatar, config: CodecConfig) -> dict
     latent_profile = LatentProfile.from_manifest(avatar.manifest)
 
     def plain(squeeze: Callable[[bytes], bytes], spread: Callable[[bytes], bytes]) -> Coder:
-        return lambda take: _code_frames(
-            take,
-            lambda latent, pose: squeeze(encode_latent(latent, pose[:3], pose[3:], latent_profile)),
+        return partial(
+            _code_frames,
+            lambda s: squeeze(encode_latent(s.latent, s.rotation, s.translation_m, latent_profile)),
             lambda payload: decode_latent(spread(payload), latent_profile),
         )
 
     coders["plain-8-bit"] = plain(bytes, bytes)
-    coders["float-16"] = lambda take: _code_frames(take, _to_halves, _from_halves)
+    coders["float-16"] = partial(_code_frames, _to_halves, _from_halves)
     coders["zlib"] = plain(lambda data: zlib.compress(data, 9), zlib.decompress)
     compress, decompress = _zstd(avatar, latent_profile)
     coders["zstd-dictionary"] = plain(compress, decompress)
@@ -289,73 +296,56 @@ def _code_stream(
     profile: StreamProfile, config: StreamConfig, highest_layer: int, take: Take
 ) -> Coded:
     """Our stream, thinned to some layers."""
-    encoder = LatentEncoder(profile, config)
-    decoder = LatentDecoder(profile)
+    encoder, decoder = LatentEncoder(profile, config), LatentDecoder(profile)
     found: dict[int, LatentSample] = {}
-    coded = Coded([], [])
-    sequence = 0
-    for index, (latent, pose) in enumerate(zip(take.latents, take.poses, strict=True)):
+    coded, sequence = Coded(), 0
+    for index, sample in enumerate(take.samples):
         now_us = index * 1_000_000 // FPS
-        began_s = time.perf_counter()
-        frame = encoder.encode(latent, pose[:3], pose[3:], now_us)
-        coded.encode_s.append(time.perf_counter() - began_s)
+        face = sample.latent, sample.rotation, sample.translation_m
+        took, frame = timed(encoder.encode, *face, now_us)
+        coded.encode_s.append(took.wall_s)
         if frame is None:
             continue
         if frame.layer <= highest_layer:
-            began_s = time.perf_counter()
-            (decoded,) = decoder.receive(
-                sequence % SEQUENCE_MODULUS, now_us, frame.layer, frame.is_keyframe, frame.payload
-            )
-            coded.decode_s.append(time.perf_counter() - began_s)
+            wire = sequence % SEQUENCE_MODULUS, now_us, frame.layer, frame.is_keyframe
+            took, (decoded,) = timed(decoder.receive, *wire, frame.payload)
+            coded.decode_s.append(took.wall_s)
             found[index] = decoded.sample
             coded.sizes.append(len(frame.payload))
         sequence += 1
-    for index in range(len(take.latents)):
-        latent, pose = _between(found, index)
-        coded.latents.append(latent)
-        coded.poses.append(pose)
+    coded.shown = [_shown_at(found, index) for index in range(len(take.samples))]
     return coded
 
 
-def _between(found: dict[int, LatentSample], index: int) -> tuple[FloatArray, FloatArray]:
+def _shown_at(found: dict[int, LatentSample], index: int) -> LatentSample:
     """The face at a frame time, interpolated where that frame was not sent: as playout does."""
     before = max(place for place in found if place <= index)
-    sample = found[before]
-    pose = np.concatenate((sample.rotation, sample.translation_m))
     after = min((place for place in found if place > index), default=None)
-    if before == index or after is None or sample.is_still:
-        return sample.latent, pose
-    share = np.float32((index - before) / (after - before))
-    coming = found[after]
-    there = np.concatenate((coming.rotation, coming.translation_m))
-    return sample.latent + share * (coming.latent - sample.latent), pose + share * (there - pose)
+    if before == index or after is None or found[before].is_still:
+        return found[before]
+    return blend(found[before], found[after], (index - before) / (after - before))
 
 
 def _code_frames(
-    take: Take,
-    encode: Callable[[FloatArray, FloatArray], bytes],
-    decode: Callable[[bytes], LatentSample],
+    encode: Callable[[LatentSample], bytes], decode: Callable[[bytes], LatentSample], take: Take
 ) -> Coded:
     """A format that codes every frame on its own."""
-    coded = Coded([], [])
-    for latent, pose in zip(take.latents, take.poses, strict=True):
-        began_s = time.perf_counter()
-        payload = encode(latent, pose)
-        coded.encode_s.append(time.perf_counter() - began_s)
-        began_s = time.perf_counter()
-        sample = decode(payload)
-        coded.decode_s.append(time.perf_counter() - began_s)
+    coded = Coded()
+    for sample in take.samples:
+        encoded, payload = timed(encode, sample)
+        decoded, shown = timed(decode, payload)
+        coded.encode_s.append(encoded.wall_s)
+        coded.decode_s.append(decoded.wall_s)
         coded.sizes.append(len(payload))
-        coded.latents.append(sample.latent)
-        coded.poses.append(np.concatenate((sample.rotation, sample.translation_m)))
+        coded.shown.append(shown)
     return coded
 
 
 _HALVES = struct.Struct("<262e")
 
 
-def _to_halves(latent: FloatArray, pose: FloatArray) -> bytes:
-    return _HALVES.pack(*latent.reshape(-1).tolist(), *pose.tolist())
+def _to_halves(sample: LatentSample) -> bytes:
+    return _HALVES.pack(*sample.latent.reshape(-1).tolist(), *_pose(sample).tolist())
 
 
 def _from_halves(payload: bytes) -> LatentSample:

@@ -150,7 +150,7 @@ def run_decode_bench(config: DecodeBenchConfig, avatar: Avatar) -> dict[str, Any
             differences[name, level] = export_difference(model, level, latents[:4], config.onnx)
 
     def decode(case: Case, number: int) -> float:
-        return timed(lambda: decodes[case](latents[number % len(latents)]))[0].wall_s
+        return timed(decodes[case], latents[number % len(latents)])[0].wall_s
 
     cases = list(decodes)
     samples = take_turns(

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from statistics import median, quantiles
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import moderngl
 import numpy as np
@@ -39,10 +39,10 @@ class Took(NamedTuple):
     cpu_s: float
 
 
-def timed(work: Callable[[], T]) -> tuple[Took, T]:
+def timed(work: Callable[..., T], *arguments: Any) -> tuple[Took, T]:
     """Do some work; what it took, and what came of it."""
     wall_s, cpu_s = time.perf_counter(), time.process_time()
-    result = work()
+    result = work(*arguments)
     return Took(time.perf_counter() - wall_s, time.process_time() - cpu_s), result
 
 

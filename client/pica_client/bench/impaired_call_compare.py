@@ -28,7 +28,7 @@ from pica_client.avatars.library import AvatarLibrary
 from pica_client.bench.head import FaceRenderer
 from pica_client.call.call import Call, CallConfig
 from pica_client.local_call.local_call import ROOM
-from pica_client.playout.rotation import blend_rotations
+from pica_client.playout.motion import blend
 from pica_client.render.drawing import drawn_mse
 from pica_client.stats import percentile, summarise_ms
 from pica_client.transport.config import LinkConfig
@@ -82,13 +82,7 @@ class TrueFace:
         begin_us, end_us = self._times_us[after - 1], self._times_us[after]
         if begin.is_still:  # nothing moved until shortly before the next frame
             return begin
-        weight = (time_us - begin_us) / (end_us - begin_us)
-        share = np.float32(weight)
-        return LatentSample(
-            latent=begin.latent + share * (end.latent - begin.latent),
-            rotation=blend_rotations(begin.rotation, end.rotation, weight),
-            translation_m=begin.translation_m + share * (end.translation_m - begin.translation_m),
-        )
+        return blend(begin, end, (time_us - begin_us) / (end_us - begin_us))
 
 
 class CallComparison:

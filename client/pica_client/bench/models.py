@@ -208,9 +208,9 @@ class _Bench:
         """Decode and draw one frame."""
         model = self._models[case.number]
         direction = view_direction(matrix, self._camera(case).centre_m)
-        decoded, _ = timed(lambda: model.decode(latent, direction))
-        uploaded, _ = timed(lambda: model.upload(self._renderer, case.slot))
-        drawn, _ = timed(lambda: self._draw(case, matrix))
+        decoded, _ = timed(model.decode, latent, direction)
+        uploaded, _ = timed(model.upload, self._renderer, case.slot)
+        drawn, _ = timed(self._draw, case, matrix)
         total = Took(decoded.wall_s + drawn.wall_s, decoded.cpu_s + drawn.cpu_s)
         return dict(zip(PARTS, (decoded, uploaded, drawn, total), strict=True))
 

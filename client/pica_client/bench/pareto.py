@@ -188,7 +188,7 @@ class _Bench:
         latent, matrix = self._frames[number + WARM_UP_FRAMES]
         camera = self._camera(candidate.distance_cm, self._config.image_size)
         direction = view_direction(matrix, camera.centre_m)
-        decoded, maps = timed(lambda: candidate.decoder.decode(latent, direction, candidate.level))
+        decoded, maps = timed(candidate.decoder.decode, latent, direction, candidate.level)
         if not candidate.is_drawn:
             return decoded.wall_s, 0.0, None
         self._renderer.upload(maps)

@@ -2,7 +2,7 @@
 of chance are arguments, so a seed and a list of sends give the same arrivals on every machine.
 
 `Way` says when a piece of so many bytes arrives: `frame_path` puts a relay in front of it and sends
-frames, `impaired_proxy` imposes it on the bytes of a real connection.
+frames, `proxy` imposes it on the bytes of a real connection.
 
 Delay. Jitter is a positive extra delay with a heavy tail: a Lomax (Pareto II) distribution of shape
 3 whose 95th percentile is `jitter_s`; median 0.15, 99th percentile 2.1, cut off at 5 times that.
@@ -30,6 +30,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pica_client.bench.harness import check_ranges
 from pica_client.errors import OptionError
 
 JITTER_MEMORY_S = 0.1
@@ -55,7 +56,7 @@ class Impairment:
     stall_s: float = 0.0
     """How long a head-of-line stall holds everything; 0 is never."""
     stall_interval_s: float = 2.5
-    """From the end of a stall to the next one; spread by half of it to both sides."""
+    """Time between a stall's end and the next one; spread by half of it to both sides."""
     loss_ratio: float = 0.0
     """Share of pieces lost: late by a retransmission on a stream, gone as datagrams."""
     thin_ratio: float = 0.0
@@ -75,14 +76,14 @@ class Impairment:
     """A stream (TCP) if true, datagrams (UDP) if not."""
 
     def __post_init__(self) -> None:
-        for name in ("delay_s", "jitter_s", "stall_s", "reorder_s"):
-            _check(name, getattr(self, name), 0, 10)
-        for name in ("loss_ratio", "thin_ratio", "reorder_ratio", "duplicate_ratio"):
-            _check(name, getattr(self, name), 0, 0.9)
-        _check("stall_interval_s", self.stall_interval_s, 0.1, 600)
-        _check("queue_bytes", self.queue_bytes, 0, 1 << 20)
+        check_ranges(
+            self, **dict.fromkeys(("delay_s", "jitter_s", "stall_s", "reorder_s"), (0, 10))
+        )
+        ratios = ("loss_ratio", "thin_ratio", "reorder_ratio", "duplicate_ratio")
+        check_ranges(self, **dict.fromkeys(ratios, (0, 0.9)))
+        check_ranges(self, stall_interval_s=(0.1, 600), queue_bytes=(0, 1 << 20))
         if self.rate_bps is not None:
-            _check("rate_bps", self.rate_bps, 1000, 1e10)
+            check_ranges(self, rate_bps=(1000, 1e10))
         if self.is_ordered and (self.reorder_ratio or self.duplicate_ratio):
             raise OptionError("a stream is neither reordered nor doubled; set is_ordered to False")
 
@@ -106,7 +107,7 @@ class Way:
 
     @property
     def free_s(self) -> float:
-        """From when on the next piece can leave."""
+        """When the next piece can leave, seconds."""
         return self._free_s
 
     def transmit(self, num_bytes: int, now: float) -> float | None:
@@ -157,8 +158,3 @@ class Way:
     def _next_stall(self, after_s: float) -> tuple[float, float]:
         begin_s = after_s + self.impairment.stall_interval_s * self._rng.uniform(0.5, 1.5)
         return begin_s, begin_s + self.impairment.stall_s
-
-
-def _check(name: str, value: float, low: float, high: float) -> None:
-    if not low <= value <= high:
-        raise OptionError(f"{name} is {value:g}; {low:g} to {high:g} is allowed")

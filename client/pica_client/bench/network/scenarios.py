@@ -6,6 +6,7 @@ third of a run and end before the last one, so that recovery shows.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -13,7 +14,7 @@ from pica_client.bench.network.impairment import Impairment
 
 CALM: Final = Impairment()
 DATAGRAM_JITTER_S: Final = 0.02
-"""Of the datagram rows (chosen: the least that a home network has)."""
+"""Jitter of the datagram rows (chosen: the least that a home network has)."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -36,96 +37,69 @@ class Scenario:
         return replace(CALM, is_ordered=self.trouble.is_ordered)
 
 
-def _jitter(level_ms: int) -> Scenario:
-    return Scenario(
-        name=f"jitter-{level_ms}",
-        family="jitter",
-        level=level_ms,
-        unit="ms",
-        trouble=replace(CALM, jitter_s=level_ms / 1e3),
-        note=f"95 % of frames at most {level_ms} ms late, in order",
-    )
+def _family(
+    family: str, unit: str, note: str, make: Callable[[float], Impairment], *levels: int
+) -> Iterator[Scenario]:
+    """One row a level; the note says what happens at `{}`."""
+    for level in levels:
+        yield Scenario(
+            name=f"{family}-{level}",
+            family=family,
+            level=level,
+            unit=unit,
+            trouble=make(level),
+            note=note.format(level),
+        )
 
 
-def _stall(level_ms: int) -> Scenario:
-    return Scenario(
-        name=f"stall-{level_ms}",
-        family="stall",
-        level=level_ms,
-        unit="ms",
-        trouble=replace(CALM, stall_s=level_ms / 1e3),
-        note=f"every 2.5 s nothing comes for {level_ms} ms, then all at once",
-    )
-
-
-def _thin(percent: int) -> Scenario:
-    return Scenario(
-        name=f"thin-{percent}",
-        family="thin",
-        level=percent,
-        unit="%",
-        trouble=replace(CALM, thin_ratio=percent / 100),
-        note=f"the relay drops {percent} % of the frames, upper layers first",
-    )
-
-
-def _rate(kbps: int) -> Scenario:
-    return Scenario(
-        name=f"rate-{kbps}",
-        family="rate",
-        level=kbps,
-        unit="kbit/s",
-        trouble=replace(CALM, rate_bps=kbps * 1e3),
-        note=f"the way to the receiver carries {kbps} kbit/s, headers included",
-    )
-
-
-def _retransmit(percent: int) -> Scenario:
-    return Scenario(
-        name=f"retransmit-{percent}",
-        family="retransmit",
-        level=percent,
-        unit="%",
-        trouble=replace(CALM, loss_ratio=percent / 100),
-        note=f"TCP loses {percent} % of the segments: each costs 200 ms, for all behind it too",
-    )
-
-
-def _loss(percent: int) -> Scenario:
-    return Scenario(
-        name=f"loss-{percent}",
-        family="loss",
-        level=percent,
-        unit="%",
-        trouble=Impairment(loss_ratio=percent / 100, jitter_s=DATAGRAM_JITTER_S, is_ordered=False),
-        note=f"datagrams: {percent} % of the frames never come, whatever their layer",
-    )
-
-
-def _reorder(percent: int) -> Scenario:
-    return Scenario(
-        name=f"reorder-{percent}",
-        family="reorder",
-        level=percent,
-        unit="%",
-        trouble=Impairment(
-            reorder_ratio=percent / 100,
-            duplicate_ratio=0.05,
-            jitter_s=DATAGRAM_JITTER_S,
-            is_ordered=False,
-        ),
-        note=f"datagrams: {percent} % of the frames come 50 ms late, overtaken; 5 % come twice",
+def _datagrams(loss: float = 0.0, reorder: float = 0.0, duplicate: float = 0.0) -> Impairment:
+    return Impairment(
+        is_ordered=False,
+        jitter_s=DATAGRAM_JITTER_S,
+        loss_ratio=loss,
+        reorder_ratio=reorder,
+        duplicate_ratio=duplicate,
     )
 
 
 SCENARIOS: Final[tuple[Scenario, ...]] = (
-    *map(_jitter, (0, 20, 80, 200)),
-    *map(_stall, (100, 300, 1000)),
-    *map(_thin, (1, 5, 10, 30)),
-    *map(_retransmit, (1, 5)),
-    *map(_rate, (64, 32, 16)),
-    *map(_loss, (1, 5, 10, 30)),
-    *map(_reorder, (10, 30)),
+    *_family(
+        *("jitter", "ms", "95 % of frames at most {} ms late, in order"),
+        lambda ms: Impairment(jitter_s=ms / 1e3),
+        *(0, 20, 80, 200),
+    ),
+    *_family(
+        *("stall", "ms", "every 2.5 s nothing comes for {} ms, then all at once"),
+        lambda ms: Impairment(stall_s=ms / 1e3),
+        *(100, 300, 1000),
+    ),
+    *_family(
+        *("thin", "%", "the relay drops {} % of the frames, upper layers first"),
+        lambda percent: Impairment(thin_ratio=percent / 100),
+        *(1, 5, 10, 30),
+    ),
+    *_family(
+        *("retransmit", "%"),
+        "TCP loses {} % of the segments: each costs 200 ms, for all behind it too",
+        lambda percent: Impairment(loss_ratio=percent / 100),
+        *(1, 5),
+    ),
+    *_family(
+        *("rate", "kbit/s", "the way to the receiver carries {} kbit/s, headers included"),
+        lambda kbps: Impairment(rate_bps=kbps * 1e3),
+        *(64, 32, 16),
+    ),
+    *_family(
+        *("loss", "%", "datagrams: {} % of the frames never come, whatever their layer"),
+        lambda percent: _datagrams(loss=percent / 100),
+        *(1, 5, 10, 30),
+    ),
+    *_family(
+        *("reorder", "%"),
+        "datagrams: {} % of the frames come 50 ms late, overtaken; 5 % come twice",
+        lambda percent: _datagrams(reorder=percent / 100, duplicate=0.05),
+        *(10, 30),
+    ),
 )
 
 BY_NAME: Final = {scenario.name: scenario for scenario in SCENARIOS}

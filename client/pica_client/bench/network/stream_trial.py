@@ -23,9 +23,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pica_client.bench.harness import check_ranges
 from pica_client.bench.network.frame_path import FramePath, PathCounters
 from pica_client.bench.network.scenarios import Scenario
-from pica_client.errors import OptionError
 from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
 from pica_core.codec.factory import FaceDecoder, FaceEncoder
 from pica_core.codec.latent_sample import LatentSample
@@ -47,21 +47,14 @@ class Schedule:
     """How long, how often."""
 
     seconds: float = 30.0
-    """Length of the run; the middle third is troubled."""
+    """Length of each run; the trouble lasts the middle third of it."""
     fps: float = 30.0
     """Frames captured a second."""
     display_hz: float = 60.0
     """Refreshes of the display a second."""
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("seconds", 3, 600),
-            ("fps", 1, 240),
-            ("display_hz", 10, 240),
-        ):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise OptionError(f"{name} is {value:g}; {low} to {high} is allowed")
+        check_ranges(self, seconds=(3, 600), fps=(1, 240), display_hz=(10, 240))
 
     @property
     def begin_s(self) -> float:
@@ -89,7 +82,7 @@ class Delivery:
     """What came over the network."""
 
     arrivals: tuple[Arrival, ...]
-    """In the order of arrival."""
+    """What was decoded, in the order of arrival."""
     counters: PathCounters
     payload_bytes: int
     """What was sent."""
@@ -140,7 +133,7 @@ def deliver(
     path = FramePath(scenario.calm, rng)
     arrivals: list[Arrival] = []
     sent = payload_bytes = keyframes = requests = 0
-    wishes_s: list[float] = []  # when requests reach the sender; at most one each half second
+    requested_s: list[float] = []  # when requests reach the sender; at most one each half second
     last_request_s = -KEYFRAME_INTERVAL_S
     changes = [(schedule.begin_s, scenario.trouble), (schedule.end_s, scenario.calm)]
 
@@ -149,7 +142,7 @@ def deliver(
         if now - last_request_s >= KEYFRAME_INTERVAL_S:
             last_request_s = now
             requests += 1
-            wishes_s.append(now + way_s)
+            requested_s.append(now + way_s)
 
     def receive(until_s: float) -> None:
         for arrived_s, frame in path.arrivals(until_s):
@@ -172,8 +165,8 @@ def deliver(
         receive(now)
         if changes and changes[0][0] <= now:
             path.change(changes.pop(0)[1], now)
-        if wishes_s and wishes_s[0] <= now:
-            del wishes_s[0]
+        if requested_s and requested_s[0] <= now:
+            del requested_s[0]
             encoder.request_keyframe()
         true = face(now)
         captured_us = CLOCK_OFFSET_US + round(now * 1e6)
