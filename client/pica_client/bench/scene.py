@@ -12,10 +12,13 @@ middle half.
 Rows:
 
     avatars, distance_cm    of the middle one, from the camera to the front of its bounding box
-    scheduler               false: everybody is decoded whole, at the full level, in every frame
+    treatment               "whole": everybody is decoded whole, at the full level, in every frame;
+                            "scheduled": as the scheduler plans; "height": level by height on the
+                            screen, decode by age (`schedule.height_rule`), with the same budget
     budget_ms               what the scheduler may spend; null is as much as it likes
     floor_ms                the least that everybody gets costs so much, by what it has learned
-    decode_ms upload_ms draw_ms plan_ms total_ms    of a frame
+    decode_ms upload_ms draw_ms plan_ms total_ms    of a frame, wall clock
+    cpu_ms                  of a frame, processor time of all threads together
     spread                  (upper quartile - lower quartile) / median of a turn's total_ms
     error                   MSE (0-255, over pixels that heads cover) against the same frame drawn
                             from full-level maps of the newest latents: what the scheduler gave up
@@ -40,7 +43,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import moderngl
 import numpy as np
@@ -58,6 +61,7 @@ from pica_client.render.drawing import Drawing, drawn_mse, read_drawing
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement, head_matrix, view_direction
 from pica_client.schedule.frame_planner import FramePlanner, SceneHead
+from pica_client.schedule.height_rule import HeightRule
 from pica_client.schedule.scheduler import Choice, Scheduler
 from pica_client.sources.performances import make_performance
 from pica_client.stats import describe_machine
@@ -78,6 +82,13 @@ TURN_FRAMES = 5
 """Frames of a case before the next one has its turn."""
 ERROR_EVERY = 5
 """Frames between two whose error is measured."""
+Treatment = Literal["whole", "scheduled", "height"]
+HOW: dict[Treatment, str] = {
+    "whole": "everybody decoded whole",
+    "scheduled": "scheduled",
+    "height": "level by height, decode by age",
+}
+"""The treatments in words."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -96,7 +107,7 @@ class SceneBenchConfig:
     """Turns of each case, of five frames each."""
     performance: str = "talk"
     """What everybody does: talk, listen or range-of-motion."""
-    budget_shares: Floats = (0.75, 0.5, 0.35)
+    budget_shares: Floats = (0.75, 0.5)
     """Budgets of the largest scenes, as shares of what they cost unconstrained, with commas."""
     sheet: Path | None = None
     """Also write a picture of the nearest of the largest scenes in every treatment here, PNG, with
@@ -124,6 +135,7 @@ class _Frame:
     decode_s: float = 0.0
     upload_s: float = 0.0
     draw_s: float = 0.0
+    cpu_s: float = 0.0
     payload_bits: int = 0
     decodes: float = 0.0
     floor_s: float = 0.0
@@ -140,11 +152,11 @@ class _Case:
 
     num_avatars: int
     distance_cm: float
-    is_scheduled: bool
+    treatment: Treatment
     budget_s: float = math.inf
     is_away: bool = False
     """The camera looks the other way."""
-    driver: FramePlanner = field(default_factory=lambda: FramePlanner(Scheduler()))
+    planner: FramePlanner = field(init=False)
     encoders: list[FaceEncoder] = field(default_factory=list)
     layers: dict[str, int | None] = field(default_factory=dict)
     frame: int = 0
@@ -156,6 +168,14 @@ class _Case:
     triangles: int = 0
     compared: tuple[Image, Image] | None = None
     """The last picture whose error was measured, as it should be and as it was."""
+
+    def __post_init__(self) -> None:
+        self.planner = FramePlanner(HeightRule() if self.treatment == "height" else Scheduler())
+
+    @property
+    def is_planned(self) -> bool:
+        """Whether anything is left out."""
+        return self.treatment != "whole"
 
 
 def run_scene_bench(config: SceneBenchConfig, avatars: Sequence[Avatar]) -> dict[str, Any]:
@@ -219,25 +239,28 @@ class _Bench:
         """Every scene with and without the scheduler, one head that fills the screen, and nobody
         on it."""
         most = max(self._config.avatars)
-        cases = [_Case(1, FULL_SCREEN_CM, scheduled) for scheduled in (False, True)]
-        for distance in self._config.distances_cm:
-            for count in self._config.avatars:
-                cases += [_Case(count, distance, scheduled) for scheduled in (False, True)]
-        return [*cases, _Case(most, self._config.distances_cm[0], True, is_away=True)]
+        scenes = [(1, FULL_SCREEN_CM)] + [
+            (count, distance)
+            for distance in self._config.distances_cm
+            for count in self._config.avatars
+        ]
+        cases = [_Case(*scene, treatment) for scene in scenes for treatment in HOW]
+        return [*cases, _Case(most, self._config.distances_cm[0], "scheduled", is_away=True)]
 
     def limited_cases(self, measured: Sequence[_Case]) -> list[_Case]:
-        """The largest scenes with less than they cost, however much that is here."""
-        most = max(self._config.avatars)
+        """The scenes with less than the scheduler spends freely, however much that is here."""
         return [
             _Case(
-                most,
+                case.num_avatars,
                 case.distance_cm,
-                True,
+                treatment,
                 budget_s=share * _middle_mean(_turn_means_ms(case.frames, "total")) / 1e3,
             )
             for case in measured
-            if case.is_scheduled and not case.is_away and case.num_avatars == most
+            if case.treatment == "scheduled" and not case.is_away
+            if case.distance_cm != FULL_SCREEN_CM
             for share in self._config.budget_shares
+            for treatment in ("scheduled", "height")
         ]
 
     def measure(self, cases: Sequence[_Case]) -> None:
@@ -263,11 +286,11 @@ class _Bench:
             "avatars": case.num_avatars,
             "distance_cm": case.distance_cm,
             "view": AWAY if case.is_away else "front",
-            "scheduler": case.is_scheduled,
+            "treatment": case.treatment,
             "budget_ms": None if math.isinf(case.budget_s) else round(case.budget_s * 1e3, 2),
             **{
                 f"{name}_ms": round(_middle_mean(_turn_means_ms(frames, name)), 3)
-                for name in ("floor", "decode", "upload", "draw", "plan", "total")
+                for name in ("floor", "decode", "upload", "draw", "plan", "total", "cpu")
             },
             "spread": round(float((high - low) / middle), 3),
             "error": round(float(np.mean(errors)), 3) if errors else None,
@@ -288,19 +311,21 @@ class _Bench:
         camera = self._camera(case)
         heads = self._heads(case, now)
         frame = _Frame()
+        begin_cpu_s = time.process_time()
         choices = self._treat(case, heads, camera, now, frame)
         placements = [
             Placement(slot=head.slot, world_from_head=head.world_from_head) for head in heads
         ]
-        if case.is_scheduled:
-            placements = [case.driver.dressed(placement, now) for placement in placements]
+        if case.is_planned:
+            placements = [case.planner.dressed(placement, now) for placement in placements]
         begin_s = time.perf_counter()
         stats = self._renderer.draw(placements, camera)
         wait_for_gpu(self._context)
         frame.draw_s = time.perf_counter() - begin_s
-        if case.is_scheduled:
-            shaded_px = case.driver.expected_shading_px()
-            case.driver.note_drawn(stats.num_triangles, shaded_px, frame.draw_s)
+        frame.cpu_s = time.process_time() - begin_cpu_s
+        if case.is_planned:
+            shaded_px = case.planner.expected_shading_px()
+            case.planner.note_drawn(stats.num_triangles, shaded_px, frame.draw_s)
         self._send(case, heads, choices, now, frame)
         case.triangles = stats.num_triangles
         if is_measured:
@@ -346,10 +371,10 @@ class _Bench:
         the screen."""
         choices: dict[str, Choice] = {}
         requests: list[tuple[str, DecodeRequest]] = []
-        if case.is_scheduled:
+        if case.is_planned:
             begin_s = time.perf_counter()
-            plan = case.driver.plan(heads, [camera], self._config.size, case.budget_s, now)
-            requests = case.driver.requests(plan, now)
+            plan = case.planner.plan(heads, [camera], self._config.size, case.budget_s, now)
+            requests = case.planner.requests(plan, now)
             frame.plan_s = time.perf_counter() - begin_s
             frame.floor_s = plan.floor_s
             case.layers = {slot: choice.wanted_layer for slot, choice in plan.choices.items()}
@@ -369,7 +394,7 @@ class _Bench:
             frame.decode_s += decoded_s - begin_s
             frame.upload_s += upload_s
             frame.decodes += 1.0 if request.parts == "both" else 0.5
-            if case.is_scheduled:
+            if case.is_planned:
                 result = DecodeResult(
                     slot,
                     maps,
@@ -379,7 +404,7 @@ class _Bench:
                     level=maps.level,
                     parts=request.parts,
                 )
-                case.driver.note_decoded(result, upload_s, now)
+                case.planner.note_decoded(result, upload_s, now)
         return choices
 
     def _send(
@@ -395,7 +420,7 @@ class _Bench:
             case.encoders = [open_encoder(head.avatar, StreamConfig())[0] for head in heads]
         for head, encoder in zip(heads, case.encoders, strict=True):
             coded = encoder.encode(head.latent, np.zeros(3), np.zeros(3), round(now * 1e6))
-            wanted = case.layers.get(head.slot, 7) if case.is_scheduled else 7
+            wanted = case.layers.get(head.slot, 7) if case.is_planned else 7
             if coded is not None and wanted is not None and coded.layer <= wanted:
                 frame.payload_bits += 8 * len(coded.payload)
 
@@ -432,7 +457,7 @@ def _write_sheet(path: Path, config: SceneBenchConfig, cases: Sequence[_Case]) -
     for case, truth, picture in shown:
         is_free = math.isinf(case.budget_s)
         budget = "" if is_free else f", budget {case.budget_s * 1e3:.0f} ms"
-        how = f"scheduled{budget}" if case.is_scheduled else "everybody decoded whole"
+        how = HOW[case.treatment] + budget
         total_ms = _middle_mean(_turn_means_ms(case.frames, "total"))
         levels = ", ".join(f"{level}: {count}" for level, count in sorted(case.levels.items()))
         caption = f"{how}: {total_ms:.0f} ms a frame  {levels and 'levels chosen ' + levels}"

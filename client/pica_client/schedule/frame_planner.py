@@ -27,6 +27,7 @@ import numpy as np
 from pica_client.decode.pool import DecodeRequest, DecodeResult
 from pica_client.render.scene import FAR_M, NEAR_M, Placement
 from pica_client.schedule.error_model import ErrorModel
+from pica_client.schedule.height_rule import HeightRule
 from pica_client.schedule.scheduler import Choice, HeadView, Plan, Scheduler
 from pica_client.schedule.visibility import PlacedHead, Sight, look, merge_eyes
 from pica_core.avatar.file import Avatar
@@ -101,7 +102,7 @@ class FramePlanner:
         scheduler: Whose plans these are.
     """
 
-    def __init__(self, scheduler: Scheduler) -> None:
+    def __init__(self, scheduler: Scheduler | HeightRule) -> None:
         self.scheduler = scheduler
         self._entries: dict[str, _Entry] = {}
         self._heads: dict[str, SceneHead] = {}
