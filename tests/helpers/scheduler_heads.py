@@ -2,59 +2,70 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from pica_client.schedule.error_model import ErrorModel
-from pica_client.schedule.scheduler import Choice, HeadView, Plan, Scheduler
-from pica_core.avatar.levels import default_errors
+from helpers.toy import make_toy_avatar, with_toy_levels
+from pica_client.decode.request import DecodeRequest
+from pica_client.schedule.head import Choice, Head
+from pica_client.schedule.scheduler import Plan, Scheduler
+from pica_client.schedule.visibility import NOTHING, Sight
+from pica_core.avatar.spec import LATENT_SHAPE
 
-LEVELS = (64, 128, 256)
-ERRORS = ErrorModel(default_errors(LEVELS))
+TOY = with_toy_levels(make_toy_avatar())
+LEVELS = TOY.levels
 TRIANGLES = (4_000, 16_000, 50_000)
 FRAME_S = 1 / 30
+NOW_S = 100.0
 AMPLE_S = 10.0
-RANK = {"none": 0, "expression": 1, "both": 2}
+LATENT = np.zeros(LATENT_SHAPE, np.float32)
+AHEAD = np.array([0, 0, 1], np.float32)
 
 
-def view(slot: str = "ada", head_px: float = 300.0, **changes: object) -> HeadView:
+def view(
+    slot: str = "ada",
+    head_px: float = 300.0,
+    *,
+    held_level: int | None = 256,
+    age_s: float = FRAME_S,
+    hidden_ratio: float = 0.0,
+    num_views: int = 1,
+    latent_change: float = 0.3,
+    view_turn_rad: float = 0.01,
+) -> Head:
     """A talking head of this height, decoded one frame ago."""
-    given: dict[str, object] = {
-        "slot": slot,
-        "errors": ERRORS,
-        "num_triangles": TRIANGLES,
-        "is_visible": True,
-        "visible_px": 0.6 * head_px * head_px,
-        "head_px": head_px,
-        "distance_m": 300 / max(head_px, 1e-3),
-        "held_level": 256,
-        "latent_change": 0.3,
-        "view_turn_rad": 0.01,
-        "age_s": FRAME_S,
-    }
-    return HeadView(**(given | changes))  # type: ignore[arg-type]
+    head = Head(slot=slot, avatar=TOY)
+    head.num_triangles = TRIANGLES
+    head.sight = Sight(
+        is_visible=True,
+        visible_px=0.6 * num_views * head_px * head_px,
+        head_px=head_px,
+        hidden_ratio=hidden_ratio,
+        num_views=num_views,
+    )
+    head.latent_change, head.view_turn_rad = latent_change, view_turn_rad
+    if held_level is not None:
+        head.asked = DecodeRequest(LATENT, AHEAD, 0, held_level)
+        head.asked_s = NOW_S - age_s
+    return head
 
 
-def unseen(slot: str = "ada") -> HeadView:
-    return view(slot, is_visible=False, visible_px=0.0, head_px=0.0)
+def unseen(slot: str = "ada") -> Head:
+    """The same behind the viewer."""
+    head = view(slot)
+    head.sight = NOTHING
+    return head
 
 
-def plan(*heads: HeadView, budget_s: float = AMPLE_S, scheduler: Scheduler | None = None) -> Plan:
-    return (scheduler or Scheduler()).plan(heads, budget_s, now=100.0)
+def plan(*heads: Head, budget_s: float = AMPLE_S, scheduler: Scheduler | None = None) -> Plan:
+    """A plan of a frame, by a scheduler that has planned no other."""
+    return (scheduler or Scheduler()).plan(heads, budget_s, now=NOW_S)
 
 
-def choose(head: HeadView, budget_s: float = AMPLE_S) -> Choice:
+def choose(head: Head, budget_s: float = AMPLE_S) -> Choice:
+    """What a head alone gets."""
     return plan(head, budget_s=budget_s).choices[head.slot]
 
 
-def gentle() -> ErrorModel:
-    """Errors that vanish for small heads, as measured ones do."""
-    table = default_errors(LEVELS)
-    share = np.clip((table.head_px - 16) / 100, 0, 1)
-    mse = (5 + (table.mse - 5) * share).astype(np.float32)
-    return ErrorModel(replace(table, mse=mse))
-
-
-def amount(choice: Choice) -> tuple[int, int, int]:
-    return (choice.level, RANK[choice.decode], choice.mesh_level)
+def detail(choice: Choice) -> tuple[int, int]:
+    """How fine a head is drawn."""
+    return choice.level, choice.mesh_level

@@ -202,8 +202,8 @@ def camera_for(avatar: Avatar, head_px: float, size: int, yaw: float, pitch: flo
         width=size,
         height=size,
     )
-    head = PlacedHead("head", clip_from_head(camera, HEAD), low.tolist(), high.tolist())
-    scale = head_px / look([head], (size, size))["head"].head_px
+    head = PlacedHead(clip_from_head(camera, HEAD), low.tolist(), high.tolist())
+    scale = head_px / look([head], (size, size))[0].head_px
     focal = np.diag([scale, scale, 1.0])
     centred = np.array([[1, 0, size / 2 * (1 - scale)], [0, 1, size / 2 * (1 - scale)], [0, 0, 1]])
     return replace(camera, intrinsics=centred @ focal @ camera.intrinsics)

@@ -48,21 +48,21 @@ from pica_client.decode.decoder import (
     BaselineDecoder,
     OnnxDecoder,
     OnnxOptions,
-    Parts,
     open_session,
 )
 from pica_client.decode.onnx_runtime import onnxruntime
+from pica_client.decode.request import Parts
 from pica_client.errors import OptionError
 from pica_client.output import say
-from pica_client.schedule.error_model import ErrorModel
-from pica_client.schedule.scheduler import HeadView, Scheduler
+from pica_client.schedule.head import Head
+from pica_client.schedule.scheduler import Scheduler
+from pica_client.schedule.visibility import Sight
 from pica_client.sources import open_source
 from pica_client.stats import describe_machine, percentile
 from pica_core.avatar.decoder_layers import decoder_layers
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.level_tensors import exit_shapes, is_index
-from pica_core.avatar.levels import default_errors
 from pica_core.avatar.spec import BLOCKS
 from pica_core.graphs.onnx_graph import decoder_graph
 from pica_core.reference.baseline import baseline_like
@@ -251,17 +251,8 @@ def summarise(
 
 def level_for(avatar: Avatar, head_px: float) -> int:
     """The level that a scheduler with time enough gives a talking head of this height."""
-    errors = ErrorModel(avatar.level_errors or default_errors(avatar.levels))
-    head = HeadView(
-        slot="head",
-        errors=errors,
-        num_triangles=tuple(len(avatar.level_faces(level)) for level in avatar.levels),
-        is_visible=True,
-        visible_px=0.5 * head_px * head_px,
-        head_px=head_px,
-        latent_change=1.0,
-    )
-    return Scheduler().plan([head], budget_s=10.0, now=0.0).choices["head"].level
+    head = Head(slot="head", avatar=avatar, sight=Sight(True, head_px=head_px))
+    return Scheduler().level(head)
 
 
 def _cases(config: DecodeBenchConfig, models: dict[str, Avatar]) -> Iterator[tuple[Case, Decode]]:

@@ -12,9 +12,7 @@ middle half.
 Rows:
 
     avatars, distance_cm    of the middle one, from the camera to the front of its bounding box
-    treatment               "whole": everybody is decoded whole, at the full level, in every frame;
-                            "scheduled": as the scheduler plans; "height": level by height on the
-                            screen, decode by age (`schedule.height_rule`), with the same budget
+    scheduler               false: everybody is decoded whole, at the full level, in every frame
     budget_ms               what the scheduler may spend; null is as much as it likes
     floor_ms                the least that everybody gets costs so much, by what it has learned
     decode_ms upload_ms draw_ms plan_ms total_ms    of a frame, wall clock
@@ -43,7 +41,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -55,14 +53,14 @@ from pica_client.bench.head import FIELD_OF_VIEW, check_distances, front_camera
 from pica_client.bench.option_types import Floats, Ints
 from pica_client.bench.scene_summary import AWAY, FULL_SCREEN_CM, summarise
 from pica_client.decode.decoder import OnnxDecoder
-from pica_client.decode.pool import DecodeRequest, DecodeResult
+from pica_client.decode.request import DecodeRequest, DecodeResult
 from pica_client.errors import OptionError
 from pica_client.render.drawing import Drawing, drawn_mse, read_drawing
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement, head_matrix, view_direction
-from pica_client.schedule.frame_planner import FramePlanner, SceneHead
-from pica_client.schedule.height_rule import HeightRule
-from pica_client.schedule.scheduler import Choice, Scheduler
+from pica_client.schedule.frame_planner import FramePlanner
+from pica_client.schedule.head import Choice, Head
+from pica_client.schedule.scheduler import Scheduler
 from pica_client.sources.performances import make_performance
 from pica_client.stats import describe_machine
 from pica_core.avatar.expression_encoder import ExpressionEncoder
@@ -82,13 +80,6 @@ TURN_FRAMES = 5
 """Frames of a case before the next one has its turn."""
 ERROR_EVERY = 5
 """Frames between two whose error is measured."""
-Treatment = Literal["whole", "scheduled", "height"]
-HOW: dict[Treatment, str] = {
-    "whole": "everybody decoded whole",
-    "scheduled": "scheduled",
-    "height": "level by height, decode by age",
-}
-"""The treatments in words."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -152,11 +143,12 @@ class _Case:
 
     num_avatars: int
     distance_cm: float
-    treatment: Treatment
+    is_scheduled: bool
     budget_s: float = math.inf
     is_away: bool = False
     """The camera looks the other way."""
-    planner: FramePlanner = field(init=False)
+    heads: list[Head] = field(default_factory=list)
+    planner: FramePlanner = field(default_factory=lambda: FramePlanner(Scheduler()))
     encoders: list[FaceEncoder] = field(default_factory=list)
     layers: dict[str, int | None] = field(default_factory=dict)
     frame: int = 0
@@ -168,14 +160,6 @@ class _Case:
     triangles: int = 0
     compared: tuple[Image, Image] | None = None
     """The last picture whose error was measured, as it should be and as it was."""
-
-    def __post_init__(self) -> None:
-        self.planner = FramePlanner(HeightRule() if self.treatment == "height" else Scheduler())
-
-    @property
-    def is_planned(self) -> bool:
-        """Whether anything is left out."""
-        return self.treatment != "whole"
 
 
 def run_scene_bench(config: SceneBenchConfig, avatars: Sequence[Avatar]) -> dict[str, Any]:
@@ -239,28 +223,25 @@ class _Bench:
         """Every scene with and without the scheduler, one head that fills the screen, and nobody
         on it."""
         most = max(self._config.avatars)
-        scenes = [(1, FULL_SCREEN_CM)] + [
-            (count, distance)
-            for distance in self._config.distances_cm
-            for count in self._config.avatars
-        ]
-        cases = [_Case(*scene, treatment) for scene in scenes for treatment in HOW]
-        return [*cases, _Case(most, self._config.distances_cm[0], "scheduled", is_away=True)]
+        cases = [_Case(1, FULL_SCREEN_CM, scheduled) for scheduled in (False, True)]
+        for distance in self._config.distances_cm:
+            for count in self._config.avatars:
+                cases += [_Case(count, distance, scheduled) for scheduled in (False, True)]
+        return [*cases, _Case(most, self._config.distances_cm[0], True, is_away=True)]
 
     def limited_cases(self, measured: Sequence[_Case]) -> list[_Case]:
-        """The scenes with less than the scheduler spends freely, however much that is here."""
+        """The largest scenes with less than they cost, however much that is here."""
+        most = max(self._config.avatars)
         return [
             _Case(
-                case.num_avatars,
+                most,
                 case.distance_cm,
-                treatment,
+                True,
                 budget_s=share * _middle_mean(_turn_means_ms(case.frames, "total")) / 1e3,
             )
             for case in measured
-            if case.treatment == "scheduled" and not case.is_away
-            if case.distance_cm != FULL_SCREEN_CM
+            if case.is_scheduled and not case.is_away and case.num_avatars == most
             for share in self._config.budget_shares
-            for treatment in ("scheduled", "height")
         ]
 
     def measure(self, cases: Sequence[_Case]) -> None:
@@ -286,7 +267,7 @@ class _Bench:
             "avatars": case.num_avatars,
             "distance_cm": case.distance_cm,
             "view": AWAY if case.is_away else "front",
-            "treatment": case.treatment,
+            "scheduler": case.is_scheduled,
             "budget_ms": None if math.isinf(case.budget_s) else round(case.budget_s * 1e3, 2),
             **{
                 f"{name}_ms": round(_middle_mean(_turn_means_ms(frames, name)), 3)
@@ -309,23 +290,27 @@ class _Bench:
         is_compared = is_measured and case.frame % ERROR_EVERY == 0
         case.frame += 1
         camera = self._camera(case)
-        heads = self._heads(case, now)
+        heads = self._place_heads(case, now)
         frame = _Frame()
         begin_cpu_s = time.process_time()
-        choices = self._treat(case, heads, camera, now, frame)
+        choices = self._treat(case, camera, now, frame)
         placements = [
             Placement(slot=head.slot, world_from_head=head.world_from_head) for head in heads
         ]
-        if case.is_planned:
-            placements = [case.planner.dressed(placement, now) for placement in placements]
+        if case.is_scheduled:
+            placements = [
+                head.dressed(placement, now)
+                for head, placement in zip(heads, placements, strict=True)
+            ]
         begin_s = time.perf_counter()
         stats = self._renderer.draw(placements, camera)
         wait_for_gpu(self._context)
         frame.draw_s = time.perf_counter() - begin_s
         frame.cpu_s = time.process_time() - begin_cpu_s
-        if case.is_planned:
-            shaded_px = case.planner.expected_shading_px()
-            case.planner.note_drawn(stats.num_triangles, shaded_px, frame.draw_s)
+        if case.is_scheduled:
+            shaded_px = sum(head.sight.visible_px for head in heads)
+            costs = case.planner.scheduler.costs
+            costs.observe_draw(stats.num_triangles, shaded_px, frame.draw_s)
         self._send(case, heads, choices, now, frame)
         case.triangles = stats.num_triangles
         if is_measured:
@@ -340,29 +325,26 @@ class _Bench:
             case.compared = (truth.image, shown.image)
         return frame
 
-    def _heads(self, case: _Case, now: float) -> list[SceneHead]:
-        heads = []
-        for index in range(case.num_avatars):
+    def _place_heads(self, case: _Case, now: float) -> list[Head]:
+        if not case.heads:
+            avatars = self._avatars[: case.num_avatars]
+            case.heads = [
+                Head(slot=f"head-{index}", avatar=avatar) for index, avatar in enumerate(avatars)
+            ]
+        for index, head in enumerate(case.heads):
             face = self._faces[index].frame_at(now)
             seat = np.eye(4)
             # Nearest first: the middle, then left and right of it in turn.
             step = (index + 1) // 2 * (1 if index % 2 else -1)
             seat[0, 3] = SPACING_M * step
-            heads.append(
-                SceneHead(
-                    slot=f"head-{index}",
-                    avatar=self._avatars[index],
-                    world_from_head=head_matrix(seat, face.rotation, face.translation_m),
-                    latent=self._encoders[index].encode(face.arkit),
-                    captured_us=round(now * 1e6),
-                )
-            )
-        return heads
+            head.world_from_head = head_matrix(seat, face.rotation, face.translation_m)
+            head.latent = self._encoders[index].encode(face.arkit)
+            head.captured_us = round(now * 1e6)
+        return case.heads
 
     def _treat(
         self,
         case: _Case,
-        heads: Sequence[SceneHead],
         camera: Camera,
         now: float,
         frame: _Frame,
@@ -370,18 +352,19 @@ class _Bench:
         """Decode and upload what this way of treating the scene wants; what it chose for those on
         the screen."""
         choices: dict[str, Choice] = {}
-        requests: list[tuple[str, DecodeRequest]] = []
-        if case.is_planned:
+        requests: list[tuple[Head, DecodeRequest]] = []
+        if case.is_scheduled:
             begin_s = time.perf_counter()
-            plan = case.planner.plan(heads, [camera], self._config.size, case.budget_s, now)
-            requests = case.planner.requests(plan, now)
+            plan = case.planner.plan(case.heads, [camera], self._config.size, case.budget_s, now)
+            requests = case.planner.requests(case.heads, now)
             frame.plan_s = time.perf_counter() - begin_s
             frame.floor_s = plan.floor_s
             case.layers = {slot: choice.wanted_layer for slot, choice in plan.choices.items()}
             choices = {slot: choice for slot, choice in plan.choices.items() if choice.cost_s > 0}
         else:
-            requests = [(head.slot, _whole(head, camera)) for head in heads]
-        for slot, request in requests:
+            requests = [(head, _whole(head, camera)) for head in case.heads]
+        for head, request in requests:
+            slot = head.slot
             decoder = self._decoders[int(slot.partition("-")[2])]
             decoder.prepare(request.level, request.parts)
             begin_s = time.perf_counter()
@@ -394,7 +377,7 @@ class _Bench:
             frame.decode_s += decoded_s - begin_s
             frame.upload_s += upload_s
             frame.decodes += 1.0 if request.parts == "both" else 0.5
-            if case.is_planned:
+            if case.is_scheduled:
                 result = DecodeResult(
                     slot,
                     maps,
@@ -404,13 +387,13 @@ class _Bench:
                     level=maps.level,
                     parts=request.parts,
                 )
-                case.planner.note_decoded(result, upload_s, now)
+                case.planner.note_decoded(head, result, upload_s, now)
         return choices
 
     def _send(
         self,
         case: _Case,
-        heads: Sequence[SceneHead],
+        heads: Sequence[Head],
         choices: dict[str, Choice],
         now: float,
         frame: _Frame,
@@ -420,11 +403,11 @@ class _Bench:
             case.encoders = [open_encoder(head.avatar, StreamConfig())[0] for head in heads]
         for head, encoder in zip(heads, case.encoders, strict=True):
             coded = encoder.encode(head.latent, np.zeros(3), np.zeros(3), round(now * 1e6))
-            wanted = case.layers.get(head.slot, 7) if case.is_planned else 7
+            wanted = case.layers.get(head.slot, 7) if case.is_scheduled else 7
             if coded is not None and wanted is not None and coded.layer <= wanted:
                 frame.payload_bits += 8 * len(coded.payload)
 
-    def _draw_truth(self, heads: Sequence[SceneHead], camera: Camera) -> Drawing:
+    def _draw_truth(self, heads: Sequence[Head], camera: Camera) -> Drawing:
         """What should be shown: everybody's newest latent at the full level."""
         placements = []
         for index, head in enumerate(heads):
@@ -457,7 +440,7 @@ def _write_sheet(path: Path, config: SceneBenchConfig, cases: Sequence[_Case]) -
     for case, truth, picture in shown:
         is_free = math.isinf(case.budget_s)
         budget = "" if is_free else f", budget {case.budget_s * 1e3:.0f} ms"
-        how = HOW[case.treatment] + budget
+        how = f"scheduled{budget}" if case.is_scheduled else "everybody decoded whole"
         total_ms = _middle_mean(_turn_means_ms(case.frames, "total"))
         levels = ", ".join(f"{level}: {count}" for level, count in sorted(case.levels.items()))
         caption = f"{how}: {total_ms:.0f} ms a frame  {levels and 'levels chosen ' + levels}"
@@ -465,7 +448,7 @@ def _write_sheet(path: Path, config: SceneBenchConfig, cases: Sequence[_Case]) -
     write_sheet(path, cells, columns=1)
 
 
-def _whole(head: SceneHead, camera: Camera) -> DecodeRequest:
+def _whole(head: Head, camera: Camera) -> DecodeRequest:
     """Everything at its best."""
     return DecodeRequest(
         head.latent, view_direction(head.world_from_head, camera.centre_m), head.captured_us

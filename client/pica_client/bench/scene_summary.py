@@ -21,13 +21,11 @@ def summarise(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         ``budgets``: of these scenes, with less than they cost unconstrained: what was spent and
         what error that left.
         ``away``: with nobody on the screen: decodes, and payload over that of the same scene seen.
-        ``height_rule``: per scene and budget, processor time and error of the simple rule over the
-        scheduler's.
         ``plan_ms``: planning, where it took longest.
     """
     most = max(row["avatars"] for row in rows)
     full_screen = next(
-        row for row in rows if row["distance_cm"] == FULL_SCREEN_CM and row["treatment"] == "whole"
+        row for row in rows if row["distance_cm"] == FULL_SCREEN_CM and not row["scheduler"]
     )
     full_ms = full_screen["total_ms"]
     largest = [
@@ -39,9 +37,8 @@ def summarise(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     budgets = []
     for distance in sorted({row["distance_cm"] for row in largest}):
         here = [row for row in largest if row["distance_cm"] == distance]
-        plain = next(row for row in here if row["treatment"] == "whole")
-        scheduled = [row for row in here if row["treatment"] == "scheduled"]
-        free = next(row for row in scheduled if row["budget_ms"] is None)
+        plain = next(row for row in here if not row["scheduler"])
+        free = next(row for row in here if row["scheduler"] and row["budget_ms"] is None)
         scenes.append(
             {
                 "distance_cm": distance,
@@ -63,7 +60,7 @@ def summarise(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
                 "levels": row["levels"],
                 "meshes": row["meshes"],
             }
-            for row in scheduled
+            for row in here
             if row["budget_ms"] is not None
         ]
     summary: dict[str, Any] = {"full_screen_ms": full_ms, "scenes": scenes, "budgets": budgets}
@@ -71,23 +68,11 @@ def summarise(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         seen = next(
             row
             for row in largest
-            if row["distance_cm"] == away["distance_cm"] and row["treatment"] == "whole"
+            if row["distance_cm"] == away["distance_cm"] and not row["scheduler"]
         )
         summary["away"] = {
             "decodes": away["decodes"],
             "payload_over_seen": round(away["payload_bps"] / seen["payload_bps"], 4),
         }
-    summary["height_rule"] = [
-        {
-            **{key: row[key] for key in ("avatars", "distance_cm", "budget_ms")},
-            "cpu_over_scheduled": round(row["cpu_ms"] / other["cpu_ms"], 3),
-            "error_over_scheduled": round(row["error"] / other["error"], 3),
-        }
-        for row in rows
-        for other in rows
-        if (row["treatment"], other["treatment"]) == ("height", "scheduled")
-        and all(row[key] == other[key] for key in ("avatars", "distance_cm", "budget_ms", "view"))
-        and other["error"]
-    ]
     summary["plan_ms"] = max(row["plan_ms"] for row in rows)
     return summary

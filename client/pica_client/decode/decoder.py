@@ -18,9 +18,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 from pica_client.decode.onnx_runtime import onnxruntime
+from pica_client.decode.request import DecodedMaps, Parts
 from pica_client.errors import OptionError
 from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.file import Avatar
@@ -28,21 +29,7 @@ from pica_core.graphs.baseline_graph import baseline_graph
 from pica_core.graphs.onnx_graph import decoder_graph
 from pica_core.types import FloatArray
 
-Parts = Literal["both", "expression"]
-
 CPU_PROVIDER = "CPUExecutionProvider"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DecodedMaps:
-    """What a decoder makes of one latent."""
-
-    position_map: FloatArray | None
-    """Head-frame metres, float32 ``[S, S, 3]``, C-contiguous; None if it was not asked for."""
-    expression_map: FloatArray
-    """float32 ``[S, S, 4]``, C-contiguous."""
-    level: int = 0
-    """S, texels per side of what was decoded."""
 
 
 class ObjectDecoder(Protocol):

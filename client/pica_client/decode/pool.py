@@ -25,73 +25,13 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Self
 
-from pica_client.decode.decoder import DecodedMaps, ObjectDecoder, Parts
+from pica_client.decode.decoder import ObjectDecoder
+from pica_client.decode.request import DecodeRequest, DecodeResult, Parts
 from pica_client.errors import OptionError
 from pica_core.avatar.file import Avatar
-from pica_core.types import FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DecodeRequest:
-    """One latent to decode."""
-
-    latent: FloatArray
-    """float32 ``[8, 8, 4]``."""
-    view_direction: FloatArray
-    """Camera centre seen from the head, unit length, head frame. float32 ``[3]``."""
-    captured_us: int
-    """Sender's clock at the newest sample in the latent; handed through."""
-    level: int | None = None
-    """Texels per side of the maps, one of the avatar's levels; None is the full one."""
-    parts: Parts = "both"
-    """Which maps to make. Ask for the expression map alone with the latent that the position map
-    was made of."""
-
-    def widened_by(self, former: DecodeRequest) -> DecodeRequest:
-        """This request instead of one that still waits, with the parts of both."""
-        if self.parts == former.parts or self.parts == "both":
-            return self
-        return replace(self, parts="both")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DecodeResult:
-    """What became of a request, or of an avatar. Times are seconds of the pool's clock."""
-
-    slot: str
-    maps: DecodedMaps | None
-    """None after an error."""
-    error: str | None
-    """Why this avatar cannot be decoded; it stays broken until it is added again."""
-    captured_us: int = 0
-    submitted_s: float = 0.0
-    started_s: float = 0.0
-    finished_s: float = 0.0
-    level: int = 0
-    """Of what was decoded; 0 after an error."""
-    parts: Parts = "both"
-    """What was decoded. `maps` may hold more: a position map that nobody had taken yet."""
-
-    @property
-    def decode_s(self) -> float:
-        """Seconds of computing; building a decoder is not counted."""
-        return self.finished_s - self.started_s
-
-    @property
-    def waited_s(self) -> float:
-        """Seconds from submission until a worker took it."""
-        return self.started_s - self.submitted_s
-
-    def completed_by(self, former: DecodeResult | None) -> DecodeResult:
-        """This result instead of one that nobody has taken, with what only that one has."""
-        if former is None or former.maps is None or self.maps is None:
-            return self
-        if self.maps.position_map is not None or former.maps.position_map is None:
-            return self
-        return replace(self, maps=replace(self.maps, position_map=former.maps.position_map))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import moderngl
 import numpy as np
 
-from pica_client.decode.decoder import DecodedMaps
+from pica_client.decode.request import DecodedMaps
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement
 from pica_core.avatar.file import Avatar

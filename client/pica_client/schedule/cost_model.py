@@ -25,12 +25,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from statistics import median
 from types import MappingProxyType
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-Parts = Literal["both", "expression"]
+from pica_client.decode.request import Parts
 
 EXPECTED_DECODE_S: Mapping[Parts, Mapping[int, float]] = MappingProxyType(
     {
@@ -86,7 +85,7 @@ class ExpectedCosts:
     """The defaults are about what software GL takes on two cores (chosen: some frames correct
     them)."""
     upload_s_per_texel: float = 3e-9
-    """Of one map of a decode."""
+    """Seconds to upload a texel of one map of a decode."""
 
 
 class CostModel:

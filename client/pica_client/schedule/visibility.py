@@ -1,6 +1,6 @@
 """How much of each head can be seen: on the screen, not cut away, not behind others. Pure.
 
-    heads = [PlacedHead("ada", clip_from_head(camera, matrix), low_m, high_m), ...]
+    heads = [PlacedHead(clip_from_head(camera, matrix), low_m, high_m), ...]
     sights = look(heads, (width, height))            # one camera
     sights = merge_eyes([left_sights, right_sights])     # two: drawn twice, decoded once
 
@@ -18,8 +18,7 @@ head of which an edge is seen is not given up.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -32,51 +31,35 @@ HIDER_SIZE = 0.9
 """Diameter of a hider over that of its ellipse (chosen: a head fills its box's ellipse less than
 whole at chin and neck)."""
 HIDDEN_RATIO = 0.98
-"""From this hidden share on a head cannot be seen: one point of the 64 may be missed."""
+"""A head of which this share is hidden cannot be seen: one point of the 64 may be missed."""
 LEAST_PX = 0.25
 """Heads that cover less than this cannot be seen (chosen: a quarter of a pixel is antialiased
 away)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PlacedHead:
+class PlacedHead(NamedTuple):
     """One head before one camera."""
 
-    slot: str
-    """Which avatar."""
     clip_from_head: FloatArray
     """``[4, 4]`` for column vectors; its last row gives metres of depth, as
     `Camera.clip_from_world` does."""
     low_m: Sequence[float]
     """Lower corner of the box around the head, head frame."""
     high_m: Sequence[float]
-    """Upper corner."""
+    """Upper corner of the box."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Sight:
+class Sight(NamedTuple):
     """What can be seen of one head. Pixels are those of the drawn image."""
 
     is_visible: bool
-    covered_px: float = 0.0
-    """On the screen, hidden or not."""
     visible_px: float = 0.0
-    """Of these, not hidden by nearer heads."""
-    drawn_px: float = 0.0
-    """As `visible_px`, summed over the eyes that draw it."""
+    """Pixels on the screen that nearer heads do not hide, summed over the eyes."""
     head_px: float = 0.0
     """Height of the whole head on the screen, also of what lies outside; at most that of the screen
     for one that reaches through the near plane."""
     hidden_ratio: float = 0.0
     """Share of what is on the screen that nearer heads hide."""
-    distance_m: float = math.inf
-    """Depth of its middle before the camera; negative behind it."""
-    order: int = 0
-    """Place from near to far, 0 is the nearest; heads that cannot be seen come last."""
-    centre_px: tuple[float, float] = (0.0, 0.0)
-    """Where its middle is, pixels from the upper left; for measuring motion."""
-    is_crossing: bool = False
-    """Whether it reaches through the near plane."""
     num_views: int = 0
     """Eyes that see it."""
 
@@ -86,74 +69,57 @@ NOTHING = Sight(is_visible=False)
 
 def look(
     heads: Sequence[PlacedHead], size_px: tuple[int, int], near_m: float = 0.02
-) -> dict[str, Sight]:
+) -> list[Sight]:
     """Look at heads through one camera.
 
     Args:
-        heads: Any number, in any order; slots are unique.
+        heads: Any number, in any order.
         size_px: Columns and rows of the image.
         near_m: Distance of the near plane.
 
     Returns:
-        What can be seen, by slot; a head whose matrix or box is not finite cannot be seen.
+        What can be seen of each; a head whose matrix or box is not finite cannot be seen.
     """
     width, height = size_px
-    sights: dict[str, Sight] = {}
-    outlines: dict[str, _Outline] = {}
-    for head in heads:
-        outline = _outline(head)
+    outlines = [_outline(head) for head in heads]
+    whole = [each for each in outlines if each is not None and each.depth - each.reach > near_m]
+    sights = []
+    for outline in outlines:
         if outline is None or outline.depth + outline.reach <= near_m:
-            sights[head.slot] = NOTHING
+            sights.append(NOTHING)
         elif outline.depth - outline.reach > near_m:
-            outlines[head.slot] = outline
+            nearer = [other for other in whole if other.depth < outline.depth]
+            sights.append(_sight(outline, nearer, size_px))
         else:
-            sights[head.slot] = Sight(
-                is_visible=True,
-                covered_px=float(width * height),
-                visible_px=float(width * height),
-                drawn_px=float(width * height),
-                head_px=float(height),
-                distance_m=outline.depth,
-                centre_px=(width / 2, height / 2),
-                is_crossing=True,
-                num_views=1,
-            )
-    for slot, outline in outlines.items():
-        nearer = [other for other in outlines.values() if other.depth < outline.depth]
-        sights[slot] = _sight(outline, nearer, size_px)
-    return _in_order(sights)
+            sights.append(Sight(True, float(width * height), float(height), num_views=1))
+    return sights
 
 
-def merge_eyes(eyes: Sequence[Mapping[str, Sight]]) -> dict[str, Sight]:
+def merge_eyes(eyes: Sequence[Sequence[Sight]]) -> list[Sight]:
     """What several cameras see together: of each head the most that one of them sees.
 
     Args:
         eyes: What `look` says for each; all of the same heads.
 
     Returns:
-        By slot. The heads are decoded once, but drawn by every eye that sees them: `drawn_px` and
-        `num_views` are sums.
+        What is seen of each head. It is decoded once, but drawn by every eye that sees it:
+        `visible_px` and `num_views` are sums.
     """
-    merged = {}
-    for slot in eyes[0]:
-        seen = [eye[slot] for eye in eyes if eye[slot].is_visible]
-        if not seen:
-            merged[slot] = NOTHING
-            continue
-        best = max(seen, key=lambda sight: sight.visible_px)
-        merged[slot] = Sight(
-            is_visible=True,
-            covered_px=max(sight.covered_px for sight in seen),
-            visible_px=best.visible_px,
-            drawn_px=sum(sight.drawn_px for sight in seen),
-            head_px=max(sight.head_px for sight in seen),
-            hidden_ratio=min(sight.hidden_ratio for sight in seen),
-            distance_m=min(sight.distance_m for sight in seen),
-            centre_px=best.centre_px,
-            is_crossing=any(sight.is_crossing for sight in seen),
-            num_views=len(seen),
+    merged = []
+    for sights in zip(*eyes, strict=True):
+        seen = [sight for sight in sights if sight.is_visible]
+        merged.append(
+            Sight(
+                is_visible=True,
+                visible_px=sum(sight.visible_px for sight in seen),
+                head_px=max(sight.head_px for sight in seen),
+                hidden_ratio=min(sight.hidden_ratio for sight in seen),
+                num_views=len(seen),
+            )
+            if seen
+            else NOTHING
         )
-    return _in_order(merged)
+    return merged
 
 
 class _Outline(NamedTuple):
@@ -161,7 +127,7 @@ class _Outline(NamedTuple):
     arrays."""
 
     depth: float
-    """Of its middle, metres."""
+    """Metres from the camera to its middle."""
     reach: float
     """How much nearer and farther it goes."""
     # The ellipse in clip space: (x + a u, y + b u + c v) with u^2 + v^2 <= 1.
@@ -221,18 +187,13 @@ def _sight(outline: _Outline, nearer: Sequence[_Outline], size_px: tuple[int, in
     half_width, half_height = size_px[0] / 2, size_px[1] / 2
     area_px = math.pi * outline.a * outline.c * half_width * half_height
     on_screen, hidden_ratio = _shares(outline, nearer)
-    covered_px = area_px * on_screen
-    visible_px = covered_px * (1 - hidden_ratio)
+    visible_px = area_px * on_screen * (1 - hidden_ratio)
     is_visible = hidden_ratio < HIDDEN_RATIO and visible_px >= LEAST_PX
     return Sight(
         is_visible=is_visible,
-        covered_px=covered_px,
         visible_px=visible_px if is_visible else 0.0,
-        drawn_px=visible_px if is_visible else 0.0,
         head_px=2 * outline.tall * half_height,
         hidden_ratio=hidden_ratio,
-        distance_m=outline.depth,
-        centre_px=((1 + outline.x) * half_width, (1 - outline.y) * half_height),
         num_views=int(is_visible),
     )
 
@@ -258,34 +219,6 @@ def _shares(outline: _Outline, nearer: Sequence[_Outline]) -> tuple[float, float
     num_on_screen = int(np.count_nonzero(is_on_screen))
     num_hidden = int(np.count_nonzero(is_hidden & is_on_screen))
     return num_on_screen / NUM_POINTS, num_hidden / max(num_on_screen, 1)
-
-
-def _in_order(sights: dict[str, Sight]) -> dict[str, Sight]:
-    """The same, with their places from near to far."""
-    ranked = sorted(
-        sights, key=lambda slot: (not sights[slot].is_visible, sights[slot].distance_m, slot)
-    )
-    for order, slot in enumerate(ranked):
-        if sights[slot].order != order:
-            sights[slot] = _placed(sights[slot], order)
-    return sights
-
-
-def _placed(sight: Sight, order: int) -> Sight:
-    # `dataclasses.replace` takes four times as long, and this is done for every head and frame.
-    return Sight(
-        is_visible=sight.is_visible,
-        covered_px=sight.covered_px,
-        visible_px=sight.visible_px,
-        drawn_px=sight.drawn_px,
-        head_px=sight.head_px,
-        hidden_ratio=sight.hidden_ratio,
-        distance_m=sight.distance_m,
-        order=order,
-        centre_px=sight.centre_px,
-        is_crossing=sight.is_crossing,
-        num_views=sight.num_views,
-    )
 
 
 def _disc_points(count: int) -> tuple[Float64Array, Float64Array]:

@@ -16,12 +16,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 
 from pica_client.call.faces import FaceSource, FaceState
 from pica_client.call.speaking import JawReader, SpeakingMeter
 from pica_client.call.status import AvatarFigures
-from pica_client.decode.pool import DecodePool, DecodeResult
+from pica_client.decode.pool import DecodePool
+from pica_client.decode.request import DecodeResult
 from pica_client.errors import ShaderError
 from pica_client.render.renderer import Renderer
 from pica_client.render.scene import Placement, head_matrix
@@ -33,10 +35,10 @@ from pica_client.render.seats import (
     plan_camera,
     plan_seats,
 )
-from pica_client.schedule.frame_planner import FramePlanner, SceneHead
+from pica_client.schedule.frame_planner import FramePlanner
+from pica_client.schedule.head import Head
 from pica_client.schedule.scheduler import Plan
 from pica_client.stats import Samples, Summary
-from pica_core.avatar.file import Avatar
 from pica_core.camera import Camera
 from pica_core.errors import AvatarFileError
 
@@ -98,15 +100,16 @@ class StageScene:
 
 
 @dataclass(slots=True, eq=False)
-class _Seat:
-    """What the stage keeps of one peer."""
+class _Peer:
+    """All that the drawing side keeps of one peer."""
 
     avatar_id: str
-    avatar: Avatar | None = None
+    head: Head | None = None
+    """Its avatar before the cameras; None until that is there."""
     problem: str = ""
     """Why there is a placeholder instead of the avatar."""
     captured_us: int = 0
-    """Of the newest sample that was decoded."""
+    """Sender's clock at the newest sample that was decoded."""
     num_decoded: int = 0
     level: int | None = None
     fade: float = 0.0
@@ -114,6 +117,8 @@ class _Seat:
     latency: Samples = field(default_factory=lambda: Samples(RECENT_SAMPLES))
     jaw: JawReader | None = None
     speaking: SpeakingMeter = field(default_factory=SpeakingMeter)
+    on_leave: ExitStack = field(default_factory=ExitStack)
+    """Gives back what the decode pool and the renderer hold of it."""
 
 
 class AvatarPresenter:
@@ -123,7 +128,7 @@ class AvatarPresenter:
         source: Who is there.
         renderer: Where avatars and maps go.
         pool: Where they are decoded; its slots are peer ids.
-        driver: Says what is decoded, and how finely it is drawn.
+        planner: Says what is decoded, and how finely it is drawn.
         meter: Where durations go.
         on_decoded: Told of every decode that reached the GPU; its slot is the peer id.
         clock: Seconds, monotonic; see `viewer.Viewer`.
@@ -134,7 +139,7 @@ class AvatarPresenter:
         source: FaceSource,
         renderer: Renderer,
         pool: DecodePool,
-        driver: FramePlanner,
+        planner: FramePlanner,
         *,
         meter: Meter | None = None,
         on_decoded: Callable[[DecodeResult], None] | None = None,
@@ -144,11 +149,11 @@ class AvatarPresenter:
         self._source = source
         self._renderer = renderer
         self._pool = pool
-        self._driver = driver
+        self._planner = planner
         self._meter = meter or Meter()
         self._on_decoded = on_decoded
         self._clock = clock
-        self._seats: dict[str, _Seat] = {}
+        self._peers: dict[str, _Peer] = {}
         self._seen: set[str] = set()
         self._faded_s: float | None = None
 
@@ -156,9 +161,10 @@ class AvatarPresenter:
         """Who is here, where each sits, and from where they are seen, on a picture of this size;
         avatars are made ready."""
         faces = self._source.faces(now)
-        self._forget_absent(faces)
         width, height = size
         peers = [face.peer_id for face in faces]
+        for absent in self._peers.keys() - set(peers):
+            self._peers.pop(absent).on_leave.close()
         plan = plan_seats(
             wish.layout,
             len(faces),
@@ -194,23 +200,17 @@ class AvatarPresenter:
         """
         heads = []
         for face, placement in zip(scene.faces, scene.placements, strict=True):
-            entry = self._seats[face.peer_id]
-            if face.latent is None or entry.avatar is None or entry.problem:
+            peer = self._peers[face.peer_id]
+            if face.latent is None or peer.head is None or peer.problem:
                 continue
-            heads.append(
-                SceneHead(
-                    slot=face.peer_id,
-                    avatar=entry.avatar,
-                    world_from_head=placement.world_from_head,
-                    latent=face.latent,
-                    captured_us=face.captured_us,
-                    is_stale=face.status in FADE_OF_STATUS,
-                )
-            )
+            head = peer.head
+            head.world_from_head, head.latent = placement.world_from_head, face.latent
+            head.captured_us = face.captured_us
+            heads.append(head)
         size = (cameras[0].width, cameras[0].height)
-        plan = self._driver.plan(heads, cameras, size, budget_s, scene.now)
-        for slot, request in self._driver.requests(plan, scene.now):
-            self._pool.submit(slot, request)
+        plan = self._planner.plan(heads, cameras, size, budget_s, scene.now)
+        for head, request in self._planner.requests(heads, scene.now):
+            self._pool.submit(head.slot, request)
         for slot, choice in plan.choices.items():
             self._source.subscribe(slot, choice.wanted_layer, scene.now)
         return plan
@@ -218,8 +218,8 @@ class AvatarPresenter:
     def collect(self, now: float) -> None:
         """Upload what has been decoded, and note what could not be."""
         for result in self._pool.take_results():
-            entry = self._seats.get(result.slot)
-            if entry is None:
+            entry = self._peers.get(result.slot)
+            if entry is None or entry.head is None:
                 continue
             if result.maps is None:
                 self._renderer.add_placeholder(result.slot)
@@ -230,7 +230,7 @@ class AvatarPresenter:
                 result.slot, result.maps.position_map, result.maps.expression_map
             )
             upload_s = self._clock() - begin_s
-            self._driver.note_decoded(result, upload_s, now)
+            self._planner.note_decoded(entry.head, result, upload_s, now)
             self._meter.add("upload", upload_s)
             self._meter.add("decode", result.decode_s)
             self._meter.add("decode_wait", result.waited_s)
@@ -248,14 +248,17 @@ class AvatarPresenter:
 
     def dressed(self, scene: StageScene) -> StageScene:
         """The scene as its plan wants it drawn: meshes, levels that fade in."""
-        dressed = [self._driver.dressed(each, scene.now) for each in scene.placements]
+        dressed = []
+        for placement in scene.placements:
+            head = self._peers[placement.slot].head
+            dressed.append(placement if head is None else head.dressed(placement, scene.now))
         return replace(scene, placements=dressed)
 
     def is_ready(self, scene: StageScene) -> bool:
         """Whether everybody with a face who can be seen has maps, or will not get any."""
         for face in scene.faces:
-            entry = self._seats[face.peer_id]
-            is_unseen = entry.avatar is not None and not self._driver.is_visible(face.peer_id)
+            entry = self._peers[face.peer_id]
+            is_unseen = entry.head is not None and not entry.head.sight.is_visible
             if face.latent is not None and not (entry.num_decoded or entry.problem or is_unseen):
                 return False
         return True
@@ -263,7 +266,7 @@ class AvatarPresenter:
     @property
     def problems(self) -> dict[str, str]:
         """Why peers are drawn as placeholders, by peer id."""
-        return {peer_id: entry.problem for peer_id, entry in self._seats.items() if entry.problem}
+        return {peer_id: entry.problem for peer_id, entry in self._peers.items() if entry.problem}
 
     @property
     def num_seen(self) -> int:
@@ -280,39 +283,36 @@ class AvatarPresenter:
                 num_decoded=entry.num_decoded,
                 is_speaking=entry.speaking.is_speaking(now),
             )
-            for peer_id, entry in self._seats.items()
+            for peer_id, entry in self._peers.items()
         }
 
     def speaking(self, now: float) -> set[str]:
         """Peers whose jaw says that they speak."""
         return {
-            peer_id for peer_id, entry in self._seats.items() if entry.speaking.is_speaking(now)
+            peer_id for peer_id, entry in self._peers.items() if entry.speaking.is_speaking(now)
         }
 
     def num_decoded(self) -> dict[str, int]:
         """Decodes so far, by peer id."""
-        return {peer_id: entry.num_decoded for peer_id, entry in self._seats.items()}
+        return {peer_id: entry.num_decoded for peer_id, entry in self._peers.items()}
 
-    def _forget_absent(self, faces: list[FaceState]) -> None:
-        present = {face.peer_id for face in faces}
-        for peer_id in [peer_id for peer_id in self._seats if peer_id not in present]:
-            del self._seats[peer_id]
-            self._pool.remove(peer_id)
-            self._renderer.remove(peer_id)
-
-    def _make_ready(self, face: FaceState) -> _Seat:
-        """The seat of a peer, its avatar on the GPU and in the pool once that is there."""
-        entry = self._seats.get(face.peer_id)
-        if entry is None or entry.avatar_id != face.avatar_id:
-            entry = self._seats[face.peer_id] = _Seat(face.avatar_id)
+    def _make_ready(self, face: FaceState) -> _Peer:
+        """What is kept of a peer; its avatar is on the GPU and in the pool once that is there."""
+        entry = self._peers.get(face.peer_id)
+        if entry is not None and entry.avatar_id != face.avatar_id:
+            entry.on_leave.close()
+            entry = None
+        if entry is None:
+            entry = self._peers[face.peer_id] = _Peer(face.avatar_id)
             entry.fade = FADE_OF_STATUS.get(face.status, 0.0)
-            self._pool.remove(face.peer_id)
             self._renderer.add_placeholder(face.peer_id)
-        if entry.avatar is None and not entry.problem:
+            entry.on_leave.callback(self._renderer.remove, face.peer_id)
+            entry.on_leave.callback(self._pool.remove, face.peer_id)
+        if entry.head is None and not entry.problem:
             self._prepare(face.peer_id, entry)
         return entry
 
-    def _prepare(self, peer_id: str, entry: _Seat) -> None:
+    def _prepare(self, peer_id: str, entry: _Peer) -> None:
         try:
             avatar = self._source.avatar(entry.avatar_id)
             if avatar is None:
@@ -321,14 +321,11 @@ class AvatarPresenter:
         except (AvatarFileError, ShaderError) as error:
             self._give_up(entry, str(error))
             return
-        entry.avatar = avatar
-        known = (
-            other.jaw for other in self._seats.values() if other.avatar is avatar and other.jaw
-        )
-        entry.jaw = next(known, None) or JawReader(avatar)
+        entry.head = Head(slot=peer_id, avatar=avatar)
+        entry.jaw = JawReader(avatar)
         self._pool.add(peer_id, avatar)
 
-    def _give_up(self, entry: _Seat, problem: str) -> None:
+    def _give_up(self, entry: _Peer, problem: str) -> None:
         entry.problem = problem
         self.num_errors += 1
 

@@ -14,7 +14,7 @@ from pica_client.avatars.cache import AvatarCache
 from pica_client.avatars.fetch import AvatarFetcher
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call, CallConfig
-from pica_client.decode.pool import DecodeResult
+from pica_client.decode.request import DecodeResult
 from pica_client.errors import OptionError, RelayUnreachableError
 from pica_client.output import check_writable, make_folder, writing
 from pica_client.publish.publisher import Publisher

@@ -22,7 +22,8 @@ import numpy as np
 from pica_client.call.faces import FaceSource
 from pica_client.call.status import CallStatus
 from pica_client.decode.decoder import OnnxDecoder, OnnxOptions
-from pica_client.decode.pool import DecodePool, DecodePoolOptions, DecodeResult
+from pica_client.decode.pool import DecodePool, DecodePoolOptions
+from pica_client.decode.request import DecodeResult
 from pica_client.errors import ClientError, OptionError
 from pica_client.render.draw_clock import DrawClock
 from pica_client.render.recorder import Recorder, save_png
@@ -31,7 +32,7 @@ from pica_client.render.scene import pick_head
 from pica_client.render.seats import Layout
 from pica_client.render.stereo import MAX_EYE_DISTANCE_M, side_by_side, stereo_cameras
 from pica_client.schedule.frame_planner import FramePlanner
-from pica_client.schedule.scheduler import Scheduler, SchedulerOptions
+from pica_client.schedule.scheduler import Plan, Scheduler, SchedulerOptions
 from pica_client.ui.avatar_presenter import AvatarPresenter, Meter, SeatWish, StageScene
 from pica_client.ui.captures_on_disk import CapturesOnDisk
 from pica_client.ui.controls import Controls, ControlState, InputEvent, Order, OwnFace
@@ -176,12 +177,12 @@ class Viewer:
                 DecodePool(self.options.decode, self._make_decoder, self._clock)
             )
             self._draw_clock: DrawClock[_DrawnFrame] = DrawClock(context)
-            self._driver = FramePlanner(Scheduler(self.options.scheduler))
+            self._scheduler = Scheduler(self.options.scheduler)
             self._stage = AvatarPresenter(
                 source,
                 self._renderer,
                 self._pool,
-                self._driver,
+                FramePlanner(self._scheduler),
                 meter=self._meter,
                 on_decoded=on_decoded,
                 clock=clock,
@@ -254,7 +255,7 @@ class Viewer:
             return False
         scene = self._scene = self._arrange(now)
         self.controls.forget_absent([face.peer_id for face in scene.faces])
-        self._decide(scene)
+        plan = self._decide(scene)
         self._stage.collect(now)
         scene = self._stage.dressed(scene)
         items = self._hud.items(
@@ -267,12 +268,12 @@ class Viewer:
         )
         begin_s = self._clock()
         # What a frame cost is known some frames later, when the GPU is done with it.
-        drawn = _DrawnFrame(self._driver.expected_shading_px())
+        drawn = _DrawnFrame(plan.shaded_px)
         with self._draw_clock.around(drawn):
             self.last_draw = self._draw(now, scene, items)
         drawn.num_triangles = self.last_draw.num_triangles
         for frame, seconds in self._draw_clock.take():
-            self._driver.note_drawn(frame.num_triangles, frame.shaded_px, seconds)
+            self._scheduler.costs.observe_draw(frame.num_triangles, frame.shaded_px, seconds)
         image = None
         if self._window is None:
             image = self._renderer.read_image()  # waits for the GPU: the draw time is a true one
@@ -351,8 +352,8 @@ class Viewer:
         width, height = self._renderer.size
         return (max(width // 2, 1), height) if self.options.eye_distance_m > 0 else (width, height)
 
-    def _decide(self, scene: StageScene) -> None:
-        self._stage.decide(scene, self._eyes(scene), self.options.frame_budget_s)
+    def _decide(self, scene: StageScene) -> Plan:
+        return self._stage.decide(scene, self._eyes(scene), self.options.frame_budget_s)
 
     def _eyes(self, scene: StageScene) -> tuple[Camera, ...]:
         """From where a scene is drawn: one camera, or the left and the right eye's."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -104,17 +103,9 @@ def test_vertices_of_a_level_are_compared_with_the_full_ones() -> None:
     assert further == pytest.approx(0.5 * 3**0.5 * 1e3, rel=0.2)
 
 
-def test_small_heads_get_a_coarser_level_where_the_table_says_so() -> None:
-    errors = default_errors(TOY.levels)
+def test_small_heads_get_a_coarser_level() -> None:
     assert level_for(TOY, 640.0) == 256
-    quiet = replace(errors, mse=np.full_like(errors.mse, 2.0))
-    assert level_for(_with(quiet), 640.0) == 64
-
-
-def _with(errors: Any) -> Avatar:
-    from pica_core.avatar.level_tensors import error_tensors
-
-    return Avatar(TOY.manifest, dict(TOY.tensors) | error_tensors(errors))
+    assert level_for(TOY, 40.0) == 64
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,7 @@ def rows_of(result: dict[str, Any], **wanted: Any) -> list[dict[str, Any]]:
 def test_without_the_scheduler_everybody_is_decoded_in_every_frame_and_nothing_is_lost(
     result: dict[str, Any],
 ) -> None:
-    for row in rows_of(result, treatment="whole"):
+    for row in rows_of(result, scheduler=False):
         assert row["decodes"] == row["avatars"]
         assert row["error"] == 0
 
@@ -59,16 +59,13 @@ def test_every_scene_is_measured_with_and_without_the_scheduler_and_on_a_budget(
     result: dict[str, Any],
 ) -> None:
     seen = rows_of(result, view="front", budget_ms=None)
-    treatments = ("whole", "scheduled", "height")
-    assert [(row["avatars"], row["distance_cm"], row["treatment"]) for row in seen] == [
-        *((1, 18.0, treatment) for treatment in treatments),
-        *((count, 120.0, treatment) for count in (1, 3) for treatment in treatments),
+    assert [(row["avatars"], row["distance_cm"], row["scheduler"]) for row in seen] == [
+        *((1, 18.0, scheduler) for scheduler in (False, True)),
+        *((count, 120.0, scheduler) for count in (1, 3) for scheduler in (False, True)),
     ]
-    limited = [row for row in result["rows"] if row["budget_ms"] is not None]
-    assert [(row["avatars"], row["treatment"]) for row in limited] == [
-        *((count, treatment) for count in (1, 3) for treatment in treatments[1:]),
-    ]
-    assert limited[-1]["pixels"] == seen[-1]["pixels"] > 0
+    (limited,) = [row for row in result["rows"] if row["budget_ms"] is not None]
+    assert limited["avatars"] == 3
+    assert limited["pixels"] == seen[-1]["pixels"] > 0
 
 
 def test_the_sheet_shows_each_treatment_of_the_largest_scene_above_its_difference(
@@ -77,27 +74,20 @@ def test_the_sheet_shows_each_treatment_of_the_largest_scene_above_its_differenc
     with Image.open(sheet) as picture:
         width, height = picture.size
     assert width == 160
-    assert height // (2 * 90) == 5  # whole, and both rules freely and on a budget
+    assert height // (2 * 90) == 3  # whole, scheduled, on a budget
     assert result["rows"]
 
 
 def test_the_summary_compares_with_one_head_that_fills_the_screen() -> None:
     def row(**given: Any) -> dict[str, Any]:
         usual = {"view": "front", "budget_ms": None, "error": 0.0, "plan_ms": 0.1, "limited": 0.0}
-        return {**usual, "levels": {}, "meshes": {}, "floor_ms": 2.0, "cpu_ms": 1.0, **given}
+        return {**usual, "levels": {}, "meshes": {}, "floor_ms": 2.0, **given}
 
     rows = [
-        row(avatars=1, distance_cm=18.0, treatment="whole", total_ms=20.0),
-        row(avatars=5, distance_cm=65.0, treatment="whole", total_ms=60.0, payload_bps=1000),
-        row(avatars=5, distance_cm=65.0, treatment="scheduled", total_ms=24.0, error=0.5),
-        row(
-            avatars=5,
-            distance_cm=65.0,
-            treatment="scheduled",
-            total_ms=12.5,
-            budget_ms=12.0,
-            error=2.0,
-        ),
+        row(avatars=1, distance_cm=18.0, scheduler=False, total_ms=20.0),
+        row(avatars=5, distance_cm=65.0, scheduler=False, total_ms=60.0, payload_bps=1000),
+        row(avatars=5, distance_cm=65.0, scheduler=True, total_ms=24.0, error=0.5),
+        row(avatars=5, distance_cm=65.0, scheduler=True, total_ms=12.5, budget_ms=12.0, error=2.0),
     ]
     summary = summarise(rows)
     (scene,), (budget,) = summary["scenes"], summary["budgets"]

@@ -12,13 +12,12 @@ from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_client.decode.decoder import (
     CPU_PROVIDER,
     BaselineDecoder,
-    DecodedMaps,
     OnnxDecoder,
     OnnxOptions,
-    Parts,
 )
 from pica_client.decode.onnx_runtime import onnxruntime
-from pica_client.decode.pool import DecodePool, DecodePoolOptions, DecodeRequest
+from pica_client.decode.pool import DecodePool, DecodePoolOptions
+from pica_client.decode.request import DecodedMaps, DecodeRequest, Parts
 from pica_client.errors import OptionError
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import AvatarSpec

@@ -1,31 +1,32 @@
-"""The scheduler's promises: budget, order, nearness, nobody starved, nothing for the unseen."""
+"""The scheduler's promises: budget, order, nearness, no old maps, nothing for the unseen."""
 
 from __future__ import annotations
 
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from copy import copy
 
-import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from helpers.scheduler_heads import (
     AMPLE_S,
     FRAME_S,
     LEVELS,
-    amount,
+    NOW_S,
     choose,
-    gentle,
+    detail,
     plan,
     unseen,
     view,
 )
 from pica_client.errors import OptionError
 from pica_client.schedule.cost_model import CostModel, ExpectedCosts
-from pica_client.schedule.error_model import ErrorModel
-from pica_client.schedule.scheduler import HeadView, Plan, Scheduler, SchedulerOptions
-from pica_core.avatar.levels import LevelErrors, default_errors
+from pica_client.schedule.head import Head
+from pica_client.schedule.scheduler import Plan, Scheduler, SchedulerOptions
+from pica_client.schedule.visibility import NOTHING
 from pica_protocol.limits import MAX_LAYER
 
 pytestmark = pytest.mark.unit
@@ -39,45 +40,12 @@ def test_a_near_talking_head_gets_everything_while_there_is_time() -> None:
     assert (choice.level, choice.decode, choice.mesh_level) == (256, "both", 256)
     assert choice.wanted_layer == MAX_LAYER
     assert not choice.is_limited
-    assert choice.error == pytest.approx(5.0)  # the full level's own, from the table
 
 
-def test_a_head_gets_no_more_detail_than_can_be_seen() -> None:
-    measured = LevelErrors(
-        levels=LEVELS,
-        head_px=np.array([32, 128, 512], np.float32),
-        mse=np.array(
-            [
-                [[2.4, 9, 60], [2.1, 5, 30]],
-                [[2.1, 2.4, 20], [2.1, 2.2, 10]],
-                [[2, 2, 2], [2, 2, 2]],
-            ],
-            np.float32,
-        ),
-        view_mse_per_rad2=100,
-        latent_mse_per_unit2=100,
-    )
-    errors = ErrorModel(measured)
-    levels = [
-        choose(view(head_px=px, errors=errors, held_level=None)).level for px in (30, 128, 500)
-    ]
-    assert levels == [64, 128, 256]
-
-
-def test_of_what_is_as_good_as_can_be_seen_the_cheapest_is_taken() -> None:
-    sharp_maps = default_errors(LEVELS)
-    mse = np.array(sharp_maps.mse)
-    mse[:, 1] = mse[-1:, 1]  # no mesh leaves anything
-    errors = ErrorModel(replace(sharp_maps, mse=mse))
-    choice = choose(view(head_px=900, errors=errors))
-    assert (choice.level, choice.mesh_level, choice.is_limited) == (256, 64, False)
-
-
-def test_what_too_few_pixels_leave_anyway_hides_some_lack_of_detail() -> None:
-    table = default_errors(LEVELS)
-    rough = ErrorModel(replace(table, mse=table.mse + np.float32(500)))
-    assert choose(view(errors=ErrorModel(table))).level == 256
-    assert choose(view(errors=rough)).level == 64
+def test_detail_follows_the_height_on_the_screen() -> None:
+    heights = (30, 100, 300, 600)
+    found = [detail(choose(view(head_px=px, held_level=None))) for px in heights]
+    assert found == [(64, 64), (256, 64), (256, 128), (256, 256)]
 
 
 def test_a_head_that_rests_is_not_decoded_again() -> None:
@@ -85,43 +53,29 @@ def test_a_head_that_rests_is_not_decoded_again() -> None:
     assert (choice.decode, choice.level) == ("none", 256)
 
 
-def test_a_difference_too_small_to_see_is_mended_once_the_face_rests() -> None:
-    moving = view(latent_change=0.02, view_turn_rad=0.0)
-    assert choose(moving).decode == "none"
-    assert choose(replace(moving, age_s=0.3)).decode == "both"
+def test_a_small_difference_is_mended_once_the_maps_are_old() -> None:
+    assert choose(view(latent_change=0.02, view_turn_rad=0.0)).decode == "none"
+    assert choose(view(latent_change=0.02, view_turn_rad=0.0, age_s=0.3)).decode == "both"
 
 
 def test_a_view_that_turns_costs_the_expression_map_alone() -> None:
     choice = choose(view(latent_change=0.0, view_turn_rad=0.2))
     assert (choice.decode, choice.level) == ("expression", 256)
-    assert choose(view(latent_change=0.0, view_turn_rad=0.01)).decode == "none"
+    assert choose(view(latent_change=0.0, view_turn_rad=1e-4)).decode == "none"
 
 
 def test_a_head_without_maps_is_decoded_at_once_even_without_a_budget() -> None:
-    choice = choose(view(held_level=None, age_s=math.inf), budget_s=0.0)
+    choice = choose(view(held_level=None), budget_s=0.0)
     assert (choice.decode, choice.level, choice.mesh_level) == ("both", 64, 64)
     assert choice.is_limited
 
 
-def test_maps_finer_than_can_be_seen_are_kept_but_drawn_with_a_coarser_mesh() -> None:
-    small = view(head_px=16, latent_change=0.0, view_turn_rad=0.0, errors=gentle())
-    choice = choose(small)
-    assert (choice.decode, choice.level, choice.mesh_level) == ("none", 256, 64)
-
-
-def test_maps_are_kept_with_fewer_triangles_where_the_budget_has_no_room_for_theirs() -> None:
+def test_without_a_budget_a_resting_head_is_drawn_as_coarsely_as_can_be() -> None:
     resting = view(head_px=600, latent_change=0.0, view_turn_rad=0.0)
     choice = choose(resting, budget_s=0.0)
-    assert (choice.decode, choice.level, choice.mesh_level) == ("none", 256, 64)
+    assert choice.mesh_level == 64
     assert choice.is_limited
-    assert choose(resting).mesh_level == 256
-
-
-def test_fast_motion_hides_detail_and_not_age() -> None:
-    still, fast = (choose(view(speed_px_s=speed), 0.0085) for speed in (0.0, 9000.0))
-    assert still.is_limited
-    assert still.error > fast.error
-    assert choose(view(speed_px_s=6000.0, age_s=1.0), 0.0).decode == "both"
+    assert choose(view(head_px=600, latent_change=0.0, view_turn_rad=0.0)).mesh_level == 256
 
 
 # Time
@@ -129,34 +83,24 @@ def test_fast_motion_hides_detail_and_not_age() -> None:
 
 def run(
     scheduler: Scheduler,
-    heads: Sequence[HeadView],
+    heads: Sequence[Head],
     budget_s: float,
     seconds: float,
     *,
     frame_s: float = FRAME_S,
     latent_speed: float = 6.0,
-    begin_s: float = 0.0,
 ) -> list[tuple[float, Plan]]:
     """A scene in which what is chosen is decoded, and what is not grows older."""
-    decoded_s = {head.slot: begin_s for head in heads}
-    held = {head.slot: head.held_level for head in heads}
+    for head in heads:
+        head.asked_s = 0.0
     plans = []
     for frame in range(round(seconds / frame_s)):
-        now = begin_s + (frame + 1) * frame_s
-        seen = [
-            replace(
-                head,
-                held_level=held[head.slot],
-                age_s=now - decoded_s[head.slot],
-                latent_change=latent_speed * (now - decoded_s[head.slot]),
-            )
-            for head in heads
-        ]
-        made = scheduler.plan(seen, budget_s, now)
-        for slot, choice in made.choices.items():
-            if choice.decode == "both":
-                decoded_s[slot], held[slot] = now, choice.level
-        plans.append((now, made))
+        now = (frame + 1) * frame_s
+        for head in heads:
+            head.latent_change = latent_speed * (now - head.asked_s)
+        plans.append((now, scheduler.plan(heads, budget_s, now)))
+        for head in heads:
+            head.request(now)
     return plans
 
 
@@ -180,66 +124,70 @@ def test_with_a_small_budget_heads_take_turns_and_not_all_in_one_frame() -> None
     assert max(decodes) <= 4
 
 
-@pytest.mark.parametrize("hertz", [72, 200, 240])
-def test_a_fast_display_or_a_fast_tracker_stays_within_the_budget(hertz: int) -> None:
+@pytest.mark.parametrize("hertz", [30, 72, 200, 240])
+def test_a_fast_display_or_a_fast_tracker_stays_within_the_budget_on_average(hertz: int) -> None:
     heads = [view(f"h{i}", head_px=250) for i in range(5)]
-    budget_s = 0.018
-    for _, made in run(Scheduler(), heads, budget_s, 2.0, frame_s=1 / hertz)[5:]:
-        assert made.cost_s <= max(budget_s, made.floor_s) + 1e-12
+    budget_s = 0.035
+    plans = [made for _, made in run(Scheduler(), heads, budget_s, 2.0, frame_s=1 / hertz)[5:]]
+    assert sum(made.cost_s for made in plans) / len(plans) <= budget_s
+    decode_s = CostModel().decode_s("", 256, "both")
+    for made in plans:
+        assert made.cost_s <= max(budget_s, made.floor_s) + decode_s
 
 
 def test_levels_do_not_flap_when_a_head_sways_at_the_edge_of_a_level() -> None:
-    errors, scheduler = gentle(), Scheduler()
-    edges = [px for px in range(17, 300) if _needed(errors, px) != _needed(errors, px + 1)]
-    changes = 0
-    before = None
-    for frame in range(300):
-        sway = edges[0] + 0.5 + 3 * math.sin(frame)
-        head = view(head_px=sway, errors=errors, latent_change=0.5, held_level=before or 64)
-        level = scheduler.plan([head], AMPLE_S, frame * FRAME_S).choices["ada"].level
-        changes += before is not None and level != before
-        before = level
-    assert changes <= 1
-
-
-def _needed(errors: ErrorModel, px: float) -> int:
-    extra = errors.extra(px)
-    unseen = max(SchedulerOptions().floor_mse, SchedulerOptions().floor_ratio * extra.own) / 2
-    return next(i for i, mse in enumerate(extra.maps) if mse <= unseen)
+    scheduler, options = Scheduler(), SchedulerOptions()
+    for edge_px in (options.full_px, *options.mesh_px):
+        head, found = view(held_level=64), []
+        for frame in range(300):
+            sway = edge_px * (1 + 0.05 * math.sin(frame))
+            head.sight = head.sight._replace(head_px=sway)
+            choice = scheduler.plan([head], AMPLE_S, frame * FRAME_S).choices["ada"]
+            head.request(frame * FRAME_S)
+            found.append(detail(choice))
+        assert sum(a != b for a, b in itertools.pairwise(found)) <= 1
 
 
 def test_levels_do_not_flap_when_the_budget_is_on_the_edge() -> None:
     scheduler = Scheduler()
-    head = view(head_px=500)
-    full = choose(head).cost_s + ExpectedCosts().draw.frame_s
-    levels = []
+    head = view(head_px=600)
+    full_s = choose(view(head_px=600)).cost_s + ExpectedCosts().draw.frame_s
+    found = []
     for frame in range(900):
-        budget_s = full + 1e-4 * (1 if frame % 2 else -1)
-        levels.append(scheduler.plan([head], budget_s, frame * FRAME_S).choices["ada"].level)
-    changes = [t for t, (a, b) in enumerate(itertools.pairwise(levels)) if a != b]
-    assert len(changes) <= 14  # up and down again at pauses of 0.5, 1, 2, 4, 8 s
-    assert len([t for t in changes if t > 450]) <= 6
+        budget_s = full_s + 1e-4 * (1 if frame % 2 else -1)
+        found.append(detail(scheduler.plan([head], budget_s, frame * FRAME_S).choices["ada"]))
+        head.request(frame * FRAME_S)
+    assert sum(a != b for a, b in itertools.pairwise(found)) <= 2
+
+
+def test_detail_that_the_budget_took_comes_back_with_the_budget() -> None:
+    scheduler, head = Scheduler(), view(head_px=600)
+    assert scheduler.plan([head], 0.0, 1.0).choices["ada"].mesh_level == 64
+    assert scheduler.plan([head], AMPLE_S, 2.0).choices["ada"].mesh_level == 256
 
 
 def test_a_head_that_leaves_is_wanted_a_while_longer_and_then_not_at_all() -> None:
-    scheduler = Scheduler()
+    scheduler, head = Scheduler(), view()
+    sight = head.sight
     wanted = []
     for frame in range(90):
-        head = view() if frame < 10 else unseen()
+        head.sight = sight if frame < 10 else NOTHING
         made = scheduler.plan([head], AMPLE_S, frame * FRAME_S)
         wanted.append(made.choices["ada"].wanted_layer)
-    hold_s = SchedulerOptions().wish_hold_s
+    hold_s = SchedulerOptions().stream_hold_s
     last = max(i for i, layer in enumerate(wanted) if layer is not None)
     assert (last - 9) * FRAME_S == pytest.approx(hold_s, abs=1.5 * FRAME_S)
-    assert scheduler.plan([view()], AMPLE_S, 3.1).choices["ada"].wanted_layer == MAX_LAYER
+    head.sight = sight
+    assert scheduler.plan([head], AMPLE_S, 3.1).choices["ada"].wanted_layer == MAX_LAYER
 
 
 def test_a_head_that_comes_back_is_decoded_in_the_same_frame() -> None:
-    scheduler = Scheduler()
+    scheduler, ada, ben = Scheduler(), view(age_s=103.0), view("ben")
+    sight, ada.sight = ada.sight, NOTHING
     for frame in range(90):
-        scheduler.plan([unseen(), view("ben")], 0.001, frame * FRAME_S)
-    back = view(age_s=3.0, latent_change=2.0)
-    assert scheduler.plan([back, view("ben")], 0.001, 3.0).choices["ada"].decode == "both"
+        scheduler.plan([ada, ben], 0.001, frame * FRAME_S)
+    ada.sight = sight
+    assert scheduler.plan([ada, ben], 0.001, 3.0).choices["ada"].decode == "both"
 
 
 def test_a_small_or_mostly_hidden_head_wants_fewer_layers() -> None:
@@ -249,48 +197,129 @@ def test_a_small_or_mostly_hidden_head_wants_fewer_layers() -> None:
 
 
 def test_two_eyes_decode_once_and_draw_twice() -> None:
-    one, two = view(), view(num_views=2, drawn_px=2 * view().visible_px)
-    costs = CostModel()
-    decode_s = costs.decode_s("", 256, "both")
-    cost_of_one, cost_of_two = choose(one).cost_s, choose(two).cost_s
+    decode_s = CostModel().decode_s("", 256, "both")
+    cost_of_one, cost_of_two = choose(view()).cost_s, choose(view(num_views=2)).cost_s
     assert cost_of_two - decode_s == pytest.approx(2 * (cost_of_one - decode_s))
 
 
-def test_who_faded_because_the_stream_fell_silent_comes_last() -> None:
-    live, stale = view("live"), view("stale", is_stale=True)
-    budget_s = plan(live, stale).cost_s * 0.7
-    made = plan(live, stale, budget_s=budget_s)
-    assert amount(made.choices["live"]) > amount(made.choices["stale"])
-
-
 def test_the_plan_says_from_whom_the_budget_kept_something() -> None:
-    near, far = view("near", head_px=600), view("far", head_px=60)
-    made = plan(near, far, budget_s=0.008)
+    made = plan(view("near", head_px=600), view("far", head_px=60), budget_s=0.008)
     assert made.limited
     assert all(made.choices[slot].is_limited for slot in made.limited)
-    assert plan(near, far).limited == ()
+    assert plan(view("near", head_px=600), view("far", head_px=60)).limited == ()
 
 
-# Bad input
+# Whatever the heads
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"visible_px": math.nan},
-        {"head_px": -1.0},
-        {"latent_change": math.inf},
-        {"num_triangles": (1, 2)},
-        {"held_level": 100},
-    ],
+@st.composite
+def head_views(draw: st.DrawFn, slot: str = "ada", age_s: float | None = None) -> Head:
+    """Any head that can be."""
+    head = view(
+        slot,
+        head_px=draw(st.floats(0.5, 2000)),
+        hidden_ratio=draw(st.floats(0, 0.97)),
+        held_level=draw(st.sampled_from([None, *LEVELS])),
+        latent_change=draw(st.one_of(st.just(0.0), st.floats(0, 3))),
+        view_turn_rad=draw(st.one_of(st.just(0.0), st.floats(0, 1))),
+        age_s=draw(st.floats(0, 1)),
+        num_views=draw(st.integers(1, 2)),
+    )
+    if draw(st.integers(0, 3)) == 0:
+        head.sight = NOTHING
+    return head
+
+
+@st.composite
+def scenes(draw: st.DrawFn) -> list[Head]:
+    return [draw(head_views(slot=f"h{i}")) for i in range(draw(st.integers(1, 6)))]
+
+
+budgets = st.floats(0, 0.08)
+
+
+def copies(heads: Sequence[Head]) -> list[Head]:
+    """The same heads with a memory of their own."""
+    return [copy(head) for head in heads]
+
+
+@pytest.mark.slow
+@given(scenes(), budgets)
+def test_the_budget_is_kept_whenever_the_floor_fits(heads: list[Head], budget_s: float) -> None:
+    made = plan(*heads, budget_s=budget_s)
+    # The oldest is decoded in any case, which may reach over by as much as that takes.
+    decode_s = max(CostModel().decode_s("", level, "both") for level in LEVELS)
+    assert made.cost_s <= max(budget_s, made.floor_s) + len(heads) * decode_s
+    if all(head.asked and NOW_S - head.asked_s < 0.25 for head in heads):
+        assert made.cost_s <= max(budget_s, made.floor_s) + decode_s
+    frame_s = ExpectedCosts().draw.frame_s if any(h.sight.is_visible for h in heads) else 0.0
+    shares = sum(choice.cost_s for choice in made.choices.values())
+    assert shares + frame_s == pytest.approx(made.cost_s)
+
+
+@pytest.mark.slow
+@given(scenes(), budgets, st.randoms(use_true_random=False))
+def test_the_plan_does_not_depend_on_the_order_of_heads(
+    heads: list[Head], budget_s: float, random: object
+) -> None:
+    shuffled = copies(heads)
+    random.shuffle(shuffled)  # type: ignore[attr-defined]
+    one, other = plan(*heads, budget_s=budget_s), plan(*shuffled, budget_s=budget_s)
+    assert dict(one.choices) == dict(other.choices)
+    assert one.cost_s == pytest.approx(other.cost_s)
+
+
+@pytest.mark.slow
+@given(scenes(), budgets, budgets)
+def test_more_budget_never_means_less_detail(
+    heads: list[Head], budget_s: float, more_s: float
+) -> None:
+    small = plan(*copies(heads), budget_s=budget_s)
+    large = plan(*heads, budget_s=budget_s + more_s)
+    for slot, choice in small.choices.items():
+        if "none" not in (choice.decode, large.choices[slot].decode):
+            assert detail(large.choices[slot]) >= detail(choice)
+
+
+@pytest.mark.slow
+@given(
+    head_views(slot="far"),
+    st.floats(1.001, 8),
+    st.lists(head_views(slot="third"), max_size=1),
+    budgets,
 )
-def test_a_head_that_cannot_be_is_refused(changes: dict[str, object]) -> None:
-    with pytest.raises(ValueError, match="head ada"):
-        view(**changes)  # type: ignore[arg-type]
+def test_nearer_never_gets_less_than_farther_with_the_same_past(
+    far: Head, factor: float, others: list[Head], budget_s: float
+) -> None:
+    near = copy(far)
+    near.slot = "near"
+    near.sight = far.sight._replace(
+        head_px=far.sight.head_px * factor, visible_px=far.sight.visible_px * factor**2
+    )
+    choices = plan(far, near, *others, budget_s=budget_s).choices
+    near_choice, far_choice = choices["near"], choices["far"]
+    assert near_choice.decode != "none" or far_choice.decode == "none" or factor > 1
+    if near_choice.decode == far_choice.decode:
+        assert detail(near_choice) >= detail(far_choice)
+    layers = [-1 if c.wanted_layer is None else c.wanted_layer for c in (near_choice, far_choice)]
+    assert layers[0] >= layers[1]
+
+
+@pytest.mark.slow
+@given(scenes(), head_views(slot="gone"), budgets)
+def test_an_unseen_head_costs_nothing_and_takes_nothing_from_the_others(
+    heads: list[Head], gone: Head, budget_s: float
+) -> None:
+    gone.sight = NOTHING
+    alone = plan(*copies(heads), budget_s=budget_s)
+    together = plan(*heads, gone, budget_s=budget_s)
+    choice = together.choices["gone"]
+    assert (choice.decode, choice.cost_s) == ("none", 0.0)
+    assert {slot: together.choices[slot] for slot in alone.choices} == dict(alone.choices)
 
 
 @pytest.mark.parametrize(
-    "changes", [{"max_age_s": 0.0}, {"margin": 2.0}, {"layer_px": (9.0, 3.0)}, {"floor_ratio": -1}]
+    "changes", [{"max_age_s": 0.0}, {"least_change": -1.0}, {"layer_px": (9.0, 3.0)}]
 )
 def test_options_that_make_no_sense_are_refused(changes: dict[str, object]) -> None:
     with pytest.raises(OptionError, match=next(iter(changes))):
@@ -299,4 +328,8 @@ def test_options_that_make_no_sense_are_refused(changes: dict[str, object]) -> N
 
 def test_nobody_there_costs_nothing() -> None:
     made = plan()
-    assert (made.cost_s, made.error, dict(made.choices)) == (0.0, 0.0, {})
+    assert (made.cost_s, dict(made.choices)) == (0.0, {})
+
+
+def test_behind_the_viewer_nothing_is_decoded() -> None:
+    assert choose(unseen()).decode == "none"

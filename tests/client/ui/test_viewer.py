@@ -17,7 +17,7 @@ from PIL import Image
 from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_client.call.faces import FaceState, FaceStatus
 from pica_client.call.status import CallStatus
-from pica_client.decode.pool import DecodeResult
+from pica_client.decode.request import DecodeResult
 from pica_client.errors import OptionError
 from pica_client.render.thumbnail import draw_thumbnail
 from pica_client.schedule.scheduler import SchedulerOptions
@@ -410,7 +410,7 @@ def test_a_viewer_short_of_time_gives_up_detail_and_says_which() -> None:
             assert viewer.last_draw is not None
             (head,) = viewer.last_draw.heads
             levels.append(head.level)
-    assert levels == [64, 256]
+    assert levels == [64, 128]
 
 
 def test_the_call_is_told_what_is_worth_having_of_each_stream() -> None:

@@ -1,0 +1,144 @@
+"""One head of a call: what is seen of it, what was asked of its decoder, how it is drawn. Pure.
+
+A head is kept from frame to frame by whoever draws it, and is forgotten with it. In each frame its
+owner places it, the frame planner looks at it, and the scheduler chooses what it gets.
+
+When maps of another level arrive, or the mesh changes, the new ones fade in over `BLEND_S`: a level
+that comes and goes is never a jump of the picture.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from pica_client.decode.request import DecodeRequest
+from pica_client.render.scene import Placement
+from pica_client.schedule.visibility import NOTHING, Sight
+from pica_core.avatar.file import Avatar
+from pica_core.avatar.spec import LATENT_SHAPE
+from pica_core.types import FloatArray
+
+Decode = Literal["none", "expression", "both"]
+
+BLEND_S = 0.12
+"""How long maps of another level take to fade in (chosen: the eye sees no step, and the mixed face
+is gone before it could lag behind the voice)."""
+
+
+class Choice(NamedTuple):
+    """What one head gets in a frame."""
+
+    level: int
+    """Level of the maps that are drawn once this frame's decode is there."""
+    decode: Decode
+    """What to decode now, at `level`; "expression" with the latent of the maps that are there."""
+    mesh_level: int
+    """Level of the triangles: that of the maps; with full maps also a coarser one."""
+    wanted_layer: int | None
+    """Highest layer of its stream to ask for; None is no stream at all."""
+    cost_s: float
+    """Its share of the plan's cost."""
+    is_limited: bool
+    """Whether the budget kept something from it."""
+
+
+@dataclass(kw_only=True, slots=True, eq=False)
+class Head:
+    """A head with a face."""
+
+    slot: str
+    avatar: Avatar = field(repr=False)
+    world_from_head: FloatArray = field(default_factory=lambda: np.eye(4, dtype=np.float32))
+    """Head frame to world, float32 ``[4, 4]``."""
+    latent: FloatArray = field(default_factory=lambda: np.zeros(LATENT_SHAPE, np.float32))
+    """What it should show. float32 ``[8, 8, 4]``."""
+    captured_us: int = 0
+    """Sender's clock at the newest sample in the latent; handed through to the decode."""
+
+    sight: Sight = NOTHING
+    """What can be seen of it in the planned frame."""
+    view_direction: FloatArray = field(default_factory=lambda: np.array([0, 0, 1], np.float32))
+    """Camera centre seen from the head, unit length, head frame. float32 ``[3]``."""
+    latent_change: float = 0.0
+    """Root mean square over the 256 numbers, between the latent of now and that of its maps."""
+    view_turn_rad: float = 0.0
+    """How far the view has turned since its expression map was asked for."""
+    seen_s: float | None = None
+    """When it was last to be seen, or first planned; None before that."""
+    choice: Choice | None = None
+
+    asked: DecodeRequest | None = None
+    """The decode that was asked for last."""
+    asked_s: float = -math.inf
+
+    shown_level: int | None = None
+    """Level of the maps on the GPU."""
+    shown_mesh: int | None = None
+    mesh_before: int | None = None
+    """Level of the mesh that fades out."""
+    is_same_maps: bool = False
+    """Whether only the mesh fades out and the maps stay."""
+    blend_from_s: float = -math.inf
+
+    num_triangles: tuple[int, ...] = field(init=False)
+    """Triangles of each level's mesh."""
+    model: str = field(init=False)
+    """What its costs are named in the cost model."""
+
+    def __post_init__(self) -> None:
+        avatar = self.avatar
+        self.num_triangles = tuple(len(avatar.level_faces(level)) for level in avatar.levels)
+        self.model = f"{avatar.manifest.variant} {avatar.spec.block}"
+
+    @property
+    def held_level(self) -> int | None:
+        """Level of the maps that were asked for last; None before the first."""
+        return None if self.asked is None else self.asked.level
+
+    def request(self, now: float) -> DecodeRequest | None:
+        """What its choice decodes, None for nothing; it counts as asked for."""
+        choice = self.choice
+        if choice is None or choice.decode == "none":
+            return None
+        latent, captured_us = self.latent, self.captured_us
+        if choice.decode == "expression" and self.asked is not None:
+            # The position map stays: both must be of the same face.
+            latent, captured_us = self.asked.latent, self.asked.captured_us
+        view = self.view_direction
+        self.asked = DecodeRequest(latent, view, captured_us, choice.level, choice.decode)
+        self.asked_s = now
+        return self.asked
+
+    def show(self, level: int, now: float) -> None:
+        """Maps of a level have come to the GPU."""
+        if self.shown_level is not None and self.shown_level != level:
+            self._fade(now, is_same_maps=False)
+            self.shown_mesh = None
+        self.shown_level = level
+
+    def dressed(self, placement: Placement, now: float) -> Placement:
+        """Its placement as it is to be drawn: its mesh, and how far it blends."""
+        choice = self.choice
+        if choice is None:
+            return placement
+        # A mesh that is meant for maps still to come waits for them.
+        if choice.level == self.shown_level and choice.mesh_level != self.shown_mesh:
+            if self.shown_mesh is not None:
+                self._fade(now, is_same_maps=True)
+            self.shown_mesh = choice.mesh_level
+        return replace(
+            placement,
+            mesh_level=self.shown_mesh,
+            mesh_before=self.mesh_before,
+            is_same_maps=self.is_same_maps,
+            blend=min((now - self.blend_from_s) / BLEND_S, 1.0),
+        )
+
+    def _fade(self, now: float, *, is_same_maps: bool) -> None:
+        """What is shown now fades out."""
+        self.mesh_before, self.is_same_maps = self.shown_mesh, is_same_maps
+        self.blend_from_s = now
