@@ -151,6 +151,8 @@ class RelayConfig:
     coalesce_longest_s: float = 0.006
     """The longest such wait, seconds, reached when the loop stays that busy for a second or two; 0
     turns it off."""
+    without: tuple[str, ...] = ()
+    """Parts of the fast path to leave out, of `FAST_PATH`: for `pica bench relay --ablate`."""
     resume_grace_s: float = 10.0
     """Seconds for which the place of a peer is kept whose connection broke; 0 keeps none."""
     drain_s: float = 20.0

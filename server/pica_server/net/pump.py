@@ -57,6 +57,7 @@ class Pump:
         self.cluster: Cluster | None = None
         self._hub = hub
         self._config = config
+        self._writes_at_once = "direct-write" not in config.without
         self._all_gone = asyncio.Event()
         self._drain_ends_s: float | None = None
         self._wakers: dict[Connection, _Waker] = {}
@@ -108,7 +109,8 @@ class Pump:
                 reason = f"speak the websocket sub-protocol {SUBPROTOCOL}"
                 self._hub.close(connection, CloseCode.WRONG_VERSION, reason, self._now())
             self.after_events()
-            websocket.hand_to(lambda data: self._on_message(connection, data))
+            if "short-read" not in self._config.without:
+                websocket.hand_to(lambda data: self._on_message(connection, data))
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._read(websocket, connection))
                 tasks.create_task(self._write(websocket, connection, waker))
@@ -274,7 +276,12 @@ class Pump:
             waker = wakers.get(connection)
             if waker is None:
                 continue
-            if waker.is_idle and connection.closed is None and waker.websocket.is_writable:
+            if (
+                self._writes_at_once
+                and waker.is_idle
+                and connection.closed is None
+                and waker.websocket.is_writable
+            ):
                 parcel = connection.outbox.take(now)
                 if parcel is not None:
                     taken.append((connection, waker, parcel))

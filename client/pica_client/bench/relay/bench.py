@@ -28,7 +28,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 from urllib.parse import urlsplit
 
@@ -69,6 +69,13 @@ NO_LIMITS: Final = (
     *("--limits.handshakes", "4096"),
 )
 """Arguments of a relay whose limits on joins are not what is measured."""
+ABLATIONS: Final = {
+    "short-read": ("--without", "short-read"),
+    "direct-write": ("--without", "direct-write"),
+    "bundles": ("--without", "bundles"),
+    "window": ("--coalesce-longest-s", "0"),
+}
+"""Arguments of a relay that lacks one part of its fast path."""
 COMPARISONS: Final = ("naive", "naive-uvloop", "echo")
 
 
@@ -99,6 +106,8 @@ class RelayBenchConfig:
     """Where looking for capacity ends."""
     compare: tuple[str, ...] = ()
     """Servers that get the same load in the same run, of `COMPARISONS`."""
+    ablate: tuple[str, ...] = ()
+    """Parts of the relay's fast path, of `ABLATIONS`: the same load for a relay without each."""
     relay_arguments: tuple[str, ...] = ()
     """Further arguments of the relay that is started."""
     seed: int = 0
@@ -118,6 +127,9 @@ class RelayBenchConfig:
                 raise OptionError(
                     f"compare {name!r} is unknown; known are {', '.join(COMPARISONS)}"
                 )
+        for name in self.ablate:
+            if name not in ABLATIONS:
+                raise OptionError(f"ablate {name!r} is unknown; known are {', '.join(ABLATIONS)}")
         if self.url is not None:
             check_url(self.url)
 
@@ -343,6 +355,11 @@ def run_relay_bench(config: RelayBenchConfig) -> dict[str, Any]:
         for name in config.compare:
             with _rival(name, result, config, workers) as target:
                 result["compare"][name] = _measure(config, target, workers, name)
+        result["ablate"] = {}
+        for name in config.ablate:
+            lacking = replace(config, relay_arguments=(*config.relay_arguments, *ABLATIONS[name]))
+            with relay_target(lacking, children) as target:
+                result["ablate"][name] = _measure(lacking, target, workers, f"without {name}")
     result["machine"] = describe_machine()
     return result
 

@@ -38,6 +38,9 @@ class BenchRelayOptions:
     compare: str = ""
     """Give the same load to others as well: naive (read and broadcast, same library), naive-uvloop,
     echo (what the load generator can do at most); separated by commas."""
+    ablate: str = ""
+    """Give the same load to the relay without one part of its fast path, for each of: short-read,
+    direct-write, bundles, window; all of them: all."""
     hostile: str = ""
     """Measure the rooms beside somebody who behaves badly: all, or some of stopped-reader,
     slow-reader, flood, slow-loris, half-open, large-messages, bombs, connects."""
@@ -55,7 +58,7 @@ def bench_relay(options: BenchRelayOptions) -> dict[str, Any]:
 
     Latency is from one peer's send call to another's receive call on this machine.
     """
-    from pica_client.bench.relay.bench import RelayBenchConfig, run_relay_bench
+    from pica_client.bench.relay.bench import ABLATIONS, RelayBenchConfig, run_relay_bench
     from pica_client.bench.relay.hostile import HostileConfig, parse_kinds, run_hostile_bench
     from pica_client.bench.relay.soak import SoakConfig, run_soak
 
@@ -71,6 +74,9 @@ def bench_relay(options: BenchRelayOptions) -> dict[str, Any]:
         bar_ms=options.bar,
         max_rooms=max(options.max_rooms, options.rooms),
         compare=tuple(name for name in options.compare.split(",") if name),
+        ablate=tuple(ABLATIONS)
+        if options.ablate == "all"
+        else tuple(name for name in options.ablate.split(",") if name),
         relay_arguments=tuple(options.relay_arguments.split()),
         seed=options.seed,
     )
