@@ -141,12 +141,12 @@ class StreamQueue:
             or self._penalty > MIN_PROBATION
         )
 
-    def note_sent(self, base: bytes, keyframe: bytes | None) -> None:
-        """Note the last base frame, and keyframe if there was one, that have reached the reader by
-        another way, while this queue was clear."""
+    def note_sent(self, base: bytes, is_keyframe: bool) -> None:
+        """Note a base frame that has reached the reader by another way, while this queue was
+        clear."""
         self._last_base = base
-        if keyframe is not None:
-            self._last_keyframe = keyframe
+        if is_keyframe:
+            self._last_keyframe = base
 
     def put(self, frame: bytes, layer: int, is_keyframe: bool, now: float) -> Put:
         """Take the next frame of the stream, header included; all of them must come here in order,

@@ -23,7 +23,7 @@ from pica_server.cluster.messages import (
     encode_media,
     slot_of,
 )
-from pica_server.room.outbox import Outbox
+from pica_server.room.outbox import ArrivedFrame, Outbox
 
 EPOCH_INTERVAL_S: Final = 0.5
 """Shortest time between two new epochs: who is overrun must not ask for ever more."""
@@ -71,13 +71,11 @@ class NodeLink:
         self.epoch = epoch
         self._number = 0
 
-    def put_frame(
-        self, stream: int, frame: bytes, layer: int, is_keyframe: bool, now: float
-    ) -> Put | None:
+    def put(self, frame: ArrivedFrame) -> Put | None:
         """Queue a frame, or drop it; None if the node does not want it."""
-        if layer > self.layers.get(stream, _NO_LAYER):
+        if frame.layer > self.layers.get(frame.stream, _NO_LAYER):
             return None
-        return self.outbox.put_frame(stream, frame, layer, is_keyframe, now)
+        return self.outbox.put(frame)
 
     def want(self, stream: int, layer: int | None) -> bool:
         """Follow a wish; return whether the stream begins, or begins again."""

@@ -30,8 +30,8 @@ from pica_server.config.relay import RelayConfig
 from pica_server.net.socket import RelaySocket, websocket_message
 from pica_server.room.batching_window import BatchingWindow
 from pica_server.room.connection import Connection
-from pica_server.room.frame_batches import OutboundMessage
 from pica_server.room.hub import Hub
+from pica_server.room.outbox import OutboundMessage
 
 if TYPE_CHECKING:
     from pica_server.cluster.nats import Cluster
@@ -140,11 +140,7 @@ class Pump:
         _logger.log(level, "connection closed", extra=fields)
 
     def _on_message(self, connection: Connection, data: bytes) -> None:
-        """Keep a message that came the short way until all sockets have been read in this turn.
-
-        First to read them all, then to decide, then to write: mixed, the network's code and ours
-        drive each other out of the processor's caches.
-        """
+        """Keep a message that came the short way until all sockets have been read in this turn."""
         self._inbox.append((connection, data, self._loop_time()))
         self.after_turn_soon()
 
@@ -265,42 +261,37 @@ class Pump:
             self._timer_s = when
 
     def _send_all(self, connections: Iterable[Connection]) -> None:
-        """Send what waits for some, as far as the kernel takes it; leave the rest to the writers.
-
-        First to take what goes out, then to write it, see `_on_message`.
-        """
+        """Send what waits for some as far as the kernel takes it; the rest is for the writers."""
         # Once for every message that goes out: written for speed.
         wakers, now = self._wakers, self._loop_time()
-        taken: list[tuple[Connection, _Waker, OutboundMessage]] = []
+        written: list[OutboundMessage] = []
+        last, framed = None, b""
         for connection in connections:
             waker = wakers.get(connection)
             if waker is None:
                 continue
+            websocket, outbox = waker.websocket, connection.outbox
             if (
-                self._writes_at_once
-                and waker.is_idle
+                waker.is_idle
                 and connection.closed is None
-                and waker.websocket.is_writable
+                and websocket.is_writable
+                and self._writes_at_once
             ):
-                parcel = connection.outbox.take(now)
-                if parcel is not None:
-                    taken.append((connection, waker, parcel))
-                if not connection.outbox.is_waiting:
+                message = outbox.take(now)
+                if message is not None:
+                    if message is not last:  # many get the very same
+                        last, framed = message, websocket_message(message.data)
+                    if websocket.write(framed):
+                        written.append(message)
+                    else:
+                        self._hub.is_sending(connection, now)
+                        waker.under_way = message
+                        waker.wake()
+                if not outbox.is_waiting:
                     continue
             waker.wake()
             if connection.closed is not None:
                 waker.cut_after(self._close_timeout_s())
-        written: list[OutboundMessage] = []
-        last, framed = None, b""
-        for connection, waker, parcel in taken:
-            if parcel is not last:  # many get the very same
-                last, framed = parcel, websocket_message(parcel.data)
-            if waker.websocket.write(framed):
-                written.append(parcel)
-            else:
-                self._hub.is_sending(connection, now)
-                waker.under_way = parcel
-                waker.wake()
         self._hub.all_sent(written, self._loop_time())
 
     def _release_later(self) -> None:

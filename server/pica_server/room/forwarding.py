@@ -7,13 +7,13 @@ them.
 from dataclasses import replace
 
 from pica_protocol.errors import CloseCode
-from pica_protocol.frames import FLAG_KEYFRAME
 from pica_protocol.messages import KeyframeRequest, StreamMuted, Whisper
 from pica_protocol.session import Media
 from pica_protocol.stream_queue import Put
 from pica_server.cluster.media import NodeLink
 from pica_server.room.connection import Connection
 from pica_server.room.connections import Switchboard
+from pica_server.room.outbox import ArrivedFrame
 from pica_server.room.room import Room, Stream
 
 _WAITS, _DROPPED = Put.WAITS, Put.DROPPED  # an enumeration's own lookup is slow
@@ -54,8 +54,6 @@ class Forwarding:
         switchboard, stats = self._switchboard, self._stats
         connections, ready = switchboard.connections, switchboard.ready
         for number, layer, flags, start, end in media.spans:
-            frame = media.message[start:end]
-            is_keyframe = layer == 0 and bool(flags & FLAG_KEYFRAME)
             stream = room.stream(number)
             assert stream is not None  # its publisher is in the room
             receivers = room.receivers(number, layer)
@@ -64,32 +62,22 @@ class Forwarding:
                 stats.frames_in_by_layer[layer] += 1
                 stats.dropped["muted"] += len(receivers)
                 continue
+            frame = ArrivedFrame(number, media.message[start:end], layer, flags, now)
             if layer == 0:
-                stream.remember(frame, is_keyframe)
+                stream.remember(frame.data, frame.is_keyframe)
             if stream.deadline_s is not None:
                 outboxes = [connections[peer_id].outbox for peer_id in receivers]
                 for outbox in outboxes + [link.outbox for link in room.links.values()]:
                     outbox.open_ordered(number, stream.deadline_s)
-            bundle = room.shared.current
-            if bundle.is_full or bundle.carries(number):
-                bundle = room.shared.turn_over()
             for peer_id in receivers:
                 receiver = connections[peer_id]
-                outbox = receiver.outbox
-                if number in outbox.flowing:
-                    if outbox.newest is bundle:
-                        continue  # it is on the list already, or held for others
-                    if outbox.share(bundle):
-                        ready[receiver] = None
-                        continue
-                fate = outbox.put_frame(number, frame, layer, is_keyframe, now)
+                fate = receiver.outbox.put(frame)
                 if fate is not _DROPPED:
                     ready[receiver] = None
                     if fate is not _WAITS:
                         needed[number, fate] = None
-            bundle.add(number, frame, layer, is_keyframe, now)
             for link in room.links.values():
-                wanted = link.put_frame(number, frame, layer, is_keyframe, now)
+                wanted = link.put(frame)
                 if wanted is not None and wanted is not _DROPPED:
                     self._ready_links[link] = None
                     if wanted is not _WAITS:

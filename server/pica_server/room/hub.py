@@ -12,7 +12,7 @@ a time (``take``, ``sent``). The parts decide:
 A connection is over when its ``closed`` is set; what it still has to send ends with a ``Bye``.
 """
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
 
 from pica_protocol.errors import CloseCode
@@ -28,9 +28,9 @@ from pica_server.room.connection import Connection
 from pica_server.room.connections import Switchboard
 from pica_server.room.drain import departures
 from pica_server.room.forwarding import Forwarding
-from pica_server.room.frame_batches import OutboundMessage
 from pica_server.room.membership import Membership
 from pica_server.room.moderation import Moderation
+from pica_server.room.outbox import OutboundMessage
 from pica_server.room.resume_tickets import ResumeTickets
 from pica_server.room.room import Room
 
@@ -165,6 +165,9 @@ class Hub:
         elif not connection.messages_in.take(now):
             self._switchboard.close_too_fast(connection, "messages", now)
         for event in connection.session.receive_data(data, now):
+            if type(event) is Media:  # nearly always; it leaves the session nothing to say
+                self.forwarding.forward(connection, event, now)
+                return
             self._handle(connection, event, now)
         self._switchboard.flush(connection, now)
 
@@ -222,31 +225,16 @@ class Hub:
         connection.sending_since = None
         self.all_sent([parcel], now)
 
-    def all_sent(self, parcels: Sequence[OutboundMessage], now: float) -> None:
+    def all_sent(self, messages: Sequence[OutboundMessage], now: float) -> None:
         """Take note that the sockets took these messages."""
         # Once for every message that goes out: written for speed.
-        num_bytes = num_frames = num_alike = 0
-        last: OutboundMessage | None = None
-        for parcel in parcels:
-            data, received_s = parcel
-            num_bytes += len(data)
-            num_frames += len(received_s)
-            if parcel is not last:  # many get the very same
-                if last is not None:
-                    self._record_forwarding(last, num_alike, now)
-                last, num_alike = parcel, 0
-            num_alike += 1
-        if last is not None:
-            self._record_forwarding(last, num_alike, now)
+        received_s = [moment_s for message in messages for moment_s in message.received_s]
         stats = self.stats
-        stats.messages_out += len(parcels)
-        stats.bytes_out += num_bytes
-        stats.frames_out += num_frames
-
-    def _record_forwarding(self, parcel: OutboundMessage, num_receivers: int, now: float) -> None:
-        record = self.stats.forwarding.record
-        for moment_s in parcel.received_s:
-            record(now - moment_s, num_receivers)
+        stats.messages_out += len(messages)
+        stats.bytes_out += sum([len(message.data) for message in messages])
+        stats.frames_out += len(received_s)
+        for moment_s, times in Counter(received_s).items():
+            stats.forwarding.record(now - moment_s, times)
 
     def next_timer(self) -> float | None:
         """Return when ``handle_timer`` is due, or None."""
@@ -272,8 +260,6 @@ class Hub:
 
     def _handle(self, connection: Connection, event: ServerEvent, now: float) -> None:
         match event:
-            case Media():
-                self.forwarding.forward(connection, event, now)
             case Join():
                 self.membership.join(connection, event, now)
             case Closed():

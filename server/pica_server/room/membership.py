@@ -302,8 +302,6 @@ class Membership:
             resume_ms = round(self._returns.grace_s * 1000)
             joined = replace(joined, resume=secret, resume_ms=resume_ms)
         connection.has_joined = True
-        if "bundles" not in self._switchboard.config.without:
-            connection.outbox.shared = room.shared
         connection.session.accept(joined)
         self._switchboard.flush(connection, now)
         for peer_id in room.away:

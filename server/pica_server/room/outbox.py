@@ -1,72 +1,99 @@
 """What waits for one receiver: every control message, and of each stream what is fresh.
 
-Bounded by design. Frames: one queue for each stream of the room, see
-`pica_protocol.stream_queue` and, for ordered streams, `pica_protocol.ordered_queue` for what is
-dropped in it and in which order, so a receiver that reads
+Bounded by design. Frames: a queue for each stream of the room (`pica_protocol.stream_queue` and
+`pica_protocol.ordered_queue` say what is dropped, and in which order), so a receiver that reads
 slowly gets fewer frames, never a stale one for long, and never one it cannot decode. Control: a
-queue with a limit in bytes; it is never thinned, a receiver that lets it overflow is closed
-instead.
+queue with a limit in bytes; it is never thinned, a receiver that lets it overflow is closed.
 
-While a receiver keeps up, its frames do not come here one by one: it is given bundles, which it
-shares with others, see ``shared_frames``.
+While a receiver keeps up, nothing is ever dropped from those queues. Streams whose queue is clear
+*flow*: their frames wait in one list for all of them, which the next message empties. When the list
+is full, or anything else is asked of a stream, its frames move into its queue, and from there on
+all is as if they had always been there.
 """
 
 import math
 from collections import Counter, deque
-from collections.abc import Sequence, Set
+from collections.abc import Sequence
+from typing import Final, NamedTuple
 
-from pica_protocol.frames import MEDIA_PREFIX, media_message
+from pica_protocol.frames import FLAG_KEYFRAME, media_message
 from pica_protocol.limits import MAX_MEDIA_MESSAGE_BYTES
 from pica_protocol.ordered_queue import OrderedQueue
 from pica_protocol.stream_queue import Put, StreamQueue, Waiting
 from pica_server.errors import OutboxFullError
-from pica_server.room.frame_batches import MAX_BUNDLES, Bundle, OutboundMessage, SharedFrames
 
+MAX_FLOWING_FRAMES: Final = 4
+"""Frames of each flowing stream that may wait in the list, on average: one more than the upper
+frames that wait in a queue (chosen)."""
+MAX_FLOWING_BYTES: Final = 4096
+"""Bytes of all of them: one message, which a slow line has to carry before what is newer."""
 _WAITS = Put.WAITS
 
 
-class Outbox:
-    """The queue between the room and one receiver's socket.
+class OutboundMessage(NamedTuple):
+    """One websocket message on its way out."""
+
+    data: bytes
+    received_s: tuple[float, ...]
+    """When each of its frames came to the relay; empty for a control message."""
+
+
+class ArrivedFrame:
+    """One frame as all its receivers share it.
 
     Attributes:
-        shared: The bundles of the room, or None: every frame is put here.
-        flowing: Streams whose frames it takes in bundles: `share` is to be tried before
-            `put_frame`.
-        newest: The bundle it has taken last, if that still waits.
+        stream: The number of its stream.
+        data: The frame with its header.
+        layer: Its temporal layer.
+        is_keyframe: Whether it can be decoded alone.
+        received_s: When it came to the relay.
+        alone: The message that carries this frame and nothing else.
     """
 
-    def __init__(self, max_control_bytes: int, drops: Counter[str]) -> None:
+    __slots__ = ("alone", "data", "is_keyframe", "layer", "received_s", "stream")
+
+    def __init__(self, stream: int, data: bytes, layer: int, flags: int, received_s: float) -> None:
+        self.stream = stream
+        self.data = data
+        self.layer = layer
+        self.is_keyframe = layer == 0 and bool(flags & FLAG_KEYFRAME)
+        self.received_s = received_s
+        self.alone = OutboundMessage(media_message((data,)), (received_s,))
+
+
+class Outbox:
+    """The queue between the room and one receiver's socket."""
+
+    def __init__(self, max_control_bytes: int, drops: Counter[str], *, flows: bool = True) -> None:
         """Begin empty.
 
         Args:
             max_control_bytes: Control messages that may wait.
             drops: Where frames that are dropped for slowness are counted, by reason.
+            flows: Whether streams may flow; if not, every frame goes through its queue.
         """
         self._max_control_bytes = max_control_bytes
         self._drops = drops
+        self._may_flow = flows
         self._control: deque[bytes] = deque()
         self._control_bytes = 0
         self._queues: dict[int, StreamQueue | OrderedQueue] = {}
         self._ordered: dict[int, OrderedQueue] = {}
-        # Streams with something that waits; dict order is the order of waiting.
+        # Streams with something in their queue; dict order is the order of waiting.
         self._line: dict[int, None] = {}
-        self.shared: SharedFrames | None = None
-        self.flowing: Set[int] = frozenset()
-        self.newest: Bundle | None = None
-        # While anything flows: the last one that has gone out.
-        self._last_taken: Bundle | None = None
-        self._bundles: list[Bundle] = []
+        self._flowing: dict[int, StreamQueue] = {}
+        self._flow: list[ArrivedFrame] = []
+        self._flow_bytes = 0
 
     @property
     def waiting_frames(self) -> int:
         """How many frames wait, at most a few of each stream."""
-        bundled = [item[0] for bundle in self._bundles for item in bundle.frames]
-        return sum(map(len, self._queues.values())) + sum(map(self.flowing.__contains__, bundled))
+        return sum(map(len, self._queues.values())) + len(self._flow)
 
     @property
     def is_waiting(self) -> bool:
         """Whether `take` may have something."""
-        return bool(self._bundles or self._line or self._control)
+        return bool(self._flow or self._line or self._control)
 
     @property
     def has_control(self) -> bool:
@@ -89,30 +116,25 @@ class Outbox:
         self._control.append(data)
         self._control_bytes += len(data)
 
-    def share(self, bundle: Bundle) -> bool:
-        """Take a bundle that a frame of a flowing stream is about to come into.
-
-        Returns:
-            False if too many wait: nothing flows any more, and the frame is to be put.
-        """
-        if len(self._bundles) == MAX_BUNDLES:
-            self._unbundle()
-            return False
-        self._bundles.append(bundle)
-        self.newest = bundle
-        return True
-
-    def put_frame(
-        self, stream: int, frame: bytes, layer: int, is_keyframe: bool, now: float
-    ) -> Put:
+    def put(self, frame: ArrivedFrame) -> Put:
         """Queue a frame, or drop it, and what it replaces; see `StreamQueue.put`."""
         # Once for every frame and receiver: written for speed.
-        if stream in self.flowing:
-            self._unbundle()
-        queue = self._queues.get(stream)
-        if queue is None:
-            queue = self._queue(stream)
-        fate = queue.put(frame, layer, is_keyframe, now)
+        flowing, flow = self._flowing, self._flow
+        if frame.stream not in flowing:
+            return self._put_queue(frame)
+        num_bytes = self._flow_bytes + len(frame.data)
+        if num_bytes > MAX_FLOWING_BYTES or len(flow) >= MAX_FLOWING_FRAMES * len(flowing):
+            for stream in list(flowing):
+                self._stop_flow(stream)
+            return self._put_queue(frame)
+        flow.append(frame)
+        self._flow_bytes = num_bytes
+        return _WAITS
+
+    def _put_queue(self, frame: ArrivedFrame) -> Put:
+        stream = frame.stream
+        queue = self._queue(stream)
+        fate = queue.put(frame.data, frame.layer, frame.is_keyframe, frame.received_s)
         if fate is _WAITS:
             self._line[stream] = None  # where it stands already if something of it waited
         return fate
@@ -120,7 +142,6 @@ class Outbox:
     def open_ordered(self, stream: int, deadline_s: float) -> None:
         """Note that a stream is ordered, if that is news."""
         if stream not in self._ordered:
-            self._unbundle()
             self._queues[stream] = self._ordered[stream] = OrderedQueue(self._drops, deadline_s)
 
     def interrupt(self, stream: int) -> int:
@@ -128,17 +149,15 @@ class Outbox:
 
         It goes on with a keyframe, or, if it is ordered, with any frame.
         """
-        self._unbundle()
-        queue = self._queue(stream)
+        queue = self._stop_flow(stream)
         dropped = queue.want(None)
         if isinstance(queue, OrderedQueue):
             queue.resume((), is_whole=True, now=0.0)
         return dropped
 
     def want(self, stream: int, layer: int | None) -> int:
-        """Follow a wish; return how many waiting frames were dropped for it."""
-        self._unbundle()
-        return self._queue(stream).want(layer)
+        """Follow a layer subscription; return how many waiting frames were dropped for it."""
+        return self._stop_flow(stream).want(layer)
 
     def resume(self, stream: int, chain: Sequence[bytes], *, is_whole: bool, now: float) -> int:
         """Queue what was kept of a stream that the receiver begins to read, or reads again.
@@ -146,30 +165,27 @@ class Outbox:
         Returns:
             How many frames that is; see `StreamQueue.resume`.
         """
-        self._unbundle()
-        queue = self._queue(stream)
+        queue = self._stop_flow(stream)
         queue.resume(chain, is_whole=is_whole, now=now)
         self._line[stream] = None
         return len(queue)
 
     def forget_stream(self, stream: int) -> int:
         """Forget a stream that has ended; return how many of its frames waited."""
-        self._unbundle()
-        if self.shared is not None:
-            self.shared.forget_stream(stream)
+        num_waiting = len(self._stop_flow(stream))
         self._line.pop(stream, None)
         self._ordered.pop(stream, None)
-        queue = self._queues.pop(stream, None)
-        return 0 if queue is None else len(queue)
+        del self._queues[stream]
+        return num_waiting
 
     def finish(self, last_words: list[bytes]) -> int:
         """Drop the waiting frames, return how many, and queue the last messages whatever the
         limit."""
         dropped = self.waiting_frames
-        self.shared, self.flowing, self.newest, self._bundles = None, frozenset(), None, []
-        self._queues.clear()
-        self._ordered.clear()
-        self._line.clear()
+        self._flow_bytes = 0
+        self._flow = []
+        for emptied in (self._flowing, self._queues, self._ordered, self._line):
+            emptied.clear()
         self._control.extend(last_words)
         self._control_bytes += sum(map(len, last_words))
         return dropped
@@ -183,85 +199,52 @@ class Outbox:
             data = self._control.popleft()
             self._control_bytes -= len(data)
             return OutboundMessage(data, ())
-        line = self._line
-        if self._bundles:
-            if not line:
-                return self._take_bundles()
-            self._unbundle()
-        if not line:
+        flow, num_flow_bytes = self._flow, self._flow_bytes
+        if not flow and not self._line:
             return None
+        self._flow, self._flow_bytes = [], 0
+        for frame in flow:
+            if frame.layer == 0:
+                self._flowing[frame.stream].note_sent(frame.data, frame.is_keyframe)
+        if len(flow) == 1 and not self._line:
+            return flow[0].alone
+        frames = [frame.data for frame in flow]
+        received_s = [frame.received_s for frame in flow]
+        if self._line:
+            for item in self._take_queues(MAX_MEDIA_MESSAGE_BYTES - 1 - num_flow_bytes, now):
+                frames.append(item.frame)
+                received_s.append(item.received_s)
+        return OutboundMessage(media_message(frames), tuple(received_s)) if frames else None
+
+    def _take_queues(self, room_left: int, now: float) -> list[Waiting]:
+        """Take what fits of the queues; streams whose queue is clear then flow."""
         for ordered in self._ordered.values():
             ordered.expire(now)
-        room_left = MAX_MEDIA_MESSAGE_BYTES - 1
         items: list[Waiting] = []
-        num_taken = 0
-        for stream in line:
+        for stream in list(self._line):
             queue = self._queues[stream]
             num_bytes = queue.num_bytes
             items += queue.take(room_left)
             if num_bytes > room_left:
                 break  # this message is full; the stream keeps its place
             room_left -= num_bytes
-            num_taken += 1
-        if num_taken == len(line):
-            line.clear()
-            self._let_flow()
-        else:
-            for stream in list(line)[:num_taken]:
-                del line[stream]
-        if not items:
-            return None
-        return OutboundMessage(
-            media_message([item.frame for item in items]),
-            tuple([item.received_s for item in items]),
-        )
+            del self._line[stream]
+            if self._may_flow and isinstance(queue, StreamQueue) and queue.is_clear:
+                self._flowing[stream] = queue
+        return items
 
-    def _take_bundles(self) -> OutboundMessage:
-        bundles = self._bundles
-        newest = self._last_taken = bundles[-1]
-        shared = self.shared
-        assert shared is not None
-        if shared.current is newest:
-            shared.turn_over()
-        self.newest = None
-        if len(bundles) == 1:
-            bundles.clear()
-            return newest.parcel(self.flowing)
-        parcels = [bundle.parcel(self.flowing) for bundle in bundles]
-        bundles.clear()
-        data = MEDIA_PREFIX + b"".join([parcel.data[len(MEDIA_PREFIX) :] for parcel in parcels])
-        return OutboundMessage(
-            data, tuple([moment for _, moments in parcels for moment in moments])
-        )
-
-    def _unbundle(self) -> None:
-        """Put what waits in bundles into the queues, and let these know what has gone out in
-        bundles; from now on every frame comes there."""
-        flowing, self.flowing = self.flowing, frozenset()
-        bundles, self._bundles, self.newest = self._bundles, [], None
-        last, self._last_taken = self._last_taken, None
-        if last is not None:
-            for stream, (frame, keyframe) in last.bases.items():
-                queue = self._queues.get(stream)
-                if stream in flowing and isinstance(queue, StreamQueue):
-                    queue.note_sent(frame, keyframe)
-        for bundle in bundles:
-            for stream, frame, layer, is_keyframe, received_s in bundle.frames:
-                if stream in flowing:
+    def _stop_flow(self, stream: int) -> StreamQueue | OrderedQueue:
+        """Return the queue of a stream with all that waits of it; what comes next goes there."""
+        if self._flowing.pop(stream, None) is not None:
+            flow, self._flow = self._flow, []
+            for frame in flow:
+                if frame.stream == stream:
                     # Should a keyframe be needed now, the next frame that is put says so again.
-                    self.put_frame(stream, frame, layer, is_keyframe, received_s)
-
-    def _let_flow(self) -> None:
-        """Take those streams in bundles from now on that nothing stands in the way of."""
-        if self.shared is None:
-            return
-        self._unbundle()
-        self.flowing = {
-            stream
-            for stream, queue in self._queues.items()
-            if isinstance(queue, StreamQueue) and queue.is_clear
-        }
-        self.shared.turn_over()  # it has got what is in the current one already
+                    self._flow_bytes -= len(frame.data)
+                    self._put_queue(frame)
+                else:
+                    self._flow.append(frame)
+        return self._queue(stream)
 
     def _queue(self, stream: int) -> StreamQueue | OrderedQueue:
         queue = self._queues.get(stream)

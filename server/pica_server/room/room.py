@@ -15,7 +15,6 @@ from pica_protocol.messages import Joined, Metadata, Peer, Track
 from pica_protocol.stream_queue import MAX_CHAIN_BYTES, MAX_CHAIN_FRAMES
 from pica_server.cluster.media import NodeLink
 from pica_server.errors import RoomFullError
-from pica_server.room.frame_batches import SharedFrames
 
 _NOTHING = -1
 """As the highest wanted layer: none."""
@@ -80,7 +79,6 @@ class Room:
     Attributes:
         name: As the peers know it.
         links: The other nodes of the cluster with peers in this room, as receivers of frames.
-        shared: What receivers here get alike.
     """
 
     def __init__(self, name: str, capacity: int) -> None:
@@ -94,7 +92,6 @@ class Room:
         # Who gets the frames of a stream and layer: looked up for every frame, changed rarely.
         self._receivers: dict[tuple[int, int], list[str]] = {}
         self.links: dict[str, NodeLink] = {}
-        self.shared = SharedFrames()
 
     def __len__(self) -> int:
         """How many are connected here; the peers of other nodes are not counted."""

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pica_protocol.frames import Frame, decode_media, encode_frame
+from pica_protocol.frames import FLAG_KEYFRAME, Frame, decode_media, encode_frame
 from pica_protocol.limits import MAX_STREAM
 from pica_protocol.messages import Peer, Track, Whisper
 from pica_protocol.stream_queue import Put
@@ -30,6 +30,7 @@ from pica_server.cluster.messages import (
     slot_of,
 )
 from pica_server.errors import ClusterMessageError
+from pica_server.room.outbox import ArrivedFrame
 
 pytestmark = pytest.mark.unit
 
@@ -57,7 +58,7 @@ def link() -> NodeLink:
 
 def put(to: NodeLink, stream: int, sequence: int, *, is_keyframe: bool = False) -> Put | None:
     data = frame(stream, sequence, is_keyframe=is_keyframe)
-    return to.put_frame(stream, data, 0, is_keyframe, 0.0)
+    return to.put(ArrivedFrame(stream, data, 0, FLAG_KEYFRAME if is_keyframe else 0, 0.0))
 
 
 def test_a_node_gets_nothing_that_it_did_not_ask_for() -> None:
@@ -88,7 +89,7 @@ def test_a_layer_above_what_the_node_wants_does_not_travel() -> None:
     other = link()
     other.want(5, 0)
     put(other, 5, 0, is_keyframe=True)
-    assert other.put_frame(5, frame(5, 1, layer=1), 1, False, 0.0) is None
+    assert other.put(ArrivedFrame(5, frame(5, 1, layer=1), 1, 0, 0.0)) is None
     taken = other.take(0.0)
     assert taken is not None
     assert taken[1] == 1

@@ -5,11 +5,11 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from pica_protocol.frames import Frame, decode_media, encode_frame
+from pica_protocol.frames import FLAG_KEYFRAME, Frame, decode_media, encode_frame
 from pica_protocol.limits import MAX_MEDIA_MESSAGE_BYTES
 from pica_protocol.stream_queue import Put
 from pica_server.errors import OutboxFullError
-from pica_server.room.outbox import Outbox
+from pica_server.room.outbox import ArrivedFrame, Outbox
 
 pytestmark = pytest.mark.unit
 
@@ -18,7 +18,11 @@ LIMIT = 100
 
 def put(outbox: Outbox, stream: int, data: bytes, now: float = 0.0) -> None:
     """Put a frame of a stream of nothing but keyframes."""
-    assert outbox.put_frame(stream, data, 0, True, now) is Put.WAITS
+    assert outbox.put(ArrivedFrame(stream, data, 0, FLAG_KEYFRAME, now)) is Put.WAITS
+
+
+def put_delta(outbox: Outbox, stream: int, sequence: int, layer: int, num_bytes: int = 10) -> None:
+    outbox.put(ArrivedFrame(stream, delta(stream, sequence, layer, num_bytes), layer, 0, 0.0))
 
 
 def frame(stream: int, sequence: int = 0, num_bytes: int = 10) -> bytes:
@@ -46,7 +50,7 @@ def delta(stream: int, sequence: int, layer: int, num_bytes: int = 10) -> bytes:
 
 
 def test_a_newer_frame_replaces_the_waiting_one_of_its_stream() -> None:
-    outbox = Outbox(LIMIT, Counter())
+    outbox = Outbox(LIMIT, Counter(), flows=False)
     put(outbox, 1, frame(1, sequence=0), now=0.0)
     put(outbox, 1, frame(1, sequence=1), now=0.1)
     parcel = outbox.take()
@@ -57,7 +61,7 @@ def test_a_newer_frame_replaces_the_waiting_one_of_its_stream() -> None:
 
 
 def test_frames_of_all_streams_leave_in_one_message_oldest_stream_first() -> None:
-    outbox = Outbox(LIMIT, Counter())
+    outbox = Outbox(LIMIT, Counter(), flows=False)
     for stream, sequence in ((2, 0), (1, 0), (2, 1)):
         put(outbox, stream, frame(stream, sequence))
     parcel = outbox.take()
@@ -66,7 +70,7 @@ def test_frames_of_all_streams_leave_in_one_message_oldest_stream_first() -> Non
 
 
 def test_control_goes_before_frames_and_in_order() -> None:
-    outbox = Outbox(LIMIT, Counter())
+    outbox = Outbox(LIMIT, Counter(), flows=False)
     put(outbox, 1, frame(1))
     outbox.put_control(b"first")
     outbox.put_control(b"second")
@@ -75,7 +79,7 @@ def test_control_goes_before_frames_and_in_order() -> None:
 
 
 def test_no_message_is_longer_than_the_limit() -> None:
-    outbox = Outbox(LIMIT, Counter())
+    outbox = Outbox(LIMIT, Counter(), flows=False)
     for stream in range(1, 41):
         put(outbox, stream, frame(stream, num_bytes=1184))
     streams = []
@@ -86,7 +90,7 @@ def test_no_message_is_longer_than_the_limit() -> None:
 
 
 def test_control_above_the_limit_is_refused_and_what_waited_is_kept() -> None:
-    outbox = Outbox(LIMIT, Counter())
+    outbox = Outbox(LIMIT, Counter(), flows=False)
     outbox.put_control(bytes(60))
     with pytest.raises(OutboxFullError, match="60 bytes"):
         outbox.put_control(bytes(41))
@@ -94,7 +98,7 @@ def test_control_above_the_limit_is_refused_and_what_waited_is_kept() -> None:
 
 
 def test_last_words_are_queued_whatever_the_limit_and_frames_are_dropped() -> None:
-    outbox = Outbox(LIMIT, Counter())
+    outbox = Outbox(LIMIT, Counter(), flows=False)
     outbox.put_control(bytes(100))
     put(outbox, 1, frame(1))
     assert outbox.finish([b"goodbye"]) == 1
@@ -103,11 +107,11 @@ def test_last_words_are_queued_whatever_the_limit_and_frames_are_dropped() -> No
 
 
 def test_several_frames_of_a_stream_wait_in_order_among_those_of_others() -> None:
-    outbox = Outbox(LIMIT, Counter())
+    outbox = Outbox(LIMIT, Counter(), flows=False)
     put(outbox, 1, frame(1, sequence=0))
     put(outbox, 2, frame(2, sequence=0))
     for sequence, layer in ((1, 2), (2, 0)):
-        outbox.put_frame(1, delta(1, sequence, layer), layer, False, now=0.0)
+        put_delta(outbox, 1, sequence, layer)
     parcel = outbox.take()
     assert parcel is not None
     order = [(frame.stream, frame.sequence) for frame in decode_media(parcel.data)]
@@ -115,12 +119,11 @@ def test_several_frames_of_a_stream_wait_in_order_among_those_of_others() -> Non
 
 
 def test_a_stream_that_does_not_fit_goes_on_in_the_next_message() -> None:
-    outbox = Outbox(LIMIT, Counter())
+    outbox = Outbox(LIMIT, Counter(), flows=False)
     for stream in range(1, 5):
         put(outbox, stream, frame(stream, sequence=0, num_bytes=1184))
         for sequence in range(1, 5):
-            data = delta(stream, sequence, 0, num_bytes=1184)
-            outbox.put_frame(stream, data, 0, False, now=0.0)
+            put_delta(outbox, stream, sequence, 0, num_bytes=1184)
     order = []
     while (parcel := outbox.take()) is not None:
         order += [(frame.stream, frame.sequence) for frame in decode_media(parcel.data)]
@@ -128,16 +131,16 @@ def test_a_stream_that_does_not_fit_goes_on_in_the_next_message() -> None:
 
 
 def test_a_wish_for_less_takes_back_what_waits() -> None:
-    outbox = Outbox(LIMIT, Counter())
+    outbox = Outbox(LIMIT, Counter(), flows=False)
     put(outbox, 1, frame(1))
-    outbox.put_frame(1, delta(1, 1, layer=2), 2, False, now=0.0)
+    put_delta(outbox, 1, 1, layer=2)
     assert outbox.want(1, 1) == 1
     assert outbox.want(1, None) == 1
     assert outbox.take() is None
 
 
 def test_what_was_kept_of_a_stream_is_sent_again() -> None:
-    outbox = Outbox(LIMIT, Counter())
+    outbox = Outbox(LIMIT, Counter(), flows=False)
     chain = [frame(1, 0), delta(1, 1, layer=0)]
     assert outbox.resume(1, chain, is_whole=True, now=3.0) == 2
     parcel = outbox.take()
@@ -152,7 +155,7 @@ class OutboxMachine(RuleBasedStateMachine):
     def __init__(self) -> None:
         super().__init__()
         self.drops: Counter[str] = Counter()
-        self.outbox = Outbox(LIMIT, self.drops)
+        self.outbox = Outbox(LIMIT, self.drops, flows=False)
         self.replaced = 0  # frames that gave way to a newer one
         self.control: list[bytes] = []
         self.frames: list[tuple[int, bytes]] = []

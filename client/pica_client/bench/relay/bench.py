@@ -72,7 +72,7 @@ NO_LIMITS: Final = (
 ABLATIONS: Final = {
     "short-read": ("--without", "short-read"),
     "direct-write": ("--without", "direct-write"),
-    "bundles": ("--without", "bundles"),
+    "flow": ("--without", "flow"),
     "window": ("--coalesce-longest-s", "0"),
 }
 """Arguments of a relay that lacks one part of its fast path."""
