@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.avatar.file import load_avatar
+from pica_core.codec.latent_sample import ReceivedFrame
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
 from pica_core.codec.profile import StreamProfile
 
@@ -50,7 +51,7 @@ def coded_hash(
             continue
         digest.update(f"{frame.layer} {frame.is_keyframe} {frame.payload.hex()};".encode())
         (shown,) = decoder.receive(
-            sequence % 65536, captured_us, frame.layer, frame.is_keyframe, frame.payload
+            ReceivedFrame(sequence, captured_us, frame.layer, frame.is_keyframe, frame.payload)
         )
         sequence += 1
         for array in (shown.sample.latent, shown.sample.rotation, shown.sample.translation_m):

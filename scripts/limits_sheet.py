@@ -27,11 +27,11 @@ from pica_client.bench.head import FaceRenderer
 from pica_client.bench.network.scenarios import BY_NAME
 from pica_client.bench.network.stream_trial import Face, Schedule, deliver, play
 from pica_client.bench.playout import true_face
-from pica_client.playout.buffer import POLICIES, Playout
+from pica_client.playout.buffer import Playout
 from pica_client.render.drawing import drawn_mse
 from pica_client.stats import percentile
 from pica_core.avatar.file import Avatar
-from pica_core.codec.latent_sample import LatentSample
+from pica_core.codec.latent_sample import LatentSample, ReceivedFrame
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
 
 OUT = Path(__file__).resolve().parent.parent / "docs" / "limits.png"
@@ -93,7 +93,7 @@ def _ends(avatar: Avatar, **config: Any) -> tuple[LatentEncoder, LatentDecoder]:
 
 def _network_cell(name: str, face: Face, avatar: Avatar, renderer: FaceRenderer) -> Cell:
     delivery = deliver(face, _ends(avatar), BY_NAME[name], SCHEDULE)
-    ticks = play(delivery, Playout(POLICIES["adaptive"]), SCHEDULE)
+    ticks = play(delivery, Playout(), SCHEDULE)
     pairs = []
     for tick in ticks[:: round(SCHEDULE.display_hz / RENDERS_PER_S)]:
         if SCHEDULE.begin_s <= tick.now_s < SCHEDULE.end_s and tick.played is not None:
@@ -113,7 +113,9 @@ def _quality_cell(quality: int, face: Face, avatar: Avatar, renderer: FaceRender
         frame = encoder.encode(true.latent, true.rotation, true.translation_m, time_us)
         if frame is None:
             continue
-        read = decoder.receive(sent, time_us, frame.layer, frame.is_keyframe, frame.payload)
+        read = decoder.receive(
+            ReceivedFrame(sent, time_us, frame.layer, frame.is_keyframe, frame.payload)
+        )
         sent += 1
         num_bytes += len(frame.payload)
         if index % round(SCHEDULE.fps / RENDERS_PER_S) == 0:

@@ -34,7 +34,7 @@ from pica_core.codec import factory as stream_ends
 from pica_core.codec import latent_encoder
 from pica_core.codec.factory import FaceDecoder, FaceEncoder
 from pica_core.codec.frames import FrameState, encode_frame
-from pica_core.codec.latent_sample import DecodedFrame, EncodedFrame
+from pica_core.codec.latent_sample import DecodedFrame, EncodedFrame, ReceivedFrame
 from pica_core.codec.latent_stream import StreamConfig
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
@@ -108,8 +108,8 @@ class WatchedDecoder:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._decoder, name)
 
-    def receive(self, *arguments: Any) -> list[DecodedFrame]:
-        frames = self._decoder.receive(*arguments)
+    def receive(self, frame: ReceivedFrame) -> list[DecodedFrame]:
+        frames = self._decoder.receive(frame)
         now = asyncio.get_running_loop().time()
         self._witness.decoded += [(now, frame) for frame in frames]
         return frames
@@ -208,7 +208,7 @@ async def test_who_joins_late_sees_todays_face_with_the_answer_to_the_join(
     # Not the face of the last keyframe, but that of now.
     newest = max(frame.captured_us for frame in witness.since(0, first_s + 0.002)) / 1e6
     assert joined_s[0] - newest <= one_way_s + BASE_S + FRAME_S
-    assert first.layer == 0
+    assert witness.layers[first.captured_us] == 0
     assert stats["peers"][0]["keyframe_requests"] <= 1
     assert stats["errors"] == 0
 
@@ -262,7 +262,7 @@ async def test_a_slow_spell_thins_the_stream_and_every_face_stays_true(
     assert stats["errors"] == 0
     seen = witness.since(10, 30)
     assert 7 * 20 <= len(seen) <= 20 * 20
-    assert sum(frame.layer == 0 for frame in seen) >= 6 * 20
+    assert sum(witness.layers[frame.captured_us] == 0 for frame in seen) >= 6 * 20
 
 
 @in_virtual_time
@@ -288,7 +288,7 @@ async def test_wanting_fewer_layers_leaves_a_clean_stream_at_once_and_more_come_
     begin_s = 3.0
     for highest in (1, 0, 2, 0, 1, 2):
         seen = witness.since(begin_s + 0.2, begin_s + 2.3)
-        assert {frame.layer for frame in seen} == set(range(highest + 1))
+        assert {witness.layers[frame.captured_us] for frame in seen} == set(range(highest + 1))
         assert len(seen) == pytest.approx(2.1 * 7.5 * 2**highest, abs=3)
         begin_s += 2.345
     # The playout notices at its own pace that the intervals are longer now.

@@ -85,7 +85,7 @@ async def watch(receiver: Receiver, watched: Watched, *, warm_up_s: float, secon
         watched.most_waiting = max(watched.most_waiting, call.num_waiting)
         for due in call.due_frames(now):
             if is_warm:
-                watched.delays_s[due.name].append(now - due.frame.captured_s)
+                watched.delays_s[due.name].append(now - due.frame.captured_us / 1e6)
     watched.stats = receiver.stats(loop.time())
     receiver.stop()
     await running

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import random
+import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -19,11 +20,14 @@ import numpy as np
 
 from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
 from pica_core.codec.latent_sample import LatentSample
+from pica_protocol.frames import Frame
 
 WAY_S = 0.04
 FAR_CLOCK_US = 5_000_000_000
 DISPLAY_HZ = 90
 FRAME_S = 1 / 30
+FACE = struct.Struct(">ff?")
+"""A payload: value, yaw, whether it is still."""
 TICK_S = 2e-6
 """Capture times are whole microseconds: no test asks for more."""
 
@@ -120,9 +124,20 @@ def play(
         while waiting and waiting[-1].arrived_s <= now:
             frame = waiting.pop()
             sample = face(value_at(frame.captured_s), yaw=value_at(frame.captured_s) / 4)
-            playout.receive_frame(frame.number % 65536, frame.captured_us, sample, frame.arrived_s)
+            arrive(playout, frame.number, frame.captured_us, sample, frame.arrived_s)
         ticks.append(Tick(now, playout.sample_at(now), playout.report()))
     return ticks
+
+
+def arrive(
+    playout: Playout, number: int, captured_us: int, sample: LatentSample, now: float
+) -> None:
+    """Let a frame with a face of `face` come off the wire."""
+    payload = FACE.pack(sample.latent[0, 0, 0], sample.rotation[1], sample.is_still)
+    frame = Frame(stream=1, sequence=number % 65536, captured_us=captured_us, payload=payload)
+    for received in playout.sender.receive(frame, now):
+        value, yaw, is_still = FACE.unpack(received.payload)
+        playout.receive_frame(received.decoded(face(value, yaw=yaw, is_still=is_still)))
 
 
 def steps(ticks: Sequence[Tick]) -> list[float]:
@@ -149,7 +164,7 @@ def receive(
 ) -> None:
     """Frame i is captured at our i / 30 s."""
     sample = face(float(index) if value is None else value, is_still=is_still)
-    playout.receive_frame(index % 65536, captured(index), sample, now)
+    arrive(playout, index, captured(index), sample, now)
 
 
 def shown(playout: Playout, now: float) -> PlayedFace:

@@ -19,7 +19,7 @@ from helpers.toy import make_toy_avatar
 from pica_core.avatar.file import Avatar
 from pica_core.codec import latent_encoder
 from pica_core.codec.frames import FrameState, encode_frame
-from pica_core.codec.latent_sample import DecodedFrame
+from pica_core.codec.latent_sample import DecodedFrame, ReceivedFrame
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
 from pica_core.codec.learning import LearningConfig, RenderMetric, learn_profile
 from pica_core.codec.profile import StreamProfile
@@ -106,6 +106,12 @@ class Sent:
         """As it stands in the header."""
         return self.number % 65536
 
+    def received(self) -> ReceivedFrame:
+        """As a decoder takes it."""
+        return ReceivedFrame(
+            self.number, self.captured_us, self.layer, self.is_keyframe, self.payload
+        )
+
 
 class Publisher:
     """An encoder with what it sent and what it believes the receivers see."""
@@ -167,10 +173,8 @@ def perform(
 
 
 def deliver(decoder: LatentDecoder, frame: Sent) -> list[DecodedFrame]:
-    """Hand a frame to a decoder as the wire would."""
-    return decoder.receive(
-        frame.sequence, frame.captured_us, frame.layer, frame.is_keyframe, frame.payload
-    )
+    """Hand a frame to a decoder."""
+    return decoder.receive(frame.received())
 
 
 def deliver_all(decoder: LatentDecoder, frames: Iterable[Sent]) -> Iterator[DecodedFrame]:
@@ -185,10 +189,10 @@ def assert_shown_is_true(shown: Iterable[DecodedFrame], sent: Iterable[Sent]) ->
     states = {frame.sequence: frame for frame in sent}
     count = profile.num_components
     for face in shown:
-        truth = states[face.sequence]
+        truth = states[face.number % 65536]
         latent = profile.synthesise(truth.state.coefficients[:count])
         np.testing.assert_array_equal(face.sample.latent.reshape(-1), latent)
         pose = truth.state.coefficients[count:] / 2**14
         np.testing.assert_array_equal(face.sample.rotation, pose[:3])
         np.testing.assert_array_equal(face.sample.translation_m, pose[3:])
-        assert (face.captured_us, face.layer) == (truth.captured_us, truth.layer)
+        assert face.captured_us == truth.captured_us

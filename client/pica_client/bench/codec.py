@@ -57,13 +57,13 @@ from pica_core.capture.procedural.gpu import ProceduralRenderer
 from pica_core.capture.procedural.heads import make_head
 from pica_core.capture.procedural.identity import IDENTITIES
 from pica_core.capture.stage.stream_training_faces import stream_training_performances
-from pica_core.codec.latent_sample import LatentSample
+from pica_core.codec.latent_sample import LatentSample, ReceivedFrame
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
 from pica_core.codec.plain_stream import LatentProfile, decode_latent, encode_latent
 from pica_core.codec.profile import StreamProfile
 from pica_core.errors import ProfileError
 from pica_core.types import FloatArray, Image
-from pica_protocol.frames import HEADER_BYTES, SEQUENCE_MODULUS
+from pica_protocol.frames import HEADER_BYTES
 
 FPS = 30
 DICTIONARY_BYTES = 110 * 1024
@@ -307,8 +307,10 @@ def _code_stream(
         if frame is None:
             continue
         if frame.layer <= highest_layer:
-            wire = sequence % SEQUENCE_MODULUS, now_us, frame.layer, frame.is_keyframe
-            took, (decoded,) = timed(decoder.receive, *wire, frame.payload)
+            received = ReceivedFrame(
+                sequence, now_us, frame.layer, frame.is_keyframe, frame.payload
+            )
+            took, (decoded,) = timed(decoder.receive, received)
             coded.decode_s.append(took.wall_s)
             found[index] = decoded.sample
             coded.sizes.append(len(frame.payload))

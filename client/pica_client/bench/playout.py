@@ -2,8 +2,8 @@
 the rendered face. On a virtual clock, so every figure comes out the same on every machine with the
 same renderer.
 
-Each row is one scenario (`network.scenarios`) under one policy (`playout.config.POLICIES`). Unless
-it says otherwise a figure is of the troubled third of the run:
+Each row is one scenario (`network.scenarios`) under one policy (`network.policies.POLICIES`).
+Unless it says otherwise a figure is of the troubled third of the run:
 
     mse_shown        against the true face at the moment that the policy means to show: the refresh
                      less the fastest transit less the policy's own delay. What interpolation,
@@ -48,6 +48,7 @@ import tyro
 
 from pica_client.bench.harness import check_ranges
 from pica_client.bench.head import FaceRenderer
+from pica_client.bench.network.policies import POLICIES
 from pica_client.bench.network.scenarios import BY_NAME, SCENARIOS
 from pica_client.bench.network.stream_trial import (
     Delivery,
@@ -60,7 +61,7 @@ from pica_client.bench.network.stream_trial import (
 from pica_client.bench.option_types import Words
 from pica_client.errors import OptionError
 from pica_client.output import say
-from pica_client.playout.buffer import POLICIES, Playout
+from pica_client.playout.buffer import Playout
 from pica_client.render.drawing import Drawing, drawn_mse
 from pica_client.sources import open_source
 from pica_client.stats import percentile

@@ -22,11 +22,12 @@ from pica_client.call.faces import FaceState, FaceStatus
 from pica_client.call.layer_subscription import LayerSubscriptionConfig
 from pica_client.call.participant import RemoteParticipant, Tell
 from pica_client.errors import OptionError
-from pica_client.playout.buffer import PlayoutConfig, TimedSample
+from pica_client.playout.config import PlayoutConfig
 from pica_client.publish.face_track import FACE_TRACK
 from pica_core.avatar.file import Avatar
 from pica_core.codec.factory import open_decoder
-from pica_core.errors import AvatarFileError, LatentError, ProfileError
+from pica_core.codec.latent_sample import DecodedFrame
+from pica_core.errors import AvatarFileError, ProfileError
 from pica_protocol.frames import Frame
 from pica_protocol.messages import (
     Joined,
@@ -82,7 +83,7 @@ class DueFrame(NamedTuple):
     peer_id: str
     name: str
     avatar_id: str
-    frame: TimedSample
+    frame: DecodedFrame
 
 
 class Call:
@@ -321,10 +322,7 @@ class Call:
             return
         if seat.decoder is None and not self._open_decoder(seat):
             return
-        try:
-            seat.receive_frame(frame, now)
-        except LatentError:
-            self.errors += 1
+        self.errors += seat.receive_frame(frame, now)
 
     def _open_decoder(self, seat: RemoteParticipant) -> bool:
         """Make the decoder of a stream, if its avatar is there and of the sender's version."""

@@ -16,10 +16,12 @@ from pica_client.call.layer_subscription import (
     LayerSubscription,
     LayerSubscriptionConfig,
 )
-from pica_client.playout.buffer import PlayedFace, Playout, PlayoutConfig, PlayoutReport
+from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
+from pica_client.playout.config import PlayoutConfig
 from pica_client.publish.face_track import FACE_KEY
 from pica_core.codec.factory import FaceDecoder
 from pica_core.codec.latent_sample import DecodedFrame
+from pica_core.errors import LatentError
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Peer, Track
 
@@ -68,7 +70,7 @@ class RemoteParticipant:
         self.keyframe_asked_s = -math.inf
         self.is_behind = True
         self.catching_up_until_s = -math.inf
-        self.catch_up: tuple[DecodedFrame, float] | None = None
+        self.catch_up: DecodedFrame | None = None
         self.is_paused = self.is_resuming = False
         self.played: PlayedFace | None = None
         self.last_arrival_s: float | None = None
@@ -114,10 +116,11 @@ class RemoteParticipant:
     def settle(self) -> None:
         """Show the newest of the frames that brought a latecomer up to date."""
         if self.catch_up is not None:
-            frame, arrived_s = self.catch_up
-            self.catch_up = None
-            receive = self.playout.restart if self.is_resuming else self.playout.receive_frame
-            receive(frame.sequence, frame.captured_us, frame.sample, arrived_s)
+            frame, self.catch_up = self.catch_up, None
+            if self.is_resuming:
+                self.playout.restart(frame)
+            else:
+                self.playout.receive_frame(frame)
 
     def tell_subscription(self, tell: Tell, now: float) -> float | None:
         """Tell the relay which layers are wanted, if that is due; return when to call again."""
@@ -146,29 +149,23 @@ class RemoteParticipant:
             if self.last_arrival_s is not None:
                 self.last_arrival_s = now
 
-    def receive_frame(self, frame: Frame, now: float) -> None:
-        """Decode a frame and hand it to the playout; there must be a decoder.
+    def receive_frame(self, frame: Frame, now: float) -> int:
+        """Take a frame off the wire; there must be a decoder.
 
-        Raises:
-            LatentError: The payload cannot be read.
+        Returns:
+            How many payloads could not be read.
         """
         assert self.decoder is not None
-        decoded = self.decoder.receive(
-            frame.sequence, frame.captured_us, frame.layer, frame.is_keyframe, frame.payload
-        )
-        if self.is_behind and decoded:
-            self.is_behind = False
-            self.catching_up_until_s = now + CATCH_UP_S
-        for each in decoded:
-            if now > self.catching_up_until_s:
-                self.settle()
-                self.is_resuming = False
-            if self.is_paused:
-                continue  # it was on its way when we said that we want nothing
-            if now <= self.catching_up_until_s:
-                self.catch_up = (each, now)
-            else:
-                self.playout.receive_frame(each.sequence, each.captured_us, each.sample, now)
+        num_unreadable = 0
+        is_backlog = self.is_behind or now <= self.catching_up_until_s
+        for received in self.playout.sender.receive(frame, now, is_backlog=is_backlog):
+            try:
+                for decoded in self.decoder.receive(received):
+                    self._receive_decoded(decoded, now)
+            except LatentError:
+                num_unreadable += 1
+        if num_unreadable:
+            return num_unreadable
         window = self.window
         if window.received and self.last_arrival_s is not None:
             window.longest_gap_s = max(window.longest_gap_s, now - self.last_arrival_s)
@@ -176,6 +173,22 @@ class RemoteParticipant:
         window.received += 1
         window.payload_bytes += len(frame.payload)
         self.payload_bytes += len(frame.payload)
+        return 0
+
+    def _receive_decoded(self, frame: DecodedFrame, now: float) -> None:
+        """Hand a face to the playout, unless it is one of those that bring us up to date."""
+        if self.is_behind:
+            self.is_behind = False
+            self.catching_up_until_s = now + CATCH_UP_S
+        if now > self.catching_up_until_s:
+            self.settle()
+            self.is_resuming = False
+        if self.is_paused:
+            return  # it was on its way when we said that we want nothing
+        if now <= self.catching_up_until_s:
+            self.catch_up = frame
+        else:
+            self.playout.receive_frame(frame)
 
     def play(self, now: float) -> tuple[PlayedFace | None, bool]:
         """The face to show now, None before the first one; and whether the stream is stopped on

@@ -1,21 +1,22 @@
 """From frames as the network delivers them to a face at display time. Pure: `now` is an argument.
 
-    receive_frame(..., now)  a frame arrived
-    restart(..., now)        a frame arrived after the stream was stopped on purpose
-    sample_at(now)           the face now, for a display of any rate
-    due_frames(now)          or instead: every frame once, when it is due (benches decode each)
-    next_timer()             when the next frame becomes due
+    sender.receive(frame, now)   a frame arrived; returns those to be decoded now
+    receive_frame(decoded)       a frame was decoded
+    restart(decoded)             a frame was decoded after the stream was stopped on purpose
+    sample_at(now)               the face now, for a display of any rate
+    due_frames(now)              or instead: every frame once, when it is due (benches decode each)
+    next_timer()                 when the next frame becomes due
 
 Theory of operation. Every part has its module:
 
-    sender_time   a frame's sequence and capture time -> its place on one even time line, whatever
-                  the sender's clock does; frames that fit nowhere are refused
-    clock_map     that time line -> our clock: the transit of the fastest frames, and its drift
-    jitter        how much longer than the fastest the others take
-    cadence       the interval of the frames that arrive, and which were lost
-    timeline      the frames in order, and the face's path through them
-    playhead   the moment of the time line that the display is at
-    motion        the face on its way, and what takes it back to its path without a snap
+    sender_clock     a frame's sequence and capture time -> its place on one even time line,
+                     whatever the sender's clock does; frames that fit nowhere are refused
+    clock_map        that time line -> our clock: the transit of the fastest frames, and its drift
+    jitter           how much longer than the fastest the others take
+    frame_interval   the interval of the frames that arrive, and which were lost
+    timeline         the frames in order, and the face's path through them
+    playhead         the moment of the time line that the display is at
+    motion           the face on its way, and what takes it back to its path without a snap
 
 A frame captured at t is due at
 
@@ -35,27 +36,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields, replace
 
-from pica_client.playout.config import ADAPTIVE, FIXED, POLICIES, UNBUFFERED, PlayoutConfig
+from pica_client.playout.config import PlayoutConfig
 from pica_client.playout.frame_interval import Cadence
 from pica_client.playout.jitter import JitterEstimate
 from pica_client.playout.motion import Correction
 from pica_client.playout.playhead import Playhead
-from pica_client.playout.sender_clock import SenderTime
-from pica_client.playout.timed_sample import TimedSample
+from pica_client.playout.sender_clock import RESTART_FRAMES, SenderClock
 from pica_client.playout.timeline import Timeline
-from pica_core.codec.latent_sample import LatentSample
-
-__all__ = [
-    "ADAPTIVE",
-    "FIXED",
-    "POLICIES",
-    "UNBUFFERED",
-    "PlayedFace",
-    "Playout",
-    "PlayoutConfig",
-    "PlayoutReport",
-    "TimedSample",
-]
+from pica_core.codec.latent_sample import DecodedFrame, LatentSample
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -66,7 +54,7 @@ class PlayedFace:
     captured_us: int
     """The moment shown, sender's clock: that of the frame, or between two when interpolated. While
     a face goes on without a frame it is the last frame's: nothing newer is known."""
-    newest: TimedSample
+    newest: DecodedFrame
     """The newest frame that went into it."""
     is_concealed: bool
     """Whether the frame that should be shown by now is not there."""
@@ -133,13 +121,17 @@ class Playout:
     """The playout buffer of one stream; see the module for how it works.
 
     Use `sample_at` or `due_frames` on one buffer, not both.
+
+    Attributes:
+        sender: The sender's time; frames pass it before they are decoded.
     """
 
     def __init__(self, config: PlayoutConfig | None = None) -> None:
         self.config = config = config or PlayoutConfig()
         self._received = self._late = self._duplicates = self._misplaced = self._num_cut = 0
         self._num_shown = self._concealed = 0
-        self._time, self._timeline = SenderTime(), self._new_timeline()
+        self.sender, self._num_jumps = SenderClock(), 0
+        self._timeline = self._new_timeline()
         self._jitter = JitterEstimate(quantile=config.jitter_quantile, window_s=config.window_s)
         self._cadence = Cadence()
         self._media = Playhead(faster=config.faster, slower=config.slower, leap_s=config.leap_s)
@@ -150,42 +142,34 @@ class Playout:
         self._delay_s: float | None = None
         self._age_s = 0.0
 
-    def receive_frame(
-        self, sequence: int, captured_us: int, sample: LatentSample, now: float
-    ) -> None:
-        """Take a frame that arrived just now."""
+    def receive_frame(self, frame: DecodedFrame) -> None:
+        """Take a frame that `sender` let pass and that could be decoded just now."""
         self._received += 1
-        num_jumps = self._time.num_jumps
-        frames = self._time.receive(sequence, captured_us, sample, now)
-        if self._time.num_jumps > num_jumps:
-            self._num_cut += self._timeline.cut(frames[0].media_s)
-        for frame in frames:
-            self._place(frame)
+        if self.sender.num_jumps > self._num_jumps:
+            self._num_jumps = self.sender.num_jumps
+            self._num_cut += self._timeline.cut(frame.media_s)
+        self._place(frame)
 
-    def restart(self, sequence: int, captured_us: int, sample: LatentSample, now: float) -> None:
+    def restart(self, frame: DecodedFrame) -> None:
         """Take the newest frame of a stream that we had stopped on purpose, and show it at once.
 
         Nothing is moved to it from what was shown before, and what was kept for us on the way says
         nothing about the network: neither jitter nor loss is learned from it.
         """
         self._received += 1
+        self._num_jumps = self.sender.num_jumps
         self._cadence.pause()
-        frames = self._time.receive(sequence, captured_us, sample, now)
-        if not frames or any(self._timeline.insert(frame) != "new" for frame in frames):
-            # So much went by that its numbers do not go on from ours.
-            self._time, self._timeline = SenderTime(), self._new_timeline()
-            frames = self._time.receive(sequence, captured_us, sample, now)
-            for frame in frames:
-                self._timeline.insert(frame)
+        if self._timeline.insert(frame) != "new":
+            self._timeline = self._new_timeline()
+            self._timeline.insert(frame)
         self._timeline.restart()
-        for frame in frames:
-            self._cadence.receive(frame.number, frame.media_s, is_still=frame.sample.is_still)
+        self._cadence.receive(frame)
         self._correction.end()
         self._shown, self._is_path_new = None, False
 
     def sample_at(self, now: float) -> PlayedFace | None:
         """The face to show at `now`, or None before the first frame is due."""
-        clock, timeline, interval_s = self._time.clock, self._timeline, self._cadence.interval_s
+        clock, timeline, interval_s = self.sender.map, self._timeline, self._cadence.interval_s
         if clock is None:
             return None
         should_s = clock.media_s(now) - self._target_s(is_displayed=True)
@@ -206,7 +190,7 @@ class Playout:
         self._delay_s = clock.media_s(now) - position_s
         return self._played(face, position_s, now)
 
-    def due_frames(self, now: float) -> list[TimedSample]:
+    def due_frames(self, now: float) -> list[DecodedFrame]:
         """Take every frame that has become due, in capture order, each exactly once."""
         frames = []
         while (timer := self.next_timer()) is not None and timer <= now:
@@ -233,16 +217,19 @@ class Playout:
 
     def report(self) -> PlayoutReport:
         """Counters since the stream began, and how it stands."""
-        time, clock = self._time, self._time.clock
+        sender, clock = self.sender, self.sender.map
         target_s = 0.0 if clock is None else self._target_s(is_displayed=self._shown is not None)
         return PlayoutReport(
-            received=self._received,
+            received=self._received
+            + sender.num_duplicates
+            + sender.num_refused
+            + sender.num_held_back,
             lost=self._cadence.num_lost + self._timeline.num_overflowed + self._num_cut,
             late=self._late,
-            duplicates=self._duplicates + time.num_duplicates,
-            refused=self._misplaced + time.num_refused,
-            future=time.num_future,
-            restarts=time.num_jumps,
+            duplicates=self._duplicates + sender.num_duplicates,
+            refused=self._misplaced + sender.num_refused,
+            future=sender.num_future,
+            restarts=sender.num_jumps,
             shown=self._num_shown,
             concealed=self._concealed,
             leaps=self._media.num_leaps,
@@ -255,7 +242,7 @@ class Playout:
             largest_correction=self._correction.largest_step,
         )
 
-    def _place(self, frame: TimedSample) -> None:
+    def _place(self, frame: DecodedFrame) -> None:
         """Put a frame where it belongs, and let it tell how the network is."""
         insertion = self._timeline.insert(frame)
         match insertion:
@@ -269,11 +256,11 @@ class Playout:
             case "misplaced":
                 self._misplaced += 1
                 return
-        clock = self._time.clock
+        clock = self.sender.map
         assert clock is not None
         transit_s = clock.receive(frame.media_s, frame.arrived_s)
         self._jitter.receive(frame.arrived_s, frame.media_s, transit_s, clock)
-        self._cadence.receive(frame.number, frame.media_s, is_still=frame.sample.is_still)
+        self._cadence.receive(frame)
 
     def _new_timeline(self) -> Timeline:
         config = self.config
@@ -297,13 +284,13 @@ class Playout:
 
     def _local_s(self, media_s: float) -> float:
         """Our clock when a frame captured then comes the fastest way."""
-        assert self._time.clock is not None
-        return media_s + self._time.clock.fastest_transit_s(media_s)
+        assert self.sender.map is not None
+        return media_s + self.sender.map.fastest_transit_s(media_s)
 
-    def _num_missing(self, before: TimedSample, after: TimedSample) -> int:
+    def _num_missing(self, before: DecodedFrame, after: DecodedFrame) -> int:
         """Frames that should have been between two others and were not."""
         num_skipped = after.number - before.number - 1
-        if num_skipped <= 0 or before.sample.is_still:
+        if not 0 < num_skipped < RESTART_FRAMES or before.sample.is_still:
             return 0
         return min(num_skipped, self._cadence.num_missing(before.media_s, after.media_s))
 

@@ -1,8 +1,8 @@
-"""How a playout buffer is set, and the policies that are compared. Pure."""
+"""How a playout buffer is set. Pure."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from pica_client.errors import OptionError
 from pica_client.playout.motion import Distance
@@ -75,23 +75,6 @@ class PlayoutConfig:
         ):
             if not low <= getattr(self, name) <= high:
                 raise ValueError(f"{name} is {getattr(self, name)}; {low} to {high} is allowed")
-
-
-ADAPTIVE = PlayoutConfig()
-"""What receivers use."""
-FIXED = replace(ADAPTIVE, floor_s=0.1, floor_intervals=0.0, ceiling_s=0.1)
-"""For comparison: always 100 ms behind the fastest frame. Moves and conceals as ADAPTIVE does."""
-UNBUFFERED = replace(
-    ADAPTIVE,
-    floor_s=0.0,
-    floor_intervals=0.0,
-    ceiling_s=0.0,
-    leap_s=0.0,
-    extrapolate_s=0.0,
-    blend_s=0.0,
-)
-"""For comparison: each frame is shown when it comes, unless a newer one is shown already."""
-POLICIES = {"adaptive": ADAPTIVE, "fixed": FIXED, "unbuffered": UNBUFFERED}
 
 
 def playout_with_floor(floor_ms: float) -> PlayoutConfig:

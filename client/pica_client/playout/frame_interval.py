@@ -14,6 +14,9 @@ from bisect import bisect_left, insort
 from itertools import pairwise
 from typing import NamedTuple
 
+from pica_client.playout.sender_clock import RESTART_FRAMES
+from pica_core.codec.latent_sample import DecodedFrame
+
 NUM_GAPS = 16
 """Gaps the interval is the median of (chosen: with a third of the frames lost it still stands, and
 it follows a thinned stream after eight frames)."""
@@ -47,12 +50,12 @@ class Cadence:
         self._recent: list[_Seen] = []
         self._unjudged: list[_Seen] = []
 
-    def receive(self, number: int, media_s: float, *, is_still: bool) -> None:
+    def receive(self, frame: DecodedFrame) -> None:
         """Take a frame into account; one that came again changes nothing."""
-        place = bisect_left(self._unjudged, (number,))
-        if place < len(self._unjudged) and self._unjudged[place].number == number:
+        place = bisect_left(self._unjudged, (frame.number,))
+        if place < len(self._unjudged) and self._unjudged[place].number == frame.number:
             return
-        seen = _Seen(number, media_s, is_still, self.interval_s)
+        seen = _Seen(frame.number, frame.media_s, frame.sample.is_still, self.interval_s)
         insort(self._recent, seen)
         # What follows a still frame is a silence on purpose, and no gap.
         gaps = sorted(
@@ -90,7 +93,7 @@ class Cadence:
             if not is_known and len(unjudged) <= MAX_UNJUDGED:
                 return
             num_skipped = after.number - before.number - 1
-            if num_skipped > 0 and not before.is_still:
+            if 0 < num_skipped < RESTART_FRAMES and not before.is_still:
                 interval_s = max(self.interval_s, after.interval_s)
                 num_missing = self.num_missing(before.media_s, after.media_s, interval_s)
                 self.num_lost += min(num_skipped, num_missing)

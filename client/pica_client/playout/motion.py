@@ -125,11 +125,6 @@ class Correction:
         self._left_s = 0.0
         self._offset: _Offset | None = None
 
-    @property
-    def is_active(self) -> bool:
-        """Whether something else is shown than what should be."""
-        return self._offset is not None
-
     def aim(self, shown: LatentSample, true: LatentSample) -> None:
         """Begin to go from what is shown to what should have been at the same moment."""
         if self._seconds <= 0 or (shown is true and self._offset is None):

@@ -1,33 +1,40 @@
 """From what a frame says of itself to its place on one even time line. Pure.
 
 A frame names a sequence, which wraps and may begin anew, and a capture time on the sender's clock,
-which may jump. Playing wants neither: here a frame gets a `number` that only ever grows and a
-`media_s` that goes on as our own clock does, whatever the sender's clock does.
+which may jump. Decoding and playing want neither: here, in front of both, a frame gets a `number`
+that never wraps and a `media_s` that goes on as our own clock does, whatever the sender's does.
 
 A frame that follows from those before it passes at once. One that cannot is held back, for it may
 be one bad frame or the first of a new beginning, and only its followers can tell:
 
-    what is wrong                                       if its followers agree
-    captured before frames of a lower sequence          the clock was set back
-    far faster than the fastest and than the last one   the clock was set forward
-    sequence falls while captured later, or far back    the sender began anew
-    same sequence, another capture time                 the sender began anew
-    far too late to be of any use                       both at once
+    what is wrong                                        if its followers agree
+    far faster than the fastest and than the last one    the clock was set forward
+    captured before a frame of a lower sequence          the clock was set back
+    captured after a frame of a higher sequence          the sender began anew
+    a sequence that we know, another capture time        the sender began anew
+    a sequence far ahead of the newest or far behind it  the sender began anew
+    far too late to be of any use                        both at once
 
 Followers agree when sequence and capture time go on from the frame held back: `NUM_AGREEING` of
 them, or fewer over `AGREEING_S` for a slow stream. Then the time line goes on from there: the
 frames held back are placed as if the fastest of them had come the fastest way, and pass together.
 If instead a frame comes that follows from the old ones, what is held back is refused and counted.
+
+Where the sender began anew the numbers leap by more than `RESTART_FRAMES`: no frame refers back
+across that place, and what is missing there was not lost.
+
+The backlog that a latecomer gets at once is old, so its arrival tells nothing: in it nothing is
+doubted, and where the time line begins, it begins with the newest frame of it.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from typing import NamedTuple
 
 from pica_client.playout.clock_map import ClockMap
-from pica_client.playout.timed_sample import TimedSample
-from pica_core.codec.latent_sample import LatentSample
-from pica_protocol.frames import sequence_distance
+from pica_core.codec.latent_sample import ReceivedFrame
+from pica_protocol.frames import SEQUENCE_MODULUS, Frame, sequence_distance, unwrap_sequence
 
 FUTURE_S = 0.5
 """A frame this much faster than the fastest, and than the one before it, comes from the future
@@ -37,7 +44,8 @@ LATE_S = 10.0
 """A late frame later than this belongs to another beginning (chosen: a link that was dead for so
 long has been closed)."""
 RESTART_FRAMES = 1000
-"""A sequence this far behind is not late (chosen: four seconds at 240 fps)."""
+"""A sequence this far behind is not late, and one this far ahead is no gap (chosen: four seconds at
+240 fps)."""
 NUM_AGREEING = 3
 """Frames that must agree before they are believed (chosen: 67 ms at 30 fps, which the display
 bridges unseen)."""
@@ -46,17 +54,15 @@ AGREEING_S = 0.5
 
 
 class _Arrival(NamedTuple):
-    sequence: int
-    captured_us: int
+    frame: Frame
     arrived_s: float
-    sample: LatentSample
 
 
-class SenderTime:
+class SenderClock:
     """The time line of one stream.
 
     Attributes:
-        clock: Transit of the fastest frames; None before the first frame.
+        map: Transit of the fastest frames; None before the first frame.
         num_jumps: How often the sender or its clock began anew.
         num_refused: Frames that fitted neither what came before nor what came after.
         num_future: Of these, frames from the future.
@@ -64,107 +70,155 @@ class SenderTime:
     """
 
     def __init__(self) -> None:
-        self.clock: ClockMap | None = None
+        self.map: ClockMap | None = None
         self.num_jumps = self.num_refused = self.num_future = self.num_duplicates = 0
         self._held_back: list[_Arrival] = []  # fewer than NUM_AGREEING
         self._held_future = 0
+        self._recent: list[tuple[int, int]] = []  # number and capture time; drops the lowest
         # The newest frame that passed, and the place of its clock on the time line.
-        self._newest_sequence = self._newest_us = self._newest_number = 0
+        self._newest_number = self._newest_us = 0
         self._newest_transit_s = 0.0
         self._origin_us, self._origin_s = 0, 0.0
+        self._begins_in_backlog = False
 
-    def receive(
-        self, sequence: int, captured_us: int, sample: LatentSample, now: float
-    ) -> list[TimedSample]:
+    @property
+    def num_held_back(self) -> int:
+        """Frames that nothing can be said of yet."""
+        return len(self._held_back)
+
+    def receive(self, frame: Frame, now: float, *, is_backlog: bool = False) -> list[ReceivedFrame]:
         """Take a frame that arrived just now.
+
+        Args:
+            frame: As it came off the wire.
+            now: Our clock, seconds.
+            is_backlog: Whether it was kept for us on its way.
 
         Returns:
             The frames that pass: this one, none, or after a new beginning those held back, too. The
             first of a new beginning may lie before frames that passed earlier and were wrong.
         """
-        arrival = _Arrival(sequence, captured_us, now, sample)
-        clock = self.clock
-        if clock is None:
-            clock = self._begin(arrival, 0.0, now)
-            self._newest_number = sequence
-        elif (reason := self._contradiction(arrival, clock)) is not None:
-            return self._hold_back(arrival, clock, is_future=reason == "future")
+        arrival = _Arrival(frame, now)
+        if self.map is None:
+            self._newest_number = frame.sequence
+            self._begin(arrival, media_s=0.0, transit_s=now)
+            self._begins_in_backlog = is_backlog
+        elif is_backlog:
+            if self._breaks_count(frame):
+                self._begin_anew([arrival])
+                self._begins_in_backlog = True
+            elif self._begins_in_backlog:
+                transit_s = self._fastest_transit_s(self._newest_us)
+                self._begin(arrival, now - transit_s, transit_s)
+        else:
+            self._begins_in_backlog = False
+            lateness_s = self._lateness_s(arrival)
+            is_future = self._is_future(arrival, lateness_s)
+            if is_future or self._breaks_count(frame) or self._is_too_late(frame, lateness_s):
+                return self._hold_back(arrival, is_future=is_future)
         self._refuse_held_back()
         return [self._pass(arrival)]
 
-    def _begin(self, arrival: _Arrival, media_s: float, transit_s: float) -> ClockMap:
+    def _begin(self, arrival: _Arrival, media_s: float, transit_s: float) -> None:
         """Place a frame on the time line, and what follows after it."""
-        self._origin_us, self._origin_s = arrival.captured_us, media_s
-        self._newest_sequence, self._newest_us = arrival.sequence, arrival.captured_us
-        self.clock = ClockMap(media_s, transit_s)
-        return self.clock
+        self._origin_us, self._origin_s = arrival.frame.captured_us, media_s
+        self._newest_us = arrival.frame.captured_us
+        self.map = ClockMap(media_s, transit_s)
 
     def _media_s(self, captured_us: int) -> float:
         # Subtracted as integers: a float of microseconds since 1970 has no room for fractions.
         return self._origin_s + (captured_us - self._origin_us) / 1e6
 
-    def _contradiction(self, arrival: _Arrival, clock: ClockMap) -> str | None:
-        """Why a frame cannot follow from those that passed."""
-        media_s = self._media_s(arrival.captured_us)
-        transit_s = arrival.arrived_s - media_s
-        lateness_s = transit_s - clock.fastest_transit_s(media_s)
-        if max(lateness_s, transit_s - self._newest_transit_s) < -FUTURE_S:
-            return "future"
-        ahead = sequence_distance(arrival.sequence, self._newest_sequence)
-        if ahead > 0:
-            return "clock set back" if arrival.captured_us < self._newest_us else None
-        if ahead == 0:
-            return None if arrival.captured_us == self._newest_us else "begun anew"
-        if arrival.captured_us > self._newest_us or ahead < -RESTART_FRAMES:
-            return "begun anew"
-        return "too late" if lateness_s > LATE_S else None
+    def _fastest_transit_s(self, captured_us: int) -> float:
+        assert self.map is not None
+        return self.map.fastest_transit_s(self._media_s(captured_us))
 
-    def _pass(self, arrival: _Arrival) -> TimedSample:
-        ahead = sequence_distance(arrival.sequence, self._newest_sequence)
-        number = self._newest_number + ahead
-        media_s = self._media_s(arrival.captured_us)
-        if ahead >= 0:
-            self._newest_sequence, self._newest_us = arrival.sequence, arrival.captured_us
-            self._newest_number, self._newest_transit_s = number, arrival.arrived_s - media_s
-        return TimedSample(
-            sequence=arrival.sequence,
-            captured_us=arrival.captured_us,
-            arrived_s=arrival.arrived_s,
-            sample=arrival.sample,
+    def _lateness_s(self, arrival: _Arrival) -> float:
+        captured_us = arrival.frame.captured_us
+        transit_s = arrival.arrived_s - self._media_s(captured_us)
+        return transit_s - self._fastest_transit_s(captured_us)
+
+    def _is_future(self, arrival: _Arrival, lateness_s: float) -> bool:
+        transit_s = arrival.arrived_s - self._media_s(arrival.frame.captured_us)
+        return max(lateness_s, transit_s - self._newest_transit_s) < -FUTURE_S
+
+    def _is_too_late(self, frame: Frame, lateness_s: float) -> bool:
+        is_old = sequence_distance(frame.sequence, self._newest_number) < 0
+        return is_old and lateness_s > LATE_S
+
+    def _breaks_count(self, frame: Frame) -> bool:
+        """Whether sequence and capture time cannot be those of a frame between the known ones."""
+        number = unwrap_sequence(frame.sequence, self._newest_number)
+        if abs(number - self._newest_number) > RESTART_FRAMES:
+            return True
+        place = bisect_left(self._recent, (number,))
+        if place < len(self._recent):
+            known, captured_us = self._recent[place]
+            if known == number:
+                return captured_us != frame.captured_us
+            if captured_us < frame.captured_us:
+                return True
+        return place > 0 and self._recent[place - 1][1] > frame.captured_us
+
+    def _pass(self, arrival: _Arrival) -> ReceivedFrame:
+        frame = arrival.frame
+        number = unwrap_sequence(frame.sequence, self._newest_number)
+        media_s = self._media_s(frame.captured_us)
+        if number >= self._newest_number:
+            self._newest_number, self._newest_us = number, frame.captured_us
+            self._newest_transit_s = arrival.arrived_s - media_s
+        known = (number, frame.captured_us)
+        place = bisect_left(self._recent, known)
+        if self._recent[place : place + 1] != [known]:
+            self._recent.insert(place, known)
+            del self._recent[:-RESTART_FRAMES]
+        return ReceivedFrame(
             number=number,
+            captured_us=frame.captured_us,
+            layer=frame.layer,
+            is_keyframe=frame.is_keyframe,
+            payload=frame.payload,
             media_s=media_s,
+            arrived_s=arrival.arrived_s,
         )
 
-    def _hold_back(
-        self, arrival: _Arrival, clock: ClockMap, *, is_future: bool
-    ) -> list[TimedSample]:
+    def _hold_back(self, arrival: _Arrival, *, is_future: bool) -> list[ReceivedFrame]:
         """Keep a frame until its followers tell what it is; let all pass once they have."""
         if self._held_back:
-            last = self._held_back[-1]
-            ahead = sequence_distance(arrival.sequence, last.sequence)
-            if ahead == 0 and arrival.captured_us == last.captured_us:
+            last, frame = self._held_back[-1].frame, arrival.frame
+            ahead = sequence_distance(frame.sequence, last.sequence)
+            if ahead == 0 and frame.captured_us == last.captured_us:
                 self.num_duplicates += 1
                 return []
-            if not (0 < ahead <= RESTART_FRAMES and _goes_on(last, arrival)):
+            if not (0 < ahead <= RESTART_FRAMES and _goes_on(self._held_back[-1], arrival)):
                 self._refuse_held_back()
         self._held_back.append(arrival)
         self._held_future += is_future
-        first = self._held_back[0]
+        waited_s = arrival.arrived_s - self._held_back[0].arrived_s
         if len(self._held_back) < NUM_AGREEING and (
-            len(self._held_back) < 2 or arrival.arrived_s - first.arrived_s < AGREEING_S
+            len(self._held_back) < 2 or waited_s < AGREEING_S
         ):
             return []
-        self.num_jumps += 1
         arrivals, self._held_back, self._held_future = self._held_back, [], 0
-        ahead = sequence_distance(first.sequence, self._newest_sequence)
-        is_clock_only = 0 < ahead <= RESTART_FRAMES
-        self._newest_number += ahead if is_clock_only else 1
-        transit_s = clock.fastest_transit_s(self._media_s(self._newest_us))
-        media_s = -transit_s + min(
-            each.arrived_s - (each.captured_us - first.captured_us) / 1e6 for each in arrivals
-        )
-        self._begin(first, media_s, transit_s)
+        self._begin_anew(arrivals)
         return [self._pass(each) for each in arrivals]
+
+    def _begin_anew(self, arrivals: list[_Arrival]) -> None:
+        """Let the time line go on with frames that agree."""
+        self.num_jumps += 1
+        first = arrivals[0].frame
+        number = unwrap_sequence(first.sequence, self._newest_number)
+        if not 0 < number - self._newest_number <= RESTART_FRAMES:  # else only the clock jumped
+            above = self._newest_number + RESTART_FRAMES + SEQUENCE_MODULUS // 2 + 1
+            number = unwrap_sequence(first.sequence, above)
+        self._newest_number = number
+        self._recent.clear()
+        transit_s = self._fastest_transit_s(self._newest_us)
+        media_s = -transit_s + min(
+            arrived_s - (frame.captured_us - first.captured_us) / 1e6
+            for frame, arrived_s in arrivals
+        )
+        self._begin(arrivals[0], media_s, transit_s)
 
     def _refuse_held_back(self) -> None:
         self.num_refused += len(self._held_back)
@@ -174,6 +228,6 @@ class SenderTime:
 
 def _goes_on(before: _Arrival, after: _Arrival) -> bool:
     """Whether one frame can follow another on one clock."""
-    captured_s = (after.captured_us - before.captured_us) / 1e6
+    captured_s = (after.frame.captured_us - before.frame.captured_us) / 1e6
     transit_change_s = after.arrived_s - before.arrived_s - captured_s
     return captured_s >= 0 and -LATE_S <= transit_change_s <= LATE_S

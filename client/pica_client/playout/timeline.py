@@ -18,8 +18,7 @@ from operator import attrgetter
 from typing import Literal
 
 from pica_client.playout.motion import blend, coasted_s
-from pica_client.playout.timed_sample import TimedSample
-from pica_core.codec.latent_sample import LatentSample
+from pica_core.codec.latent_sample import DecodedFrame, LatentSample
 
 NUM_SHOWN = 9
 """Frames kept after they were shown: 33 ms at 240 fps, for the speed of the face."""
@@ -53,7 +52,7 @@ class Timeline:
         self._max_frames = max_frames
         self._max_gap_s = max_gap_s
         self._coast_s = coast_s
-        self._frames: list[TimedSample] = []  # shown ones first; both bounded
+        self._frames: list[DecodedFrame] = []  # shown ones first; both bounded
         self._num_shown = 0
 
     @property
@@ -62,16 +61,16 @@ class Timeline:
         return len(self._frames) - self._num_shown
 
     @property
-    def held(self) -> TimedSample | None:
+    def held(self) -> DecodedFrame | None:
         """The newest frame that counts as shown."""
         return self._frames[self._num_shown - 1] if self._num_shown else None
 
     @property
-    def following(self) -> TimedSample | None:
+    def following(self) -> DecodedFrame | None:
         """The oldest frame that does not."""
         return self._frames[self._num_shown] if self.num_waiting else None
 
-    def insert(self, frame: TimedSample) -> Insertion:
+    def insert(self, frame: DecodedFrame) -> Insertion:
         """Take a frame that has just come."""
         frames = self._frames
         place = bisect_left(frames, frame.number, key=_number)
@@ -110,7 +109,7 @@ class Timeline:
         self._num_shown = max(bisect_right(self._frames, media_s, key=_media_s), self._num_shown)
         self._forget()
 
-    def release_first(self) -> TimedSample:
+    def release_first(self) -> DecodedFrame:
         """Count the oldest waiting frame as shown."""
         frame = self._frames[self._num_shown]
         self._num_shown += 1

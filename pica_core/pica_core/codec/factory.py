@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy.typing as npt
 
 from pica_core.avatar.file import Avatar
-from pica_core.codec.latent_sample import DecodedFrame, EncodedFrame
+from pica_core.codec.latent_sample import DecodedFrame, EncodedFrame, ReceivedFrame
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
 from pica_core.codec.plain_stream import LatentProfile, PlainDecoder, PlainEncoder
 from pica_core.errors import ProfileError
@@ -55,9 +55,7 @@ class FaceDecoder(Protocol):
         """Frames given up for want of their reference."""
         ...
 
-    def receive(
-        self, sequence: int, captured_us: int, layer: int, is_keyframe: bool, payload: bytes
-    ) -> list[DecodedFrame]:
+    def receive(self, frame: ReceivedFrame) -> list[DecodedFrame]:
         """What can be decoded now."""
         ...
 

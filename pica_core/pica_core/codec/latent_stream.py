@@ -3,7 +3,8 @@
     encoder = LatentEncoder(profile, StreamConfig(fps=30))
     frame = encoder.encode(latent, rotation, translation_m, now_us)      # None: nothing to say
     decoder = LatentDecoder(profile)
-    decoder.receive(sequence, captured_us, frame.layer, frame.is_keyframe, frame.payload)
+    received = ReceivedFrame(number, captured_us, frame.layer, frame.is_keyframe, frame.payload)
+    decoder.receive(received)
 
 Theory of operation. Frames stand in *temporal layers*: with three, every fourth frame is base (0),
 the one between two of those is layer 1, the rest are layer 2. A base frame refers to the base frame
@@ -16,23 +17,21 @@ A face that does not change falls silent: one last base frame says so and is a l
 rest (it will be looked at for long), then a heartbeat once a second keeps the stream alive, until
 something moves by more than the dead zone.
 
-Every frame says how many frames back its reference is, in the count that the wire's sequence
-keeps, so a decoder knows whether it has that very frame. It never guesses: a frame whose reference
-is not there waits for it (frames may overtake each other), and when it does not come the decoder
-says so and a keyframe heals everything. It cannot show a corrupt face: a payload is decoded whole,
-against the right reference, or not at all.
+Every frame says how many frames back its reference is, so a decoder knows whether it has that very
+frame. It never guesses: a frame whose reference is not there waits for it (frames may overtake each
+other), and when it does not come the decoder says so and a keyframe heals everything. It cannot
+show a corrupt face: a payload is decoded whole, against the right reference, or not at all.
 
 The ends: `latent_encoder`, `latent_decoder`; coding of one frame: `stream_frames`; tables:
 `stream_profile`; bytes: docs/bitstream.md.
 """
 
-from pica_core.codec.latent_decoder import MAX_PENDING, SEQUENCE_MODULUS, LatentDecoder
+from pica_core.codec.latent_decoder import MAX_PENDING, LatentDecoder
 from pica_core.codec.latent_encoder import DEFAULT_QUALITY, LatentEncoder, StreamConfig
 
 __all__ = [
     "DEFAULT_QUALITY",
     "MAX_PENDING",
-    "SEQUENCE_MODULUS",
     "LatentDecoder",
     "LatentEncoder",
     "StreamConfig",

@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from pica_core.avatar.manifest import Manifest
 from pica_core.avatar.spec import LATENT_CHANNELS, LATENT_SHAPE, NUM_LATENT
-from pica_core.codec.latent_sample import DecodedFrame, EncodedFrame, LatentSample
+from pica_core.codec.latent_sample import DecodedFrame, EncodedFrame, LatentSample, ReceivedFrame
 from pica_core.errors import LatentError, ShapeError
 
 FORMAT_PLAIN = 1
@@ -160,9 +160,6 @@ class PlainDecoder:
     def __init__(self, profile: LatentProfile) -> None:
         self._profile = profile
 
-    def receive(
-        self, sequence: int, captured_us: int, layer: int, is_keyframe: bool, payload: bytes
-    ) -> list[DecodedFrame]:
+    def receive(self, frame: ReceivedFrame) -> list[DecodedFrame]:
         """As `LatentDecoder.receive`."""
-        sample = decode_latent(payload, self._profile)
-        return [DecodedFrame(sequence, captured_us, layer, sample)]
+        return [frame.decoded(decode_latent(frame.payload, self._profile))]

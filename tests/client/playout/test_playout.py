@@ -12,6 +12,7 @@ from helpers.playout_trial import (
     TICK_S,
     WAY_S,
     arrivals,
+    arrive,
     between,
     captured,
     face,
@@ -23,7 +24,8 @@ from helpers.playout_trial import (
     value_at,
     value_of,
 )
-from pica_client.playout.buffer import Playout, PlayoutConfig
+from pica_client.playout.buffer import Playout
+from pica_client.playout.config import PlayoutConfig
 from pica_client.playout.motion import Distance
 
 pytestmark = pytest.mark.unit
@@ -60,14 +62,14 @@ def test_a_floor_of_no_interval_shows_frames_when_they_come() -> None:
 
 def test_between_two_frames_latent_and_head_are_interpolated() -> None:
     playout = Playout(PlayoutConfig(floor_s=0.05))
-    playout.receive_frame(0, captured(0), face(0.0, yaw=0.0), 0.0)
-    playout.receive_frame(1, captured(1), face(1.0, yaw=0.6), FRAME_S)
+    arrive(playout, 0, captured(0), face(0.0, yaw=0.0), 0.0)
+    arrive(playout, 1, captured(1), face(1.0, yaw=0.6), FRAME_S)
     played = shown(playout, 0.05 + 0.25 * FRAME_S)
     assert value_of(played) == pytest.approx(0.25, abs=1e-3)
     assert played.sample.rotation == pytest.approx([0, 0.15, 0], abs=1e-3)
     assert played.sample.translation_m[0] == pytest.approx(0.025, abs=1e-4)
     assert played.captured_us == pytest.approx(captured(0.25), abs=40)
-    assert played.newest.sequence == 1
+    assert played.newest.number == 1
 
 
 def test_thirty_frames_a_second_move_evenly_on_a_display_of_ninety() -> None:
@@ -214,8 +216,8 @@ def test_heartbeats_keep_a_still_face_live_and_are_no_frame_rate() -> None:
     still_after(playout, 30)
     for second in range(1, 6):
         index = 30 + 30 * second
-        playout.receive_frame(
-            30 + second, captured(index), face(30.0, is_still=True), index * FRAME_S + 0.01
+        arrive(
+            playout, 30 + second, captured(index), face(30.0, is_still=True), index * FRAME_S + 0.01
         )
         played = shown(playout, (index + 25) * FRAME_S)
         assert (value_of(played), played.is_concealed) == (30, False)
@@ -229,7 +231,7 @@ def test_a_still_face_begins_to_move_one_interval_before_its_next_frame() -> Non
     still_after(playout, 30)
     for tick in range(90):
         playout.sample_at(31 * FRAME_S + 0.02 + tick / DISPLAY_HZ)
-    playout.receive_frame(31, captured(75), face(36.0), 75 * FRAME_S + 0.01)
+    arrive(playout, 31, captured(75), face(36.0), 75 * FRAME_S + 0.01)
     behind_s = 0.01 + FRAME_S
     assert value_of(shown(playout, 74 * FRAME_S + behind_s)) == pytest.approx(30, abs=0.01)
     assert value_of(shown(playout, 74.5 * FRAME_S + behind_s)) == pytest.approx(33, abs=0.01)
@@ -285,7 +287,7 @@ def test_frames_are_released_in_capture_order_after_reordering() -> None:
     playout = Playout(PlayoutConfig(floor_s=0.1))
     for index in (0, 2, 1, 3):
         receive(playout, index, now=0.09)
-    assert [frame.sequence for frame in playout.due_frames(10.0)] == [0, 1, 2, 3]
+    assert [frame.number for frame in playout.due_frames(10.0)] == [0, 1, 2, 3]
 
 
 def test_every_frame_comes_once_and_not_before_it_is_due() -> None:
@@ -296,9 +298,9 @@ def test_every_frame_comes_once_and_not_before_it_is_due() -> None:
     assert playout.due_frames(0.0149) == []
     timer = playout.next_timer()
     assert timer is not None
-    assert [frame.sequence for frame in playout.due_frames(timer)] == [0]
+    assert [frame.number for frame in playout.due_frames(timer)] == [0]
     assert playout.due_frames(timer) == []
-    assert [frame.sequence for frame in playout.due_frames(timer + FRAME_S + TICK_S)] == [1]
+    assert [frame.number for frame in playout.due_frames(timer + FRAME_S + TICK_S)] == [1]
     assert playout.next_timer() is None
 
 
@@ -359,7 +361,7 @@ def test_the_buffer_is_bounded_and_drops_its_oldest() -> None:
         receive(playout, index, index * FRAME_S)
     assert playout.num_waiting == 8
     assert playout.report().lost == 42
-    assert [frame.sequence for frame in playout.due_frames(100.0)] == list(range(42, 50))
+    assert [frame.number for frame in playout.due_frames(100.0)] == list(range(42, 50))
 
 
 # Settings and cost

@@ -20,7 +20,8 @@ from helpers.playout_trial import (
     play,
     steps,
 )
-from pica_client.playout.buffer import ADAPTIVE, FIXED, UNBUFFERED, Playout
+from pica_client.bench.network.policies import ADAPTIVE, FIXED, UNBUFFERED
+from pica_client.playout.buffer import Playout
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]
 

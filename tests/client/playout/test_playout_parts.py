@@ -18,6 +18,7 @@ from pica_client.playout.jitter import JitterEstimate
 from pica_client.playout.motion import Correction, Distance, blend, coasted_s, distance
 from pica_client.playout.playhead import Playhead
 from pica_client.playout.rotation import blend_rotations, turn_between, turned
+from pica_core.codec.latent_sample import DecodedFrame
 
 pytestmark = pytest.mark.unit
 
@@ -195,7 +196,7 @@ def test_the_interval_stands_while_a_third_of_the_frames_is_lost() -> None:
         if 0 < index < 950 and rng.random() < 0.2:
             num_dropped += 1
             continue
-        cadence.receive(index, index * FRAME_S, is_still=False)
+        cadence.receive(DecodedFrame(index, 0, face(0.0), index * FRAME_S))
     assert cadence.interval_s == pytest.approx(FRAME_S)
     assert cadence.num_lost == pytest.approx(num_dropped, rel=0.05)
 
@@ -205,7 +206,7 @@ def test_thinning_in_the_middle_of_a_stream_is_no_loss(every: int) -> None:
     cadence = Cadence()
     for index in range(900):
         if not 300 <= index < 600 or index % every == 0:
-            cadence.receive(index, index * FRAME_S, is_still=False)
+            cadence.receive(DecodedFrame(index, 0, face(0.0), index * FRAME_S))
         if index == 590:
             assert cadence.interval_s == pytest.approx(every * FRAME_S)
     assert (cadence.num_lost, cadence.interval_s) == (0, pytest.approx(FRAME_S))
@@ -216,7 +217,7 @@ def test_frames_that_are_merely_overtaken_are_not_lost() -> None:
     cadence = Cadence()
     order = sorted(range(500), key=lambda index: index + rng.uniform(0, 6))
     for index in order:
-        cadence.receive(index, index * FRAME_S, is_still=False)
+        cadence.receive(DecodedFrame(index, 0, face(0.0), index * FRAME_S))
     assert cadence.num_lost == 0
 
 
@@ -338,7 +339,6 @@ def test_a_correction_takes_its_time_whatever_the_true_face_does() -> None:
         [0.6 / 13.5] * 11, abs=1e-5
     )
     assert correction.corrected(true, 1 / 90) is true
-    assert not correction.is_active
     assert correction.largest_step == pytest.approx(0.6 / 13.5, abs=1e-5)
 
 
@@ -347,7 +347,7 @@ def test_a_large_correction_is_as_fast_as_its_limit_and_no_faster() -> None:
     begin, true = face(8.0, yaw=2.0), face(0.0)
     correction.aim(begin, true)
     shown, count = begin, 0
-    while correction.is_active:
+    while shown is not true:
         before, shown = shown, correction.corrected(true, 1 / 90)
         step = distance(before, shown)
         assert step.latent <= 10 / 90 + 1e-4

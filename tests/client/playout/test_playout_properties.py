@@ -10,8 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from helpers.playout_trial import FAR_CLOCK_US, face, value_of
-from pica_client.playout.buffer import POLICIES, PlayedFace, Playout, PlayoutConfig
+from helpers.playout_trial import FAR_CLOCK_US, arrive, face, value_of
+from pica_client.bench.network.policies import POLICIES
+from pica_client.playout.buffer import PlayedFace, Playout
+from pica_client.playout.config import PlayoutConfig
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
@@ -70,7 +72,7 @@ class PlayoutMachine(RuleBasedStateMachine):
 
     def arrive(self, index: int) -> None:
         sample = face(self.value(index))
-        self.playout.receive_frame(index % 65536, captured_us(index), sample, self.now)
+        arrive(self.playout, index, captured_us(index), sample, self.now)
 
     def value(self, index: int) -> float:
         """A face that goes to and fro, by at most 9 a second."""
@@ -100,7 +102,7 @@ class FramesTakenOnce(PlayoutMachine):
     def what_is_due_is_taken(self) -> None:
         timer = self.playout.next_timer()
         frames = self.playout.due_frames(self.now)
-        taken = [FIRST + (frame.sequence - FIRST) % 65536 for frame in frames]
+        taken = [frame.number for frame in frames]
         assert (timer is not None and timer <= self.now) == bool(taken)
         assert taken == sorted(self.waiting)[: len(taken)]
         assert [frame.captured_us for frame in frames] == [captured_us(index) for index in taken]
@@ -145,7 +147,7 @@ class FacesOnTheDisplay(PlayoutMachine):
         assert played.age_s >= -1e-6
         before = max(i for i in self.known if captured_us(i) <= played.captured_us)
         after = min((i for i in self.known if captured_us(i) > played.captured_us), default=None)
-        newest = FIRST + (played.newest.sequence - FIRST) % 65536
+        newest = played.newest.number
         if newest == before:  # held, or going on a little
             assert abs(value_of(played) - self.value(before)) <= 9 / 30 + 0.01
             return
@@ -212,7 +214,7 @@ def test_no_arrival_whatever_breaks_the_display(
     for step_s, sequence, captured, value, is_still in arrivals:
         now += step_s
         sample = face(value, yaw=value / 4, is_still=is_still)
-        playout.receive_frame(sequence, captured, sample, now)
+        arrive(playout, sequence, captured, sample, now)
         played = playout.sample_at(now)
         if played is not None:
             assert np.isfinite(played.sample.latent).all()
@@ -236,7 +238,7 @@ def test_no_arrival_whatever_breaks_frames_taken_once(
     playout, now, num_taken = Playout(), 100.0, 0
     for step_s, sequence, captured, value, _ in arrivals:
         now += step_s
-        playout.receive_frame(sequence, captured, face(value), now)
+        arrive(playout, sequence, captured, face(value), now)
         num_taken += len(playout.due_frames(now))
         timer = playout.next_timer()
         assert timer is None or timer > now

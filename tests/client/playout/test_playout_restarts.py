@@ -11,6 +11,7 @@ from helpers.playout_trial import (
     FRAME_S,
     WAY_S,
     arrivals,
+    arrive,
     between,
     face,
     play,
@@ -88,10 +89,10 @@ def test_a_sender_that_starts_anew_keeps_its_last_face_until_it_is_believed() ->
     steady(playout, 100)
     before = value_of(shown(playout, 200 * FRAME_S))
     for index in range(2):
-        playout.receive_frame(index, 77 + index * 33_333, face(-1.0), (201 + index) * FRAME_S)
+        arrive(playout, index, 77 + index * 33_333, face(-1.0), (201 + index) * FRAME_S)
         held = shown(playout, (201.5 + index) * FRAME_S)
         assert (value_of(held), held.is_concealed) == (before, True)
-    playout.receive_frame(2, 77 + 66_666, face(-1.0), 203 * FRAME_S)
+    arrive(playout, 2, 77 + 66_666, face(-1.0), 203 * FRAME_S)
     values = [value_of(shown(playout, 203 * FRAME_S + tick / 90)) for tick in range(1500)]
     assert values[-1] == -1
     assert values == sorted(values, reverse=True)  # from the old face to the new without a leap

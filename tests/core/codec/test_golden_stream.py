@@ -20,6 +20,7 @@ from golden.stream_vectors import (
     units_hash,
 )
 from pica_core.codec.frames import FrameState, decode_frame
+from pica_core.codec.latent_sample import ReceivedFrame
 from pica_core.codec.latent_stream import LatentDecoder
 from pica_core.errors import LatentError
 
@@ -72,14 +73,16 @@ def test_a_receiver_shows_every_frame_of_a_golden_stream(
     name: str, frames: list[dict[str, Any]]
 ) -> None:
     decoder = LatentDecoder(PROFILE)
-    for frame in frames:
-        (shown,) = decoder.receive(
-            frame["sequence"],
+    for number, frame in enumerate(frames, start=frames[0]["sequence"]):
+        assert frame["sequence"] == number % 65536
+        received = ReceivedFrame(
+            number,
             frame["captured_us"],
             frame["layer"],
             frame["is_keyframe"],
             bytes.fromhex(frame["payload"]),
         )
+        (shown,) = decoder.receive(received)
         units = (shown.sample.latent.astype(np.float64) * 4096).astype("<i4")
         assert hashlib.sha256(units.tobytes()).hexdigest() == frame["latent_sha256"]
         pose = np.array(frame["coefficients"][-6:]) / 16384

@@ -28,6 +28,7 @@ from helpers.stream_toy import (
 from pica_core.avatar.file import load_avatar
 from pica_core.codec import frames as stream_frames
 from pica_core.codec.frames import decode_frame
+from pica_core.codec.latent_sample import ReceivedFrame
 from pica_core.codec.latent_stream import LatentDecoder, StreamConfig
 from pica_core.codec.profile import MAX_COEFFICIENT, StreamProfile
 from pica_core.codec.range_coder import SymbolReader, Table
@@ -50,17 +51,15 @@ KINDS = (
     "long noise",
     "layer",
     "keyframe",
-    "sequence",
+    "number",
     "time",
 )
 
 
-def mutate(
-    rng: random.Random, kind: str, frame: Sent, other: Sent
-) -> tuple[int, int, int, bool, bytes]:
+def mutate(rng: random.Random, kind: str, frame: Sent, other: Sent) -> ReceivedFrame:
     """A damaged frame, as `LatentDecoder.receive` takes it."""
     payload = bytearray(frame.payload)
-    sequence, captured_us = frame.sequence, frame.captured_us
+    number, captured_us = frame.number, frame.captured_us
     layer, is_keyframe = frame.layer, frame.is_keyframe
     match kind:
         case "flip one bit" | "flip bits":
@@ -83,11 +82,11 @@ def mutate(
             layer = rng.choice([0, 1, 2, 3, 15])
         case "keyframe":
             is_keyframe = not is_keyframe
-        case "sequence":
-            sequence = rng.choice([rng.randrange(65536), (sequence + rng.randint(-20, 20)) % 65536])
+        case "number":
+            number = rng.choice([rng.randrange(65536), number + rng.randint(-20, 20)])
         case "time":
             captured_us = rng.choice([0, 2**63 - 1, captured_us + rng.randint(-(10**6), 10**6)])
-    return sequence, captured_us, layer, is_keyframe, bytes(payload)
+    return ReceivedFrame(number, captured_us, layer, is_keyframe, bytes(payload))
 
 
 @functools.cache
@@ -101,7 +100,7 @@ def shipped_profile() -> StreamProfile:
 
 
 def streams(profile: StreamProfile) -> list[list[Sent]]:
-    """Streams of several qualities, one of them across the end of the sequence numbers."""
+    """Streams of several qualities that begin anywhere."""
     made = []
     for seed, quality, first in ((1, 3, 0), (2, 7, 65_500), (3, 0, 400)):
         config = StreamConfig(quality=quality, keyframe_interval_s=1)
@@ -128,7 +127,7 @@ def decode_mutations(
         for frame in source[end : end + 8]:
             wire = mutate(rng, rng.choice(KINDS), frame, rng.choice(source))
             try:
-                shown = decoder.receive(*wire)
+                shown = decoder.receive(wire)
             except LatentError:
                 results["refused"] += 1
                 continue
@@ -169,7 +168,7 @@ def test_a_decoder_takes_no_memory_for_damaged_payloads() -> None:
     for number in range(2000):
         frame = stream[number // 2 % len(stream)]
         with contextlib.suppress(LatentError):
-            decoder.receive(*mutate(rng, rng.choice(KINDS), frame, rng.choice(stream)))
+            decoder.receive(mutate(rng, rng.choice(KINDS), frame, rng.choice(stream)))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak - before < NUM_BYTES_GROWN
@@ -202,7 +201,7 @@ def test_no_payload_makes_a_decoder_work_for_long() -> None:
             kind = rng.choice(KINDS)
             CountingReader.num_read = 0
             with contextlib.suppress(LatentError):
-                decoder.receive(*mutate(rng, kind, frame, rng.choice(stream)))
+                decoder.receive(mutate(rng, kind, frame, rng.choice(stream)))
             most = max(most, CountingReader.num_read)
     # Itself, and eight that waited, each tried again after each of them.
     assert for_one / 3 < most <= for_one * (1 + 8 + 7 + 6 + 5 + 4 + 3 + 2 + 1)

@@ -27,8 +27,9 @@ from pica_client.bench.harness import check_ranges
 from pica_client.bench.network.frame_path import FramePath, PathCounters
 from pica_client.bench.network.scenarios import Scenario
 from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
+from pica_client.playout.sender_clock import SenderClock
 from pica_core.codec.factory import FaceDecoder, FaceEncoder
-from pica_core.codec.latent_sample import LatentSample
+from pica_core.codec.latent_sample import DecodedFrame, LatentSample
 from pica_protocol.frames import SEQUENCE_MODULUS, Frame
 
 Face = Callable[[float], LatentSample]
@@ -68,21 +69,11 @@ class Schedule:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Arrival:
-    """A frame that was decoded when it, or what it refers to, had come."""
-
-    arrived_s: float
-    sequence: int
-    captured_us: int
-    sample: LatentSample
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Delivery:
     """What came over the network."""
 
-    arrivals: tuple[Arrival, ...]
-    """What was decoded, in the order of arrival."""
+    arrivals: tuple[DecodedFrame, ...]
+    """What could be decoded, in the order of arrival."""
     counters: PathCounters
     payload_bytes: int
     """What was sent."""
@@ -129,9 +120,10 @@ def deliver(
         seed: Of the network.
     """
     encoder, decoder = ends
+    sender = SenderClock()
     rng = np.random.default_rng(seed)
     path = FramePath(scenario.calm, rng)
-    arrivals: list[Arrival] = []
+    arrivals: list[DecodedFrame] = []
     sent = payload_bytes = keyframes = requests = 0
     requested_s: list[float] = []  # when requests reach the sender; at most one each half second
     last_request_s = -KEYFRAME_INTERVAL_S
@@ -146,17 +138,8 @@ def deliver(
 
     def receive(until_s: float) -> None:
         for arrived_s, frame in path.arrivals(until_s):
-            for read in decoder.receive(
-                frame.sequence, frame.captured_us, frame.layer, frame.is_keyframe, frame.payload
-            ):
-                arrivals.append(
-                    Arrival(
-                        arrived_s=arrived_s,
-                        sequence=read.sequence,
-                        captured_us=read.captured_us,
-                        sample=read.sample,
-                    )
-                )
+            for received in sender.receive(frame, arrived_s):
+                arrivals.extend(decoder.receive(received))
             if decoder.needs_keyframe:
                 request_keyframe(arrived_s, scenario.calm.delay_s)
 
@@ -209,15 +192,17 @@ def play(delivery: Delivery, playout: Playout, schedule: Schedule) -> list[Tick]
     Returns:
         All refreshes of the run.
     """
+    samples = {arrival.captured_us: arrival.sample for arrival in delivery.arrivals}
     ticks: list[Tick] = []
     position = 0
     for index in range(int(schedule.seconds * schedule.display_hz)):
         now = (index + DISPLAY_PHASE) / schedule.display_hz
         while position < len(delivery.arrivals) and delivery.arrivals[position].arrived_s <= now:
             arrival = delivery.arrivals[position]
-            playout.receive_frame(
-                arrival.sequence, arrival.captured_us, arrival.sample, arrival.arrived_s
-            )
+            sequence = arrival.number % SEQUENCE_MODULUS
+            frame = Frame(stream=1, sequence=sequence, captured_us=arrival.captured_us, payload=b"")
+            for received in playout.sender.receive(frame, arrival.arrived_s):
+                playout.receive_frame(received.decoded(samples[received.captured_us]))
             position += 1
         played = playout.sample_at(now)
         ticks.append(Tick(now_s=now, played=played, report=playout.report()))

@@ -8,11 +8,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from pica_client.bench.network.policies import POLICIES
 from pica_client.bench.network.scenarios import BY_NAME, CALM, SCENARIOS, Scenario
 from pica_client.bench.network.stream_trial import Delivery, Schedule, deliver, play
 from pica_client.errors import OptionError
-from pica_client.playout.buffer import POLICIES, Playout
-from pica_core.codec.latent_sample import DecodedFrame, EncodedFrame, LatentSample
+from pica_client.playout.buffer import Playout
+from pica_core.codec.latent_sample import DecodedFrame, EncodedFrame, LatentSample, ReceivedFrame
 from pica_core.codec.plain_stream import LatentProfile, PlainDecoder, PlainEncoder
 
 pytestmark = pytest.mark.unit
@@ -64,21 +65,19 @@ class ChainDecoder:
         self.needs_keyframe = False
         self.num_unreferenced = 0
 
-    def receive(
-        self, sequence: int, captured_us: int, layer: int, is_keyframe: bool, payload: bytes
-    ) -> list[DecodedFrame]:
-        if not is_keyframe and sequence != self._next:
+    def receive(self, frame: ReceivedFrame) -> list[DecodedFrame]:
+        if not frame.is_keyframe and frame.number != self._next:
             self.needs_keyframe = True
             return []
-        self._next, self.needs_keyframe = sequence + 1, False
-        return [DecodedFrame(sequence, captured_us, layer, face(0))]
+        self._next, self.needs_keyframe = frame.number + 1, False
+        return [frame.decoded(face(0))]
 
 
 def test_the_trouble_begins_and_ends_with_the_middle_third() -> None:
     scenario = replace(BY_NAME["jitter-0"], trouble=replace(CALM, delay_s=0.3))
     delivery = deliver_plain(scenario)
     transit = {
-        arrival.sequence: arrival.arrived_s - arrival.sequence / 30 for arrival in delivery.arrivals
+        arrival.number: arrival.arrived_s - arrival.number / 30 for arrival in delivery.arrivals
     }
     assert transit[89] == pytest.approx(0.02)
     assert transit[90] == pytest.approx(0.3)
