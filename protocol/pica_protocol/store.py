@@ -49,7 +49,7 @@ class Offer:
     """First message of an upload: which file comes."""
 
     sha256: str
-    """Of its bytes, in hexadecimal: its id."""
+    """SHA-256 of the file's bytes, in hexadecimal: its id."""
     size: int
     """Its length in bytes."""
     token: str = field(default="", repr=False)

@@ -107,9 +107,14 @@ class Relay:
 
         self.store = open_store(config.avatar_store, config.store)
         counts = self.hub.stats.store
-        self._downloads = Downloads(self.store, counts, origins=config.origins)
+        self._transfers: set[RelaySocket] = set()
+        self._downloads = Downloads(self.store, counts, self._transfers, origins=config.origins)
         self._uploads = Uploads(
-            self.store, may_upload, counts, offer_timeout_s=config.handshake_timeout_s
+            self.store,
+            may_upload,
+            counts,
+            self._transfers,
+            offer_timeout_s=config.handshake_timeout_s,
         )
         self.certificate: Certificate | None = None
         if config.tls_cert is not None and config.tls_key is not None:
@@ -220,8 +225,8 @@ class Relay:
             websocket.give_up()
         self.hub.close_all(CloseCode.GOING_AWAY, "the relay is stopping", self._now())
         self._pump.after_events()
-        self._downloads.close()
-        self._uploads.close()
+        for websocket in self._transfers:
+            websocket.transport.abort()
         await self._server.wait_closed()
         if self._cluster is not None:
             await self._cluster.stop()

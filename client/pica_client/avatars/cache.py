@@ -18,7 +18,7 @@ from pica_core.avatar.file import avatar_id
 from pica_core.errors import AvatarFileError
 
 MAX_BYTES = 2**30
-"""Of all files together (chosen: four hundred avatars of the size that ships)."""
+"""Bytes that all files together may take (chosen: four hundred avatars of the size that ships)."""
 SUFFIX = ".pica"
 UNFINISHED = ".part"
 ABANDONED_AFTER_S = 86_400.0

@@ -22,7 +22,7 @@ from pica_core.avatar.file import MAX_FILE_BYTES
 from pica_protocol.store import AVATARS_PATH
 
 TIMEOUT_S = 10.0
-"""For a relay to say something."""
+"""Seconds that a relay has to say something."""
 SLOWEST_BYTES_PER_S = 1024.0
 """A file that comes more slowly than this, after `TIMEOUT_S`, is given up for now."""
 MAX_RESUMES = 8

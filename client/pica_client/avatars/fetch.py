@@ -74,10 +74,10 @@ class AvatarFetcher:
         """Begin; the thread starts with the first avatar that is missing.
 
         Args:
-            library: What is here; gets what has come.
-            relay_url: Where to ask, ws:// or wss://; it may change.
-            cache: Where to keep what has come; this user's by default.
-            tls: Whom to trust with wss://.
+            library: Has what is here, and gets what has come.
+            relay_url: Returns where to ask, ws:// or wss://; it may change.
+            cache: Keeps what has come; this user's by default.
+            tls: Settings of whom to trust with wss://.
         """
         self._library = library
         self._relay_url = relay_url
@@ -91,7 +91,7 @@ class AvatarFetcher:
         self.fetched_bytes = 0
 
     def has(self, identity: str) -> bool:
-        """See `AvatarStore.has`."""
+        """Whether the library has it, or the relay may: see `AvatarStore.has`."""
         return self._library.has(identity) or is_avatar_id(identity)
 
     def get(self, identity: str) -> Avatar | None:
@@ -114,7 +114,7 @@ class AvatarFetcher:
         return None
 
     def note(self, identity: str) -> str:
-        """See `AvatarStore.note`."""
+        """How far it is on its way: see `AvatarStore.note`."""
         with self._changed:
             wanted = self._wanted.get(identity)
             return "" if wanted is None else wanted.note

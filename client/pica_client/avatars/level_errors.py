@@ -54,19 +54,19 @@ MOMENTS = (
 )
 """Source and second of each expression (chosen: two calm, two wide ones)."""
 STEP_S = 0.1
-"""From a moment to the one that tells of the latent's motion: three frames."""
+"""Seconds from a moment to the one that tells of the latent's motion: three frames."""
 VIEWS = ((0.0, 0.0), (0.6, 0.05), (-0.25, 0.45), (0.2, -0.4))
 """Yaw and pitch of the camera about the head, radians."""
 VIEW_STEP = 0.1
 """Radians of yaw between a view and the one whose expression map is shown in it."""
 DISTANCE_M = 1.0
-"""From the camera to the middle of the head."""
+"""Metres from the camera to the middle of the head."""
 TRUTH_PX = 2048
 """Truth is drawn with the head about this high, within these numbers of samples a pixel and
 direction."""
 FEWEST_SAMPLES, MOST_SAMPLES = 2, 8
 FRAME_FILL = 0.8
-"""Of the image's height, by the head."""
+"""Part of the image's height that the head takes."""
 _COVERED, _PART = 0.999, 0.001
 
 

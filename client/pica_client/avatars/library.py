@@ -109,11 +109,11 @@ class AvatarLibrary:
         return identity
 
     def has(self, identity: str) -> bool:
-        """See `AvatarStore.has`."""
+        """Whether the file is known: see `AvatarStore.has`."""
         return identity in self._paths
 
     def get(self, identity: str) -> Avatar | None:
-        """See `AvatarStore.get`."""
+        """The avatar once it is loaded: see `AvatarStore.get`."""
         if not self.has(identity):
             return None
         future = self._begin_loading(identity)

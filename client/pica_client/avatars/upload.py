@@ -40,7 +40,7 @@ SEND_BUFFER_BYTES = 16 * 2**10
 """What the kernel may hold of a file, which it may double (chosen: 130 ms of a link with 1 Mbit/s
 up, through which a face goes too; with 50 ms there and back still 2.5 Mbit/s)."""
 ANSWER_TIMEOUT_S = 60.0
-"""For the relay to check a file that it has got whole; others may be before it."""
+"""Seconds for the relay to check a file that has come whole; others may be before it."""
 MAX_ATTEMPTS = 6
 
 Progress = Callable[[float], None]
@@ -61,20 +61,15 @@ class Push:
     path: Path
     """The avatar's file."""
     identity: str
-    """Its SHA-256."""
+    """The SHA-256 of the file, in hexadecimal."""
     token_file: Path | None = None
-    """With a join token that allows to wear this avatar, for a relay that wants one."""
+    """File with a join token that allows to wear this avatar, for a relay that wants one."""
     ca_file: Path | None = None
-    """With wss://, certificates to trust instead of the system's."""
+    """File of certificates to trust with wss:// instead of the system's."""
 
 
 async def push_avatar(url: str, push: Push, progress: Progress = lambda ratio: None) -> Stored:
-    """Give a relay an avatar's file, unless it has it.
-
-    Args:
-        url: Of the relay, ws:// or wss://.
-        push: The file.
-        progress: Called with the ratio that is on its way.
+    """Give a relay, ws:// or wss://, an avatar's file, unless it has it.
 
     Returns:
         What the relay says: ``checked`` is empty if it had the file.
@@ -127,8 +122,8 @@ class AvatarGiver:
         """Prepare.
 
         Args:
-            push: What to give.
-            relay_url: Of the relay where we are.
+            push: The file to give.
+            relay_url: Returns the address of the relay where we are.
             say: Takes a line for the user.
             rng: Spreads further attempts.
         """
@@ -145,7 +140,7 @@ class AvatarGiver:
             self._task = asyncio.create_task(self._give(), name="avatar push")
 
     async def close(self) -> None:
-        """Leave it."""
+        """Stop giving it."""
         if self._task is not None:
             self._task.cancel()
             await asyncio.gather(self._task, return_exceptions=True)
@@ -154,12 +149,10 @@ class AvatarGiver:
         for attempt in range(1, MAX_ATTEMPTS + 1):
             try:
                 stored = await push_avatar(self._relay_url(), self._push)
-            except PushError as error:
-                if error.is_worth_retrying and attempt < MAX_ATTEMPTS:
+            except (AvatarFileError, ClientError) as error:
+                if getattr(error, "is_worth_retrying", False) and attempt < MAX_ATTEMPTS:
                     await asyncio.sleep(self._backoff.next_wait_s(0.0))
                     continue
-                self._note(str(error))
-            except (AvatarFileError, ClientError) as error:
                 self._note(str(error))
             else:
                 if stored.checked:

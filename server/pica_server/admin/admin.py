@@ -18,7 +18,7 @@ point here.
 import ipaddress
 from collections.abc import Callable, Mapping
 from http import HTTPStatus
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 from urllib.parse import parse_qs, unquote, urlsplit
 
 from pica_protocol.errors import CloseCode
@@ -28,9 +28,12 @@ from pica_server.errors import AdmissionError
 from pica_server.room.hub import Hub
 from pica_server.room.room import Room
 
+_SHOWN: Final = ("stream", "kind", "policy", "avatar")
+"""The fields of a track that an admin sees."""
+
 
 class Answer(NamedTuple):
-    """One answer."""
+    """What goes back to whoever asked: a status, a JSON body, more headers."""
 
     status: HTTPStatus
     body: dict[str, Any]
@@ -50,7 +53,7 @@ class Admin:
         """Prepare.
 
         Args:
-            hub: What is managed.
+            hub: The rooms that are managed.
             authority: Takes a token and returns the room that it is for, or raises
                 `AdmissionError`; None: there are no tokens, who is on this machine may.
         """
@@ -58,14 +61,7 @@ class Admin:
         self._authority = authority
 
     def answer(self, method: str, target: str, headers: Mapping[str, str], now: float) -> Answer:
-        """Do what a request asks for.
-
-        Args:
-            method: In capitals.
-            target: Path and query.
-            headers: By lower-case name.
-            now: The time.
-        """
+        """Do what a request asks for; ``headers`` are by lower-case name."""
         try:
             scope = self._scope(headers)
             parts = urlsplit(target)
@@ -73,7 +69,8 @@ class Admin:
             query = parse_qs(parts.query)
             if path == ("v1", "rooms"):
                 _allow(method, "GET")
-                return _ok({"rooms": [_summary(room) for room in self._rooms(scope)]})
+                rooms = [room for room in self._hub.rooms if scope in (ANY_ROOM, room.name)]
+                return _ok({"rooms": [_summary(room) for room in rooms]})
             if len(path) >= 3 and path[:2] == ("v1", "rooms"):
                 if scope not in (ANY_ROOM, path[2]):
                     raise _RefusedError(HTTPStatus.FORBIDDEN, "the token is for another room")
@@ -99,9 +96,6 @@ class Admin:
             if error.code == CloseCode.FORBIDDEN:
                 raise _RefusedError(HTTPStatus.FORBIDDEN, str(error)) from error
             raise _unauthorized(str(error)) from error
-
-    def _rooms(self, scope: str) -> list[Room]:
-        return [room for room in self._hub.rooms if scope in (ANY_ROOM, room.name)]
 
     def _of_room(
         self,
@@ -152,18 +146,7 @@ class Admin:
     def _peer_details(self, room: Room, peer: Peer) -> dict[str, Any]:
         connection = self._hub.connection_of(peer.peer_id)
         outbox = None if connection is None else connection.outbox
-        tracks = []
-        for track in peer.tracks:
-            stream = room.stream(track.stream)
-            tracks.append(
-                {
-                    "stream": track.stream,
-                    "kind": track.kind,
-                    "policy": track.policy,
-                    "avatar": track.avatar,
-                    "muted": stream is not None and stream.is_muted,
-                }
-            )
+        muted = {number for number, stream in room.streams if stream.is_muted}
         return {
             "peer_id": peer.peer_id,
             "name": peer.name,
@@ -171,7 +154,10 @@ class Admin:
             "away": peer.peer_id in room.away,
             "node": room.node_of(peer.peer_id),
             "metadata": dict(peer.metadata),
-            "tracks": tracks,
+            "tracks": [
+                {**{name: getattr(track, name) for name in _SHOWN}, "muted": track.stream in muted}
+                for track in peer.tracks
+            ],
             "waiting_frames": None if outbox is None else outbox.waiting_frames,
             "waiting_control_bytes": None if outbox is None else outbox.waiting_control_bytes,
         }

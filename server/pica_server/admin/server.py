@@ -1,7 +1,8 @@
 """The admin's HTTP listener: one request for each connection, and nothing decided here.
 
 It has a port of its own because the websocket library reads nothing but GET, and because an
-operator wants to keep it where the public does not come. HTTP itself is read by h11.
+operator wants to keep it where the public does not come. HTTP itself is read by h11: with limits
+of size, time and number on the relay's own loop, a server library leaves no less to write.
 """
 
 import asyncio
@@ -18,12 +19,12 @@ from pica_server.admin.admin import Admin, Answer
 from pica_server.errors import ListenError
 
 TIMEOUT_S: Final = 5.0
-"""For a request to come and its answer to go."""
+"""Time for a request to come and its answer to go."""
 MAX_HEAD_BYTES: Final = 16_384
 MAX_REQUEST_BYTES: Final = 32_768
 """Head and body of a request; nothing here needs a body."""
 MAX_CONNECTIONS: Final = 32
-"""At once; one more is cut."""
+"""Connections at once; one more is cut."""
 
 _logger = logging.getLogger(__name__)
 
@@ -143,5 +144,5 @@ def _bytes_of(http: h11.Connection, answer: Answer) -> bytes:
         *answer.headers,
     ]
     response = h11.Response(status_code=answer.status, headers=headers, reason=answer.status.phrase)
-    parts = [http.send(response), http.send(h11.Data(data=body)), http.send(h11.EndOfMessage())]
-    return b"".join(part for part in parts if part)
+    events = (response, h11.Data(data=body), h11.EndOfMessage())
+    return b"".join(http.send(event) or b"" for event in events)

@@ -11,7 +11,7 @@ import base64
 import binascii
 import re
 import secrets
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -27,11 +27,11 @@ ALGORITHM: Final = "HS256"
 AUDIENCE: Final = "pica-relay"
 ANY_AVATAR: Final = "*"
 ANY_ROOM: Final = "*"
-"""Of an admin's token; it lets nobody into a room."""
+"""Stands for all rooms in an admin's token; it lets nobody into a room."""
 LEEWAY_S: Final = 10.0
 """How far the clocks of minter and relay may differ (chosen)."""
 MIN_SECRET_BYTES: Final = 32
-"""As long as the hash (RFC 7518 3.2)."""
+"""A secret is as long as the hash (RFC 7518 3.2)."""
 MAX_AVATARS: Final = 14
 """Avatars in one token; more would not fit into it."""
 
@@ -131,15 +131,15 @@ def load_keys(path: Path) -> KeyRing:
 def mint(
     keys: KeyRing, room: str, admission: Admission, *, now: float, lasts_s: float, starts_s: float
 ) -> str:
-    """Return a token for one room.
+    """Return a token for one room, signed with the newest key.
 
     Args:
-        keys: The newest signs.
+        keys: The signing keys.
         room: Where it lets its owner in; ``*`` is the rooms that an admin may manage, all of them.
         admission: As whom, and to do what.
         now: Seconds since 1970.
-        lasts_s: From ``now`` until it ends.
-        starts_s: From ``now`` until it begins.
+        lasts_s: Seconds from ``now`` until it ends.
+        starts_s: Seconds from ``now`` until it begins.
 
     Raises:
         ValueError: A field is out of its limits.
@@ -170,22 +170,16 @@ def mint(
         claims["name"] = admission.name
     if admission.may_admin:
         claims["admin"] = True
-    key_id = keys.newest
-    secret = keys.secret(key_id)
+    secret = keys.secret(keys.newest)
     assert secret is not None
-    token = jwt.encode(claims, secret, algorithm=ALGORITHM, headers={"kid": key_id})
+    token = jwt.encode(claims, secret, algorithm=ALGORITHM, headers={"kid": keys.newest})
     if len(token) > MAX_PASS_BYTES:
         raise ValueError(f"the token has {len(token)} bytes, the limit is {MAX_PASS_BYTES}")
     return token
 
 
 def admit(keys: KeyRing, join: Join, *, now: float) -> Admission:
-    """Check the token of a join, and what the join asks for against it.
-
-    Args:
-        keys: Any of them may have signed.
-        join: What somebody asks for.
-        now: Seconds since 1970.
+    """Check the token of a join, and what the join asks for against it; ``now`` is Unix time.
 
     Raises:
         AdmissionError: ``UNAUTHORIZED`` without a token that is good here and now, ``FORBIDDEN``
@@ -194,7 +188,6 @@ def admit(keys: KeyRing, join: Join, *, now: float) -> Admission:
     claims = _claims_that_hold(keys, join.token, now)
     if claims.get("room") != join.room:
         raise _unauthorized("the token is for another room")
-    avatars = _avatars(claims)
     name = claims.get("name", "")
     try:
         identity = claims["sub"]
@@ -207,43 +200,34 @@ def admit(keys: KeyRing, join: Join, *, now: float) -> Admission:
         name=name,
         may_publish=claims.get("publish") is True,
         may_subscribe=claims.get("subscribe") is True,
-        avatars=tuple(avatars),
+        avatars=tuple(_avatars(claims)),
         may_admin=claims.get("admin") is True,
     )
-    if join.tracks and not admission.may_publish:
-        raise AdmissionError("the token does not let you publish", CloseCode.FORBIDDEN)
-    for track in join.tracks:
-        if track.avatar and not {track.avatar, ANY_AVATAR} & set(admission.avatars):
-            raise AdmissionError("the token does not let you wear this", CloseCode.FORBIDDEN)
+    if join.tracks:
+        worn = [track.avatar for track in join.tracks if track.avatar]
+        _check_publishing(admission.may_publish, admission.avatars, worn)
     return admission
 
 
-def admit_upload(keys: KeyRing, token: str, avatar: str, *, now: float) -> None:
-    """Check that a token lets its owner give the relay an avatar: the one they may publish with.
+def _check_publishing(may_publish: bool, allowed: Sequence[str], worn: Sequence[str]) -> None:
+    if not may_publish:
+        raise AdmissionError("the token does not let you publish", CloseCode.FORBIDDEN)
+    if ANY_AVATAR not in allowed and not set(worn) <= set(allowed):
+        raise AdmissionError("the token does not let you wear this", CloseCode.FORBIDDEN)
 
-    Args:
-        keys: Any of them may have signed.
-        token: A join token, for any room: files belong to none.
-        avatar: Its id.
-        now: Seconds since 1970.
+
+def admit_upload(keys: KeyRing, token: str, avatar: str, *, now: float) -> None:
+    """Check that a token, for any room, lets its owner publish with an avatar, and so upload it.
 
     Raises:
         AdmissionError: As `admit`.
     """
     claims = _claims_that_hold(keys, token, now)
-    if claims.get("publish") is not True:
-        raise AdmissionError("the token does not let you publish", CloseCode.FORBIDDEN)
-    if not {avatar, ANY_AVATAR} & set(_avatars(claims)):
-        raise AdmissionError("the token does not let you wear this", CloseCode.FORBIDDEN)
+    _check_publishing(claims.get("publish") is True, _avatars(claims), [avatar])
 
 
 def admin_scope(keys: KeyRing, token: str, *, now: float) -> str:
-    """Return the room that an admin's token is for, or ``ANY_ROOM``.
-
-    Args:
-        keys: Any of them may have signed.
-        token: What somebody shows.
-        now: Seconds since 1970.
+    """Return the room that an admin's token is for, or ``ANY_ROOM``; ``now`` is Unix time.
 
     Raises:
         AdmissionError: ``UNAUTHORIZED`` without a token that is good now, ``FORBIDDEN`` for one
@@ -281,7 +265,7 @@ def _claims(keys: KeyRing, token: str) -> Mapping[str, Any]:
         secret = keys.secret(key_id) if isinstance(key_id, str) else None
         if secret is None:
             raise _unauthorized("the token is signed with a key that is not known here")
-        claims = jwt.decode(
+        claims: Mapping[str, Any] = jwt.decode(
             token,
             secret,
             algorithms=[ALGORITHM],
@@ -301,11 +285,9 @@ def _claims(keys: KeyRing, token: str) -> Mapping[str, Any]:
 
 
 def _number(claims: Mapping[str, Any], field: str) -> float:
-    value = claims.get(field)
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise _unauthorized("the token is not valid")
+    value: Any = claims.get(field)
     # JSON has numbers that no float holds, and Python reads NaN: a token that never expires.
-    if not -_MAX_TIME_S < value < _MAX_TIME_S:
+    if type(value) not in (int, float) or not -_MAX_TIME_S < value < _MAX_TIME_S:
         raise _unauthorized("the token is not valid")
     return float(value)
 

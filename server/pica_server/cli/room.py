@@ -1,4 +1,7 @@
-"""``pica room``: look at the rooms of a relay that runs with --admin-port, and manage them."""
+"""``pica room``: look at the rooms of a relay that runs with --admin-port, and manage them.
+
+Every command raises `AdminRequestError` if the relay cannot be reached, or says no.
+"""
 
 import json
 from dataclasses import dataclass
@@ -37,7 +40,7 @@ class AdminOptions:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RoomOptions(AdminOptions):
-    """One room."""
+    """Which room of the relay."""
 
     room: Room
     """Name of the room."""
@@ -64,11 +67,7 @@ class MuteOptions(RoomOptions):
 
 
 def room_list(options: AdminOptions) -> dict[str, Any]:
-    """List the rooms of a relay.
-
-    Raises:
-        AdminRequestError: The relay cannot be reached, or says no.
-    """
+    """List the rooms of a relay."""
     answer = _ask(options, "GET", "rooms")
     for room in answer["rooms"]:
         away = f", {room['num_away']} away" if room["num_away"] else ""
@@ -80,11 +79,7 @@ def room_list(options: AdminOptions) -> dict[str, Any]:
 
 
 def room_inspect(options: RoomOptions) -> dict[str, Any]:
-    """Show who is in a room, and what they publish.
-
-    Raises:
-        AdminRequestError: As `room_list`.
-    """
+    """Show who is in a room, and what they publish."""
     answer = _ask(options, "GET", "rooms", options.room)
     for peer in answer["peers"]:
         state = " (away)" if peer["away"] else ""
@@ -97,22 +92,14 @@ def room_inspect(options: RoomOptions) -> dict[str, Any]:
 
 
 def room_close(options: RoomOptions) -> dict[str, Any]:
-    """Put everybody out of a room.
-
-    Raises:
-        AdminRequestError: As `room_list`.
-    """
+    """Put everybody out of a room."""
     answer = _ask(options, "DELETE", "rooms", options.room)
     print(f"closed {options.room}: {answer['removed']} peers removed")
     return answer
 
 
 def room_remove(options: RemoveOptions) -> dict[str, Any]:
-    """Put somebody out of a room.
-
-    Raises:
-        AdminRequestError: As `room_list`.
-    """
+    """Put somebody out of a room."""
     query = "?bar=true" if options.bar else ""
     answer = _ask(options, "DELETE", "rooms", options.room, "peers", options.peer, query=query)
     print(f"removed {options.peer} from {options.room}")
@@ -120,34 +107,25 @@ def room_remove(options: RemoveOptions) -> dict[str, Any]:
 
 
 def room_mute(options: MuteOptions) -> dict[str, Any]:
-    """Stop what somebody publishes; they and the others are told.
-
-    Raises:
-        AdminRequestError: As `room_list`.
-    """
+    """Stop what somebody publishes; they and the others are told."""
     return _mute(options, "PUT")
 
 
 def room_unmute(options: MuteOptions) -> dict[str, Any]:
-    """Let what somebody publishes go on.
-
-    Raises:
-        AdminRequestError: As `room_list`.
-    """
+    """Let what somebody publishes go on."""
     return _mute(options, "DELETE")
 
 
 def _mute(options: MuteOptions, method: str) -> dict[str, Any]:
-    if options.stream is None:
-        answer = _ask(options, method, "rooms", options.room, "peers", options.peer, "muted")
-    else:
-        stream = str(options.stream)
-        answer = _ask(options, method, "rooms", options.room, "streams", stream, "muted")
+    is_one = options.stream is not None
+    what = ("streams", str(options.stream)) if is_one else ("peers", options.peer)
+    answer = _ask(options, method, "rooms", options.room, *what, "muted")
     print(f"{'muted' if answer['muted'] else 'unmuted'} streams {answer['streams']}")
     return answer
 
 
 def _ask(options: AdminOptions, method: str, *path: str, query: str = "") -> dict[str, Any]:
+    """Send one request and return the relay's answer; the parts of the path are quoted here."""
     headers = {}
     if options.token_file is not None:
         try:

@@ -17,4 +17,4 @@ class RoomEvent:
     name: str = ""
     """What they are called."""
     reason: str = ""
-    """Of ``peer_left``: ``left``, ``lost`` or ``removed``."""
+    """Why a peer left: ``left``, ``lost`` or ``removed``."""

@@ -28,7 +28,7 @@ LINES_AT_ONCE: Final = 200.0
 """Lines below a warning, and of libraries; those left out are counted in the next one (chosen: 2 kB
 a second)."""
 MOST_FRAMES: Final = 12
-"""Of a traceback, from its end."""
+"""Places of a traceback that are logged, from its end."""
 
 _KNOWN = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName", "spoken"}
 
@@ -37,14 +37,8 @@ _KNOWN = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "ta
 def logging_to(
     stream: TextIO, style: Style, level: Level, clock: Callable[[], float]
 ) -> Iterator[None]:
-    """Send all logs of the process to a stream for a while.
-
-    Args:
-        stream: Where to.
-        style: How.
-        level: The least that is logged.
-        clock: Seconds, for the limit of lines.
-    """
+    """Send all logs of the process from a level on to a stream for a while; the clock, in seconds,
+    is for the limit of lines."""
     handler = logging.StreamHandler(stream)
     handler.setFormatter(JsonFormatter() if style == "json" else TextFormatter())
     least = logging.getLevelNamesMapping()[level.upper()]

@@ -48,16 +48,16 @@ class RelayStats:
     """What a relay has done since it started."""
 
     connections: int = 0
-    """Websockets opened."""
+    """Number of websockets opened."""
     joins: int = 0
     """Peers let into a room."""
     frames_in: int = 0
     frames_in_by_layer: Counter[int] = field(default_factory=Counter)
     bytes_in: int = 0
-    """Of all messages received, as websocket payload."""
+    """Bytes of all messages received, as websocket payload."""
     frames_out: int = 0
     bytes_out: int = 0
-    """Of all messages sent, as websocket payload."""
+    """Bytes of all messages sent, as websocket payload."""
     messages_out: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
     """Frames that a receiver did not get. As it reads slowly: ``replaced`` by a newer keyframe;
@@ -109,7 +109,7 @@ class RelayStats:
     cluster_dropped: Counter[str] = field(default_factory=Counter)
     """Frames that did not go to another node because NATS takes too little, as ``dropped``."""
     forwarding: LatencyHistogram = field(default_factory=LatencyHistogram)
-    """From a frame's receipt to the moment the receiver's socket took it."""
+    """Latencies from a frame's receipt to the moment the receiver's socket took it."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain values; latencies in milliseconds."""

@@ -11,7 +11,7 @@ from pica_server.store.store import AvatarStore
 
 
 class Page(NamedTuple):
-    """One answer."""
+    """What is answered to a plain HTTP request."""
 
     status: HTTPStatus
     text: str
@@ -34,13 +34,7 @@ class StatusPages:
         self._store = store
 
     def answer(self, path: str, *, is_local: bool, now: float) -> Page | None:
-        """Return the page of a path, or None if there is none.
-
-        Args:
-            path: Of the request.
-            is_local: Whether it comes from this machine.
-            now: The time.
-        """
+        """Return the page of a path, or None if there is none; some are for this machine only."""
         match path:
             case "/healthz":
                 worst_s = self._watch.worst_s(now)

@@ -2,7 +2,7 @@
 
 This is the check that every upload passes while it comes in, so that a file that cannot be one is
 refused after its first kilobytes. It says nothing about the numbers inside: that is what receivers
-check, and ``store_helper`` runs the same check in a process of its own where it is installed.
+check, and ``check_process`` runs the same check in a process of its own where it is installed.
 
 The layout: eight bytes length, little-endian, of the JSON header; the header, tensor name to type,
 shape and place; then the tensors, one after the other to the end of the file.
@@ -16,7 +16,7 @@ from pica_protocol.limits import quoted
 from pica_server.errors import UnfitFileError
 
 MAX_HEADER_BYTES: Final = 256 * 2**10
-"""As receivers allow."""
+"""Bytes of a header that receivers allow, too."""
 MAX_TENSORS: Final = 1024
 MAX_DIMENSIONS: Final = 8
 METADATA_KEY: Final = "pica"

@@ -20,9 +20,9 @@ from typing import Final
 from pica_server.errors import StoreError, UnfitFileError
 
 LONGEST_S: Final = 20.0
-"""Of processor time, and twice that by the clock; 64 MiB, the largest, take about one second."""
+"""Seconds of processor time, twice that by the clock; 64 MiB, the largest, take about one."""
 MOST_MEMORY_BYTES: Final = 2 * 2**30
-"""Of address space: the libraries' own, and a file of 64 MiB in float32 some times over."""
+"""Address space for the libraries, and for a file of 64 MiB in float32 some times over."""
 NICENESS: Final = 10
 _NEEDED: Final = ("numpy", "safetensors")
 _PASSED_ON: Final = ("PATH", "SYSTEMROOT", "LANG", "LC_ALL", "TMPDIR", "TEMP", "TMP")

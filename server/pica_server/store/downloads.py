@@ -44,26 +44,27 @@ class Downloads:
     """Gives the files of a store, or says that there is none."""
 
     def __init__(
-        self, store: AvatarStore | None, stats: Counter[str], *, origins: tuple[str, ...]
+        self,
+        store: AvatarStore | None,
+        stats: Counter[str],
+        transfers: set[RelaySocket],
+        *,
+        origins: tuple[str, ...],
     ) -> None:
         """Begin without transfers.
 
         Args:
             store: The files; None: this relay keeps none.
             stats: Where it counts what it does.
+            transfers: Where sockets are as long as a file moves; the relay cuts them at its end.
             origins: Web pages whose scripts may read what they get.
         """
         self._store = store
         self._stats = stats
         self._origins = origins
-        self._under_way: set[RelaySocket] = set()
+        self._transfers = transfers
         if store is not None:
             self._slots = Slots(store.config.downloads, store.config.downloads_per_address)
-
-    def close(self) -> None:
-        """Cut all of them: the relay is stopping."""
-        for websocket in self._under_way:
-            websocket.transport.abort()
 
     async def answer(self, websocket: RelaySocket, request: Request) -> Response:
         """Answer a request below ``/avatars/``; for ``process_request``."""
@@ -122,7 +123,7 @@ class Downloads:
         transport = websocket.transport
         _bound_send_buffer(transport)
         self._stats["downloads"] += 1
-        self._under_way.add(websocket)
+        self._transfers.add(websocket)
         try:
             async with asyncio.timeout(store.config.longest_s(end - position)):
                 transport.write(head.serialize())
@@ -139,7 +140,7 @@ class Downloads:
             transport.abort()
             await websocket.wait_closed()
         finally:
-            self._under_way.discard(websocket)
+            self._transfers.discard(websocket)
 
     async def _send_pieces(self, store: AvatarStore, websocket: RelaySocket, data: bytes) -> None:
         for begin in range(0, len(data), PIECE_BYTES):

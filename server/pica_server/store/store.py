@@ -26,7 +26,7 @@ from pica_server.store.pacing import Pace
 
 NUM_THREADS: Final = 4
 BUFFER_BYTES: Final = 256 * 2**10
-"""Of one upload, in memory; then a thread writes it."""
+"""Bytes of one upload that are gathered in memory until a thread writes them."""
 
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _T = TypeVar("_T")

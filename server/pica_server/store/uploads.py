@@ -53,6 +53,7 @@ class Uploads:
         store: AvatarStore | None,
         may_upload: MayUpload,
         stats: Counter[str],
+        transfers: set[RelaySocket],
         *,
         offer_timeout_s: float,
     ) -> None:
@@ -62,27 +63,23 @@ class Uploads:
             store: The files; None: this relay keeps none.
             may_upload: Who may give it some.
             stats: Where it counts what it does.
-            offer_timeout_s: From the open websocket to the offer.
+            transfers: Where sockets are as long as a file moves; the relay cuts them at its end.
+            offer_timeout_s: Seconds from the open websocket to the offer.
         """
         self._store = store
         self._may_upload = may_upload
         self._stats = stats
         self._offer_timeout_s = offer_timeout_s
-        self._under_way: set[RelaySocket] = set()
+        self._transfers = transfers
         if store is not None:
             config = store.config
             # Who has not shown a token yet must not hold the places of those who have.
             self._offers = Slots(MOST_OFFERS, config.uploads_per_address)
             self._slots = Slots(config.uploads, config.uploads_per_address)
 
-    def close(self) -> None:
-        """Cut all of them: the relay is stopping."""
-        for websocket in self._under_way:
-            websocket.transport.abort()
-
     async def serve(self, websocket: RelaySocket) -> None:
         """Take one file."""
-        self._under_way.add(websocket)
+        self._transfers.add(websocket)
         try:
             code, reason = await self._take(websocket)
             outcome = "uploads_done" if code == CloseCode.NORMAL else "uploads_refused"
@@ -93,7 +90,7 @@ class Uploads:
         except ConnectionClosed:
             self._stats["uploads_cut"] += 1
         finally:
-            self._under_way.discard(websocket)
+            self._transfers.discard(websocket)
 
     async def _take(self, websocket: RelaySocket) -> tuple[CloseCode, str]:
         """Take a file; return how it ended, for the other side."""
