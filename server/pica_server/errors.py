@@ -6,10 +6,11 @@ RelayError
 ├── KeyFileError         the file of signing keys cannot be used
 ├── AdmissionError       a join without a token that allows it; carries the close code
 ├── StoreError           the avatar store cannot be used
-│   ├── UnfitFileError   a file that it does not take
-│   ├── StoreFullError   a file that it has no room for
-│   ├── BusyError        a transfer more than go on at once
-│   └── TooLateError     a transfer that takes longer than it may
+│   └── StoreRefusalError   somebody is told no; carries the close code
+│       ├── UnfitFileError  a file that it does not take
+│       ├── StoreFullError  a file that it has no room for
+│       ├── BusyError       a transfer more than go on at once
+│       └── TooLateError    a transfer that takes longer than it may
 ├── AdminRequestError    a relay does not do what an admin asks for
 ├── ClusterError         the cluster cannot be joined
 ├── ClusterMessageError  another node sent what cannot be read
@@ -50,26 +51,32 @@ class StoreError(RelayError):
     """The avatar store cannot be used: names the place and the fix."""
 
 
-class UnfitFileError(StoreError):
+class StoreRefusalError(StoreError):
+    """The store does not do what somebody asks for; ``code`` is what they are told."""
+
+    code = CloseCode.INTERNAL_ERROR
+
+
+class UnfitFileError(StoreRefusalError):
     """A file is not what was offered, or no avatar file."""
 
     code = CloseCode.UNFIT_FILE
 
 
-class StoreFullError(StoreError):
+class StoreFullError(StoreRefusalError):
     """The store has no room for a file."""
 
     code = CloseCode.STORE_FULL
 
 
-class BusyError(StoreError):
+class BusyError(StoreRefusalError):
     """There are as many transfers at once as there may be."""
 
     code = CloseCode.BUSY
 
 
-class TooLateError(StoreError):
-    """Somebody takes longer than they may; ``code`` is what they are told."""
+class TooLateError(StoreRefusalError):
+    """Somebody takes longer than they may."""
 
     def __init__(self, message: str, code: CloseCode) -> None:
         super().__init__(message)

@@ -1,7 +1,6 @@
 """Avatars of others on this machine's disk, so that each is fetched once.
 
-Files under their hash, in the place that the system has for what can be fetched again; those that
-were used longest ago go first when there are too many bytes of them.
+Files are named by their hash; when they have too many bytes, the one used longest ago goes first.
 """
 
 from __future__ import annotations
@@ -28,12 +27,8 @@ class AvatarCache:
     """A bounded folder of avatar files by hash. One thread uses it; processes may share it."""
 
     def __init__(self, folder: Path | None = None, max_bytes: int = MAX_BYTES) -> None:
-        """Prepare the folder.
-
-        Args:
-            folder: Where; by default `cache_folder`. When it cannot be written, a temporary one
-                that ends with the cache.
-            max_bytes: Of all files together; the newest is kept whatever its size.
+        """Prepare the folder, by default `cache_folder`; one that cannot be written is replaced by
+        a temporary one. The newest file is kept whatever its size.
         """
         self._max_bytes = max_bytes
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
@@ -89,15 +84,14 @@ class AvatarCache:
         for path in self.folder.glob(f"*{SUFFIX}"):
             with suppress(OSError):  # another process trims, too
                 found = path.stat()
-                files.append((found.st_mtime, found.st_size, path))
-        total = sum(size for _, size, _ in files)
-        for _, size, path in sorted(files, key=lambda file: file[0]):
-            if total <= self._max_bytes:
+                files.append((path == newest, found.st_mtime, found.st_size, path))
+        num_too_many = sum(size for _, _, size, _ in files) - self._max_bytes
+        for is_newest, _, size, path in sorted(files):
+            if num_too_many <= 0 or is_newest:
                 return
-            if path != newest:
-                with suppress(OSError):
-                    path.unlink()
-                total -= size
+            with suppress(OSError):
+                path.unlink()
+            num_too_many -= size
 
     def _delete_abandoned(self) -> None:
         for path in self.folder.glob(f"*{UNFINISHED}"):

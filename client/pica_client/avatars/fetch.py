@@ -161,10 +161,14 @@ class AvatarFetcher:
         return None
 
     def _attempt(self, cache: AvatarCache, identity: str) -> None:
-        path = cache.find(identity)
+        path = cache.find(identity) or self._download(cache, identity)
         if path is not None:
-            self._finish(identity, path)
-            return
+            # Into the library first: whoever finds it done there must find the file.
+            self._library.add(identity, path)
+            with self._changed:
+                self._wanted.pop(identity, None)
+
+    def _download(self, cache: AvatarCache, identity: str) -> Path | None:
         unfinished = cache.unfinished(identity)
         try:
             download(
@@ -174,28 +178,27 @@ class AvatarFetcher:
                 progress=lambda ratio: self._note_progress(identity, ratio),
                 tls=self._tls,
             )
-            size = unfinished.stat().st_size
             path = cache.keep(unfinished, identity)
+            self.num_fetched += 1
+            self.fetched_bytes += path.stat().st_size
+            return path
         except NotThereError:
-            self._try_later(identity, "the relay does not have this avatar yet")
+            self._note_failure(identity, "the relay does not have this avatar yet")
         except (NoStoreError, WrongFileError) as error:
-            self._give_up(
-                identity,
+            problem = (
                 f"avatar {identity[:8]} is not on this machine, and {error}; "
-                "get its file and name it with --avatar",
+                "get its file and name it with --avatar"
             )
+            self._note_failure(identity, problem, is_final=True)
         except StoppedError:
             pass
         except (DownloadError, OSError) as error:
             _log.debug("avatar not fetched", extra={"error": type(error).__name__})
-            self._try_later(identity, "the avatar does not come; trying again")
-        else:
-            self.num_fetched += 1
-            self.fetched_bytes += size
-            self._finish(identity, path)
+            self._note_failure(identity, "the avatar does not come; trying again")
         finally:
             with suppress(OSError):
                 unfinished.unlink(missing_ok=True)
+        return None
 
     def _note_progress(self, identity: str, ratio: float) -> bool:
         with self._changed:
@@ -205,22 +208,11 @@ class AvatarFetcher:
             wanted.note = f"fetching avatar {ratio:.0%}"
             return time.monotonic() - wanted.asked_s <= FORGOTTEN_AFTER_S
 
-    def _finish(self, identity: str, path: Path) -> None:
-        # Into the library first: whoever finds it done there must find the file.
-        self._library.add(identity, path)
-        with self._changed:
-            self._wanted.pop(identity, None)
-
-    def _try_later(self, identity: str, note: str) -> None:
+    def _note_failure(self, identity: str, note: str, *, is_final: bool = False) -> None:
         with self._changed:
             wanted = self._wanted.get(identity)
             if wanted is not None:
                 wanted.note = note
+                wanted.problem = note if is_final else ""
                 wanted.due_s = time.monotonic() + wanted.retry_s
                 wanted.retry_s = min(2 * wanted.retry_s, LAST_RETRY_S)
-
-    def _give_up(self, identity: str, problem: str) -> None:
-        with self._changed:
-            wanted = self._wanted.get(identity)
-            if wanted is not None:
-                wanted.problem = wanted.note = problem

@@ -30,6 +30,7 @@ from pica_server.errors import ConfigurationError, ListenError
 from pica_server.ops.certificate import Certificate
 from pica_server.ops.log import Level, Style, logging_to, say
 from pica_server.relay import Relay
+from pica_server.store.store import AvatarStore
 
 _logger = logging.getLogger(__name__)
 
@@ -117,23 +118,7 @@ async def _run(options: RelayOptions) -> dict[str, Any]:
             _spare_the_collector()
             with _ready_file(options.ready_file, url):
                 _say("listening", f"listening on {url}", url=url)
-                if options.config.insecure:
-                    _say("insecure", "INSECURE: anybody who reaches this port may join any room")
-                elif options.config.keys is None:
-                    _say(
-                        "development",
-                        "DEVELOPMENT: no --keys, anybody on this machine may join any room",
-                    )
-                if server.store is not None:
-                    how = "all that receivers check" if server.store.checks_fully else "its layout"
-                    place, num_avatars = options.config.avatar_store, server.store.num_avatars
-                    _say(
-                        "avatar store",
-                        f"avatar store {without_user(place)}: {num_avatars} avatars; "
-                        f"of an upload is checked: {how}",
-                        avatars=num_avatars,
-                        checks_fully=server.store.checks_fully,
-                    )
+                _say_what_is_open(options.config, server.store)
                 first = await signals.get()
             if first == signal.SIGTERM and options.config.drain_s > 0:
                 num_open = server.hub.num_connections
@@ -143,6 +128,22 @@ async def _run(options: RelayOptions) -> dict[str, Any]:
             num_open = server.hub.num_connections
             _say("stopping", f"stopping, {num_open} connections to close", open=num_open)
     return {"url": url, **server.stats()}
+
+
+def _say_what_is_open(config: RelayConfig, store: AvatarStore | None) -> None:
+    if config.insecure:
+        _say("insecure", "INSECURE: anybody who reaches this port may join any room")
+    elif config.keys is None:
+        _say("development", "DEVELOPMENT: no --keys, anybody on this machine may join any room")
+    if store is not None:
+        how = "all that receivers check" if store.checks_fully else "its layout"
+        place, num_avatars = without_user(config.avatar_store), store.num_avatars
+        _say(
+            "avatar store",
+            f"avatar store {place}: {num_avatars} avatars; of an upload is checked: {how}",
+            avatars=num_avatars,
+            checks_fully=store.checks_fully,
+        )
 
 
 def _spare_the_collector() -> None:

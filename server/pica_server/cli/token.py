@@ -61,15 +61,9 @@ def token(options: TokenOptions) -> dict[str, Any]:
         avatars=(ANY_AVATAR,) if options.avatars == ("any",) else options.avatars,
     )
     now = time.time()
+    times = {"now": now, "lasts_s": options.lasts_s, "starts_s": options.starts_s}
     try:
-        minted = mint(
-            keys,
-            options.room,
-            admission,
-            now=now,
-            lasts_s=options.lasts_s,
-            starts_s=options.starts_s,
-        )
+        minted = mint(keys, options.room, admission, **times)
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
     print(minted)

@@ -120,10 +120,10 @@ def read_options(
 
     Args:
         options_type: The schema, a dataclass.
-        parse: Reads ``words`` with these defaults. The defaults are not checked yet.
+        parse: Reads ``words`` with these defaults, which are not checked yet.
         words: The command line; ``--config FILE`` names the file.
-        environment: The environment.
-        prefix: What the names of our variables begin with.
+        environment: Variables by name.
+        prefix: The beginning of the names of our variables.
 
     Returns:
         The options, and every setting with its source.

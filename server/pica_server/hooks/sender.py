@@ -48,12 +48,7 @@ class WebhookSender:
         *,
         unix_time: Callable[[], float] = time.time,
     ) -> None:
-        """Prepare.
-
-        Args:
-            config: Where to, and how patiently.
-            counts: What became of the events, see `WebhookQueue`.
-            unix_time: The clock that stands in events and signatures.
+        """Prepare; ``unix_time`` is the clock that stands in events and signatures.
 
         Raises:
             ConfigurationError: The secret, or the certificates to trust, cannot be read.

@@ -59,9 +59,9 @@ class WebhookQueue:
 
         Args:
             max_waiting: Events that may wait; one more drops the oldest.
-            give_up_s: How long an event is worth telling.
+            give_up_s: Seconds for which an event is worth telling.
             new_id: Makes ids that do not repeat.
-            random: Numbers in [0, 1).
+            random: Returns numbers in [0, 1).
             counts: Where it counts ``delivered``, ``failed`` attempts, and events that were
                 dropped: ``overflow``, ``expired``.
         """
@@ -83,13 +83,10 @@ class WebhookQueue:
         event_id = self._new_id()
         told = {key: value for key, value in asdict(notice).items() if value}
         body = json.dumps({"id": event_id, "created": round(unix_s, 3), **told}).encode()
-        if len(self) >= self._max_waiting:
-            if not self._waiting:
-                self._counts["overflow"] += 1
-                return
+        self._waiting.append(Delivery(event_id, body, now))
+        if len(self) > self._max_waiting:
             self._waiting.popleft()
             self._counts["overflow"] += 1
-        self._waiting.append(Delivery(event_id, body, now))
 
     def take(self, now: float) -> Delivery | None:
         """Take what is to be delivered now; ``delivered`` or ``failed`` follows."""

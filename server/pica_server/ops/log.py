@@ -55,8 +55,8 @@ def logging_to(
 
 
 class LineLimit(logging.Filter):
-    """Leaves out lines below a level, and when there are too many of them those below a warning and
-    those of libraries; these are counted."""
+    """Leaves out lines below a level and, when there are too many, those that are no warning of
+    ours; these are counted."""
 
     def __init__(self, clock: Callable[[], float], least: int = logging.INFO) -> None:
         super().__init__()

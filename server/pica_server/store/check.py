@@ -10,7 +10,7 @@ shape and place; then the tensors, one after the other to the end of the file.
 
 import json
 from math import prod
-from typing import Any, Final
+from typing import Any, Final, TypeGuard
 
 from pica_protocol.limits import quoted
 from pica_server.errors import UnfitFileError
@@ -31,11 +31,7 @@ class StructureCheck:
     """Reads the beginning of a file of known size, piece by piece."""
 
     def __init__(self, size: int) -> None:
-        """Begin a file.
-
-        Args:
-            size: Of the whole file, in bytes.
-        """
+        """Begin a file of so many bytes in all."""
         self._size = size
         self._head = bytearray()  # bounded by MAX_HEADER_BYTES and one piece
         self.is_done = False
@@ -74,8 +70,7 @@ def check_header(text: bytes, num_data_bytes: int) -> None:
     """Check the JSON header of a safetensors file against the bytes that follow it.
 
     Raises:
-        UnfitFileError: Not JSON, no avatar's, or tensors that are of an unknown type, do not fit
-            their shape, overlap, or leave bytes over.
+        UnfitFileError: It is no JSON, no avatar's, or its tensors do not fit it and each other.
     """
     try:
         header = json.loads(
@@ -90,9 +85,8 @@ def check_header(text: bytes, num_data_bytes: int) -> None:
         raise UnfitFileError("it has no manifest: no avatar file")
     if not 0 < len(header) <= MAX_TENSORS:
         raise UnfitFileError(f"{len(header)} tensors, allowed are 1..{MAX_TENSORS}")
-    places = sorted(_place(name, entry) for name, entry in header.items())
     end = 0
-    for begin, stop in places:
+    for begin, stop in sorted(_place(name, entry) for name, entry in header.items()):
         if begin != end:
             raise UnfitFileError("its tensors overlap, or leave a hole")
         end = stop
@@ -101,16 +95,15 @@ def check_header(text: bytes, num_data_bytes: int) -> None:
 
 
 def _place(name: str, entry: Any) -> tuple[int, int]:
-    """Where a tensor begins and ends, checked against its own type and shape."""
+    """Return where a tensor begins and ends, checked against its own type and shape."""
     if not isinstance(entry, dict):
         raise UnfitFileError(f"tensor {quoted(name)} is no JSON object")
-    shape, place = entry.get("shape"), entry.get("data_offsets")
-    kind = entry.get("dtype")
+    kind, shape, place = (entry.get(key) for key in ("dtype", "shape", "data_offsets"))
     if not isinstance(kind, str) or kind not in BYTES_OF_TYPE:
         raise UnfitFileError(f"tensor {quoted(name)} is of type {quoted(kind)}")
-    if not isinstance(shape, list) or len(shape) > MAX_DIMENSIONS or not _are_sizes(shape):
+    if not _are_sizes(shape) or len(shape) > MAX_DIMENSIONS:
         raise UnfitFileError(f"tensor {quoted(name)} has no proper shape")
-    if not isinstance(place, list) or len(place) != 2 or not _are_sizes(place):
+    if not _are_sizes(place) or len(place) != 2:
         raise UnfitFileError(f"tensor {quoted(name)} has no proper place")
     begin, end = place
     if end - begin != prod(shape) * BYTES_OF_TYPE[kind]:
@@ -118,8 +111,10 @@ def _place(name: str, entry: Any) -> tuple[int, int]:
     return begin, end
 
 
-def _are_sizes(values: list[Any]) -> bool:
-    return all(type(value) is int and 0 <= value < 2**40 for value in values)
+def _are_sizes(values: Any) -> TypeGuard[list[int]]:
+    return isinstance(values, list) and all(
+        type(value) is int and 0 <= value < 2**40 for value in values
+    )
 
 
 def _refuse_constant(constant: str) -> None:

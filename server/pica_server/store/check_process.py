@@ -45,8 +45,8 @@ def check_fully(path: Path, identity: str) -> None:
     """
     command = [sys.executable, "-I", "-m", "pica_server.store.check_process", str(path), identity]
     environment = {name: os.environ[name] for name in _PASSED_ON if name in os.environ}
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        environment[name] = "1"  # each thread of theirs would take address space, and a core
+    # Each thread of theirs would take address space, and a core.
+    environment |= {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL")}
     try:
         done = subprocess.run(
             command,
@@ -54,7 +54,6 @@ def check_fully(path: Path, identity: str) -> None:
             capture_output=True,
             timeout=2 * LONGEST_S,
             env=environment,
-            check=False,
         )
     except subprocess.TimeoutExpired as error:
         raise UnfitFileError("the check took too long") from error

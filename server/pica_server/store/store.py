@@ -156,8 +156,10 @@ class AvatarStore:
         self._reserved_bytes -= size
         self._num_reserved -= 1
 
-    async def _in_thread(self, action: Callable[[], _T]) -> _T:
-        return await asyncio.get_running_loop().run_in_executor(self._threads, action)
+    async def _in_thread(
+        self, action: Callable[[], _T], threads: ThreadPoolExecutor | None = None
+    ) -> _T:
+        return await asyncio.get_running_loop().run_in_executor(threads or self._threads, action)
 
 
 class Upload:
@@ -185,9 +187,8 @@ class Upload:
         """Take the next bytes.
 
         Raises:
-            UnfitFileError: They are too many, or no avatar file begins like this.
-            StoreFullError: The disk is full.
-            OSError: It cannot be written.
+            StoreError: They are too many, no avatar file begins like this, or the disk is full.
+            OSError: They cannot be written.
         """
         self._received += len(data)
         if self._received > self._size:
@@ -199,15 +200,11 @@ class Upload:
             await self._write_buffer()
 
     async def finish(self) -> str:
-        """Check the whole file and keep it.
-
-        Returns:
-            Which check it has passed: ``full`` or ``structure``.
+        """Check the whole file, keep it, and say which check it passed: ``full`` or ``structure``.
 
         Raises:
-            UnfitFileError: It is not the file that was offered, or no avatar.
-            StoreFullError: The disk is full.
-            StoreError: The check cannot be run.
+            StoreError: It is not the file that was offered, no avatar, cannot be checked, or the
+                disk is full.
             OSError: It cannot be written.
         """
         if self.num_missing:
@@ -217,9 +214,8 @@ class Upload:
         self._structure.finish()
         await self._write_buffer()
         store = self._store
-        loop = asyncio.get_running_loop()
         with _full_disk_is_full_store():
-            await loop.run_in_executor(store._checks, self._check_and_keep)
+            await store._in_thread(self._check_and_keep, store._checks)
         store._sizes[self._identity] = self._size
         return "full" if store.checks_fully else "structure"
 

@@ -14,14 +14,7 @@ from pica_protocol.errors import CloseCode, RemoteProtocolError
 from pica_protocol.limits import clipped_reason
 from pica_protocol.messages import Bye
 from pica_protocol.store import Offer, Ready, Stored, decode_chunk
-from pica_server.errors import (
-    AdmissionError,
-    BusyError,
-    StoreError,
-    StoreFullError,
-    TooLateError,
-    UnfitFileError,
-)
+from pica_server.errors import AdmissionError, StoreError, StoreRefusalError, TooLateError
 from pica_server.net.socket import RelaySocket
 from pica_server.store.pacing import Slots
 from pica_server.store.store import AvatarStore
@@ -31,16 +24,6 @@ MOST_OFFERS: Final = 64
 
 MayUpload = Callable[[str, str], None]
 """Takes a token and an avatar's id; raises `AdmissionError` if that must not be uploaded."""
-
-_REFUSALS: Final = (
-    RemoteProtocolError,
-    AdmissionError,
-    BusyError,
-    StoreFullError,
-    TooLateError,
-    UnfitFileError,
-)
-"""Errors that the other side is told of, with their close code."""
 
 _logger = logging.getLogger(__name__)
 
@@ -102,7 +85,7 @@ class Uploads:
             with self._slots.taken(websocket.address):
                 stored = await self._receive(websocket, self._store, offer)
                 await websocket.send(encode_message(stored))
-        except _REFUSALS as error:
+        except (RemoteProtocolError, AdmissionError, StoreRefusalError) as error:
             return error.code, str(error)
         except (StoreError, OSError) as error:
             self._stats["faults"] += 1
