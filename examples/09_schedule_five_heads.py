@@ -1,37 +1,38 @@
 """Schedule five heads within a budget: who gets which level of detail, and who is decoded anew.
 
 You learn what a receiver decides for each drawn frame. The scheduler is pure: heads as they
-stand before the camera go in, choices come out. The less there is to spend, the more is kept
-from heads that are small or hardly move; what cannot be seen costs nothing.
+stand before the camera go in, choices come out. The less there is to spend, the smaller every
+head counts; what cannot be seen costs nothing.
 """
 
-from pica_client.schedule.error_model import ErrorModel
-from pica_client.schedule.scheduler import HeadView, Scheduler
-from pica_core.avatar.levels import default_errors
+from pica_client.avatars.library import shipped_avatar_files
+from pica_client.schedule.head import Head
+from pica_client.schedule.scheduler import Scheduler
+from pica_client.schedule.visibility import Sight
+from pica_core.avatar.file import load_avatar
 
-LEVELS = (64, 128, 256)
-TRIANGLES = (4_000, 16_000, 50_000)  # of the mesh of each level
-ERRORS = ErrorModel(default_errors(LEVELS))
-HEIGHTS_PX = {"Ada": 420, "Ben": 260, "Cho": 140, "Dee": 24, "Eve": 0}  # Eve is off the screen
+HEIGHTS_PX = {"Ada": 520, "Ben": 260, "Cho": 140, "Dee": 24, "Eve": 0}  # Eve is off the screen
 
-heads = [
-    HeadView(
-        slot=name,
-        errors=ERRORS,
-        num_triangles=TRIANGLES,
-        is_visible=height_px > 0,
-        visible_px=0.6 * height_px**2,
-        head_px=height_px,
-        held_level=64,  # what was decoded a moment ago, a tenth of a second old
-        age_s=0.1,
-        latent_change=0.3,
-    )
-    for name, height_px in HEIGHTS_PX.items()
-]
+avatar = load_avatar(shipped_avatar_files()[0])
 
 for budget_ms in (100, 24, 16):
+    heads = [
+        Head(
+            slot=name,
+            avatar=avatar,
+            sight=Sight(
+                is_visible=height_px > 0,
+                visible_px=0.6 * height_px**2,
+                head_px=height_px,
+                num_views=1,
+            ),
+            latent_change=0.3,  # root mean square over the latent since the last decode
+        )
+        for name, height_px in HEIGHTS_PX.items()
+    ]
     plan = Scheduler().plan(heads, budget_ms / 1000, now=1.0)
-    print(f"budget {budget_ms} ms: cost {plan.cost_s * 1000:.1f} ms, error {plan.error:.1f}")
+    cost_ms, least_ms = plan.cost_s * 1000, plan.floor_s * 1000
+    print(f"budget {budget_ms} ms: cost {cost_ms:.1f} of at least {least_ms:.1f} ms")
     for name, height_px in HEIGHTS_PX.items():
         choice = plan.choices[name]
         print(
