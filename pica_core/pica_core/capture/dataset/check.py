@@ -76,11 +76,7 @@ class _Findings:
 
 
 def check_capture(directory: Path, pixel_frames: int = PIXEL_FRAMES) -> dict[str, Any]:
-    """Check a capture directory.
-
-    Args:
-        directory: The capture.
-        pixel_frames: Frames whose pixels are decoded; 0 for all.
+    """Check a capture directory; of `pixel_frames` frames pixels are decoded, of all if 0.
 
     Returns:
         ``ok`` (bool), ``problems`` (list of maps with ``where`` and ``what``), ``frames``,

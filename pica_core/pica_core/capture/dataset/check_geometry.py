@@ -32,13 +32,9 @@ def silhouette_problem(
     faces: npt.NDArray[np.int32],
     mask: ByteArray | None,
 ) -> str | None:
-    """What is wrong with where a mesh is seen, None if nothing.
+    """What is wrong with where a camera in head axes sees a mesh, None if nothing.
 
-    Args:
-        camera: In head axes.
-        vertices_m: Tracked mesh. ``[V, 3]``.
-        faces: ``[F, 3]``.
-        mask: 0 where the background is; None where that is not known.
+    The mask is 0 where the background is; None where that is not known.
     """
     pixels, distance = camera.project(vertices_m)
     if (distance <= 0).mean() > 0.5:
@@ -64,14 +60,7 @@ def silhouette_problem(
 def depth_problem(
     camera: Camera, vertices_m: FloatArray, faces: npt.NDArray[np.int32], depth_m: FloatArray
 ) -> str | None:
-    """What is wrong with depth against a mesh, None if nothing.
-
-    Args:
-        camera: In head axes.
-        vertices_m: ``[V, 3]``.
-        faces: ``[F, 3]``.
-        depth_m: 0 where unknown. ``[H, W]``.
-    """
+    """What is wrong with depth ``[H, W]``, 0 where unknown, against a mesh, None if nothing."""
     if not (depth_m > 0).any():
         return "depth is unknown everywhere"
     pixels, distance = camera.project(vertices_m)

@@ -100,10 +100,7 @@ def load_image(path: Path, mode: str, size: tuple[int, int] | None) -> npt.NDArr
 
 
 def check_image_header(path: Path, mode: str, size: tuple[int, int] | None) -> tuple[int, int]:
-    """Check what a PNG's or JPEG's first bytes say, and that a PNG is whole; pixels stay undecoded.
-
-    Returns:
-        Columns and rows.
+    """Check what an image's first bytes say, and that a PNG is whole; returns columns and rows.
 
     Raises:
         CaptureError: As `load_image`.
@@ -231,11 +228,7 @@ def read_topology(path: Path) -> Topology:
 
 
 def read_tracked(root: Path, num_dense: int) -> tuple[Topology, npt.NDArray[np.int64]]:
-    """The tracked mesh of a synthetic capture, and the dense vertex that each of its vertices is.
-
-    Args:
-        root: The capture.
-        num_dense: Vertices of its dense mesh.
+    """The tracked mesh of a synthetic capture, and which of `num_dense` vertices each of its is.
 
     Raises:
         CaptureError: Missing or damaged.

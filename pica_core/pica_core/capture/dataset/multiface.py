@@ -116,12 +116,7 @@ def krt_text(cameras: Iterable[Camera]) -> str:
 
 
 def read_krt(path: Path, width: int, height: int) -> tuple[Camera, ...]:
-    """Read a KRT file.
-
-    Args:
-        path: The file.
-        width: Image columns; KRT does not hold the size.
-        height: Image rows.
+    """Cameras of a KRT file, which does not hold the size of images.
 
     Raises:
         CaptureError: Missing, not text, a block cut short, or numbers that are none; names file

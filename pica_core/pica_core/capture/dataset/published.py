@@ -73,11 +73,7 @@ def is_published(root: Path) -> bool:
 
 
 def open_published(root: Path, test_segments: Collection[str] | None = None) -> PublishedCapture:
-    """Find out what describes a published directory.
-
-    Args:
-        root: The directory.
-        test_segments: Segments to hold out; None takes the fifth of every ten.
+    """Find out what describes a published directory; None holds out the fifth of ten segments.
 
     Raises:
         CaptureError: No list of frames, OBJ, image or average texture, or one that cannot be read.
@@ -138,10 +134,7 @@ def _texture_size(root: Path) -> int:
 
 
 def read_obj_topology(path: Path) -> tuple[Topology, Int64Array, int]:
-    """Faces and UVs of an OBJ file; places are not taken.
-
-    Returns:
-        The topology, the OBJ's vertex for each of its vertices, and how many vertices the OBJ has.
+    """Topology of an OBJ file, the OBJ's vertex for each of its vertices, and how many it has.
 
     Raises:
         CaptureError: Missing, or a face that cannot be read or points nowhere.
@@ -192,9 +185,6 @@ def displayable(image: ByteArray) -> ByteArray:
     """A raw, greenish picture made fit to be looked at; training takes images as they are.
 
     Channels are scaled so that their 99th percentiles agree, then brightened by `GAMMA`.
-
-    Args:
-        image: As stored. uint8 ``[H, W, 3]``.
     """
     values = image.astype(np.float32)
     bright = np.maximum(np.percentile(values.reshape(-1, 3), 99, axis=0), 1.0)

@@ -51,12 +51,7 @@ class Request:
 
 
 class CaptureReader(AbstractContextManager["CaptureReader"]):
-    """A capture behind a cache. Use it from one thread.
-
-    Args:
-        capture: What to read.
-        max_bytes: Decoded arrays kept, those asked for and not yet read among them.
-        threads: How many decode.
+    """A capture behind a cache of `max_bytes`, decoded by `threads`. Use it from one thread.
 
     Attributes:
         bad: What is wrong with requests that could not be read.

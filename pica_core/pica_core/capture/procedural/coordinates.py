@@ -87,15 +87,7 @@ def surface_coordinates(
     neutral_m: FloatArray,
     eye_centre_mm: Float64Array,
 ) -> SurfaceCoordinates:
-    """Coordinates of every vertex of a head.
-
-    Args:
-        identity: Whose head.
-        charts: Charts by name.
-        skin: The skin at rest.
-        neutral_m: All vertices at rest, metres. ``[V, 3]``.
-        eye_centre_mm: Centre of the subject's left eyeball. ``[3]``.
-    """
+    """Coordinates of every vertex of a head from its rest pose and its left eye's centre."""
     material = np.zeros(len(neutral_m), np.float32)
     local = np.zeros((len(neutral_m), 4), np.float32)
     for name, chart in charts.items():
@@ -123,13 +115,7 @@ def surface_coordinates(
 def name_regions(
     charts: dict[str, Chart], coordinates: SurfaceCoordinates, lids: BoolArray
 ) -> dict[str, BoolArray]:
-    """Named vertex sets (`ProceduralHead.regions`).
-
-    Args:
-        charts: Charts by name.
-        coordinates: The head's coordinates.
-        lids: Vertices that lids are made of. bool ``[V]``.
-    """
+    """Named vertex sets of a head, bool ``[V]`` each; `lids` are those that lids are made of."""
 
     def of(*names: str) -> BoolArray:
         mask = np.zeros(len(lids), np.bool_)

@@ -14,16 +14,7 @@ from pica_core.types import FloatArray
 
 
 class ProceduralRenderer(MeshRenderer):
-    """Draws one built-in head on the stage.
-
-    Args:
-        head: The head to draw.
-        bake_size: Side of the appearance textures, texels.
-        occlusion: False leaves out self-shadowing (and the seconds that measuring it takes).
-
-    Raises:
-        GraphicsError: No GL context.
-    """
+    """Draws one built-in head; `occlusion` False leaves out self-shadowing, which takes seconds."""
 
     def __init__(
         self, head: ProceduralHead, *, bake_size: int = BAKE_SIZE, occlusion: bool = True

@@ -55,14 +55,11 @@ class ProceduralHead:
     """One identity's head.
 
     Attributes:
-        name: Identity name.
-        identity: Its parameters.
+        name, identity: Whose head.
         charts: Charts of the UV square, by name.
         vertex_uv: Texture coordinates on texel centres of the position map. float32 ``[V, 2]``.
         faces: Triangles, counter-clockwise from outside. int32 ``[F, 3]``.
-        regions: Named vertex sets, bool ``[V]`` each: face, lips, lids, mouth_interior, eyeballs,
-            teeth, tongue, ears, neck, scalp, hair, collar; ``mouth`` and ``eyes`` join what moves
-            together; ``left`` is the subject's left half.
+        regions: Named vertex sets, bool ``[V]`` each (`coordinates.name_regions`).
         landmarks: Lateral positions and heights of features, head frame, mm.
         coordinates: What the appearance is written in.
     """
@@ -111,7 +108,7 @@ class ProceduralHead:
 
     @property
     def num_vertices(self) -> int:
-        """V."""
+        """Number of vertices, V."""
         return len(self.vertex_uv)
 
     def _build_rest(self, field: HeadField, skin: Skin) -> Float64Array:
@@ -152,13 +149,7 @@ class ProceduralHead:
         return free.astype(np.float32), closed.astype(np.float32)
 
     def vertices(self, arkit: npt.ArrayLike) -> FloatArray:
-        """Pose the head.
-
-        Args:
-            arkit: The 52 shapes in `ARKIT_NAMES` order, about [0, 1]. ``[52]``.
-
-        Returns:
-            Vertices in metres, head frame. float32 ``[V, 3]``.
+        """Vertices at the 52 shapes ``[52]``, about [0, 1]; metres, head frame. float32 ``[V, 3]``.
 
         Raises:
             ShapeError: `arkit` does not have 52 values.

@@ -1,4 +1,4 @@
-"""Who the built-in heads are: every identity is one row of numbers.
+"""Who the built-in heads are: every identity is one column of numbers.
 
 The measures are millimetres and start from the means of published surveys of living people, moved
 within one or two standard deviations per identity:
@@ -17,6 +17,7 @@ The heads are invented. None of them is a likeness of a person, and none was mea
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 from pica_core.errors import CaptureError
 
@@ -32,9 +33,9 @@ class FaceShape:
     head_length: float = 194.0
     """Glabella to occiput."""
     cheekbone_breadth: float = 138.0
-    """Bizygomatic breadth."""
+    """Breadth over the zygomatic arches."""
     jaw_breadth: float = 108.0
-    """Bigonial breadth."""
+    """Breadth between the jaw's angles (gonia)."""
     face_height: float = 120.0
     """Sellion to menton."""
     eye_distance: float = 64.0
@@ -124,7 +125,7 @@ class Skin:
     redness: float = 1.0
     """Strength of the blood-rich regions: cheeks, nose, ears, lids."""
     lip_rgb: Rgb = (0.45, 0.16, 0.14)
-    """Vermilion colour."""
+    """Colour of the vermilion."""
     freckles: float = 0.0
     """Amount of freckles, 0 to 1."""
     stubble: float = 0.0
@@ -140,7 +141,7 @@ class Skin:
     brow_thickness: float = 1.0
     """Relative height of the brows."""
     iris_rgb: Rgb = (0.16, 0.07, 0.025)
-    """Iris colour."""
+    """Colour of the iris."""
     cloth_rgb: Rgb = (0.05, 0.07, 0.10)
     """Colour of the collar."""
 
@@ -154,333 +155,98 @@ class Identity:
     seed: int
     """Fixes the marks that chance places: pores, freckles, strands."""
     face: FaceShape = field(default_factory=FaceShape)
-    """Proportions."""
+    """Proportions of the head."""
     hair: Hair = field(default_factory=Hair)
-    """Hair shell."""
+    """Shape and colour of the hair shell."""
     skin: Skin = field(default_factory=Skin)
     """Colours and marks."""
 
 
+_FACES: dict[str, tuple[Any, ...]] = {
+    "head_breadth":      ( 152.0,  146.0,  155.0,  148.0,  151.0,  146.0),
+    "head_length":       ( 194.0,  186.0,  198.0,  182.0,  192.0,  187.0),
+    "cheekbone_breadth": ( 138.0,  131.0,  140.0,  134.0,  137.0,  131.0),
+    "jaw_breadth":       ( 111.0,   94.0,  110.0,   97.0,  107.0,   95.0),
+    "face_height":       ( 122.0,  112.0,  124.0,  113.0,  121.0,  114.0),
+    "eye_distance":      (  64.0,   62.0,   65.0,   62.5,   63.5,   61.5),
+    "eye_width":         (  30.0,   30.5,   29.0,   28.5,   31.5,   28.5),
+    "eye_opening":       (   8.3,    9.2,    7.6,    8.4,    9.0,    8.2),
+    "eye_tilt":          (   1.5,    2.6,    0.2,    3.0,    1.2,    0.6),
+    "brow_height":       (  17.0,   18.5,   16.0,   20.0,   15.5,   17.0),
+    "brow_ridge":        (   1.7,    0.1,    1.6,    0.0,    1.3,    0.2),
+    "nose_breadth":      (  35.0,   37.0,   38.5,   34.5,   38.0,   34.0),
+    "nose_length":       (  51.0,   46.0,   54.0,   46.0,   53.0,   50.0),
+    "nose_protrusion":   (  21.0,   17.5,   21.5,   16.5,   21.5,   19.5),
+    "nose_bridge":       (  1.25,   0.85,    1.3,   0.55,   1.45,   1.05),
+    "nose_tip_lift":     (   0.0,    1.2,   -1.2,    0.6,   -0.8,   -0.6),
+    "mouth_width":       (  54.0,   51.0,   55.0,   47.0,   53.0,   50.0),
+    "upper_lip":         (   7.0,    9.0,    4.8,    7.5,    7.5,    4.6),
+    "lower_lip":         (   9.0,   11.0,    7.0,    9.5,    9.5,    6.8),
+    "lip_fullness":      (   1.0,   1.45,   0.75,    1.1,    1.1,   0.75),
+    "chin_breadth":      (  40.0,   32.0,   42.0,   32.0,   38.0,   34.0),
+    "chin_projection":   (   0.0,   -1.0,    1.0,   -1.5,    0.0,    0.0),
+    "cheek_fullness":    (   1.0,   0.97,    1.0,   1.06,   1.02,    1.0),
+    "neck_breadth":      ( 112.0,   92.0,  120.0,   90.0,  112.0,   93.0),
+    "ear_length":        (  62.0,   57.0,   69.0,   57.0,   63.0,   62.0),
+    "age":               (  0.25,    0.1,    0.8,    0.0,   0.45,    0.9),
+}  # fmt: skip
+"""Proportions of the heads, one column each, in the order of `_SEEDS`."""
+_HAIR: dict[str, tuple[Any, ...]] = {
+    "rgb": ((0.045, 0.026, 0.016), (0.02, 0.013, 0.01), (0.12, 0.1, 0.085),
+            (0.014, 0.011, 0.01), (0.016, 0.012, 0.01), (0.33, 0.29, 0.25)),
+    "front":             (  80.0,   79.0,   97.0,   53.0,   76.0,   80.0),
+    "side":              (  22.0,   22.0,   24.0,  -62.0,   18.0,  -22.0),
+    "nape":              ( -48.0,  -44.0,  -44.0,  -84.0,  -46.0,  -58.0),
+    "top_thickness":     (  17.0,   44.0,    7.0,   13.0,   22.0,   26.0),
+    "side_thickness":    (   3.5,   38.0,    4.0,   11.0,    6.0,   15.0),
+    "fringe":            (   0.0,    0.0,    0.0,    4.0,    0.0,    0.0),
+    "parting":           (   0.0,    0.0,    0.0,    0.0,    0.0,  -18.0),
+    "curl":              (  0.25,    1.0,    0.2,   0.06,    0.6,   0.55),
+    "sweep":             (  0.75,    0.0,   -0.4,    0.0,   -0.6,   0.35),
+    "grey":              (   0.0,    0.0,    0.8,    0.0,    0.0,    0.7),
+    "rise":              (   9.0,   15.0,   14.0,    9.0,    8.0,    9.0),
+    "recession":         (   0.0,    0.0,    7.0,    0.0,    4.0,    0.0),
+    "covers_ears":       (False, False, False,  True, False,  True),
+}  # fmt: skip
+"""Hair shells, in the same order."""
+_SKINS: dict[str, tuple[Any, ...]] = {
+    "rgb": ((0.6, 0.345, 0.235), (0.3, 0.15, 0.09), (0.56, 0.3, 0.2),
+            (0.66, 0.42, 0.29), (0.4, 0.215, 0.13), (0.66, 0.4, 0.3)),
+    "redness":           (   1.0,    0.7,    1.5,    0.7,    0.6,    1.2),
+    "lip_rgb": ((0.45, 0.16, 0.14), (0.27, 0.075, 0.075), (0.4, 0.16, 0.13),
+                (0.48, 0.17, 0.16), (0.3, 0.115, 0.105), (0.46, 0.19, 0.17)),
+    "freckles":          (   0.0,   0.25,    0.0,    0.0,    0.0,    0.2),
+    "stubble":           (  0.55,    0.0,   0.25,    0.0,    0.6,    0.0),
+    "beard":             (   0.0,    0.0,    0.0,    0.0,    1.0,    0.0),
+    "makeup":            (   0.0,    0.7,    0.0,    0.4,    0.0,   0.45),
+    "age":               (   0.3,    0.1,   0.85,    0.0,   0.45,    0.9),
+    "brow_rgb": ((0.06, 0.035, 0.02), (0.02, 0.012, 0.008), (0.2, 0.17, 0.14),
+                 (0.025, 0.018, 0.014), (0.014, 0.01, 0.008), (0.26, 0.21, 0.17)),
+    "brow_thickness":    (  1.15,    0.8,   1.25,   0.85,   1.35,    0.7),
+    "iris_rgb": ((0.075, 0.13, 0.18), (0.075, 0.032, 0.014), (0.085, 0.085, 0.045),
+                 (0.05, 0.022, 0.011), (0.05, 0.024, 0.012), (0.07, 0.11, 0.13)),
+    "cloth_rgb": ((0.035, 0.055, 0.09), (0.16, 0.035, 0.05), (0.09, 0.085, 0.075),
+                  (0.13, 0.13, 0.125), (0.02, 0.05, 0.04), (0.1, 0.06, 0.12)),
+}  # fmt: skip
+"""Colours and marks, in the same order."""
+_SEEDS = {"S1": 11, "S2": 23, "S3": 37, "S4": 41, "S5": 53, "S6": 67}
+
+
+def _column(table: dict[str, tuple[Any, ...]], at: int) -> dict[str, Any]:
+    return {name: values[at] for name, values in table.items()}
+
+
 IDENTITIES: dict[str, Identity] = {
-    who.name: who
-    for who in (
-        Identity(
-            name="S1",
-            seed=11,
-            face=FaceShape(
-                jaw_breadth=111.0,
-                face_height=122.0,
-                nose_breadth=35.0,
-                nose_length=51.0,
-                nose_protrusion=21.0,
-                nose_bridge=1.25,
-                brow_ridge=1.7,
-                eye_opening=8.3,
-                neck_breadth=112.0,
-                age=0.25,
-            ),
-            hair=Hair(
-                rgb=(0.045, 0.026, 0.016),
-                curl=0.25,
-                front=80.0,
-                fringe=0.0,
-                top_thickness=17.0,
-                side_thickness=3.5,
-                sweep=0.75,
-            ),
-            skin=Skin(
-                rgb=(0.60, 0.345, 0.235),
-                stubble=0.55,
-                age=0.3,
-                brow_thickness=1.15,
-                iris_rgb=(0.075, 0.13, 0.18),
-                cloth_rgb=(0.035, 0.055, 0.09),
-            ),
-        ),
-        Identity(
-            name="S2",
-            seed=23,
-            face=FaceShape(
-                head_breadth=146.0,
-                head_length=186.0,
-                cheekbone_breadth=131.0,
-                jaw_breadth=94.0,
-                face_height=112.0,
-                eye_distance=62.0,
-                eye_width=30.5,
-                eye_opening=9.2,
-                eye_tilt=2.6,
-                brow_height=18.5,
-                brow_ridge=0.1,
-                nose_breadth=37.0,
-                nose_length=46.0,
-                nose_protrusion=17.5,
-                nose_bridge=0.85,
-                nose_tip_lift=1.2,
-                mouth_width=51.0,
-                upper_lip=9.0,
-                lower_lip=11.0,
-                lip_fullness=1.45,
-                chin_breadth=32.0,
-                chin_projection=-1.0,
-                cheek_fullness=0.97,
-                neck_breadth=92.0,
-                ear_length=57.0,
-                age=0.1,
-            ),
-            hair=Hair(
-                rgb=(0.020, 0.013, 0.010),
-                front=79.0,
-                side=22.0,
-                nape=-44.0,
-                top_thickness=44.0,
-                side_thickness=38.0,
-                fringe=0.0,
-                curl=1.0,
-                rise=15.0,
-            ),
-            skin=Skin(
-                rgb=(0.300, 0.150, 0.090),
-                redness=0.7,
-                lip_rgb=(0.27, 0.075, 0.075),
-                freckles=0.25,
-                makeup=0.7,
-                age=0.1,
-                brow_rgb=(0.02, 0.012, 0.008),
-                brow_thickness=0.8,
-                iris_rgb=(0.075, 0.032, 0.014),
-                cloth_rgb=(0.16, 0.035, 0.05),
-            ),
-        ),
-        Identity(
-            name="S3",
-            seed=37,
-            face=FaceShape(
-                head_breadth=155.0,
-                head_length=198.0,
-                cheekbone_breadth=140.0,
-                jaw_breadth=110.0,
-                face_height=124.0,
-                eye_distance=65.0,
-                eye_width=29.0,
-                eye_opening=7.6,
-                eye_tilt=0.2,
-                brow_height=16.0,
-                brow_ridge=1.6,
-                nose_breadth=38.5,
-                nose_length=54.0,
-                nose_protrusion=21.5,
-                nose_bridge=1.3,
-                nose_tip_lift=-1.2,
-                mouth_width=55.0,
-                upper_lip=4.8,
-                lower_lip=7.0,
-                lip_fullness=0.75,
-                chin_breadth=42.0,
-                chin_projection=1.0,
-                cheek_fullness=1.0,
-                neck_breadth=120.0,
-                ear_length=69.0,
-                age=0.8,
-            ),
-            hair=Hair(
-                rgb=(0.12, 0.10, 0.085),
-                grey=0.8,
-                front=97.0,
-                recession=7.0,
-                side=24.0,
-                nape=-44.0,
-                top_thickness=7.0,
-                side_thickness=4.0,
-                fringe=0.0,
-                curl=0.2,
-                sweep=-0.4,
-                rise=14.0,
-            ),
-            skin=Skin(
-                rgb=(0.56, 0.30, 0.20),
-                redness=1.5,
-                lip_rgb=(0.40, 0.16, 0.13),
-                stubble=0.25,
-                age=0.85,
-                brow_rgb=(0.20, 0.17, 0.14),
-                brow_thickness=1.25,
-                iris_rgb=(0.085, 0.085, 0.045),
-                cloth_rgb=(0.09, 0.085, 0.075),
-            ),
-        ),
-        Identity(
-            name="S4",
-            seed=41,
-            face=FaceShape(
-                head_breadth=148.0,
-                head_length=182.0,
-                cheekbone_breadth=134.0,
-                jaw_breadth=97.0,
-                face_height=113.0,
-                eye_distance=62.5,
-                eye_width=28.5,
-                eye_opening=8.4,
-                eye_tilt=3.0,
-                brow_height=20.0,
-                brow_ridge=0.0,
-                nose_breadth=34.5,
-                nose_length=46.0,
-                nose_protrusion=16.5,
-                nose_bridge=0.55,
-                nose_tip_lift=0.6,
-                mouth_width=47.0,
-                upper_lip=7.5,
-                lower_lip=9.5,
-                lip_fullness=1.1,
-                chin_breadth=32.0,
-                chin_projection=-1.5,
-                cheek_fullness=1.06,
-                neck_breadth=90.0,
-                ear_length=57.0,
-                age=0.0,
-            ),
-            hair=Hair(
-                rgb=(0.014, 0.011, 0.010),
-                front=53.0,
-                side=-62.0,
-                nape=-84.0,
-                top_thickness=13.0,
-                side_thickness=11.0,
-                fringe=4.0,
-                curl=0.06,
-                covers_ears=True,
-            ),
-            skin=Skin(
-                rgb=(0.66, 0.42, 0.29),
-                redness=0.7,
-                lip_rgb=(0.48, 0.17, 0.16),
-                makeup=0.4,
-                age=0.0,
-                brow_rgb=(0.025, 0.018, 0.014),
-                brow_thickness=0.85,
-                iris_rgb=(0.05, 0.022, 0.011),
-                cloth_rgb=(0.13, 0.13, 0.125),
-            ),
-        ),
-        Identity(
-            name="S5",
-            seed=53,
-            face=FaceShape(
-                head_breadth=151.0,
-                head_length=192.0,
-                cheekbone_breadth=137.0,
-                jaw_breadth=107.0,
-                face_height=121.0,
-                eye_distance=63.5,
-                eye_width=31.5,
-                eye_opening=9.0,
-                eye_tilt=1.2,
-                brow_height=15.5,
-                brow_ridge=1.3,
-                nose_breadth=38.0,
-                nose_length=53.0,
-                nose_protrusion=21.5,
-                nose_bridge=1.45,
-                nose_tip_lift=-0.8,
-                mouth_width=53.0,
-                upper_lip=7.5,
-                lower_lip=9.5,
-                lip_fullness=1.1,
-                chin_breadth=38.0,
-                chin_projection=0.0,
-                cheek_fullness=1.02,
-                neck_breadth=112.0,
-                ear_length=63.0,
-                age=0.45,
-            ),
-            hair=Hair(
-                rgb=(0.016, 0.012, 0.010),
-                front=76.0,
-                side=18.0,
-                nape=-46.0,
-                top_thickness=22.0,
-                side_thickness=6.0,
-                fringe=0.0,
-                curl=0.6,
-                sweep=-0.6,
-                recession=4.0,
-                rise=8.0,
-            ),
-            skin=Skin(
-                rgb=(0.40, 0.215, 0.130),
-                redness=0.6,
-                lip_rgb=(0.30, 0.115, 0.105),
-                stubble=0.6,
-                beard=1.0,
-                age=0.45,
-                brow_rgb=(0.014, 0.010, 0.008),
-                brow_thickness=1.35,
-                iris_rgb=(0.050, 0.024, 0.012),
-                cloth_rgb=(0.02, 0.05, 0.04),
-            ),
-        ),
-        Identity(
-            name="S6",
-            seed=67,
-            face=FaceShape(
-                head_breadth=146.0,
-                head_length=187.0,
-                cheekbone_breadth=131.0,
-                jaw_breadth=95.0,
-                face_height=114.0,
-                eye_distance=61.5,
-                eye_width=28.5,
-                eye_opening=8.2,
-                eye_tilt=0.6,
-                brow_height=17.0,
-                brow_ridge=0.2,
-                nose_breadth=34.0,
-                nose_length=50.0,
-                nose_protrusion=19.5,
-                nose_bridge=1.05,
-                nose_tip_lift=-0.6,
-                mouth_width=50.0,
-                upper_lip=4.6,
-                lower_lip=6.8,
-                lip_fullness=0.75,
-                chin_breadth=34.0,
-                chin_projection=0.0,
-                cheek_fullness=1.0,
-                neck_breadth=93.0,
-                ear_length=62.0,
-                age=0.9,
-            ),
-            hair=Hair(
-                rgb=(0.33, 0.29, 0.25),
-                grey=0.7,
-                front=80.0,
-                side=-22.0,
-                nape=-58.0,
-                top_thickness=26.0,
-                side_thickness=15.0,
-                fringe=0.0,
-                curl=0.55,
-                sweep=0.35,
-                parting=-18.0,
-                covers_ears=True,
-            ),
-            skin=Skin(
-                rgb=(0.66, 0.40, 0.30),
-                redness=1.2,
-                lip_rgb=(0.46, 0.19, 0.17),
-                freckles=0.2,
-                makeup=0.45,
-                age=0.9,
-                brow_rgb=(0.26, 0.21, 0.17),
-                brow_thickness=0.7,
-                iris_rgb=(0.07, 0.11, 0.13),
-                cloth_rgb=(0.10, 0.06, 0.12),
-            ),
-        ),
+    name: Identity(
+        name=name,
+        seed=seed,
+        face=FaceShape(**_column(_FACES, at)),
+        hair=Hair(**_column(_HAIR, at)),
+        skin=Skin(**_column(_SKINS, at)),
     )
+    for at, (name, seed) in enumerate(_SEEDS.items())
 }
-"""The identities that ship. A new one is a new row."""
+"""The identities that ship. A new one is a new column."""
 
 
 def get_identity(name: str) -> Identity:

@@ -34,13 +34,7 @@ def _polar(chart: Chart) -> tuple[Float64Array, Float64Array, Float64Array]:
 
 
 def eyeball(chart: Chart, surface: EyeSurface, side: float) -> Float64Array:
-    """An eyeball that looks along +z, iris in the middle of its chart.
-
-    Args:
-        chart: Its chart.
-        surface: Where the lids of the subject's left eye glide.
-        side: +1 for the subject's left eye, -1 for the right one.
-    """
+    """An eyeball that looks along +z, iris in the middle of its chart; `side` is +1 on the left."""
     angle, right, up = _polar(chart)
     # A hint of a cornea, kept below the lids.
     radius = EYE_RADIUS + 0.32 * np.exp(-((angle / 0.42) ** 4))
@@ -69,11 +63,7 @@ def eye_fixed(chart: Chart) -> Float64Array:
 def teeth(chart: Chart, front_z: float, edge_y: float, *, upper: bool) -> Float64Array:
     """A dental arch with its gum; rows run from the gum over the edge to the back of the teeth.
 
-    Args:
-        chart: Its chart.
-        front_z: Front of the central incisors, mm.
-        edge_y: Height of the incisal edges, mm.
-        upper: True for the upper arch.
+    `front_z` is the front of the central incisors, `edge_y` the height of their edges.
     """
     rows, columns = chart.unit
     t = 2 * columns - 1
@@ -134,14 +124,7 @@ def mouth_bag(chart: Chart, mouth_y: float, front_z: float, field: HeadField) ->
 
 
 def ear(chart: Chart, field: HeadField, face: FaceShape, side: float) -> Float64Array:
-    """An ear: rows run round the outline, columns from the concha over the helix to the back.
-
-    Args:
-        chart: Its chart.
-        field: The head that it sits on.
-        face: Proportions; `ear_length` scales the ear.
-        side: +1 for the subject's left ear.
-    """
+    """An ear: rows run round the outline, columns from the concha over the helix to the back."""
     rows, columns = chart.unit
     size = face.ear_length / 62.0
     turn = 2 * np.pi * rows  # 0 is the front, a quarter turn is the top, half a turn the back

@@ -53,17 +53,7 @@ def _stroke(
 def relief(
     face: FaceShape, field: HeadField, mouth_half: float, points: Float64Array
 ) -> Float64Array:
-    """How far each point of the skin moves outwards, mm.
-
-    Args:
-        face: Proportions; `age` and `lip_fullness` scale folds.
-        field: The head, for the heights of its features.
-        mouth_half: |x| of the mouth's corner.
-        points: Skin at rest. ``[R, C, 3]``.
-
-    Returns:
-        Height of the relief, positive outwards. ``[R, C]``.
-    """
+    """How far each point of the skin ``[R, C, 3]`` moves outwards, mm. ``[R, C]``."""
     x, y, z = np.abs(points[..., 0]), points[..., 1], points[..., 2]
     front = np.clip((z - 30.0) / 30.0, 0.0, 1.0)
     age, mouth, nose = face.age, field.mouth_y, field.subnasale_y

@@ -30,13 +30,7 @@ def soften(shade: Float64Array, charts: dict[str, Chart]) -> Float64Array:
 
 
 def shade_eyes(head: ProceduralHead, vertices: FloatArray, shade: FloatArray) -> None:
-    """Darken the eyeballs under lids and lashes, in place: lids are thinner than a shadow map sees.
-
-    Args:
-        head: The head.
-        vertices: Its posed vertices, metres. ``[V, 3]``.
-        shade: Share of dome and key light. ``[V, 2]``.
-    """
+    """Darken the eyeballs under lids and lashes, in place: lids are thinner than a shadow map sees."""
     chart = head.charts["skin"]
     grid = vertices[chart.span].reshape(*chart.shape, 3)
     row = int(np.flatnonzero(chart.rows == EYE_ROW)[0])

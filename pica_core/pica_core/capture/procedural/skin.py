@@ -68,8 +68,7 @@ class Skin:
         points: Rest positions, head frame, mm. ``[R, C, 3]``.
         mouth_half: Half the mouth's width, mm.
         eye_corners: Inner and outer canthus |x|, mm.
-        mouth_hole: Missing quads of the mouth slit. bool ``[R - 1, C - 1]``.
-        eye_hole: Missing quads of both eye slits. bool ``[R - 1, C - 1]``.
+        mouth_hole, eye_hole: Missing quads of the slits. bool ``[R - 1, C - 1]``.
     """
 
     points: Float64Array
@@ -129,14 +128,9 @@ class EyeSurface:
 
 
 def front_x(face: FaceShape, reach: npt.ArrayLike) -> Float64Array:
-    """Lateral place of front columns: slits end on the same columns in every identity.
+    """|x| in mm of front columns by their distance from the midline in columns.
 
-    Args:
-        face: Proportions.
-        reach: Columns from the midline, 0 to `FRONT_COLUMNS`.
-
-    Returns:
-        |x| in mm, growing with `reach`.
+    Slits end on the same columns in every identity.
     """
     middle = 0.5 * face.eye_distance
     inner, outer = middle - 0.52 * face.eye_width, middle + 0.48 * face.eye_width
@@ -148,15 +142,9 @@ def front_x(face: FaceShape, reach: npt.ArrayLike) -> Float64Array:
 def lid_lines(
     face: FaceShape, corners: tuple[float, float], u: Float64Array
 ) -> tuple[Float64Array, Float64Array]:
-    """Heights of the upper and lower lid margin at rest; outside the corners both run on together.
+    """Heights of the upper and lower lid margin at rest, mm, over `u` mm outwards from the pupil.
 
-    Args:
-        face: Proportions.
-        corners: |x| of inner and outer canthus, mm.
-        u: Outwards from the pupil, mm.
-
-    Returns:
-        Upper and lower margin, mm above the ear axis.
+    Outside the corners (|x| of inner and outer canthus, mm) both run on together.
     """
     inner, outer = corners[0] - 0.5 * face.eye_distance, corners[1] - 0.5 * face.eye_distance
     t = (u - inner) / (outer - inner)
@@ -172,14 +160,7 @@ def lid_lines(
 def mouth_lines(
     face: FaceShape, field: HeadField, half: float, x: Float64Array
 ) -> dict[str, Float64Array]:
-    """Heights of vermilion borders and contact line at rest, mm.
-
-    Args:
-        face: Proportions.
-        field: The head, for the height of the mouth.
-        half: |x| of the corner, mm.
-        x: Lateral positions, mm.
-    """
+    """Heights of vermilion borders and contact line at rest over x, mm; corners are at `half`."""
     t = np.clip(np.abs(x) / half, 0.0, 1.0)
     y = field.mouth_y
     contact = y + 0.9 * bump(t, 0.0, 0.13) - 0.9 * bump(t, 0.36, 0.22) - 0.4 * t**3

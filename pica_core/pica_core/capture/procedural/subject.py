@@ -18,11 +18,6 @@ from pica_core.capture.stage.synth import Progress, RenderOptions, check_range, 
 class ProceduralSubject(Subject):
     """A built-in head on the stage.
 
-    Args:
-        head: Identity.
-        bake_size: Side of the baked appearance, texels.
-        self_shadow: False leaves out shadow of the face on itself.
-
     Raises:
         CaptureError: No such head.
     """

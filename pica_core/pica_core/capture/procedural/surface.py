@@ -211,17 +211,10 @@ class HeadField:
 def cast(
     field: HeadField, origin: Float64Array, direction: Float64Array, reach: npt.ArrayLike = 150.0
 ) -> Float64Array:
-    """Where rays out of the head leave it for the last time.
+    """Where rays out of the head leave it for the last time, mm. float64 ``[N, 3]``.
 
-    Args:
-        field: The head.
-        origin: Points inside, mm. ``[N, 3]``.
-        direction: Unit directions outwards. ``[N, 3]``.
-        reach: Where the search starts, mm from the origin; short where the ray would meet another
-            part. ``[N]``.
-
-    Returns:
-        Surface points, mm. float64 ``[N, 3]``.
+    Origins lie inside; directions have unit length. The search starts `reach` mm from the origin,
+    which is short where the ray would meet another part.
     """
     distance = np.broadcast_to(np.asarray(reach, np.float64), len(origin)).copy()
     moving = np.arange(len(origin))
@@ -238,16 +231,7 @@ _CORNERS = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
 
 
 def gradient(field: HeadField, points: Float64Array, step: float = 0.5) -> Float64Array:
-    """Outward unit normals by differences over `step` mm between a tetrahedron's corners.
-
-    Args:
-        field: The head.
-        points: ``[N, 3]``.
-        step: Half the edge of the cube around the tetrahedron, mm.
-
-    Returns:
-        float64 ``[N, 3]``.
-    """
+    """Outward unit normals by differences over `step` mm between corners of a tetrahedron. ``[N, 3]``."""
     # The right half uses the mirrored tetrahedron, so that both halves are alike.
     mirror = np.ones_like(points)
     mirror[:, 0] = np.where(points[:, 0] < 0, -1.0, 1.0)

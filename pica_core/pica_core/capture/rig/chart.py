@@ -73,15 +73,7 @@ def _areas(uv: Float64Array, faces: IntArray) -> Float64Array:
 
 
 def make_islands(points: Float64Array, faces: IntArray) -> tuple[Float64Array, IntArray]:
-    """Texture coordinates for a mesh that has none.
-
-    Args:
-        points: Vertices. ``[P, 3]``.
-        faces: int32 ``[F, 3]``.
-
-    Returns:
-        Coordinates ``[T, 2]`` and the triangles in them, ``[F, 3]``.
-    """
+    """Texture coordinates ``[T, 2]`` for a mesh that has none, and the triangles in them."""
     options = xatlas.ChartOptions()
     options.max_iterations = 4
     options.max_cost = 16.0  # few, large islands: every seam costs texels and splits vertices
@@ -100,14 +92,7 @@ def mend_islands(
 ) -> tuple[Float64Array, IntArray, int]:
     """Replace islands that lie on a point, on a line, or folded over themselves (mirrored halves).
 
-    Args:
-        points: Vertices. ``[P, 3]``.
-        faces: Triangles in `points`. ``[F, 3]``.
-        uv: Texture coordinates. ``[T, 2]``.
-        uv_faces: The same triangles in `uv`. ``[F, 3]``.
-
-    Returns:
-        Coordinates, triangles in them, and how many triangles got new ones.
+    Returns coordinates, triangles in them, and how many triangles got new ones.
     """
     area = _areas(uv, uv_faces)
     label = components(uv_faces, len(uv))[uv_faces[:, 0]]
@@ -156,13 +141,8 @@ def _bilinear(fields: Float64Array, at: Float64Array) -> Float64Array:
 def equalise(uv: Float64Array, faces: IntArray, need: Float64Array) -> Float64Array:
     """Move an island's points until each triangle's area is about its need.
 
-    Args:
-        uv: Points of the island. ``[n, 2]``.
-        faces: Its triangles, all of one winding. ``[F, 3]``.
-        need: Wanted share of each triangle, positive. ``[F]``.
-
-    Returns:
-        Moved points, in the same scale. No triangle is folded over.
+    Points ``[n, 2]`` keep their scale; triangles ``[F, 3]``, all of one winding, stay unfolded; the
+    need ``[F]`` is positive.
 
     Source: Gastner & Newman, "Diffusion-based method for producing density-equalizing maps", PNAS
         101(20), 2004.

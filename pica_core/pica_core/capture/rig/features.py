@@ -30,14 +30,9 @@ FAR_M = 0.1
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Mouth:
-    """The line where the lips touch at rest, as height and depth over x.
+    """The line where the lips touch at rest: height `y` and depth `z` over ascending `x`, metres.
 
-    Attributes:
-        half_m: Half the mouth's width.
-        x: Places across the mouth, metres, ascending. ``[n]``.
-        y: Heights of the line. ``[n]``.
-        z: How far forward the lips meet. ``[n]``.
-        centre_x: Middle of the mouth.
+    `half_m` is half the mouth's width, `centre_x` its middle.
     """
 
     half_m: float

@@ -71,12 +71,7 @@ def _centre(
 
 
 def find_frame(positions: Float64Array, shapes: dict[str, FloatArray], names: NameMap) -> RigFrame:
-    """Units and axes of a rig.
-
-    Args:
-        positions: Neutral vertices in the file's coordinates. ``[V, 3]``.
-        shapes: Displacements by source name.
-        names: What the shapes mean.
+    """Units and axes of a rig, from its neutral vertices and its displacements by source name.
 
     Raises:
         CaptureError: No unit makes this a head.

@@ -24,17 +24,7 @@ PAINT: dict[str, Any] = {
 
 
 class RigRenderer(MeshRenderer):
-    """Draws one rig.
-
-    Args:
-        head: The rig.
-        albedo: Base colour images by source material; what has none is painted.
-        bake_size: Side of the appearance textures, texels.
-        occlusion: False leaves out self-shadowing, which takes seconds to measure.
-
-    Raises:
-        GraphicsError: No GL context.
-    """
+    """Draws one rig; source materials without an image in `albedo` are painted."""
 
     def __init__(
         self,

@@ -54,16 +54,7 @@ def read_rig(path: Path) -> RigSource:
 
 
 def texel_need(mesh: RigMesh, features: Features, seen: Float64Array) -> Float64Array:
-    """Share of the chart that each triangle should get.
-
-    Args:
-        mesh: The rig.
-        features: What was found on it.
-        seen: `visibility` of each triangle. ``[F]``.
-
-    Returns:
-        Shares, ``[F]``, sum 1.
-    """
+    """Share of the chart that each triangle should get, sum 1, given its visibility. ``[F]``."""
     a, b, c = (mesh.rest_m[mesh.faces[:, k]] for k in range(3))
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
     importance = np.ones(len(mesh.faces))
@@ -105,13 +96,8 @@ class _Turn:
 class RigHead:
     """A rig that can be posed.
 
-    Args:
-        mesh: The welded rig.
-        names: How its shapes were mapped.
-        name: What to call it.
-
     Attributes:
-        name: Name.
+        name: What the rig is called.
         mesh: The welded rig.
         names: How its shapes were mapped.
         features: What was found on it.
@@ -150,7 +136,7 @@ class RigHead:
 
     @property
     def num_vertices(self) -> int:
-        """V."""
+        """Number of split vertices, V."""
         return len(self._rest)
 
     def _is_corrective(self) -> bool:
@@ -178,13 +164,7 @@ class RigHead:
         return len(self._turns)
 
     def vertices(self, arkit: npt.ArrayLike) -> FloatArray:
-        """Pose the rig.
-
-        Args:
-            arkit: The 52 shapes in `ARKIT_NAMES` order. ``[52]``.
-
-        Returns:
-            Split vertices in metres, head frame. float32 ``[V, 3]``.
+        """Split vertices at the 52 shapes ``[52]``, metres, head frame. float32 ``[V, 3]``.
 
         Raises:
             ShapeError: `arkit` does not have 52 values.
@@ -229,11 +209,7 @@ def _turned(eye: _Turn, values: FloatArray) -> FloatArray:
 
 
 def make_rig(source: RigSource, table: dict[str, str | None] | None = None) -> RigHead:
-    """Make a head of a rig.
-
-    Args:
-        source: The rig as its file has it.
-        table: The user's table of names (`rig_names.read_names`).
+    """Make a head of a rig, and of the user's table of names (`names.read_names`) if there is one.
 
     Raises:
         CaptureError: The rig is no head, or the table does not fit.

@@ -16,15 +16,15 @@ ITERATIONS = 60
 
 
 def map_error_m(vertex_uv: FloatArray, poses_m: FloatArray, size: int = MAP_SIZE) -> Float64Array:
-    """Distance of every vertex from where the best map puts it.
+    """Distance of every vertex from where the best map of `size` rows and columns puts it, metres.
 
     Args:
-        vertex_uv: In [0, 1]. float32 ``[V, 2]``.
+        vertex_uv: Texture coordinates in [0, 1]. float32 ``[V, 2]``.
         poses_m: Meshes, metres. float32 ``[N, V, 3]``.
         size: Rows and columns of the map.
 
     Returns:
-        Metres. float64 ``[N, V]``.
+        float64 ``[N, V]``.
     """
     count = len(vertex_uv)
     q = np.clip(vertex_uv.astype(np.float64) * size - 0.5, 0, size - 1)

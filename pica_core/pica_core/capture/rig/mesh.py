@@ -40,12 +40,11 @@ HALF_BLEND_M = 0.006
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Eyeball:
-    """One eyeball of a rig.
+    """One eyeball of a rig: a sphere in the head frame.
 
     Attributes:
         side: 1 for the subject's left, -1 for the right.
-        centre_m: Its centre, head frame. float64 ``[3]``.
-        radius_m: Radius of the fitted sphere.
+        centre_m, radius_m: The fitted sphere, metres. float64 ``[3]``.
         vertices: Its vertices. int64 ``[n]``.
         turned: True when the rig's own eyeLook shapes turn it.
     """

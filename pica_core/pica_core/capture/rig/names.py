@@ -96,11 +96,7 @@ def read_names(path: Path) -> dict[str, str | None]:
 
 
 def map_names(names: Sequence[str], table: dict[str, str | None] | None = None) -> NameMap:
-    """Map a rig's shape names.
-
-    Args:
-        names: Source names in the file's order.
-        table: The user's table, which goes before the rules; None maps a name to nothing.
+    """Map a rig's shape names, in the file's order; the user's table goes before the rules.
 
     Raises:
         CaptureError: The table names a shape that the rig does not have, or nothing is mapped.

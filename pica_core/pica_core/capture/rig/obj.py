@@ -113,11 +113,7 @@ def _triangles(lines: _Lines) -> tuple[IntArray, IntArray, IntArray, tuple[str, 
 
 
 def read_obj_folder(folder: Path) -> RigSource:
-    """Read a rig.
-
-    Args:
-        folder: Holds one neutral OBJ (its name contains neutral, basis, rest or base) and one OBJ
-            per shape, named as the shape.
+    """Read a rig: one neutral OBJ (neutral, basis, rest or base in its name), and one per shape.
 
     Raises:
         CaptureError: No neutral face, no shapes, different topologies, or bad numbers.

@@ -89,9 +89,7 @@ def open_albedo(where: str, data: bytes) -> ByteArray:
 def read_albedos(source: RigSource, wishes: tuple[str, ...]) -> dict[int, ByteArray]:
     """Base colour images by material: those inside the rig's file, then the user's.
 
-    Args:
-        source: The rig as its file has it.
-        wishes: ``FILE`` for the material with most triangles, or ``MATERIAL=FILE``.
+    A choice of the user is ``FILE`` for the material with most triangles, or ``MATERIAL=FILE``.
 
     Raises:
         CaptureError: An unknown material, a bad image, or a rig without texture coordinates.

@@ -26,11 +26,9 @@ ERROR_REGIONS = ("face", "lips", "lids", "eyeballs", "teeth", "tongue", "mouth_i
 
 
 def chart_error_mm(head: RigHead, poses: int = ERROR_POSES) -> dict[str, dict[str, float]]:
-    """What the best 256 x 256 map leaves, by region: mean and 99th percentile, millimetres.
+    """What the best position map leaves, by region: mean and 99th percentile, millimetres.
 
-    Args:
-        head: The rig.
-        poses: Expressions, evenly from a performance made with seed 0.
+    Measured over `poses` expressions, evenly from a performance made with seed 0.
     """
     arkit = np.concatenate([take.arkit for take in sample_takes(8 * poses, 0)])[::8]
     meshes = np.stack([head.vertices(values) for values in arkit])
@@ -48,14 +46,9 @@ def chart_error_mm(head: RigHead, poses: int = ERROR_POSES) -> dict[str, dict[st
 
 
 class RigSubject(Subject):
-    """A rig on the stage. Its GL context is made with the first pose.
+    """A rig on the stage, from a .glb file or a folder of OBJ files.
 
-    Args:
-        path: A .glb file or a folder of OBJ files.
-        table: The user's table of names, or None.
-        albedo: ``FILE`` or ``MATERIAL=FILE`` (`rig_skin.read_albedos`).
-        bake_size: Side of the baked appearance, texels.
-        self_shadow: False leaves out shadow of the face on itself.
+    `table` is the user's table of names; `albedo` are choices as `skin.read_albedos` takes them.
 
     Raises:
         CaptureError: Anything that is wrong with the files.

@@ -18,14 +18,9 @@ MAX_GUTTER_TEXELS = 2.5
 
 
 def find_seams(split: IntArray, faces: IntArray) -> tuple[Int64Array, Int64Array]:
-    """Edges that two triangles share in space and not in the plane.
+    """Edges that two triangles share in space (`faces`) and not in the plane (`split`).
 
-    Args:
-        split: Triangles in split vertices. ``[F, 3]``.
-        faces: The same triangles in welded vertices. ``[F, 3]``.
-
-    Returns:
-        The half-edges on both sides, each as 3 * face + corner: two int64 ``[S]``.
+    Returns the half-edges on both sides, each as 3 * face + corner: two int64 ``[S]``.
     """
     start = faces.astype(np.int64)
     end = np.roll(start, -1, axis=1)
@@ -62,9 +57,8 @@ def add_gutters(
         reach: How far a gutter may reach in the plane.
 
     Returns:
-        New points ``[N, 2]``, new triangles in split vertices (new ones counted on from V)
-        ``[N, 3]``, the welded vertex of each new point ``[N]``, and the triangle that each new one
-        copies ``[N]``.
+        New points ``[N, 2]``, new triangles with those counted on from V, the welded vertex of each
+        new point ``[N]``, and the triangle that each new triangle copies.
     """
     one, other = find_seams(split, faces)
     mine = np.concatenate([one, other])
@@ -104,17 +98,10 @@ def _as_copied(triangles: Int64Array, corner: Int64Array) -> IntArray:
 def _between(
     points: Float64Array, faces: IntArray, gutters: Int64Array, welded: Int64Array
 ) -> tuple[IntArray, Int64Array]:
-    """Triangles between gutters that follow each other along a seam.
+    """Triangles between gutters that follow each other along a seam, and what each copies.
 
-    Args:
-        points: Split vertices and tips in the plane. ``[V, 2]``.
-        faces: The mesh's triangles in welded vertices. ``[F, 3]``.
-        gutters: End and begin of each gutter's edge, and its tip, in `points`. ``[N, 3]``.
-        welded: Its edge's end and its tip, in welded vertices. ``[N, 2]``.
-
-    Returns:
-        Triangles in `points` ``[M, 3]``, and what each copies. Where the far side has more than one
-        triangle between two gutters there is none.
+    A gutter is its edge's end and begin, and its tip, in `points`; `welded` has end and tip in
+    welded vertices. Where the far side has several triangles between two gutters there is none.
     """
     end, begin, tip = gutters.T
     next_skirt = np.full(len(points), -1)

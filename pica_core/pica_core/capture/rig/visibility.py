@@ -59,13 +59,7 @@ def _samples(
 
 
 def front_view(points: Float64Array, faces: IntArray, cell_m: float = 0.0005) -> FrontView:
-    """Draw the mesh from straight ahead, orthographically.
-
-    Args:
-        points: Vertices, head frame, metres. ``[P, 3]``.
-        faces: int32 ``[F, 3]``.
-        cell_m: Side of a cell.
-    """
+    """Draw the mesh from straight ahead, orthographically, in cells of `cell_m`."""
     # Coarse triangles need samples by area, hidden ones none: what faces away is left out.
     a, b, c = (points[faces[:, k]] for k in range(3))
     ahead = np.flatnonzero(np.cross(b - a, c - a)[:, 2] > 0)
@@ -95,15 +89,9 @@ def _directions() -> Float64Array:
 
 
 def visibility(poses: list[Float64Array], faces: IntArray) -> Float64Array:
-    """How much of each triangle the dome sees: the best of several poses.
+    """How much of each triangle the dome sees: the best of several poses in metres. ``[F]``.
 
-    Args:
-        poses: Vertices of each pose, metres. ``[P, 3]`` each.
-        faces: int32 ``[F, 3]``.
-
-    Returns:
-        Mean over cameras of the cosine to the camera where it sees the triangle, 0 to about 0.6.
-        ``[F]``.
+    That is the mean over cameras of the cosine to the camera where it sees it, 0 to about 0.6.
     """
     best = np.zeros(len(faces))
     spacing = CELL_M / np.sqrt(SAMPLES_PER_CELL)

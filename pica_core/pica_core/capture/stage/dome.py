@@ -65,14 +65,8 @@ def _camera(
 def dome_cameras(count: int, width: int, height: int, lenses: str = "mixed") -> tuple[Camera, ...]:
     """The first `count` cameras of the dome: the named views, then an even filling.
 
-    Args:
-        count: At least 1.
-        width: Image columns, pixels.
-        height: Image rows, pixels.
-        lenses: One of `LENSES`.
-
     Raises:
-        CaptureError: No such plan.
+        CaptureError: `lenses` is none of `LENSES`.
     """
     if lenses not in LENSES:
         raise CaptureError(f"lenses is {lenses!r}; there are {', '.join(LENSES)}")

@@ -234,16 +234,10 @@ FIRST_TEST_TAKE = 500
 
 
 def sample_takes(num_frames: int, seed: int, test_share: float = 0.15) -> list[Take]:
-    """Plan a capture: takes with `num_frames` frames in all, spread over time by a stride.
+    """Plan a capture: takes with `num_frames` (at least 4) captured frames in all.
 
-    Args:
-        num_frames: Frames to capture; at least 4.
-        seed: Fixes everything.
-        test_share: Share of the frames in held-out takes.
-
-    Returns:
-        Takes that hold only the captured frames: a sixth of them for the eyes alone, the rest in
-        about equal shares per kind. The first frame of the first take is the neutral face.
+    A sixth of the frames is for the eyes alone, the rest in about equal shares per kind. The first
+    frame of the first take is the neutral face; `test_share` of the frames are in held-out takes.
     """
     num_eyes = int(num_frames * EYE_SHARE)
     num_test = max(round((num_frames - num_eyes) * test_share), 1)

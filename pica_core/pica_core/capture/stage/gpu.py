@@ -34,12 +34,7 @@ DEPTH_TOLERANCE_M = 0.0015
 
 
 def shader_text(name: str, material: int | None = None) -> str:
-    """A shader of this package with its includes resolved (one level).
-
-    Args:
-        name: File.
-        material: What ``MATERIAL`` stands for in it.
-    """
+    """A shader of this package with its includes resolved (one level) and ``MATERIAL`` defined."""
     folder = files("pica_core.capture.stage") / "shaders"
     text = (folder / name).read_text(encoding="utf-8")
     if material is not None:
@@ -60,13 +55,7 @@ def _set_uniforms(program: Any, values: Mapping[str, Any]) -> None:
 
 
 def _attributes(program: Any, buffer: Any, layout: Mapping[str, int]) -> tuple[Any, ...]:
-    """What the program has of a buffer's attributes, for `Context.vertex_array`; may be empty.
-
-    Args:
-        program: The program.
-        buffer: float32, interleaved.
-        layout: Names and numbers of components, in order.
-    """
+    """What a program has of a float32 buffer, for `Context.vertex_array`; may be empty."""
     used = [name for name in layout if name in program]
     parts = [f"{n}f" if name in used else f"{n}x4" for name, n in layout.items()]
     return (buffer, " ".join(parts), *used) if used else ()
@@ -299,8 +288,7 @@ class MeshRenderer(ABC):
         return framebuffer.color_attachments[0]
 
     def unwrap(self, images: list[tuple[Camera, View]], size: int) -> tuple[ByteArray, BoolArray]:
-        """Average texture: every camera's image projected back onto the mesh, where that camera
-        sees it.
+        """Average texture: every image projected back onto the mesh, where its camera sees it.
 
         Args:
             images: Cameras with what they saw of the pose that is set now.
@@ -382,15 +370,10 @@ def _spans(materials: Int64Array) -> dict[int, tuple[int, int]]:
 
 
 def _nearby(covered: BoolArray, steps: Iterable[int]) -> Int64Array:
-    """Which texel each texel takes: itself, or a covered one next to an empty one, so that charts
-    bleed into the empty texels around them and filtering finds no background.
+    """Which texel each texel takes: itself, or a covered one next to an empty one. ``[S * S]``.
 
-    Args:
-        covered: Where charts are. ``[S, S]``.
-        steps: How far they bleed, texels, one step after the other.
-
-    Returns:
-        Numbers of texels. ``[S * S]``.
+    So charts ``[S, S]`` bleed into the empty texels around them, one step (in texels) after the
+    other, and filtering finds no background.
     """
     filled = covered.copy()
     taken = np.arange(covered.size)

@@ -46,7 +46,7 @@ def cover_mouth(
     open_m: FloatArray,
     lips: BoolArray,
 ) -> MouthCover | None:
-    """Span the mouth.
+    """Span a mesh's mouth; None where no border lies along the lips, or no part of the UV is free.
 
     Args:
         faces: Triangles of the mesh. ``[F, 3]``.
@@ -54,9 +54,6 @@ def cover_mouth(
         places: Number of each vertex's place; vertices at one place bear one number. ``[V]``.
         open_m: Its vertices with the mouth open, metres. ``[V, 3]``.
         lips: Which vertices belong to the lips. ``[V]``.
-
-    Returns:
-        The surface; None where no border lies along the lips, or no part of the UV square is free.
     """
     border = max(_borders(places[faces]), key=lambda loop: _count(loop, places, lips), default=None)
     if border is None or _count(border, places, lips) < LIP_SHARE * len(border):

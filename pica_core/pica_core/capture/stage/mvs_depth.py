@@ -61,18 +61,15 @@ def find_depth(
     random: np.random.Generator,
     errors: MvsErrors | None = None,
 ) -> FloatArray:
-    """Depth as a method would find it.
+    """Depth as a method would find it, 0 where nothing was found. float32 ``[H, W]``.
 
     Args:
         depth_m: Exact depth along the camera axis, 0 where empty. ``[H, W]``.
-        mask: What is seen. ``[H, W]``.
-        camera: Intrinsics are used.
+        mask: What is seen; `materials` names its values. ``[H, W]``.
+        camera: Whose intrinsics are used.
         materials: Names of the mask's values.
         random: Source of chance.
         errors: How good the method is.
-
-    Returns:
-        float32 ``[H, W]``, 0 where nothing was found.
     """
     e = errors or MvsErrors()
     side = min(depth_m.shape)

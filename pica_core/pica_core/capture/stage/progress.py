@@ -13,12 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 def rendering_bar(console: Console, frames: int) -> Iterator[Callable[[int, int], None]]:
     """Show how many frames are done and how long the others will take; nothing without a terminal.
 
-    Args:
-        console: Where.
-        frames: In all.
-
-    Yields:
-        What to call with frames done and frames in all.
+    Yields what to call with frames done and frames in all.
     """
     columns = (
         TextColumn("rendering"),

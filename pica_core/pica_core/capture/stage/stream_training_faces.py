@@ -34,15 +34,9 @@ KINDS: tuple[tuple[Callable[[np.random.Generator, int], FloatArray], int], ...] 
 def stream_training_performances(
     rounds: int = 36, frames: int = 120, seed: int = 0
 ) -> list[FloatArray]:
-    """Generate performances.
+    """Generate `rounds` performances of each kind: ARKit values, float32 ``[T, 52]`` each.
 
-    Args:
-        rounds: How many of each kind.
-        frames: Length of each before its tempo, at 30 frames a second.
-        seed: Fixes everything.
-
-    Returns:
-        ARKit values, float32 ``[T, 52]`` each.
+    `frames` is the length of each before its tempo, at 30 frames a second.
     """
     performances = []
     for number in range(rounds):

@@ -48,16 +48,13 @@ SAME_PLACE_M = 2e-5
 def track_topology(
     topology: Topology, shapes_m: FloatArray, num_vertices: int = NUM_VERTICES
 ) -> tuple[Topology, Int64Array]:
-    """Choose the tracked mesh of a dense one.
+    """Choose the tracked mesh of a dense one, and the dense vertex of each of its vertices.
 
     Args:
         topology: The dense mesh.
         shapes_m: It in a few expressions that open what is closed at rest, metres; the second opens
             the jaw. ``[K, V, 3]``.
         num_vertices: How many to aim at; a mesh that has no more stays whole.
-
-    Returns:
-        The tracked mesh, and the dense vertex that each of its vertices is. int64 ``[Vt]``.
     """
     places = np.concatenate(list(np.asarray(shapes_m, np.float32)), axis=1)
     faces = topology.faces.astype(np.int64)
@@ -129,7 +126,7 @@ def _borders(faces: Int64Array, count: int) -> tuple[BoolArray, Int64Array]:
 
 
 def _same_places(places: FloatArray) -> Int64Array:
-    """For every vertex the number of its place. int64 ``[V]``."""
+    """The number of each vertex's place. int64 ``[V]``."""
     cells = np.rint(places / SAME_PLACE_M).astype(np.int64)
     return np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
 

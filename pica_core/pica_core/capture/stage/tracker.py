@@ -50,13 +50,9 @@ LIMIT_MM = 0.98
 
 
 class SimulatedTracker:
-    """A tracker's errors on one mesh.
+    """A tracker's errors on one mesh, given at rest, metres ``[Vt, 3]``.
 
-    Args:
-        topology: The tracked mesh.
-        rest_m: It at rest, metres. ``[Vt, 3]``.
-        seed: Fixes everything.
-        places: Vertices with the same number are one point, and stay together. ``[Vt]``.
+    Vertices with the same number in `places` ``[Vt]`` are one point, and stay together.
     """
 
     def __init__(
@@ -83,16 +79,13 @@ class SimulatedTracker:
     def follow(
         self, exact_m: FloatArray, lagged_m: FloatArray, take: int, time_s: float
     ) -> FloatArray:
-        """What the tracker says.
+        """What the tracker says of its vertices: metres, float32 ``[Vt, 3]``.
 
         Args:
             exact_m: The tracked vertices where they are, metres. ``[Vt, 3]``.
             lagged_m: Where they would be for `lagged_arkit`.
             take: Number of the take.
             time_s: Moment within the take.
-
-        Returns:
-            Tracked vertices, metres, float32 ``[Vt, 3]``.
         """
         random = np.random.default_rng([self._seed, 0x7AC5, take])
         drift = TimeWaves(random, 3 * self._field.waves, DRIFT_S).at(time_s)

@@ -13,13 +13,9 @@ from pica_core.types import Float64Array
 
 
 class TimeWaves:
-    """Independent smooth signals of about unit variance.
+    """Independent smooth signals of about unit variance, which change over `scale_s` seconds.
 
-    Args:
-        random: Source of chance.
-        count: Number of signals.
-        scale_s: Time over which a signal changes, seconds.
-        waves: Waves per signal; one is a sine, many are near a Gaussian process.
+    One wave per signal is a sine, many are near a Gaussian process.
     """
 
     def __init__(
@@ -35,14 +31,7 @@ class TimeWaves:
 
 
 class SpaceTimeWaves:
-    """A smooth vector field on fixed points that changes smoothly with time.
-
-    Args:
-        random: Source of chance for the field's shape.
-        points_m: Where it is asked for, metres. ``[V, 3]``.
-        scale_m: Distance over which it changes, metres.
-        waves: How many waves are added up.
-    """
+    """A smooth vector field on points ``[V, 3]`` that changes over `scale_m` and with time."""
 
     def __init__(
         self, random: np.random.Generator, points_m: npt.ArrayLike, scale_m: float, waves: int = 48
