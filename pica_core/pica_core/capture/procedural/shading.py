@@ -30,7 +30,7 @@ def soften(shade: Float64Array, charts: dict[str, Chart]) -> Float64Array:
 
 
 def shade_eyes(head: ProceduralHead, vertices: FloatArray, shade: FloatArray) -> None:
-    """Darken the eyeballs under lids and lashes, in place: lids are thinner than a shadow map sees."""
+    """Darken the eyeballs under lids and lashes in place: a shadow map is too coarse for lids."""
     chart = head.charts["skin"]
     grid = vertices[chart.span].reshape(*chart.shape, 3)
     row = int(np.flatnonzero(chart.rows == EYE_ROW)[0])

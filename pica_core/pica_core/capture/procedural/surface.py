@@ -231,7 +231,7 @@ _CORNERS = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
 
 
 def gradient(field: HeadField, points: Float64Array, step: float = 0.5) -> Float64Array:
-    """Outward unit normals by differences over `step` mm between corners of a tetrahedron. ``[N, 3]``."""
+    """Outward unit normals ``[N, 3]`` by differences over `step` mm about a tetrahedron."""
     # The right half uses the mirrored tetrahedron, so that both halves are alike.
     mirror = np.ones_like(points)
     mirror[:, 0] = np.where(points[:, 0] < 0, -1.0, 1.0)
