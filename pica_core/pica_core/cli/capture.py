@@ -22,26 +22,41 @@ SHOWN_PROBLEMS = 20
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class SynthOptions:
-    """Render a built-in head on the synthetic stage into a capture directory."""
+class RenderArguments:
+    """What both renders take: how many pictures, of what size, and where they go."""
 
     out: Path
-    """Directory to fill; an interrupted render of the same options is continued."""
-    head: str = "S1"
-    """Identity."""
+    """Directory to fill; an interrupted render of the same subject and options is continued."""
     frames: int = 64
     """Frames in all."""
     cameras: int = 8
     """Cameras; the first five are the evaluation views front, left, right, up, down."""
     size: str = "512x384"
     """Image size, columns x rows, pixels."""
-    lenses: str = "mixed"
-    """mixed: some cameras look at mouth and eyes from near; one: all have one lens and look at the
-    head, as in the paper's dome."""
     texture_size: int = 256
     """Side of the average textures, texels."""
     seed: int = 0
     """Fixes performance, head motion and the errors of tracking and depth."""
+
+    def values(self) -> dict[str, Any]:
+        """The arguments as `RenderOptions` names them."""
+        found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", self.size)
+        if found is None:
+            raise CaptureError(f"size is {self.size!r}; columns x rows such as 512x384 is needed")
+        names = ("frames", "cameras", "texture_size", "seed")
+        width, height = (int(number) for number in found.groups())
+        return {name: getattr(self, name) for name in names} | {"width": width, "height": height}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SynthOptions(RenderArguments):
+    """Render a built-in head on the synthetic stage into a capture directory."""
+
+    head: str = "S1"
+    """Identity, such as S1."""
+    lenses: str = "mixed"
+    """mixed: some cameras look at mouth and eyes from near; one: all have one lens and look at the
+    head, as in the paper's dome."""
     depth_every: int = 4
     """Depth as a stereo method finds it for every so many frames of a take; exact depth for all."""
 
@@ -62,31 +77,18 @@ class SheetOptions:
     """Draw a contact sheet of a capture."""
 
     capture: Annotated[Path, tyro.conf.Positional]
-    """Capture directory."""
+    """Capture directory to look at."""
     out: Path
     """PNG to write."""
 
 
-def _size(text: str) -> tuple[int, int]:
-    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
-    if found is None:
-        raise CaptureError(f"size is {text!r}; columns x rows such as 512x384 is needed")
-    return int(found.group(1)), int(found.group(2))
-
-
 def synth(options: SynthOptions) -> dict[str, Any]:
     """Run `pica capture synth`."""
-    width, height = _size(options.size)
     stage = StageOptions(
         head=options.head,
-        frames=options.frames,
-        cameras=options.cameras,
-        width=width,
-        height=height,
         lenses=options.lenses,
-        texture_size=options.texture_size,
-        seed=options.seed,
         depth_every=options.depth_every,
+        **options.values(),
     )
     started = time.monotonic()
     console = Console(stderr=True)

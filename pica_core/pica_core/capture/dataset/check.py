@@ -59,10 +59,10 @@ class _Findings:
             text = text[len(str(self.root)) + 1 :]
         self.problems.append({"where": text, "what": what})
 
-    def attempt(self, work: Callable[[], Result]) -> Result | None:
+    def attempt(self, work: Callable[..., Result], *arguments: Any) -> Result | None:
         """What `work` returns; None where it fails, which is a problem then."""
         try:
-            return work()
+            return work(*arguments)
         except CaptureError as error:
             self.add_error(str(error))
         except OSError as error:
@@ -129,10 +129,9 @@ def _check_descriptions(findings: _Findings, message: str) -> None:
     root = findings.root
     findings.add_error(message)
     first = findings.problems[-1]
-    width = height = 1  # the image size does not matter here
     attempts: list[tuple[str, Callable[[Path], object]]] = [
         (multiface.CAPTURE, multiface.read_json),
-        (multiface.KRT, lambda path: multiface.read_krt(path, width, height)),
+        (multiface.KRT, lambda path: multiface.read_krt(path, 1, 1)),  # no matter of what size
         (multiface.TOPOLOGY, read_topology),
         (multiface.TRACKED_TOPOLOGY, read_topology),
         (multiface.EXPRESSIONS, read_expressions),
@@ -141,7 +140,7 @@ def _check_descriptions(findings: _Findings, message: str) -> None:
     for name, read in attempts:
         if (root / name).exists() or name in (multiface.KRT, multiface.FRAME_LIST):
             before = len(findings.problems)
-            findings.attempt(lambda path=root / name, read=read: read(path))  # type: ignore[misc]
+            findings.attempt(read, root / name)
             if findings.problems[before:] == [first]:
                 del findings.problems[before:]
 
@@ -156,15 +155,12 @@ def _check_cameras(findings: _Findings, capture: Capture) -> None:
         if k[0, 0] <= 0 or k[1, 1] <= 0 or abs(k[2, 2] - 1) > 1e-6:
             findings.add(krt, f"camera {camera.name}: focal lengths {k[0, 0]:g}, {k[1, 1]:g}")
         elif not (0 < k[0, 2] < camera.width and 0 < k[1, 2] < camera.height):
-            findings.add(
-                krt,
-                f"camera {camera.name}: principal point {k[0, 2]:g}, {k[1, 2]:g} outside of "
-                f"{camera.width}x{camera.height}",
-            )
+            at, size = f"{k[0, 2]:g}, {k[1, 2]:g}", f"{camera.width}x{camera.height}"
+            findings.add(krt, f"camera {camera.name}: principal point {at} outside of {size}")
 
 
 def _check_tables(findings: _Findings, capture: Capture) -> None:
-    root = capture.path
+    root, described = capture.path, capture.path / multiface.CAPTURE
     listed = {(frame.segment, frame.name) for frame in capture.frames}
     for folder in sorted((root / "tracked_mesh").glob("*")):
         names = [path.stem for path in folder.glob("*.bin")]
@@ -176,29 +172,23 @@ def _check_tables(findings: _Findings, capture: Capture) -> None:
         return
     stated = capture.info.get("num_vertices")
     if stated != capture.num_vertices:
-        findings.add(
-            root / multiface.CAPTURE,
-            f"num_vertices is {stated!r}, the topology has {capture.num_vertices}",
-        )
+        problem = f"num_vertices is {stated!r}, the topology has {capture.num_vertices}"
+        findings.add(described, problem)
     split = capture.info.get("split")
     if not isinstance(split, dict):
-        findings.add(root / multiface.CAPTURE, f"split is {split!r:.40}; a map is needed")
+        findings.add(described, f"split is {split!r:.40}; a map is needed")
         return
     for name in SPLITS:
         found = {frame.segment for frame in capture.frames_of(name)}
         told = split.get(name, [])
         if not isinstance(told, list) or not found <= {str(segment) for segment in told}:
-            findings.add(
-                root / multiface.CAPTURE,
-                f"split {name!r} does not hold the segments of {multiface.EXPRESSIONS}",
-            )
+            problem = f"split {name!r} does not hold the segments of {multiface.EXPRESSIONS}"
+            findings.add(described, problem)
     for frame in capture.frames:
         values = capture.arkit(frame)
         if values.min() < EXPRESSION_RANGE[0] or values.max() > EXPRESSION_RANGE[1]:
-            findings.add(
-                root / multiface.EXPRESSIONS,
-                f"{frame.segment} {frame.name}: values from {values.min():g} to {values.max():g}",
-            )
+            span = f"values from {values.min():g} to {values.max():g}"
+            findings.add(root / multiface.EXPRESSIONS, f"{frame.segment} {frame.name}: {span}")
 
 
 def _check_split(findings: _Findings, capture: Capture) -> None:
@@ -215,18 +205,15 @@ def _check_split(findings: _Findings, capture: Capture) -> None:
         if capture.has_expressions:
             rounded = np.rint(capture.arkit(frame) / SAME_EXPRESSION)
             return bytes(rounded.astype(np.int64))
-        path = capture.path / multiface.mesh_path(frame.segment, frame.name)
-        return path.read_bytes()
+        return (capture.path / multiface.mesh_path(frame.segment, frame.name)).read_bytes()
 
     def compare() -> None:
         known = {key(frame): frame for frame in train}
         for frame in test:
             twin = known.get(key(frame))
             if twin is not None:
-                findings.add(
-                    f"{frame.segment} {frame.name}",
-                    f"the same expression is for training in {twin.segment} {twin.name}",
-                )
+                problem = f"the same expression is for training in {twin.segment} {twin.name}"
+                findings.add(f"{frame.segment} {frame.name}", problem)
 
     findings.attempt(compare)
 
@@ -236,7 +223,7 @@ def _check_frame(findings: _Findings, capture: Capture, frame: CaptureFrame) -> 
     root = capture.path
     read = [capture.vertices_m] + ([capture.true_vertices_m] if capture.has_truth else [])
     for number, vertices_of in enumerate(read):
-        vertices = findings.attempt(lambda of=vertices_of: of(frame))  # type: ignore[misc]
+        vertices = findings.attempt(vertices_of, frame)
         if vertices is None:
             continue
         size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
@@ -244,13 +231,13 @@ def _check_frame(findings: _Findings, capture: Capture, frame: CaptureFrame) -> 
             kind = "tracked_mesh" if number == 0 else multiface.TRUTH_MESH
             path = multiface.mesh_path(frame.segment, frame.name, kind)
             findings.add(root / path, f"the mesh is {size:.3g} m large; are its units mm?")
-    pose = findings.attempt(lambda: capture.head_to_world(frame))
+    pose = findings.attempt(capture.head_to_world, frame)
     if pose is not None and np.abs(pose[:, :3] @ pose[:, :3].T - np.eye(3)).max() > 1e-3:
         path = multiface.transform_path(frame.segment, frame.name)
         findings.add(root / path, "not a rotation")
     side = capture.texture_size
     texture = root / multiface.texture_path(side, frame.segment, frame.name)
-    findings.attempt(lambda: check_image_header(texture, "RGB", (side, side)))
+    findings.attempt(check_image_header, texture, "RGB", (side, side))
     kinds = [("images", "RGB")]
     kinds += [("mask", "L")] if capture.has_masks else []
     kinds += [(multiface.TRUTH_DEPTH, "I;16")] if capture.has_truth else []
@@ -263,55 +250,46 @@ def _check_frame(findings: _Findings, capture: Capture, frame: CaptureFrame) -> 
             continue  # published captures miss frames of single cameras
         for kind, mode in kinds:
             path = root / multiface.image_path(kind, frame.segment, camera.name, frame.name)
-            size_px = (camera.width, camera.height)
-            findings.attempt(
-                lambda path=path, mode=mode, size=size_px: check_image_header(  # type: ignore[misc]
-                    path, mode, size
-                )
-            )
+            findings.attempt(check_image_header, path, mode, (camera.width, camera.height))
     return len(present)
 
 
 def _check_pixels(findings: _Findings, capture: Capture, frame: CaptureFrame) -> int:
     """Decode a frame's images and compare them with its mesh; returns how many were decoded."""
-    vertices = findings.attempt(lambda: capture.vertices_m(frame))
-    findings.attempt(lambda: capture.average_texture(frame))
-    decoded = 0
-    for name in capture.cameras_of(frame):
+    vertices = findings.attempt(capture.vertices_m, frame)
+    findings.attempt(capture.average_texture, frame)
 
-        def where(kind: str, name: str = name) -> Path:
-            return capture.path / multiface.image_path(kind, frame.segment, name, frame.name)
+    def add(kind: str, name: str, problem: str | None) -> None:
+        if problem:
+            path = multiface.image_path(kind, frame.segment, name, frame.name)
+            findings.add(capture.path / path, problem)
 
-        def compare(name: str = name, where: Callable[[str], Path] = where) -> None:
-            image = capture.image(frame, name)
-            if np.ptp(image) == 0:
-                findings.add(where("images"), "the image has one colour only")
-            mask = capture.mask(frame, name) if capture.has_masks else None
-            if vertices is None:
-                return
-            camera = capture.head_camera(frame, name)
-            faces = capture.tracked_topology.faces
-            found = silhouette_problem(camera, vertices, faces, mask)
-            if found:
-                findings.add(where("mask" if capture.has_masks else "images"), found)
-            if capture.has_truth:
-                exact = capture.true_vertices_m(frame)
-                depth = capture.true_depth_m(frame, name)
-                found = depth_problem(camera, exact, capture.topology.faces, depth)
-                if found:
-                    findings.add(where(multiface.TRUTH_DEPTH), found)
-            if capture.has_depth_of(frame):
-                found = depth_problem(camera, vertices, faces, capture.depth_m(frame, name))
-                if found:
-                    findings.add(where("depth"), found)
+    def compare(name: str) -> None:
+        if np.ptp(capture.image(frame, name)) == 0:
+            add("images", name, "the image has one colour only")
+        mask = capture.mask(frame, name) if capture.has_masks else None
+        if vertices is None:
+            return
+        camera = capture.head_camera(frame, name)
+        faces = capture.tracked_topology.faces
+        kind = "mask" if capture.has_masks else "images"
+        add(kind, name, silhouette_problem(camera, vertices, faces, mask))
+        if capture.has_truth:
+            exact, depth = capture.true_vertices_m(frame), capture.true_depth_m(frame, name)
+            problem = depth_problem(camera, exact, capture.topology.faces, depth)
+            add(multiface.TRUTH_DEPTH, name, problem)
+        if capture.has_depth_of(frame):
+            problem = depth_problem(camera, vertices, faces, capture.depth_m(frame, name))
+            add("depth", name, problem)
 
+    present = capture.cameras_of(frame)
+    for name in present:
         before = len(findings.problems)
-        findings.attempt(compare)
-        decoded += 1
+        findings.attempt(compare, name)
         # A header that is bad was told of before.
         told = findings.problems[:before]
         findings.problems[before:] = [p for p in findings.problems[before:] if p not in told]
-    return decoded
+    return len(present)
 
 
 def _spread(frames: tuple[CaptureFrame, ...], count: int) -> list[CaptureFrame]:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image, ImageDraw
 
 from pica_core.camera import Camera
-from pica_core.types import ByteArray, FloatArray
+from pica_core.types import BoolArray, ByteArray, Float64Array, FloatArray, Int64Array, IntArray
 
 DRAWN_PX = 192
 """Shorter side of the silhouette that is compared."""
@@ -29,7 +28,7 @@ LEAST_ON_SURFACE = 0.4
 def silhouette_problem(
     camera: Camera,
     vertices_m: FloatArray,
-    faces: npt.NDArray[np.int32],
+    faces: IntArray,
     mask: ByteArray | None,
 ) -> str | None:
     """What is wrong with where a camera in head axes sees a mesh, None if nothing.
@@ -58,7 +57,7 @@ def silhouette_problem(
 
 
 def depth_problem(
-    camera: Camera, vertices_m: FloatArray, faces: npt.NDArray[np.int32], depth_m: FloatArray
+    camera: Camera, vertices_m: FloatArray, faces: IntArray, depth_m: FloatArray
 ) -> str | None:
     """What is wrong with depth ``[H, W]``, 0 where unknown, against a mesh, None if nothing."""
     if not (depth_m > 0).any():
@@ -83,9 +82,7 @@ def depth_problem(
     return None
 
 
-def _is_inside(
-    camera: Camera, pixels: npt.NDArray[np.float64], distance: npt.NDArray[np.float64]
-) -> npt.NDArray[np.bool_]:
+def _is_inside(camera: Camera, pixels: Float64Array, distance: Float64Array) -> BoolArray:
     return (
         (distance > 0)
         & (pixels >= 0).all(axis=1)
@@ -95,16 +92,14 @@ def _is_inside(
 
 
 def _inside(
-    camera: Camera, pixels: npt.NDArray[np.float64], distance: npt.NDArray[np.float64]
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    camera: Camera, pixels: Float64Array, distance: Float64Array
+) -> tuple[Int64Array, Int64Array]:
     """Row and column of the points that are in the picture."""
     place = np.floor(pixels[_is_inside(camera, pixels, distance)]).astype(np.int64)
     return place[:, 1], place[:, 0]
 
 
-def _facing(
-    camera: Camera, vertices_m: FloatArray, faces: npt.NDArray[np.int32]
-) -> npt.NDArray[np.float64]:
+def _facing(camera: Camera, vertices_m: FloatArray, faces: IntArray) -> Float64Array:
     """Cosine between each vertex's normal and its way to the camera."""
     a, b, c = (vertices_m[faces[:, i]].astype(np.float64) for i in range(3))
     cross = np.cross(b - a, c - a)
@@ -119,7 +114,7 @@ def _facing(
     return (normal * way).sum(axis=1) / np.maximum(size, 1e-20)
 
 
-def _grow(mask: npt.NDArray[np.bool_], reach: int) -> npt.NDArray[np.bool_]:
+def _grow(mask: BoolArray, reach: int) -> BoolArray:
     """The mask and what lies within `reach` pixels along rows and columns."""
     for axis in (0, 1):
         grown = mask.copy()
@@ -134,10 +129,10 @@ def _grow(mask: npt.NDArray[np.bool_], reach: int) -> npt.NDArray[np.bool_]:
 
 def _overlap(
     camera: Camera,
-    pixels: npt.NDArray[np.float64],
-    distance: npt.NDArray[np.float64],
-    faces: npt.NDArray[np.int32],
-    mask: npt.NDArray[np.bool_],
+    pixels: Float64Array,
+    distance: Float64Array,
+    faces: IntArray,
+    mask: BoolArray,
 ) -> float:
     """Intersection over union of the mesh's silhouette and a mask, drawn small."""
     shrink = min(1.0, DRAWN_PX / min(camera.width, camera.height))

@@ -17,13 +17,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.camera import Camera
 from pica_core.capture.dataset import multiface
 from pica_core.capture.dataset.files import (
     SPLITS,
     CaptureFrame,
+    Description,
     Topology,
     load_image,
     read_frames,
@@ -34,7 +34,7 @@ from pica_core.capture.dataset.files import (
 )
 from pica_core.capture.dataset.published import is_published, open_published
 from pica_core.errors import CaptureError
-from pica_core.types import ByteArray, Float64Array, FloatArray, Int64Array
+from pica_core.types import Array, ByteArray, Float64Array, FloatArray
 
 __all__ = ["SPLITS", "Capture", "CaptureFrame", "Topology"]
 
@@ -54,14 +54,10 @@ class Capture:
 
     Attributes:
         path: Its directory.
-        info: `capture.json` as read, or what stands in for it.
+        info, topology, tracked_topology, dense_vertex: As in `Description`.
         cameras: All cameras, in KRT order.
         frames: All frames that can be used, in `frame_list.txt` order.
         left_out: What is wrong with the others.
-        topology: The mesh that models draw.
-        tracked_topology: The tracked mesh; the same object where a capture has one mesh only.
-        dense_vertex: Which vertex of `topology` each tracked vertex is, int64 ``[Vt]``; None where
-            that is not known.
         has_truth: Exact meshes and exact depth are there (synthetic captures).
         has_depth: At least one frame has depth.
         has_masks: Masks are there.
@@ -70,19 +66,8 @@ class Capture:
         texture_size: Side of the average textures, texels.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        *,
-        info: dict[str, Any],
-        frames: tuple[CaptureFrame, ...],
-        arkit: FloatArray | None,
-        topology: Topology,
-        tracked_topology: Topology,
-        dense_vertex: Int64Array | None,
-        mesh_vertex: Int64Array | None,
-        num_mesh_vertices: int,
-    ) -> None:
+    def __init__(self, path: Path, description: Description) -> None:
+        info = description.info
         where = path / multiface.CAPTURE
         width, height = (_field(info, where, name, int) for name in ("width", "height"))
         self.texture_size: int = _field(info, where, "texture_size", int)
@@ -95,18 +80,18 @@ class Capture:
         self.info = info
         self.cameras = multiface.read_krt(path / multiface.KRT, width, height)
         self._cameras = {camera.name: camera for camera in self.cameras}
-        self.topology = topology
-        self.tracked_topology = tracked_topology
-        self.dense_vertex = dense_vertex
-        self._mesh_vertex = mesh_vertex
-        self._num_mesh_vertices = num_mesh_vertices
-        self.is_published = mesh_vertex is not None
+        self.topology = description.topology
+        self.tracked_topology = description.tracked_topology
+        self.dense_vertex = description.dense_vertex
+        self._mesh_vertex = description.mesh_vertex
+        self._num_mesh_vertices = description.num_mesh_vertices
+        self.is_published = description.mesh_vertex is not None
         self.has_truth = (path / multiface.TRUTH_MESH).is_dir()
         self.has_depth = (path / "depth").is_dir()
         self.has_masks = (path / "mask").is_dir()
-        self.has_expressions = arkit is not None
+        self.has_expressions = description.arkit is not None
         self._listed: dict[Path, frozenset[str]] = {}
-        self._use_frames(frames, arkit)
+        self._use_frames(description.frames, description.arkit)
 
     def _use_frames(self, listed: tuple[CaptureFrame, ...], arkit: FloatArray | None) -> None:
         problems = [self._incomplete(frame) for frame in listed]
@@ -161,7 +146,7 @@ class Capture:
             raise CaptureError(f"{root}: no such directory")
         if not (root / multiface.CAPTURE).is_file():
             if is_published(root) and not (root / multiface.MARKER).exists():
-                return cls._open_published(root, test_segments)
+                return cls(root, open_published(root, test_segments))
             raise CaptureError(
                 f"{root}: no {multiface.CAPTURE}; not a capture, or one that is not finished"
             )
@@ -176,36 +161,20 @@ class Capture:
         if (root / multiface.TRACKED_TOPOLOGY).is_file():
             tracked, dense_vertex = read_tracked(root, len(topology.vertex_uv))
         frames, arkit = read_frames(root)
-        return cls(
-            root,
+        description = Description(
             info=info,
             frames=frames,
             arkit=arkit,
             topology=topology,
             tracked_topology=tracked,
-            dense_vertex=dense_vertex,
-            mesh_vertex=None,
             num_mesh_vertices=len(tracked.vertex_uv),
+            dense_vertex=dense_vertex,
         )
-
-    @classmethod
-    def _open_published(cls, root: Path, test_segments: Collection[str] | None) -> Capture:
-        found = open_published(root, test_segments)
-        return cls(
-            root,
-            info=found.info(),
-            frames=found.frames,
-            arkit=None,
-            topology=found.topology,
-            tracked_topology=found.topology,
-            dense_vertex=None,
-            mesh_vertex=found.mesh_vertex,
-            num_mesh_vertices=found.num_mesh_vertices,
-        )
+        return cls(root, description)
 
     @property
     def num_vertices(self) -> int:
-        """V, of `topology`."""
+        """Number of vertices of `topology`, V."""
         return len(self.topology.vertex_uv)
 
     def frames_of(self, split: str) -> tuple[CaptureFrame, ...]:
@@ -271,8 +240,7 @@ class Capture:
     def depth_m(self, frame: CaptureFrame, camera: str) -> FloatArray:
         """Depth along the camera axis at pixel centres as a method found it, 0 where unknown.
         float32 ``[H, W]``."""
-        units = self._load("depth", "I;16", frame, camera)
-        return units.astype(np.float32) * np.float32(multiface.DEPTH_UNIT_M)
+        return self._load_depth("depth", frame, camera)
 
     def true_depth_m(self, frame: CaptureFrame, camera: str) -> FloatArray:
         """Exact depth along the camera axis at pixel centres, 0 where empty. float32 ``[H, W]``.
@@ -281,10 +249,13 @@ class Capture:
             CaptureError: The capture has no truth, or the file is damaged.
         """
         self._need_truth()
-        units = self._load(multiface.TRUTH_DEPTH, "I;16", frame, camera)
+        return self._load_depth(multiface.TRUTH_DEPTH, frame, camera)
+
+    def _load_depth(self, kind: str, frame: CaptureFrame, camera: str) -> FloatArray:
+        units = self._load(kind, "I;16", frame, camera)
         return units.astype(np.float32) * np.float32(multiface.DEPTH_UNIT_M)
 
-    def _load(self, kind: str, mode: str, frame: CaptureFrame, camera: str) -> npt.NDArray[Any]:
+    def _load(self, kind: str, mode: str, frame: CaptureFrame, camera: str) -> Array:
         view = self.camera(camera)
         path = self.path / multiface.image_path(kind, frame.segment, camera, frame.name)
         return load_image(path, mode, (view.width, view.height))
@@ -297,7 +268,9 @@ class Capture:
 
     def vertices_m(self, frame: CaptureFrame) -> FloatArray:
         """Tracked mesh on `tracked_topology`, head frame, metres. float32 ``[Vt, 3]``."""
-        return self._mesh(self.path / multiface.mesh_path(frame.segment, frame.name))
+        path = self.path / multiface.mesh_path(frame.segment, frame.name)
+        vertices = read_vertices(path, self._num_mesh_vertices)
+        return vertices if self._mesh_vertex is None else vertices[self._mesh_vertex]
 
     def true_vertices_m(self, frame: CaptureFrame) -> FloatArray:
         """Exact mesh on `topology`, head frame, metres. float32 ``[V, 3]``.
@@ -308,14 +281,6 @@ class Capture:
         self._need_truth()
         path = self.path / multiface.mesh_path(frame.segment, frame.name, multiface.TRUTH_MESH)
         return read_vertices(path, len(self.topology.vertex_uv))
-
-    def mean_vertices_m(self) -> FloatArray:
-        """Mean tracked mesh over the training frames, metres. float32 ``[Vt, 3]``."""
-        return self._mesh(self.path / "vert_mean.bin")
-
-    def _mesh(self, path: Path) -> FloatArray:
-        vertices = read_vertices(path, self._num_mesh_vertices)
-        return vertices if self._mesh_vertex is None else vertices[self._mesh_vertex]
 
     def head_to_world(self, frame: CaptureFrame) -> Float64Array:
         """Rotation and translation (metres) from head frame to world. float64 ``[3, 4]``."""
@@ -332,12 +297,5 @@ class Capture:
     def average_texture(self, frame: CaptureFrame) -> ByteArray:
         """Average texture, row 0 is v = 0, black where no camera looked. uint8 ``[S, S, 3]``."""
         path = multiface.texture_path(self.texture_size, frame.segment, frame.name)
-        return self._texture(self.path / path)
-
-    def mean_texture(self) -> ByteArray:
-        """Mean texture over the training frames, row 0 is v = 0. uint8 ``[S, S, 3]``."""
-        return self._texture(self.path / "tex_mean.png")
-
-    def _texture(self, path: Path) -> ByteArray:
         size = (self.texture_size, self.texture_size)
-        return np.ascontiguousarray(load_image(path, "RGB", size)[::-1])
+        return np.ascontiguousarray(load_image(self.path / path, "RGB", size)[::-1])

@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image, UnidentifiedImageError
 
 from pica_core.avatar.arkit import ARKIT_NAMES, NUM_ARKIT
 from pica_core.capture.dataset import multiface
 from pica_core.errors import CaptureError
-from pica_core.types import BoolArray, Float64Array, FloatArray, IntArray
+from pica_core.types import Array, BoolArray, Float64Array, FloatArray, Int64Array, IntArray
 
 SPLITS = ("train", "test")
 MAP_SIZE = 256
@@ -60,6 +59,33 @@ class Topology:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Description:
+    """What describes a capture as a whole.
+
+    Attributes:
+        info: `capture.json` as read, or what stands in for it.
+        frames: All listed frames.
+        arkit: Their 52 values, ``[T, 52]``, where the capture has expressions.
+        topology: The mesh that models draw.
+        tracked_topology: The tracked mesh; the same object where a capture has one mesh only.
+        num_mesh_vertices: Vertices in a file of the tracked mesh.
+        dense_vertex: Which vertex of `topology` each tracked vertex is, int64 ``[Vt]``; None where
+            that is not known.
+        mesh_vertex: Which vertex of the mesh files each tracked vertex is, int64 ``[Vt]``, for a
+            directory as published; None where they are the same.
+    """
+
+    info: dict[str, Any]
+    frames: tuple[CaptureFrame, ...]
+    arkit: FloatArray | None = None
+    topology: Topology
+    tracked_topology: Topology
+    num_mesh_vertices: int
+    dense_vertex: Int64Array | None = None
+    mesh_vertex: Int64Array | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Take:
     """One uninterrupted performance that is to be captured.
 
@@ -76,7 +102,7 @@ class Take:
     split: str
 
 
-def load_image(path: Path, mode: str, size: tuple[int, int] | None) -> npt.NDArray[Any]:
+def load_image(path: Path, mode: str, size: tuple[int, int] | None) -> Array:
     """Decode an image.
 
     Args:
@@ -179,7 +205,7 @@ def read_transform(path: Path) -> Float64Array:
     return matrix
 
 
-def read_arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
+def read_arrays(path: Path) -> dict[str, Array]:
     """The arrays of an archive.
 
     Raises:
@@ -227,7 +253,7 @@ def read_topology(path: Path) -> Topology:
     return Topology(vertex_uv=uv.astype(np.float32), faces=faces.astype(np.int32), regions=regions)
 
 
-def read_tracked(root: Path, num_dense: int) -> tuple[Topology, npt.NDArray[np.int64]]:
+def read_tracked(root: Path, num_dense: int) -> tuple[Topology, Int64Array]:
     """The tracked mesh of a synthetic capture, and which of `num_dense` vertices each of its is.
 
     Raises:

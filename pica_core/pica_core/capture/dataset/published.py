@@ -11,9 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -21,6 +19,7 @@ from pica_core.capture.dataset import multiface
 from pica_core.capture.dataset.files import (
     MAX_VERTICES,
     CaptureFrame,
+    Description,
     Topology,
     check_image_header,
     read_frame_list,
@@ -29,42 +28,9 @@ from pica_core.errors import CaptureError
 from pica_core.types import ByteArray, Int64Array
 
 HELD_OUT_EVERY = 10
-"""Of the segments in the order of their names, the fifth of every so many is for testing."""
+"""Segments, in the order of their names, of which the fifth is for testing."""
 GAMMA = 1.5
-"""Of the picture for looking at (chosen)."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class PublishedCapture:
-    """What describes a published directory.
-
-    Attributes:
-        topology: Vertices are pairs of place and UV, so there may be more than in a mesh file.
-        mesh_vertex: Vertex of the mesh files for each vertex of the topology. int64 ``[V]``.
-        num_mesh_vertices: Vertices in a mesh file.
-        frames: All listed frames.
-        width, height: Of images, pixels.
-        texture_size: Side of the average textures, texels.
-    """
-
-    topology: Topology
-    mesh_vertex: Int64Array
-    num_mesh_vertices: int
-    frames: tuple[CaptureFrame, ...]
-    width: int
-    height: int
-    texture_size: int
-
-    def info(self) -> dict[str, Any]:
-        """What stands in for `capture.json`."""
-        return {
-            "schema": multiface.SCHEMA,
-            "source": "a directory in the layout of the Multiface dataset",
-            "licence": "that of its publisher",
-            "width": self.width,
-            "height": self.height,
-            "texture_size": self.texture_size,
-        }
+"""Brightening of a picture that is to be looked at (chosen)."""
 
 
 def is_published(root: Path) -> bool:
@@ -72,7 +38,7 @@ def is_published(root: Path) -> bool:
     return all((root / name).exists() for name in (multiface.KRT, "images", "tracked_mesh"))
 
 
-def open_published(root: Path, test_segments: Collection[str] | None = None) -> PublishedCapture:
+def open_published(root: Path, test_segments: Collection[str] | None = None) -> Description:
     """Find out what describes a published directory; None holds out the fifth of ten segments.
 
     Raises:
@@ -97,14 +63,20 @@ def open_published(root: Path, test_segments: Collection[str] | None = None) -> 
     )
     topology, mesh_vertex, count = read_obj_topology(_first_obj(root, names))
     width, height = _image_size(root)
-    return PublishedCapture(
-        topology=topology,
-        mesh_vertex=mesh_vertex,
-        num_mesh_vertices=count,
+    return Description(
+        info={
+            "schema": multiface.SCHEMA,
+            "source": "a directory in the layout of the Multiface dataset",
+            "licence": "that of its publisher",
+            "width": width,
+            "height": height,
+            "texture_size": _texture_size(root),
+        },
         frames=frames,
-        width=width,
-        height=height,
-        texture_size=_texture_size(root),
+        topology=topology,
+        tracked_topology=topology,
+        num_mesh_vertices=count,
+        mesh_vertex=mesh_vertex,
     )
 
 

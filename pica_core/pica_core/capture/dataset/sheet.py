@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image, ImageDraw
 
 from pica_core.avatar.arkit import ARKIT_INDEX
@@ -20,7 +19,7 @@ from pica_core.capture.dataset import multiface
 from pica_core.capture.dataset.dataset import Capture, CaptureFrame
 from pica_core.capture.dataset.published import displayable
 from pica_core.errors import CaptureError
-from pica_core.types import ByteArray, FloatArray
+from pica_core.types import ByteArray, Float64Array, FloatArray
 
 TILE = 300
 """Side of a tile, pixels."""
@@ -136,7 +135,7 @@ def _camera_plan(capture: Capture, axes: tuple[int, int], signs: tuple[int, int]
     middle = (points.max(axis=0) + points.min(axis=0)) / 2
     scale = 0.78 * side / max(float(np.ptp(points, axis=0).max()), 0.3)
 
-    def at(point: npt.NDArray[np.float64]) -> list[float]:
+    def at(point: Float64Array) -> list[float]:
         return ((point - middle) * scale + side / 2).tolist()
 
     radius = 0.1 * scale

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from pica_core.avatar.arkit import ARKIT_NAMES
 from pica_core.capture.dataset import multiface
 from pica_core.capture.dataset.files import SPLITS, Take, Topology
-from pica_core.types import ByteArray, FloatArray
+from pica_core.types import Array, ByteArray, FloatArray
 
 ENCODERS = 2
 """Threads that encode images; what they call lets other threads run."""
@@ -31,7 +31,7 @@ ERROR_FRAMES = 256
 """Frames that the tracker's errors are summed up over, at most."""
 
 
-def png(array: npt.NDArray[Any]) -> bytes:
+def png(array: Array) -> bytes:
     """An image as PNG; fast rather than small.
 
     Rows hold the difference to the row above. Choosing a filter for each row, as image libraries
@@ -89,7 +89,7 @@ class BackgroundWriter(AbstractContextManager["BackgroundWriter"]):
     ) -> None:
         self._pool.shutdown(wait=True, cancel_futures=True)
 
-    def image(self, path: Path, make: Callable[[], npt.NDArray[Any]]) -> None:
+    def image(self, path: Path, make: Callable[[], Array]) -> None:
         """Write what `make` returns as a PNG file."""
 
         def work() -> None:
@@ -167,7 +167,7 @@ class TrackingErrors:
         return table
 
 
-def write_topology(path: Path, topology: Topology, **more: npt.NDArray[Any]) -> None:
+def write_topology(path: Path, topology: Topology, **more: Array) -> None:
     """Write a topology file."""
     arrays: dict[str, Any] = {"vertex_uv": topology.vertex_uv, "faces": topology.faces, **more}
     arrays |= {f"region_{name}": mask for name, mask in topology.regions.items()}

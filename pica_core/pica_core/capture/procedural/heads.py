@@ -72,15 +72,13 @@ class ProceduralHead:
         field = HeadField(face)
         self._eye_surface = EyeSurface(field)
         chart = self.charts["skin"]
-        skin = build_skin(face, field, self._eye_surface, chart)
-        self._motion = build_motion(face, field, skin, chart)
+        skin = build_skin(field, chart)
+        self._motion = build_motion(field, skin, chart)
         self._lids = [Lids(face, self._eye_surface, skin, chart, side) for side in (1.0, -1.0)]
         self.vertex_uv: FloatArray = np.concatenate([c.vertex_uv for c in self.charts.values()])
+        slits = {"skin": skin.mouth_hole | skin.eye_hole}
         self.faces: IntArray = np.concatenate(
-            [
-                c.faces(skin.mouth_hole | skin.eye_hole if name == "skin" else None)
-                for name, c in self.charts.items()
-            ]
+            [c.faces(slits.get(name)) for name, c in self.charts.items()]
         )
         self._rest = self._build_rest(field, skin)
         self._jaw, self._jaw_closed = self._jaw_weights(field)
@@ -90,11 +88,11 @@ class ProceduralHead:
             "eye_x": 0.5 * face.eye_distance,
             "brow_y": EYE_Y + face.brow_height,
             "nose_y": field.subnasale_y,
-            "nose_half": 0.5 * identity.face.nose_breadth,
+            "nose_half": 0.5 * face.nose_breadth,
             "mouth_y": field.mouth_y,
             "chin_y": field.chin_y,
-            "upper_lip": identity.face.upper_lip,
-            "lower_lip": identity.face.lower_lip,
+            "upper_lip": face.upper_lip,
+            "lower_lip": face.lower_lip,
             "mouth_half": skin.mouth_half,
         }
         neutral = self.vertices(np.zeros(NUM_ARKIT, np.float32))
@@ -112,7 +110,6 @@ class ProceduralHead:
         return len(self.vertex_uv)
 
     def _build_rest(self, field: HeadField, skin: Skin) -> Float64Array:
-        shape = self.identity.face
         inner_z = float(skin.points[..., 2][self.charts["skin"].rows == MOUTH_ROW].max())
         front = inner_z - 1.0
         self._lip_z = np.float32(skin.points[..., 2][self.charts["skin"].rows == 134].max())
@@ -130,11 +127,10 @@ class ProceduralHead:
         }
         for side, name in ((1.0, "left"), (-1.0, "right")):
             parts[f"eye_{name}"] = eyeball(self.charts[f"eye_{name}"], self._eye_surface, side)
-            parts[f"ear_{name}"] = ear(self.charts[f"ear_{name}"], field, shape, side)
+            parts[f"ear_{name}"] = ear(self.charts[f"ear_{name}"], field, side)
         self._eye_centre = np.asarray(field.eye_centre)
         self._eye_turns = 1.0 - eye_fixed(self.charts["eye_left"]).ravel().astype(np.float32)
-        rest = np.concatenate([parts[name].reshape(-1, 3) for name in self.charts])
-        return rest
+        return np.concatenate([parts[name].reshape(-1, 3) for name in self.charts])
 
     def _jaw_weights(self, field: HeadField) -> tuple[FloatArray, FloatArray]:
         free = np.zeros(self.num_vertices)
@@ -242,7 +238,6 @@ class ProceduralHead:
 
     def _normal_tables(self) -> tuple[IntArray, list[tuple[IntArray, IntArray]]]:
         """Faces around each vertex (padded with F), and vertices that share a normal."""
-        count = np.zeros(self.num_vertices, np.int32)
         flat = self.faces.ravel()
         order = np.argsort(flat, kind="stable")
         corner_vertex, corner_face = flat[order], (order // 3).astype(np.int32)
@@ -251,17 +246,11 @@ class ProceduralHead:
         table = np.full((self.num_vertices, int(count.max())), len(self.faces), np.int32)
         table[corner_vertex, np.arange(len(flat)) - start[corner_vertex]] = corner_face
         weld: list[tuple[IntArray, IntArray]] = []
-        for name, axis in (
-            ("skin", 1),
-            ("collar", 1),
-            ("hair", 1),
-            ("ear_left", 0),
-            ("ear_right", 0),
-        ):
+        for name in ("skin", "collar", "hair", "ear_left", "ear_right"):
             chart = self.charts[name]
             index = (chart.first + np.arange(chart.count, dtype=np.int32)).reshape(chart.shape)
-            first, last = (index[0], index[-1]) if axis == 0 else (index[:, 0], index[:, -1])
-            weld.append((first, last))
+            around = index if name.startswith("ear") else index.T  # rows run round an ear
+            weld.append((around[0], around[-1]))
         return table, weld
 
     def normals(self, vertices: FloatArray) -> FloatArray:

@@ -12,10 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.capture.dataset.files import MAP_SIZE
-from pica_core.types import FloatArray, IntArray
+from pica_core.types import BoolArray, Float64Array, FloatArray, IntArray
 
 EYE_ROW = 70
 """Skin row of the upper lid's inner edge; the lower lid's is the next row."""
@@ -61,7 +60,7 @@ class Chart:
         return slice(self.first, self.first + self.count)
 
     @property
-    def unit(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    def unit(self) -> tuple[Float64Array, Float64Array]:
         """Row and column of every vertex, 0 to 1 over the chart. Two float64 ``[R, C]``."""
         r = (self.rows - self.rows[0]) / (self.rows[-1] - self.rows[0])
         c = (self.columns - self.columns[0]) / (self.columns[-1] - self.columns[0])
@@ -74,7 +73,7 @@ class Chart:
         rows, columns = np.meshgrid(self.rows, self.columns, indexing="ij")
         return ((np.stack([columns, rows], -1).reshape(-1, 2) + 0.5) / MAP_SIZE).astype(np.float32)
 
-    def faces(self, hole: npt.NDArray[np.bool_] | None = None) -> IntArray:
+    def faces(self, hole: BoolArray | None = None) -> IntArray:
         """Triangles of the grid, counter-clockwise seen from outside.
 
         Args:

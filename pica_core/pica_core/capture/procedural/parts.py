@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from pica_core.capture.procedural.identity import FaceShape
 from pica_core.capture.procedural.layout import Chart
 from pica_core.capture.procedural.skin import EyeSurface, bump, smoothstep
 from pica_core.capture.procedural.surface import EYE_RADIUS, HeadField, cast
@@ -123,10 +122,10 @@ def mouth_bag(chart: Chart, mouth_y: float, front_z: float, field: HeadField) ->
     return np.stack([px, py, np.minimum(pz, skin.reshape(pz.shape) - 4.0)], -1)
 
 
-def ear(chart: Chart, field: HeadField, face: FaceShape, side: float) -> Float64Array:
+def ear(chart: Chart, field: HeadField, side: float) -> Float64Array:
     """An ear: rows run round the outline, columns from the concha over the helix to the back."""
     rows, columns = chart.unit
-    size = face.ear_length / 62.0
+    size = field.face.ear_length / 62.0
     turn = 2 * np.pi * rows  # 0 is the front, a quarter turn is the top, half a turn the back
     forward, up = np.cos(turn), np.sin(turn)
     # Outline around the concha: broad above and behind, a rounded lobe below.

@@ -11,7 +11,6 @@ import itertools
 
 import numpy as np
 
-from pica_core.capture.procedural.identity import FaceShape
 from pica_core.capture.procedural.surface import EYE_Y, HeadField
 from pica_core.types import Float64Array
 
@@ -50,13 +49,11 @@ def _stroke(
     return np.exp(-0.5 * ((away - offset) / width) ** 2) * fade
 
 
-def relief(
-    face: FaceShape, field: HeadField, mouth_half: float, points: Float64Array
-) -> Float64Array:
+def relief(field: HeadField, mouth_half: float, points: Float64Array) -> Float64Array:
     """How far each point of the skin ``[R, C, 3]`` moves outwards, mm. ``[R, C]``."""
     x, y, z = np.abs(points[..., 0]), points[..., 1], points[..., 2]
     front = np.clip((z - 30.0) / 30.0, 0.0, 1.0)
-    age, mouth, nose = face.age, field.mouth_y, field.subnasale_y
+    face, age, mouth, nose = field.face, field.face.age, field.mouth_y, field.subnasale_y
     wing = 0.5 * face.nose_breadth
     eye = 0.5 * face.eye_distance
     h = np.zeros(x.shape)

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
-from pica_core.capture.procedural.identity import FaceShape
 from pica_core.capture.procedural.layout import MOUTH_ROW, Chart
 from pica_core.capture.procedural.skin import Skin, bump, mouth_lines, smoothstep
 from pica_core.capture.procedural.surface import HeadField
@@ -43,12 +42,12 @@ class SkinMotion:
 class _Strokes:
     """Coordinates of the skin at rest and soft masks in them."""
 
-    def __init__(self, face: FaceShape, field: HeadField, skin: Skin, chart: Chart) -> None:
+    def __init__(self, field: HeadField, skin: Skin, chart: Chart) -> None:
         p = skin.points
         self.x, self.y, self.z = p[..., 0], p[..., 1], p[..., 2]
         self.half = skin.mouth_half
         self.rows = np.broadcast_to(chart.rows[:, None].astype(np.float64), self.x.shape)
-        self.contact = mouth_lines(face, field, self.half, self.x)["contact"]
+        self.contact = mouth_lines(field, self.half, self.x)["contact"]
         self.t = np.abs(self.x) / self.half
         self.is_upper = self.rows <= MOUTH_ROW
         # Only the face moves: nothing behind the ears, nothing under the collar.
@@ -80,9 +79,9 @@ def _vector(weight: Float64Array, x: float = 0.0, y: float = 0.0, z: float = 0.0
     return weight[..., None] * np.array([x, y, z])
 
 
-def _sided(s: _Strokes, face: FaceShape, field: HeadField) -> dict[str, Float64Array]:
+def _sided(s: _Strokes, field: HeadField) -> dict[str, Float64Array]:
     """Shapes that exist once per side, for the subject's left."""
-    left = s.left()
+    face, left = field.face, s.left()
     corner = s.corner * left
     eye_x = 0.5 * face.eye_distance
     brow_y = 22.0 + face.brow_height
@@ -130,12 +129,12 @@ def _sided(s: _Strokes, face: FaceShape, field: HeadField) -> dict[str, Float64A
     }
 
 
-def _central(s: _Strokes, face: FaceShape, field: HeadField) -> dict[str, Float64Array]:
+def _central(s: _Strokes, field: HeadField) -> dict[str, Float64Array]:
     """Shapes of the whole mouth, both brows and both cheeks."""
     side = np.sign(s.x) * smoothstep(0.0, 6.0, np.abs(s.x))
     inward = _vector(-side * s.mouth * np.clip(s.t, 0, 1.2), 1.0)
     inner = np.clip(1 - s.t, 0, 1) ** 0.5
-    left = s.left()
+    face, left = field.face, s.left()
     brow_y = 22.0 + face.brow_height
     inner_brows = (
         bump(np.abs(s.x), 0.5 * face.eye_distance - 18, 11.0) * bump(s.y, brow_y + 1, 9.0) * s.front
@@ -200,17 +199,17 @@ def _jaw_weights(s: _Strokes) -> tuple[Float64Array, Float64Array]:
     return weight(lower, upper), weight(together, together)
 
 
-def build_motion(face: FaceShape, field: HeadField, skin: Skin, chart: Chart) -> SkinMotion:
+def build_motion(field: HeadField, skin: Skin, chart: Chart) -> SkinMotion:
     """Displacement fields and jaw weights of one identity's skin."""
-    s = _Strokes(face, field, skin, chart)
+    s = _Strokes(field, skin, chart)
     fields = np.zeros((NUM_ARKIT, *s.x.shape, 3))
     mirror: Callable[[Float64Array], Float64Array] = lambda value: value[:, ::-1] * [-1.0, 1.0, 1.0]  # noqa: E731
-    for name, value in _sided(s, face, field).items():
+    for name, value in _sided(s, field).items():
         fields[ARKIT_INDEX[f"{name}Left"]] = value
         fields[ARKIT_INDEX[f"{name}Right"]] = mirror(
             value
         )  # columns are symmetric about the midline
-    for name, value in _central(s, face, field).items():
+    for name, value in _central(s, field).items():
         fields[ARKIT_INDEX[name]] = value
     jaw, jaw_closed = _jaw_weights(s)
     return SkinMotion(

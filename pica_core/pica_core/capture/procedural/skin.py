@@ -157,44 +157,37 @@ def lid_lines(
     return axis + 0.59 * opening * upper, axis - 0.41 * opening * lower
 
 
-def mouth_lines(
-    face: FaceShape, field: HeadField, half: float, x: Float64Array
-) -> dict[str, Float64Array]:
+def mouth_lines(field: HeadField, half: float, x: Float64Array) -> dict[str, Float64Array]:
     """Heights of vermilion borders and contact line at rest over x, mm; corners are at `half`."""
     t = np.clip(np.abs(x) / half, 0.0, 1.0)
     y = field.mouth_y
     contact = y + 0.9 * bump(t, 0.0, 0.13) - 0.9 * bump(t, 0.36, 0.22) - 0.4 * t**3
     # Cupid's bow: two peaks beside the dip under the philtrum.
     bow = 1.0 - 0.26 * bump(t, 0.0, 0.10) + 0.07 * bump(t, 0.22, 0.12)
-    upper = np.maximum((1.0 - t**1.7) * bow, 0.0) * face.upper_lip
-    lower = np.maximum(1.0 - t**2.6, 0.0) ** 0.8 * face.lower_lip
+    upper = np.maximum((1.0 - t**1.7) * bow, 0.0) * field.face.upper_lip
+    lower = np.maximum(1.0 - t**2.6, 0.0) ** 0.8 * field.face.lower_lip
     return {"contact": contact, "upper": contact + upper, "lower": contact - lower}
 
 
 def _heights(
-    face: FaceShape,
-    field: HeadField,
-    chart: Chart,
-    skin_half: float,
-    corners: tuple[float, float],
-    x: Float64Array,
+    field: HeadField, chart: Chart, half: float, corners: tuple[float, float], x: Float64Array
 ) -> Float64Array:
     """Heights of all rows in all front columns. ``[R, C]``."""
-    ax = np.abs(x)
+    face, ax = field.face, np.abs(x)
     u = ax - 0.5 * face.eye_distance
     upper_lid, lower_lid = lid_lines(face, corners, u)
     reach = smoothstep(24.0, 8.0, np.abs(u + 1))  # folds follow the lid near the eye only
     # The slit's edges lie on the margins; beyond the corners the two rows part a little.
     outside = np.maximum(np.maximum(corners[0] - ax, ax - corners[1]), 0.0)
     beside_eye = 0.05 + 0.75 * smoothstep(0.0, 7.0, outside)
-    mouth = mouth_lines(face, field, skin_half, x)
+    mouth = mouth_lines(field, half, x)
     # Beyond the corner the lips' rows open out again into cheek, a little more per column.
-    past = np.maximum(ax - skin_half + 4.0, 0.0)
+    past = np.maximum(ax - half + 4.0, 0.0)
     spread = 8.0 * (1.0 - np.exp(-((past / 9.0) ** 1.5)))
-    parted = 8.0 * (1.0 - np.exp(-((np.maximum(ax - skin_half, 0.0) / 9.0) ** 1.2)))
+    parted = 8.0 * (1.0 - np.exp(-((np.maximum(ax - half, 0.0) / 9.0) ** 1.2)))
     # Lips press into each other by a hair's breadth, so that nothing shines through a closed mouth.
-    closed = -0.06 + 0.12 * smoothstep(0.84 * skin_half, 0.97 * skin_half, ax)
-    closed = closed + 0.08 * smoothstep(skin_half, skin_half + 1.6, ax)
+    closed = -0.06 + 0.12 * smoothstep(0.84 * half, 0.97 * half, ax)
+    closed = closed + 0.08 * smoothstep(half, half + 1.6, ax)
     subnasale = field.subnasale_y
     wing = smoothstep(20.0, 12.0, ax)
     anchors: list[tuple[float, Float64Array]] = [
@@ -227,12 +220,11 @@ def _heights(
 
 
 def _rays(
-    face: FaceShape, field: HeadField, chart: Chart, half: float, corners: tuple[float, float]
+    field: HeadField, chart: Chart, half: float, corners: tuple[float, float]
 ) -> tuple[Float64Array, Float64Array]:
     """Origins and directions of the rays of every skin vertex. Two ``[R, C, 3]``."""
     n = chart.columns - MIDLINE_COLUMN
-    side = np.sign(n)
-    n = np.abs(n)
+    face, side, n = field.face, np.sign(n), np.abs(n)
     q = np.clip((n - FRONT_COLUMNS) / (127.5 - FRONT_COLUMNS), 0.0, 1.0)
     edge = float(front_x(face, FRONT_COLUMNS))
     bulge = 0.8 * (127.5 - FRONT_COLUMNS) * q * (1 - q) ** 3  # goes on at about the front's pace
@@ -240,9 +232,7 @@ def _rays(
     x0 = x0 * (1 - q**4) * side
     turn = np.pi * q * (1.0 - (1.0 - q) ** 3) * side
     rows = chart.rows.astype(np.float64)[:, None]
-    y_front = _heights(
-        face, field, chart, half, corners, np.where(q > 0, side * (edge + 32 * q), x0)
-    )
+    y_front = _heights(field, chart, half, corners, np.where(q > 0, side * (edge + 32 * q), x0))
     # The neck is narrower than the face: its columns lie closer together.
     narrow = 1.0 - max(1.0 - 0.66 * face.neck_breadth / 2 / edge, 0.0) * smoothstep(147, 158, rows)
     # Behind the ears rows level out: the row of the chin climbs to the jaw angle and the nape.
@@ -312,16 +302,14 @@ def _relax(
     return points
 
 
-def _lay_lips(
-    face: FaceShape, field: HeadField, chart: Chart, half: float, points: Float64Array
-) -> None:
+def _lay_lips(field: HeadField, chart: Chart, half: float, points: Float64Array) -> None:
     """Raise the lips over the muzzle and roll their inner edges into the mouth, in place."""
     rows = chart.rows
     x = points[..., 0]
     ax = np.abs(x)
     t = np.clip(ax / half, 0.0, 1.0)
     front = (ax < half + 40) & (points[..., 2] > 30)
-    pout = 4.5 * face.lip_fullness * np.maximum(1 - t**2.4, 0.0) ** 0.8
+    pout = 4.5 * field.face.lip_fullness * np.maximum(1 - t**2.4, 0.0) ** 0.8
     s_upper = (rows[:, None] - UPPER_BORDER_ROW) / (UPPER_CONTACT_ROW - UPPER_BORDER_ROW)
     s_lower = (LOWER_BORDER_ROW - rows[:, None]) / (LOWER_BORDER_ROW - LOWER_CONTACT_ROW)
     # Profile from the skin above (below 0) over the border (0) to the contact line (1): skin rises
@@ -349,24 +337,22 @@ def _lay_lips(
     points[..., 1] += 0.32 * taper * (k_upper**1.5 - k_lower**1.5)
 
 
-def build_skin(face: FaceShape, field: HeadField, eye: EyeSurface, chart: Chart) -> Skin:
+def build_skin(field: HeadField, chart: Chart) -> Skin:
     """Make the skin of one identity at rest."""
-    half = float(front_x(face, MOUTH_CORNER_COLUMN))
-    corners = (
-        float(front_x(face, INNER_CANTHUS_COLUMN)),
-        float(front_x(face, OUTER_CANTHUS_COLUMN)),
-    )
-    origin, direction = _rays(face, field, chart, half, corners)
+    slit_ends = (MOUTH_CORNER_COLUMN, INNER_CANTHUS_COLUMN, OUTER_CANTHUS_COLUMN)
+    half, inner, outer = (float(front_x(field.face, column)) for column in slit_ends)
+    corners = inner, outer
+    origin, direction = _rays(field, chart, half, corners)
     points = cast(field, origin.reshape(-1, 3), direction.reshape(-1, 3)).reshape(origin.shape)
     points = _relax(field, chart, points, half, corners[1])
     # The neck's lower end draws in under the collar.
     end = smoothstep(155.0, 163.0, chart.rows)[:, None]
     points[..., 0] *= 1.0 - 0.14 * end
     points[..., 2] -= 0.14 * end * (points[..., 2] + 30.0)
-    height = relief(face, field, half, points)
+    height = relief(field, half, points)
     chosen = np.abs(height) > 1e-4
     points[chosen] += height[chosen][:, None] * gradient(field, points[chosen])
-    _lay_lips(face, field, chart, half, points)
+    _lay_lips(field, chart, half, points)
     reach = np.abs(chart.columns - MIDLINE_COLUMN)
     low, high = np.minimum(reach[:-1], reach[1:]), np.maximum(reach[:-1], reach[1:])
     mouth_columns = high <= MOUTH_CORNER_COLUMN

@@ -16,14 +16,13 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import xatlas
 
 from pica_core.capture.dataset.files import MAP_SIZE
 from pica_core.capture.rig.mesh import components
 from pica_core.capture.rig.uv_gutter import MAX_GUTTER_TEXELS, add_gutters
 from pica_core.errors import CaptureError
-from pica_core.types import Float64Array, FloatArray, IntArray
+from pica_core.types import BoolArray, Float64Array, FloatArray, Int64Array, IntArray
 
 FLOW_GRIDS = ((2000, 128), (0, 48))
 """From how many triangles on, and cells along each side of the grid on which density spreads."""
@@ -59,8 +58,8 @@ class PackedChart:
 
     vertex_uv: FloatArray
     faces: IntArray
-    face_source: npt.NDArray[np.int64]
-    source: npt.NDArray[np.int64]
+    face_source: Int64Array
+    source: Int64Array
     islands: int
     fill: float
 
@@ -228,7 +227,7 @@ def pack(
     need: Float64Array | None,
     *,
     rest: Float64Array | None = None,
-    seen: npt.NDArray[np.bool_] | None = None,
+    seen: BoolArray | None = None,
 ) -> PackedChart:
     """Put all islands into one square.
 

@@ -14,17 +14,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.capture.rig.source import RigSource, check_counts, check_source, read_bytes
 from pica_core.errors import CaptureError
-from pica_core.types import Float64Array, FloatArray, IntArray
+from pica_core.types import Array, Float64Array, FloatArray, IntArray
 
 MAGIC, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 COMPONENT = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 TRIANGLES = 4
 MAX_NODE_DEPTH = 64
+MAX_ELEMENTS = 1_000_000
 UNDERSTOOD = ("KHR_mesh_quantization", "KHR_materials_unlit")
 """Required extensions that change nothing for us."""
 
@@ -57,12 +57,11 @@ class _File:
         if not isinstance(self.root, dict):
             raise CaptureError(f"{path}: the JSON chunk is no object")
         self.binary = chunks.get(BINARY_CHUNK, b"")
-        required = self.entries(self.root, "extensionsRequired")
-        strange = [e for e in required if e not in UNDERSTOOD]
-        if strange:
-            raise CaptureError(
-                f"{path}: needs the extension {strange[0]!r}; export without compression"
-            )
+        for extension in self.entries(self.root, "extensionsRequired"):
+            if extension not in UNDERSTOOD:
+                raise CaptureError(
+                    f"{path}: needs the extension {extension!r}; export without compression"
+                )
 
     def item(self, kind: str, index: Any) -> dict[str, Any]:
         """One entry of a top-level list such as ``accessors``."""
@@ -103,21 +102,17 @@ class _File:
 
     def _elements(self, index: Any, offset: int, dtype: str, count: int, width: int) -> Any:
         start, length, stride = self.view(index)
-        size = np.dtype(dtype).itemsize * width
+        item = np.dtype(dtype).itemsize
+        size = item * width
         stride = stride or size
         if count < 1 or stride < size or offset + stride * (count - 1) + size > length:
             raise CaptureError(
                 f"{self.path}: {count} elements of {size} bytes do not fit into bufferViews {index}"
             )
-        return np.ndarray(
-            (count, width),
-            dtype,
-            self.binary,
-            start + offset,
-            (stride, np.dtype(dtype).itemsize),
-        )
+        place = start + offset
+        return np.ndarray((count, width), dtype, self.binary, place, (stride, item))
 
-    def accessor(self, index: Any, width: int, limit: int) -> npt.NDArray[Any]:
+    def accessor(self, index: Any, width: int, limit: int = MAX_ELEMENTS) -> Array:
         """An accessor's numbers, ``[count, width]``; integers that are normalised become floats."""
         entry = self.item("accessors", index)
         dtype = _component(entry)
@@ -141,13 +136,11 @@ class _File:
         if isinstance(sparse, dict):
             self._fill_sparse(sparse, values, dtype, index)
         if entry.get("normalized") is True and dtype != "<f4":
-            scale = float(np.iinfo(dtype).max)
-            return np.maximum(values.astype(np.float32) / np.float32(scale), -1.0)
-        return np.asarray(values)
+            scale = np.float32(np.iinfo(dtype).max)
+            return np.maximum(values.astype(np.float32) / scale, -1.0)
+        return values
 
-    def _fill_sparse(
-        self, sparse: dict[str, Any], values: npt.NDArray[Any], dtype: str, index: Any
-    ) -> None:
+    def _fill_sparse(self, sparse: dict[str, Any], values: Array, dtype: str, index: Any) -> None:
         few = self.number(sparse, "count")
         if few == 0:
             return
@@ -158,14 +151,12 @@ class _File:
         if place_type not in ("<u1", "<u2", "<u4"):
             raise CaptureError(f"{self.path}: accessors {index}: sparse indices are no integers")
         offset = self.number(places, "byteOffset", 0)
-        at = self._elements(places.get("bufferView"), offset, place_type, few, 1)[:, 0]
-        at = at.astype(np.int64)
+        at = self._elements(places.get("bufferView"), offset, place_type, few, 1)[:, 0].astype("i8")
         if at.max() >= len(values):
             raise CaptureError(
                 f"{self.path}: accessors {index}: sparse index {at.max()} of {len(values)}"
             )
-        offset = self.number(numbers, "byteOffset", 0)
-        width = values.shape[1]
+        offset, width = self.number(numbers, "byteOffset", 0), values.shape[1]
         values[at] = self._elements(numbers.get("bufferView"), offset, dtype, few, width)
 
 
@@ -240,7 +231,7 @@ class _Builder:
         self.material: list[IntArray] = []
         self.targets: list[tuple[slice, str, FloatArray]] = []
         self.count = 0
-        self.shared: dict[tuple[Any, ...], int] = {}
+        self.shared: dict[tuple[Any, ...], slice] = {}
 
     def add(self, primitive: dict[str, Any], names: list[str], place: Float64Array) -> None:
         """Add one primitive; primitives on the same vertices share them."""
@@ -256,61 +247,55 @@ class _Builder:
             if index is not None and not isinstance(index, int):
                 raise CaptureError(f"{file.path}: accessors {index!r} does not exist")
         key = (attributes["POSITION"], attributes.get("TEXCOORD_0"), *at, place.tobytes())
-        limit = 3 * 1_000_000
         if key not in self.shared:
             self.shared[key] = self._add_vertices(attributes, at, names, place)
-        first = self.shared[key]
-        count = len(file.accessor(attributes["POSITION"], 3, limit))
+        span = self.shared[key]
+        count = span.stop - span.start
+        index = np.arange(count)
         if "indices" in primitive:
-            index = file.accessor(primitive["indices"], 1, limit)[:, 0].astype(np.int64)
-        else:
-            index = np.arange(count)
+            index = file.accessor(primitive["indices"], 1, 3 * MAX_ELEMENTS)[:, 0].astype(np.int64)
         if len(index) % 3 or index.min() < 0 or index.max() >= count:
             raise CaptureError(
                 f"{file.path}: indices {primitive.get('indices')}: {len(index)} indices up to "
                 f"{index.max()}; triangles of {count} vertices are needed"
             )
-        faces = (index.reshape(-1, 3) + first).astype(np.int32)
-        if np.linalg.det(place[:3, :3]) < 0:
-            faces = faces[:, ::-1]
-        self.faces.append(faces)
+        faces = (index.reshape(-1, 3) + span.start).astype(np.int32)
+        self.faces.append(faces[:, ::-1] if np.linalg.det(place[:3, :3]) < 0 else faces)
         material = primitive.get("material")
-        number = file.number(primitive, "material") if material is not None else -1
-        if number >= 0:
-            file.item("materials", number)
-        self.material.append(np.full(len(faces), number, np.int32))
+        if material is None:
+            material = -1
+        else:
+            file.item("materials", material)
+        self.material.append(np.full(len(faces), material, np.int32))
 
     def _add_vertices(
         self, attributes: dict[str, Any], targets: list[Any], names: list[str], place: Float64Array
-    ) -> int:
-        file, first = self.file, self.count
-        points = file.accessor(attributes["POSITION"], 3, 1_000_000).astype(np.float64)
-        check_counts(
-            str(file.path), vertices=first + len(points), faces=1, shapes=max(len(names), 1)
-        )
+    ) -> slice:
+        file = self.file
+        points = file.accessor(attributes["POSITION"], 3).astype(np.float64)
+        span = slice(self.count, self.count + len(points))
+        check_counts(str(file.path), vertices=span.stop, faces=1, shapes=max(len(names), 1))
         self.positions.append(points @ place[:3, :3].T + place[:3, 3])
         uv: Float64Array | None = None
         if "TEXCOORD_0" in attributes:
-            uv = file.accessor(attributes["TEXCOORD_0"], 2, 1_000_000).astype(np.float64)
+            uv = file.accessor(attributes["TEXCOORD_0"], 2).astype(np.float64)
             if len(uv) != len(points):
                 raise CaptureError(
                     f"{file.path}: {len(points)} positions and {len(uv)} texture coordinates"
                 )
         self.uv.append(uv)
-        self.count += len(points)
-        span = slice(first, self.count)
-        turn = place[:3, :3].T
+        self.count = span.stop
         for name, index in zip(names, targets, strict=True):
             if index is None:
                 continue
-            delta = file.accessor(index, 3, 1_000_000).astype(np.float32)
+            delta = file.accessor(index, 3).astype(np.float32)
             if len(delta) != len(points):
                 raise CaptureError(
                     f"{file.path}: morph target {name!r} has {len(delta)} vertices, its mesh "
                     f"{len(points)}"
                 )
-            self.targets.append((span, name, (delta @ turn).astype(np.float32)))
-        return first
+            self.targets.append((span, name, (delta @ place[:3, :3].T).astype(np.float32)))
+        return span
 
 
 def _images(file: _File) -> dict[int, bytes]:
@@ -350,18 +335,19 @@ def _read(file: _File) -> RigSource:
             builder.add(primitive, _target_names(file, mesh, count) if count else [], place)
     if not builder.faces:
         raise CaptureError(f"{path}: no triangles")
-    shapes: dict[str, FloatArray] = {}
     check_counts(
         str(path),
         vertices=builder.count,
         faces=sum(map(len, builder.faces)),
         shapes=len({name for _, name, _ in builder.targets}),
     )
+    shapes: dict[str, FloatArray] = {}
     for span, name, delta in builder.targets:
         whole = shapes.setdefault(name, np.zeros((builder.count, 3), np.float32))
         whole[span] = delta
     asset = file.root.get("asset")
-    has_uv = all(uv is not None for uv in builder.uv)
+    uv = [part for part in builder.uv if part is not None]
+    has_uv = len(uv) == len(builder.uv)
     faces = np.concatenate(builder.faces)
     material = np.concatenate(builder.material)
     entries = [file.item("materials", k) for k in range(len(file.entries(file.root, "materials")))]
@@ -373,7 +359,7 @@ def _read(file: _File) -> RigSource:
         path=path,
         positions=np.concatenate(builder.positions),
         faces=faces,
-        uv=np.concatenate([uv for uv in builder.uv if uv is not None]) if has_uv else None,
+        uv=np.concatenate(uv) if has_uv else None,
         uv_faces=faces if has_uv else None,
         materials=tuple(names),
         face_material=material,

@@ -24,7 +24,7 @@ from pica_core.capture.rig.source import RigSource
 from pica_core.capture.rig.visibility import visibility
 from pica_core.capture.stage.gaze import gaze, turn
 from pica_core.errors import CaptureError, ShapeError
-from pica_core.types import Float64Array, FloatArray
+from pica_core.types import Float64Array, FloatArray, Int64Array
 
 SEEN_FULLY = 0.27
 """Visibility of skin that faces the dome (measured on one head)."""
@@ -85,7 +85,7 @@ def _revealing_poses(mesh: RigMesh) -> list[Float64Array]:
 class _Turn:
     """An eyeball that this importer turns."""
 
-    vertices: npt.NDArray[np.int64]
+    vertices: Int64Array
     """Split vertices."""
     local: FloatArray
     """Their offsets from the centre at rest."""

@@ -7,10 +7,9 @@ the eyes go, since nothing here is transparent. Eyeballs are found by their shap
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.capture.dataset.multiface import MATERIALS
@@ -18,7 +17,7 @@ from pica_core.capture.rig.frame import EYES_AT_M, RigFrame, find_frame
 from pica_core.capture.rig.names import NameMap
 from pica_core.capture.rig.source import RigSource
 from pica_core.errors import CaptureError
-from pica_core.types import BoolArray, Float64Array, FloatArray, IntArray
+from pica_core.types import BoolArray, Float64Array, FloatArray, Int64Array, IntArray
 
 OVERLAY = re.compile(
     r"occlu|lacrimal|tear|fluid|blend|cornea|meniscus|eye_?shadow|wetness|lash|eye_?brow", re.I
@@ -52,7 +51,7 @@ class Eyeball:
     side: float
     centre_m: Float64Array
     radius_m: float
-    vertices: npt.NDArray[np.int64]
+    vertices: Int64Array
     turned: bool
 
 
@@ -92,7 +91,7 @@ class RigMesh:
         return mask
 
 
-def components(faces: IntArray, count: int) -> npt.NDArray[np.int64]:
+def components(faces: IntArray, count: int) -> Int64Array:
     """Label of each vertex's connected component (its smallest vertex). int64 ``[count]``."""
     label = np.arange(count)
     while True:
@@ -105,9 +104,7 @@ def components(faces: IntArray, count: int) -> npt.NDArray[np.int64]:
         label = spread
 
 
-def nearest(
-    points: Float64Array, others: Float64Array
-) -> tuple[npt.NDArray[np.int64], Float64Array]:
+def nearest(points: Float64Array, others: Float64Array) -> tuple[Int64Array, Float64Array]:
     """The nearest of `others` to each point, and how far it is; a part of the table at a time."""
     index = np.empty(len(points), np.int64)
     distance = np.empty(len(points))
@@ -131,7 +128,7 @@ def fit_sphere(points: Float64Array) -> tuple[Float64Array, float, float]:
     return centre + middle, radius, error
 
 
-def _weld(source: RigSource) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def _weld(source: RigSource) -> tuple[Int64Array, Int64Array]:
     """Index of one vertex of each welded group, and the group of each vertex."""
     if not source.split_at_seams:
         return np.arange(len(source.positions)), np.arange(len(source.positions))
@@ -150,7 +147,7 @@ def _weld(source: RigSource) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int6
 
 
 def _motion(
-    source: RigSource, names: NameMap, frame: RigFrame, keep: npt.NDArray[np.int64], x: Float64Array
+    source: RigSource, names: NameMap, frame: RigFrame, keep: Int64Array, x: Float64Array
 ) -> FloatArray:
     motion = np.zeros((NUM_ARKIT, len(keep), 3), np.float32)
     t = np.clip(0.5 + 0.5 * x / HALF_BLEND_M, 0.0, 1.0)
@@ -165,10 +162,10 @@ def _motion(
 
 
 def _find_eyes(
-    rest: Float64Array, motion: FloatArray, label: npt.NDArray[np.int64], middle_x: float
+    rest: Float64Array, motion: FloatArray, label: Int64Array, middle_x: float
 ) -> tuple[tuple[Eyeball, ...], BoolArray]:
     """Eyeballs by sphere fit, and vertices of shells that lie hidden inside them."""
-    balls: list[tuple[float, Float64Array, npt.NDArray[np.int64]]] = []
+    balls: list[tuple[float, Float64Array, Int64Array]] = []
     for first in np.unique(label):
         index = np.flatnonzero(label == first)
         if len(index) < 12:
@@ -215,20 +212,16 @@ def _find_eyes(
 
 
 def _parts(
-    source: RigSource,
-    material: IntArray,
-    faces: IntArray,
-    label: npt.NDArray[np.int64],
-    eyes: tuple[Eyeball, ...],
+    source: RigSource, material: IntArray, faces: IntArray, count: int, eyes: tuple[Eyeball, ...]
 ) -> IntArray:
-    """Part of each face."""
+    """Part of each face of a mesh of so many vertices."""
     part = np.zeros(len(faces), np.int32)
     for index, name in enumerate(source.materials):
         for kind, words in PART_WORDS:
             if re.search(words, name, re.I):
                 part[material == index] = MATERIALS.index(kind)
                 break
-    in_eye = np.zeros(len(label), np.bool_)
+    in_eye = np.zeros(count, np.bool_)
     for eye in eyes:
         in_eye[eye.vertices] = True
     part[in_eye[faces].all(1)] = MATERIALS.index("eye")
@@ -254,8 +247,7 @@ def build_mesh(source: RigSource, names: NameMap) -> RigMesh:
     uv_faces, material = source.uv_faces, source.face_material
     overlay = [k for k, name in enumerate(source.materials) if OVERLAY.search(name)]
     shown = ~np.isin(material, overlay)
-    for corner in range(3):
-        shown &= faces[:, corner] != faces[:, (corner + 1) % 3]
+    shown &= (faces != np.roll(faces, 1, axis=1)).all(1)
     if not shown.any():
         raise CaptureError(f"{source.path}: no face is left without transparent materials")
     label = components(faces[shown], len(rest))
@@ -267,19 +259,17 @@ def build_mesh(source: RigSource, names: NameMap) -> RigMesh:
     if _volume(rest, faces) < 0:
         faces = faces[:, ::-1]
         uv_faces = uv_faces[:, ::-1] if uv_faces is not None else None
-    part = _parts(source, material, faces, label, eyes)
+    part = _parts(source, material, faces, len(rest), eyes)
     offset = np.array(EYES_AT_M) - _eye_point(rest, motion, eyes, middle_x)
     rest = rest + offset
     used, again = np.unique(faces, return_inverse=True)
     rank = np.full(len(rest), -1)
     rank[used] = np.arange(len(used))
     moved_eyes = tuple(
-        Eyeball(
-            side=eye.side,
+        replace(
+            eye,
             centre_m=eye.centre_m + offset,
-            radius_m=eye.radius_m,
             vertices=rank[eye.vertices][rank[eye.vertices] >= 0],
-            turned=eye.turned,
         )
         for eye in eyes
     )

@@ -10,11 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.capture.rig.source import RigSource, check_counts, check_source, read_bytes
 from pica_core.errors import CaptureError
-from pica_core.types import Float64Array, IntArray
+from pica_core.types import Float64Array, FloatArray, IntArray
 
 NEUTRAL_WORDS = ("neutral", "basis", "rest", "base")
 """What the name of the neutral face's file contains, the first that is found."""
@@ -143,7 +142,7 @@ def read_obj_folder(folder: Path) -> RigSource:
         uv = _numbers(neutral_path, neutral.texture, "texture coordinate", 2)
         uv[:, 1] = 1 - uv[:, 1]
     face_text = [rest.split() for _, rest in neutral.faces]
-    shapes: dict[str, npt.NDArray[np.float32]] = {}
+    shapes: dict[str, FloatArray] = {}
     for path in paths:
         if path == neutral_path:
             continue

@@ -10,7 +10,6 @@ import io
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image, UnidentifiedImageError
 
 from pica_core.capture.dataset.multiface import MATERIALS
@@ -18,7 +17,7 @@ from pica_core.capture.rig.head import RigHead
 from pica_core.capture.rig.source import RigSource, read_bytes
 from pica_core.capture.rig.zones import hair_coverage
 from pica_core.errors import CaptureError
-from pica_core.types import ByteArray, FloatArray
+from pica_core.types import ByteArray, FloatArray, IntArray
 
 MAX_ALBEDO_SIDE = 8192
 ALBEDO_MODES = ("RGB", "RGBA", "L", "LA", "P")
@@ -26,7 +25,7 @@ IRIS_RADIUS_M = 0.0060
 """11.7 mm across (Rüfer et al. 2005), a little more for eyeballs that are larger than life."""
 
 
-def split_parts(head: RigHead) -> npt.NDArray[np.int32]:
+def split_parts(head: RigHead) -> IntArray:
     """Part of each split vertex: that of its triangles. ``[V]``."""
     part = np.zeros(head.num_vertices, np.int32)
     for corner in range(3):  # where parts share an island, the later part of the table wins

@@ -1,12 +1,12 @@
 """A rig as its file has it: one mesh, its UVs and materials, and what each shape adds.
 
-Readers (`rig_gltf`, `rig_obj`) fill it; everything after them is independent of the file's format.
+Readers (`gltf`, `obj`) fill it; everything after them is independent of the file's format.
 Checks stand here, so that both readers refuse the same things in the same words.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -96,32 +96,22 @@ def check_source(source: RigSource) -> RigSource:
             row = int(np.flatnonzero(~np.isfinite(delta).all(1))[0])
             raise CaptureError(f"{where}: vertex {row} of shape {name!r} is not finite")
     _check_faces(str(where), "faces", source.faces, count)
-    keep = np.ones(len(source.faces), np.bool_)
-    for corner in range(3):
-        keep &= source.faces[:, corner] != source.faces[:, (corner + 1) % 3]
+    keep = (source.faces != np.roll(source.faces, 1, axis=1)).all(1)
     uv_faces = source.uv_faces
     if source.uv is not None and uv_faces is not None:
         if not np.isfinite(source.uv).all():
             raise CaptureError(f"{where}: texture coordinates are not all finite")
-        if np.abs(source.uv).max() > 100:
+        if (far := np.abs(source.uv).max()) > 100:
             raise CaptureError(
-                f"{where}: texture coordinates reach {np.abs(source.uv).max():.3g}; "
-                "tiles up to 100 are allowed"
+                f"{where}: texture coordinates reach {far:.3g}; tiles up to 100 are allowed"
             )
         _check_faces(str(where), "texture coordinates of faces", uv_faces, len(source.uv))
         uv_faces = uv_faces[keep]
-    return RigSource(
-        path=source.path,
-        positions=source.positions,
+    return replace(
+        source,
         faces=source.faces[keep],
-        uv=source.uv,
         uv_faces=uv_faces,
-        materials=source.materials,
         face_material=source.face_material[keep],
-        shapes=source.shapes,
-        split_at_seams=source.split_at_seams,
-        copyright=source.copyright,
-        images=source.images,
     )
 
 

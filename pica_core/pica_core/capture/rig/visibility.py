@@ -8,9 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from pica_core.types import Float64Array, IntArray
+from pica_core.types import Float64Array, Int64Array, IntArray
 
 CELL_M = 0.003
 """Cells of the depth maps for `visibility`."""
@@ -27,7 +26,7 @@ class FrontView:
     Row 0 is the lowest y; `origin_m` is the corner of the first cell.
     """
 
-    face: npt.NDArray[np.int64]
+    face: Int64Array
     depth_m: Float64Array
     origin_m: Float64Array
     cell_m: float
@@ -43,7 +42,7 @@ class FrontView:
 
 def _samples(
     points: Float64Array, faces: IntArray, spacing: float
-) -> tuple[npt.NDArray[np.int64], Float64Array]:
+) -> tuple[Int64Array, Float64Array]:
     """Points spread evenly over triangles: face ``[n]`` and barycentric weights ``[n, 3]``."""
     a, b, c = (points[faces[:, k]] for k in range(3))
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)

@@ -14,10 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.camera import Camera
-from pica_core.types import BoolArray, ByteArray, FloatArray
+from pica_core.types import BoolArray, ByteArray, FloatArray, Int64Array
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -153,7 +152,7 @@ def _smooth_noise(random: np.random.Generator, shape: tuple[int, int], reach: in
     return np.sqrt(np.float32(0.5)) * (fine + shared)
 
 
-def _cell_index(shape: tuple[int, int], size: float) -> npt.NDArray[np.int64]:
+def _cell_index(shape: tuple[int, int], size: float) -> Int64Array:
     """A cell's number for each pixel, cells of about `size` pixels."""
     rows = (np.arange(shape[0]) / size).astype(np.int64)
     columns = (np.arange(shape[1]) / size).astype(np.int64)

@@ -37,7 +37,7 @@ from pica_core.capture.stage.subject import Subject
 from pica_core.capture.stage.tracked_topology import NUM_VERTICES, track_topology
 from pica_core.capture.stage.tracker import SimulatedTracker, lagged_arkit
 from pica_core.errors import CaptureError
-from pica_core.types import FloatArray
+from pica_core.types import FloatArray, Int64Array
 
 Progress = Callable[[int, int], None]
 
@@ -228,7 +228,7 @@ class _Rendering:
             self.writer.image(path("depth"), found)
 
 
-def _millimetres(vertices_m: FloatArray) -> npt.NDArray[np.float32]:
+def _millimetres(vertices_m: FloatArray) -> FloatArray:
     return (vertices_m * multiface.MILLIMETRES).astype("<f4")
 
 
@@ -239,7 +239,7 @@ def _render(
     sums, errors = TrainingSums(), TrackingErrors()
     resumed = done = 0
     rendering: _Rendering | None = None
-    tracked: tuple[Topology, npt.NDArray[np.int64]] | None = None
+    tracked: tuple[Topology, Int64Array] | None = None
     with BackgroundWriter() as writer:
         for number, take in enumerate(takes):
             for index in range(len(take.arkit)):
@@ -274,7 +274,7 @@ def _sum_up(
     options: RenderOptions,
     take: Take,
     frame: str,
-    tracked: npt.NDArray[np.int64],
+    tracked: Int64Array,
     sums: TrainingSums,
     errors: TrackingErrors,
 ) -> None:

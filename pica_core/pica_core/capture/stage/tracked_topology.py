@@ -15,11 +15,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.capture.dataset.files import Topology
 from pica_core.capture.stage.mouth_cover import cover_mouth
-from pica_core.types import BoolArray, FloatArray, Int64Array
+from pica_core.types import BoolArray, Float64Array, FloatArray, Int64Array
 
 NUM_VERTICES = 7000
 """Vertices that are aimed at (paper: 5K; the published Multiface meshes have 7,306)."""
@@ -107,7 +106,7 @@ def _with_mouth_cover(
     )
 
 
-def _density(topology: Topology, count: int) -> npt.NDArray[np.float64]:
+def _density(topology: Topology, count: int) -> Float64Array:
     density = np.ones(count)
     for name, value in DENSITY.items():
         if name in topology.regions:

@@ -12,11 +12,10 @@ states what came of them, and `docs/capture.md` shows it.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.capture.dataset.files import Topology
 from pica_core.capture.stage.waves import SpaceTimeWaves, TimeWaves
-from pica_core.types import Float64Array, FloatArray
+from pica_core.types import Float64Array, FloatArray, Int64Array, IntArray
 
 SPREAD_MM: dict[str, float] = {
     "hair": 0.32,
@@ -60,7 +59,7 @@ class SimulatedTracker:
         topology: Topology,
         rest_m: FloatArray,
         seed: int,
-        places: npt.NDArray[np.int64],
+        places: Int64Array,
     ) -> None:
         random = np.random.default_rng([seed, 0x7AC4])
         self._seed = seed
@@ -126,7 +125,7 @@ def _lag_weight(topology: Topology, rest_m: FloatArray) -> Float64Array:
     return weight
 
 
-def _normals(vertices: FloatArray, faces: npt.NDArray[np.int32]) -> Float64Array:
+def _normals(vertices: FloatArray, faces: IntArray) -> Float64Array:
     """Unit normals of vertices. float64 ``[Vt, 3]``."""
     a, b, c = (vertices[faces[:, i]].astype(np.float64) for i in range(3))
     cross = np.cross(b - a, c - a)
