@@ -6,6 +6,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from pica_core.camera import Camera
+from pica_core.capture.triangles import vertex_normals
 from pica_core.types import BoolArray, ByteArray, Float64Array, FloatArray, Int64Array, IntArray
 
 DRAWN_PX = 192
@@ -101,14 +102,7 @@ def _inside(
 
 def _facing(camera: Camera, vertices_m: FloatArray, faces: IntArray) -> Float64Array:
     """Cosine between each vertex's normal and its way to the camera."""
-    a, b, c = (vertices_m[faces[:, i]].astype(np.float64) for i in range(3))
-    cross = np.cross(b - a, c - a)
-    normal = np.zeros((len(vertices_m), 3))
-    for axis in range(3):
-        for corner in range(3):
-            normal[:, axis] += np.bincount(
-                faces[:, corner], weights=cross[:, axis], minlength=len(vertices_m)
-            )
+    normal = vertex_normals(vertices_m, faces)
     way = camera.centre_m - vertices_m
     size = np.linalg.norm(normal, axis=1) * np.linalg.norm(way, axis=1)
     return (normal * way).sum(axis=1) / np.maximum(size, 1e-20)

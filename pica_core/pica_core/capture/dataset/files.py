@@ -19,6 +19,8 @@ from pica_core.types import Array, BoolArray, Float64Array, FloatArray, Int64Arr
 SPLITS = ("train", "test")
 MAP_SIZE = 256
 """Texels along each side of the position map that charts are made for."""
+MAX_FILE_BYTES = 1 << 30
+"""Larger files are refused before reading."""
 MAX_IMAGE_PIXELS = 64_000_000
 """Larger images are refused before decoding."""
 MAX_LENGTH_M = 100.0
@@ -102,6 +104,23 @@ class Take:
     split: str
 
 
+def read_bytes(path: Path) -> bytes:
+    """A whole file.
+
+    Raises:
+        CaptureError: Missing, unreadable, or larger than `MAX_FILE_BYTES`.
+    """
+    try:
+        size = path.stat().st_size
+        if size > MAX_FILE_BYTES:
+            raise CaptureError(f"{path}: {size} bytes; at most {MAX_FILE_BYTES} are allowed")
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise CaptureError(f"{path}: the file is missing") from None
+    except OSError as error:
+        raise CaptureError(f"{path}: cannot be read ({error.strerror})") from error
+
+
 def load_image(path: Path, mode: str, size: tuple[int, int] | None) -> Array:
     """Decode an image.
 
@@ -168,12 +187,7 @@ def read_vertices(path: Path, count: int) -> FloatArray:
         CaptureError: Missing, of another size, or not finite.
     """
     wanted = 12 * count
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise CaptureError(f"{path}: the file is missing") from None
-    except OSError as error:
-        raise CaptureError(f"{path}: cannot read ({error.strerror})") from error
+    data = read_bytes(path)
     if len(data) != wanted:
         raise CaptureError(f"{path}: {len(data)} bytes; {count} vertices need {wanted} (float32)")
     vertices = np.frombuffer(data, "<f4").reshape(-1, 3) / np.float32(multiface.MILLIMETRES)

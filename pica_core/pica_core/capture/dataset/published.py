@@ -24,6 +24,7 @@ from pica_core.capture.dataset.files import (
     check_image_header,
     read_frame_list,
 )
+from pica_core.capture.dataset.obj import read_obj
 from pica_core.errors import CaptureError
 from pica_core.types import ByteArray, Int64Array
 
@@ -61,7 +62,7 @@ def open_published(root: Path, test_segments: Collection[str] | None = None) -> 
         )
         for index, (segment, name) in enumerate(names)
     )
-    topology, mesh_vertex, count = read_obj_topology(_first_obj(root, names))
+    topology, mesh_vertex, count = _read_topology(_first_obj(root, names))
     width, height = _image_size(root)
     return Description(
         info={
@@ -105,52 +106,23 @@ def _texture_size(root: Path) -> int:
     raise CaptureError(f"{root}: no unwrapped_uv_SIZE directory")
 
 
-def read_obj_topology(path: Path) -> tuple[Topology, Int64Array, int]:
-    """Topology of an OBJ file, the OBJ's vertex for each of its vertices, and how many it has.
-
-    Raises:
-        CaptureError: Missing, or a face that cannot be read or points nowhere.
-    """
-    num_vertices, uvs = 0, []
-    corners: list[tuple[int, int]] = []
-    for number, line in enumerate(multiface.read_text(path).splitlines(), start=1):
-        kind, *words = line.split() or ["#"]
-        try:
-            if kind == "v":
-                num_vertices += 1
-            elif kind == "vt":
-                uvs.append((float(words[0]), float(words[1])))
-            elif kind == "f":
-                face = [_corner(word, num_vertices, len(uvs)) for word in words]
-                if len(face) < 3:
-                    raise ValueError("fewer than three corners")
-                for at in range(1, len(face) - 1):
-                    corners += [face[0], face[at], face[at + 1]]
-        except (ValueError, IndexError) as error:
-            raise CaptureError(f"{path}:{number}: {line!r:.60} cannot be read ({error})") from error
-    if not corners or num_vertices > MAX_VERTICES:
-        raise CaptureError(f"{path}: {num_vertices} vertices, no faces or too many vertices")
-    pairs, faces = np.unique(np.array(corners, np.int64), axis=0, return_inverse=True)
-    uv = np.array(uvs, np.float32)[pairs[:, 1]]
+def _read_topology(path: Path) -> tuple[Topology, Int64Array, int]:
+    """Topology of an OBJ file, the OBJ's vertex for each of its vertices, and how many it has."""
+    obj = read_obj(path)
+    vertex_faces, uv_faces, _, _ = obj.triangles()
+    count = len(obj.vertices)
+    if not len(uv_faces) or (uv_faces < 0).any() or count > MAX_VERTICES:
+        raise CaptureError(
+            f"{path}: {count} vertices, {len(uv_faces)} triangles; at most {MAX_VERTICES} vertices "
+            "and triangles with texture coordinates are needed"
+        )
+    corners = np.stack([vertex_faces, uv_faces], -1).reshape(-1, 2).astype(np.int64)
+    pairs, faces = np.unique(corners, axis=0, return_inverse=True)
+    uv = obj.uv().astype(np.float32)[pairs[:, 1]]
     if not np.isfinite(uv).all():
         raise CaptureError(f"{path}: a texture coordinate is not finite")
     topology = Topology(vertex_uv=uv, faces=faces.reshape(-1, 3).astype(np.int32), regions={})
-    return topology, np.ascontiguousarray(pairs[:, 0]), num_vertices
-
-
-def _corner(word: str, num_vertices: int, num_uvs: int) -> tuple[int, int]:
-    """Vertex and UV of a corner such as ``12/7`` or ``-1/-1/3``, from 0."""
-    parts = word.split("/")
-    if len(parts) < 2:
-        raise ValueError("no texture coordinate")
-    found = []
-    for text, count in zip(parts[:2], (num_vertices, num_uvs), strict=True):
-        index = int(text)
-        index = index - 1 if index > 0 else count + index
-        if not 0 <= index < count:
-            raise ValueError(f"index {text} of {count}")
-        found.append(index)
-    return found[0], found[1]
+    return topology, np.ascontiguousarray(pairs[:, 0]), count
 
 
 def displayable(image: ByteArray) -> ByteArray:

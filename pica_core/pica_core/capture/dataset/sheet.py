@@ -18,6 +18,7 @@ from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.capture.dataset import multiface
 from pica_core.capture.dataset.dataset import Capture, CaptureFrame
 from pica_core.capture.dataset.published import displayable
+from pica_core.capture.triangles import edges, signed_areas
 from pica_core.errors import CaptureError
 from pica_core.types import ByteArray, Float64Array, FloatArray
 
@@ -114,13 +115,10 @@ def _wire_picture(capture: Capture, frame: CaptureFrame, camera_name: str) -> Im
     picture = picture.resize(size, Image.Resampling.BICUBIC)
     draw = ImageDraw.Draw(picture)
     place = (pixels - box[:2]) * scale
-    a, b, c = (place[faces[:, i]] for i in range(3))
     # Rows count downwards: what is counter-clockwise outside turns the other way in the image.
-    turn = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
-    facing = faces[turn < 0]
-    edges = np.unique(np.sort(facing[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
-    for start, end in zip(place[edges[:, 0]].tolist(), place[edges[:, 1]].tolist(), strict=True):
-        draw.line([*start, *end], fill=WIRE, width=1)
+    facing = faces[signed_areas(place, faces) < 0]
+    for ends in place[np.unique(np.sort(edges(facing), axis=1), axis=0)].reshape(-1, 4).tolist():
+        draw.line(ends, fill=WIRE, width=1)
     return picture
 
 

@@ -12,7 +12,6 @@ of the jaw (`heads`) and no field.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -203,12 +202,10 @@ def build_motion(field: HeadField, skin: Skin, chart: Chart) -> SkinMotion:
     """Displacement fields and jaw weights of one identity's skin."""
     s = _Strokes(field, skin, chart)
     fields = np.zeros((NUM_ARKIT, *s.x.shape, 3))
-    mirror: Callable[[Float64Array], Float64Array] = lambda value: value[:, ::-1] * [-1.0, 1.0, 1.0]  # noqa: E731
     for name, value in _sided(s, field).items():
         fields[ARKIT_INDEX[f"{name}Left"]] = value
-        fields[ARKIT_INDEX[f"{name}Right"]] = mirror(
-            value
-        )  # columns are symmetric about the midline
+        # Columns are symmetric about the midline.
+        fields[ARKIT_INDEX[f"{name}Right"]] = value[:, ::-1] * [-1.0, 1.0, 1.0]
     for name, value in _central(s, field).items():
         fields[ARKIT_INDEX[name]] = value
     jaw, jaw_closed = _jaw_weights(s)

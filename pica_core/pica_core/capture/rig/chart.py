@@ -19,8 +19,8 @@ import numpy as np
 import xatlas
 
 from pica_core.capture.dataset.files import MAP_SIZE
-from pica_core.capture.rig.mesh import components
 from pica_core.capture.rig.uv_gutter import MAX_GUTTER_TEXELS, add_gutters
+from pica_core.capture.triangles import areas, components, signed_areas, spread_samples
 from pica_core.errors import CaptureError
 from pica_core.types import BoolArray, Float64Array, FloatArray, Int64Array, IntArray
 
@@ -64,13 +64,6 @@ class PackedChart:
     fill: float
 
 
-def _areas(uv: Float64Array, faces: IntArray) -> Float64Array:
-    """Signed areas of triangles in the plane. ``[F]``."""
-    a, b, c = (uv[faces[:, k]] for k in range(3))
-    cross: Float64Array = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1])
-    return 0.5 * (cross - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0]))
-
-
 def make_islands(points: Float64Array, faces: IntArray) -> tuple[Float64Array, IntArray]:
     """Texture coordinates ``[T, 2]`` for a mesh that has none, and the triangles in them."""
     options = xatlas.ChartOptions()
@@ -93,12 +86,12 @@ def mend_islands(
 
     Returns coordinates, triangles in them, and how many triangles got new ones.
     """
-    area = _areas(uv, uv_faces)
+    area = signed_areas(uv, uv_faces)
     label = components(uv_faces, len(uv))[uv_faces[:, 0]]
     _, island = np.unique(label, return_inverse=True)
     flat = np.bincount(island, np.abs(area))
     folded = flat - np.abs(np.bincount(island, area))
-    ratio = flat / np.maximum(np.bincount(island, _areas_in_space(points, faces)), 1e-12)
+    ratio = flat / np.maximum(np.bincount(island, areas(points, faces)), 1e-12)
     usual = float(np.median(ratio[island]))
     bad = (flat <= 0) | (folded > MAX_FOLDED * flat) | (ratio < 1e-4 * usual)
     if not bad.any():
@@ -108,11 +101,6 @@ def mend_islands(
     mended = uv_faces.copy()
     mended[mend] = new_faces + len(uv)
     return np.concatenate([uv, new_uv]), mended, int(np.count_nonzero(mend))
-
-
-def _areas_in_space(points: Float64Array, faces: IntArray) -> Float64Array:
-    a, b, c = (points[faces[:, k]] for k in range(3))
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
 def _density_modes(size: int) -> tuple[Float64Array, Float64Array, Float64Array]:
@@ -172,11 +160,11 @@ def _flow(uv: Float64Array, faces: IntArray, need: Float64Array) -> Float64Array
         velocity = -slope / np.maximum(rho, 1e-9)[..., None]
         half = moved + 0.5 * (after - before) * _bilinear(velocity, moved)
         moved = moved + (after - before) * _bilinear(velocity, half)
-    sign = np.sign(_areas(points, faces).sum())
+    sign = np.sign(signed_areas(points, faces).sum())
     blend = 1.0
     while blend > 1e-3:
         mixed = points + blend * (moved - points)
-        if (_areas(mixed, faces) * sign > 0).all():
+        if (signed_areas(mixed, faces) * sign > 0).all():
             break
         blend *= 0.9
     else:
@@ -188,14 +176,9 @@ def _need_density(
     points: Float64Array, faces: IntArray, need: Float64Array, size: int
 ) -> Float64Array:
     """Need per cell, on a grid; the mean outside the island. ``[size, size]``, row is y."""
-    area = np.abs(_areas(points, faces))
+    area = np.abs(signed_areas(points, faces))
     count = np.clip(np.ceil(area * 6), 4, 4000).astype(np.int64)
-    which = np.repeat(np.arange(len(faces)), count)
-    order = np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
-    a = (0.5 + order * 0.7548776662466927) % 1.0
-    b = (0.5 + order * 0.5698402909980532) % 1.0
-    fold = a + b > 1
-    a, b = np.where(fold, 1 - a, a), np.where(fold, 1 - b, b)
+    which, a, b = spread_samples(count)
     corner = [points[faces[which, k]] for k in range(3)]
     at = corner[0] + a[:, None] * (corner[1] - corner[0]) + b[:, None] * (corner[2] - corner[0])
     cell = np.clip(at.astype(np.int64), 0, size - 1)
@@ -248,14 +231,14 @@ def pack(
     split = index.reshape(-1, 3).astype(np.int32)
     points = uv[pairs[:, 0]].astype(np.float64)
     label = components(split, len(points))[split[:, 0]]
-    floor = 1e-12 + 1e-3 * np.median(np.abs(_areas(points, split)))
+    floor = 1e-12 + 1e-3 * np.median(np.abs(signed_areas(points, split)))
     names = np.unique(label)
     for name in names:
         mine = np.flatnonzero(label == name)
         used, again = np.unique(split[mine], return_inverse=True)
         local: IntArray = again.reshape(-1, 3).astype(np.int32)
         island = points[used] - points[used].mean(0)
-        signed = _areas(island, local)
+        signed = signed_areas(island, local)
         if signed.sum() < 0:
             island[:, 0] *= -1
             signed = -signed
@@ -263,13 +246,13 @@ def pack(
             clean = bool((signed > 0).all())
             if clean and len(mine) >= MIN_FLOW_FACES:
                 island = equalise(island, local, need[mine])
-                signed = _areas(island, local)
+                signed = signed_areas(island, local)
             island *= np.sqrt(need[mine].sum() / max(np.abs(signed).sum(), floor))
         points[used] = island
     source = pairs[:, 1]
     face_source = np.arange(len(faces))
     if rest is not None and seen is not None:
-        texel = np.sqrt(np.abs(_areas(points, split)).sum() / USUAL_FILL) / MAP_SIZE
+        texel = np.sqrt(np.abs(signed_areas(points, split)).sum() / USUAL_FILL) / MAP_SIZE
         tips, gutters, far, copied = add_gutters(
             points, split, rest, faces, seen, MAX_GUTTER_TEXELS * texel
         )
@@ -289,7 +272,7 @@ def pack(
 
 def _place(points: Float64Array, faces: IntArray) -> tuple[Float64Array, float]:
     """Pack islands at the largest common scale that fits into the position map."""
-    area = float(np.abs(_areas(points, faces)).sum())
+    area = float(np.abs(signed_areas(points, faces)).sum())
     unit = points / np.sqrt(area)  # all islands together have area 1
     best: tuple[Float64Array, float] | None = None
     low, high = 0.25 * MAP_SIZE, 1.0 * MAP_SIZE

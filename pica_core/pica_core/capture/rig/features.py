@@ -15,9 +15,10 @@ import numpy as np
 
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
 from pica_core.capture.dataset.multiface import MATERIALS
-from pica_core.capture.rig.mesh import RigMesh, components, nearest
+from pica_core.capture.rig.mesh import RigMesh
 from pica_core.capture.rig.visibility import FrontView, front_view, visibility
 from pica_core.capture.rig.zones import find_ears, find_neck, hair_coverage
+from pica_core.capture.triangles import components, nearest
 from pica_core.types import BoolArray, Float64Array, IntArray
 
 UPPER_LIP_M, LOWER_LIP_M = 0.0075, 0.0095

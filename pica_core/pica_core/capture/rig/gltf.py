@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from pica_core.capture.rig.source import RigSource, check_counts, check_source, read_bytes
+from pica_core.capture.dataset.files import read_bytes
+from pica_core.capture.rig.source import RigSource, check_counts, check_source
 from pica_core.errors import CaptureError
 from pica_core.types import Array, Float64Array, FloatArray, IntArray
 

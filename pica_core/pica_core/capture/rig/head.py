@@ -23,6 +23,7 @@ from pica_core.capture.rig.obj import read_obj_folder
 from pica_core.capture.rig.source import RigSource
 from pica_core.capture.rig.visibility import visibility
 from pica_core.capture.stage.gaze import gaze, turn
+from pica_core.capture.triangles import areas
 from pica_core.errors import CaptureError, ShapeError
 from pica_core.types import Float64Array, FloatArray, Int64Array
 
@@ -55,8 +56,7 @@ def read_rig(path: Path) -> RigSource:
 
 def texel_need(mesh: RigMesh, features: Features, seen: Float64Array) -> Float64Array:
     """Share of the chart that each triangle should get, sum 1, given its visibility. ``[F]``."""
-    a, b, c = (mesh.rest_m[mesh.faces[:, k]] for k in range(3))
-    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    area = areas(mesh.rest_m, mesh.faces)
     importance = np.ones(len(mesh.faces))
     for name, value in IMPORTANCE.items():
         here = features.regions[name][mesh.faces].any(1)

@@ -16,6 +16,7 @@ from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.frame import EYES_AT_M, RigFrame, find_frame
 from pica_core.capture.rig.names import NameMap
 from pica_core.capture.rig.source import RigSource
+from pica_core.capture.triangles import components
 from pica_core.errors import CaptureError
 from pica_core.types import BoolArray, Float64Array, FloatArray, Int64Array, IntArray
 
@@ -89,31 +90,6 @@ class RigMesh:
         wanted = np.isin(self.part, [MATERIALS.index(name) for name in names])
         mask[self.faces[wanted].ravel()] = True
         return mask
-
-
-def components(faces: IntArray, count: int) -> Int64Array:
-    """Label of each vertex's connected component (its smallest vertex). int64 ``[count]``."""
-    label = np.arange(count)
-    while True:
-        lowest = label[faces].min(1)
-        spread = label.copy()
-        np.minimum.at(spread, faces.ravel(), np.repeat(lowest, 3))
-        spread = spread[spread]
-        if (spread == label).all():
-            return label
-        label = spread
-
-
-def nearest(points: Float64Array, others: Float64Array) -> tuple[Int64Array, Float64Array]:
-    """The nearest of `others` to each point, and how far it is; a part of the table at a time."""
-    index = np.empty(len(points), np.int64)
-    distance = np.empty(len(points))
-    rows = max(1_000_000 // len(others), 1)
-    for first in range(0, len(points), rows):
-        apart = np.linalg.norm(points[first : first + rows, None] - others[None], axis=2)
-        index[first : first + rows] = apart.argmin(1)
-        distance[first : first + rows] = apart.min(1)
-    return index, distance
 
 
 def fit_sphere(points: Float64Array) -> tuple[Float64Array, float, float]:

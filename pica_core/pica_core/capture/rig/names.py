@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
-from pica_core.capture.rig.source import read_bytes
+from pica_core.capture.dataset.files import read_bytes
 from pica_core.errors import CaptureError
 
 SIDES = {"l": "Left", "left": "Left", "lft": "Left", "r": "Right", "right": "Right", "rgt": "Right"}

@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
+from pica_core.capture.dataset.files import read_bytes
 from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.head import RigHead
-from pica_core.capture.rig.source import RigSource, read_bytes
+from pica_core.capture.rig.source import RigSource
 from pica_core.capture.rig.zones import hair_coverage
 from pica_core.errors import CaptureError
 from pica_core.types import ByteArray, FloatArray, IntArray

@@ -14,8 +14,6 @@ import numpy as np
 from pica_core.errors import CaptureError
 from pica_core.types import Float64Array, FloatArray, IntArray
 
-MAX_FILE_BYTES = 1 << 30
-"""Larger files are refused before reading."""
 MAX_VERTICES = 500_000
 MAX_FACES = 1_000_000
 MAX_SHAPES = 1_000
@@ -122,20 +120,3 @@ def _check_faces(where: str, name: str, faces: IntArray, count: int) -> None:
             f"{where}: {name}: triangle {outside[0]} is {faces[outside[0]].tolist()}; "
             f"0 to {count - 1} exist"
         )
-
-
-def read_bytes(path: Path) -> bytes:
-    """A whole file.
-
-    Raises:
-        CaptureError: Missing, unreadable, or larger than `MAX_FILE_BYTES`.
-    """
-    try:
-        size = path.stat().st_size
-        if size > MAX_FILE_BYTES:
-            raise CaptureError(f"{path}: {size} bytes; at most {MAX_FILE_BYTES} are allowed")
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise CaptureError(f"{path}: the file is missing") from None
-    except OSError as error:
-        raise CaptureError(f"{path}: cannot be read ({error.strerror})") from error

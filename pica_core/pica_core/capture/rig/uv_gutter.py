@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pica_core.capture.triangles import signed_areas
 from pica_core.types import BoolArray, Float64Array, Int64Array, IntArray
 
 MAX_GUTTER_TEXELS = 2.5
@@ -118,14 +119,8 @@ def _between(
     place = order[np.minimum(np.searchsorted(key[order], wanted), len(order) - 1)]
     third = faces[place // 3, (place % 3 + 2) % 3]
     triangles = np.stack([end[one], tip[one], tip[other]], 1)
-    flipped = _turn(points, triangles) * _turn(points, gutters[one]) <= 0  # gutters overlap here
+    flipped = (
+        signed_areas(points, triangles) * signed_areas(points, gutters[one]) <= 0
+    )  # gutters overlap here
     fits = (key[place] == wanted) & (third == welded[other, 1]) & ~flipped
     return _as_copied(triangles[fits], place[fits] % 3), place[fits] // 3
-
-
-def _turn(points: Float64Array, triangles: Int64Array) -> Float64Array:
-    """Twice the signed area. ``[N]``."""
-    a, b, c = (points[triangles[:, k]] for k in range(3))
-    result: Float64Array = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1])
-    result -= (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
-    return result

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pica_core.capture.triangles import areas, spread_samples
 from pica_core.types import Float64Array, Int64Array, IntArray
 
 CELL_M = 0.003
@@ -44,16 +45,9 @@ def _samples(
     points: Float64Array, faces: IntArray, spacing: float
 ) -> tuple[Int64Array, Float64Array]:
     """Points spread evenly over triangles: face ``[n]`` and barycentric weights ``[n, 3]``."""
-    a, b, c = (points[faces[:, k]] for k in range(3))
-    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    count = np.ceil(area / spacing**2) + 1
+    count = np.ceil(areas(points, faces) / spacing**2) + 1
     count = np.maximum(count * min(1.0, MAX_SAMPLES / count.sum()), 1).astype(np.int64)
-    which = np.repeat(np.arange(len(faces)), count)
-    order = np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
-    u = (0.5 + order * 0.7548776662466927) % 1.0
-    v = (0.5 + order * 0.5698402909980532) % 1.0
-    fold = u + v > 1
-    u, v = np.where(fold, 1 - u, u), np.where(fold, 1 - v, v)
+    which, u, v = spread_samples(count)
     return which, np.stack([1 - u - v, u, v], 1)
 
 

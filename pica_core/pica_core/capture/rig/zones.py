@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pica_core.capture.rig.mesh import components, nearest
+from pica_core.capture.triangles import components, nearest
 from pica_core.types import BoolArray, Float64Array, IntArray
 
 HAIRLINE = (

@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from pica_core.capture.dataset.files import MAP_SIZE
+from pica_core.capture.triangles import edges
 from pica_core.types import BoolArray, FloatArray, Int64Array
 
 SIZES = ((64, 32), (56, 28), (48, 24), (40, 20), (32, 16), (24, 12))
@@ -77,18 +78,20 @@ def cover_mouth(
     strip = _strip(above, below, column)
     ring = {(int(a), int(b)) for a, b in zip(border, np.roll(border, -1), strict=True)}
     corners = places[source][strip]
-    edges = corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).tolist()
-    if any((a, b) in ring for a, b in edges):  # neighbours go along an edge in opposite directions
+    if any(
+        (a, b) in ring for a, b in edges(corners).tolist()
+    ):  # neighbours go along an edge in opposite directions
         strip = strip[:, ::-1]
     return MouthCover(source, ((texel + 0.5) / MAP_SIZE).astype(np.float32), strip)
 
 
 def _borders(faces: Int64Array) -> list[Int64Array]:
     """Closed borders, as places in the direction of the triangles beside them."""
-    edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    undirected = np.sort(edges, axis=1)
-    _, index, uses = np.unique(undirected, axis=0, return_inverse=True, return_counts=True)
-    alone = edges[uses[index.reshape(-1)] == 1]
+    sides = edges(faces)
+    _, index, uses = np.unique(
+        np.sort(sides, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    alone = sides[uses[index.reshape(-1)] == 1]
     after = dict(alone.tolist())
     loops, seen = [], set[int]()
     for start in after:

@@ -18,6 +18,7 @@ import numpy as np
 
 from pica_core.capture.dataset.files import Topology
 from pica_core.capture.stage.mouth_cover import cover_mouth
+from pica_core.capture.triangles import edges
 from pica_core.types import BoolArray, Float64Array, FloatArray, Int64Array
 
 NUM_VERTICES = 7000
@@ -116,8 +117,7 @@ def _density(topology: Topology, count: int) -> Float64Array:
 
 def _borders(faces: Int64Array, count: int) -> tuple[BoolArray, Int64Array]:
     """Vertices and edges that have a triangle on one side only; UV seams are among them."""
-    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    unique, uses = np.unique(edges, axis=0, return_counts=True)
+    unique, uses = np.unique(np.sort(edges(faces), axis=1), axis=0, return_counts=True)
     alone = unique[uses == 1]
     border = np.zeros(count, np.bool_)
     border[alone] = True
@@ -173,10 +173,10 @@ def _patches(
     owner[seeds] = seeds
     distance = np.full(len(places), np.inf, np.float32)
     distance[seeds] = 0.0
-    edges = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    sides = np.unique(np.sort(edges(faces), axis=1), axis=0)
     # Borders first, by themselves; then the rest, which leaves the borders as they are.
     _relax(places, border_edges, owner, distance, np.zeros(len(places), np.bool_))
-    _relax(places, edges, owner, distance, border & (owner >= 0))
+    _relax(places, sides, owner, distance, border & (owner >= 0))
     return owner
 
 

@@ -15,7 +15,8 @@ import numpy as np
 
 from pica_core.capture.dataset.files import Topology
 from pica_core.capture.stage.waves import SpaceTimeWaves, TimeWaves
-from pica_core.types import Float64Array, FloatArray, Int64Array, IntArray
+from pica_core.capture.triangles import nearest, vertex_normals
+from pica_core.types import Float64Array, FloatArray, Int64Array
 
 SPREAD_MM: dict[str, float] = {
     "hair": 0.32,
@@ -55,11 +56,7 @@ class SimulatedTracker:
     """
 
     def __init__(
-        self,
-        topology: Topology,
-        rest_m: FloatArray,
-        seed: int,
-        places: Int64Array,
+        self, topology: Topology, rest_m: FloatArray, seed: int, places: Int64Array
     ) -> None:
         random = np.random.default_rng([seed, 0x7AC4])
         self._seed = seed
@@ -90,7 +87,8 @@ class SimulatedTracker:
         drift = TimeWaves(random, 3 * self._field.waves, DRIFT_S).at(time_s)
         strengths = np.sqrt(LASTING_SHARE) * self._lasting + np.sqrt(1 - LASTING_SHARE) * drift
         error = self._field.mix(strengths) * self._spread_m
-        normals = _normals(exact_m, self._faces)
+        normals = vertex_normals(exact_m, self._faces)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
         error -= (1 - ACROSS) * (error * normals).sum(axis=1, keepdims=True) * normals
         error += self.lag_weight[:, None] * (lagged_m.astype(np.float64) - exact_m)
         limit = 0.001 * LIMIT_MM
@@ -99,12 +97,8 @@ class SimulatedTracker:
 
 
 def lagged_arkit(arkit: FloatArray, history: FloatArray) -> FloatArray:
-    """The expression that a lagging tracker still shows.
-
-    Args:
-        arkit: Now. ``[52]``.
-        history: One, two ... thirtieths of a second ago. ``[K, 52]``.
-    """
+    """The expression that a lagging tracker still shows, of now ``[52]`` and of one, two ...
+    thirtieths of a second ago ``[K, 52]``."""
     result = np.asarray(history[-1], np.float32)
     for values in [*history[-2::-1], arkit]:
         result = (LAG * result + (1 - LAG) * values).astype(np.float32)
@@ -116,24 +110,5 @@ def _lag_weight(topology: Topology, rest_m: FloatArray) -> Float64Array:
     lips = topology.regions.get("lips")
     if lips is None or not lips.any():
         return np.zeros(len(rest_m))
-    distance = np.full(len(rest_m), np.inf)
-    for start in range(0, len(rest_m), 1024):
-        offset = rest_m[start : start + 1024, None] - rest_m[None, lips]
-        distance[start : start + 1024] = np.sqrt((offset**2).sum(axis=2).min(axis=1))
-    weight: Float64Array = np.exp(-((distance / LAG_REACH_M) ** 2))
-    weight[distance > 3 * LAG_REACH_M] = 0.0
-    return weight
-
-
-def _normals(vertices: FloatArray, faces: IntArray) -> Float64Array:
-    """Unit normals of vertices. float64 ``[Vt, 3]``."""
-    a, b, c = (vertices[faces[:, i]].astype(np.float64) for i in range(3))
-    cross = np.cross(b - a, c - a)
-    total = np.zeros((len(vertices), 3))
-    for corner in range(3):
-        for axis in range(3):
-            total[:, axis] += np.bincount(
-                faces[:, corner], weights=cross[:, axis], minlength=len(vertices)
-            )
-    total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-20)
-    return total
+    distance = nearest(rest_m, rest_m[lips])[1]
+    return np.where(distance > 3 * LAG_REACH_M, 0.0, np.exp(-((distance / LAG_REACH_M) ** 2)))

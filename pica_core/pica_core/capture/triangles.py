@@ -1,0 +1,74 @@
+"""What the capture rooms ask of triangle meshes: areas, edges, normals, samples and pieces."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pica_core.types import Array, Float64Array, FloatArray, Int64Array, IntArray
+
+
+def edges(faces: Array) -> Array:
+    """Both ends of the three sides of each triangle, in its direction. ``[3 F, 2]``."""
+    return faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+
+
+def areas(points: Array, faces: Array) -> Array:
+    """Areas of triangles in space. ``[F]``."""
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+
+def signed_areas(points: Array, faces: Array) -> Array:
+    """Areas of triangles in the plane, negative where they run clockwise. ``[F]``."""
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    cross = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1])
+    return 0.5 * (cross - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0]))
+
+
+def vertex_normals(points: FloatArray, faces: IntArray) -> Float64Array:
+    """Normals of vertices, as long as twice the area around them. float64 ``[V, 3]``."""
+    a, b, c = (points[faces[:, k]].astype(np.float64) for k in range(3))
+    cross = np.cross(b - a, c - a)
+    total = np.zeros((len(points), 3))
+    for corner in range(3):
+        for axis in range(3):
+            total[:, axis] += np.bincount(faces[:, corner], cross[:, axis], len(points))
+    return total
+
+
+def spread_samples(count: Int64Array) -> tuple[Int64Array, Float64Array, Float64Array]:
+    """So many samples of each triangle, spread evenly: triangle and two barycentric weights.
+
+    The weights follow the R2 sequence (Roberts 2018), folded into the triangle.
+    """
+    which = np.repeat(np.arange(len(count)), count)
+    order = np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
+    u = (0.5 + order * 0.7548776662466927) % 1.0
+    v = (0.5 + order * 0.5698402909980532) % 1.0
+    fold = u + v > 1
+    return which, np.where(fold, 1 - u, u), np.where(fold, 1 - v, v)
+
+
+def components(faces: IntArray, count: int) -> Int64Array:
+    """Label of each vertex's connected component (its smallest vertex). int64 ``[count]``."""
+    label = np.arange(count)
+    while True:
+        lowest = label[faces].min(1)
+        spread = label.copy()
+        np.minimum.at(spread, faces.ravel(), np.repeat(lowest, 3))
+        spread = spread[spread]
+        if (spread == label).all():
+            return label
+        label = spread
+
+
+def nearest(points: Array, others: Array) -> tuple[Int64Array, Float64Array]:
+    """The nearest of `others` to each point, and how far it is; a part of the table at a time."""
+    index = np.empty(len(points), np.int64)
+    distance = np.empty(len(points))
+    rows = max(1_000_000 // len(others), 1)
+    for first in range(0, len(points), rows):
+        apart = np.linalg.norm(points[first : first + rows, None] - others[None], axis=2)
+        index[first : first + rows] = apart.argmin(1)
+        distance[first : first + rows] = apart.min(1)
+    return index, distance
