@@ -27,10 +27,7 @@ LEAST_ON_SURFACE = 0.4
 
 
 def silhouette_problem(
-    camera: Camera,
-    vertices_m: FloatArray,
-    faces: IntArray,
-    mask: ByteArray | None,
+    camera: Camera, vertices_m: FloatArray, faces: IntArray, mask: ByteArray | None
 ) -> str | None:
     """What is wrong with where a camera in head axes sees a mesh, None if nothing.
 
@@ -122,11 +119,7 @@ def _grow(mask: BoolArray, reach: int) -> BoolArray:
 
 
 def _overlap(
-    camera: Camera,
-    pixels: Float64Array,
-    distance: Float64Array,
-    faces: IntArray,
-    mask: BoolArray,
+    camera: Camera, pixels: Float64Array, distance: Float64Array, faces: IntArray, mask: BoolArray
 ) -> float:
     """Intersection over union of the mesh's silhouette and a mask, drawn small."""
     shrink = min(1.0, DRAWN_PX / min(camera.width, camera.height))

@@ -137,9 +137,6 @@ class Capture:
             path: The directory: one of ours, or a Multiface directory as published.
             test_segments: Segments to hold out from a published one, which states no split; None
                 takes the fifth of every ten.
-
-        Raises:
-            CaptureError: The directory or a describing file is missing, damaged or inconsistent.
         """
         root = Path(path)
         if not root.is_dir():
@@ -178,21 +175,13 @@ class Capture:
         return len(self.topology.vertex_uv)
 
     def frames_of(self, split: str) -> tuple[CaptureFrame, ...]:
-        """The frames of one split.
-
-        Raises:
-            CaptureError: The split is neither ``train`` nor ``test``.
-        """
+        """The frames of one split."""
         if split not in SPLITS:
             raise CaptureError(f"split {split!r} is unknown; {', '.join(SPLITS)} are known")
         return tuple(frame for frame in self.frames if frame.split == split)
 
     def camera(self, name: str) -> Camera:
-        """A camera by name, in the world; `head_camera` is the one that meshes are seen with.
-
-        Raises:
-            CaptureError: No such camera.
-        """
+        """A camera by name, in the world; `head_camera` is the one that meshes are seen with."""
         try:
             return self._cameras[name]
         except KeyError:
@@ -214,11 +203,7 @@ class Capture:
         return frame.name in self._listed[folder]
 
     def arkit(self, frame: CaptureFrame) -> FloatArray:
-        """The frame's shapes in `ARKIT_NAMES` order. float32 ``[52]``.
-
-        Raises:
-            CaptureError: The capture has no expressions.
-        """
+        """The frame's shapes in `ARKIT_NAMES` order. float32 ``[52]``."""
         if self._arkit is None:
             raise CaptureError(f"{self.path}: no {multiface.EXPRESSIONS}")
         return self._arkit[frame.index]
@@ -243,11 +228,7 @@ class Capture:
         return self._load_depth("depth", frame, camera)
 
     def true_depth_m(self, frame: CaptureFrame, camera: str) -> FloatArray:
-        """Exact depth along the camera axis at pixel centres, 0 where empty. float32 ``[H, W]``.
-
-        Raises:
-            CaptureError: The capture has no truth, or the file is damaged.
-        """
+        """Exact depth along the camera axis at pixel centres, 0 where empty. float32 ``[H, W]``."""
         self._need_truth()
         return self._load_depth(multiface.TRUTH_DEPTH, frame, camera)
 
@@ -273,11 +254,7 @@ class Capture:
         return vertices if self._mesh_vertex is None else vertices[self._mesh_vertex]
 
     def true_vertices_m(self, frame: CaptureFrame) -> FloatArray:
-        """Exact mesh on `topology`, head frame, metres. float32 ``[V, 3]``.
-
-        Raises:
-            CaptureError: The capture has no truth, or the file is damaged.
-        """
+        """Exact mesh on `topology`, head frame, metres. float32 ``[V, 3]``."""
         self._need_truth()
         path = self.path / multiface.mesh_path(frame.segment, frame.name, multiface.TRUTH_MESH)
         return read_vertices(path, len(self.topology.vertex_uv))
@@ -287,11 +264,7 @@ class Capture:
         return read_transform(self.path / multiface.transform_path(frame.segment, frame.name))
 
     def head_camera(self, frame: CaptureFrame, name: str) -> Camera:
-        """A camera in the frame's head axes: it projects the frame's meshes as they are.
-
-        Raises:
-            CaptureError: No such camera, or no head pose.
-        """
+        """A camera in the frame's head axes: it projects the frame's meshes as they are."""
         return self.camera(name).in_head(self.head_to_world(frame))
 
     def average_texture(self, frame: CaptureFrame) -> ByteArray:

@@ -1,15 +1,20 @@
-"""Single files of a capture as arrays, with what is wrong with them."""
+"""Single files of a capture as arrays.
+
+What is missing, damaged or does not fit is a `CaptureError` that names the file.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 from pica_core.avatar.arkit import ARKIT_NAMES, NUM_ARKIT
 from pica_core.capture.dataset import multiface
@@ -105,11 +110,7 @@ class Take:
 
 
 def read_bytes(path: Path) -> bytes:
-    """A whole file.
-
-    Raises:
-        CaptureError: Missing, unreadable, or larger than `MAX_FILE_BYTES`.
-    """
+    """Read a whole file of at most `MAX_FILE_BYTES`."""
     try:
         size = path.stat().st_size
         if size > MAX_FILE_BYTES:
@@ -128,64 +129,47 @@ def load_image(path: Path, mode: str, size: tuple[int, int] | None) -> Array:
         path: The file.
         mode: ``RGB``, ``L``, or ``I;16`` for 16 bit.
         size: Columns and rows that it must have; None takes any.
-
-    Raises:
-        CaptureError: Missing, not a complete image, or of another size or kind.
     """
+    with _opened(path, mode, size) as image:
+        if mode == "I;16":
+            return np.asarray(image).astype(np.uint16)
+        return np.asarray(image.convert(mode))
+
+
+def check_image_header(path: Path, mode: str, size: tuple[int, int] | None) -> tuple[int, int]:
+    """Check what an image's first bytes say, and that a PNG is whole; returns columns and rows."""
+    with _opened(path, mode, size) as image:
+        if image.format == "PNG":
+            with path.open("rb") as file:
+                file.seek(-12, io.SEEK_END)
+                if file.read(8)[4:] != b"IEND":
+                    raise ValueError("it ends early")
+        return image.size
+
+
+@contextmanager
+def _opened(path: Path, mode: str, size: tuple[int, int] | None) -> Iterator[Image.Image]:
+    """An image of the wanted kind and size, whose pixels are not decoded yet."""
     try:
         with Image.open(path) as image:
-            _check_image(path, image, mode, size)
-            if mode == "I;16":
-                return np.asarray(image).astype(np.uint16)
-            return np.asarray(image.convert(mode))
+            if image.width * image.height > MAX_IMAGE_PIXELS:
+                raise CaptureError(f"{path}: {image.width}x{image.height} pixels are too many")
+            if size is not None and image.size != size:
+                raise CaptureError(
+                    f"{path}: the image is {image.width}x{image.height}, {size[0]}x{size[1]} is "
+                    "needed"
+                )
+            if mode == "I;16" and not image.mode.startswith("I"):
+                raise CaptureError(f"{path}: a 16-bit image is needed, found {image.mode}")
+            yield image
     except FileNotFoundError:
         raise CaptureError(f"{path}: the file is missing") from None
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise CaptureError(f"{path}: not a complete image ({error})") from error
 
 
-def check_image_header(path: Path, mode: str, size: tuple[int, int] | None) -> tuple[int, int]:
-    """Check what an image's first bytes say, and that a PNG is whole; returns columns and rows.
-
-    Raises:
-        CaptureError: As `load_image`.
-    """
-    try:
-        with Image.open(path) as image:
-            _check_image(path, image, mode, size)
-            found: tuple[int, int] = image.size
-            is_png = image.format == "PNG"
-        if is_png:
-            with path.open("rb") as file:
-                file.seek(-12, io.SEEK_END)
-                if file.read(8)[4:] != b"IEND":
-                    raise CaptureError(f"{path}: not a complete image (it ends early)")
-    except FileNotFoundError:
-        raise CaptureError(f"{path}: the file is missing") from None
-    except (
-        UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError,
-    ) as error:  # fmt: skip
-        raise CaptureError(f"{path}: not a complete image ({error})") from error
-    return found
-
-
-def _check_image(path: Path, image: Image.Image, mode: str, size: tuple[int, int] | None) -> None:
-    if image.width * image.height > MAX_IMAGE_PIXELS:
-        raise CaptureError(f"{path}: {image.width}x{image.height} pixels are too many")
-    if size is not None and image.size != size:
-        raise CaptureError(
-            f"{path}: the image is {image.width}x{image.height}, {size[0]}x{size[1]} is needed"
-        )
-    if mode == "I;16" and not image.mode.startswith("I"):
-        raise CaptureError(f"{path}: a 16-bit image is needed, found {image.mode}")
-
-
 def read_vertices(path: Path, count: int) -> FloatArray:
-    """A mesh file of `count` vertices, in metres. float32 ``[count, 3]``.
-
-    Raises:
-        CaptureError: Missing, of another size, or not finite.
-    """
+    """A mesh file of `count` vertices, in metres. float32 ``[count, 3]``."""
     wanted = 12 * count
     data = read_bytes(path)
     if len(data) != wanted:
@@ -200,11 +184,7 @@ def read_vertices(path: Path, count: int) -> FloatArray:
 
 
 def read_transform(path: Path) -> Float64Array:
-    """A head pose, translation in metres. float64 ``[3, 4]``.
-
-    Raises:
-        CaptureError: Missing, or not twelve finite numbers in three lines.
-    """
+    """A head pose, translation in metres. float64 ``[3, 4]``."""
     lines = [line.split() for line in multiface.read_text(path).splitlines() if line.strip()]
     try:
         matrix = np.array([[float(word) for word in line] for line in lines])
@@ -220,11 +200,7 @@ def read_transform(path: Path) -> Float64Array:
 
 
 def read_arrays(path: Path) -> dict[str, Array]:
-    """The arrays of an archive.
-
-    Raises:
-        CaptureError: Missing or damaged.
-    """
+    """Read the arrays of an archive by name."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
@@ -237,11 +213,7 @@ def read_arrays(path: Path) -> dict[str, Array]:
 
 
 def read_topology(path: Path) -> Topology:
-    """A topology file.
-
-    Raises:
-        CaptureError: Missing, damaged, or fields that do not fit each other.
-    """
+    """Read a topology and check that its fields fit each other."""
     arrays = read_arrays(path)
     for name in ("vertex_uv", "faces"):
         if name not in arrays:
@@ -268,11 +240,7 @@ def read_topology(path: Path) -> Topology:
 
 
 def read_tracked(root: Path, num_dense: int) -> tuple[Topology, Int64Array]:
-    """The tracked mesh of a synthetic capture, and which of `num_dense` vertices each of its is.
-
-    Raises:
-        CaptureError: Missing or damaged.
-    """
+    """The tracked mesh of a synthetic capture, and which of `num_dense` vertices each of its is."""
     path = root / multiface.TRACKED_TOPOLOGY
     topology = read_topology(path)
     index = read_arrays(path).get("dense_vertex", np.zeros(0))
@@ -283,11 +251,7 @@ def read_tracked(root: Path, num_dense: int) -> tuple[Topology, Int64Array]:
 
 
 def read_frame_list(path: Path) -> list[tuple[str, str]]:
-    """Segment and frame of every line.
-
-    Raises:
-        CaptureError: Missing, empty, or a line that is not two names.
-    """
+    """Segment and frame of every line."""
     names = []
     for number, line in enumerate(multiface.read_text(path).splitlines(), start=1):
         words = line.split()
@@ -305,11 +269,7 @@ def read_frame_list(path: Path) -> list[tuple[str, str]]:
 
 
 def read_expressions(path: Path) -> dict[tuple[str, str], tuple[str, list[float]]]:
-    """Split and 52 values by segment and frame.
-
-    Raises:
-        CaptureError: A column is missing, or a row cannot be read.
-    """
+    """Split and 52 values by segment and frame."""
     try:
         rows = list(csv.reader(io.StringIO(multiface.read_text(path))))
     except csv.Error as error:
@@ -336,11 +296,7 @@ def read_expressions(path: Path) -> dict[tuple[str, str], tuple[str, list[float]
 
 
 def read_frames(root: Path) -> tuple[tuple[CaptureFrame, ...], FloatArray]:
-    """The frames of a capture with expressions, in the order of the list.
-
-    Raises:
-        CaptureError: List or table cannot be read, or do not fit each other.
-    """
+    """The frames of a capture with expressions, in the order of the list."""
     table = read_expressions(root / multiface.EXPRESSIONS)
     list_path = root / multiface.FRAME_LIST
     frames: list[CaptureFrame] = []

@@ -1,5 +1,6 @@
-"""The files of a capture in the Multiface layout, and our additions: names and small text formats
-in one place.
+"""The files of a capture in the Multiface layout, and our additions: names and small text formats.
+
+What is missing, damaged or cannot be written is a `CaptureError` that names the file.
 
     KRT                                   cameras: name / 3 lines K / 1 line distortion / 3 lines
     [R|t] in mm / blank
@@ -86,11 +87,7 @@ def texture_path(size: int, segment: str, frame: str) -> Path:
 
 def write_aside(path: Path, data: bytes) -> None:
     """Write a file under another name and rename it, so that a half-written file never has the
-    real name.
-
-    Raises:
-        CaptureError: The file system refuses (full, read only); names the file.
-    """
+    real name."""
     aside = path.with_name(path.name + ".part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -171,11 +168,7 @@ def read_krt(path: Path, width: int, height: int) -> tuple[Camera, ...]:
 
 
 def read_text(path: Path) -> str:
-    """A text file of a capture.
-
-    Raises:
-        CaptureError: Missing, unreadable or not UTF-8.
-    """
+    """Read a text file of a capture."""
     try:
         return path.read_text(encoding="utf-8")
     except FileNotFoundError:
@@ -185,11 +178,7 @@ def read_text(path: Path) -> str:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A JSON map.
-
-    Raises:
-        CaptureError: Missing, or not a JSON map.
-    """
+    """Read a JSON map."""
     try:
         value = json.loads(read_text(path))
     except json.JSONDecodeError as error:

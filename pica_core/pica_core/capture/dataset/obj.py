@@ -1,7 +1,7 @@
 """Read an OBJ file: ``v``, ``vt``, ``f``, ``usemtl``, and ``o``/``g`` where it names no materials.
 
 Polygons become fans of triangles. Lines are told apart first and read when asked for, so that a
-file that only repeats another's faces costs little.
+file that only repeats another's faces costs little. What cannot be read is a `CaptureError`.
 """
 
 from __future__ import annotations
@@ -97,11 +97,7 @@ class ObjFile:
 
 
 def read_obj(path: Path) -> ObjFile:
-    """Tell the lines of an OBJ file apart.
-
-    Raises:
-        CaptureError: Missing, unreadable or too large.
-    """
+    """Tell the lines of an OBJ file apart."""
     found = ObjFile(path=path, vertices=[], texture=[], faces=[], names=[])
     for number, line in enumerate(read_bytes(path).splitlines(), start=1):
         head, _, rest = line.strip().partition(b" ")

@@ -40,11 +40,7 @@ def is_published(root: Path) -> bool:
 
 
 def open_published(root: Path, test_segments: Collection[str] | None = None) -> Description:
-    """Find out what describes a published directory; None holds out the fifth of ten segments.
-
-    Raises:
-        CaptureError: No list of frames, OBJ, image or average texture, or one that cannot be read.
-    """
+    """Find out what describes a published directory; None holds out the fifth of ten segments."""
     names = read_frame_list(root / multiface.FRAME_LIST)
     segments = sorted({segment for segment, _ in names})
     if test_segments is None:

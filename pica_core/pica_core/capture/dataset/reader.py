@@ -15,12 +15,11 @@ from __future__ import annotations
 
 import logging
 from collections import OrderedDict, deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from threading import RLock
-from types import TracebackType
 
 import numpy as np
 
@@ -35,7 +34,12 @@ MAX_BYTES = 2 << 30
 THREADS = 2
 AHEAD = 64
 """Requests that `stream` asks for before it needs them."""
-KINDS = ("image", "mask", "depth", "true_depth", "texture", "vertices", "true_vertices")
+OF_CAMERAS = {"image": "image", "mask": "mask", "depth": "depth_m", "true_depth": "true_depth_m"}
+OF_FRAMES = {
+    "texture": "average_texture", "vertices": "vertices_m", "true_vertices": "true_vertices_m",
+}  # fmt: skip
+READS = OF_CAMERAS | OF_FRAMES
+"""Methods of `Capture` by kind of array."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +47,7 @@ class Request:
     """One array of a capture."""
 
     kind: str
-    """One of `KINDS`."""
+    """Key of `READS`, such as ``image``."""
     frame: int
     """Place in `Capture.frames`."""
     camera: str = ""
@@ -82,12 +86,7 @@ class CaptureReader(AbstractContextManager["CaptureReader"]):
         self._waiting: deque[Request] = deque()
         self._sizes = _sizes(capture)
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         with self._lock:
             self._waiting.clear()
         self._pool.shutdown(wait=True, cancel_futures=True)
@@ -157,24 +156,16 @@ class CaptureReader(AbstractContextManager["CaptureReader"]):
             del array
 
     def _check(self, request: Request) -> None:
-        if request.kind not in KINDS or not 0 <= request.frame < len(self.capture.frames):
+        if request.kind not in READS or not 0 <= request.frame < len(self.capture.frames):
             raise CaptureError(
                 f"{self.capture.path}: no {request.kind!r} of frame {request.frame}; there are "
-                f"{', '.join(KINDS)} of {len(self.capture.frames)} frames"
+                f"{', '.join(READS)} of {len(self.capture.frames)} frames"
             )
 
     def _decode(self, request: Request) -> Array:
         frame = self.capture.frames[request.frame]
-        reading: dict[str, Callable[[], Array]] = {
-            "image": lambda: self.capture.image(frame, request.camera),
-            "mask": lambda: self.capture.mask(frame, request.camera),
-            "depth": lambda: self.capture.depth_m(frame, request.camera),
-            "true_depth": lambda: self.capture.true_depth_m(frame, request.camera),
-            "texture": lambda: self.capture.average_texture(frame),
-            "vertices": lambda: self.capture.vertices_m(frame),
-            "true_vertices": lambda: self.capture.true_vertices_m(frame),
-        }
-        array = reading[request.kind]()
+        read = getattr(self.capture, READS[request.kind])
+        array: Array = read(frame, request.camera) if request.kind in OF_CAMERAS else read(frame)
         with self._lock:
             self.decoded += 1
         return array

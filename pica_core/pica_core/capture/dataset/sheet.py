@@ -173,11 +173,7 @@ def _telling(capture: Capture, frames: list[CaptureFrame]) -> CaptureFrame:
 
 
 def write_sheet(directory: Path, out: Path) -> dict[str, Any]:
-    """Draw the contact sheet of a capture.
-
-    Raises:
-        CaptureError: The capture cannot be read, or `out` cannot be written.
-    """
+    """Draw the contact sheet of a capture."""
     capture = Capture.open(directory)
     grid = _spread(capture.frames, capture, COLUMNS * GRID_ROWS)
     page = _Page(3 + -(-len(grid) // COLUMNS))

@@ -10,8 +10,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +18,7 @@ import numpy.typing as npt
 from pica_core.avatar.arkit import ARKIT_NAMES
 from pica_core.capture.dataset import multiface
 from pica_core.capture.dataset.files import SPLITS, Take, Topology
-from pica_core.types import Array, ByteArray, FloatArray
+from pica_core.types import Array, ByteArray, Float64Array, FloatArray
 
 ENCODERS = 2
 """Threads that encode images; what they call lets other threads run."""
@@ -78,15 +77,7 @@ class BackgroundWriter(AbstractContextManager["BackgroundWriter"]):
         self._pool = ThreadPoolExecutor(ENCODERS, thread_name_prefix="encode")
         self._waiting: list[Future[None]] = []
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._pool.shutdown(wait=True, cancel_futures=True)
 
     def image(self, path: Path, make: Callable[[], Array]) -> None:
@@ -100,43 +91,53 @@ class BackgroundWriter(AbstractContextManager["BackgroundWriter"]):
         self._waiting.append(self._pool.submit(work))
 
     def finish(self) -> None:
-        """Wait for all images.
-
-        Raises:
-            CaptureError: One of them could not be written.
-        """
+        """Wait for all images."""
         while self._waiting:
             self._waiting.pop(0).result()
+
+
+class _Moments:
+    """Running mean and variance of arrays."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._sum: Any = 0.0
+        self._squares: Any = 0.0
+
+    def add(self, values: Array) -> None:
+        values = values.astype(np.float64)
+        self._count += 1
+        self._sum, self._squares = self._sum + values, self._squares + values * values
+
+    @property
+    def mean(self) -> Float64Array:
+        return self._sum / self._count
+
+    @property
+    def variance(self) -> float:
+        """Mean over all elements."""
+        mean = self.mean
+        return float(np.mean(np.maximum(self._squares / self._count - mean * mean, 0.0)))
 
 
 class TrainingSums:
     """Running mean and variance of training meshes and textures."""
 
     def __init__(self) -> None:
-        self.count = 0
-        self.vertices: Any = 0.0
-        self.vertices_square: Any = 0.0
-        self.texture: Any = 0.0
-        self.texture_square: Any = 0.0
+        self._vertices_mm, self._texture = _Moments(), _Moments()
 
     def add(self, vertices_mm: FloatArray, texture: ByteArray) -> None:
         """Count one frame."""
-        v, t = vertices_mm.astype(np.float64), texture.astype(np.float64)
-        self.count += 1
-        self.vertices, self.vertices_square = self.vertices + v, self.vertices_square + v * v
-        self.texture, self.texture_square = self.texture + t, self.texture_square + t * t
+        self._vertices_mm.add(vertices_mm)
+        self._texture.add(texture)
 
     def write(self, out: Path) -> None:
         """Write means and variances."""
-        v, t = self.vertices / self.count, self.texture / self.count
-        multiface.write_aside(out / "vert_mean.bin", v.astype("<f4").tobytes())
-        multiface.write_aside(out / "tex_mean.png", png(np.rint(t).astype(np.uint8)))
-        for name, square, mean in (
-            ("vert_var.txt", self.vertices_square, v),
-            ("tex_var.txt", self.texture_square, t),
-        ):
-            variance = float(np.mean(np.maximum(square / self.count - mean * mean, 0.0)))
-            multiface.write_aside(out / name, f"{variance:.9g}\n".encode())
+        vertices, texture = self._vertices_mm, self._texture
+        multiface.write_aside(out / "vert_mean.bin", vertices.mean.astype("<f4").tobytes())
+        multiface.write_aside(out / "tex_mean.png", png(np.rint(texture.mean).astype(np.uint8)))
+        for name, moments in (("vert_var.txt", vertices), ("tex_var.txt", texture)):
+            multiface.write_aside(out / name, f"{moments.variance:.9g}\n".encode())
 
 
 class TrackingErrors:

@@ -30,12 +30,7 @@ from pica_core.capture.procedural.parts import (
     tongue,
 )
 from pica_core.capture.procedural.shapes import build_motion
-from pica_core.capture.procedural.skin import (
-    EyeSurface,
-    Skin,
-    build_skin,
-    smoothstep,
-)
+from pica_core.capture.procedural.skin import EyeSurface, Skin, build_skin, smoothstep
 from pica_core.capture.procedural.surface import EYE_Y, HeadField
 from pica_core.capture.stage.gaze import gaze, turn
 from pica_core.errors import ShapeError

@@ -315,11 +315,7 @@ def _images(file: _File) -> dict[int, bytes]:
 
 
 def read_glb(path: Path) -> RigSource:
-    """Read a rig from a .glb file.
-
-    Raises:
-        CaptureError: Not a whole binary glTF file, no morph targets, or numbers out of range.
-    """
+    """Read a rig from a .glb file."""
     with np.errstate(all="ignore"):  # what is not finite is found by `check_source`
         return check_source(_read(_File(path)))
 

@@ -40,11 +40,7 @@ IMPORTANCE = {"lids": 1.8, "lips": 1.8, "teeth": 1.4, "tongue": 1.2, "eyeballs":
 
 
 def read_rig(path: Path) -> RigSource:
-    """Read a rig from a .glb file or a folder of OBJ files.
-
-    Raises:
-        CaptureError: It is neither, or damaged.
-    """
+    """Read a rig from a .glb file or a folder of OBJ files."""
     if path.is_dir():
         return read_obj_folder(path)
     if path.suffix.lower() == ".glb":
@@ -71,11 +67,7 @@ def texel_need(mesh: RigMesh, features: Features, seen: Float64Array) -> Float64
 def _revealing_poses(mesh: RigMesh) -> list[Float64Array]:
     """Poses that show what there is: at rest, mouth open, teeth bared, eyes closed."""
     poses = [mesh.rest_m]
-    for names in (
-        ("jawOpen",),
-        ("mouthSmile", "mouthUpperUp", "mouthLowerDown"),
-        ("eyeBlink",),
-    ):
+    for names in (("jawOpen",), ("mouthSmile", "mouthUpperUp", "mouthLowerDown"), ("eyeBlink",)):
         chosen = [k for name, k in ARKIT_INDEX.items() if name.startswith(names)]
         poses.append(mesh.rest_m + mesh.motion_m[chosen].sum(0))
     return poses
@@ -209,11 +201,7 @@ def _turned(eye: _Turn, values: FloatArray) -> FloatArray:
 
 
 def make_rig(source: RigSource, table: dict[str, str | None] | None = None) -> RigHead:
-    """Make a head of a rig, and of the user's table of names (`names.read_names`) if there is one.
-
-    Raises:
-        CaptureError: The rig is no head, or the table does not fit.
-    """
+    """Make a head of a rig, with the user's table of names (`names.read_names`) if there is one."""
     names = map_names(list(source.shapes), table)
     mesh = build_mesh(source, names)
     return RigHead(mesh, names, source.path.stem or source.path.name)

@@ -78,11 +78,7 @@ def match_name(source: str) -> tuple[tuple[str, str], ...]:
 
 
 def read_names(path: Path) -> dict[str, str | None]:
-    """A user's table: ``{"source name": "arkitName" or null}``.
-
-    Raises:
-        CaptureError: Not such a table, or a name that ARKit does not have.
-    """
+    """A user's table: ``{"source name": "arkitName" or null}``."""
     try:
         table = json.loads(read_bytes(path).decode("utf-8"))
     except (ValueError, RecursionError) as error:
@@ -96,11 +92,7 @@ def read_names(path: Path) -> dict[str, str | None]:
 
 
 def map_names(names: Sequence[str], table: dict[str, str | None] | None = None) -> NameMap:
-    """Map a rig's shape names, in the file's order; the user's table goes before the rules.
-
-    Raises:
-        CaptureError: The table names a shape that the rig does not have, or nothing is mapped.
-    """
+    """Map a rig's shape names, in the file's order; the user's table goes before the rules."""
     table = table or {}
     unknown = [name for name in table if name not in names]
     if unknown:

@@ -16,11 +16,7 @@ NEUTRAL_WORDS = ("neutral", "basis", "rest", "base")
 
 
 def read_obj_folder(folder: Path) -> RigSource:
-    """Read a rig: one neutral OBJ (neutral, basis, rest or base in its name), and one per shape.
-
-    Raises:
-        CaptureError: No neutral face, no shapes, different topologies, or bad numbers.
-    """
+    """Read a rig: one neutral OBJ (neutral, basis, rest or base in its name), and one per shape."""
     paths = sorted(p for p in folder.iterdir() if p.suffix.lower() == ".obj")
     if not paths:
         raise CaptureError(f"{folder}: no OBJ files")

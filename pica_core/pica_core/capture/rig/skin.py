@@ -65,11 +65,7 @@ def surface(head: RigHead) -> FloatArray:
 
 
 def open_albedo(where: str, data: bytes) -> ByteArray:
-    """An image as sRGB, row 0 on top. uint8 ``[H, W, 3]``.
-
-    Raises:
-        CaptureError: Not an 8-bit image, or too large.
-    """
+    """An image as sRGB, row 0 on top. uint8 ``[H, W, 3]``."""
     try:
         with Image.open(io.BytesIO(data)) as image:
             if max(image.size) > MAX_ALBEDO_SIDE:
@@ -90,9 +86,6 @@ def read_albedos(source: RigSource, wishes: tuple[str, ...]) -> dict[int, ByteAr
     """Base colour images by material: those inside the rig's file, then the user's.
 
     A choice of the user is ``FILE`` for the material with most triangles, or ``MATERIAL=FILE``.
-
-    Raises:
-        CaptureError: An unknown material, a bad image, or a rig without texture coordinates.
     """
     found = {
         index: open_albedo(f"{source.path}: image of material {source.materials[index]!r}", data)

@@ -1,7 +1,8 @@
 """A rig as its file has it: one mesh, its UVs and materials, and what each shape adds.
 
 Readers (`gltf`, `obj`) fill it; everything after them is independent of the file's format.
-Checks stand here, so that both readers refuse the same things in the same words.
+Checks stand here, so that both readers refuse the same things in the same words: every problem is a
+`CaptureError` that names the file.
 """
 
 from __future__ import annotations
@@ -54,11 +55,7 @@ class RigSource:
 
 
 def check_counts(where: str, *, vertices: int, faces: int, shapes: int) -> None:
-    """Refuse hostile sizes before anything is allocated.
-
-    Raises:
-        CaptureError: A count is above its limit, or there is nothing.
-    """
+    """Refuse hostile sizes before anything is allocated."""
     for name, value, limit in (
         ("vertices", vertices, MAX_VERTICES),
         ("faces", faces, MAX_FACES),
@@ -72,11 +69,7 @@ def check_counts(where: str, *, vertices: int, faces: int, shapes: int) -> None:
 
 
 def check_source(source: RigSource) -> RigSource:
-    """Validate what a reader made, and leave out triangles without area.
-
-    Raises:
-        CaptureError: Not finite, out of range, or without shapes; names file and field.
-    """
+    """Validate what a reader made, and leave out triangles without area."""
     where = source.path
     count = len(source.positions)
     check_counts(str(where), vertices=count, faces=len(source.faces), shapes=len(source.shapes))
