@@ -58,14 +58,8 @@ MOODS: tuple[Float64Array, ...] = (
     blend(jawOpen=0.85, mouthStretch=0.3, browOuterUp=0.3),
     blend(jawOpen=0.45, mouthClose=0.43),
     blend(tongueOut=0.9, jawOpen=0.35, browOuterUp=0.3),
-    blend(
-        jawOpen=0.45,
-        mouthSmile=0.85,
-        mouthUpperUp=0.45,
-        cheekSquint=0.7,
-        eyeSquint=0.4,
-        mouthLowerDown=0.3,
-    ),
+    blend(jawOpen=0.45, mouthSmile=0.85, mouthUpperUp=0.45, cheekSquint=0.7)
+    + blend(eyeSquint=0.4, mouthLowerDown=0.3),
     blend(eyeSquint=0.8, cheekSquint=0.5, mouthStretch=0.5, mouthLowerDown=0.6),
 )
 """Slow, whole-face states."""
@@ -108,17 +102,14 @@ def _eyes(random: Generator, frames: int) -> Float64Array:
         gaze[at : at + length] = random.normal(0.0, [0.35, 0.22])
         at += length
     gaze = np.clip(_smooth(gaze, 0.03), -1, 1)
-    for name, value in (
-        ("eyeLookOutLeft", gaze[:, 0]),
-        ("eyeLookInRight", gaze[:, 0]),
-        ("eyeLookInLeft", -gaze[:, 0]),
-        ("eyeLookOutRight", -gaze[:, 0]),
-        ("eyeLookUpLeft", gaze[:, 1]),
-        ("eyeLookUpRight", gaze[:, 1]),
-        ("eyeLookDownLeft", -gaze[:, 1]),
-        ("eyeLookDownRight", -gaze[:, 1]),
+    for names, value in (
+        (("OutLeft", "InRight"), gaze[:, 0]),
+        (("InLeft", "OutRight"), -gaze[:, 0]),
+        (("UpLeft", "UpRight"), gaze[:, 1]),
+        (("DownLeft", "DownRight"), -gaze[:, 1]),
     ):
-        result[:, ARKIT_INDEX[name]] = np.clip(value, 0, 1)
+        for name in names:
+            result[:, ARKIT_INDEX[f"eyeLook{name}"]] = np.clip(value, 0, 1)
     at = int(random.uniform(0.3, 1.5) * RATE_HZ)
     shape = np.array([0.35, 0.9, 1.0, 0.85, 0.5, 0.2])
     while at < frames:
@@ -192,31 +183,19 @@ def lids_and_gaze(random: Generator, frames: int) -> FloatArray:
     Blinks are short, so that performances hold few frames of a closed eye; an avatar that never
     learned them stares.
     """
-    lids: tuple[Float64Array, ...] = (
-        blend(),
-        blend(eyeBlink=0.5),
-        blend(eyeBlink=0.75),
-        blend(eyeBlink=1.0),
-        blend(eyeBlink=1.0),
-        blend(eyeBlinkLeft=1.0),
-        blend(eyeBlinkRight=1.0),
-        blend(eyeSquint=0.8),
-        blend(eyeWide=0.8),
-        blend(eyeSquint=0.6, eyeBlink=0.5),
-    )
+    lids = [blend(eyeBlink=closed) for closed in (0.0, 0.5, 0.75, 1.0, 1.0)]
+    lids += [blend(eyeBlinkLeft=1.0), blend(eyeBlinkRight=1.0), blend(eyeSquint=0.8)]
+    lids += [blend(eyeWide=0.8), blend(eyeSquint=0.6, eyeBlink=0.5)]
     look = [
-        blend(eyeLookOutLeft=x, eyeLookInRight=x) + blend(eyeLookUp=y)
-        for x in (0, 0.8)
-        for y in (0, 0.7)
+        blend(eyeLookOutLeft=x, eyeLookInRight=x, eyeLookUp=y) for x in (0, 0.8) for y in (0, 0.7)
     ]
     look += [
-        blend(eyeLookInLeft=x, eyeLookOutRight=x) + blend(eyeLookDown=y)
-        for x in (0, 0.8)
-        for y in (0.4, 0.8)
-    ]
+        blend(eyeLookInLeft=x, eyeLookOutRight=x, eyeLookDown=y)
+        for x in (0, 0.8) for y in (0.4, 0.8)
+    ]  # fmt: skip
     mouth = _smooth(_hold(random, frames, VISEMES, 0.3), 0.08) * 0.5
     brows = _smooth(_hold(random, frames, MOODS[:6], 1.0), 0.2) * 0.3
-    eyes = _smooth(_hold(random, frames, lids, 0.35), 0.04)
+    eyes = _smooth(_hold(random, frames, tuple(lids), 0.35), 0.04)
     gaze = _smooth(_hold(random, frames, tuple(look), 0.4), 0.04)
     return np.clip(mouth + brows + eyes + gaze, 0, 1).astype(np.float32)
 

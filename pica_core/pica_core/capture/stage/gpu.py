@@ -258,10 +258,6 @@ class MeshRenderer(ABC):
         framebuffer.read_into(image, components=3, alignment=1)
         return image
 
-    def draw_geometry(self, camera: Camera) -> tuple[FloatArray, ByteArray]:
-        """Exact depth in metres and mask at pixel centres, row 0 on top. ``[H, W]`` each."""
-        return _read_geometry(self._draw_geometry(camera))
-
     def _draw_geometry(self, camera: Camera) -> Any:
         framebuffer = self._framebuffer("geometry", camera.width, camera.height)
         framebuffer.use()

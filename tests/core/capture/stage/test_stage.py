@@ -72,7 +72,8 @@ def files_of(root: Path) -> dict[str, bytes]:
 def test_projected_vertices_meet_the_rendered_depth(renderer: ProceduralRenderer) -> None:
     camera = dome_cameras(1, 256, 256)[0]
     vertices = renderer.pose(blend(jawOpen=0.3))
-    depth, mask = renderer.draw_geometry(camera)
+    view = renderer.draw(camera)
+    depth, mask = view.depth_m, view.mask
     pixels, distance = camera.project(vertices)
     normals = renderer.head.normals(vertices)
     towards = camera.centre_m - vertices
@@ -95,9 +96,9 @@ def test_closed_lids_hide_the_eyes(renderer: ProceduralRenderer) -> None:
     camera = dome_cameras(1, 384, 384)[0]
     eye = MATERIALS.index("eye") + 1
     renderer.pose(blend())
-    _, open_mask = renderer.draw_geometry(camera)
+    open_mask = renderer.draw(camera).mask
     renderer.pose(blend(eyeBlink=1.0))
-    _, closed_mask = renderer.draw_geometry(camera)
+    closed_mask = renderer.draw(camera).mask
     assert (open_mask == eye).sum() > 100
     assert (closed_mask == eye).sum() <= 6
 
@@ -106,9 +107,9 @@ def test_teeth_show_when_the_mouth_opens_and_not_at_rest(renderer: ProceduralRen
     camera = dome_cameras(1, 384, 384)[0]
     teeth = MATERIALS.index("teeth") + 1
     renderer.pose(blend())
-    _, closed = renderer.draw_geometry(camera)
+    closed = renderer.draw(camera).mask
     renderer.pose(blend(jawOpen=0.7))
-    _, opened = renderer.draw_geometry(camera)
+    opened = renderer.draw(camera).mask
     assert (closed == teeth).sum() <= 4
     assert (opened == teeth).sum() > 20
 
