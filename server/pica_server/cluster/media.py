@@ -3,8 +3,8 @@
 A node tells each other node of a room which of its streams it wants and up to which layer: the most
 that any of its own peers wants. The other node treats it like a peer that reads: an outbox that
 holds what is fresh, drops as for a slow reader when NATS does not take more, and begins with the
-kept keyframe and what depends on it. What waits at the end of a turn (under load: of the window
-that all frames wait for) leaves in one message.
+kept keyframe and what depends on it. What waits at the end of a turn leaves in one
+message.
 
 The messages from one node to another about one room are numbered. A hole means that NATS dropped
 some, because a reader or the server was overrun: the receiver takes nothing more, names a new epoch

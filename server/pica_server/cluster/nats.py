@@ -96,7 +96,6 @@ class Cluster:
         self._has_told = asyncio.Event()
         self._has_media = asyncio.Event()
         self._must_renew = asyncio.Event()
-        self._media_timer: asyncio.TimerHandle | None = None
         self._watched: dict[str, Subscription] = {}
         self._own: list[Subscription] = []
 
@@ -132,8 +131,6 @@ class Cluster:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
         self._tasks.clear()
-        if self._media_timer is not None:
-            self._media_timer.cancel()
         await self._client.close()
 
     def step(self) -> None:
@@ -144,17 +141,8 @@ class Cluster:
                 self._told.append(command)
         if self._told:
             self._has_told.set()
-        if self._hub.forwarding.has_ready_links and self._media_timer is None:
-            loop = asyncio.get_running_loop()
-            window_s = self._hub.coalescing_s
-            if window_s == 0:
-                self._has_media.set()
-            else:
-                self._media_timer = loop.call_later(window_s, self._media_is_due)
-
-    def _media_is_due(self) -> None:
-        self._media_timer = None
-        self._has_media.set()
+        if self._hub.forwarding.has_ready_links:
+            self._has_media.set()
 
     async def _connect(self) -> tuple[Client, ClusterStore]:
         """Make a connection, and open the store over it."""

@@ -144,15 +144,9 @@ class RelayConfig:
     replaced by newer frames. The kernel may round it up."""
     max_control_bytes: int = 262_144
     """Bytes of control messages that may wait for one peer before it is closed."""
-    coalesce_above_busy: float = 0.95
-    """Part of the time that the event loop may work, above which frames wait for others to share a
-    message with: a core that has nothing left serves everybody late, and a shared message costs
-    little more than one frame. Below that, waiting makes latency worse and saves little."""
-    coalesce_longest_s: float = 0.006
-    """The longest such wait, seconds, reached when the loop stays that busy for a second or two; 0
-    turns it off."""
     without: tuple[str, ...] = ()
-    """Parts of the fast path to leave out, of `FAST_PATH`: for `pica bench relay --ablate`."""
+    """Parts of the fast path to leave out, ``short-read``, ``direct-write``
+    and ``flow``: for ``pica bench relay --ablate``."""
     resume_grace_s: float = 10.0
     """Seconds for which the place of a peer is kept whose connection broke; 0 keeps none."""
     drain_s: float = 20.0
@@ -180,8 +174,6 @@ class RelayConfig:
         _check("slow-keyframe-interval-s", self.slow_keyframe_interval_s, 0, 600)
         _check("send-buffer-bytes", self.send_buffer_bytes, 2048, 16_777_216)
         _check("max-control-bytes", self.max_control_bytes, 65_536, 16_777_216)
-        _check("coalesce-above-busy", self.coalesce_above_busy, 0, 0.99)
-        _check("coalesce-longest-s", self.coalesce_longest_s, 0, 0.1)
         if not self.avatar_store:
             raise ConfigurationError("--avatar-store is empty; name a folder, or none")
         _check("resume-grace-s", self.resume_grace_s, 0, 600)

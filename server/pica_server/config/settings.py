@@ -323,7 +323,13 @@ def _with_source(
     return error
 
 
+GONE = ("coalesce_above_busy", "coalesce_longest_s")
+"""Settings of former releases that have no successor: frames do not wait for others any more."""
+
+
 def _hint(name: str, known: list[str]) -> str:
+    if name.replace("-", "_").lower().endswith(GONE):
+        return "; this setting has gone, leave it out"
     near = difflib.get_close_matches(name.replace("-", "_"), known, n=1, cutoff=0.5)
     if near:
         return f"; did you mean {near[0]}?"

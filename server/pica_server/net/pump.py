@@ -1,12 +1,11 @@
 """What moves between the websockets of a relay and its hub, in each turn of the event loop.
 
-What the websockets receive in one turn of the event loop is fed to the hub together, see
-``relay_socket``, and then whoever has got something is sent it, so frames that arrive in one turn
-leave in one message, under overload also those of a few milliseconds, see ``coalescing``. While the
-kernel takes what is sent, that is all. Each websocket also has a reader, for the messages that do
-not come the short way, and a writer, which waits for a peer that reads slowly and sends the
-goodbye. A slow peer blocks nobody: what it has not taken yet stays in its outbox, where newer
-frames replace older ones. One timer serves all deadlines.
+What the websockets receive in one turn of the event loop is fed to the hub together, and then
+whoever has got something is sent it, so frames that arrive in one turn leave in one message. While
+the kernel takes what is sent, that is all. Each websocket also has a reader, for the messages that
+do not come the short way (see `pica_server.net.socket`), and a writer, which waits for a peer that
+reads slowly and sends the goodbye. A slow peer blocks nobody: what it has not taken yet stays in
+its outbox, where newer frames replace older ones. One timer serves all deadlines.
 
 The buffers behind an outbox are kept small, because what they hold can be neither replaced nor
 withdrawn: one message in the transport and a bounded socket buffer in the kernel, of which unsent
@@ -28,7 +27,6 @@ from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
 from pica_server.config.relay import RelayConfig
 from pica_server.net.socket import RelaySocket, websocket_message
-from pica_server.room.batching_window import BatchingWindow
 from pica_server.room.connection import Connection
 from pica_server.room.hub import Hub
 from pica_server.room.outbox import OutboundMessage
@@ -69,8 +67,6 @@ class Pump:
         self._unread: dict[Connection, asyncio.Transport] = {}
         self._loop_time: Callable[[], float] = time.monotonic
         self._soon: asyncio.Handle | None = None
-        self._held: BatchingWindow[Connection] = BatchingWindow()
-        self._release: asyncio.TimerHandle | None = None
 
     def start(self) -> None:
         """Take the time from the running loop from now on."""
@@ -78,7 +74,7 @@ class Pump:
 
     def stop(self) -> None:
         """Do nothing more; all websockets have ended."""
-        for handle in (self._timer, self._release, self._soon):
+        for handle in (self._timer, self._soon):
             if handle is not None:
                 handle.cancel()
 
@@ -175,7 +171,7 @@ class Pump:
                     _logger.exception("connection failed", extra={"connection": connection.serial})
                     self._hub.close(connection, CloseCode.INTERNAL_ERROR, "relay fault", now)
             # Also when nothing has come: the cluster may have asked for this turn.
-            self.after_events(may_hold=not later)
+            self.after_events()
             inbox = later
             if not inbox:
                 break
@@ -232,26 +228,11 @@ class Pump:
         except ConnectionClosed:
             return
 
-    def after_events(self, *, may_hold: bool = True) -> None:
-        """Send to those who have got something, and set the timer to the next deadline.
-
-        Args:
-            may_hold: Frames may wait for company; not where another of the same publisher follows,
-                for too many that wait for one receiver would be thinned.
-        """
+    def after_events(self) -> None:
+        """Send to those who have got something, and set the timer to the next deadline."""
         if self.cluster is not None:
             self.cluster.step()
-        window_s = self._hub.coalescing_s
-        due_s = self._now() + window_s
-        ready = self._hub.take_ready()
-        if window_s > 0 and may_hold:
-            for connection in ready:
-                if not connection.is_urgent:
-                    self._held.join(connection, due_s)
-            ready = [connection for connection in ready if connection.is_urgent]
-        self._send_all(ready)
-        if self._release is None:
-            self._release_later()
+        self._send_all(self._hub.take_ready())
         when = self._hub.next_timer()
         if when != self._timer_s:
             if self._timer is not None:
@@ -293,17 +274,6 @@ class Pump:
             if connection.closed is not None:
                 waker.cut_after(self._close_timeout_s())
         self._hub.all_sent(written, self._loop_time())
-
-    def _release_later(self) -> None:
-        when = self._held.next_timer()
-        if when is not None:
-            self._release = asyncio.get_running_loop().call_at(when, self._release_due)
-
-    def _release_due(self) -> None:
-        """Let go those who have waited for company long enough."""
-        self._send_all(self._held.take_due(self._now()))
-        self._release = None
-        self._release_later()
 
     def _on_timer(self) -> None:
         # A loop may fire a timer up to its clock's resolution too early; a deadline that is not met

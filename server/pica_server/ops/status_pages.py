@@ -79,7 +79,6 @@ class StatusPages:
                     "Bytes of control messages that wait for receivers.",
                     hub.num_waiting_control_bytes,
                 ),
-                "coalescing_seconds": ("How long frames wait for company.", hub.coalescing_s),
                 "loop_busy_ratio": ("How much of the time the event loop works.", hub.busy_ratio),
                 "loop_lateness_seconds": (
                     "Worst delay of the event loop in ten seconds.",

@@ -20,7 +20,7 @@ for each, one peer alone does not fill the queues of slow readers)."""
 
 
 class Connection:
-    """One websocket as the hub sees it; the shell reads ``closed`` and ``is_urgent``."""
+    """One websocket as the hub sees it; the shell reads ``closed``."""
 
     __slots__ = (
         "address",
@@ -61,11 +61,6 @@ class Connection:
         self.is_resumable = False
         self.updates = TokenBucket(UPDATES_PER_S, UPDATES_BURST, now)
         self.whispers = TokenBucket(WHISPERS_PER_S, WHISPER_BURST, now)
-
-    @property
-    def is_urgent(self) -> bool:
-        """Whether it has more to send than frames, which may wait for others."""
-        return self.outbox.has_control or self.session.closed is not None
 
     @property
     def closed(self) -> Closed | None:

@@ -23,7 +23,6 @@ from pica_server.cluster.peers import ClusterPeers
 from pica_server.config.relay import RelayConfig
 from pica_server.hooks.events import RoomEvent
 from pica_server.ops.stats import RelayStats
-from pica_server.room.batching_window import Coalescing
 from pica_server.room.connection import Connection
 from pica_server.room.connections import Switchboard
 from pica_server.room.drain import departures
@@ -77,7 +76,8 @@ class Hub:
         self.moderation = Moderation(self._switchboard, self.membership, self.forwarding)
         self._config = config
         self._ready, self._timers = self._switchboard.ready, self._switchboard.timers
-        self._coalescing = Coalescing(config.coalesce_above_busy, config.coalesce_longest_s)
+        self._load = (0.0, 0.0)
+        self._busy_ratio = 0.0
         self._departures: deque[tuple[float, str]] = deque()
 
     def meet(self, neighbours: ClusterPeers, prefix: str) -> None:
@@ -135,18 +135,15 @@ class Hub:
         return sum(each.outbox.waiting_control_bytes for each in connections)
 
     @property
-    def coalescing_s(self) -> float:
-        """How long frames may wait now for others to share a message with."""
-        return self._coalescing.window_s
-
-    @property
     def busy_ratio(self) -> float:
         """How much of the time the event loop has worked lately, 0 to 1."""
-        return self._coalescing.busy_ratio
+        return self._busy_ratio
 
     def note_load(self, processor_s: float, now: float) -> None:
-        """Note how much processor time the event loop has used until now; see `Coalescing`."""
-        self._coalescing.note(processor_s, now)
+        """Note how much processor time the event loop has used until now, in seconds."""
+        before, self._load = self._load, (processor_s, now)
+        if now > before[1]:
+            self._busy_ratio = (processor_s - before[0]) / (now - before[1])
 
     def connect(self, now: float, address: str = "") -> Connection:
         """Take a new websocket; it is closed at once when there are too many.

@@ -96,11 +96,6 @@ class Outbox:
         return bool(self._flow or self._line or self._control)
 
     @property
-    def has_control(self) -> bool:
-        """Whether a control message waits."""
-        return bool(self._control)
-
-    @property
     def waiting_control_bytes(self) -> int:
         """How many bytes of control messages wait."""
         return self._control_bytes

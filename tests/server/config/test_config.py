@@ -39,8 +39,6 @@ def test_what_is_no_origin_is_refused(origin: str) -> None:
         ("keyframe_interval_s", -0.1),
         ("send_buffer_bytes", 0),
         ("max_control_bytes", 1),
-        ("coalesce_above_busy", 1.0),
-        ("coalesce_longest_s", 1.0),
     ],
 )
 def test_a_setting_out_of_range_is_refused_by_name_with_its_range(field: str, value: float) -> None:

@@ -173,6 +173,7 @@ def test_what_is_wrong_alone_may_be_right_together(write: Callable[[str], str]) 
         ("pot = 1", "FILE: pot must be a table, [pot]"),
         ('[pot]\nlid = "yes"', 'FILE: pot.lid = "yes" must be true or false'),
         ("[pot]\nlitre = 1", "FILE: unknown key pot.litre; did you mean pot.litres?"),
+        ("coalesce_longest_s = 0", "FILE: unknown key coalesce_longest_s; this setting has gone"),
         ("cops = 1", "FILE: unknown key cops; did you mean cups?"),
         ("[spoon]\nlong = 1", "FILE: unknown key spoon"),
         ("cups == 1", "--config FILE: no TOML: "),

@@ -73,7 +73,6 @@ ABLATIONS: Final = {
     "short-read": ("--without", "short-read"),
     "direct-write": ("--without", "direct-write"),
     "flow": ("--without", "flow"),
-    "window": ("--coalesce-longest-s", "0"),
 }
 """Arguments of a relay that lacks one part of its fast path."""
 COMPARISONS: Final = ("naive", "naive-uvloop", "echo")

@@ -40,7 +40,7 @@ class BenchRelayOptions:
     echo (what the load generator can do at most); separated by commas."""
     ablate: str = ""
     """Give the same load to the relay without one part of its fast path, for each of: short-read,
-    direct-write, flow, window; all of them: all."""
+    direct-write, flow; all of them: all."""
     hostile: str = ""
     """Measure the rooms beside somebody who behaves badly: all, or some of stopped-reader,
     slow-reader, flood, slow-loris, half-open, large-messages, bombs, connects."""
