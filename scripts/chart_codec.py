@@ -8,15 +8,17 @@ import matplotlib.pyplot as plt
 from charting import (
     LIMITS_PAGE,
     RESULTS,
+    Column,
     Line,
     Row,
     fill_in,
-    markdown_table,
+    finish,
     plain_ticks,
     read_lines,
     save,
     short_source,
     source_line,
+    table,
 )
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -69,33 +71,22 @@ def chart_codec() -> None:
 
 def _verdicts(line: Line) -> str:
     """How good the face is at each kept bitrate, by the error of the worst moment."""
-    header = (
-        "avatar, source",
-        "told to keep",
-        "sent",
-        "frames a second",
-        "MSE",
-        "worst",
-        "verdict",
-    )
-    rows = []
-    for row in line["result"]["rows"]:
-        if not row["profile"].startswith("rate-"):
-            continue
+
+    def grade(row: Row) -> str:
         worst = row["worst_frame_mse"]
-        grade = "good" if worst <= 16 else "usable" if worst <= 32 else "**broken**"
-        rows.append(
-            (
-                f"{line['result']['avatar']}, {short_source(row['source'])}",
-                f"{int(row['profile'].removeprefix('rate-')) / 1e3:g} kbit/s",
-                f"{row['payload_bps'] / 1e3:.2f} kbit/s",
-                f"{row['frames_per_s']:.0f}",
-                f"{row['mse']:.1f}",
-                f"{worst:.0f}",
-                grade,
-            )
-        )
-    return f"{markdown_table(header, rows)}\n\n{source_line(line)}"
+        return "good" if worst <= 16 else "usable" if worst <= 32 else "**broken**"
+
+    columns: dict[str, Column] = {
+        "avatar, source": lambda row: f"{line['result']['avatar']}, {short_source(row['source'])}",
+        "told to keep": lambda row: f"{int(row['profile'].removeprefix('rate-')) / 1e3:g} kbit/s",
+        "sent": lambda row: f"{row['payload_bps'] / 1e3:.2f} kbit/s",
+        "frames a second": "{frames_per_s:.0f}",
+        "MSE": "{mse:.1f}",
+        "worst": "{worst_frame_mse:.0f}",
+        "verdict": grade,
+    }
+    rows = [row for row in line["result"]["rows"] if row["profile"].startswith("rate-")]
+    return f"{table(rows, columns)}\n\n{source_line(line)}"
 
 
 def _draw(line: Line) -> Figure:
@@ -133,13 +124,12 @@ def _draw(line: Line) -> Figure:
             axis.axvline(2, color="black", linewidth=0.8, linestyle=":")
     handles, labels = grid[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right upper", frameon=False)
-    figure.suptitle(
+    return finish(
+        figure,
+        line,
         f"Bits against the rendered face, 30 fps, head pose included; synthetic avatar "
         f"{line['result']['avatar']}; lines at 2 kbit/s and 0.1 dB",
-        fontsize=10,
     )
-    figure.supxlabel(source_line(line), fontsize=7, color="#555555")
-    return figure
 
 
 def _draw_profiles(axis: Axes, rows: Sequence[Row], figure: str) -> None:
@@ -156,37 +146,25 @@ def _draw_profiles(axis: Axes, rows: Sequence[Row], figure: str) -> None:
 
 
 def _table(line: Line) -> str:
-    header = (
-        "source",
-        "profile",
-        "payload, kbit/s",
-        "wire, kbit/s",
-        "MSE",
-        "worst frame",
-        "change MSE",
-        "PSNR loss, dB",
-        "worst frame, dB",
-        "pose, mrad / mm",
-        "encode + decode, µs",
-    )
-    rows = []
-    before = ""
-    for row in line["result"]["rows"]:
-        loss, worst = row["psnr_loss_db"], row["worst_frame_loss_db"]
-        rows.append(
-            (
-                "" if row["source"] == before else short_source(row["source"]),
-                row["profile"],
-                f"{row['payload_bps'] / 1e3:.2f}",
-                f"{row['wire_bps'] / 1e3:.1f}",
-                f"{row['mse']:.2f}",
-                f"{row['worst_frame_mse']:.1f}",
-                f"{row['change_mse']:.2f}",
-                None if loss is None else f"{loss:+.3f}",
-                None if worst is None else f"{worst:+.2f}",
-                f"{row['pose_mrad']:.2f} / {row['pose_mm']:.3f}",
-                f"{row['encode_us']:.0f} + {row['decode_us']:.0f}",
-            )
-        )
-        before = row["source"]
-    return markdown_table(header, rows)
+    rows: list[Row] = line["result"]["rows"]
+    firsts = {row["source"]: row["profile"] for row in reversed(rows)}
+
+    def decibels(field: str, digits: int) -> Column:
+        return lambda row: None if row[field] is None else f"{row[field]:+.{digits}f}"
+
+    columns: dict[str, Column] = {
+        "source": lambda row: (
+            short_source(row["source"]) if firsts[row["source"]] == row["profile"] else ""
+        ),
+        "profile": "profile",
+        "payload, kbit/s": lambda row: f"{row['payload_bps'] / 1e3:.2f}",
+        "wire, kbit/s": lambda row: f"{row['wire_bps'] / 1e3:.1f}",
+        "MSE": "{mse:.2f}",
+        "worst frame": "{worst_frame_mse:.1f}",
+        "change MSE": "{change_mse:.2f}",
+        "PSNR loss, dB": decibels("psnr_loss_db", 3),
+        "worst frame, dB": decibels("worst_frame_loss_db", 2),
+        "pose, mrad / mm": "{pose_mrad:.2f} / {pose_mm:.3f}",
+        "encode + decode, µs": "{encode_us:.0f} + {decode_us:.0f}",
+    }
+    return table(rows, columns)

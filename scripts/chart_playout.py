@@ -8,15 +8,18 @@ import matplotlib.pyplot as plt
 from charting import (
     LIMITS_PAGE,
     RESULTS,
+    Column,
     Line,
     Row,
     fill_in,
+    finish,
     markdown_table,
     plain_ticks,
     read_lines,
     save,
     short_source,
     source_line,
+    table,
 )
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -95,15 +98,14 @@ def _draw_playout(line: Line) -> Figure:
         axis.axhline(1, color="black", linewidth=0.8)
     handles, labels = grid[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right upper", frameon=False)
-    sent = rows[0]
-    figure.suptitle(
+    sent, result = rows[0], line["result"]
+    return finish(
+        figure,
+        line,
         f"Playout in the troubled third of a run: {sent['source']}, {sent['codec']} format, "
-        f"{sent['payload_bps'] / 1e3:.1f} kbit/s of payload, {line['result']['fps']:g} fps on a "
-        f"{line['result']['display_hz']:g} Hz display, synthetic avatar {line['result']['avatar']}",
-        fontsize=10,
+        f"{sent['payload_bps'] / 1e3:.1f} kbit/s of payload, {result['fps']:g} fps on a "
+        f"{result['display_hz']:g} Hz display, synthetic avatar {result['avatar']}",
     )
-    figure.supxlabel(source_line(line), fontsize=7, color="#555555")
-    return figure
 
 
 def _draw_policies(
@@ -122,40 +124,21 @@ def _draw_policies(
 
 
 def _playout_table(line: Line) -> str:
-    header = (
-        "trouble",
-        "policy",
-        "MSE, moment shown",
-        "of the expression alone",
-        "MSE, now",
-        "added delay p50 / p95, ms",
-        "concealed, longest gap",
-        "late",
-        "face back after, ms",
-        "delay back after, ms",
-        "largest step",
-        "keyframes",
-    )
-    rows = []
-    for row in line["result"]["rows"]:
-        is_first = row["policy"] == "adaptive"
-        rows.append(
-            (
-                row["scenario"] if is_first else "",
-                POLICY_STYLE[row["policy"]]["label"],
-                f"{row['mse_shown']:.1f}",
-                f"{row['mse_expression']:.1f}",
-                f"{row['mse_now']:.0f}",
-                f"{row['added_delay_ms_p50']:.0f} / {row['added_delay_ms_p95']:.0f}",
-                f"{row['concealed_ratio']:.1%}, {row['longest_gap_ms']:.0f} ms",
-                row["late"],
-                _milliseconds(row["recovery_ms"]),
-                _milliseconds(row["delay_recovery_ms"]),
-                f"{row['largest_step']:.2f}",
-                row["keyframes"],
-            )
-        )
-    return markdown_table(header, rows)
+    columns: dict[str, Column] = {
+        "trouble": lambda row: row["scenario"] if row["policy"] == "adaptive" else "",
+        "policy": lambda row: POLICY_STYLE[row["policy"]]["label"],
+        "MSE, moment shown": "{mse_shown:.1f}",
+        "of the expression alone": "{mse_expression:.1f}",
+        "MSE, now": "{mse_now:.0f}",
+        "added delay p50 / p95, ms": "{added_delay_ms_p50:.0f} / {added_delay_ms_p95:.0f}",
+        "concealed, longest gap": "{concealed_ratio:.1%}, {longest_gap_ms:.0f} ms",
+        "late": "late",
+        "face back after, ms": lambda row: _milliseconds(row["recovery_ms"]),
+        "delay back after, ms": lambda row: _milliseconds(row["delay_recovery_ms"]),
+        "largest step": "{largest_step:.2f}",
+        "keyframes": "keyframes",
+    }
+    return table(line["result"]["rows"], columns)
 
 
 GRADES = ("good", "usable", "broken")

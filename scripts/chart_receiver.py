@@ -8,14 +8,18 @@ import matplotlib.pyplot as plt
 from charting import (
     COLOURS,
     RESULTS,
+    Column,
     Line,
     Row,
     fill_in,
-    markdown_table,
+    finish,
     plain_ticks,
     read_lines,
+    rows_where,
     save,
     source_line,
+    table,
+    values,
 )
 from matplotlib.figure import Figure
 
@@ -27,47 +31,54 @@ COST_BAR = 1.5
 
 def chart_receiver() -> None:
     """The newest line of every kind."""
-    if lines := read_lines("decode"):
-        fill_in(PAGE, "decode", _decode_tables(lines[-1]))
-    if lines := read_lines("render"):
-        save(_draw_render(lines[-1]), "render")
-        fill_in(PAGE, "render", _render_table(lines[-1]))
-    if lines := read_lines("pareto"):
-        save(_draw_pareto(lines[-1]), "pareto")
-        fill_in(PAGE, "pareto", _pareto_table(lines[-1]))
-    if lines := read_lines("scene"):
-        save(_draw_scene(lines[-1]), "scene")
-        fill_in(PAGE, "scene", _scene_tables(lines[-1]))
+    draws = {"render": _draw_render, "pareto": _draw_pareto, "scene": _draw_scene}
+    tables = {
+        "decode": _decode_tables,
+        "render": _render_tables,
+        "pareto": _pareto_table,
+        "scene": _scene_tables,
+    }
+    for name, make in tables.items():
+        if lines := read_lines(name):
+            if name in draws:
+                save(finish(draws[name](lines[-1]), lines[-1], size=6), name)
+            fill_in(PAGE, name, "\n\n".join([*make(lines[-1]["result"]), source_line(lines[-1])]))
 
 
-def _decode_tables(line: Line) -> str:
-    result = line["result"]
-    header = ("model", "level", "maps", "threads", "ms", "p95", "plain export, ms", "vertices, mm")
-    rows = [
-        (
-            row["model"],
-            row["level"],
-            row["parts"],
-            row["threads"],
-            row["ms"],
-            row["p95"],
-            row["plain_ms"],
-            row["vertex_mm"],
-        )
-        for row in result["rows"]
+def _decode_tables(result: Row) -> list[str]:
+    ratios = [
+        {"threads": threads, "model": model, "level": level}
+        | {name: by_level[name][level] for name in by_level}
+        for threads, models in result["summary"]["by_threads"].items()
+        for model, by_level in models.items()
+        for level in by_level["baseline_ratio"]
     ]
-    ratios = []
-    for threads, models in result["summary"]["by_threads"].items():
-        for model, by_level in models.items():
-            for level, ratio in by_level["baseline_ratio"].items():
-                plain, full = (by_level[key][level] for key in ("plain_ratio", "level_ratio"))
-                ratios.append((threads, model, level, ratio, plain, full))
-    names = ("threads", "model", "level", "baseline ÷ it", "plain ÷ it", "full level ÷ it")
-    height, level = result["head_px"], result["summary"]["level_at_head_px"]
-    return (
-        f"{markdown_table(names, ratios)}\n\nA talking head {height:g} pixels high is given level "
-        f"{level} while there is time.\n\n{markdown_table(header, rows)}\n\n{source_line(line)}"
-    )
+    return [
+        table(
+            ratios,
+            {
+                **{name: name for name in ("threads", "model", "level")},
+                "baseline ÷ it": "baseline_ratio",
+                "plain ÷ it": "plain_ratio",
+                "full level ÷ it": "level_ratio",
+            },
+        ),
+        f"A talking head {result['head_px']:g} pixels high is given level "
+        f"{result['summary']['level_at_head_px']} while there is time.",
+        table(
+            result["rows"],
+            {
+                "model": "model",
+                "level": "level",
+                "maps": "parts",
+                "threads": "threads",
+                "ms": "ms",
+                "p95": "p95",
+                "plain export, ms": "plain_ms",
+                "vertices, mm": "vertex_mm",
+            },
+        ),
+    ]
 
 
 def _own(result: Row) -> list[Row]:
@@ -105,53 +116,52 @@ def _draw_render(line: Line) -> Figure:
     axis.set_ylim(bottom=0)
     axis.legend(frameon=False, fontsize=8)
     figure.suptitle(f"Drawing one head: {result['gl_renderer'].partition(' (')[0]}", fontsize=10)
-    figure.supxlabel(source_line(line), fontsize=6, color="#555555")
     return figure
 
 
-def _render_table(line: Line) -> str:
-    result = line["result"]
+def _render_tables(result: Row) -> list[str]:
     ratios = {
         (row["distance_cm"], row["level"], row["mesh"]): row for row in result["summary"]["ratios"]
     }
-    header = (
-        *("cm", "model", "level", "mesh", "pixels", "triangles", "draw, ms", "of processor"),
-        *("vertices, of processor", "draw ÷ baseline", "of processor", "vertices ÷ full mesh"),
-    )
-    rows = []
-    for row in _own(result):
-        ratio = ratios.get((row["distance_cm"], row["level"], row["mesh"]), {})
-        rows.append(
-            (
-                f"{row['distance_cm']:g}",
-                row["model"],
-                row["level"] or None,
-                row["mesh"] or None,
-                f"{row['pixels']:,}",
-                f"{row['triangles']:,}",
-                row["draw_ms"],
-                row["draw_cpu_ms"],
-                row["vertex_cpu_ms"],
-                ratio.get("draw_over_baseline"),
-                ratio.get("draw_cpu_over_baseline"),
-                ratio.get("vertex_cpu_over_full"),
-            )
-        )
-    places = [
-        (f"{row['distance_cm']:g}", row["weights"], row["draw_ms"], row["draw_cpu_ms"])
-        for row in result["rows"]
-        if row["model"] == "pica" and row["level"] == row["mesh"] == _full(result)
+    rows = [
+        row | {"ratio": ratios.get((row["distance_cm"], row["level"], row["mesh"]), {})}
+        for row in _own(result)
     ]
-    weights = markdown_table(("cm", "weights", "draw, ms", "of processor"), places)
-    soak = result.get("soak")
-    kept = (
-        ""
-        if soak is None
-        else f"\n\n{soak['frames']:,} small frames with fresh maps: "
-        f"{soak['resident_mb_after_a_tenth']} MB resident after a tenth of them, "
-        f"{soak['resident_mb_at_the_end']} MB at the end."
+    shown = table(
+        rows,
+        {
+            "cm": "{distance_cm:g}",
+            "model": "model",
+            "level": lambda row: row["level"] or None,
+            "mesh": lambda row: row["mesh"] or None,
+            "pixels": "{pixels:,}",
+            "triangles": "{triangles:,}",
+            "draw, ms": "draw_ms",
+            "of processor": "draw_cpu_ms",
+            "vertices, of processor": "vertex_cpu_ms",
+            "draw ÷ baseline": lambda row: row["ratio"].get("draw_over_baseline"),
+            "of processor ÷ baseline": lambda row: row["ratio"].get("draw_cpu_over_baseline"),
+            "vertices ÷ full mesh": lambda row: row["ratio"].get("vertex_cpu_over_full"),
+        },
     )
-    return f"{markdown_table(header, rows)}\n\n{weights}{kept}\n\n{source_line(line)}"
+    full = _full(result)
+    weights = table(
+        rows_where(result["rows"], model="pica", level=full, mesh=full),
+        {
+            "cm": "{distance_cm:g}",
+            "weights": "weights",
+            "draw, ms": "draw_ms",
+            "of processor": "draw_cpu_ms",
+        },
+    )
+    texts = [shown, weights]
+    if (soak := result.get("soak")) is not None:
+        texts.append(
+            f"{soak['frames']:,} small frames with fresh maps: "
+            f"{soak['resident_mb_after_a_tenth']} MB resident after a tenth of them, "
+            f"{soak['resident_mb_at_the_end']} MB at the end."
+        )
+    return texts
 
 
 def _full(result: Row) -> int:
@@ -186,52 +196,31 @@ def _draw_pareto(line: Line) -> Figure:
         plain_ticks(axis.yaxis)
     axes[0][0].set_ylabel("MSE, 0–255")
     axes[0][len(distances) // 2].set_xlabel("decode + draw, ms")
-    handles = [
-        *(
-            plt.Line2D([], [], marker=MARKERS[level], color="#555555", linestyle="", label=label)
-            for level, label in ((256, "256²"), (128, "128²"), (64, "64²"))
-        ),
-        plt.Line2D(
-            [],
-            [],
-            marker="o",
-            color="#555555",
-            linestyle="",
-            fillstyle="none",
-            label="coarser mesh",
-        ),
-        *(
-            plt.Line2D([], [], marker="o", color=colours[kind], linestyle="", label=kind)
-            for kind in ("f32", "f16", "u8")
-        ),
+    looks = [
+        *({"marker": MARKERS[level], "label": f"{level}²"} for level in (256, 128, 64)),
+        {"marker": "o", "fillstyle": "none", "label": "coarser mesh"},
+        *({"marker": "o", "color": colours[kind], "label": kind} for kind in colours),
     ]
+    handles = [plt.Line2D([], [], **{"color": "#555555", "linestyle": ""} | look) for look in looks]
     figure.legend(handles=handles, loc="outside upper center", ncols=7, frameon=False, fontsize=7)
-    figure.supxlabel(source_line(line), fontsize=6, color="#555555")
     return figure
 
 
-def _pareto_table(line: Line) -> str:
-    header = (
-        *("cm", "model", "level", "mesh", "weights", "file, MB", "decode, ms", "draw, ms"),
-        *("MSE", "MSE of change", "best"),
-    )
-    rows = [
-        (
-            f"{row['distance_cm']:g}",
-            row["model"],
-            row["level"],
-            row["mesh"],
-            row["precision"],
-            None if row["file_bytes"] is None else f"{row['file_bytes'] / 1e6:.2f}",
-            row["decode_ms"],
-            row["draw_ms"],
-            row["mse"],
-            row["change_mse"],
-            "yes" if row["is_best"] else "",
-        )
-        for row in line["result"]["rows"]
-    ]
-    return f"{markdown_table(header, rows)}\n\n{source_line(line)}"
+def _pareto_table(result: Row) -> list[str]:
+    columns: dict[str, Column] = {
+        "cm": "{distance_cm:g}",
+        "model": "model",
+        "level": "level",
+        "mesh": "mesh",
+        "weights": "precision",
+        "file, MB": lambda row: row["file_bytes"] and f"{row['file_bytes'] / 1e6:.2f}",
+        "decode, ms": "decode_ms",
+        "draw, ms": "draw_ms",
+        "MSE": "mse",
+        "MSE of change": "change_mse",
+        "best": lambda row: "yes" if row["is_best"] else "",
+    }
+    return [table(result["rows"], columns)]
 
 
 def _draw_scene(line: Line) -> Figure:
@@ -275,84 +264,55 @@ def _draw_scene(line: Line) -> Figure:
     cost.set_xlabel("talking heads, 25 cm apart\n(dashed: without the scheduler)")
     cost.legend(frameon=False, fontsize=8)
     cost.set_ylim(bottom=0)
-    error.set_ylabel("MSE given up, 0–255")
-    error.set_xlabel("talking heads, no budget")
-    error.set_ylim(bottom=0)
-    budget.set_ylabel("MSE given up, 0–255")
-    budget.set_xlabel(f"{most} heads on a budget:\nspent over unconstrained")
-    budget.set_ylim(bottom=0)
-    figure.supxlabel(source_line(line), fontsize=6, color="#555555")
+    for axis, label in (
+        (error, "talking heads, no budget"),
+        (budget, f"{most} heads on a budget:\nspent over unconstrained"),
+    ):
+        axis.set_ylabel("MSE given up, 0–255")
+        axis.set_xlabel(label)
+        axis.set_ylim(bottom=0)
     return figure
 
 
-def _scene_tables(line: Line) -> str:
-    result = line["result"]
-    header = (
-        *("heads", "cm", "scheduler", "budget, ms", "total, ms", "decode", "upload", "draw"),
-        *("plan", "decodes a frame", "MSE", "kbit/s", "levels", "meshes"),
-    )
-    rows = [
-        (
-            row["avatars"] if row["view"] == "front" else f"{row['avatars']}, none seen",
-            f"{row['distance_cm']:g}",
-            "yes" if row["scheduler"] else "no",
-            row["budget_ms"],
-            row["total_ms"],
-            row["decode_ms"],
-            row["upload_ms"],
-            row["draw_ms"],
-            row["plan_ms"],
-            row["decodes"],
-            row["error"],
-            round(row["payload_bps"] / 1e3, 2),
-            _shares(row["levels"]),
-            _shares(row["meshes"]),
-        )
-        for row in result["rows"]
-    ]
+def _scene_tables(result: Row) -> list[str]:
     summary = result["summary"]
-    scenes = [
-        (
-            f"{scene['distance_cm']:g}",
-            scene["scheduled_over_full_screen"],
-            scene["unscheduled_over_full_screen"],
-            scene["error"],
-        )
-        for scene in summary["scenes"]
-    ]
-    budgets = [
-        (
-            f"{row['distance_cm']:g}",
-            row["budget_over_free"],
-            row["floor_over_free"],
-            row["spent_over_free"],
-            row["error"],
-            row["error_rise"],
-            f"{row['limited']:.0%}",
-            _shares(row["levels"]),
-            _shares(row["meshes"]),
-        )
-        for row in summary["budgets"]
-    ]
-    most = max(row["avatars"] for row in result["rows"])
-    away = summary.get("away")
-    text = markdown_table(
-        ("cm", f"{most} heads over one that fills the screen", "without the scheduler", "MSE"),
-        scenes,
-    )
-    text += "\n\n" + markdown_table(
-        (
-            *("cm", "budget", "floor", "spent (all over unconstrained)", "MSE", "rise"),
-            *("heads limited", "levels", "meshes"),
-        ),
-        budgets,
-    )
-    if away is not None:
-        text += (
-            f"\n\nWith nobody on the screen: {away['decodes']:g} decodes a frame, "
+    most = max(values(result["rows"], "avatars"))
+    shares: dict[str, Column] = {
+        name: lambda row, name=name: _shares(row[name]) for name in ("levels", "meshes")
+    }
+    scenes: dict[str, Column] = {
+        "cm": "{distance_cm:g}",
+        f"{most} heads over one that fills the screen": "scheduled_over_full_screen",
+        "without the scheduler": "unscheduled_over_full_screen",
+        "MSE": "error",
+    }
+    budgets: dict[str, Column] = {
+        "cm": "{distance_cm:g}",
+        "budget": "budget_over_free",
+        "floor": "floor_over_free",
+        "spent (all over unconstrained)": "spent_over_free",
+        "MSE": "error",
+        "rise": "error_rise",
+        "heads limited": "{limited:.0%}",
+    }
+    rows: dict[str, Column] = {
+        "heads": lambda row: f"{row['avatars']}{'' if row['view'] == 'front' else ', none seen'}",
+        "cm": "{distance_cm:g}",
+        "scheduler": lambda row: "yes" if row["scheduler"] else "no",
+        "budget, ms": "budget_ms",
+        "total, ms": "total_ms",
+        **{part: f"{part}_ms" for part in ("decode", "upload", "draw", "plan")},
+        "decodes a frame": "decodes",
+        "MSE": "error",
+        "kbit/s": lambda row: round(row["payload_bps"] / 1e3, 2),
+    }
+    texts = [table(summary["scenes"], scenes), table(summary["budgets"], budgets | shares)]
+    if (away := summary.get("away")) is not None:
+        texts.append(
+            f"With nobody on the screen: {away['decodes']:g} decodes a frame, "
             f"{away['payload_over_seen']:.1%} of the payload."
         )
-    return f"{text}\n\n{markdown_table(header, rows)}\n\n{source_line(line)}"
+    return [*texts, table(result["rows"], rows | shares)]
 
 
 def _shares(counts: dict[str, Any]) -> str:
