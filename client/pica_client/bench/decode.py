@@ -108,7 +108,7 @@ class DecodeBenchConfig:
     """Height of the head on screen, pixels, that errors and the scheduler's level are told for
     (chosen: 65 cm before the viewer's camera of 32 degrees, in a window 720 rows high)."""
     seed: int = 0
-    """Of random weights and of the order of turns."""
+    """Seed of random weights and of the order of turns."""
     onnx: Provider = field(default_factory=OnnxOptions)
     """ONNX Runtime execution provider, as NAME or NAME:key=value,key=value."""
 

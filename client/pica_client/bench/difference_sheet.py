@@ -21,7 +21,7 @@ AMPLIFIED = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cell:
-    """One picture."""
+    """One picture as it was shown and as it should be."""
 
     caption: str
     wanted: Image

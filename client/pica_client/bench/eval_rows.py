@@ -52,11 +52,11 @@ class HeldOutError:
     psnr_db: float
     ssim: float
     views: int
-    """How many."""
+    """Number of views."""
     frames: int | None
     """Test frames; None where the rows do not say."""
     parameters: int
-    """Of the model that was measured."""
+    """Parameters of the model that was measured."""
     steps: int
     seed: int
 
@@ -99,22 +99,18 @@ class EvalRows:
         ((_, by_view),) = runs.items()
         rows = list(by_view.values())
         frames = {row.get("frames") for row in rows}
+        means = {
+            name: math.fsum(row[name] for row in rows) / len(rows)
+            for name in ("mse", "mse_low", "mse_high", "psnr_db", "ssim")
+        }
         return HeldOutError(
-            mse=_mean(rows, "mse"),
-            mse_low=_mean(rows, "mse_low"),
-            mse_high=_mean(rows, "mse_high"),
-            psnr_db=_mean(rows, "psnr_db"),
-            ssim=_mean(rows, "ssim"),
+            **means,
             views=len(rows),
             frames=frames.pop() if len(frames) == 1 else None,
             parameters=int(rows[0]["parameters"]),
             steps=int(rows[0]["steps"]),
             seed=int(rows[0]["seed"]),
         )
-
-
-def _mean(rows: Sequence[Row], name: str) -> float:
-    return math.fsum(row[name] for row in rows) / len(rows)
 
 
 def _rows_of(path: Path) -> Iterator[Row]:
@@ -153,14 +149,20 @@ def _values(path: Path, data: bytes) -> list[Any]:
 def _check(path: Path, row: Any) -> None:
     if not isinstance(row, dict):
         raise OptionError(f"{path}: rows has {row!r:.40}; a map is needed")
+    if "block" not in row and set(_NAMES + _NUMBERS) <= set(row):
+        raise OptionError(f"{path}: rows.block is missing; measure again with `pica eval`")
+
+    def require(name: str, is_right: bool, wanted: str) -> None:
+        if not is_right:
+            raise OptionError(f"{path}: rows.{name} is {row.get(name)!r:.40}; {wanted} is needed")
+
     for name in _NAMES:
-        if not isinstance(row.get(name), str):
-            raise OptionError(f"{path}: rows.{name} is {row.get(name)!r:.40}; a text is needed")
+        require(name, isinstance(row.get(name), str), "a text")
     for name in _NUMBERS:
         value = row.get(name)
-        if type(value) not in (int, float) or not math.isfinite(value):  # type: ignore[arg-type]
-            raise OptionError(f"{path}: rows.{name} is {value!r:.40}; a number is needed")
-    if "block" not in row:
-        raise OptionError(f"{path}: rows.block is missing; measure again with `pica eval`")
-    if not isinstance(row["block"], str | None):
-        raise OptionError(f"{path}: rows.block is {row['block']!r:.40}; a text or null is needed")
+        require(
+            name,
+            isinstance(value, int | float) and type(value) is not bool and math.isfinite(value),
+            "a number",
+        )
+    require("block", isinstance(row.get("block"), str | None), "a text or null")

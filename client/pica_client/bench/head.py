@@ -27,9 +27,9 @@ from pica_core.gl import create_context
 from pica_core.types import FloatArray
 
 FIELD_OF_VIEW = math.radians(50)
-"""Of the square image, both ways (chosen: `bench.render` says why)."""
+"""Opening of the camera both ways, radians (chosen: `bench.render` says why)."""
 FRAME_S = 1 / 30
-"""From one frame of a talking head to the next."""
+"""Seconds between two frames of a talking head."""
 PEAK = 255.0
 _NO_POSE = np.zeros(3, np.float32)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,9 +15,9 @@ from pica_client.decode.decoder import BaselineDecoder, OnnxDecoder, OnnxOptions
 from pica_client.errors import OptionError
 from pica_client.render.renderer import Renderer
 from pica_core.avatar.baseline import KEY as BASELINE_KEY
-from pica_core.avatar.baseline import load_baseline
-from pica_core.avatar.expression_encoder import ExpressionEncoder, HasTensors
-from pica_core.avatar.file import load_avatar
+from pica_core.avatar.baseline import BaselineAvatar, load_baseline
+from pica_core.avatar.expression_encoder import ExpressionEncoder
+from pica_core.avatar.file import Avatar, load_avatar
 from pica_core.avatar.variants import VARIANTS, ModelCost, pixel_codec_cost
 from pica_core.types import FloatArray
 
@@ -25,20 +26,13 @@ BASELINE = "baseline"
 
 
 class Model(ABC):
-    """A trained model as a receiver runs it.
-
-    Args:
-        key: Which.
-        file_bytes: Size of its file.
-        cost: What it computes.
-        box: Where its head is.
-        weights: Its expression encoder among other things.
-    """
+    """A trained model as a receiver runs it: file, cost, where its head is, and its encoder."""
 
     def __init__(
-        self, key: ModelKey, file_bytes: int, cost: ModelCost, box: Bounded, weights: HasTensors
+        self, key: ModelKey, path: Path, cost: ModelCost, weights: Avatar | BaselineAvatar
     ) -> None:
-        self.key, self.file_bytes, self.cost, self.box = key, file_bytes, cost, box
+        self.key, self.file_bytes, self.cost = key, path.stat().st_size, cost
+        self.box: Bounded = weights.manifest if isinstance(weights, Avatar) else weights
         self.encoder = ExpressionEncoder(weights)
 
     @abstractmethod
@@ -59,24 +53,21 @@ class CodecModel(Model):
 
     def __init__(self, path: Path) -> None:
         avatar = self._avatar = load_avatar(path)
-        manifest = avatar.manifest
-        key = ModelKey(manifest.identity, manifest.variant, avatar.spec.block)
-        size, cost = path.stat().st_size, pixel_codec_cost(avatar.spec)
-        super().__init__(key, size, cost, manifest, avatar)
+        key = ModelKey(avatar.manifest.identity, avatar.manifest.variant, avatar.spec.block)
+        super().__init__(key, path, pixel_codec_cost(avatar.spec), avatar)
 
     def stage(self, renderer: Renderer, slot: str, onnx: OnnxOptions) -> None:
-        """See `Model`."""
+        """Open the decoder of both maps, and give the avatar to the renderer."""
         self._decoder = OnnxDecoder(self._avatar, onnx)
         renderer.add_avatar(slot, self._avatar)
 
     def decode(self, latent: FloatArray, direction: FloatArray) -> None:
-        """See `Model`."""
+        """Decode both maps."""
         self._maps = self._decoder.decode(latent, direction)
 
     def upload(self, renderer: Renderer, slot: str) -> None:
-        """See `Model`."""
-        maps = self._maps
-        renderer.update_maps(slot, maps.position_map, maps.expression_map)
+        """Hand both maps over."""
+        renderer.update_maps(slot, self._maps.position_map, self._maps.expression_map)
 
 
 class TexturedModel(Model):
@@ -96,20 +87,19 @@ class TexturedModel(Model):
             per_object_multiply_adds=spec.multiply_adds,
             per_pixel_multiply_adds=0,
         )
-        key = ModelKey(identity, BASELINE, None)
-        super().__init__(key, path.stat().st_size, cost, baseline, baseline)
+        super().__init__(ModelKey(identity, BASELINE, None), path, cost, baseline)
 
     def stage(self, renderer: Renderer, slot: str, onnx: OnnxOptions) -> None:
-        """See `Model`."""
+        """Open the decoder of mesh and texture, and give the mesh's topology to the renderer."""
         self._decoder = BaselineDecoder(self._baseline, onnx)
         renderer.add_textured(slot, textured_mesh(self._baseline))
 
     def decode(self, latent: FloatArray, direction: FloatArray) -> None:
-        """See `Model`."""
+        """Decode mesh and texture."""
         self._maps = self._decoder.decode(latent, direction)
 
     def upload(self, renderer: Renderer, slot: str) -> None:
-        """See `Model`."""
+        """Hand mesh and texture over."""
         renderer.update_textured(slot, self._maps.vertices_m, self._maps.texture)
 
 
@@ -129,19 +119,15 @@ def open_models(names: Sequence[str]) -> list[Model]:
         AvatarFileError: A file that is neither an avatar nor a baseline.
     """
     files = [found for name in names for found in _files(name)]
-    avatars: list[CodecModel] = []
-    baselines: list[tuple[Path, str | None]] = []
-    for path, identity in files:
-        if _is_baseline(path):
-            baselines.append((path, identity))
-            continue
-        model = CodecModel(path)
+    avatars = [(CodecModel(path), path, who) for path, who in files if not _is_baseline(path)]
+    for model, path, identity in avatars:
         if identity not in (None, model.key.identity):
             raise OptionError(f"{path}: shows {model.key.identity}, not {identity}")
-        avatars.append(model)
-    people = sorted({model.key.identity for model in avatars})
-    models: list[Model] = [*avatars]
-    for path, identity in baselines:
+    people = sorted({model.key.identity for model, _, _ in avatars})
+    models: list[Model] = [model for model, _, _ in avatars]
+    for path, identity in files:
+        if not _is_baseline(path):
+            continue
         if identity is None and len(people) != 1:
             raise OptionError(
                 f"{path}: a baseline's file does not say whom it shows; write IDENTITY={path}"
@@ -149,16 +135,14 @@ def open_models(names: Sequence[str]) -> list[Model]:
         models.append(TexturedModel(path, identity or people[0]))
     if not models:
         raise OptionError("files is empty; name at least one that `pica export` wrote")
-    seen: set[ModelKey] = set()
-    for key in (each.key for each in models):
-        if key in seen:
+    for key, count in Counter(model.key for model in models).items():
+        if count > 1:
             raise OptionError(f"files: {key} is there twice")
-        seen.add(key)
     return sorted(models, key=_place)
 
 
 def _place(model: Model) -> tuple[str, int, str]:
-    """By person, then as the paper's tables go."""
+    """What models are sorted by: the person, then the order of the paper's tables."""
     identity, variant, block = model.key
     return identity, list(VARIANTS).index(variant), block or ""
 

@@ -71,7 +71,7 @@ class ModelsBenchConfig:
     """What to measure."""
 
     distances_cm: Floats = (18.0, 65.0, 120.0)
-    """From the camera to the front of the head, separated by commas."""
+    """Distances of the camera from the front of the head, separated by commas."""
     image_size: int = 768
     """Rows and columns of the image, pixels."""
     frames: int = 30
@@ -83,7 +83,7 @@ class ModelsBenchConfig:
     start_s: float = 3.0
     """Second of it at which the frames begin."""
     seed: int = 0
-    """Of the order of turns."""
+    """Seed of the order of turns."""
 
     def __post_init__(self) -> None:
         check_distances(self.distances_cm)

@@ -97,7 +97,7 @@ class BenchPlayoutConfig:
     renders_per_s: float = 10.0
     """Refreshes that are rendered to measure the error, a second."""
     seed: int = 0
-    """Of the network."""
+    """Seed of the network."""
 
     def __post_init__(self) -> None:
         check_ranges(self, renders_per_s=(0.5, self.schedule.display_hz))

@@ -83,7 +83,7 @@ class RenderBenchConfig:
     """What to measure."""
 
     distances_cm: Floats = (18.0, 65.0, 120.0)
-    """From the camera to the front of the head, separated by commas."""
+    """Distances of the camera from the front of the head, separated by commas."""
     image_size: int = 1024
     """Rows and columns of the image, pixels."""
     rounds: int = 15

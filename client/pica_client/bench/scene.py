@@ -75,7 +75,7 @@ SPACING_M = 0.25
 """Between two heads side by side (the paper's section 4.3)."""
 FPS = 30.0
 WARM_UP_FRAMES = 12
-"""Of each case: the costs are learned, the layers that are asked for settle."""
+"""Frames of each case that do not count: costs are learned, layers that are asked for settle."""
 TURN_FRAMES = 5
 """Frames of a case before the next one has its turn."""
 ERROR_EVERY = 5
@@ -89,7 +89,7 @@ class SceneBenchConfig:
     avatars: Ints = (1, 2, 3, 4, 5)
     """How many heads, separated by commas."""
     distances_cm: Floats = (65.0, 90.0, 120.0)
-    """From the camera to the front of the middle head, separated by commas."""
+    """Distances of the camera from the front of the middle head, separated by commas."""
     width: int = 1280
     """Columns of the image, pixels."""
     height: int = 720

@@ -29,7 +29,7 @@ class AvatarPushOptions:
     token_file: Path | None = None
     """File with a join token that allows to wear this avatar, see pica token."""
     ca_file: Path | None = None
-    """With a wss:// address, trust the certificates of this PEM file instead of the system's."""
+    """Trust the certificates of this PEM file instead of the system's, at a wss:// address."""
 
 
 def avatar_push(options: AvatarPushOptions) -> dict[str, Any]:

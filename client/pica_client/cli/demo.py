@@ -34,7 +34,7 @@ from pica_client.ui.display import has_display
 from pica_core.codec.latent_stream import DEFAULT_QUALITY
 
 END_TIMEOUT_S = 90.0
-"""For the viewer to start, see everybody and write its files, on top of the call itself."""
+"""Time that the viewer has to start, see everybody and write its files, besides the call."""
 VIEWER_NAME = "viewer"
 
 

@@ -49,7 +49,7 @@ class Finding:
 
     @property
     def line(self) -> str:
-        """For people."""
+        """The finding as people read it."""
         mark = "ok  " if self.level == "good" else "LACK"
         fix = f" -> {self.fix}" if self.fix else ""
         return f"{mark}  {self.subject}: {self.detail}{fix}"

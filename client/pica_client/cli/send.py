@@ -52,11 +52,11 @@ class SendOptions:
     token_file: Path | None = None
     """File with the join token that the relay wants, see pica token."""
     ca_file: Path | None = None
-    """With a wss:// address, trust the certificates of this PEM file instead of the system's."""
+    """Trust the certificates of this PEM file instead of the system's, at a wss:// address."""
     secret_file: Path | None = None
     """File with the room secret, from pica secret: encrypts end to end, see docs/privacy.md."""
     short_tags: bool = False
-    """With a secret: 11 bytes a frame for encryption instead of 19, see docs/privacy.md."""
+    """Spend 11 bytes a frame on encryption instead of 19; needs a secret, see docs/privacy.md."""
     give_avatar: Literal["auto", "yes", "no"] = "auto"
     """Give the avatar's file to the relay, for those who do not have it; auto does, unless it ships
     with this package or there is a secret: whoever runs the relay can look at the file."""

@@ -75,7 +75,7 @@ class ViewOptions:
     token_file: Path | None = None
     """File with the join token that the relay wants, see pica token."""
     ca_file: Path | None = None
-    """With a wss:// address, trust the certificates of this PEM file instead of the system's."""
+    """Trust the certificates of this PEM file instead of the system's, at a wss:// address."""
     secret_file: Path | None = None
     """File with the room secret of those who encrypt: shows them, and nobody else."""
     fetch: bool = True

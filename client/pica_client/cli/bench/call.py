@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from tyro.conf import OmitArgPrefixes
@@ -47,12 +47,12 @@ class NetworkOptions:
 class BenchCallOptions:
     """Options of ``pica bench call``."""
 
-    call: OmitArgPrefixes[LocalCallConfig] = field(default_factory=LocalCallConfig)
+    call: OmitArgPrefixes[LocalCallConfig]
     seconds: float = 20.0
     """Measured time, seconds."""
     playout_floor_ms: float = PlayoutConfig().floor_s * 1e3
     """Least playout delay, milliseconds."""
-    network: OmitArgPrefixes[NetworkOptions] = field(default_factory=NetworkOptions)
+    network: OmitArgPrefixes[NetworkOptions]
 
 
 def bench_call(options: BenchCallOptions) -> dict[str, Any]:

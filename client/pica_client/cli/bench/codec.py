@@ -2,26 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Any
 
-from tyro.conf import OmitArgPrefixes
-
 from pica_client.bench.codec import CodecConfig, run_codec_bench
-from pica_client.cli.bench.avatars import load_bench_avatar
+from pica_client.cli.bench.avatars import AvatarBenchOptions
 from pica_client.output import check_writable, say
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class BenchCodecOptions:
-    """Options of ``pica bench codec``."""
-
-    avatar: str | None = None
-    """Name of a shipped avatar, or a .pica file; the first shipped one by default."""
-    config: OmitArgPrefixes[CodecConfig] = field(default_factory=CodecConfig)
-
-
-def bench_codec(options: BenchCodecOptions) -> dict[str, Any]:
+def bench_codec(options: AvatarBenchOptions[CodecConfig]) -> dict[str, Any]:
     """Measure what the latent stream's bits buy: bitrate against rendered error.
 
     Compares our qualities, thinned and whole, with plain 8 bit, 16-bit float, zlib and zstd with a
@@ -29,7 +17,7 @@ def bench_codec(options: BenchCodecOptions) -> dict[str, Any]:
     """
     if options.config.sheet is not None:
         check_writable(options.config.sheet)
-    result = run_codec_bench(options.config, load_bench_avatar(options.avatar))
+    result = run_codec_bench(options.config, options.load())
     for row in result["rows"]:
         loss = row["psnr_loss_db"]
         say(

@@ -2,28 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Any
 
-from tyro.conf import OmitArgPrefixes
-
 from pica_client.bench.decode import DecodeBenchConfig, run_decode_bench
-from pica_client.cli.bench.avatars import load_bench_avatar
+from pica_client.cli.bench.avatars import AvatarBenchOptions
 from pica_client.output import say
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class BenchDecodeOptions:
-    """Options of ``pica bench decode``."""
-
-    avatar: str | None = None
-    """Name of a shipped avatar, or a .pica file; the first shipped one by default."""
-    config: OmitArgPrefixes[DecodeBenchConfig] = field(default_factory=DecodeBenchConfig)
-
-
-def bench_decode(options: BenchDecodeOptions) -> dict[str, Any]:
+def bench_decode(options: AvatarBenchOptions[DecodeBenchConfig]) -> dict[str, Any]:
     """Measure what decoding one face costs: levels, plain export, baseline, candidate blocks."""
-    result = run_decode_bench(options.config, load_bench_avatar(options.avatar))
+    result = run_decode_bench(options.config, options.load())
     for row in result["rows"]:
         say(_line(row))
     for threads, models in result["summary"]["by_threads"].items():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ class BenchModelsOptions:
     where avatars of several people are measured, write IDENTITY=FILE."""
     rows: tuple[Path, ...]
     """What `pica eval --json` printed of the same models, or recorded lines of it."""
-    config: OmitArgPrefixes[ModelsBenchConfig] = field(default_factory=ModelsBenchConfig)
+    config: OmitArgPrefixes[ModelsBenchConfig]
 
 
 def bench_models(options: BenchModelsOptions) -> dict[str, Any]:

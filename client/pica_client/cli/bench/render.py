@@ -2,31 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Any
 
-from tyro.conf import OmitArgPrefixes
-
 from pica_client.bench.render import RenderBenchConfig, run_render_bench
-from pica_client.cli.bench.avatars import load_bench_avatar
+from pica_client.cli.bench.avatars import AvatarBenchOptions
 from pica_client.output import say
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class BenchRenderOptions:
-    """Options of ``pica bench render``."""
-
-    avatar: str | None = None
-    """Name of a shipped avatar, or a .pica file; the first shipped one by default."""
-    config: OmitArgPrefixes[RenderBenchConfig] = field(default_factory=RenderBenchConfig)
-
-
-def bench_render(options: BenchRenderOptions) -> dict[str, Any]:
+def bench_render(options: AvatarBenchOptions[RenderBenchConfig]) -> dict[str, Any]:
     """Measure what drawing a head costs, near and far, at every level, beside a textured baseline.
 
     Set LP_NUM_THREADS to say how many threads software GL takes.
     """
-    result = run_render_bench(options.config, load_bench_avatar(options.avatar))
+    result = run_render_bench(options.config, options.load())
     for row in result["rows"]:
         name = f"{row['model']} {row['level'] or ''}".strip()
         say(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from tyro.conf import OmitArgPrefixes
@@ -19,7 +19,7 @@ class BenchSceneOptions:
     avatar: str | None = None
     """Names of shipped avatars or .pica files, separated by commas, dealt in turn; by default all
     that ship."""
-    config: OmitArgPrefixes[SceneBenchConfig] = field(default_factory=SceneBenchConfig)
+    config: OmitArgPrefixes[SceneBenchConfig]
 
 
 def bench_scene(options: BenchSceneOptions) -> dict[str, Any]:
