@@ -37,7 +37,7 @@ def main() -> None:
     limits = EvalLimits(frames=COLUMNS, geometry_frames=0, near_frames=COLUMNS // 2)
     truth = prepare(run.capture, run.config.model.spec().map_size, limits)
     data, model = truth.data, build(run, truth)
-    data.use_meshes(run.config.mesh_source)
+    data.meshes.use(run.config.mesh_source)
     with model_rasteriser(data.capture, model) as rasteriser:
         judge = Judge(data, model, rasteriser)
         codes = [judge.encode(frame) for frame in truth.frames]

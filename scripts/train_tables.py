@@ -26,7 +26,7 @@ from claims import give_back, take
 from pica_core.avatar.variants import TABLE_1, TABLE_2, VARIANTS
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.train.config import PRESETS, TrainConfig
-from pica_core.train.data import TrainingData
+from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.run import RUN_FILE
 from pica_core.train.loop import Trainer, open_trainer, read_checkpoint
 

@@ -11,7 +11,7 @@ import torch
 
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.train.config import TrainConfig
-from pica_core.train.data import TrainingData
+from pica_core.train.data.training import TrainingData
 from pica_core.train.loop import open_trainer
 from pica_core.train.parallel import open_ranks
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -19,14 +19,14 @@ import numpy.typing as npt
 from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.spec import LATENT_SHAPE, LEAKY_SLOPE
 from pica_core.errors import ShapeError
-from pica_core.types import FloatArray
+from pica_core.types import Array, FloatArray
 
 
 class HasTensors(Protocol):
     """An avatar of any kind, with ``encoder.{i}.weight`` and ``.bias`` among its tensors."""
 
     @property
-    def tensors(self) -> Mapping[str, npt.NDArray[Any]]:
+    def tensors(self) -> Mapping[str, Array]:
         """Arrays by name."""
         ...
 

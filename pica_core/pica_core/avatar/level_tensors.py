@@ -24,12 +24,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.avatar.decoder_layers import trunk_channels
 from pica_core.avatar.levels import NUM_DRAWINGS, LevelErrors, level_sizes
 from pica_core.avatar.spec import POSITION_CHANNELS, AvatarSpec
-from pica_core.types import Array
+from pica_core.types import Array, FloatArray
 
 PREFIX = "level."
 MAX_HEIGHTS = 64
@@ -54,11 +53,11 @@ def sheet_rows(num_vertices: int, level: int) -> int:
     return -(-num_vertices // level)
 
 
-def sheet_uv(num_vertices: int, level: int) -> npt.NDArray[np.float32]:
+def sheet_uv(num_vertices: int, level: int) -> FloatArray:
     """Where vertices stand in their sheet, as texture coordinates. float32 ``[V, 2]``."""
     number, rows = np.arange(num_vertices), sheet_rows(num_vertices, level)
     across, down = (number % level + 0.5) / level, (number // level + 0.5) / rows
-    places: npt.NDArray[np.float32] = np.stack([across, down], axis=1).astype(np.float32)
+    places: FloatArray = np.stack([across, down], axis=1).astype(np.float32)
     return places
 
 

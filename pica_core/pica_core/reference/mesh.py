@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from pica_core.errors import ShapeError
 from pica_core.reference.pixel import sample_bilinear
-from pica_core.types import Array
+from pica_core.types import Array, IntArray
 
 
 def sample_vertices(position_map: npt.ArrayLike, vertex_uv: npt.ArrayLike) -> Array:
@@ -35,7 +35,7 @@ def sample_vertices(position_map: npt.ArrayLike, vertex_uv: npt.ArrayLike) -> Ar
     return sample_bilinear(positions, vertex_uv)
 
 
-def order_faces(faces: npt.NDArray[np.int32], vertex_uv: npt.ArrayLike) -> npt.NDArray[np.int32]:
+def order_faces(faces: IntArray, vertex_uv: npt.ArrayLike) -> IntArray:
     """Sort triangles along a space-filling curve in UV, so that neighbours are drawn together.
 
     A renderer that keeps its last few vertices computes each of them once or twice instead of six

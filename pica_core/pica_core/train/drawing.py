@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -18,7 +17,7 @@ from pica_core.model.interface import Surface
 from pica_core.train.edge_gradient import Edges, find_edges, screen_positions
 from pica_core.train.losses import screen_normals
 from pica_core.train.rasterise import Hits, Rasteriser, Views, hit_points
-from pica_core.types import Int64Array
+from pica_core.types import FloatArray, Int64Array, IntArray
 
 NORMAL_SHARE = 4
 """Where pixels are drawn, every fourth has a normal: it needs the depth of two neighbours."""
@@ -103,6 +102,7 @@ class MeshDrawer:
     """Draws the meshes of one topology.
 
     Args:
+        rasteriser: Made for these faces; it stays its owner's.
         faces: int64 ``[F, 3]``.
         vertex_uv: ``[V, 2]``.
         face_weights: How much more often than others a pixel of each triangle is drawn, ``[F]``.
@@ -111,19 +111,20 @@ class MeshDrawer:
 
     def __init__(
         self,
+        rasteriser: Rasteriser,
         faces: Tensor,
         vertex_uv: Tensor,
-        face_weights: npt.NDArray[np.float32],
+        face_weights: FloatArray,
         device: torch.device | str = "cpu",
     ) -> None:
-        self.rasteriser = Rasteriser(faces.numpy().astype(np.int32), len(vertex_uv))
+        self.rasteriser = rasteriser
         self._faces = faces.to(device)
         self._face_uv = vertex_uv[faces].to(device)
         self._face_weights = np.append(face_weights, 0).astype(np.float32)
         self._ids = np.zeros((0, 0), np.int32)
         self._cameras: list[Camera] = []
 
-    def look(self, vertices_m: Tensor, cameras: list[Camera]) -> None:
+    def rasterise(self, vertices_m: Tensor, cameras: list[Camera]) -> None:
         """Find the triangle of every pixel of N images.
 
         Args:
@@ -143,10 +144,10 @@ class MeshDrawer:
         normals: bool,
         detach_xyz: bool,
     ) -> DrawnPixels:
-        """Draw covered pixels of the images that `look` found, and interpolate there.
+        """Draw covered pixels of the images that `rasterise` saw, and interpolate there.
 
         Args:
-            vertices_m: As for `look`; gradients flow there.
+            vertices_m: As for `rasterise`; gradients flow there.
             rngs: Source of choice for each image.
             pixels_per_image: About how many; 0 for all.
             normals: Whether normals will be asked for.
@@ -183,9 +184,9 @@ class MeshDrawer:
         )
 
     def edges(self, vertices_m: Tensor, rngs: list[np.random.Generator]) -> EdgePixels:
-        """Boundaries of the images that `look` found; arguments as for `draw`."""
+        """Boundaries of the images that `rasterise` saw; arguments as for `draw`."""
         size = self._ids.shape[1]
-        parts: list[tuple[int, Edges, npt.NDArray[np.float32]]] = []
+        parts: list[tuple[int, Edges, FloatArray]] = []
         depths_m = self.rasteriser.batch_depths_m(self._cameras)
         for index in range(len(depths_m)):
             pairs = find_edges(depths_m[index])
@@ -260,9 +261,7 @@ class MeshDrawer:
         image = flat // self._ids.shape[1]
         return PixelList(image, flat - image * self._ids.shape[1])
 
-    def _choose(
-        self, ids: npt.NDArray[np.int32], rng: np.random.Generator, wanted: int
-    ) -> Int64Array:
+    def _choose(self, ids: IntArray, rng: np.random.Generator, wanted: int) -> Int64Array:
         """Covered pixels of an image, each with its chance, so that about `wanted` come."""
         covered: Int64Array = np.flatnonzero(ids >= 0)
         if wanted == 0 or len(covered) <= wanted:

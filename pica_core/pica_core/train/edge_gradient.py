@@ -30,8 +30,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from torch import Tensor
+
+from pica_core.types import FloatArray, Int64Array
 
 GAP_M = 0.003
 """Least step in depth between two surfaces that counts as a boundary, metres (chosen: well above
@@ -48,17 +49,17 @@ class Edges(NamedTuple):
         sign: +1 where `back` lies at the larger coordinate, else -1, float32 ``[E]``.
     """
 
-    front: npt.NDArray[np.int64]
-    back: npt.NDArray[np.int64]
-    axis: npt.NDArray[np.int64]
-    sign: npt.NDArray[np.float32]
+    front: Int64Array
+    back: Int64Array
+    axis: Int64Array
+    sign: FloatArray
 
-    def chosen(self, places: npt.NDArray[np.int64]) -> Edges:
+    def chosen(self, places: Int64Array) -> Edges:
         """Some of the pairs."""
         return Edges(self.front[places], self.back[places], self.axis[places], self.sign[places])
 
 
-def find_edges(depth_m: npt.NDArray[np.float32], gap_m: float = GAP_M) -> Edges:
+def find_edges(depth_m: FloatArray, gap_m: float = GAP_M) -> Edges:
     """Pairs of neighbours between which the surface breaks off.
 
     Two covered neighbours do so if their depths differ by more than the gap, and neither depth is

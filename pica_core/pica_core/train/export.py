@@ -17,8 +17,9 @@ from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.baseline import DeepAppearanceModel
 from pica_core.model.interface import AvatarModel
 from pica_core.model.pixel_decoder import XYZ_UNIT_M
-from pica_core.train.data import TrainingData
+from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.judge import drawn_topology
+from pica_core.types import FloatArray, IntArray
 
 MARGIN_M = 0.02
 """How far decoded positions may leave the box of the training meshes."""
@@ -28,8 +29,8 @@ LATENT_HEADROOM = 1.25
 
 def avatar_tensors(
     model: PixelCodecAvatar,
-    vertex_uv: npt.NDArray[np.float32],
-    faces: npt.NDArray[np.int32],
+    vertex_uv: FloatArray,
+    faces: IntArray,
 ) -> dict[str, npt.NDArray[np.generic]]:
     """A model's weights as the avatar file's tensors.
 
@@ -120,7 +121,7 @@ def _encoder_tensors(model: AvatarModel) -> dict[str, Tensor]:
     return {f"encoder.{name}": values for name, values in layers}
 
 
-def _array(values: Tensor) -> npt.NDArray[np.float32]:
+def _array(values: Tensor) -> FloatArray:
     return np.ascontiguousarray(values.detach().cpu().numpy(), np.float32)
 
 
@@ -128,7 +129,7 @@ def _bounds_m(
     data: TrainingData,
 ) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     """A box around all training meshes, head frame, metres."""
-    train = data.vertices_m[data.train_frames]
+    train = data.meshes.dense_m[data.train_frames]
     low, high = train.min((0, 1)) - MARGIN_M, train.max((0, 1)) + MARGIN_M
     return _three(low.tolist()), _three(high.tolist())
 

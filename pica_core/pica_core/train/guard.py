@@ -17,7 +17,7 @@ SETTLED_STEPS = 20
 
 
 class DivergenceGuard:
-    """Judges the losses of one step after the other."""
+    """Looks at the losses of one step after the other."""
 
     def __init__(self) -> None:
         self._phase = ""
@@ -25,7 +25,7 @@ class DivergenceGuard:
         self._usual = 0.0
         self._high = 0
 
-    def judge(self, phase: str, losses: Mapping[str, float]) -> str | None:
+    def check(self, phase: str, losses: Mapping[str, float]) -> str | None:
         """Take the losses of a step.
 
         Args:

@@ -23,6 +23,7 @@ import torch
 from torch import Tensor
 
 from pica_core.train.losses import MILLIMETRES, mean_norm
+from pica_core.types import BoolArray, Float64Array, FloatArray, Int64Array
 
 COTANGENT_LIMIT = 50.0
 """Largest size of a cotangent (chosen: angles from 1 to 179 degrees go through)."""
@@ -40,7 +41,7 @@ MEAN_RATE = 1e-4
 
 def cotangent_weights(
     vertices_m: npt.ArrayLike, faces: npt.NDArray[np.integer]
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+) -> tuple[Int64Array, Float64Array]:
     """Directed edges of a mesh and their cotangent weights.
 
     Args:
@@ -68,9 +69,7 @@ def cotangent_weights(
     return unique, np.maximum(weights, LEAST_WEIGHT)
 
 
-def smoothness_weights(
-    regions: dict[str, npt.NDArray[np.bool_]], num_vertices: int
-) -> npt.NDArray[np.float32]:
+def smoothness_weights(regions: dict[str, BoolArray], num_vertices: int) -> FloatArray:
     """The diagonal of W_L: 1.25 on hair and mouth, 0.25 elsewhere. float32 ``[V]``."""
     weights = np.full(num_vertices, PLAIN_WEIGHT, np.float32)
     for name in ROUGH_REGIONS:
@@ -123,7 +122,7 @@ class MeshLaplacian:
         columns = np.concatenate([connected, edges[:, 1]])
         values = np.concatenate([np.ones(len(connected)), -weights / sums[edges[:, 0]]])
 
-        def matrix(first: npt.NDArray[np.int64], second: npt.NDArray[np.int64]) -> Tensor:
+        def matrix(first: Int64Array, second: Int64Array) -> Tensor:
             entries = torch.from_numpy(np.stack([first, second]))
             coordinates = torch.sparse_coo_tensor(
                 entries, torch.from_numpy(values).to(dtype), (count, count), check_invariants=False

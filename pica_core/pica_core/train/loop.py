@@ -22,6 +22,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pica_core.avatar.variants import VARIANTS
 from pica_core.errors import (
     CheckpointError,
     PicaCoreError,
@@ -30,8 +31,9 @@ from pica_core.errors import (
 )
 from pica_core.train.checkpoint import NAME, read_checkpoint, write_checkpoint
 from pica_core.train.config import PHASES, TrainConfig
-from pica_core.train.data import TrainingData
+from pica_core.train.data.training import TrainingData
 from pica_core.train.guard import DivergenceGuard
+from pica_core.train.held_out import draw_held_out
 from pica_core.train.monitor import Monitor
 from pica_core.train.objectives import Objectives
 from pica_core.train.optimiser import (
@@ -44,7 +46,6 @@ from pica_core.train.optimiser import (
 from pica_core.train.parallel import Ranks
 from pica_core.train.prior import face_prior
 from pica_core.train.rasterise import Rasteriser
-from pica_core.train.watch import look
 
 __all__ = ["Losses", "Trainer", "open_trainer", "rate_ratio", "read_checkpoint"]
 
@@ -66,6 +67,7 @@ class Trainer:
         data: The capture as tensors.
         config: Options of the run.
         run_dir: Where ``checkpoint.pt`` and ``metrics.jsonl`` go; made if missing.
+        rasteriser: Made for the mesh that the model draws; it stays its owner's.
         device: Where to compute.
         ranks: This process among those that train together.
 
@@ -79,6 +81,7 @@ class Trainer:
         data: TrainingData,
         config: TrainConfig,
         run_dir: Path,
+        rasteriser: Rasteriser,
         *,
         device: torch.device | str = "cpu",
         ranks: Ranks | None = None,
@@ -97,19 +100,11 @@ class Trainer:
         self.rollbacks = 0
         self.seconds = 0.0
         self._rate_scale = 1.0
-        self.objectives = Objectives(data, config, self.model, self.ranks, self.device)
+        self.rasteriser = rasteriser
+        self.objectives = Objectives(data, config, self.model, rasteriser, self.ranks, self.device)
         self._optimisers = {
             phase: make_optimiser(self.model, config.schedule, phase) for phase in PHASES
         }
-
-    def close(self) -> None:
-        """Release the GL context."""
-        self.objectives.close()
-
-    @property
-    def rasteriser(self) -> Rasteriser:
-        """The run's one GL context."""
-        return self.objectives.drawer.rasteriser
 
     @property
     def total_steps(self) -> int:
@@ -154,7 +149,7 @@ class Trainer:
             started = time.perf_counter()
             losses = self.train_step()
             self.seconds += time.perf_counter() - started
-            problem = guard.judge(phase, losses)
+            problem = guard.check(phase, losses)
             is_due = self.step % self.config.checkpoint_every == 0
             if problem is None and is_due and not self._is_finite():
                 problem = "weights not finite"
@@ -247,7 +242,7 @@ class Trainer:
             state = {
                 "config": json.dumps(self.config.to_json()),
                 "step": self.step,
-                "position_scale_m": self.data.position_scale_m,
+                "position_scale_m": self.data.meshes.position_scale_m,
                 "model": self.model.state_dict(),
                 "optimisers": {name: o.state_dict() for name, o in self._optimisers.items()},
                 "mean_mesh_m": self.objectives.mean_m,
@@ -272,7 +267,7 @@ class Trainer:
                 f"{self.run_dir}: the checkpoint was made with other options; "
                 "use the same ones, or another --out"
             )
-        scale_m, here_m = state["position_scale_m"], self.data.position_scale_m
+        scale_m, here_m = state["position_scale_m"], self.data.meshes.position_scale_m
         if not math.isclose(scale_m, here_m, rel_tol=SCALE_TOLERANCE):
             raise CheckpointError(
                 f"{self.run_dir}: the checkpoint was made on another capture than "
@@ -340,7 +335,7 @@ class Trainer:
 
     def _watch(self, monitor: Monitor) -> None:
         if self.ranks.is_first:
-            mse, picture = look(self)
+            mse, picture = draw_held_out(self.objectives)
             monitor.row(self.step, "held_out", {"seconds": round(self.seconds, 2), "mse": mse})
             monitor.picture(self.step, picture)
         self.ranks.wait()
@@ -359,9 +354,7 @@ def open_trainer(
     device: torch.device | str = "cpu",
     ranks: Ranks | None = None,
 ) -> Iterator[Trainer]:
-    """A trainer whose GL context is released at the end."""
-    trainer = Trainer(data, config, run_dir, device=device, ranks=ranks)
-    try:
-        yield trainer
-    finally:
-        trainer.close()
+    """A trainer with a rasteriser of its own, whose GL context is released at the end."""
+    topology = data.meshes.topology(VARIANTS[config.model.variant].topology)
+    with Rasteriser.of(topology) as rasteriser:
+        yield Trainer(data, config, run_dir, rasteriser, device=device, ranks=ranks)

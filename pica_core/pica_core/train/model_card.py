@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from pica_core.train.data import TrainingData
+from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.evaluate import mean_mse
 from pica_core.train.loop import Trainer
 

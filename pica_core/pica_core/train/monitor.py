@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import numpy.typing as npt
 from PIL import Image
+
+from pica_core.types import ByteArray
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter
@@ -57,7 +57,7 @@ class Monitor:
             logger.warning("step %d: %s", step, text)
             self.row(step, "note", {"text": text})
 
-    def picture(self, step: int, image: npt.NDArray[np.uint8]) -> None:
+    def picture(self, step: int, image: ByteArray) -> None:
         """Keep a picture, uint8 ``[H, W, 3]``."""
         if self._board is None:
             return

@@ -16,7 +16,9 @@ from pica_core.errors import CaptureError
 from pica_core.model.encoder import hold_log_variance, reparameterise
 from pica_core.model.interface import AvatarModel, DecodedMesh
 from pica_core.train.config import TrainConfig
-from pica_core.train.data import TrainingData, important_vertices, view_direction
+from pica_core.train.data.images import view_direction
+from pica_core.train.data.meshes import important_vertices
+from pica_core.train.data.training import TrainingData
 from pica_core.train.drawing import DrawnPixels, MeshDrawer, PixelList
 from pica_core.train.edge_gradient import edge_term
 from pica_core.train.laplacian import (
@@ -36,6 +38,7 @@ from pica_core.train.losses import (
     normal_loss,
 )
 from pica_core.train.parallel import Ranks
+from pica_core.train.rasterise import Rasteriser
 from pica_core.train.trials.stopwatch import Stopwatch
 
 DRIVER_MESHES = 8
@@ -52,13 +55,14 @@ class Objectives:
 
     Args:
         data: The capture.
-        config: Weights, batch sizes.
-        model: On `device`.
+        config: Weights and batch sizes.
+        model: The model, on `device`.
+        rasteriser: Made for the mesh that the model draws; it stays its owner's.
         ranks: Which part of every batch is this process's.
         device: Where models and batches are.
 
     Attributes:
-        drawer: Draws the model's mesh; `close` releases it.
+        drawer: Draws the model's mesh.
         mean_m: V_mu of the smoothness loss, ``[V, 3]``; part of a checkpoint.
         notes: What had to be switched off, in words.
     """
@@ -68,6 +72,7 @@ class Objectives:
         data: TrainingData,
         config: TrainConfig,
         model: AvatarModel,
+        rasteriser: Rasteriser,
         ranks: Ranks,
         device: torch.device,
     ) -> None:
@@ -81,19 +86,20 @@ class Objectives:
         losses = config.losses
         if not data.capture.has_expressions:
             self.notes.append("the capture has no expressions: no driver phase")
-        if not data.use_meshes(config.mesh_source):
+        if not data.meshes.use(config.mesh_source):
             self.notes.append("the capture has no exact meshes: the tracked ones teach the mesh")
-        self._has_depth = data.capture.has_depth
-        if (losses.depth or losses.normal) and not self._has_depth:
+        self._wants_depth = bool(losses.depth or losses.normal)
+        if self._wants_depth and not data.capture.has_depth:
+            self._wants_depth = False
             self.notes.append("the capture has no depth: depth and normal losses are off")
-        topology = data.topology(model.topology)
+        topology = data.meshes.topology(model.topology)
         faces = torch.from_numpy(topology.faces.astype(np.int64))
         uv = torch.from_numpy(np.ascontiguousarray(topology.vertex_uv, np.float32))
         important_faces = important_vertices(topology)[topology.faces].all(1)
         face_weights = np.where(important_faces, losses.region_weight, 1.0).astype(np.float32)
-        self.drawer = MeshDrawer(faces, uv, face_weights, device)
+        self.drawer = MeshDrawer(rasteriser, faces, uv, face_weights, device)
         self._vertex_weights = self._mesh_weights().to(device)
-        neutral_m = data.neutral_m(model.topology)
+        neutral_m = data.meshes.neutral_m(model.topology, data.arkit)
         self.mean_m = torch.tensor(neutral_m, device=device)
         self._laplacian: MeshLaplacian | None = None
         if losses.smooth and losses.laplacian:
@@ -101,18 +107,16 @@ class Objectives:
             self._rough = torch.from_numpy(smoothness_weights(topology.regions, len(uv))).to(device)
         self._codes: tuple[dict[int, Tensor], Tensor] | None = None
 
-    def close(self) -> None:
-        """Release the GL context."""
-        self.drawer.rasteriser.release()
-
     def forget_codes(self) -> None:
         """The model changed: encode the training frames anew when they are needed."""
         self._codes = None
 
     def encode(self, frames: list[int]) -> tuple[Tensor, Tensor]:
         """The encoder's mean and log-variance of frames, ``[N, 4, 8, 8]`` each."""
-        textures = self.data.textures(frames, self.model.encoder.texture_size).to(self.device)
-        maps = self.data.position_maps(frames).to(self.device)
+        textures = self.data.images.textures(frames, self.model.encoder.texture_size).to(
+            self.device
+        )
+        maps = self.data.meshes.position_maps(frames).to(self.device)
         mean, log_variance = self.model.encoder(textures, maps)
         return mean, hold_log_variance(log_variance)
 
@@ -142,7 +146,7 @@ class Objectives:
         with self.stopwatch("data"):
             images = [self._readable(image, rng_) for image, rng_ in zip(images, rngs, strict=True)]
         frames = [frame for frame, _ in images]
-        cameras = [self.data.camera(frame, name) for frame, name in images]
+        cameras = [self.data.images.camera(frame, name) for frame, name in images]
         view = torch.from_numpy(np.stack([view_direction(camera) for camera in cameras]))
         with self.stopwatch("encode"):
             latent, kl = self._latent(frames, noise)
@@ -150,12 +154,12 @@ class Objectives:
             mesh = self.model.decode_mesh(latent)
             appearance = self.model.appearance(latent, view.to(self.device))
         with self.stopwatch("raster"):
-            self.drawer.look(mesh.vertices_m, cameras)
+            self.drawer.rasterise(mesh.vertices_m, cameras)
             drawn = self.drawer.draw(
                 mesh.vertices_m,
                 rngs,
                 pixels_per_image=config.schedule.pixels_per_image,
-                normals=weights.normal > 0 and self._has_depth,
+                normals=weights.normal > 0 and self._wants_depth,
                 detach_xyz=config.detach_pixel_xyz,
             )
         with self.stopwatch("data"):
@@ -177,9 +181,8 @@ class Objectives:
 
     def expect(self, rng: np.random.Generator) -> None:
         """Have the images decoded that a joint step with this `rng` will need."""
-        weights = self.config.losses
         images, _ = self._draw_images(rng)
-        self.data.expect(images, depth=self._has_depth and bool(weights.depth or weights.normal))
+        self.data.images.expect(images, depth=self._wants_depth)
 
     def _draw_images(self, rng: np.random.Generator) -> tuple[Images, list[int]]:
         """This process's images of a joint batch, and their numbers in the whole batch."""
@@ -187,7 +190,7 @@ class Objectives:
         places = self.ranks.mine(rng.random(len(frames) * self.ranks.count).tolist())
         images = []
         for frame, place in zip(frames, places, strict=True):
-            names = self.data.cameras_of(frame)
+            names = self.data.images.cameras_of(frame)
             images.append((frame, names[int(place * len(names))]))
         return images, numbers
 
@@ -196,10 +199,10 @@ class Objectives:
         frame, name = image
         while True:
             try:
-                self.data.image(frame, name)
+                self.data.images.image(frame, name)
             except CaptureError:
-                self.data.leave_out(frame, name)
-                name = str(rng.choice(self.data.cameras_of(frame)))
+                self.data.images.leave_out(frame, name)
+                name = str(rng.choice(self.data.images.cameras_of(frame)))
             else:
                 return frame, name
 
@@ -221,14 +224,14 @@ class Objectives:
         parts = []
         for index, (frame, name) in enumerate(images):
             here = pixels.pixel[pixels.image == index]
-            parts.append(self.data.image(frame, name).reshape(-1, 3)[here])
+            parts.append(self.data.images.image(frame, name).reshape(-1, 3)[here])
         values = torch.from_numpy(np.concatenate(parts)).to(self.device)
         return values.to(torch.float32) / 255
 
     def _draw(self, count: int, rng: np.random.Generator) -> tuple[list[int], list[int]]:
         """This process's frames of a batch, and their numbers in the whole batch."""
         balance = self.config.schedule.frame_balance
-        frames = self.data.draw_frames(count * self.ranks.count, balance, rng)
+        frames = self.data.sampler.draw(count * self.ranks.count, balance, rng)
         return self.ranks.mine(frames), self.ranks.mine(list(range(len(frames))))
 
     def _latent(self, frames: list[int], noise: torch.Generator) -> tuple[Tensor, Tensor]:
@@ -242,25 +245,25 @@ class Objectives:
     def _mesh_weights(self) -> Tensor:
         """Importance of vertices in the mesh loss."""
         losses, data = self.config.losses, self.data
-        if data.mesh_source == "tracked":
-            regions = data.topology("tracked").regions
-            weights = np.ones(len(data.topology("tracked").vertex_uv), np.float32)
+        if data.meshes.source == "tracked":
+            regions = data.meshes.topology("tracked").regions
+            weights = np.ones(len(data.meshes.topology("tracked").vertex_uv), np.float32)
             if MASKED_REGION in regions:
                 weights[regions[MASKED_REGION]] = 0
             if self.model.topology == "tracked" and COVER in regions:
                 weights[regions[COVER]] = 1
             return torch.from_numpy(weights)
-        topology = data.topology(self.model.topology)
+        topology = data.meshes.topology(self.model.topology)
         weights = np.where(important_vertices(topology), losses.region_weight, 1.0)
         if "lids" in topology.regions:
             weights[topology.regions["lids"]] = losses.lid_weight
         return torch.from_numpy(weights.astype(np.float32))
 
     def _mesh(self, mesh: DecodedMesh, frames: list[int]) -> Tensor:
-        if self.data.mesh_source == "truth" and self.model.topology == "dense":
-            predicted, wanted = mesh.vertices_m, self.data.meshes(frames)
+        if self.data.meshes.source == "truth" and self.model.topology == "dense":
+            predicted, wanted = mesh.vertices_m, self.data.meshes.dense(frames)
         else:
-            predicted, wanted = mesh.tracked_m, self.data.tracked_meshes(frames)
+            predicted, wanted = mesh.tracked_m, self.data.meshes.tracked(frames)
         loss = mesh_loss(predicted, wanted.to(self.device), self._vertex_weights)
         return self.config.losses.mesh * loss
 
@@ -284,12 +287,12 @@ class Objectives:
 
     def _depth(self, images: Images, drawn: DrawnPixels) -> dict[str, Tensor]:
         weights = self.config.losses
-        if not (weights.depth or weights.normal) or not self._has_depth:
+        if not self._wants_depth:
             return {}
         parts = []
         for index, (frame, name) in enumerate(images):
             here = drawn.depth_pixels.pixel[drawn.depth_pixels.image == index]
-            depth_m = self.data.depth_m(frame, name)
+            depth_m = self.data.images.depth_m(frame, name)
             parts.append(np.zeros(len(here), np.float32) if depth_m is None else depth_m.flat[here])
         observed_m = torch.from_numpy(np.concatenate(parts)).to(self.device)
         mask = depth_mask(drawn.depth_m, observed_m)
@@ -317,7 +320,7 @@ class Objectives:
         observed = self.colours(images, edges.pixels)
         with torch.no_grad():
             shown = self.model.shade(appearance.detach(), edges.surface)
-        plain = np.stack([self.data.background(frame, name) for frame, name in images])
+        plain = np.stack([self.data.images.background(frame, name) for frame, name in images])
         background = torch.from_numpy(plain).to(self.device)[edges.image]
         places = PixelList(edges.image.cpu().numpy(), edges.back_pixel)
         is_covered = (edges.back >= 0)[:, None]

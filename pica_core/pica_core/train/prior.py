@@ -6,7 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.model.interface import FacePrior
-from pica_core.train.data import TrainingData, spaced
+from pica_core.train.data.sampler import spaced
+from pica_core.train.data.training import TrainingData
+from pica_core.types import FloatArray
 
 TEXTURE_FRAMES = 32
 """Training frames whose average textures make the mean one: evenly spaced, enough for a start."""
@@ -20,15 +22,15 @@ def face_prior(data: TrainingData) -> FacePrior:
     for frame in some:
         texture += capture.average_texture(frame)
     return FacePrior(
-        position_mean=data.position_mean,
-        tracked_position_mean=data.tracked_position_mean(),
-        position_scale_m=data.position_scale_m,
+        position_mean=data.meshes.position_mean,
+        tracked_position_mean=data.meshes.tracked_position_mean(),
+        position_scale_m=data.meshes.position_scale_m,
         dense_uv=_float32(capture.topology.vertex_uv),
         tracked_uv=_float32(capture.tracked_topology.vertex_uv),
-        tracked_mean_m=_float32(data.tracked_mean_m),
+        tracked_mean_m=_float32(data.meshes.tracked_mean_m),
         texture_mean=_float32(texture / (255 * len(some))),
     )
 
 
-def _float32(array: npt.ArrayLike) -> npt.NDArray[np.float32]:
+def _float32(array: npt.ArrayLike) -> FloatArray:
     return np.ascontiguousarray(array, np.float32)

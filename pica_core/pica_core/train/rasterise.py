@@ -30,8 +30,10 @@ import torch
 from torch import Tensor
 
 from pica_core.camera import Camera
+from pica_core.capture.dataset.dataset import Topology
 from pica_core.errors import GraphicsError, ShapeError
 from pica_core.gl import create_context, link_program
+from pica_core.types import FloatArray, Int64Array, IntArray
 
 _VERTEX = """#version 330 core
 uniform mat4 clip_from_head;
@@ -67,7 +69,7 @@ class Rasteriser:
         ShapeError: Faces of another shape.
     """
 
-    def __init__(self, faces: npt.NDArray[np.int32], num_vertices: int) -> None:
+    def __init__(self, faces: IntArray, num_vertices: int) -> None:
         if faces.ndim != 2 or faces.shape[1] != 3:
             raise ShapeError(f"faces is {faces.shape}; [F, 3] is needed")
         if len(faces) >= _MAX_TRIANGLES:
@@ -79,6 +81,11 @@ class Rasteriser:
         self._meshes: list[tuple[moderngl.Buffer, moderngl.VertexArray]] = []
         self._target: moderngl.Framebuffer | None = None
         self._context.enable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
+
+    @classmethod
+    def of(cls, topology: Topology) -> Self:
+        """A rasteriser of the meshes of a topology."""
+        return cls(topology.faces.astype(np.int32), len(topology.vertex_uv))
 
     def __enter__(self) -> Self:
         return self
@@ -98,21 +105,17 @@ class Rasteriser:
         self._context.gc()
         self._context.release()
 
-    def triangle_ids(
-        self, vertices_m: npt.NDArray[np.float32], camera: Camera
-    ) -> npt.NDArray[np.int32]:
+    def triangle_ids(self, vertices_m: FloatArray, camera: Camera) -> IntArray:
         """The triangle that each pixel centre sees; -1 where none. int32 ``[H, W]``, row 0 on top.
 
         Args:
             vertices_m: Head-frame metres, float32 ``[V, 3]``.
             camera: Head-to-camera pose and intrinsics.
         """
-        ids: npt.NDArray[np.int32] = self.batch_ids(vertices_m[None], [camera])[0]
+        ids: IntArray = self.batch_ids(vertices_m[None], [camera])[0]
         return ids
 
-    def batch_ids(
-        self, vertices_m: npt.NDArray[np.float32], cameras: Sequence[Camera]
-    ) -> npt.NDArray[np.int32]:
+    def batch_ids(self, vertices_m: FloatArray, cameras: Sequence[Camera]) -> IntArray:
         """`triangle_ids` of N meshes, each through its camera, read back at once.
 
         Args:
@@ -126,7 +129,7 @@ class Rasteriser:
         ids = np.frombuffer(target.read(components=1, dtype="f4"), np.float32)
         return self._images(ids, cameras).astype(np.int32) - 1
 
-    def batch_depths_m(self, cameras: Sequence[Camera]) -> npt.NDArray[np.float32]:
+    def batch_depths_m(self, cameras: Sequence[Camera]) -> FloatArray:
         """Depths along the cameras' axes of what `batch_ids` drew last, 0 where nothing is.
 
         Args:
@@ -144,9 +147,7 @@ class Rasteriser:
         depths = near * far / (far - window * (far - near))
         return np.where(window < 1, depths, 0).astype(np.float32)
 
-    def _draw(
-        self, vertices_m: npt.NDArray[np.float32], cameras: Sequence[Camera]
-    ) -> moderngl.Framebuffer:
+    def _draw(self, vertices_m: FloatArray, cameras: Sequence[Camera]) -> moderngl.Framebuffer:
         if vertices_m.shape != (len(cameras), self.num_vertices, 3):
             raise ShapeError(
                 f"vertices_m is {vertices_m.shape}; "
@@ -177,9 +178,7 @@ class Rasteriser:
         )
         return positions, vertex_array
 
-    def _images(
-        self, values: npt.NDArray[np.float32], cameras: Sequence[Camera]
-    ) -> npt.NDArray[np.float32]:
+    def _images(self, values: FloatArray, cameras: Sequence[Camera]) -> FloatArray:
         """What a framebuffer read gives as ``[N, H, W]`` with row 0 on top."""
         return values.reshape(len(cameras), cameras[0].height, cameras[0].width)[:, ::-1]
 
@@ -327,8 +326,8 @@ def interpolate(
     vertex_uv: Tensor,
     faces: Tensor,
     camera: Camera,
-    triangle_ids: npt.NDArray[np.int32],
-    pixels: npt.NDArray[np.int64] | Sequence[int],
+    triangle_ids: IntArray,
+    pixels: Int64Array | Sequence[int],
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Surface coordinates, positions and depths of some covered pixels of one image.
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -25,8 +24,9 @@ from pica_core.codec.profile import StreamProfile
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.decoders import sample_map
 from pica_core.model.interface import Surface
-from pica_core.train.data import view_direction
+from pica_core.train.data.images import view_direction
 from pica_core.train.rasterise import Rasteriser, interpolate
+from pica_core.types import Float64Array
 
 BACKGROUND = 0.25
 """Colour around the head, 0 to 1: between skin and hair, so that both show against it."""
@@ -100,7 +100,7 @@ class _Painter:
         by_name = {camera.name: camera for camera in dome_cameras(5, size, size)}
         self._cameras = [by_name[name] for name in options.views]
 
-    def paint(self, code: npt.NDArray[np.float64]) -> tuple[Tensor, int]:
+    def paint(self, code: Float64Array) -> tuple[Tensor, int]:
         """Pictures of a latent ``[256]`` behind each other, and how many pixels the head covers."""
         grid = torch.from_numpy(code.astype(np.float32)).view(1, *LATENT_SHAPE).permute(0, 3, 1, 2)
         vertices_m = sample_map(self._model.decode_geometry(grid), self._vertex_uv)[0]
@@ -121,9 +121,7 @@ class _Painter:
         return picture.reshape(-1) * 255, len(covered)
 
 
-def _measure(
-    painter: _Painter, codes: npt.NDArray[np.float64], options: StreamOptions
-) -> RenderMetric:
+def _measure(painter: _Painter, codes: Float64Array, options: StreamOptions) -> RenderMetric:
     rng = np.random.default_rng(options.seed)
     _, spread, directions = np.linalg.svd(codes - codes.mean(axis=0), full_matrices=False)
     directions = directions[: options.directions]

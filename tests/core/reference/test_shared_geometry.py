@@ -11,7 +11,7 @@ import torch
 from helpers.small_capture import render_small
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.train.config import PRESETS
-from pica_core.train.data import TrainingData
+from pica_core.train.data.training import TrainingData
 from pica_core.train.loop import open_trainer
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]

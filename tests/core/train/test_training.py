@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from pica_core.train.data.meshes.uv_raster import rasterise_uv
 
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar
@@ -18,13 +19,13 @@ from pica_core.capture.procedural.subject import StageOptions, render_capture
 from pica_core.errors import CheckpointError, TrainingDivergedError, TrainingOptionError
 from pica_core.model.decoders import sample_map
 from pica_core.train.config import PRESETS, TrainConfig
-from pica_core.train.data import TrainingData, rasterise_uv
+from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.evaluate import evaluate, mean_mse
 from pica_core.train.export import make_avatar
+from pica_core.train.held_out import draw_held_out
 from pica_core.train.loop import Trainer, open_trainer, rate_ratio, read_checkpoint
 from pica_core.train.losses import DEPTH_LIMIT_M, depth_loss, depth_mask
 from pica_core.train.trials.failures import Failure, far_codes_reach_mm, spoil
-from pica_core.train.watch import look
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
@@ -68,9 +69,9 @@ def trained(data: TrainingData, tmp_path_factory: pytest.TempPathFactory) -> Tra
         after = evaluate(trainer, max_frames=1)
         with torch.no_grad():
             codes, _ = trainer.encode(data.train_frames)
-        views = {name: view_error(trainer, name) for name in data.camera_names}
+        views = {name: view_error(trainer, name) for name in data.images.camera_names}
         with spoil(data, Failure(wrong_camera=True)):
-            spoilt = {name: view_error(trainer, name) for name in data.camera_names}
+            spoilt = {name: view_error(trainer, name) for name in data.images.camera_names}
         reach_mm = {
             sigma: far_codes_reach_mm(trainer.model.vertices, codes, sigma) for sigma in (3.0, 6.0)
         }
@@ -78,12 +79,12 @@ def trained(data: TrainingData, tmp_path_factory: pytest.TempPathFactory) -> Tra
 
 
 def view_error(trainer: Trainer, view: str) -> float:
-    views = trainer.data.evaluation_views
-    trainer.data.evaluation_views = [view]
+    views = trainer.data.images.evaluation_views
+    trainer.data.images.evaluation_views = [view]
     try:
-        return look(trainer)[0]
+        return draw_held_out(trainer.objectives)[0]
     finally:
-        trainer.data.evaluation_views = views
+        trainer.data.images.evaluation_views = views
 
 
 def test_the_smallest_preset_learns_the_held_out_frames(trained: Trained) -> None:
@@ -174,7 +175,7 @@ def test_a_run_of_another_capture_is_not_resumed(
 ) -> None:
     with open_trainer(data, short(1, 1, 1), tmp_path) as trainer:
         trainer.save()
-    monkeypatch.setattr(data, "position_scale_m", 1.01 * data.position_scale_m)
+    monkeypatch.setattr(data, "position_scale_m", 1.01 * data.meshes.position_scale_m)
 
     with (
         open_trainer(data, short(1, 1, 1), tmp_path) as trainer,
@@ -216,12 +217,12 @@ def test_a_run_does_not_start_from_another_model(data: TrainingData, tmp_path: P
 
 def test_frames_far_from_the_mean_are_drawn_more_often(data: TrainingData) -> None:
     rng = np.random.default_rng(0)
-    rarest = data.train_frames[int(np.argmax(data.frame_weights))]
+    rarest = data.train_frames[int(np.argmax(data.sampler.weights))]
 
-    balanced = data.draw_frames(4000, 1.0, rng).count(rarest)
-    alike = data.draw_frames(4000, 0.0, rng).count(rarest)
+    balanced = data.sampler.draw(4000, 1.0, rng).count(rarest)
+    alike = data.sampler.draw(4000, 0.0, rng).count(rarest)
 
-    ratio = data.frame_weights.max() / data.frame_weights.mean()
+    ratio = data.sampler.weights.max() / data.sampler.weights.mean()
     assert ratio > 1.2
     assert balanced / alike == pytest.approx(ratio, rel=0.2)
 
@@ -276,10 +277,10 @@ def test_an_exported_avatar_encodes_as_the_model_does(data: TrainingData, tmp_pa
 
 def test_the_position_map_of_a_mesh_gives_its_vertices_back(data: TrainingData) -> None:
     # The built-in head's vertices lie on texel centres: the map holds them exactly.
-    maps = data.position_maps([0])
+    maps = data.meshes.position_maps([0])
 
-    offsets = sample_map(maps, data.vertex_uv)[0].numpy() * data.position_scale_m
-    wanted = data.vertices_m[0] - data.mean_vertices_m
+    offsets = sample_map(maps, data.vertex_uv)[0].numpy() * data.meshes.position_scale_m
+    wanted = data.meshes.dense_m[0] - data.meshes.dense_mean_m
 
     assert np.abs(offsets - wanted).max() < 1e-5
 

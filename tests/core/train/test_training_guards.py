@@ -20,7 +20,7 @@ from pica_core.errors import CheckpointError, TrainingDivergedError, TrainingMem
 from pica_core.model.encoder import MAX_LOG_VARIANCE, hold_log_variance
 from pica_core.train.checkpoint import read_checkpoint, write_checkpoint
 from pica_core.train.config import PAPER_LOSSES, PRESETS, LossConfig, TrainConfig
-from pica_core.train.data import TrainingData
+from pica_core.train.data.training import TrainingData
 from pica_core.train.guard import EXPLOSION_FACTOR, PATIENCE, DivergenceGuard
 from pica_core.train.loop import Losses, Trainer, open_trainer
 from pica_core.train.monitor import Monitor
@@ -142,12 +142,12 @@ def test_weights_that_are_not_finite_are_never_saved(data: TrainingData, tmp_pat
 def test_losses_that_explode_are_told_from_a_rare_frame() -> None:
     guard = DivergenceGuard()
     for _ in range(100):
-        assert guard.judge("joint", {"image": 1.0, "mesh": 1.0}) is None
+        assert guard.check("joint", {"image": 1.0, "mesh": 1.0}) is None
 
-    assert guard.judge("joint", {"image": 3 * EXPLOSION_FACTOR, "mesh": 1.0}) is None  # a rare one
-    assert guard.judge("joint", {"image": 1.0, "mesh": 1.0}) is None
+    assert guard.check("joint", {"image": 3 * EXPLOSION_FACTOR, "mesh": 1.0}) is None  # a rare one
+    assert guard.check("joint", {"image": 1.0, "mesh": 1.0}) is None
     verdicts = [
-        guard.judge("joint", {"image": 3 * EXPLOSION_FACTOR, "mesh": 1.0}) for _ in range(PATIENCE)
+        guard.check("joint", {"image": 3 * EXPLOSION_FACTOR, "mesh": 1.0}) for _ in range(PATIENCE)
     ]
 
     assert verdicts[:-1] == [None] * (PATIENCE - 1)
@@ -158,9 +158,9 @@ def test_losses_that_explode_are_told_from_a_rare_frame() -> None:
 def test_a_new_phase_has_losses_of_its_own() -> None:
     guard = DivergenceGuard()
     for _ in range(100):
-        guard.judge("geometry", {"mesh": 1e-3})
+        guard.check("geometry", {"mesh": 1e-3})
 
-    assert all(guard.judge("joint", {"image": 10.0}) is None for _ in range(100))
+    assert all(guard.check("joint", {"image": 10.0}) is None for _ in range(100))
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs Linux's /dev/full")

@@ -17,7 +17,7 @@ from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import TrainingOptionError
 from pica_core.train.checkpoint import read_checkpoint
 from pica_core.train.config import PAPER_LOSSES, PRESETS, TrainConfig
-from pica_core.train.data import TrainingData
+from pica_core.train.data.training import TrainingData
 from pica_core.train.loop import open_trainer
 from pica_core.train.parallel import Ranks, open_ranks
 

@@ -16,7 +16,7 @@ from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import CaptureError
 from pica_core.train.cli.train import ExportOptions, export
 from pica_core.train.config import PRESETS
-from pica_core.train.data import TrainingData
+from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.evaluate import evaluate
 from pica_core.train.loop import open_trainer
 
@@ -49,7 +49,7 @@ def test_a_published_capture_with_holes_is_trained_on(original: Path, tmp_path: 
     assert trainer.step == 8  # the driver phase needs expressions
     assert {row["source"] for row in rows} == {"encoder"}
     assert all(math.isfinite(row["mse"]) for row in rows)
-    assert data.reader.bad  # counted
+    assert data.images.reader.bad  # counted
     text = (tmp_path / "run" / "metrics.jsonl").read_text()
     lines = [json.loads(line) for line in text.splitlines()]
     notes = " ".join(line["text"] for line in lines if line["kind"] == "note")
@@ -74,8 +74,10 @@ def test_the_neutral_frame_of_a_capture_without_expressions_is_the_mean_one(
     original: Path,
 ) -> None:
     data = TrainingData(Capture.open(original), 256)
-    away = np.abs(data.neutral_m("tracked") - data.tracked_mean_m).max()
-    every = np.abs(data.tracked_m[data.train_frames] - data.tracked_mean_m).max((1, 2))
+    away = np.abs(data.meshes.neutral_m("tracked", data.arkit) - data.meshes.tracked_mean_m).max()
+    every = np.abs(data.meshes.tracked_m[data.train_frames] - data.meshes.tracked_mean_m).max(
+        (1, 2)
+    )
     assert away == pytest.approx(every.min())
 
 

@@ -13,7 +13,7 @@ import torch
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import TrainingOptionError
 from pica_core.train.config import PAPER_LOSSES, PRESETS
-from pica_core.train.data import TrainingData
+from pica_core.train.data.training import TrainingData
 from pica_core.train.loop import open_trainer
 from pica_core.train.trials.profile import profile_steps
 from pica_core.train.trials.stopwatch import PARTS

@@ -25,7 +25,7 @@ from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.baseline import DeepAppearanceModel
 from pica_core.train.cli.levels import describe
 from pica_core.train.config import PRESETS, TrainConfig
-from pica_core.train.data import TrainingData
+from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.evaluate import evaluate, mean_mse
 from pica_core.train.eval.judge import drawn_topology
 from pica_core.train.eval.run import RUN_FILE

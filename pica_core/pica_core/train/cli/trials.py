@@ -14,7 +14,7 @@ import torch
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import TrainingOptionError
 from pica_core.train.config import PRESETS, TrainConfig
-from pica_core.train.data import TrainingData
+from pica_core.train.data.training import TrainingData
 from pica_core.train.trials.failures import FAILURES, run_failures
 from pica_core.train.trials.recipes import RECIPES, run_recipes
 

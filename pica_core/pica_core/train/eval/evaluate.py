@@ -17,7 +17,8 @@ import numpy as np
 from torch import Tensor
 
 from pica_core.model.interface import AvatarModel
-from pica_core.train.data import TrainingData, spaced
+from pica_core.train.data.sampler import spaced
+from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.judge import Judge, Picture
 from pica_core.train.eval.metrics import bootstrap_interval, change_mse, mse, psnr_db, ssim
 from pica_core.train.rasterise import Rasteriser
@@ -98,23 +99,23 @@ def measure_views(
         Errors by view, of those views that have an image of any of the frames.
     """
     data = judge.data
-    found = {view: ViewErrors() for view in data.evaluation_views}
+    found = {view: ViewErrors() for view in data.images.evaluation_views}
     for frame in frames:
         after = successor(data, frame)
         latent = _latent(judge, source, frame)
         later = None if after is None else _latent(judge, source, after)
-        for view in data.cameras_of(frame):
+        for view in data.images.cameras_of(frame):
             if view not in found:
                 continue
             errors = found[view]
-            camera, image = data.camera(frame, view), data.image(frame, view)
+            camera, image = data.images.camera(frame, view), data.images.image(frame, view)
             picture = judge.draw(latent, camera)
             seen = judge.seen(picture, frame, view)
             errors.mse.append(mse(picture.colours, seen))
             laid = picture.on(image)
             errors.ssim.append(ssim(laid, image, picture.covered(camera)))
-            if after is not None and later is not None and view in data.cameras_of(after):
-                second = judge.draw(later, data.camera(after, view))
+            if after is not None and later is not None and view in data.images.cameras_of(after):
+                second = judge.draw(later, data.images.camera(after, view))
                 errors.change_mse.append(
                     _change(picture, second, seen, judge.seen(second, after, view))
                 )
@@ -158,9 +159,9 @@ def _latent(judge: Judge, source: Source, frame: int) -> Tensor:
 
 def _vertex_error_mm(judge: Judge, source: Source, frame: int) -> float:
     capture = judge.data.capture
-    wanted = judge.data.vertices_m[frame]
+    wanted = judge.data.meshes.dense_m[frame]
     if judge.model.topology == "tracked" and capture.tracked_topology is not capture.topology:
-        wanted = judge.data.true_at_tracked(frame)
+        wanted = judge.data.meshes.true_at_tracked(frame)
     found = judge.vertices_m(_latent(judge, source, frame))
     return float(np.linalg.norm(found - wanted, axis=1).mean()) * 1000
 

@@ -7,16 +7,16 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from pica_core.camera import Camera
 from pica_core.capture.dataset.dataset import Capture, Topology
 from pica_core.model.interface import AvatarModel, Surface
-from pica_core.train.data import TrainingData, view_direction
+from pica_core.train.data.images import view_direction
+from pica_core.train.data.training import TrainingData
 from pica_core.train.rasterise import Rasteriser, interpolate
-from pica_core.types import FloatArray
+from pica_core.types import BoolArray, ByteArray, FloatArray, Int64Array
 
 
 class Picture(NamedTuple):
@@ -28,17 +28,17 @@ class Picture(NamedTuple):
         depth_m: Along the camera's axis, float32 ``[P]``.
     """
 
-    pixels: npt.NDArray[np.int64]
+    pixels: Int64Array
     colours: FloatArray
     depth_m: FloatArray
 
-    def on(self, image: npt.NDArray[np.uint8]) -> FloatArray:
+    def on(self, image: ByteArray) -> FloatArray:
         """The picture laid over an image, ``[H, W, 3]``."""
         laid = image.astype(np.float32)
         laid.reshape(-1, 3)[self.pixels] = self.colours
         return laid
 
-    def covered(self, camera: Camera) -> npt.NDArray[np.bool_]:
+    def covered(self, camera: Camera) -> BoolArray:
         """Which pixels of the image these are, ``[H, W]``."""
         mask = np.zeros(camera.height * camera.width, np.bool_)
         mask[self.pixels] = True
@@ -70,8 +70,8 @@ class Judge:
     @torch.no_grad()
     def encode(self, frame: int) -> Tensor:
         """The encoder's mean for a frame, ``[1, 4, 8, 8]``."""
-        texture = self.data.textures([frame], self.model.encoder.texture_size)
-        maps = self.data.position_maps([frame])
+        texture = self.data.images.textures([frame], self.model.encoder.texture_size)
+        maps = self.data.meshes.position_maps([frame])
         mean: Tensor = self.model.encoder(texture.to(self._device), maps.to(self._device))[0]
         return mean
 
@@ -129,7 +129,7 @@ class Judge:
 
     def seen(self, picture: Picture, frame: int, view: str) -> FloatArray:
         """What the camera saw at a picture's pixels, 0-255, float32 ``[P, 3]``."""
-        image = self.data.image(frame, view)
+        image = self.data.images.image(frame, view)
         return image.reshape(-1, 3)[picture.pixels].astype(np.float32)
 
 

@@ -15,7 +15,8 @@ from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import CheckpointError
 from pica_core.model.interface import AvatarModel
 from pica_core.train.config import TrainConfig
-from pica_core.train.data import TrainingData, spaced
+from pica_core.train.data.sampler import spaced
+from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.evaluate import Split, measure_views, spaced_frames
 from pica_core.train.eval.judge import Judge, model_rasteriser
 from pica_core.train.eval.metrics import mse, psnr_db
@@ -200,7 +201,7 @@ def measure(
         samples: Along each side of a pixel, odd; the paper draws with one.
     """
     data, model = truth.data, build(run, truth)
-    data.use_meshes(run.config.mesh_source)
+    data.meshes.use(run.config.mesh_source)
     cost = model.cost
     with model_rasteriser(data.capture, model) as rasteriser:
         judge = Judge(data, model, rasteriser, samples=samples)
@@ -234,7 +235,7 @@ def measure(
 def _depth_errors(judge: Judge, truth: CaptureTruth) -> dict[str, float | None]:
     errors = DepthErrors()
     for (frame, view), true in truth.views.items():
-        camera = truth.data.camera(frame, view)
+        camera = truth.data.images.camera(frame, view)
         picture = judge.draw(judge.encode(frame), camera, samples=1)
         errors.add(true, picture.pixels, picture.depth_m)
     return errors.means_mm() if truth.views else {}

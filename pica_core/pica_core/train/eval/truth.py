@@ -18,16 +18,15 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.camera import Camera, look_at
 from pica_core.capture.dataset.dataset import Capture, Topology
 from pica_core.capture.procedural.identity import IDENTITIES
 from pica_core.capture.procedural.subject import ProceduralSubject
-from pica_core.train.data import TrainingData
+from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.metrics import mse
 from pica_core.train.rasterise import Rasteriser
-from pica_core.types import FloatArray
+from pica_core.types import ByteArray, Float64Array, FloatArray, Int64Array
 
 DEPTH_CAP_MM = 20.0
 REGIONS = ("mouth", "eyes", "rest")
@@ -54,7 +53,7 @@ class TrueView(NamedTuple):
         depth_m: Along the camera's axis, 0 where nothing is, float32 ``[H, W]``.
     """
 
-    region: npt.NDArray[np.uint8]
+    region: ByteArray
     depth_m: FloatArray
 
 
@@ -62,10 +61,10 @@ class TrueView(NamedTuple):
 class DepthErrors:
     """Absolute depth errors by region, summed up."""
 
-    sums_mm: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(REGIONS)))
-    counts: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(len(REGIONS), np.int64))
+    sums_mm: Float64Array = field(default_factory=lambda: np.zeros(len(REGIONS)))
+    counts: Int64Array = field(default_factory=lambda: np.zeros(len(REGIONS), np.int64))
 
-    def add(self, truth: TrueView, pixels: npt.NDArray[np.int64], depth_m: FloatArray) -> None:
+    def add(self, truth: TrueView, pixels: Int64Array, depth_m: FloatArray) -> None:
         """Count one image, given by its covered pixels and their depths."""
         region = truth.region.reshape(-1)[pixels]
         error_mm = 1000 * np.abs(depth_m - truth.depth_m.reshape(-1)[pixels])
@@ -83,7 +82,7 @@ class DepthErrors:
         }
 
 
-def face_regions(topology: Topology) -> npt.NDArray[np.uint8]:
+def face_regions(topology: Topology) -> ByteArray:
     """Index into `REGIONS` of each triangle: one of whose corners lies there, the mouth first.
     uint8 ``[F]``."""
     found = np.full(len(topology.faces), _REST, np.uint8)
@@ -103,8 +102,8 @@ def true_views(data: TrainingData, frames: list[int]) -> dict[tuple[int, str], T
     with Rasteriser(faces, capture.num_vertices) as rasteriser:
         for frame in frames:
             vertices_m = capture.true_vertices_m(capture.frames[frame])
-            for name in data.evaluation_views:
-                camera = data.camera(frame, name)
+            for name in data.images.evaluation_views:
+                camera = data.images.camera(frame, name)
                 ids = rasteriser.triangle_ids(vertices_m, camera)
                 depth_m = rasteriser.batch_depths_m([camera])[0]
                 views[frame, name] = TrueView(region_of_face[ids], depth_m)
@@ -120,8 +119,8 @@ def tracked_errors(
     with Rasteriser(topology.faces.astype(np.int32), len(topology.vertex_uv)) as rasteriser:
         for frame in frames:
             vertices_m = capture.vertices_m(capture.frames[frame])
-            for name in data.evaluation_views:
-                camera = data.camera(frame, name)
+            for name in data.images.evaluation_views:
+                camera = data.images.camera(frame, name)
                 ids = rasteriser.triangle_ids(vertices_m, camera)
                 pixels = np.flatnonzero(ids >= 0)
                 depth_m = rasteriser.batch_depths_m([camera])[0].reshape(-1)[pixels]
@@ -149,7 +148,7 @@ def near_camera(capture: Capture, vertices_m: FloatArray) -> Camera:
 class NearField:
     """True pictures from close to the mouth, or why there are none."""
 
-    images: dict[int, tuple[Camera, npt.NDArray[np.uint8]]] = field(default_factory=dict)
+    images: dict[int, tuple[Camera, ByteArray]] = field(default_factory=dict)
     """By frame: the camera in head axes and what it sees, uint8 ``[H, W, 3]``."""
     skipped: str | None = None
 
@@ -170,7 +169,7 @@ def near_field(
     capture = data.capture
     if not {"lips", "mouth"} & set(capture.topology.regions):
         return NearField(skipped="the capture's topology names no lips")
-    images: dict[int, tuple[Camera, npt.NDArray[np.uint8]]] = {}
+    images: dict[int, tuple[Camera, ByteArray]] = {}
     with _on_stage(data, frames[0], make_subject) as subject:
         if isinstance(subject, str):
             return NearField(skipped=subject)
@@ -200,12 +199,12 @@ def one_sample_mse(
             return None
         for frame in frames:
             subject.pose(capture.arkit(capture.frames[frame]))
-            for view in data.evaluation_views:
-                camera = data.camera(frame, view)
+            for view in data.images.evaluation_views:
+                camera = data.images.camera(frame, view)
                 fine = subject.draw(camera.scaled(3 * camera.width, 3 * camera.height)).image
                 is_head = capture.mask(capture.frames[frame], view) > 0
                 once = fine[1::3, 1::3][is_head].astype(np.float32)
-                errors.append(mse(once, data.image(frame, view)[is_head].astype(np.float32)))
+                errors.append(mse(once, data.images.image(frame, view)[is_head].astype(np.float32)))
     return float(np.mean(errors))
 
 
@@ -221,10 +220,10 @@ def _on_stage(
         return
     subject = make_subject(name)
     try:
-        view = data.evaluation_views[0]
+        view = data.images.evaluation_views[0]
         subject.pose(capture.arkit(capture.frames[frame]))
-        drawn = subject.draw(data.camera(frame, view)).image.astype(np.float64)
-        difference = float(np.abs(drawn - data.image(frame, view)).mean())
+        drawn = subject.draw(data.images.camera(frame, view)).image.astype(np.float64)
+        difference = float(np.abs(drawn - data.images.image(frame, view)).mean())
         if difference <= SAME_PICTURE:
             yield subject
         else:

@@ -20,7 +20,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -249,7 +248,7 @@ def fit_map(points: Tensor, values: Tensor, weights: Tensor, start: Tensor) -> T
 
 def colour_metric(
     avatar: Avatar, codes: list[Float64Array], xyz_m: Float64Array, points: Float64Array
-) -> npt.NDArray[np.float64]:
+) -> Float64Array:
     """How squared differences of colour follow from differences of expression codes, at points.
 
     Args:

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.reference.mesh import order_faces
-from pica_core.types import Array
+from pica_core.types import Array, BoolArray, Int64Array, IntArray
 
 WELD_M = 2e-5
 """Vertices this near to each other at rest are one place with several UVs. Files keep positions to
@@ -76,7 +76,7 @@ class Simplifier:
         self._queue: list[tuple[float, int, int, int, int]] = []
         self._map_size = 0
 
-    def faces(self) -> npt.NDArray[np.int32]:
+    def faces(self) -> IntArray:
         """What is left: same vertices, same winding, neighbours together. int32 ``[F', 3]``."""
         left = [corners for corners in self._triangles if corners is not None]
         return order_faces(np.array(left, np.int32), self._uv)
@@ -241,11 +241,11 @@ def _edges(triangles: Array) -> Array:
     return triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
 
 
-def _alone(triangles: Array) -> npt.NDArray[np.bool_]:
+def _alone(triangles: Array) -> BoolArray:
     """For each side of each triangle, whether no other triangle has it. ``[F, 3]``."""
     edges = np.sort(_edges(triangles), axis=1)
     _, inverse, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
-    alone: npt.NDArray[np.bool_] = count[inverse.reshape(-1)].reshape(-1, 3) == 1
+    alone: BoolArray = count[inverse.reshape(-1)].reshape(-1, 3) == 1
     return alone
 
 
@@ -314,7 +314,7 @@ def _pack_outer(vectors: Array) -> Array:
     return packed
 
 
-def weld(vertices_m: npt.ArrayLike) -> npt.NDArray[np.int64]:
+def weld(vertices_m: npt.ArrayLike) -> Int64Array:
     """For every vertex the first of those that lie in the same place.
 
     Args:

@@ -19,10 +19,10 @@ import torch
 from pica_core.camera import Camera
 from pica_core.errors import TrainingDivergedError
 from pica_core.train.config import PAPER_LOSSES, TrainConfig
-from pica_core.train.data import TrainingData
+from pica_core.train.data.training import TrainingData
+from pica_core.train.held_out import draw_held_out
 from pica_core.train.loop import open_trainer
 from pica_core.train.monitor import curve
-from pica_core.train.watch import look
 from pica_core.types import FloatArray
 
 OUTLIER_RATIO = 0.3
@@ -75,7 +75,7 @@ class SpoiltData:
     def __init__(self, data: TrainingData, failure: Failure) -> None:
         self._data = data
         self._failure = failure
-        self._depth_m, self._camera = data.depth_m, data.camera
+        self._depth_m, self._camera = data.images.depth_m, data.images.camera
 
     def depth_m(self, frame: int, camera: str) -> FloatArray | None:
         """Depth with outliers, the same ones each time."""
@@ -89,7 +89,7 @@ class SpoiltData:
     def camera(self, frame: int, name: str) -> Camera:
         """The camera; one of them turned about its x axis."""
         camera = self._camera(frame, name)
-        if not self._failure.wrong_camera or name != self._data.camera_names[-1]:
+        if not self._failure.wrong_camera or name != self._data.images.camera_names[-1]:
             return camera
         sine, cosine = np.sin(CAMERA_TURN), np.cos(CAMERA_TURN)
         turn = np.array([[1, 0, 0], [0, cosine, -sine], [0, sine, cosine]])
@@ -101,11 +101,11 @@ class SpoiltData:
 def spoil(data: TrainingData, failure: Failure) -> Iterator[None]:
     """Let `data` give what `failure` says, for the time of a block."""
     spoilt = SpoiltData(data, failure)
-    data.depth_m, data.camera = spoilt.depth_m, spoilt.camera  # type: ignore[method-assign]
+    data.images.depth_m, data.images.camera = spoilt.depth_m, spoilt.camera  # type: ignore[method-assign]
     try:
         yield
     finally:
-        del data.depth_m, data.camera
+        del data.images.depth_m, data.images.camera
 
 
 def run_failures(
@@ -152,11 +152,11 @@ def _run(data: TrainingData, config: TrainConfig, run: Path, failure: Failure) -
         row |= {"steps": trainer.step, "rollbacks": trainer.rollbacks}
         if row["diverged"]:
             return row
-        row["mse"], _ = look(trainer)
+        row["mse"], _ = draw_held_out(trainer.objectives)
         with torch.no_grad():
             frames = data.test_frames
             latent, _ = trainer.encode(frames)
-            offset = trainer.model.vertices(latent) - data.meshes(frames)
+            offset = trainer.model.vertices(latent) - data.meshes.dense(frames)
             row["vertex_error_mm"] = float(offset.norm(dim=2).mean()) * 1000
             codes, _ = trainer.encode(data.train_frames)
             row["code_deviation"] = float(codes.std())

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pica_core.train.config import PAPER_LOSSES, LossConfig, ScheduleConfig, TrainConfig
-from pica_core.train.data import TrainingData
+from pica_core.train.data.training import TrainingData
 from pica_core.train.loop import open_trainer
 from pica_core.train.monitor import curve
 

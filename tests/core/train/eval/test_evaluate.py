@@ -20,7 +20,7 @@ from pica_core.train.checkpoint import write_checkpoint
 from pica_core.train.cli.eval import EvalOptions, eval_runs
 from pica_core.train.cli.train import TrainOptions, train
 from pica_core.train.config import PRESETS, TrainConfig
-from pica_core.train.data import TrainingData
+from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.evaluate import successor
 from pica_core.train.eval.judge import Judge, model_rasteriser
 from pica_core.train.eval.metrics import (
@@ -192,13 +192,14 @@ def test_only_the_next_test_frame_of_a_take_follows(data: TrainingData) -> None:
 
 def test_the_near_camera_is_closer_than_any_of_the_capture(data: TrainingData) -> None:
     frame = data.test_frames[0]
-    vertices_m = data.vertices_m[frame]
+    vertices_m = data.meshes.dense_m[frame]
     lips = vertices_m[data.capture.topology.regions["lips"]].mean(0)
 
     near = near_camera(data.capture, vertices_m)
 
     distances = [
-        np.linalg.norm(data.camera(frame, name).centre_m - lips) for name in data.camera_names
+        np.linalg.norm(data.images.camera(frame, name).centre_m - lips)
+        for name in data.images.camera_names
     ]
     assert np.linalg.norm(near.centre_m - lips) == pytest.approx(NEAR_DISTANCE_M)
     assert 0.2 * min(distances) > NEAR_DISTANCE_M
@@ -218,7 +219,7 @@ def test_near_field_pictures_are_skipped_where_the_stage_draws_another_picture(
     frames = data.test_frames[:1]
     try:
         same = near_field(data, frames, lambda name: subject)
-        image = data.image
+        image = data.images.image
         monkeypatch.setattr(data, "image", lambda frame, view: image(frame, view) // 2)
         other = near_field(data, frames, lambda name: subject)
     finally:
@@ -246,12 +247,12 @@ def test_one_sample_a_pixel_errs_by_less_than_a_picture_half_a_pixel_off(
     errors = []
     try:
         error = one_sample_mse(data, [frame], lambda name: subject)
-        for view in data.evaluation_views:
-            camera, shift = data.camera(frame, view), np.zeros((3, 3))
+        for view in data.images.evaluation_views:
+            camera, shift = data.images.camera(frame, view), np.zeros((3, 3))
             shift[0, 2] = 0.5
             moved = subject.draw(replace(camera, intrinsics=camera.intrinsics + shift)).image
             is_head = data.capture.mask(data.capture.frames[frame], view) > 0
-            seen = data.image(frame, view)[is_head].astype(float)
+            seen = data.images.image(frame, view)[is_head].astype(float)
             errors.append(mse(moved[is_head].astype(float), seen))
     finally:
         ProceduralSubject.release(subject)
@@ -263,8 +264,8 @@ def test_one_sample_a_pixel_errs_by_less_than_a_picture_half_a_pixel_off(
 def test_several_samples_a_pixel_are_the_mean_of_a_finer_picture(data: TrainingData) -> None:
     torch.manual_seed(0)
     model = config_of("full").model.build(face_prior(data)).eval()
-    frame, view = data.test_frames[0], data.evaluation_views[0]
-    camera = data.camera(frame, view)
+    frame, view = data.test_frames[0], data.images.evaluation_views[0]
+    camera = data.images.camera(frame, view)
     with model_rasteriser(data.capture, model) as rasteriser:
         judge = Judge(data, model, rasteriser)
         latent = judge.encode(frame)
@@ -305,7 +306,7 @@ def test_rows_of_a_table_have_what_the_charts_need(
         "identity variant block view mse mse_low mse_high psnr_db ssim temporal_mse parameters "
     )
     wanted += "macs steps seed samples"
-    assert len(rows) == len(VARIANTS_HERE) * len(data.evaluation_views)
+    assert len(rows) == len(VARIANTS_HERE) * len(data.images.evaluation_views)
     for row in rows:
         assert set(wanted.split()) <= set(row)
         assert row["identity"] == "S1"

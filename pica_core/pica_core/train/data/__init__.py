@@ -1,0 +1,1 @@
+"""A capture as tensors: its meshes, its images behind a cache, and which frames are drawn."""

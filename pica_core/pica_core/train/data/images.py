@@ -1,0 +1,134 @@
+"""The images of a capture behind a cache of bounded size, and the cameras that took them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pica_core.camera import Camera
+from pica_core.capture.dataset import multiface
+from pica_core.capture.dataset.dataset import Capture
+from pica_core.capture.dataset.reader import CaptureReader, Request
+from pica_core.errors import CaptureError
+from pica_core.model.encoder import resize_texture
+from pica_core.train.data.bounded import Bounded
+from pica_core.types import FloatArray, Image
+
+IMAGE_CACHE_BYTES = 4 << 30
+"""Decoded images, depth and textures kept in memory; the least recently used go first."""
+
+
+class ImageCache:
+    """Images, depth, textures and backgrounds by frame and camera.
+
+    Args:
+        capture: The capture to read.
+
+    Attributes:
+        reader: Decodes ahead and keeps what fits.
+        evaluation_views: Cameras that errors are measured from; all where the capture names none.
+    """
+
+    def __init__(self, capture: Capture) -> None:
+        self._capture = capture
+        self.reader = CaptureReader(capture, IMAGE_CACHE_BYTES)
+        self.camera_names = [camera.name for camera in capture.cameras]
+        named = capture.info.get("evaluation_views", [])
+        views = [name for name in self.camera_names if name in named]
+        self.evaluation_views = views or self.camera_names
+        self._textures: Bounded[tuple[int, int], Tensor] = Bounded(self._texture_of)
+        self._cameras_of: dict[int, tuple[str, ...]] = {}
+        self._backgrounds: dict[str, FloatArray] = {}
+        self._head_pose = cache(lambda frame: capture.head_to_world(capture.frames[frame]))
+
+    def image(self, frame: int, camera: str) -> Image:
+        """An image; uint8 ``[H, W, 3]``.
+
+        Raises:
+            CaptureError: It cannot be read.
+        """
+        return self.reader.read(Request("image", frame, camera))
+
+    def depth_m(self, frame: int, camera: str) -> FloatArray | None:
+        """Measured depth, 0 where unknown, float32 ``[H, W]``; None where the image has none."""
+        if not self._has_depth(frame, camera):
+            return None
+        depth_m: FloatArray = self.reader.read(Request("depth", frame, camera))
+        return depth_m
+
+    def textures(self, frames: list[int], size: int) -> Tensor:
+        """Average textures of frames, about [-1, 1], ``[N, 3, size, size]``."""
+        return torch.stack([self._textures[frame, size] for frame in frames])
+
+    def background(self, frame: int, camera: str) -> FloatArray:
+        """Colour of what is not the head: the median over the mask's empty pixels, 0 to 1, ``[3]``.
+
+        Only a plain background is known so; a capture without masks gives black.
+        """
+        if camera not in self._backgrounds:
+            colour = np.zeros(3, np.float32)
+            if self._has("mask", frame, camera):
+                empty = self._capture.mask(self._capture.frames[frame], camera) == 0
+                if empty.any():
+                    colour = np.median(self.image(frame, camera)[empty], axis=0) / 255
+            self._backgrounds[camera] = colour.astype(np.float32)
+        return self._backgrounds[camera]
+
+    def cameras_of(self, frame: int) -> tuple[str, ...]:
+        """Cameras that have an image of a frame, of those that can be read as far as is known."""
+        if frame not in self._cameras_of:
+            self._cameras_of[frame] = self._capture.cameras_of(self._capture.frames[frame])
+        return self._cameras_of[frame]
+
+    def leave_out(self, frame: int, camera: str) -> None:
+        """Ask for an image no more: it cannot be read.
+
+        Raises:
+            CaptureError: It was the last one of its frame.
+        """
+        rest = tuple(name for name in self.cameras_of(frame) if name != camera)
+        if not rest:
+            where = self._capture.frames[frame]
+            raise CaptureError(
+                f"{self._capture.path}: no image of {where.segment} {where.name} can be read"
+            )
+        self._cameras_of[frame] = rest
+
+    def expect(self, images: list[tuple[int, str]], *, depth: bool) -> None:
+        """Have images decoded while something else goes on."""
+        self.reader.ask(Request("image", *image) for image in images)
+        if depth:
+            self.reader.ask(Request("depth", *image) for image in images if self._has_depth(*image))
+
+    def camera(self, frame: int, name: str) -> Camera:
+        """The camera of an image in the frame's head axes: head to camera."""
+        camera, pose = self._capture.camera(name), self._head_pose(frame)
+        return replace(
+            camera,
+            rotation=camera.rotation @ pose[:, :3],
+            translation_m=camera.rotation @ pose[:, 3] + camera.translation_m,
+        )
+
+    def _has_depth(self, frame: int, camera: str) -> bool:
+        return self._capture.has_depth and self._has("depth", frame, camera)
+
+    def _has(self, kind: str, frame: int, camera: str) -> bool:
+        where = self._capture.frames[frame]
+        path = multiface.image_path(kind, where.segment, camera, where.name)
+        return (self._capture.path / path).is_file()
+
+    def _texture_of(self, key: tuple[int, int]) -> Tensor:
+        frame, size = key
+        stored = torch.from_numpy(self.reader.read(Request("texture", frame)).copy())
+        texture = stored.permute(2, 0, 1)[None].to(torch.float32) / 127.5 - 1
+        return resize_texture(texture, size)[0]
+
+
+def view_direction(camera: Camera) -> FloatArray:
+    """Unit vector from the head's origin to a camera in head axes, ``[3]``."""
+    centre = camera.centre_m
+    return (centre / np.linalg.norm(centre)).astype(np.float32)

@@ -1,0 +1,173 @@
+"""The meshes of a capture: tracked ones, exact ones, and both as the maps that encoders see.
+
+A *dense* mesh is of the capture's topology, a *tracked* one of the tracker's, which may be the
+same. The best meshes there are: exact ones; without them the tracked ones, through their position
+maps where they are of another topology.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pica_core.avatar.variants import TopologyName
+from pica_core.capture.dataset.dataset import Capture, Topology
+from pica_core.model.decoders import sample_map
+from pica_core.train.data.bounded import Bounded
+from pica_core.train.data.uv_raster import rasterise_uv
+from pica_core.types import BoolArray, FloatArray
+
+IMPORTANT_REGIONS = ("mouth", "lips", "eyes", "eyeballs", "lids", "teeth", "tongue")
+"""Vertex regions of a capture's topology that are small on the map and large to the eye."""
+MeshSource = Literal["truth", "tracked"]
+
+
+class CaptureMeshes:
+    """All meshes of a capture, in memory; lengths in metres.
+
+    Args:
+        capture: The capture to read.
+        train_frames: Frames that means are taken over.
+        map_size: Rows and columns of the position maps.
+
+    Attributes:
+        source: What encoder and mesh loss are given: exact meshes, or the tracker's.
+        tracked_m: Tracked meshes, ``[T, Vt, 3]``.
+        dense_m: The best dense meshes, ``[T, V, 3]``.
+        tracked_mean_m: Mean of the tracked meshes over the training frames, ``[Vt, 3]``.
+        dense_mean_m: Mean of the dense meshes over the training frames, ``[V, 3]``.
+        position_mean: The dense mean as a map, ``[S, S, 3]``.
+        position_scale_m: Unit of offsets from the mean: twice their root mean square.
+    """
+
+    def __init__(self, capture: Capture, train_frames: list[int], map_size: int) -> None:
+        self._capture = capture
+        self._train_frames = train_frames
+        dense, tracked = capture.topology, capture.tracked_topology
+        self._one_mesh = tracked is dense
+        self.uv_raster = rasterise_uv(dense.vertex_uv, dense.faces, map_size)
+        self._tracked_raster = self.uv_raster
+        if not self._one_mesh:
+            self._tracked_raster = rasterise_uv(tracked.vertex_uv, tracked.faces, map_size)
+        frames = capture.frames
+        self.tracked_m = np.stack([capture.vertices_m(frame) for frame in frames])
+        self.tracked_mean_m: FloatArray = self.tracked_m[train_frames].mean(0)
+        self.dense_m = self.tracked_m
+        if capture.has_truth:
+            self.dense_m = np.stack([capture.true_vertices_m(frame) for frame in frames])
+        elif not self._one_mesh:
+            self.dense_m = np.stack([self._dense_of_tracked(i) for i in range(len(frames))])
+        train = self.dense_m[train_frames]
+        self.dense_mean_m: FloatArray = train.mean(0, dtype=np.float64).astype(np.float32)
+        self.position_mean = self.uv_raster.position_map(self.dense_mean_m)
+        self.position_scale_m = float(np.sqrt(np.square(train - self.dense_mean_m).mean()) * 2)
+        self.source: MeshSource = "truth" if capture.has_truth else "tracked"
+        self._true_tracked: dict[int, FloatArray] = {}
+        self._maps: Bounded[tuple[int, MeshSource], FloatArray] = Bounded(self._map_of)
+
+    def use(self, source: MeshSource) -> bool:
+        """Choose what encoder and mesh loss are given: exact meshes or the tracker's.
+
+        Returns:
+            Whether the capture has them; without exact meshes it stays at the tracked ones.
+        """
+        self.source = source if self._capture.has_truth else "tracked"
+        return self.source == source
+
+    def topology(self, name: TopologyName) -> Topology:
+        """The topology that a model calls "dense" or "tracked"."""
+        capture = self._capture
+        return capture.topology if name == "dense" else capture.tracked_topology
+
+    def tracked_position_mean(self) -> FloatArray:
+        """The mean of the tracked topology's meshes as a map, ``[S, S, 3]``."""
+        index = self._capture.dense_vertex
+        mean = self.tracked_mean_m if index is None else self.dense_mean_m[index]
+        return self._tracked_raster.position_map(mean)
+
+    def neutral_m(self, name: TopologyName, arkit: Tensor) -> FloatArray:
+        """The mesh of the training frame nearest to a neutral expression, as `source` says.
+
+        Args:
+            name: On which topology.
+            arkit: Expressions of all frames, ``[T, 52]``; where a capture has none the frame
+                nearest to the mean mesh is taken.
+
+        Returns:
+            ``[V, 3]``.
+        """
+        if self._capture.has_expressions:
+            away = arkit[self._train_frames].square().sum(1).numpy()
+        else:
+            offsets = self.tracked_m[self._train_frames] - self.tracked_mean_m
+            away = np.square(offsets).sum((1, 2))
+        frame = self._train_frames[int(away.argmin())]
+        is_tracked = self.source == "tracked"
+        if name == "tracked":
+            return self.tracked_m[frame] if is_tracked else self.true_at_tracked(frame)
+        if is_tracked and not self._one_mesh:
+            return self._dense_of_tracked(frame)
+        mesh: FloatArray = (self.tracked_m if is_tracked else self.dense_m)[frame]
+        return mesh
+
+    def true_at_tracked(self, frame: int) -> FloatArray:
+        """The best mesh at the vertices of the tracked topology, ``[Vt, 3]``."""
+        index = self._capture.dense_vertex
+        if self._one_mesh or index is not None:
+            mesh: FloatArray = self.dense_m[frame]
+            return mesh if index is None else mesh[index]
+        if frame not in self._true_tracked:
+            values = self.uv_raster.position_map(self.dense_m[frame])
+            uv = self._capture.tracked_topology.vertex_uv
+            self._true_tracked[frame] = _look_up(values, uv)
+        return self._true_tracked[frame]
+
+    def dense(self, frames: list[int]) -> Tensor:
+        """The best dense meshes there are, ``[N, V, 3]``."""
+        return torch.from_numpy(self.dense_m[frames])
+
+    def tracked(self, frames: list[int]) -> Tensor:
+        """Meshes of the tracked topology, ``[N, Vt, 3]``: as the tracker found them, or the best
+        surface there is at its vertices, as `source` says."""
+        if self.source == "tracked":
+            return torch.from_numpy(self.tracked_m[frames])
+        return torch.from_numpy(np.stack([self.true_at_tracked(frame) for frame in frames]))
+
+    def position_maps(self, frames: list[int]) -> Tensor:
+        """What encoders see of a frame's shape: offsets from the mean, in position scales, as maps
+        ``[N, 3, S, S]``; of the meshes that `source` names."""
+        maps = np.stack([self._maps[frame, self.source] for frame in frames])
+        return torch.from_numpy(maps).permute(0, 3, 1, 2).contiguous()
+
+    def _map_of(self, key: tuple[int, MeshSource]) -> FloatArray:
+        frame, source = key
+        if source == "tracked":
+            offset, raster = self.tracked_m[frame] - self.tracked_mean_m, self._tracked_raster
+        else:
+            offset, raster = self.dense_m[frame] - self.dense_mean_m, self.uv_raster
+        return raster.position_map(offset / self.position_scale_m)
+
+    def _dense_of_tracked(self, frame: int) -> FloatArray:
+        """The tracked mesh at the vertices of the dense topology, through its position map."""
+        values = self._tracked_raster.position_map(self.tracked_m[frame])
+        return _look_up(values, self._capture.topology.vertex_uv)
+
+
+def important_vertices(topology: Topology) -> BoolArray:
+    """Which vertices are of `IMPORTANT_REGIONS`. bool ``[V]``."""
+    important = np.zeros(len(topology.vertex_uv), bool)
+    for name in IMPORTANT_REGIONS:
+        if name in topology.regions:
+            important |= topology.regions[name]
+    return important
+
+
+def _look_up(position_map: FloatArray, uv: FloatArray) -> FloatArray:
+    """A map ``[S, S, 3]`` at UVs ``[V, 2]``, bilinear."""
+    values = torch.from_numpy(position_map).permute(2, 0, 1)[None]
+    found = sample_map(values, torch.from_numpy(np.ascontiguousarray(uv, np.float32)))[0]
+    vertices: FloatArray = found.contiguous().numpy()
+    return vertices
