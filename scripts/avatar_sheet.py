@@ -17,8 +17,9 @@ import numpy.typing as npt
 from PIL import Image
 
 from pica_core.avatar.arkit import ARKIT_NAMES
-from pica_core.train.eval.judge import Judge, model_rasteriser
+from pica_core.train.eval.model_evaluator import ModelEvaluator
 from pica_core.train.eval.run import EvalLimits, build, open_run, prepare
+from pica_core.train.rasterise import Rasteriser
 from pica_core.types import ByteArray
 
 TILE_PX = 224
@@ -47,19 +48,19 @@ def row_of(folder: Path) -> list[ByteArray]:
     limits = EvalLimits(frames=FRAMES, geometry_frames=0, near_frames=0)
     truth = prepare(run.capture, run.config.model.spec().map_size, limits)
     data, model = truth.data, build(run, truth)
-    front, side = data.evaluation_views[0], data.evaluation_views[2]
+    front, side = data.images.evaluation_views[0], data.images.evaluation_views[2]
     jaw = data.arkit[truth.frames, ARKIT_NAMES.index("jawOpen")]
     first, widest = truth.frames[0], truth.frames[int(jaw.argmax())]
-    with model_rasteriser(data.capture, model) as rasteriser:
-        judge = Judge(data, model, rasteriser)
+    with Rasteriser.of(data.meshes.topology(model.topology)) as rasteriser:
+        evaluator = ModelEvaluator(data, model, rasteriser)
 
         def pair(frame: int, view: str, region: str = "") -> list[ByteArray]:
-            seen, view_camera = data.image(frame, view), data.camera(frame, view)
-            picture = judge.draw(judge.drive(frame), view_camera, samples=3)
+            seen, view_camera = data.images.image(frame, view), data.images.camera(frame, view)
+            picture = evaluator.draw(evaluator.drive(frame), view_camera, samples=3)
             drawn = picture.on(np.full_like(seen, seen[0, 0]))
             box = (0, 0, view_camera.width, view_camera.height)
             if region:
-                points = data.vertices_m[frame][data.capture.topology.regions[region]]
+                points = data.meshes.dense_m[frame][data.capture.topology.regions[region]]
                 box = square_around(view_camera.project(points)[0])
             return [tile(seen, box), tile(drawn.round().astype(np.uint8), box)]
 

@@ -17,8 +17,9 @@ from PIL import Image
 from torch import Tensor
 
 from pica_core.camera import Camera, look_at
-from pica_core.train.eval.judge import Judge, model_rasteriser
+from pica_core.train.eval.model_evaluator import ModelEvaluator
 from pica_core.train.eval.run import EvalLimits, build, open_run, prepare
+from pica_core.train.rasterise import Rasteriser
 from pica_core.types import ByteArray
 
 TILE_PX = 192
@@ -38,16 +39,19 @@ def main() -> None:
     truth = prepare(run.capture, run.config.model.spec().map_size, limits)
     data, model = truth.data, build(run, truth)
     data.meshes.use(run.config.mesh_source)
-    with model_rasteriser(data.capture, model) as rasteriser:
-        judge = Judge(data, model, rasteriser)
-        codes = [judge.encode(frame) for frame in truth.frames]
+    with Rasteriser.of(data.meshes.topology(model.topology)) as rasteriser:
+        evaluator = ModelEvaluator(data, model, rasteriser)
+        codes = [evaluator.encode(frame) for frame in truth.frames]
         front = camera(0.0, 0.0)
-        rows = [[draw(judge, code, front) for code in codes]]
-        rows += [[draw(judge, code, front) for code in far_codes(judge, sigma)] for sigma in SIGMAS]
-        rows.append([draw(judge, codes[0], camera(*angles)) for angles in GRAZING])
+        rows = [[draw(evaluator, code, front) for code in codes]]
+        rows += [
+            [draw(evaluator, code, front) for code in far_codes(evaluator, sigma)]
+            for sigma in SIGMAS
+        ]
+        rows.append([draw(evaluator, codes[0], camera(*angles)) for angles in GRAZING])
         near = []
         for frame, (view, image) in truth.near.images.items():
-            near += [image, draw(judge, judge.encode(frame), view)]
+            near += [image, draw(evaluator, evaluator.encode(frame), view)]
         rows.append(near)
     tiles = [[np.asarray(Image.fromarray(tile).resize((TILE_PX, TILE_PX))) for tile in row]
              for row in rows if row]  # fmt: skip
@@ -69,18 +73,18 @@ def camera(azimuth: float, elevation: float) -> Camera:
     )
 
 
-def far_codes(judge: Judge, sigma: float) -> list[Tensor]:
+def far_codes(evaluator: ModelEvaluator, sigma: float) -> list[Tensor]:
     """Codes `sigma` deviations of the training codes away from their mean, in every entry."""
-    known = torch.cat([judge.encode(frame) for frame in judge.data.train_frames[::4]])
+    known = torch.cat([evaluator.encode(frame) for frame in evaluator.data.train_frames[::4]])
     mean, deviation = known.mean(0, keepdim=True), known.std(0, keepdim=True)
     noise = torch.randn((COLUMNS, *mean.shape[1:]), generator=torch.Generator().manual_seed(0))
     return list((mean + sigma * deviation * noise.sign())[:, None])
 
 
-def draw(judge: Judge, code: Tensor, view: Camera) -> ByteArray:
+def draw(evaluator: ModelEvaluator, code: Tensor, view: Camera) -> ByteArray:
     """The picture of a code on a plain background, uint8 ``[H, W, 3]``."""
     plain = np.full((view.height, view.width, 3), BACKGROUND, np.uint8)
-    return judge.draw(code, view).on(plain).round().astype(np.uint8)
+    return evaluator.draw(code, view).on(plain).round().astype(np.uint8)
 
 
 def pad(row: list[ByteArray]) -> list[ByteArray]:

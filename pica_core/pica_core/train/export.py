@@ -18,7 +18,6 @@ from pica_core.model.baseline import DeepAppearanceModel
 from pica_core.model.interface import AvatarModel
 from pica_core.model.pixel_decoder import XYZ_UNIT_M
 from pica_core.train.data.training import TrainingData
-from pica_core.train.eval.judge import drawn_topology
 from pica_core.types import FloatArray, IntArray
 
 MARGIN_M = 0.02
@@ -94,7 +93,7 @@ def make_avatar(
         variant=variant,
         model_card=dict(model_card),
     )
-    topology = drawn_topology(data.capture, model)
+    topology = data.meshes.topology(model.topology)
     tensors = avatar_tensors(model, topology.vertex_uv, topology.faces)
     if stream is not None:
         tensors |= stream.to_tensors()
@@ -103,7 +102,7 @@ def make_avatar(
 
 def make_baseline(model: DeepAppearanceModel, data: TrainingData) -> BaselineAvatar:
     """A trained baseline as the object that receivers measure."""
-    topology = drawn_topology(data.capture, model)
+    topology = data.meshes.topology(model.topology)
     low_m, high_m = _bounds_m(data)
     tensors = {**model.named_tensors(), **_encoder_tensors(model)}
     return BaselineAvatar(

@@ -21,11 +21,7 @@ from pica_core.capture.stage.dome import dome_cameras
 from pica_core.capture.stage.stream_training_faces import stream_training_performances
 from pica_core.codec.learning import LearningConfig, RenderMetric, learn_profile
 from pica_core.codec.profile import StreamProfile
-from pica_core.model.avatar import PixelCodecAvatar
-from pica_core.model.decoders import sample_map
-from pica_core.model.interface import Surface
-from pica_core.train.data.images import view_direction
-from pica_core.train.rasterise import Rasteriser, interpolate
+from pica_core.train.painter import ModelPainter
 from pica_core.types import Float64Array
 
 BACKGROUND = 0.25
@@ -46,92 +42,65 @@ class StreamOptions:
     directions: int = 64
     """Principal directions of the codes that it speaks of."""
     views: tuple[str, ...] = ("front", "left")
-    """Of the stage's evaluation views."""
+    """Names of the stage's evaluation views that the pictures are drawn from."""
     image_size: int = 192
     """Rows and columns of the pictures."""
-    practice_rounds: int = 36
+    rounds: int = 36
     """Performances of each kind to learn from."""
     learning: LearningConfig = field(default_factory=LearningConfig)
     seed: int = 0
 
 
 def make_stream_profile(
-    model: PixelCodecAvatar,
-    rasteriser: Rasteriser,
-    faces: Tensor,
-    vertex_uv: Tensor,
-    options: StreamOptions | None = None,
+    painter: ModelPainter, options: StreamOptions | None = None
 ) -> StreamProfile:
     """Learn the stream of a trained avatar from codes as a live sender makes them.
 
     Args:
-        model: Trained, its expression encoder included.
-        rasteriser: For the avatar's topology.
-        faces: int64 ``[F, 3]``.
-        vertex_uv: float32 ``[V, 2]``.
+        painter: Draws the trained model, whose expression encoder makes the codes.
         options: See `StreamOptions`.
     """
     options = options or StreamOptions()
     with torch.no_grad():
         sequences = [
-            model.expression_encoder(torch.from_numpy(arkit)).permute(0, 2, 3, 1).numpy()
-            for arkit in stream_training_performances(options.practice_rounds, seed=options.seed)
+            painter.model.expression_encoder(torch.from_numpy(arkit)).permute(0, 2, 3, 1).numpy()
+            for arkit in stream_training_performances(options.rounds, seed=options.seed)
         ]
         codes = np.concatenate(sequences).reshape(-1, NUM_LATENT).astype(np.float64)
-        painter = _Painter(model, rasteriser, faces, vertex_uv, options)
         metric = _measure(painter, codes, options)
     return learn_profile(sequences, metric, options.learning)
 
 
-class _Painter:
-    """Draws a latent from every view, as one long vector of 0-255 values."""
-
-    def __init__(
-        self,
-        model: PixelCodecAvatar,
-        rasteriser: Rasteriser,
-        faces: Tensor,
-        vertex_uv: Tensor,
-        options: StreamOptions,
-    ) -> None:
-        self._model, self._rasteriser = model, rasteriser
-        self._faces, self._vertex_uv = faces, vertex_uv
-        size = options.image_size
-        by_name = {camera.name: camera for camera in dome_cameras(5, size, size)}
-        self._cameras = [by_name[name] for name in options.views]
-
-    def paint(self, code: Float64Array) -> tuple[Tensor, int]:
-        """Pictures of a latent ``[256]`` behind each other, and how many pixels the head covers."""
-        grid = torch.from_numpy(code.astype(np.float32)).view(1, *LATENT_SHAPE).permute(0, 3, 1, 2)
-        vertices_m = sample_map(self._model.decode_geometry(grid), self._vertex_uv)[0]
-        painted = [self._paint_view(grid, vertices_m, camera) for camera in self._cameras]
-        return torch.cat([picture for picture, _ in painted]), sum(count for _, count in painted)
-
-    def _paint_view(self, grid: Tensor, vertices_m: Tensor, camera: Camera) -> tuple[Tensor, int]:
-        ids = self._rasteriser.triangle_ids(vertices_m.numpy(), camera)
-        covered = np.flatnonzero(ids.reshape(-1) >= 0)
-        uv, xyz_m, _ = interpolate(vertices_m, self._vertex_uv, self._faces, camera, ids, covered)
-        direction = torch.from_numpy(view_direction(camera))[None]
-        image = torch.zeros(len(covered), dtype=torch.int64)
-        colours = self._model.shade(
-            self._model.decode_expression(grid, direction), Surface(image, uv, xyz_m)
-        )
-        picture = torch.full((ids.size, 3), BACKGROUND)
-        picture[torch.from_numpy(covered)] = colours.clamp(0, 1)
-        return picture.reshape(-1) * 255, len(covered)
+def _paint(painter: ModelPainter, code: Float64Array, cameras: list[Camera]) -> tuple[Tensor, int]:
+    """Pictures of a latent ``[256]`` behind each other, 0-255, and how many pixels are covered."""
+    grid = torch.from_numpy(code.astype(np.float32)).view(1, *LATENT_SHAPE).permute(0, 3, 1, 2)
+    values, covered = [], 0
+    for camera in cameras:
+        picture = painter.draw(grid, camera)
+        plain = np.full((camera.height, camera.width, 3), BACKGROUND * 255, np.float32)
+        values.append(torch.from_numpy(picture.on(plain).reshape(-1)))
+        covered += len(picture.pixels)
+    return torch.cat(values), covered
 
 
-def _measure(painter: _Painter, codes: Float64Array, options: StreamOptions) -> RenderMetric:
+def _measure(painter: ModelPainter, codes: Float64Array, options: StreamOptions) -> RenderMetric:
+    size = options.image_size
+    by_name = {camera.name: camera for camera in dome_cameras(5, size, size)}
+    cameras = [by_name[name] for name in options.views]
+
+    def paint(code: Float64Array) -> Tensor:
+        return _paint(painter, code, cameras)[0]
+
     rng = np.random.default_rng(options.seed)
     _, spread, directions = np.linalg.svd(codes - codes.mean(axis=0), full_matrices=False)
     directions = directions[: options.directions]
     reach = np.maximum(REACH * spread[: len(directions)] / np.sqrt(len(codes)), LEAST_REACH)
     gram = np.zeros((len(directions), len(directions)))
     for code in codes[rng.choice(len(codes), options.faces, replace=False)]:
-        covered = painter.paint(code)[1]
+        covered = _paint(painter, code, cameras)[1]
         slopes = torch.stack(
             [
-                (painter.paint(code + step)[0] - painter.paint(code - step)[0]) / (2 * length)
+                (paint(code + step) - paint(code - step)) / (2 * length)
                 for step, length in zip(reach[:, None] * directions, reach.tolist(), strict=True)
             ]
         )

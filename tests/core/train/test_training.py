@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from pica_core.train.data.meshes.uv_raster import rasterise_uv
 
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar
@@ -20,6 +19,7 @@ from pica_core.errors import CheckpointError, TrainingDivergedError, TrainingOpt
 from pica_core.model.decoders import sample_map
 from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data.training import TrainingData
+from pica_core.train.data.uv_raster import rasterise_uv
 from pica_core.train.eval.evaluate import evaluate, mean_mse
 from pica_core.train.export import make_avatar
 from pica_core.train.held_out import draw_held_out

@@ -11,7 +11,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -27,7 +26,7 @@ from pica_core.train.cli.levels import describe
 from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.evaluate import evaluate, mean_mse
-from pica_core.train.eval.judge import drawn_topology
+from pica_core.train.eval.model_evaluator import ModelEvaluator
 from pica_core.train.eval.run import RUN_FILE
 from pica_core.train.export import make_avatar, make_baseline
 from pica_core.train.lod.levels import LevelReport, add_levels
@@ -179,13 +178,7 @@ def export(options: ExportOptions) -> dict[str, Any]:
         stream = None
         if options.stream:
             print("learning the latent stream", file=sys.stderr)
-            topology = drawn_topology(data.capture, model)
-            stream = make_stream_profile(
-                model,
-                trainer.rasteriser,
-                torch.from_numpy(topology.faces.astype(np.int64)),
-                torch.from_numpy(np.ascontiguousarray(topology.vertex_uv, np.float32)),
-            )
+            stream = make_stream_profile(ModelEvaluator(data, model, trainer.rasteriser))
         avatar = make_avatar(
             model,
             data,

@@ -19,8 +19,9 @@ from torch import Tensor
 from pica_core.model.interface import AvatarModel
 from pica_core.train.data.sampler import spaced
 from pica_core.train.data.training import TrainingData
-from pica_core.train.eval.judge import Judge, Picture
 from pica_core.train.eval.metrics import bootstrap_interval, change_mse, mse, psnr_db, ssim
+from pica_core.train.eval.model_evaluator import ModelEvaluator
+from pica_core.train.painter import Picture
 from pica_core.train.rasterise import Rasteriser
 from pica_core.types import FloatArray
 
@@ -85,12 +86,12 @@ def successor(data: TrainingData, frame: int) -> int | None:
 
 
 def measure_views(
-    judge: Judge, frames: list[int], source: Source = "encoder"
+    evaluator: ModelEvaluator, frames: list[int], source: Source = "encoder"
 ) -> dict[str, ViewErrors]:
     """Draw frames from all evaluation views, and measure.
 
     Args:
-        judge: The model with its capture.
+        evaluator: The model with its capture.
         frames: Which frames.
         source: Whose latents: the model's own encoder's, as in the paper, or what a live sender
             makes of ARKit values.
@@ -98,26 +99,26 @@ def measure_views(
     Returns:
         Errors by view, of those views that have an image of any of the frames.
     """
-    data = judge.data
+    data = evaluator.data
     found = {view: ViewErrors() for view in data.images.evaluation_views}
     for frame in frames:
         after = successor(data, frame)
-        latent = _latent(judge, source, frame)
-        later = None if after is None else _latent(judge, source, after)
+        latent = _latent(evaluator, source, frame)
+        later = None if after is None else _latent(evaluator, source, after)
         for view in data.images.cameras_of(frame):
             if view not in found:
                 continue
             errors = found[view]
             camera, image = data.images.camera(frame, view), data.images.image(frame, view)
-            picture = judge.draw(latent, camera)
-            seen = judge.seen(picture, frame, view)
+            picture = evaluator.draw(latent, camera)
+            seen = evaluator.seen(picture, frame, view)
             errors.mse.append(mse(picture.colours, seen))
             laid = picture.on(image)
             errors.ssim.append(ssim(laid, image, picture.covered(camera)))
             if after is not None and later is not None and view in data.images.cameras_of(after):
-                second = judge.draw(later, data.images.camera(after, view))
+                second = evaluator.draw(later, data.images.camera(after, view))
                 errors.change_mse.append(
-                    _change(picture, second, seen, judge.seen(second, after, view))
+                    _change(picture, second, seen, evaluator.seen(second, after, view))
                 )
     return {view: errors for view, errors in found.items() if errors.mse}
 
@@ -132,15 +133,15 @@ def evaluate(trainer: Trained, *, max_frames: int = 25) -> list[dict[str, Any]]:
         capture's mesh that the model was trained on.
     """
     data = trainer.data
-    judge = Judge(data, trainer.model, trainer.rasteriser)
+    evaluator = ModelEvaluator(data, trainer.model, trainer.rasteriser)
     frames = spaced_frames(data, max_frames)
     sources: tuple[Source, ...] = ("encoder",)
     if data.capture.has_expressions:
         sources = ("encoder", "driver")
     rows: list[dict[str, Any]] = []
     for source in sources:
-        distance = float(np.mean([_vertex_error_mm(judge, source, frame) for frame in frames]))
-        for view, errors in measure_views(judge, frames, source).items():
+        distance = float(np.mean([_vertex_error_mm(evaluator, source, frame) for frame in frames]))
+        for view, errors in measure_views(evaluator, frames, source).items():
             rows.append(
                 {"source": source, "view": view, **errors.row(), "vertex_error_mm": distance}
             )
@@ -153,16 +154,16 @@ def mean_mse(rows: list[dict[str, Any]], source: str = "encoder") -> float | Non
     return float(np.mean(errors)) if errors else None
 
 
-def _latent(judge: Judge, source: Source, frame: int) -> Tensor:
-    return judge.encode(frame) if source == "encoder" else judge.drive(frame)
+def _latent(evaluator: ModelEvaluator, source: Source, frame: int) -> Tensor:
+    return evaluator.encode(frame) if source == "encoder" else evaluator.drive(frame)
 
 
-def _vertex_error_mm(judge: Judge, source: Source, frame: int) -> float:
-    capture = judge.data.capture
-    wanted = judge.data.meshes.dense_m[frame]
-    if judge.model.topology == "tracked" and capture.tracked_topology is not capture.topology:
-        wanted = judge.data.meshes.true_at_tracked(frame)
-    found = judge.vertices_m(_latent(judge, source, frame))
+def _vertex_error_mm(evaluator: ModelEvaluator, source: Source, frame: int) -> float:
+    capture = evaluator.data.capture
+    wanted = evaluator.data.meshes.dense_m[frame]
+    if evaluator.model.topology == "tracked" and capture.tracked_topology is not capture.topology:
+        wanted = evaluator.data.meshes.true_at_tracked(frame)
+    found = evaluator.vertices_m(_latent(evaluator, source, frame))
     return float(np.linalg.norm(found - wanted, axis=1).mean()) * 1000
 
 

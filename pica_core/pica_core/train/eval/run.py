@@ -18,8 +18,8 @@ from pica_core.train.config import TrainConfig
 from pica_core.train.data.sampler import spaced
 from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.evaluate import Split, measure_views, spaced_frames
-from pica_core.train.eval.judge import Judge, model_rasteriser
 from pica_core.train.eval.metrics import mse, psnr_db
+from pica_core.train.eval.model_evaluator import ModelEvaluator
 from pica_core.train.eval.truth import (
     NOT_ASKED,
     DepthErrors,
@@ -32,6 +32,7 @@ from pica_core.train.eval.truth import (
 )
 from pica_core.train.loop import read_checkpoint
 from pica_core.train.prior import face_prior
+from pica_core.train.rasterise import Rasteriser
 from pica_core.types import ByteArray
 
 RUN_FILE = "run.json"
@@ -203,14 +204,14 @@ def measure(
     data, model = truth.data, build(run, truth)
     data.meshes.use(run.config.mesh_source)
     cost = model.cost
-    with model_rasteriser(data.capture, model) as rasteriser:
-        judge = Judge(data, model, rasteriser, samples=samples)
+    with Rasteriser.of(data.meshes.topology(model.topology)) as rasteriser:
+        evaluator = ModelEvaluator(data, model, rasteriser, samples=samples)
         progress("views")
-        found = measure_views(judge, truth.frames)
+        found = measure_views(evaluator, truth.frames)
         progress("geometry")
-        depth = _depth_errors(judge, truth)
+        depth = _depth_errors(evaluator, truth)
         progress("near field")
-        near, pictures = _near(judge, truth.near)
+        near, pictures = _near(evaluator, truth.near)
     shared = {"identity": truth.identity, "variant": run.variant, "block": run.block}
     costs = {
         "parameters": cost.parameters,
@@ -232,22 +233,22 @@ def measure(
     )
 
 
-def _depth_errors(judge: Judge, truth: CaptureTruth) -> dict[str, float | None]:
+def _depth_errors(evaluator: ModelEvaluator, truth: CaptureTruth) -> dict[str, float | None]:
     errors = DepthErrors()
     for (frame, view), true in truth.views.items():
         camera = truth.data.images.camera(frame, view)
-        picture = judge.draw(judge.encode(frame), camera, samples=1)
+        picture = evaluator.draw(evaluator.encode(frame), camera, samples=1)
         errors.add(true, picture.pixels, picture.depth_m)
     return errors.means_mm() if truth.views else {}
 
 
-def _near(judge: Judge, near: NearField) -> tuple[dict[str, Any], list[ByteArray]]:
+def _near(evaluator: ModelEvaluator, near: NearField) -> tuple[dict[str, Any], list[ByteArray]]:
     if near.skipped is not None:
         return {"skipped": near.skipped}, []
     errors: list[float] = []
     pictures: list[ByteArray] = []
     for frame, (camera, image) in near.images.items():
-        picture = judge.draw(judge.encode(frame), camera)
+        picture = evaluator.draw(evaluator.encode(frame), camera)
         seen = image.reshape(-1, 3)[picture.pixels].astype(np.float32)
         errors.append(mse(picture.colours, seen))
         shown = picture.on(np.full_like(image, 128)).round().astype(np.uint8)

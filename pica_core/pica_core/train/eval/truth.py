@@ -98,8 +98,7 @@ def true_views(data: TrainingData, frames: list[int]) -> dict[tuple[int, str], T
     capture = data.capture
     region_of_face = np.append(face_regions(capture.topology), np.uint8(_NOTHING))
     views: dict[tuple[int, str], TrueView] = {}
-    faces = capture.topology.faces.astype(np.int32)
-    with Rasteriser(faces, capture.num_vertices) as rasteriser:
+    with Rasteriser.of(capture.topology) as rasteriser:
         for frame in frames:
             vertices_m = capture.true_vertices_m(capture.frames[frame])
             for name in data.images.evaluation_views:
@@ -115,8 +114,7 @@ def tracked_errors(
 ) -> DepthErrors:
     """How far the tracked mesh itself lies from the truth. Makes and releases a GL context."""
     capture, errors = data.capture, DepthErrors()
-    topology = capture.tracked_topology
-    with Rasteriser(topology.faces.astype(np.int32), len(topology.vertex_uv)) as rasteriser:
+    with Rasteriser.of(capture.tracked_topology) as rasteriser:
         for frame in frames:
             vertices_m = capture.vertices_m(capture.frames[frame])
             for name in data.images.evaluation_views:

@@ -22,7 +22,6 @@ from pica_core.train.cli.train import TrainOptions, train
 from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.evaluate import successor
-from pica_core.train.eval.judge import Judge, model_rasteriser
 from pica_core.train.eval.metrics import (
     BEST_PSNR_DB,
     bootstrap_interval,
@@ -31,6 +30,7 @@ from pica_core.train.eval.metrics import (
     psnr_db,
     ssim,
 )
+from pica_core.train.eval.model_evaluator import ModelEvaluator
 from pica_core.train.eval.run import RUN_FILE, open_run
 from pica_core.train.eval.tables import error_table, report
 from pica_core.train.eval.truth import (
@@ -44,6 +44,7 @@ from pica_core.train.eval.truth import (
 )
 from pica_core.train.loop import open_trainer
 from pica_core.train.prior import face_prior
+from pica_core.train.rasterise import Rasteriser
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
@@ -266,13 +267,13 @@ def test_several_samples_a_pixel_are_the_mean_of_a_finer_picture(data: TrainingD
     model = config_of("full").model.build(face_prior(data)).eval()
     frame, view = data.test_frames[0], data.images.evaluation_views[0]
     camera = data.images.camera(frame, view)
-    with model_rasteriser(data.capture, model) as rasteriser:
-        judge = Judge(data, model, rasteriser)
-        latent = judge.encode(frame)
-        once = judge.draw(latent, camera)
-        several = judge.draw(latent, camera, samples=3)
+    with Rasteriser.of(data.meshes.topology(model.topology)) as rasteriser:
+        evaluator = ModelEvaluator(data, model, rasteriser)
+        latent = evaluator.encode(frame)
+        once = evaluator.draw(latent, camera)
+        several = evaluator.draw(latent, camera, samples=3)
         fine_camera = camera.scaled(3 * camera.width, 3 * camera.height)
-        fine = judge.draw(latent, fine_camera)
+        fine = evaluator.draw(latent, fine_camera)
 
     height, width = camera.height, camera.width
     parts = fine.on(np.zeros((3 * height, 3 * width, 3), np.uint8))

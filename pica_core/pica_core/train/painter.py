@@ -1,4 +1,4 @@
-"""A trained model in front of a camera: its pictures, pixel by pixel, beside what was seen."""
+"""Pictures of a model: what one latent looks like through a camera, pixel by pixel."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from pica_core.camera import Camera
-from pica_core.capture.dataset.dataset import Capture, Topology
+from pica_core.capture.dataset.dataset import Topology
 from pica_core.model.interface import AvatarModel, Surface
 from pica_core.train.data.images import view_direction
-from pica_core.train.data.training import TrainingData
 from pica_core.train.rasterise import Rasteriser, interpolate
-from pica_core.types import BoolArray, ByteArray, FloatArray, Int64Array
+from pica_core.types import BoolArray, FloatArray, Int64Array
 
 
 class Picture(NamedTuple):
@@ -32,9 +32,9 @@ class Picture(NamedTuple):
     colours: FloatArray
     depth_m: FloatArray
 
-    def on(self, image: ByteArray) -> FloatArray:
+    def on(self, image: npt.NDArray[np.generic]) -> FloatArray:
         """The picture laid over an image, ``[H, W, 3]``."""
-        laid = image.astype(np.float32)
+        laid: FloatArray = image.astype(np.float32)
         laid.reshape(-1, 3)[self.pixels] = self.colours
         return laid
 
@@ -45,42 +45,25 @@ class Picture(NamedTuple):
         return mask.reshape(camera.height, camera.width)
 
 
-class Judge:
-    """Draws a model's pictures of a capture's frames.
+class ModelPainter:
+    """Draws a model's pictures of latents.
 
     Args:
-        data: The capture.
         model: Trained, or not.
-        rasteriser: Of the topology that the model draws; it stays its owner's.
-        samples: Along each side of a pixel, odd; the paper draws with one.
+        topology: Mesh that the model draws.
+        rasteriser: Made for that topology; it stays its owner's.
+        samples: Samples along each side of a pixel, odd; the paper draws with one.
     """
 
     def __init__(
-        self, data: TrainingData, model: AvatarModel, rasteriser: Rasteriser, *, samples: int = 1
+        self, model: AvatarModel, topology: Topology, rasteriser: Rasteriser, *, samples: int = 1
     ) -> None:
-        self.data = data
         self.model = model
         self._rasteriser = rasteriser
         self._samples = samples
-        topology = drawn_topology(data.capture, model)
         self._uv = torch.from_numpy(np.ascontiguousarray(topology.vertex_uv, np.float32))
         self._faces = torch.from_numpy(topology.faces.astype(np.int64))
         self._device = next(model.parameters()).device
-
-    @torch.no_grad()
-    def encode(self, frame: int) -> Tensor:
-        """The encoder's mean for a frame, ``[1, 4, 8, 8]``."""
-        texture = self.data.images.textures([frame], self.model.encoder.texture_size)
-        maps = self.data.meshes.position_maps([frame])
-        mean: Tensor = self.model.encoder(texture.to(self._device), maps.to(self._device))[0]
-        return mean
-
-    @torch.no_grad()
-    def drive(self, frame: int) -> Tensor:
-        """What a live sender would send for a frame, ``[1, 4, 8, 8]``."""
-        arkit = self.data.arkit[[frame]].to(self._device)
-        latent: Tensor = self.model.expression_encoder(arkit)
-        return latent
 
     @torch.no_grad()
     def vertices_m(self, latent: Tensor) -> FloatArray:
@@ -95,9 +78,9 @@ class Judge:
         Args:
             latent: ``[1, 4, 8, 8]``.
             camera: In head axes.
-            samples: Along each side of a pixel, odd; the judge's own by default. A pixel belongs to
-                the picture if its centre does, however many there are; its colour is the mean of
-                those samples that see the head, its depth the centre's.
+            samples: Samples along each side of a pixel, odd; the painter's own by default. A pixel
+                belongs to the picture if its centre does, however many there are; its colour is the
+                mean of those samples that see the head, its depth the centre's.
         """
         vertices_m = self.model.vertices(latent)[0].cpu()
         direction = torch.from_numpy(view_direction(camera))[None].to(self._device)
@@ -127,11 +110,6 @@ class Judge:
         shown = 255 * colours.clamp(0, 1).cpu().numpy()
         return Picture(pixels, shown.astype(np.float32), depth_m.numpy())
 
-    def seen(self, picture: Picture, frame: int, view: str) -> FloatArray:
-        """What the camera saw at a picture's pixels, 0-255, float32 ``[P, 3]``."""
-        image = self.data.images.image(frame, view)
-        return image.reshape(-1, 3)[picture.pixels].astype(np.float32)
-
 
 def _within_pixels(camera: Camera, side: int) -> Iterator[Camera]:
     """The camera moved by parts of a pixel: a grid with the centre in its middle."""
@@ -141,14 +119,3 @@ def _within_pixels(camera: Camera, side: int) -> Iterator[Camera]:
             shift = np.zeros((3, 3))
             shift[:2, 2] = right, down
             yield replace(camera, intrinsics=camera.intrinsics + shift)
-
-
-def drawn_topology(capture: Capture, model: AvatarModel) -> Topology:
-    """The capture's mesh that a model draws."""
-    return {"dense": capture.topology, "tracked": capture.tracked_topology}[model.topology]
-
-
-def model_rasteriser(capture: Capture, model: AvatarModel) -> Rasteriser:
-    """A rasteriser of the mesh that a model draws; the caller releases it."""
-    topology = drawn_topology(capture, model)
-    return Rasteriser(topology.faces.astype(np.int32), len(topology.vertex_uv))
