@@ -10,17 +10,19 @@ A run has three phases, in this order (reasons: `docs/training.md`):
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, Literal
 
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import VARIANTS
-from pica_core.errors import CheckpointError, TrainingOptionError
+from pica_core.errors import CheckpointError, TrainingOptionError, check_ranges
 from pica_core.model.interface import AvatarModel, FacePrior
 from pica_core.model.pixel_decoder import FIRST_FREQUENCY
 from pica_core.model.variants import make_model
 
 MeshSource = Literal["truth", "tracked"]
+_FINITE = sys.float_info.max
 PHASES = ("geometry", "joint", "driver")
 
 
@@ -178,40 +180,31 @@ class TrainConfig:
     before it gives up."""
 
     def __post_init__(self) -> None:
+        many, any_size = (1, math.inf), (0, math.inf)
         schedule = self.schedule
-        if not 0 <= schedule.frame_balance <= 2:
-            raise TrainingOptionError(
-                f"frame_balance is {schedule.frame_balance}; 0 to 2 is allowed"
-            )
-        for name in ("geometry_steps", "joint_steps", "driver_steps", "pixels_per_image"):
-            if getattr(schedule, name) < 0:
-                raise TrainingOptionError(
-                    f"{name} is {getattr(schedule, name)}; it must not be negative"
-                )
-        for name in ("geometry_batch", "joint_batch", "driver_batch"):
-            if getattr(schedule, name) < 1:
-                raise TrainingOptionError(
-                    f"{name} is {getattr(schedule, name)}; at least 1 is needed"
-                )
-        for field_ in fields(self.losses):
-            weight = getattr(self.losses, field_.name)
-            if not 0 <= weight < math.inf:
-                raise TrainingOptionError(
-                    f"losses.{field_.name} is {weight}; a finite number of at least 0 is needed"
-                )
-        if not 0 <= schedule.clip_norm < math.inf:
-            raise TrainingOptionError(f"clip_norm is {schedule.clip_norm}; at least 0 is needed")
+        check_ranges(
+            schedule,
+            TrainingOptionError,
+            frame_balance=(0, 2),
+            **dict.fromkeys(("geometry_steps", "joint_steps", "driver_steps"), any_size),
+            **dict.fromkeys(("geometry_batch", "joint_batch", "driver_batch"), many),
+            pixels_per_image=any_size,
+            clip_norm=(0, _FINITE),
+        )
+        weights = {field_.name: (0, _FINITE) for field_ in fields(self.losses)}
+        check_ranges(self.losses, TrainingOptionError, **weights)
         if self.mesh_source not in ("truth", "tracked"):
             raise TrainingOptionError(
                 f"mesh_source is {self.mesh_source!r}; 'truth' and 'tracked' are known"
             )
-        for name, low in (("checkpoint_every", 1), ("watch_every", 0), ("max_rollbacks", 0)):
-            if getattr(self, name) < low:
-                raise TrainingOptionError(
-                    f"{name} is {getattr(self, name)}; at least {low} is needed"
-                )
-        if not 0 <= self.seed < 1 << 31:
-            raise TrainingOptionError(f"seed is {self.seed}; 0 to {(1 << 31) - 1} is allowed")
+        check_ranges(
+            self,
+            TrainingOptionError,
+            checkpoint_every=many,
+            watch_every=any_size,
+            max_rollbacks=any_size,
+            seed=(0, (1 << 31) - 1),
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON values; `from_json` reads them back."""

@@ -25,8 +25,8 @@ from pica_core.train.guard import EXPLOSION_FACTOR, PATIENCE, DivergenceGuard
 from pica_core.train.loop import Losses, Trainer, open_trainer
 from pica_core.train.monitor import Monitor
 from pica_core.train.trials.failures import FAILURES
-from pica_core.train.trials.profile import profile_steps
 from pica_core.train.trials.recipes import RECIPES
+from pica_core.train.trials.step_times import time_steps
 from pica_core.train.trials.stopwatch import PARTS
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
@@ -282,7 +282,7 @@ def test_the_paper_preset_is_the_papers_settings() -> None:
 
 def test_a_profile_of_steps_names_every_part(data: TrainingData, tmp_path: Path) -> None:
     with open_trainer(data, short(0, 3), tmp_path) as trainer:
-        row = profile_steps(trainer, 2, warm_up=1)
+        row = time_steps(trainer, 2, warm_up=1)
 
     parts = sum(row[f"{part}_ms"] for part in PARTS)
     assert all(row[f"{part}_ms"] > 0 for part in PARTS)

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import torch
 from PIL import Image
 
-from pica_core.errors import TrainingOptionError
+from pica_core.errors import TrainingOptionError, check_ranges
 from pica_core.train.eval.run import (
     CaptureTruth,
     EvalLimits,
@@ -25,8 +25,8 @@ from pica_core.train.eval.tables import TABLES, report
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class EvalOptions:
-    """Options of `pica eval`."""
+class EvalOptions(EvalLimits):
+    """Options of `pica eval`: what is measured of which runs, and where it goes."""
 
     runs: tuple[Path, ...]
     """Folders of finished runs of `pica train`."""
@@ -36,17 +36,6 @@ class EvalOptions:
     """The capture of all runs, if it is not where it was when they were trained."""
     out: Path | None = None
     """Folder for table.md, eval.json and near-field pictures."""
-    split: Literal["test", "train"] = "test"
-    """Held-out frames, or for comparison those that were trained on."""
-    frames: int = 25
-    """How many of them, evenly spaced."""
-    geometry_frames: int = 8
-    """Of these, how many to judge the geometry of; 0 leaves it out."""
-    near_frames: int = 4
-    """Of these, how many to draw from close to the mouth; 0 leaves it out."""
-    floor_frames: int = 0
-    """Of these, for how many to draw the head itself with one sample a pixel: about what a model
-    drawn so can hope for. 0 leaves it out."""
     samples: Literal[1, 3, 5] = 1
     """Samples of a model along each side of a pixel. The paper draws with one; captures are
     means over pixels, and at small images the difference is most of the error."""
@@ -54,17 +43,8 @@ class EvalOptions:
     """CPU threads of torch."""
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("frames", 1, 1_000_000),
-            ("geometry_frames", 0, 1_000_000),
-            ("near_frames", 0, 1_000_000),
-            ("floor_frames", 0, 1_000_000),
-            ("threads", 1, 1024),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise TrainingOptionError(
-                    f"{name} is {getattr(self, name)}; {low} to {high} is allowed"
-                )
+        EvalLimits.__post_init__(self)
+        check_ranges(self, TrainingOptionError, threads=(1, 1024))
         if not self.runs:
             raise TrainingOptionError("runs is empty; name at least one folder")
 
@@ -91,13 +71,6 @@ def eval_runs(options: EvalOptions) -> dict[str, Any]:
 
 
 def _measure(runs: Sequence[Run], options: EvalOptions) -> dict[str, Any]:
-    limits = EvalLimits(
-        split=options.split,
-        frames=options.frames,
-        geometry_frames=options.geometry_frames,
-        near_frames=options.near_frames,
-        floor_frames=options.floor_frames,
-    )
     rows: list[dict[str, Any]] = []
     found: list[dict[str, Any]] = []
     tracked: dict[str, dict[str, float | None]] = {}
@@ -105,7 +78,7 @@ def _measure(runs: Sequence[Run], options: EvalOptions) -> dict[str, Any]:
     for capture in dict.fromkeys(run.capture for run in runs):
         own = [run for run in runs if run.capture == capture]
         _say(f"{capture}: drawing the truth")
-        truth = prepare(capture, own[0].config.model.spec().map_size, limits)
+        truth = prepare(capture, own[0].config.model.spec().map_size, options)
         tracked[truth.identity] = truth.tracked_mm
         floor[truth.identity] = truth.one_sample_mse
         for run in own:

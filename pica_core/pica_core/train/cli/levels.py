@@ -11,7 +11,7 @@ import torch
 import tyro
 
 from pica_core.avatar.file import avatar_id, load_avatar, save_avatar
-from pica_core.errors import TrainingOptionError
+from pica_core.errors import TrainingOptionError, check_ranges
 from pica_core.train.lod.levels import LevelOptions, LevelReport, add_levels
 
 
@@ -28,8 +28,7 @@ class AvatarLevelsOptions:
     """CPU threads of torch."""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.threads <= 1024:
-            raise TrainingOptionError(f"threads is {self.threads}; 1 to 1024 is allowed")
+        check_ranges(self, TrainingOptionError, threads=(1, 1024))
 
 
 def avatar_levels(options: AvatarLevelsOptions) -> dict[str, Any]:

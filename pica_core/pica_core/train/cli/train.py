@@ -19,7 +19,7 @@ from pica_core.avatar.baseline import save_baseline
 from pica_core.avatar.file import avatar_id, save_avatar
 from pica_core.avatar.storage import Precision, storage_of
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.errors import CaptureError, CheckpointError, TrainingOptionError
+from pica_core.errors import CaptureError, CheckpointError, TrainingOptionError, check_ranges
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.baseline import DeepAppearanceModel
 from pica_core.train.cli.levels import describe
@@ -71,11 +71,7 @@ class TrainOptions:
     """Held-out frames to evaluate at the end."""
 
     def __post_init__(self) -> None:
-        for name, low, high in (("threads", 1, 1024), ("eval_frames", 1, 1_000_000)):
-            if not low <= getattr(self, name) <= high:
-                raise TrainingOptionError(
-                    f"{name} is {getattr(self, name)}; {low} to {high} is allowed"
-                )
+        check_ranges(self, TrainingOptionError, threads=(1, 1024), eval_frames=(1, 1_000_000))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -105,8 +101,7 @@ class ExportOptions:
     """CPU threads of torch."""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.threads <= 1024:
-            raise TrainingOptionError(f"threads is {self.threads}; 1 to 1024 is allowed")
+        check_ranges(self, TrainingOptionError, threads=(1, 1024))
 
 
 def train(options: TrainOptions) -> dict[str, Any]:
@@ -250,11 +245,12 @@ def _note_run(options: TrainOptions, identity: str) -> None:
 
 def _config(options: TrainOptions) -> TrainConfig:
     config = replace(PRESETS[options.preset], seed=options.seed)
-    model = replace(config.model, variant=options.variant)
-    if options.block is not None:
-        model = replace(model, block=options.block)
-    if options.encoder is not None:
-        model = replace(model, encoder=options.encoder)
+    model = replace(
+        config.model,
+        variant=options.variant,
+        block=options.block or config.model.block,
+        encoder=options.encoder or config.model.encoder,
+    )
     return replace(config, model=model)
 
 

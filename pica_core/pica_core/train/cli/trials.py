@@ -12,7 +12,7 @@ from typing import Any, Literal
 import torch
 
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.errors import TrainingOptionError
+from pica_core.errors import TrainingOptionError, check_ranges
 from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data.training import TrainingData
 from pica_core.train.trials.failures import FAILURES, run_failures
@@ -41,11 +41,7 @@ class TrialOptions:
     """CPU threads of torch."""
 
     def __post_init__(self) -> None:
-        for name, low, high in (("looks", 1, 1000), ("seeds", 1, 100), ("threads", 1, 1024)):
-            if not low <= getattr(self, name) <= high:
-                raise TrainingOptionError(
-                    f"{name} is {getattr(self, name)}; {low} to {high} is allowed"
-                )
+        check_ranges(self, TrainingOptionError, looks=(1, 1000), seeds=(1, 100), threads=(1, 1024))
         if not 0 < self.share <= 10:
             raise TrainingOptionError(f"share is {self.share}; above 0, at most 10 is allowed")
 
@@ -75,12 +71,11 @@ class TrialOptions:
 
 def bench_recipes(options: TrialOptions) -> dict[str, Any]:
     """Train with each recipe and give held-out error against seconds of training."""
-    return _trial(
-        options,
-        RECIPES,
-        run_recipes,
-        lambda row: f"{row['recipe']} {row['seed']}: {row['seconds']:.0f} s, MSE {row['mse']:.1f}",
-    )
+
+    def told(row: dict[str, Any]) -> str:
+        return f"{row['recipe']} {row['seed']}: {row['seconds']:.0f} s, MSE {row['mse']:.1f}"
+
+    return _trial(options, RECIPES, run_recipes, told)
 
 
 def bench_failures(options: TrialOptions) -> dict[str, Any]:
@@ -100,27 +95,15 @@ def _trial(
     told: Callable[[dict[str, Any]], str],
 ) -> dict[str, Any]:
     """Do the runs that are asked for, saying of each row what `told` makes of it."""
-    names = options.chosen(known)
+    names, config = options.chosen(known), options.config()
+    torch.set_num_threads(options.threads)
+    capture = Capture.open(options.capture)
+    data = TrainingData(capture, config.model.spec().map_size)
+    rows = []
     with tempfile.TemporaryDirectory() as folder:
-        rows = []
-        data = _open(options)
-        for row in run(
-            data, options.config(), options.out or Path(folder), names, range(options.seeds)
-        ):
+        for row in run(data, config, options.out or Path(folder), names, range(options.seeds)):
             rows.append(row)
             print(told(row), file=sys.stderr)
-    return _result(options, data, rows)
-
-
-def _open(options: TrialOptions) -> TrainingData:
-    torch.set_num_threads(options.threads)
-    return TrainingData(Capture.open(options.capture), options.config().model.spec().map_size)
-
-
-def _result(
-    options: TrialOptions, data: TrainingData, rows: list[dict[str, Any]]
-) -> dict[str, Any]:
-    capture = data.capture
     return {
         "identity": str(capture.info.get("head", capture.path.name)),
         "frames": len(capture.frames),

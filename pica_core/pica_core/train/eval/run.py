@@ -12,7 +12,7 @@ import numpy as np
 
 from pica_core.avatar.variants import VARIANTS
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.errors import CheckpointError
+from pica_core.errors import CheckpointError, TrainingOptionError, check_ranges
 from pica_core.model.interface import AvatarModel
 from pica_core.train.config import TrainConfig
 from pica_core.train.data.sampler import spaced
@@ -68,15 +68,21 @@ class EvalLimits:
     """How much to measure."""
 
     split: Split = "test"
-    """Which frames: held-out ones, or those that were trained on."""
+    """Held-out frames, or for comparison those that were trained on."""
     frames: int = 25
     """How many of them, evenly spaced."""
     geometry_frames: int = 8
-    """Of these, how many to judge the geometry of; 0 leaves it out."""
+    """How many of these to compare the geometry of; 0 leaves it out."""
     near_frames: int = 4
-    """Of these, how many to draw from close to the mouth; 0 leaves it out."""
+    """How many of these to draw from close to the mouth; 0 leaves it out."""
     floor_frames: int = 0
-    """Of these, for how many to draw the head itself with one sample a pixel; 0 leaves it out."""
+    """For how many of these to draw the head itself with one sample a pixel: about what a model
+    drawn so can hope for. 0 leaves it out."""
+
+    def __post_init__(self) -> None:
+        many = (0, 1_000_000)
+        check_ranges(self, TrainingOptionError, frames=(1, 1_000_000), geometry_frames=many)
+        check_ranges(self, TrainingOptionError, near_frames=many, floor_frames=many)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

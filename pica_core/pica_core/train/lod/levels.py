@@ -22,7 +22,7 @@ from pica_core.avatar.file import Avatar
 from pica_core.avatar.level_tensors import MAX_TEXELS, PREFIX, faces_name, sheet_rows
 from pica_core.avatar.levels import EXIT_DIVISORS, level_sizes
 from pica_core.capture.stage.stream_training_faces import stream_training_performances
-from pica_core.errors import TrainingOptionError
+from pica_core.errors import TrainingOptionError, check_ranges
 from pica_core.model.decoders import sample_map
 from pica_core.reference.pixel import decode_pixels
 from pica_core.train.lod.exits import (
@@ -69,16 +69,14 @@ class LevelOptions:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("faces", 8, 100_000),
-            ("rounds", 1, 1000),
-            ("points", 100, 1_000_000),
-            ("check_faces", 1, 10_000),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise TrainingOptionError(
-                    f"{name} is {getattr(self, name)}; {low} to {high} is allowed"
-                )
+        check_ranges(
+            self,
+            TrainingOptionError,
+            faces=(8, 100_000),
+            rounds=(1, 1000),
+            points=(100, 1_000_000),
+            check_faces=(1, 10_000),
+        )
         if len(self.texels) != len(EXIT_DIVISORS) or not all(
             1 <= count <= MAX_TEXELS for count in self.texels
         ):

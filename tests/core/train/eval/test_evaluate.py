@@ -221,7 +221,7 @@ def test_near_field_pictures_are_skipped_where_the_stage_draws_another_picture(
     try:
         same = near_field(data, frames, lambda name: subject)
         image = data.images.image
-        monkeypatch.setattr(data, "image", lambda frame, view: image(frame, view) // 2)
+        monkeypatch.setattr(data.images, "image", lambda frame, view: image(frame, view) // 2)
         other = near_field(data, frames, lambda name: subject)
     finally:
         ProceduralSubject.release(subject)

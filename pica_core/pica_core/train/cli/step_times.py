@@ -11,11 +11,11 @@ from typing import Any, Literal
 import torch
 
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.errors import TrainingOptionError
+from pica_core.errors import TrainingOptionError, check_ranges
 from pica_core.train.config import PAPER_LOSSES, PRESETS
 from pica_core.train.data.training import TrainingData
 from pica_core.train.loop import open_trainer
-from pica_core.train.trials.profile import profile_steps
+from pica_core.train.trials.step_times import time_steps
 from pica_core.train.trials.stopwatch import PARTS
 
 
@@ -37,11 +37,7 @@ class BenchTrainOptions:
     """CPU threads of torch."""
 
     def __post_init__(self) -> None:
-        for name, high in (("steps", 100_000), ("threads", 1024)):
-            if not 1 <= getattr(self, name) <= high:
-                raise TrainingOptionError(
-                    f"{name} is {getattr(self, name)}; 1 to {high} is allowed"
-                )
+        check_ranges(self, TrainingOptionError, steps=(1, 100_000), threads=(1, 1024))
 
 
 def bench_train(options: BenchTrainOptions) -> dict[str, Any]:
@@ -57,7 +53,7 @@ def bench_train(options: BenchTrainOptions) -> dict[str, Any]:
         tempfile.TemporaryDirectory() as folder,
         open_trainer(data, config, Path(folder)) as trainer,
     ):
-        row = profile_steps(trainer, options.steps)
+        row = time_steps(trainer, options.steps)
     for name in ("step", *PARTS):
         low, middle, high = (row[f"{name}{which}_ms"] for which in ("_low", "", "_high"))
         print(f"{name:10}{middle:8.1f} ms  ({low:.1f} to {high:.1f})", file=sys.stderr)

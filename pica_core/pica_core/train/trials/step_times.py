@@ -12,7 +12,7 @@ from pica_core.train.loop import Trainer
 from pica_core.train.trials.stopwatch import PARTS
 
 
-def profile_steps(trainer: Trainer, steps: int, *, warm_up: int = 5) -> dict[str, Any]:
+def time_steps(trainer: Trainer, steps: int, *, warm_up: int = 5) -> dict[str, Any]:
     """Do some steps and say where their time went.
 
     Args:
