@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
+from types import MappingProxyType
 from typing import Any, Literal
 
 from pica_core.avatar.spec import AvatarSpec
@@ -206,6 +208,20 @@ class TrainConfig:
             seed=(0, (1 << 31) - 1),
         )
 
+    def changed(
+        self,
+        model: Mapping[str, Any] = MappingProxyType({}),
+        losses: Mapping[str, float] = MappingProxyType({}),
+        schedule: Mapping[str, Any] = MappingProxyType({}),
+    ) -> TrainConfig:
+        """A copy whose parts have other values, by name of their fields."""
+        return replace(
+            self,
+            model=replace(self.model, **model),
+            losses=replace(self.losses, **losses),
+            schedule=replace(self.schedule, **schedule),
+        )
+
     def to_json(self) -> dict[str, Any]:
         """Plain JSON values; `from_json` reads them back."""
         return asdict(self)
@@ -228,69 +244,48 @@ class TrainConfig:
             raise CheckpointError(f"options of another version: {error}") from error
 
 
-PAPER_LOSSES = LossConfig(
-    image=2.0,
-    depth=10.0,
-    normal=1.0,
-    mesh=0.1,
-    smooth=1.0,
-    gradient=1.0,
-    laplacian=0.1,
-    kl=0.001,
-    region_weight=1.0,
-    lid_weight=1.0,
-)
+PAPER_LOSSES = LossConfig(depth=10.0, normal=1.0, smooth=1.0, region_weight=1.0, lid_weight=1.0)
 """The paper's weights (section 5 and appendix A.2), no region above another."""
 
-_SMALL = TrainConfig()
 PRESETS: dict[str, TrainConfig] = {
-    "tiny": replace(
-        _SMALL,
-        model=replace(_SMALL.model, uv_encoding_size=64, axis_encoding_size=256, texture_size=128),
-        schedule=replace(
-            _SMALL.schedule,
-            geometry_steps=60,
-            joint_steps=60,
-            driver_steps=60,
-            geometry_batch=4,
-            joint_batch=2,
-            pixels_per_image=2048,
-        ),
-        checkpoint_every=50,
+    "tiny": TrainConfig(checkpoint_every=50).changed(
+        model={"uv_encoding_size": 64, "axis_encoding_size": 256, "texture_size": 128},
+        schedule={
+            **dict.fromkeys(("geometry_steps", "joint_steps", "driver_steps"), 60),
+            "geometry_batch": 4,
+            "pixels_per_image": 2048,
+        },
     ),
-    "small": _SMALL,
-    "long": replace(
-        _SMALL,
-        schedule=replace(_SMALL.schedule, geometry_steps=6000, joint_steps=8000, driver_steps=3000),
+    "small": TrainConfig(),
+    "long": TrainConfig().changed(
+        schedule={"geometry_steps": 6000, "joint_steps": 8000, "driver_steps": 3000}
+    ),
+    "paper": TrainConfig(
+        model=ModelConfig(
+            block="H2",
+            encoder="paper",
+            uv_encoding_size=1024,
+            encoding_amplitude=1.0,
+            texture_contrast=0.0,
+            texture_size=1024,
+        ),
+        losses=PAPER_LOSSES,
+        schedule=ScheduleConfig(
+            frame_balance=0.0,
+            geometry_steps=0,
+            joint_steps=400_000,
+            joint_batch=4,
+            pixels_per_image=0,
+            joint_rate=1e-3,
+            pixel_rate=1e-3,
+            encoding_rate=1e-3,
+            constant_rate=True,
+            clip_norm=0.0,
+        ),
+        mesh_source="tracked",
+        checkpoint_every=2000,
+        watch_every=2000,
     ),
 }
-PRESETS["paper"] = replace(
-    _SMALL,
-    model=replace(
-        _SMALL.model,
-        block="H2",
-        encoder="paper",
-        uv_encoding_size=1024,
-        encoding_amplitude=1.0,
-        texture_contrast=0.0,
-        texture_size=1024,
-    ),
-    losses=PAPER_LOSSES,
-    schedule=ScheduleConfig(
-        frame_balance=0.0,
-        geometry_steps=0,
-        joint_steps=400_000,
-        joint_batch=4,
-        pixels_per_image=0,
-        joint_rate=1e-3,
-        pixel_rate=1e-3,
-        encoding_rate=1e-3,
-        constant_rate=True,
-        clip_norm=0.0,
-    ),
-    mesh_source="tracked",
-    checkpoint_every=2000,
-    watch_every=2000,
-)
 """tiny: seconds, for tests. small: minutes on two cores. long: half an hour. paper: the paper's
 settings to the letter (section 5, appendix A): days on a GPU; only the driver phase is ours."""

@@ -175,7 +175,7 @@ def test_a_run_of_another_capture_is_not_resumed(
 ) -> None:
     with open_trainer(data, short(1, 1, 1), tmp_path) as trainer:
         trainer.save()
-    monkeypatch.setattr(data, "position_scale_m", 1.01 * data.meshes.position_scale_m)
+    monkeypatch.setattr(data.meshes, "position_scale_m", 1.01 * data.meshes.position_scale_m)
 
     with (
         open_trainer(data, short(1, 1, 1), tmp_path) as trainer,

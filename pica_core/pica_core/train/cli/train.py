@@ -245,13 +245,9 @@ def _note_run(options: TrainOptions, identity: str) -> None:
 
 def _config(options: TrainOptions) -> TrainConfig:
     config = replace(PRESETS[options.preset], seed=options.seed)
-    model = replace(
-        config.model,
-        variant=options.variant,
-        block=options.block or config.model.block,
-        encoder=options.encoder or config.model.encoder,
-    )
-    return replace(config, model=model)
+    chosen = {"block": options.block, "encoder": options.encoder}
+    changes = {name: value for name, value in chosen.items() if value is not None}
+    return config.changed(model={"variant": options.variant, **changes})
 
 
 def _run_with_progress(trainer: Trainer, *, is_shown: bool) -> None:

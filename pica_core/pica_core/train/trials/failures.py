@@ -7,9 +7,9 @@ spoils.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,84 +28,78 @@ from pica_core.types import FloatArray
 OUTLIER_RATIO = 0.3
 """Part of the known depths that are made wrong."""
 OUTLIER_M = 0.05
-"""By how much, on one side."""
+"""How much is added to a wrong depth, metres."""
 CAMERA_TURN = 0.02
 """How far the wrong camera is turned, radians: 20 mm at 1 m."""
 SIGMAS = (3.0, 6.0)
 """Codes that far out are decoded, in deviations of the training frames' codes."""
-ConfigChange = Callable[[TrainConfig], TrainConfig]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Failure:
     """What is spoilt."""
 
-    config: ConfigChange = lambda config: config
-    """Options."""
+    model: Mapping[str, float] = field(default_factory=dict)
+    """Options of the model that differ."""
+    losses: Mapping[str, float] = field(default_factory=dict)
+    """Weights of losses that differ."""
+    detach_pixel_xyz: bool = True
+    """As in `TrainConfig`."""
     depth_outliers: bool = False
     """Depth is wrong at `OUTLIER_RATIO` of the pixels."""
     wrong_camera: bool = False
     """One training camera stands where its calibration does not say."""
 
-
-def _losses(**changes: float) -> ConfigChange:
-    return lambda config: replace(config, losses=replace(config.losses, **changes))
-
-
-def _frequency(value: float) -> ConfigChange:
-    return lambda config: replace(config, model=replace(config.model, first_frequency=value))
+    def config(self, config: TrainConfig) -> TrainConfig:
+        """The options with what is spoilt in them."""
+        changed = config.changed(model=self.model, losses=self.losses)
+        return replace(changed, detach_pixel_xyz=self.detach_pixel_xyz)
 
 
 FAILURES: dict[str, Failure] = {
     "nothing": Failure(),
-    "siren_frequency_60": Failure(_frequency(60.0)),
-    "kl_off": Failure(_losses(kl=0.0)),
-    "kl_1000_times": Failure(_losses(kl=1.0)),
-    "no_mesh_loss": Failure(_losses(mesh=0.0)),
-    "no_smoothness": Failure(_losses(smooth=0.0)),
-    "both_gradient_paths": Failure(lambda config: replace(config, detach_pixel_xyz=False)),
+    "siren_frequency_60": Failure(model={"first_frequency": 60.0}),
+    "kl_off": Failure(losses={"kl": 0.0}),
+    "kl_1000_times": Failure(losses={"kl": 1.0}),
+    "no_mesh_loss": Failure(losses={"mesh": 0.0}),
+    "no_smoothness": Failure(losses={"smooth": 0.0}),
+    "both_gradient_paths": Failure(detach_pixel_xyz=False),
     "depth_outliers": Failure(depth_outliers=True),
     "wrong_camera": Failure(wrong_camera=True),
 }
 
 
-class SpoiltData:
-    """Replaces a capture's depth and camera while a run goes on; the files stay as they are."""
+@contextmanager
+def spoil(data: TrainingData, failure: Failure) -> Iterator[None]:
+    """Let `data` give what `failure` says, for the time of a block; the files stay as they are."""
+    images = data.images
+    true_depth_m, true_camera = images.depth_m, images.camera
 
-    def __init__(self, data: TrainingData, failure: Failure) -> None:
-        self._data = data
-        self._failure = failure
-        self._depth_m, self._camera = data.images.depth_m, data.images.camera
-
-    def depth_m(self, frame: int, camera: str) -> FloatArray | None:
+    def depth_m(frame: int, camera: str) -> FloatArray | None:
         """Depth with outliers, the same ones each time."""
-        depth_m = self._depth_m(frame, camera)
-        if depth_m is None or not self._failure.depth_outliers:
-            return depth_m
+        depth_m = true_depth_m(frame, camera)
+        if depth_m is None:
+            return None
         rng = np.random.default_rng([frame, *camera.encode()])
         wrong = (depth_m > 0) & (rng.random(depth_m.shape) < OUTLIER_RATIO)
         return np.where(wrong, depth_m + np.float32(OUTLIER_M), depth_m)
 
-    def camera(self, frame: int, name: str) -> Camera:
+    def camera(frame: int, name: str) -> Camera:
         """The camera; one of them turned about its x axis."""
-        camera = self._camera(frame, name)
-        if not self._failure.wrong_camera or name != self._data.images.camera_names[-1]:
+        camera = true_camera(frame, name)
+        if name != images.camera_names[-1]:
             return camera
         sine, cosine = np.sin(CAMERA_TURN), np.cos(CAMERA_TURN)
         turn = np.array([[1, 0, 0], [0, cosine, -sine], [0, sine, cosine]])
         rotation, translation = turn @ camera.rotation, turn @ camera.translation_m
         return replace(camera, rotation=rotation, translation_m=translation)
 
-
-@contextmanager
-def spoil(data: TrainingData, failure: Failure) -> Iterator[None]:
-    """Let `data` give what `failure` says, for the time of a block."""
-    spoilt = SpoiltData(data, failure)
-    data.images.depth_m, data.images.camera = spoilt.depth_m, spoilt.camera  # type: ignore[method-assign]
+    images.depth_m = depth_m if failure.depth_outliers else true_depth_m  # type: ignore[method-assign]
+    images.camera = camera if failure.wrong_camera else true_camera  # type: ignore[method-assign]
     try:
         yield
     finally:
-        del data.images.depth_m, data.images.camera
+        del images.depth_m, images.camera
 
 
 def run_failures(

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pica_core.train.config import PAPER_LOSSES, LossConfig, ScheduleConfig, TrainConfig
+from pica_core.train.config import PAPER_LOSSES, TrainConfig
 from pica_core.train.data.training import TrainingData
 from pica_core.train.loop import open_trainer
 from pica_core.train.monitor import curve
@@ -19,60 +19,49 @@ from pica_core.train.monitor import curve
 Recipe = Callable[[TrainConfig], TrainConfig]
 
 
-def _schedule(change: Callable[[ScheduleConfig], ScheduleConfig]) -> Recipe:
-    return lambda config: replace(config, schedule=change(config.schedule))
+def _large_batches(config: TrainConfig) -> TrainConfig:
+    schedule = config.schedule
+    changes = {
+        "geometry_batch": 4 * schedule.geometry_batch,
+        "geometry_steps": schedule.geometry_steps // 4,
+        "joint_batch": 2 * schedule.joint_batch,
+        "joint_steps": schedule.joint_steps // 2,
+    }
+    return config.changed(schedule=changes)
 
 
-def _losses(change: Callable[[LossConfig], LossConfig]) -> Recipe:
-    return lambda config: replace(config, losses=change(config.losses))
+def _all_at_once(config: TrainConfig) -> TrainConfig:
+    schedule = config.schedule
+    steps = schedule.joint_steps + schedule.geometry_steps // 3
+    return config.changed(schedule={"geometry_steps": 0, "joint_steps": steps})
 
 
-def _model(**changes: Any) -> Recipe:
-    return lambda config: replace(config, model=replace(config.model, **changes))
+def _change(**parts: dict[str, Any]) -> Recipe:
+    return lambda config: config.changed(**parts)
 
 
 RECIPES: dict[str, Recipe] = {
     "as_is": lambda config: config,
-    "block_C": _model(block="C"),
-    "block_H2": _model(block="H2"),
-    "large_batches": _schedule(
-        lambda schedule: replace(
-            schedule,
-            geometry_batch=4 * schedule.geometry_batch,
-            geometry_steps=schedule.geometry_steps // 4,
-            joint_batch=2 * schedule.joint_batch,
-            joint_steps=schedule.joint_steps // 2,
-        )
+    "block_C": _change(model={"block": "C"}),
+    "block_H2": _change(model={"block": "H2"}),
+    "large_batches": _large_batches,
+    "no_texture_at_start": _change(model={"texture_contrast": 0.0}),
+    "all_at_once": _all_at_once,
+    "all_vertices_alike": _change(losses={"region_weight": 1.0, "lid_weight": 1.0}),
+    "all_frames_alike": _change(schedule={"frame_balance": 0.0}),
+    "papers_start": _change(model={"encoding_amplitude": 1.0, "texture_contrast": 0.0}),
+    "papers_rates": _change(
+        schedule={
+            **dict.fromkeys(("joint_rate", "pixel_rate", "encoding_rate"), 1e-3),
+            "constant_rate": True,
+        }
     ),
-    "no_texture_at_start": _model(texture_contrast=0.0),
-    "all_at_once": _schedule(
-        lambda schedule: replace(
-            schedule,
-            geometry_steps=0,
-            joint_steps=schedule.joint_steps + schedule.geometry_steps // 3,
-        )
+    "six_losses": _change(
+        losses={name: getattr(PAPER_LOSSES, name) for name in ("depth", "normal", "smooth")}
     ),
-    "all_vertices_alike": _losses(
-        lambda losses: replace(losses, region_weight=1.0, lid_weight=1.0)
-    ),
-    "all_frames_alike": _schedule(lambda schedule: replace(schedule, frame_balance=0.0)),
-    "papers_start": _model(encoding_amplitude=1.0, texture_contrast=0.0),
-    "papers_rates": _schedule(
-        lambda schedule: replace(
-            schedule, joint_rate=1e-3, pixel_rate=1e-3, encoding_rate=1e-3, constant_rate=True
-        )
-    ),
-    "six_losses": _losses(
-        lambda losses: replace(
-            losses,
-            depth=PAPER_LOSSES.depth,
-            normal=PAPER_LOSSES.normal,
-            smooth=PAPER_LOSSES.smooth,
-        )
-    ),
-    "kl_4_times": _losses(lambda losses: replace(losses, kl=4 * losses.kl)),
-    "silhouettes": _losses(lambda losses: replace(losses, edge=1.0)),
-    "all_pixels": _schedule(lambda schedule: replace(schedule, pixels_per_image=0)),
+    "kl_4_times": lambda config: config.changed(losses={"kl": 4 * config.losses.kl}),
+    "silhouettes": _change(losses={"edge": 1.0}),
+    "all_pixels": _change(schedule={"pixels_per_image": 0}),
     "tracked_meshes": lambda config: replace(config, mesh_source="tracked"),
 }
 """all_at_once takes about the same time: a step without images costs a third of one with them."""
