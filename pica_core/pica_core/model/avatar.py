@@ -118,7 +118,7 @@ class PixelCodecAvatar(AvatarModel):
 
     @property
     def cost(self) -> ModelCost:
-        """From the spec alone: decoders, surface encoding and the two sine networks."""
+        """What decoders, surface encoding and the two sine networks cost, from the spec alone."""
         return pixel_codec_cost(self.spec)
 
     def parameter_groups(self) -> ParameterGroups:

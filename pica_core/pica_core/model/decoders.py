@@ -40,17 +40,14 @@ class UntiedGain(nn.Module):
 
 
 def _module(layer: Layer) -> nn.Module:
+    channels, bias = (layer.in_channels, layer.out_channels), layer.has_bias
     match layer.kind:
         case "conv3":
-            return nn.Conv2d(
-                layer.in_channels, layer.out_channels, 3, padding=1, bias=layer.has_bias
-            )
+            return nn.Conv2d(*channels, 3, padding=1, bias=bias)
         case "conv1":
-            return nn.Conv2d(layer.in_channels, layer.out_channels, 1, bias=layer.has_bias)
+            return nn.Conv2d(*channels, 1, bias=bias)
         case "deconv4":
-            return nn.ConvTranspose2d(
-                layer.in_channels, layer.out_channels, 4, stride=2, padding=1, bias=layer.has_bias
-            )
+            return nn.ConvTranspose2d(*channels, 4, stride=2, padding=1, bias=bias)
         case "untied_bias":
             return UntiedBias(layer.out_channels, layer.size)
         case "untied_gain":
@@ -92,11 +89,11 @@ class MapDecoder(nn.Module):
 
     def named_tensors(self) -> dict[str, Tensor]:
         """The weights under their names in the avatar file."""
-        tensors: dict[str, Tensor] = {}
-        for layer, step in zip(self.layers, self.steps, strict=True):
-            for name in layer.tensor_shapes():
-                tensors[name] = getattr(step, name.rsplit(".", 1)[1])
-        return tensors
+        return {
+            name: getattr(step, name.rsplit(".", 1)[1])
+            for layer, step in zip(self.layers, self.steps, strict=True)
+            for name in layer.tensor_shapes()
+        }
 
 
 def tile_view_direction(view_direction: Tensor) -> Tensor:

@@ -37,9 +37,9 @@ class SurfaceEncoding(nn.Module, ABC):
             contrast: What black and white become: minus and plus this.
         """
 
-    @abstractmethod
     def named_tensors(self) -> dict[str, Tensor]:
         """The weights under their names, and in the shapes, of the avatar file."""
+        return {}
 
 
 @final
@@ -61,11 +61,11 @@ class JointMap(SurfaceEncoding):
         self.values[:, :colours] = contrast * (2 * resized[:, :colours] - 1)
 
     def forward(self, uv: Tensor) -> Tensor:
-        """Bilinear lookup."""
+        """Look the map up between its four nearest texels."""
         return sample_map(self.values, uv)[0]
 
     def named_tensors(self) -> dict[str, Tensor]:
-        """``uv_encoding``."""
+        """The map as ``uv_encoding``, channel-last."""
         return {"uv_encoding": self.values[0].permute(1, 2, 0)}
 
 
@@ -77,24 +77,22 @@ class AxisTables(SurfaceEncoding):
         super().__init__()
         entries, single = spec.axis_encoding_size, spec.axis_encoding_channels
         self.channels = 2 * single
-        self.along_u = nn.Parameter(torch.empty(1, single, 1, entries))
-        self.along_v = nn.Parameter(torch.empty(1, single, 1, entries))
+        self.along_u, self.along_v = (
+            nn.Parameter(torch.empty(1, single, 1, entries)) for _ in range(2)
+        )
         for values in (self.along_u, self.along_v):
             nn.init.uniform_(values, -amplitude, amplitude)
 
     def forward(self, uv: Tensor) -> Tensor:
-        """Linear lookups."""
+        """Look each table up between its two nearest entries."""
         middle = torch.full_like(uv[:, :1], 0.5)
         along_u = sample_map(self.along_u, torch.cat([uv[:, :1], middle], 1))
         along_v = sample_map(self.along_v, torch.cat([uv[:, 1:], middle], 1))
         return torch.cat([along_u, along_v], 2)[0]
 
     def named_tensors(self) -> dict[str, Tensor]:
-        """``u_encoding`` and ``v_encoding``."""
-        return {
-            "u_encoding": self.along_u[0, :, 0].T,
-            "v_encoding": self.along_v[0, :, 0].T,
-        }
+        """The tables as ``u_encoding`` and ``v_encoding``, channel-last."""
+        return {"u_encoding": self.along_u[0, :, 0].T, "v_encoding": self.along_v[0, :, 0].T}
 
 
 @final
@@ -108,10 +106,6 @@ class RawUv(SurfaceEncoding):
     def forward(self, uv: Tensor) -> Tensor:
         """2 uv - 1."""
         return 2 * uv - 1
-
-    def named_tensors(self) -> dict[str, Tensor]:
-        """None."""
-        return {}
 
 
 @final
@@ -131,10 +125,6 @@ class Sinusoids(SurfaceEncoding):
             octaves += [angle.sin(), angle.cos()]
         return torch.cat(octaves, 1)
 
-    def named_tensors(self) -> dict[str, Tensor]:
-        """None."""
-        return {}
-
 
 @final
 class SideBySide(SurfaceEncoding):
@@ -143,12 +133,12 @@ class SideBySide(SurfaceEncoding):
     def __init__(self, parts: Sequence[SurfaceEncoding]) -> None:
         super().__init__()
         self.parts = nn.ModuleList(parts)
+        self._encodings = tuple(parts)
         self.channels = sum(part.channels for part in parts)
 
     def start_from(self, texture: Tensor, contrast: float) -> None:
-        """Each part for itself."""
-        for part in self.parts:
-            assert isinstance(part, SurfaceEncoding)
+        """Let each part begin with the texture."""
+        for part in self._encodings:
             part.start_from(texture, contrast)
 
     def forward(self, uv: Tensor) -> Tensor:
@@ -157,11 +147,7 @@ class SideBySide(SurfaceEncoding):
 
     def named_tensors(self) -> dict[str, Tensor]:
         """All parts' weights."""
-        named: dict[str, Tensor] = {}
-        for part in self.parts:
-            assert isinstance(part, SurfaceEncoding)
-            named |= part.named_tensors()
-        return named
+        return {name: t for part in self._encodings for name, t in part.named_tensors().items()}
 
 
 PARTS: dict[str, Callable[[AvatarSpec, float], SurfaceEncoding]] = {

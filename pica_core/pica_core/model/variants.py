@@ -1,4 +1,4 @@
-"""From a row of `VARIANTS` to a model that can be trained."""
+"""Build a model that can be trained from a row of `VARIANTS`."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def make_model(
         encoder: "paper" or "light".
         encoding_amplitude: Half-width of the learned encodings' uniform start.
         first_frequency: Scale of the first sine layers.
-        texture_contrast: Of the mean texture that m_uv begins with; 0 for a uniform start.
+        texture_contrast: Contrast of the mean texture that m_uv begins with; 0 for a uniform start.
         texture_size: Side of the baseline's texture, texels.
 
     Raises:

@@ -34,17 +34,17 @@ class Trained(Protocol):
 
     @property
     def data(self) -> TrainingData:
-        """Its capture."""
+        """The capture that it is compared with."""
         ...
 
     @property
     def model(self) -> AvatarModel:
-        """Its model."""
+        """The model to evaluate."""
         ...
 
     @property
     def rasteriser(self) -> Rasteriser:
-        """Of the topology that the model draws."""
+        """A rasteriser of the topology that the model draws."""
         ...
 
 

@@ -219,7 +219,7 @@ def _runs(rows: Rows, variants: Sequence[str]) -> list[Key]:
 
 
 def _sorted(keys: Iterable[Key], variants: Sequence[str]) -> list[Key]:
-    """By identity, then in the table's order; variants that it does not name are left out."""
+    """Sort by identity, then in the table's order; variants that it does not name are left out."""
     known = [key for key in keys if key[1] in variants]
     return sorted(known, key=lambda key: (key[0], variants.index(key[1]), *key[2:]))
 

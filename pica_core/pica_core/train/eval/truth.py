@@ -35,9 +35,10 @@ _NOTHING = 255
 NOT_ASKED = "not asked for"
 """Why there is no near field, if nobody wanted one."""
 NEAR_DISTANCE_M = 0.12
-"""From the lips to the camera (chosen: the paper's user at 18 cm sees the face fill the screen)."""
+"""Distance of the camera from the lips (chosen: at 18 cm the paper's user sees the face fill the
+screen)."""
 NEAR_DIRECTION = (0.25, -0.12, 1.0)
-"""From the lips to the camera, head frame: a little from the side, so that depth shows."""
+"""Direction of the camera from the lips, head frame: a little sideways, so that depth shows."""
 NEAR_FOV = 0.85
 NEAR_SIZE_PX = 256
 SAME_PICTURE = 1.0
@@ -147,7 +148,7 @@ class NearField:
     """True pictures from close to the mouth, or why there are none."""
 
     images: dict[int, tuple[Camera, ByteArray]] = field(default_factory=dict)
-    """By frame: the camera in head axes and what it sees, uint8 ``[H, W, 3]``."""
+    """The camera in head axes and what it sees, uint8 ``[H, W, 3]``, by frame."""
     skipped: str | None = None
 
 

@@ -225,7 +225,7 @@ class _Surface:
 
 
 def _far_apart(shapes: Array, count: int = 8) -> Array:
-    """Of many shapes ``[N, V, 3]`` some that differ most from each other."""
+    """Choose some shapes of ``[N, V, 3]`` that differ most from each other."""
     rows = shapes.reshape(len(shapes), -1)
     chosen = [int(np.argmax(np.square(rows - rows.mean(axis=0)).sum(axis=1)))]
     distance = np.full(len(rows), np.inf)

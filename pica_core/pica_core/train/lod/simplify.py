@@ -242,7 +242,7 @@ def _edges(triangles: Array) -> Array:
 
 
 def _alone(triangles: Array) -> BoolArray:
-    """For each side of each triangle, whether no other triangle has it. ``[F, 3]``."""
+    """Whether no other triangle has the side, for each side of each triangle. ``[F, 3]``."""
     edges = np.sort(_edges(triangles), axis=1)
     _, inverse, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
     alone: BoolArray = count[inverse.reshape(-1)].reshape(-1, 3) == 1

@@ -44,7 +44,7 @@ class Failure:
     losses: Mapping[str, float] = field(default_factory=dict)
     """Weights of losses that differ."""
     detach_pixel_xyz: bool = True
-    """As in `TrainConfig`."""
+    """Whether the gradient through the xyz input is stopped, as in `TrainConfig`."""
     depth_outliers: bool = False
     """Depth is wrong at `OUTLIER_RATIO` of the pixels."""
     wrong_camera: bool = False
