@@ -7,7 +7,6 @@ for longer.
 
 import sys
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -17,7 +16,7 @@ from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.procedural.subject import StageOptions, render_capture
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.train.config import PRESETS
-from pica_core.train.data import TrainingData
+from pica_core.train.data.training import TrainingData
 from pica_core.train.export import make_avatar
 from pica_core.train.loop import Losses, open_trainer
 
@@ -27,9 +26,8 @@ STAGE = StageOptions(
     frames=6, cameras=2, width=64, height=64, texture_size=64,
     bake_size=256, self_shadow=False, tracked_vertices=1000,
 )  # fmt: skip
-TINY = PRESETS["tiny"]
-CONFIG = replace(
-    TINY, schedule=replace(TINY.schedule, geometry_steps=3, joint_steps=3, driver_steps=3)
+CONFIG = PRESETS["tiny"].changed(
+    schedule={"geometry_steps": 3, "joint_steps": 3, "driver_steps": 3}
 )
 
 
