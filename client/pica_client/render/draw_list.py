@@ -18,7 +18,8 @@ from pica_core.avatar.file import Avatar
 from pica_core.camera import Camera
 
 MAX_HEADS = 255
-"""Of one frame, both eyes together; further ones are left out. A head's number fits 8 bits."""
+"""Heads that a frame draws, both eyes together; further ones are left out: a head's number fits 8
+bits."""
 FADED = (0.16, 0.18, 0.21)
 """Colour that stale heads fade to: the room's wall."""
 MAX_FADE = 0.75
@@ -31,7 +32,7 @@ class HeadStats:
 
     slot: str
     level: int
-    """Of the mesh that was drawn; 0 for a placeholder or a textured head."""
+    """Level of the mesh that was drawn; 0 for a placeholder or a textured head."""
     num_triangles: int
     shaded_pixels: int | None
     """Pixels that were coloured; None unless asked for. Textured heads colour a pixel again where
@@ -82,7 +83,7 @@ class DrawList:
 
     @property
     def places(self) -> list[Place]:
-        """Of all of them."""
+        """Where the decoded heads are, then the painted ones."""
         return [head.place for head in self.decoded] + [head.place for head in self.painted]
 
 

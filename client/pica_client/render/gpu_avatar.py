@@ -27,7 +27,7 @@ from pica_core.reference.mesh import order_faces
 from pica_core.types import FloatArray
 
 MeshPrograms = tuple[moderngl.Program, moderngl.Program]
-"""Of the surface pass: for a head that is drawn whole, and for one that shares its pixels."""
+"""The surface pass's programs: for a head that is drawn whole, and for one that shares pixels."""
 WeightsPlace = Literal["block", "constants", "turns"]
 
 BOUNDS_MARGIN_M = 0.01
@@ -55,11 +55,11 @@ class Body:
     `upload_placeholder`."""
 
     meshes: dict[tuple[int, int], Mesh]
-    """By the level of the positions and that of the triangles; a placeholder has one."""
+    """Meshes keyed by the levels of the positions and of the triangles; a placeholder has one."""
     shade: moderngl.Program
     shade_rect: moderngl.VertexArray
     textures: dict[int, moderngl.Texture]
-    """By texture unit."""
+    """Textures keyed by texture unit."""
     weights: moderngl.Buffer | None
     """Bound to uniform block 0; None if the program holds them as constants."""
     low_m: tuple[float, ...]
@@ -70,7 +70,7 @@ class Body:
 
         Args:
             position_level: Of what the decoder made.
-            mesh_level: Wished for; the positions' own serves where there is no such mesh.
+            mesh_level: Asked for; the positions' own serves where there is no such mesh.
         """
         own = self.meshes[position_level, position_level]
         return self.meshes.get((position_level, mesh_level or position_level), own)

@@ -41,7 +41,7 @@ class MapSeries:
             texture.repeat_x = texture.repeat_y = False
         self._components = components
         self.level = 0
-        """Of the map that came last; 0 if none came."""
+        """Level of the map that came last; 0 if none came."""
         self._level_before = 0
 
     @property

@@ -22,7 +22,7 @@ class TexturedMesh:
     """What of a textured head never changes."""
 
     vertex_uv: FloatArray
-    """In [0, 1], row 0 of the texture is v = 0. float32 ``[V, 2]``."""
+    """Texture coordinates in [0, 1], row 0 of the texture is v = 0. float32 ``[V, 2]``."""
     faces: npt.NDArray[np.int32]
     """Counter-clockwise seen from outside. ``[F, 3]``."""
     low_m: tuple[float, ...]

@@ -286,7 +286,7 @@ class DrawPasses:
     def _queries_for(
         self, heads: Sequence[object], count: bool
     ) -> Sequence[moderngl.Query | nullcontext[None]]:
-        """One for each head, kept from frame to frame; ones that count nothing if so wished."""
+        """One for each head, kept from frame to frame; ones that count nothing if not asked to."""
         if not count:
             return [nullcontext()] * len(heads)
         while len(self._queries) < len(heads):
@@ -302,5 +302,5 @@ def _samples(query: moderngl.Query | nullcontext[None]) -> int | None:
 
 
 def _depth(head: DecodedHead) -> float:
-    """Of the head's origin, metres before the camera."""
+    """Metres from the camera to the head's origin."""
     return float(head.place.matrix[3, 3])

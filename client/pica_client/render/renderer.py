@@ -309,7 +309,7 @@ class Renderer:
             )
 
     def _program_for(self, avatar: Avatar) -> moderngl.Program | None:
-        """With weights in a block, one program serves all avatars of a spec."""
+        """Another avatar's program of the same spec, which serves where weights are in a block."""
         if self.weights != "block":
             return None
         kind = (avatar.spec, avatar.manifest.variant)

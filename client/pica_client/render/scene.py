@@ -73,7 +73,7 @@ class Placement:
     """Part of the pixels that show the maps that came last on `mesh_level`; the others show those
     of the level before, on `mesh_before`."""
     mesh_before: int | None = None
-    """As `mesh_level`, of what fades out."""
+    """Level whose mesh what fades out is drawn with, as `mesh_level`."""
     is_same_maps: bool = False
     """Whether only the mesh fades: what fades out are the maps that came last, too."""
 

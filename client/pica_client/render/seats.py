@@ -41,7 +41,7 @@ TABLE_RADIUS_M = 0.62
 TABLE_PITCH = math.radians(9)
 """How far from above the table is seen (chosen: a person who sits at it)."""
 VERTICAL_FOV = math.radians(32)
-"""Of the viewer's camera (chosen: little perspective distortion at the outer seats)."""
+"""The viewer's field of view (chosen: little perspective distortion at the outer seats)."""
 HEAD_HALF_WIDTH_M = 0.115
 HEAD_HALF_HEIGHT_M = 0.165
 """What is framed around each seat: a head with room for its movements."""
@@ -50,7 +50,7 @@ FRAME_FILL = 0.9
 LABEL_SHARE = 0.1
 """Part of the picture's height that is kept free below each head: a name and a line under it."""
 GRID_FROM = 4
-"""With fewer people a grid is one row."""
+"""People from whom on a grid has two rows or more."""
 MAX_GRID_HEIGHT_M = 8.0
 """So many rows that no room is left for their names stand closer."""
 MAX_GRID_SPACING_M = 0.42
@@ -62,7 +62,7 @@ STRIP_PER_ROW = 3
 STRIP_HEAD_SHARE = 0.26
 """Height of their heads, as part of the picture's height, at most."""
 MAX_STRIP_SHARE = 0.4
-"""Of what is there, at most: the rest is for whoever is pinned."""
+"""Part of the picture that the strip takes at most: the rest is for whoever is pinned."""
 MAX_FREE = 0.5
 
 MAX_PITCH = math.radians(80)
@@ -225,7 +225,7 @@ def _table(count: int, frame: _Frame) -> Arrangement:
 
 
 def _grid(count: int, frame: _Frame) -> Arrangement:
-    """As many columns as make the heads largest; the last row stands in the middle."""
+    """A grid of as many columns as make the heads largest; the last row stands in the middle."""
     fewest_rows = 2 if count >= GRID_FROM else 1
     height_m, columns = min(
         (_grid_height_m(count, columns, frame), columns)

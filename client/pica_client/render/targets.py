@@ -21,7 +21,7 @@ class RenderTargets:
     size: tuple[int, int]
     """Columns and rows."""
     visible: dict[int, moderngl.Texture]
-    """What the surface pass writes, by texture unit."""
+    """What the surface pass writes, keyed by texture unit."""
     surface: moderngl.Framebuffer
     depth: moderngl.Framebuffer
     """The depth of the surface pass alone."""

@@ -2,10 +2,10 @@
 
 Between a source of faces, a pool of decoders and a renderer; knows no window and no loop:
 
-    stage = AvatarPresenter(source, renderer, pool)
-    scene = stage.arrange(now, SeatWish(...), renderer.size)    # who sits where, seen from where
-    stage.decide(scene)                         # what is decoded this frame
-    stage.collect()                             # what has been decoded goes to the GPU
+    presenter = AvatarPresenter(source, renderer, pool)
+    scene = presenter.arrange(now, Seating(...), renderer.size)    # who sits where, seen from where
+    presenter.decide(scene)                         # what is decoded this frame
+    presenter.collect()                             # what has been decoded goes to the GPU
     renderer.draw(scene.placements, scene.camera)
 
 Decoding runs beside drawing, so a frame shows the latents of the frame before it. A peer whose
@@ -77,7 +77,7 @@ class Meter:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class SeatWish:
+class Seating:
     """How the user wants everybody to be seated and seen."""
 
     layout: Layout = "arc"
@@ -88,13 +88,13 @@ class SeatWish:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class StageScene:
+class CallScene:
     """One frame before it is decoded and drawn."""
 
     now: float
     faces: list[FaceState]
     placements: list[Placement]
-    """In the order of the faces."""
+    """Where their heads are, in the order of the faces."""
     camera: Camera
     plan: SeatPlan
 
@@ -157,7 +157,7 @@ class AvatarPresenter:
         self._seen: set[str] = set()
         self._faded_s: float | None = None
 
-    def arrange(self, now: float, wish: SeatWish, size: tuple[int, int]) -> StageScene:
+    def arrange(self, now: float, seating: Seating, size: tuple[int, int]) -> CallScene:
         """Who is here, where each sits, and from where they are seen, on a picture of this size;
         avatars are made ready."""
         faces = self._source.faces(now)
@@ -166,11 +166,11 @@ class AvatarPresenter:
         for absent in self._peers.keys() - set(peers):
             self._peers.pop(absent).on_leave.close()
         plan = plan_seats(
-            wish.layout,
+            seating.layout,
             len(faces),
             width / height,
-            pinned=peers.index(wish.pinned) if wish.pinned in peers else None,
-            free=wish.free,
+            pinned=peers.index(seating.pinned) if seating.pinned in peers else None,
+            free=seating.free,
         )
         step = 1.0 if self._faded_s is None else max(now - self._faded_s, 0.0) / FADE_S
         self._faded_s = now
@@ -187,10 +187,10 @@ class AvatarPresenter:
                     fade=entry.fade,
                 )
             )
-        camera = plan_camera(plan, wish.view, width, height)
-        return StageScene(now=now, faces=faces, placements=placements, camera=camera, plan=plan)
+        camera = plan_camera(plan, seating.view, width, height)
+        return CallScene(now=now, faces=faces, placements=placements, camera=camera, plan=plan)
 
-    def decide(self, scene: StageScene, cameras: Sequence[Camera], budget_s: float) -> Plan:
+    def decide(self, scene: CallScene, cameras: Sequence[Camera], budget_s: float) -> Plan:
         """Plan a frame: hand what is to be decoded to the pool, and say what is wanted of streams.
 
         Args:
@@ -246,7 +246,7 @@ class AvatarPresenter:
             if self._on_decoded is not None:
                 self._on_decoded(result)
 
-    def dressed(self, scene: StageScene) -> StageScene:
+    def dressed(self, scene: CallScene) -> CallScene:
         """The scene as its plan wants it drawn: meshes, levels that fade in."""
         dressed = []
         for placement in scene.placements:
@@ -254,7 +254,7 @@ class AvatarPresenter:
             dressed.append(placement if head is None else head.dressed(placement, scene.now))
         return replace(scene, placements=dressed)
 
-    def is_ready(self, scene: StageScene) -> bool:
+    def is_ready(self, scene: CallScene) -> bool:
         """Whether everybody with a face who can be seen has maps, or will not get any."""
         for face in scene.faces:
             entry = self._peers[face.peer_id]

@@ -1,4 +1,4 @@
-"""What the user does, and what it means: input events in, wishes out. Pure; no window.
+"""What the user does, and what it means: input events in, changes and orders out. Pure; no window.
 
 One table, `BINDINGS`, says which key does what: it is what keys are looked up in, and what the help
 shows. A mouse drags the view, its wheel comes closer, and a click pins a head.
@@ -128,7 +128,7 @@ class Binding:
 
     keys: tuple[str, ...]
     title: str
-    """For the help; empty is not shown there."""
+    """What the help says of it; empty is not shown there."""
     change: Change | None = None
     order: Order | None = None
     needs_own_face: bool = False

@@ -11,7 +11,7 @@ from pica_client.call.faces import FaceState
 from pica_client.call.status import CallStatus
 from pica_client.render.scene import Placement, Rect, head_rect_px, seat_rects_px
 from pica_client.render.seats import MAX_FREE, FreeShares, ViewState, plan_camera, plan_seats
-from pica_client.ui.avatar_presenter import AvatarPresenter, Meter, StageScene
+from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
 from pica_client.ui.controls import ControlState
 from pica_client.ui.hud import POOR_NOTE, banner_items, help_item, margin_px, name_items, own_items
 from pica_client.ui.statistics_table import (
@@ -62,8 +62,8 @@ class HudFrame:
     def items(
         self,
         now: float,
-        scene: StageScene,
-        stage: AvatarPresenter,
+        scene: CallScene,
+        presenter: AvatarPresenter,
         state: ControlState,
         size: tuple[int, int],
         *,
@@ -75,7 +75,7 @@ class HudFrame:
         if is_due:
             self._asked_s = now
             self._status = self._ask_status(now)
-        items = self.names(now, scene, stage)
+        items = self.names(now, scene, presenter)
         help_panel = help_item(size, state.own_face) if state.show_help else None
         # Whoever reads the keys still wants to see everybody.
         right = 0.0 if help_panel is None else _share_at_right(help_panel, size)
@@ -83,7 +83,7 @@ class HudFrame:
             self._statistics, self.free = [], FreeShares(right=right)
         else:
             if is_due or not self._statistics:
-                self._statistics = self._set_statistics(now, scene, stage, size)
+                self._statistics = self._set_statistics(now, scene, presenter, size)
             items += self._placed(scene, state, size, right)
         if self._notice is not None and now >= self._notice[1]:
             self._notice = None
@@ -95,19 +95,19 @@ class HudFrame:
         )
         return items if help_panel is None else [*items, help_panel]
 
-    def names(self, now: float, scene: StageScene, stage: AvatarPresenter) -> list[OverlayItem]:
+    def names(self, now: float, scene: CallScene, presenter: AvatarPresenter) -> list[OverlayItem]:
         """The names of a scene, as its camera sees them; all else is the same for two eyes."""
         return name_items(
             scene.faces,
             scene.placements,
             scene.camera,
-            stage.problems,
-            speaking=stage.speaking(now),
+            presenter.problems,
+            speaking=presenter.speaking(now),
             quality={peer_id: peer.quality for peer_id, peer in self._status.peers.items()},
         )
 
     def _set_statistics(
-        self, now: float, scene: StageScene, stage: AvatarPresenter, size: tuple[int, int]
+        self, now: float, scene: CallScene, presenter: AvatarPresenter, size: tuple[int, int]
     ) -> list[OverlayItem]:
         rects = {
             placement.slot: _on_picture(head_rect_px(scene.camera, placement.world_from_head), size)
@@ -115,7 +115,7 @@ class HudFrame:
         }
         draw_ms = self._meter.recent_ms("draw")["p50"]
         shares = draw_shares_ms(rects, draw_ms)
-        table = table_item(scene.faces, stage.figures(now), self._status, shares, size)
+        table = table_item(scene.faces, presenter.figures(now), self._status, shares, size)
         return [table, summary_item(self._summary(draw_ms), size)]
 
     def _summary(self, draw_ms: float | None) -> list[tuple[str, str]]:
@@ -130,7 +130,7 @@ class HudFrame:
         return [*lines, *self._status.summary]
 
     def _placed(
-        self, scene: StageScene, state: ControlState, size: tuple[int, int], right: float
+        self, scene: CallScene, state: ControlState, size: tuple[int, int], right: float
     ) -> list[OverlayItem]:
         """The statistics where no seat is, whatever the user does with the view."""
         names = tuple((face.peer_id, face.name) for face in scene.faces)

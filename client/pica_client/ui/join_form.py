@@ -19,7 +19,7 @@ from pica_client.ui.hud import type_size_px
 from pica_client.ui.text_raster import OverlayItem, form_line_at, item_size_px
 
 MAX_CHARACTERS = 2048
-"""Of a field; a token may be that long."""
+"""Characters that a field takes; a token may be that long."""
 CARET = "|"
 HIDDEN = "*"
 TITLES = {"url": "Relay", "room": "Room", "name": "Your name", "token": "Token"}

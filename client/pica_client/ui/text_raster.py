@@ -52,7 +52,7 @@ FALLBACK_FONTS_EAST = (
     "Hiragino Sans GB.ttc",
     "Arial Unicode.ttf",
 )
-"""For Chinese, Japanese and Korean, before the others."""
+"""Fonts for Chinese, Japanese and Korean, tried before the others."""
 EAST_FROM = 0x2E80
 """First code point of their scripts."""
 OWN_SIGNS = frozenset("…·°±´©«»")

@@ -33,7 +33,7 @@ from pica_client.render.seats import Layout
 from pica_client.render.stereo import MAX_EYE_DISTANCE_M, side_by_side, stereo_cameras
 from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Plan, Scheduler, SchedulerOptions
-from pica_client.ui.avatar_presenter import AvatarPresenter, Meter, SeatWish, StageScene
+from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter, Seating
 from pica_client.ui.captures_on_disk import CapturesOnDisk
 from pica_client.ui.controls import Controls, ControlState, InputEvent, Order, OwnFace
 from pica_client.ui.hud_frame import HudFrame
@@ -49,7 +49,7 @@ PREPARE_TIMEOUT_S = 5.0
 """How long the first picture waits for five avatars to be loaded; here they take half a second."""
 PREPARE_POLL_S = 0.01
 BUDGET_SHARE = 0.8
-"""Of the time between two frames: the rest is for texts, the window system and recording."""
+"""Part of the time between two frames: the rest is for texts, the window system and recording."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -154,7 +154,7 @@ class Viewer:
         self._meter = Meter()
         self._hud = HudFrame(self._meter, status)
         self._num_frames = 0
-        self._scene: StageScene | None = None
+        self._scene: CallScene | None = None
         self.last_draw: DrawStats | None = None
         with ExitStack() as stack:
             self._window = window
@@ -172,13 +172,13 @@ class Viewer:
             self._recorder = None
             if self.options.record is not None:
                 self._recorder = stack.enter_context(Recorder(self.options.record, size))
-            self._keepsakes = stack.enter_context(CapturesOnDisk(self.options.keep_in))
+            self._captures = stack.enter_context(CapturesOnDisk(self.options.keep_in))
             self._pool = stack.enter_context(
                 DecodePool(self.options.decode, self._make_decoder, self._clock)
             )
             self._draw_clock: DrawClock[_DrawnFrame] = DrawClock(context)
             self._scheduler = Scheduler(self.options.scheduler)
-            self._stage = AvatarPresenter(
+            self._presenter = AvatarPresenter(
                 source,
                 self._renderer,
                 self._pool,
@@ -228,8 +228,8 @@ class Viewer:
         while (now := self._clock()) < deadline_s:
             scene = self._arrange(now)
             self._decide(scene)
-            self._stage.collect(now)
-            if self._stage.is_ready(scene):
+            self._presenter.collect(now)
+            if self._presenter.is_ready(scene):
                 self._renderer.draw(scene.placements, scene.camera, [])
                 break
             time.sleep(PREPARE_POLL_S)
@@ -256,15 +256,15 @@ class Viewer:
         scene = self._scene = self._arrange(now)
         self.controls.forget_absent([face.peer_id for face in scene.faces])
         plan = self._decide(scene)
-        self._stage.collect(now)
-        scene = self._stage.dressed(scene)
+        self._presenter.collect(now)
+        scene = self._presenter.dressed(scene)
         items = self._hud.items(
             now,
             scene,
-            self._stage,
+            self._presenter,
             self.controls.state,
             self._eye_size,
-            is_recording=self._keepsakes.is_recording,
+            is_recording=self._captures.is_recording,
         )
         begin_s = self._clock()
         # What a frame cost is known some frames later, when the GPU is done with it.
@@ -278,11 +278,11 @@ class Viewer:
         if self._window is None:
             image = self._renderer.read_image()  # waits for the GPU: the draw time is a true one
         self._meter.add("draw", self._clock() - begin_s)
-        if self._recorder is not None or self._keepsakes.is_recording:
+        if self._recorder is not None or self._captures.is_recording:
             shown = self._renderer.read_image() if image is None else image
             if self._recorder is not None:
                 self._recorder.write(shown, now - self._started_s)
-            self._keep(lambda: self._keepsakes.write(shown, now))
+            self._keep(lambda: self._captures.write(shown, now))
         if self._window is not None:
             self._window.show(self._renderer)
         for order in self.controls.take_orders():
@@ -313,7 +313,7 @@ class Viewer:
     @property
     def problems(self) -> dict[str, str]:
         """Why peers are drawn as placeholders, by peer id."""
-        return self._stage.problems
+        return self._presenter.problems
 
     @property
     def windowed_size(self) -> tuple[int, int] | None:
@@ -326,10 +326,10 @@ class Viewer:
         return {
             "frames_rendered": self._num_frames,
             "render_fps": round(self._num_frames / elapsed_s, 2) if elapsed_s > 0 else 0.0,
-            "rendered_peers": self._stage.num_seen,
-            "decodes": self._stage.num_decoded(),
+            "rendered_peers": self._presenter.num_seen,
+            "decodes": self._presenter.num_decoded(),
             "decodes_replaced": self._pool.num_replaced,
-            "errors": self._stage.num_errors,
+            "errors": self._presenter.num_errors,
             "gl_renderer": self.gl_renderer,
             "triangles": self.last_draw.num_triangles if self.last_draw else 0,
             "draw_calls": self.last_draw.num_draw_calls if self.last_draw else 0,
@@ -339,12 +339,12 @@ class Viewer:
     def _make_decoder(self, avatar: Avatar) -> OnnxDecoder:
         return OnnxDecoder(avatar, self.options.onnx)
 
-    def _arrange(self, now: float) -> StageScene:
+    def _arrange(self, now: float) -> CallScene:
         state = self.controls.state
-        wish = SeatWish(
+        seating = Seating(
             layout=state.layout, view=state.view, pinned=state.pinned, free=self._hud.free
         )
-        return self._stage.arrange(now, wish, self._eye_size)
+        return self._presenter.arrange(now, seating, self._eye_size)
 
     @property
     def _eye_size(self) -> tuple[int, int]:
@@ -352,23 +352,23 @@ class Viewer:
         width, height = self._renderer.size
         return (max(width // 2, 1), height) if self.options.eye_distance_m > 0 else (width, height)
 
-    def _decide(self, scene: StageScene) -> Plan:
-        return self._stage.decide(scene, self._eyes(scene), self.options.frame_budget_s)
+    def _decide(self, scene: CallScene) -> Plan:
+        return self._presenter.decide(scene, self._eyes(scene), self.options.frame_budget_s)
 
-    def _eyes(self, scene: StageScene) -> tuple[Camera, ...]:
-        """From where a scene is drawn: one camera, or the left and the right eye's."""
+    def _eyes(self, scene: CallScene) -> tuple[Camera, ...]:
+        """The cameras that a scene is drawn from: one, or the left and the right eye's."""
         if not self.options.eye_distance_m > 0:
             return (scene.camera,)
         away_m = float(np.linalg.norm(scene.plan.target_m - scene.camera.centre_m))
         return stereo_cameras(scene.camera, self.options.eye_distance_m, away_m)
 
-    def _draw(self, now: float, scene: StageScene, items: list[OverlayItem]) -> DrawStats:
+    def _draw(self, now: float, scene: CallScene, items: list[OverlayItem]) -> DrawStats:
         """Draw a scene for one eye, or for two."""
         eyes = self._eyes(scene)
         if len(eyes) == 1:
             return self._renderer.draw(scene.placements, eyes[0], items)
         left, right = (
-            self._hud.names(now, replace(scene, camera=eye), self._stage) for eye in eyes
+            self._hud.names(now, replace(scene, camera=eye), self._presenter) for eye in eyes
         )
         both = [item for item in items if not item.key.startswith("name:")]
         texts = side_by_side([*left, *both], [*right, *both], self._eye_size)
@@ -378,9 +378,9 @@ class Viewer:
         """Do once what the user asked for."""
         match order:
             case Order.SCREENSHOT:
-                self._keep(lambda: self._keepsakes.save_picture(self._renderer.read_image()))
+                self._keep(lambda: self._captures.save_picture(self._renderer.read_image()))
             case Order.TOGGLE_RECORDING:
-                self._keep(lambda: self._keepsakes.toggle_recording(self._renderer.size, now))
+                self._keep(lambda: self._captures.toggle_recording(self._renderer.size, now))
             case Order.TOGGLE_FULL_SCREEN:
                 if self._window is not None:
                     self._window.toggle_full_screen()

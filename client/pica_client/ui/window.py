@@ -71,7 +71,7 @@ class Window:
 
     Args:
         title: Of the window.
-        size: Wished columns and rows, in the screen's units.
+        size: Columns and rows to open with, in the screen's units.
         vertical_sync: Wait for the display in `show`.
 
     Raises:
@@ -220,7 +220,7 @@ class Window:
             self._note(event)
 
     def _in_pixels(self, x: float, y: float) -> tuple[float, float]:
-        """From the screen's units, in which pointers are, to pixels of the picture."""
+        """Turn the screen's units, in which pointers are, into pixels of the picture."""
         width, height = glfw.get_window_size(self._window)
         columns, rows = self.size_px
         return x * columns / max(width, 1), y * rows / max(height, 1)

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from helpers import tolerances
+from helpers.shader_weights import unpack_weights
 from helpers.toy import make_toy_avatar
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.render.gpu_avatar import encoding_file
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement, head_matrix
 from pica_client.render.shader_source import compose
-from pica_client.render.shader_weights import pack_weights, siren_source, unpack_weights
+from pica_client.render.shader_weights import pack_weights, siren_source
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import ENCODINGS, AvatarSpec
 from pica_core.camera import look_at

@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 
+from helpers.shader_weights import unpack_weights
 from helpers.toy import make_toy_avatar
 from pica_client.errors import ShaderError
 from pica_client.render import shader_source
@@ -16,7 +17,6 @@ from pica_client.render.shader_weights import (
     layer_blocks,
     pack_weights,
     siren_source,
-    unpack_weights,
 )
 from pica_core.avatar.spec import AvatarSpec
 
