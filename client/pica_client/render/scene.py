@@ -23,34 +23,14 @@ from pica_client.render.seats import (
     HEAD_HALF_HEIGHT_M,
     HEAD_HALF_WIDTH_M,
     SeatPlan,
-    ViewState,
     plan_camera,
     plan_seats,
 )
+from pica_client.render.seats import ViewState as ViewState
 from pica_core.camera import Camera
 from pica_core.types import Float64Array, FloatArray
 
 Rect = tuple[float, float, float, float]
-
-__all__ = [
-    "FAR_M",
-    "NEAR_M",
-    "Placement",
-    "Rect",
-    "ViewState",
-    "arrange_seats",
-    "clip_from_head",
-    "head_matrix",
-    "head_rect_px",
-    "label_anchor_px",
-    "overlap",
-    "pick_head",
-    "rotation_matrix",
-    "screen_rect",
-    "seat_rects_px",
-    "view_camera",
-    "view_direction",
-]
 
 NEAR_M = 0.02
 FAR_M = 20.0

@@ -3,7 +3,7 @@
     costs = CostModel()
     costs.observe_decode("", 128, "both", 0.0007)      # seconds, as they come
     costs.observe_draw(num_triangles=20_000, shaded_px=90_000, seconds=0.004)
-    costs.decode_s("", 128, "both"), costs.draw_s(20_000, 90_000)
+    costs.decode_s("", 128, "both"), costs.draw.seconds(20_000, 90_000)
 
 Decoding: the median of the last measurements of each (model, level, parts); a level that has not
 been measured yet costs what is expected of it, times what this machine takes over what was
@@ -76,6 +76,10 @@ class DrawCost:
             if not 0 <= value < math.inf:
                 raise ValueError(f"{name} is {value}; it must be finite and at least 0")
 
+    def seconds(self, num_triangles: float, shaded_px: float) -> float:
+        """What a frame is likely to take to draw."""
+        return self.frame_s + self.triangle_s * num_triangles + self.pixel_s * shaded_px
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ExpectedCosts:
@@ -137,11 +141,6 @@ class CostModel:
             known = self._known[key] = self._decode_s(model, level, parts)
         return known
 
-    def draw_s(self, num_triangles: float, shaded_px: float) -> float:
-        """What a frame is likely to take to draw, seconds."""
-        cost = self._fit.cost
-        return cost.frame_s + cost.triangle_s * num_triangles + cost.pixel_s * shaded_px
-
     def _decode_s(self, model: str, level: int, parts: Parts) -> float:
         machine = self._machine_factor(model)
         coarser = {level} | {
@@ -195,10 +194,7 @@ class _LineFit:
 
     def receive(self, num_triangles: float, shaded_px: float, seconds: float) -> None:
         """Take one frame, unless it stands alone."""
-        cost = self.cost
-        expected_s = (
-            cost.frame_s + cost.triangle_s * num_triangles + cost.pixel_s * shaded_px
-        ) or MIN_SECONDS
+        expected_s = self.cost.seconds(num_triangles, shaded_px) or MIN_SECONDS
         self._ratios.append(seconds / expected_s)
         usual_s = median(self._ratios) * expected_s
         if not usual_s / SPIKE <= seconds <= usual_s * SPIKE:

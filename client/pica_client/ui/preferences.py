@@ -68,7 +68,7 @@ class PreferencesFile:
 
         Args:
             folder: Where it is; by default `preferences_folder`.
-            warn: LayerSubscription, at most once, what is wrong with it.
+            warn: Called, at most once, with what is wrong with it.
         """
         self.path = (preferences_folder() if folder is None else folder) / FILE_NAME
         self._warn = warn

@@ -73,7 +73,7 @@ def test_a_scene_that_never_changes_is_still_foretold() -> None:
     costs = CostModel()
     for _ in range(100):
         costs.observe_draw(30_000, 100_000, 0.040)
-    assert costs.draw_s(30_000, 100_000) == pytest.approx(0.040, rel=0.03)
+    assert costs.draw.seconds(30_000, 100_000) == pytest.approx(0.040, rel=0.03)
     assert min(costs.draw.frame_s, costs.draw.triangle_s, costs.draw.pixel_s) >= 0
 
 
@@ -83,10 +83,10 @@ def test_a_spike_moves_nothing(spike: float) -> None:
     learn(costs)
     for _ in range(9):
         costs.observe_decode("", 128, "both", 0.001)
-    before = (costs.draw_s(20_000, 100_000), costs.decode_s("", 128, "both"))
+    before = (costs.draw.seconds(20_000, 100_000), costs.decode_s("", 128, "both"))
     costs.observe_draw(20_000, 100_000, spike)
     costs.observe_decode("", 128, "both", spike)
-    after = (costs.draw_s(20_000, 100_000), costs.decode_s("", 128, "both"))
+    after = (costs.draw.seconds(20_000, 100_000), costs.decode_s("", 128, "both"))
     assert after == pytest.approx(before, rel=0.05)
 
 
@@ -97,7 +97,9 @@ def test_a_change_that_lasts_is_learned_within_seconds() -> None:
     for _ in range(150):
         triangles, pixels = rng.uniform(0, 60_000), rng.uniform(0, 300_000)
         costs.observe_draw(triangles, pixels, 6 * draw_s(triangles, pixels))
-    assert costs.draw_s(30_000, 150_000) == pytest.approx(6 * draw_s(30_000, 150_000), rel=0.1)
+    assert costs.draw.seconds(30_000, 150_000) == pytest.approx(
+        6 * draw_s(30_000, 150_000), rel=0.1
+    )
 
 
 @pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan"), float("inf"), 3600.0])
@@ -120,4 +122,4 @@ def test_whatever_is_measured_no_cost_is_negative(frames: list[tuple[float, floa
         costs.observe_draw(triangles, pixels, seconds)
     draw = costs.draw
     assert min(draw.frame_s, draw.triangle_s, draw.pixel_s) >= 0
-    assert 0 <= costs.draw_s(10_000, 10_000) < math.inf
+    assert 0 <= costs.draw.seconds(10_000, 10_000) < math.inf
