@@ -4,7 +4,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 DEMO ?=
 
-.PHONY: demo test quick lint types imports pytest extras deployment golden clean
+.PHONY: demo test quick lint types imports docs pytest extras deployment golden clean
 
 demo: .venv/.ready-demo
 	@sh scripts/system_libraries.sh
@@ -13,7 +13,7 @@ demo: .venv/.ready-demo
 test: .venv/.ready-test
 	@sh scripts/system_libraries.sh
 	@sh scripts/system_libraries.sh --nats
-	@$(MAKE) --no-print-directory lint types imports extras pytest
+	@$(MAKE) --no-print-directory lint types imports docs extras pytest
 
 # Before a commit: format, lint and the pure tests, in less than a minute on two cores. The folders
 # that are left out have no pure tests (but one); to import torch for them would take seconds.
@@ -31,6 +31,10 @@ types: .venv/.ready-test
 
 imports: .venv/.ready-test
 	$(BIN)/lint-imports
+
+# The pages and an API reference from the docstrings, into out/site.
+docs: .venv/.ready-test
+	$(BIN)/python -m mkdocs build --strict --quiet
 
 # Tests on a real clock run alone: two at once would slow each other down.
 pytest: .venv/.ready-test
