@@ -12,6 +12,7 @@ from pica_client.sources import open_source
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar
 from pica_core.codec.factory import open_decoder, open_encoder
+from pica_core.codec.latent_sample import ReceivedFrame
 from pica_core.codec.latent_stream import StreamConfig
 
 FPS, SECONDS = 30, 4
@@ -25,16 +26,15 @@ for name, quality, plain in (("quality 0", 0, False), ("quality 3", 3, False),
                              ("quality 7", 7, False), ("plain", 3, True)):  # fmt: skip
     encoder, profile = open_encoder(avatar, StreamConfig(fps=FPS, quality=quality), plain=plain)
     decoder = open_decoder(avatar, profile)
-    num_bytes, sequence, errors = 0, 0, []
+    num_bytes, number, errors = 0, 0, []
     for index, (frame, latent) in enumerate(zip(frames, latents, strict=True)):
         now_us = round(index / FPS * 1e6)
         coded = encoder.encode(latent, frame.rotation, frame.translation_m, now_us)
         if coded is None:
             continue  # the face stands still, and the receiver knows
         num_bytes += len(coded.payload)
-        for decoded in decoder.receive(
-            sequence, now_us, coded.layer, coded.is_keyframe, coded.payload
-        ):
+        received = ReceivedFrame(number, now_us, coded.layer, coded.is_keyframe, coded.payload)
+        for decoded in decoder.receive(received):
             errors.append(np.square(decoded.sample.latent - latent).mean())
-        sequence += 1
+        number += 1
     print(f"{name:10} {num_bytes * 8 / SECONDS / 1000:7.2f}  {np.sqrt(np.mean(errors)):.4f}")

@@ -9,6 +9,7 @@ from pica_client.sources import open_source
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar
 from pica_core.codec.factory import open_decoder, open_encoder
+from pica_core.codec.latent_sample import ReceivedFrame
 from pica_core.codec.latent_stream import StreamConfig
 
 FPS, SECONDS = 30, 4
@@ -29,14 +30,13 @@ print("layers  frames/s  kbit/s  lost")
 for top in (2, 1, 0):
     decoder = open_decoder(avatar, profile)
     num_sent = num_bytes = num_decoded = 0
-    for sequence, (now_us, coded) in enumerate(stream):
+    for number, (now_us, coded) in enumerate(stream):
         if coded.layer > top:
             continue
         num_sent += 1
         num_bytes += len(coded.payload)
-        num_decoded += len(
-            decoder.receive(sequence, now_us, coded.layer, coded.is_keyframe, coded.payload)
-        )
+        received = ReceivedFrame(number, now_us, coded.layer, coded.is_keyframe, coded.payload)
+        num_decoded += len(decoder.receive(received))
     assert num_decoded == num_sent
     assert not decoder.needs_keyframe
     rate = num_bytes * 8 / SECONDS / 1000

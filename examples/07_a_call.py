@@ -43,7 +43,7 @@ async def main() -> None:
             now = loop.time()
             for due in call.due_frames(now):
                 # Senders and receiver share a clock here; across machines this needs an offset.
-                delays_ms[due.name].append((now - due.frame.captured_s) * 1000)
+                delays_ms[due.name].append((now - due.frame.captured_us / 1e6) * 1000)
             await asyncio.sleep(0.001)
         receiver.stop()
         await receiving

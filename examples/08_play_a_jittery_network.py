@@ -9,6 +9,7 @@ import numpy as np
 
 from pica_client.playout.buffer import Playout
 from pica_core.codec.latent_sample import LatentSample
+from pica_protocol.frames import Frame
 
 FPS, SECONDS, DISPLAY_HZ = 30, 20, 60
 rng = np.random.default_rng(1)
@@ -31,9 +32,10 @@ for jitter_ms in (0, 20, 80):
     for now in np.arange(0, SECONDS, 1 / DISPLAY_HZ).tolist():
         while following < len(order) and arrived_s[order[following]] <= now:
             index = int(order[following])
-            playout.receive_frame(
-                index, round(captured_s[index] * 1e6), face(captured_s[index]), now
-            )
+            captured_us = round(captured_s[index] * 1e6)
+            frame = Frame(stream=1, sequence=index, captured_us=captured_us, payload=b"")
+            for received in playout.sender.receive(frame, now):
+                playout.receive_frame(received.decoded(face(captured_s[index])))
             following += 1
         played = playout.sample_at(now)
         if played is not None:
