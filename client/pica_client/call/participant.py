@@ -221,23 +221,19 @@ class RemoteParticipant:
     def stats(self, seconds: float | None) -> dict[str, Any]:
         """How the stream came in since `begin_window`, so many seconds ago; None: since the call
         began."""
-        window, report = self.window, self.playout.report()
+        window = self.window
+        report = self.playout.report().since(window.before)
+        counted = ("lost", "late", "concealed", "duplicates", "refused", "future", "restarts")
         return {
             "name": self.peer.name,
             "received": window.received,
             "latents_per_s": round(window.received / seconds, 2) if seconds else None,
             "payload_bps": round(window.payload_bytes * 8 / seconds) if seconds else None,
             "longest_gap_ms": round(window.longest_gap_s * 1e3, 1),
-            "lost": report.lost - window.before.lost,
-            "late": report.late - window.before.late,
             "keyframe_requests": window.keyframe_requests,
             "unreferenced": self.decoder.num_unreferenced if self.decoder else 0,
-            "concealed": report.concealed - window.before.concealed,
-            "concealed_ratio": round(report.since(window.before).concealed_ratio, 4),
-            "duplicates": report.duplicates - window.before.duplicates,
-            "refused": report.refused - window.before.refused,
-            "future": report.future - window.before.future,
-            "restarts": report.restarts - window.before.restarts,
+            **{name: getattr(report, name) for name in counted},
+            "concealed_ratio": round(report.concealed_ratio, 4),
             "playout_delay_ms": round(report.delay_s * 1e3, 2),
             "jitter_ms": round(report.jitter_s * 1e3, 2),
             "age_ms": round(report.age_s * 1e3, 2),

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
+
+import tyro
 
 from pica_client.avatars.library import AvatarLibrary, shipped_avatar_files
 from pica_client.avatars.upload import AvatarGiver, Push
@@ -17,7 +19,6 @@ from pica_client.publish.sender import Sender, SenderConfig
 from pica_client.signals import on_stop_signal
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
-from pica_core.codec.latent_stream import DEFAULT_QUALITY
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -35,20 +36,11 @@ class SendOptions:
     source: str = "performance:talk"
     """csv:FILE[@SECONDS] plays a Live Link Face recording, performance:NAME[#SEED][@SECONDS] one
     that ships: talk, listen or range_of_motion."""
-    fps: float = 30.0
-    """Frames a second, 1 to 240."""
-    seconds: float = 0.0
-    """How long to send; 0 is until Ctrl-C."""
     wait: bool = False
     """Wait for a relay that is not there yet instead of giving up after 3 seconds."""
     frame_log: Path | None = None
     """Write capture and encoding time of each frame, in microseconds, into this file at the end."""
-    quality: int = DEFAULT_QUALITY
-    """Fineness of the coded stream, 0 to 7; each step up costs a quarter more bits."""
-    bitrate: float | None = None
-    """Payload bits a second to keep to by changing the quality."""
-    plain: bool = False
-    """Send 8 bits a value, 65 kbit/s, as avatars without a stream profile are sent."""
+    sender: tyro.conf.OmitArgPrefixes[SenderConfig] = field(default_factory=SenderConfig)
     token_file: Path | None = None
     """File with the join token that the relay wants, see pica token."""
     ca_file: Path | None = None
@@ -68,13 +60,6 @@ def send(options: SendOptions) -> dict[str, Any]:
     Runs until Ctrl-C or for --seconds, and comes back by itself when the relay goes away and
     returns.
     """
-    config = SenderConfig(
-        fps=options.fps,
-        seconds=options.seconds,
-        quality=options.quality,
-        bitrate_bps=options.bitrate,
-        plain=options.plain,
-    )
     if options.frame_log is not None:
         check_writable(options.frame_log)
     link = LinkConfig(
@@ -106,7 +91,7 @@ def send(options: SendOptions) -> dict[str, Any]:
         push = Push(path=path, identity=identity, token_file=link.token_file, ca_file=link.ca_file)
         giver = AvatarGiver(push, lambda: sender.relay_url, say)
         on_joined = giver.begin if gives else None
-        sender = Sender(config, link, source, avatar, identity, on_joined=on_joined)
+        sender = Sender(options.sender, link, source, avatar, identity, on_joined=on_joined)
         loop = asyncio.get_running_loop()
         try:
             with on_stop_signal(lambda: loop.call_soon_threadsafe(sender.stop)):

@@ -37,7 +37,7 @@ import math
 from dataclasses import dataclass, fields, replace
 
 from pica_client.playout.config import PlayoutConfig
-from pica_client.playout.frame_interval import Cadence
+from pica_client.playout.frame_interval import FrameInterval
 from pica_client.playout.jitter import JitterEstimate
 from pica_client.playout.motion import Correction
 from pica_client.playout.playhead import Playhead
@@ -133,7 +133,7 @@ class Playout:
         self.sender, self._num_jumps = SenderClock(), 0
         self._timeline = self._new_timeline()
         self._jitter = JitterEstimate(quantile=config.jitter_quantile, window_s=config.window_s)
-        self._cadence = Cadence()
+        self._interval = FrameInterval()
         self._media = Playhead(faster=config.faster, slower=config.slower, leap_s=config.leap_s)
         self._correction = Correction(seconds=config.blend_s, limit=config.correction_limit)
         self._shown: LatentSample | None = None  # the last face of `sample_at`
@@ -158,18 +158,18 @@ class Playout:
         """
         self._received += 1
         self._num_jumps = self.sender.num_jumps
-        self._cadence.pause()
+        self._interval.pause()
         if self._timeline.insert(frame) != "new":
             self._timeline = self._new_timeline()
             self._timeline.insert(frame)
         self._timeline.restart()
-        self._cadence.receive(frame)
+        self._interval.receive(frame)
         self._correction.end()
         self._shown, self._is_path_new = None, False
 
     def sample_at(self, now: float) -> PlayedFace | None:
         """The face to show at `now`, or None before the first frame is due."""
-        clock, timeline, interval_s = self.sender.map, self._timeline, self._cadence.interval_s
+        clock, timeline, interval_s = self.sender.map, self._timeline, self._interval.interval_s
         if clock is None:
             return None
         should_s = clock.media_s(now) - self._target_s(is_displayed=True)
@@ -224,7 +224,7 @@ class Playout:
             + sender.num_duplicates
             + sender.num_refused
             + sender.num_held_back,
-            lost=self._cadence.num_lost + self._timeline.num_overflowed + self._num_cut,
+            lost=self._interval.num_lost + self._timeline.num_overflowed + self._num_cut,
             late=self._late,
             duplicates=self._duplicates + sender.num_duplicates,
             refused=self._misplaced + sender.num_refused,
@@ -236,7 +236,7 @@ class Playout:
             delay_s=target_s if self._delay_s is None else self._delay_s,
             target_s=target_s,
             jitter_s=self._jitter.jitter_s,
-            interval_s=self._cadence.interval_s,
+            interval_s=self._interval.interval_s,
             drift_ppm=0.0 if clock is None else clock.drift_ppm,
             age_s=self._age_s,
             largest_correction=self._correction.largest_step,
@@ -260,7 +260,7 @@ class Playout:
         assert clock is not None
         transit_s = clock.receive(frame.media_s, frame.arrived_s)
         self._jitter.receive(frame.arrived_s, frame.media_s, transit_s, clock)
-        self._cadence.receive(frame)
+        self._interval.receive(frame)
 
     def _new_timeline(self) -> Timeline:
         config = self.config
@@ -273,7 +273,7 @@ class Playout:
     def _floor_s(self, *, is_displayed: bool) -> float:
         """What is waited at least, jitter aside."""
         config = self.config
-        smooth_s = config.floor_intervals * self._cadence.interval_s if is_displayed else 0.0
+        smooth_s = config.floor_intervals * self._interval.interval_s if is_displayed else 0.0
         return min(max(config.floor_s, smooth_s), config.ceiling_s)
 
     def _target_s(self, *, is_displayed: bool) -> float:
@@ -292,11 +292,11 @@ class Playout:
         num_skipped = after.number - before.number - 1
         if not 0 < num_skipped < RESTART_FRAMES or before.sample.is_still:
             return 0
-        return min(num_skipped, self._cadence.num_missing(before.media_s, after.media_s))
+        return min(num_skipped, self._interval.num_missing(before.media_s, after.media_s))
 
     def _played(self, face: LatentSample, position_s: float, now: float) -> PlayedFace:
         """Say of a face how fresh it is, and remember where it stands."""
-        config, timeline, interval_s = self.config, self._timeline, self._cadence.interval_s
+        config, timeline, interval_s = self.config, self._timeline, self._interval.interval_s
         held, following = timeline.held, timeline.following
         assert held is not None
         past_s = position_s - held.media_s

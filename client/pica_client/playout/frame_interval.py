@@ -35,7 +35,7 @@ class _Seen(NamedTuple):
     interval_s: float
 
 
-class Cadence:
+class FrameInterval:
     """Interval and losses of one stream.
 
     Attributes:

@@ -8,13 +8,14 @@ runs on the event loop itself; a thread would cost more than it saves.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
 import math
 import time
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
+
+import tyro
 
 from pica_client.errors import OptionError
 from pica_client.publish.face_track import FACE_KEY, FACE_TRACK, FaceMode
@@ -22,6 +23,7 @@ from pica_client.publish.pacer import Pacer
 from pica_client.sources import Source
 from pica_client.stats import Samples
 from pica_client.transport.link import Link
+from pica_client.transport.timers import wait_until
 from pica_core.avatar.arkit import ExpressionFrame
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
@@ -43,15 +45,15 @@ class SenderConfig:
     """How fast and how long to send."""
 
     fps: float = 30.0
-    """Frames a second."""
+    """Frames a second, 1 to 240."""
     seconds: float = 0.0
-    """How long to send, counted from the first frame; 0 is until stopped."""
+    """How long to send, from the first frame on; 0 is until Ctrl-C."""
     quality: int = DEFAULT_QUALITY
-    """Of the coded stream, 0 (coarse) to 7 (fine)."""
-    bitrate_bps: float | None = None
+    """Fineness of the coded stream, 0 to 7; each step up costs a quarter more bits."""
+    bitrate_bps: Annotated[float | None, tyro.conf.arg(name="bitrate")] = None
     """Payload bits a second to keep to by changing the quality; None keeps the quality."""
     plain: bool = False
-    """Send 8 bits a value instead of the coded stream."""
+    """Send 8 bits a value, 65 kbit/s, as avatars without a stream profile are sent."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.fps <= 240:
@@ -132,12 +134,9 @@ class Publisher:
         begin_s = loop.time()
         pacer = Pacer(self.config.fps, begin_s)
         while not stopping.is_set():
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout_at(pacer.due_s):
-                    await stopping.wait()
+            now = await wait_until(stopping, pacer.due_s)
+            if stopping.is_set():
                 return
-            # A loop may fire a timer up to its clock's resolution too early.
-            now = max(loop.time(), pacer.due_s)
             if self._first_sent_s is not None and 0 < self.config.seconds <= (
                 now - self._first_sent_s
             ):

@@ -29,6 +29,7 @@ from pica_client.transport.backoff import Backoff
 from pica_client.transport.config import LinkConfig, read_token
 from pica_client.transport.connect import SOFTWARE, open_websocket, refusal
 from pica_client.transport.frame_guard import FrameGuard
+from pica_client.transport.timers import time_after, wait_until
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.client_session import ClientSession, Ticket
 from pica_protocol.errors import CloseCode, is_worth_retrying
@@ -381,8 +382,7 @@ class Link:
                 async with asyncio.timeout_at(timer):
                     data = await websocket.recv()
             except TimeoutError:
-                # A loop may fire a timer up to its clock's resolution too early.
-                now = max(loop.time(), timer or 0.0)
+                now = time_after(timer)
                 handle(session.handle_timer(now), now)
             except ConnectionClosed as error:
                 code, reason = CloseCode.CONNECTION_LOST, ""
@@ -429,13 +429,9 @@ class Link:
     async def _until_woken(self) -> None:
         """Wait until there may be something to write, by the guard's timer too."""
         timer = None if self.guard is None else self.guard.next_timer()
-        try:
-            async with asyncio.timeout_at(timer):
-                await self._wake.wait()
-        except TimeoutError:
-            if self.guard is not None and timer is not None:
-                # A loop may fire a timer up to its clock's resolution too early.
-                self.guard.handle_timer(max(asyncio.get_running_loop().time(), timer))
+        now = await wait_until(self._wake, timer)
+        if self.guard is not None and timer is not None and now >= timer:
+            self.guard.handle_timer(now)
 
     def _judge(self, closed: Closed) -> None:
         """Raise if coming back cannot help."""

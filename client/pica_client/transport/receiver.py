@@ -17,6 +17,7 @@ from pica_client.call.call import Call
 from pica_client.publish.publisher import Publisher
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.link import Connector, Link
+from pica_client.transport.timers import wait_until
 from pica_protocol.messages import Joined
 from pica_protocol.session import ClientEvent
 
@@ -161,16 +162,13 @@ class Receiver:
 
     async def _tell_subscriptions(self) -> None:
         """Tell the relay which layers are wanted, when that changes and when its time has come."""
-        loop = asyncio.get_running_loop()
+        now = asyncio.get_running_loop().time()
         while True:
             self._subscribed.clear()
             timer = None  # who is not in the room waits for the next join
             if self.link.is_joined:
-                timer = self.call.tell_subscriptions(self.link.want, loop.time())
-            with contextlib.suppress(TimeoutError):
-                # A loop may fire a timer up to its clock's resolution too early.
-                async with asyncio.timeout_at(None if timer is None else timer + 1e-6):
-                    await self._subscribed.wait()
+                timer = self.call.tell_subscriptions(self.link.want, now)
+            now = await wait_until(self._subscribed, timer)
 
     async def _report(self) -> None:
         while True:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from helpers.playout_trial import face
 from pica_client.playout.clock_map import FALL_S, ClockMap, hull_line
-from pica_client.playout.frame_interval import Cadence
+from pica_client.playout.frame_interval import FrameInterval
 from pica_client.playout.jitter import JitterEstimate
 from pica_client.playout.motion import Correction, Distance, blend, coasted_s, distance
 from pica_client.playout.playhead import Playhead
@@ -186,39 +186,39 @@ def test_what_all_frames_have_in_common_is_no_jitter() -> None:
     assert estimate.jitter_s == pytest.approx(0, abs=1e-6)
 
 
-# Cadence
+# Frame interval
 
 
 def test_the_interval_stands_while_a_third_of_the_frames_is_lost() -> None:
     rng = random.Random(7)
-    cadence, num_dropped = Cadence(), 0
+    interval, num_dropped = FrameInterval(), 0
     for index in range(1000):
         if 0 < index < 950 and rng.random() < 0.2:
             num_dropped += 1
             continue
-        cadence.receive(DecodedFrame(index, 0, face(0.0), index * FRAME_S))
-    assert cadence.interval_s == pytest.approx(FRAME_S)
-    assert cadence.num_lost == pytest.approx(num_dropped, rel=0.05)
+        interval.receive(DecodedFrame(index, 0, face(0.0), index * FRAME_S))
+    assert interval.interval_s == pytest.approx(FRAME_S)
+    assert interval.num_lost == pytest.approx(num_dropped, rel=0.05)
 
 
 @pytest.mark.parametrize("every", [2, 4])
 def test_thinning_in_the_middle_of_a_stream_is_no_loss(every: int) -> None:
-    cadence = Cadence()
+    interval = FrameInterval()
     for index in range(900):
         if not 300 <= index < 600 or index % every == 0:
-            cadence.receive(DecodedFrame(index, 0, face(0.0), index * FRAME_S))
+            interval.receive(DecodedFrame(index, 0, face(0.0), index * FRAME_S))
         if index == 590:
-            assert cadence.interval_s == pytest.approx(every * FRAME_S)
-    assert (cadence.num_lost, cadence.interval_s) == (0, pytest.approx(FRAME_S))
+            assert interval.interval_s == pytest.approx(every * FRAME_S)
+    assert (interval.num_lost, interval.interval_s) == (0, pytest.approx(FRAME_S))
 
 
 def test_frames_that_are_merely_overtaken_are_not_lost() -> None:
     rng = random.Random(3)
-    cadence = Cadence()
+    interval = FrameInterval()
     order = sorted(range(500), key=lambda index: index + rng.uniform(0, 6))
     for index in order:
-        cadence.receive(DecodedFrame(index, 0, face(0.0), index * FRAME_S))
-    assert cadence.num_lost == 0
+        interval.receive(DecodedFrame(index, 0, face(0.0), index * FRAME_S))
+    assert interval.num_lost == 0
 
 
 # The display's time
