@@ -39,8 +39,9 @@ def test_a_short_demo_draws_everybody_and_writes_its_files(
     out = tmp_path / "out"
     stats = run_demo(
         DemoConfig(
-            stage=LocalCallConfig(peers=2, avatar=str(avatar_file)),
+            call=LocalCallConfig(peers=2, avatar=str(avatar_file)),
             seconds=2,
+            headless=True,
             size="192x108",
             out=out,
         )

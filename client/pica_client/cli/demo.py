@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import tyro
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -31,7 +32,6 @@ from pica_client.output import make_folder, say, writing
 from pica_client.signals import terminate_as_interrupt
 from pica_client.stats import describe_machine
 from pica_client.ui.display import has_display
-from pica_core.codec.latent_stream import DEFAULT_QUALITY
 
 END_TIMEOUT_S = 90.0
 """Time that the viewer has to start, see everybody and write its files, besides the call."""
@@ -39,55 +39,32 @@ VIEWER_NAME = "viewer"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class DemoOptions:
-    """Options of ``pica demo``."""
+class DemoConfig:
+    """What to show and where to put it; the options of ``pica demo``."""
 
-    peers: int = 5
-    """Number of senders, each a process."""
+    call: tyro.conf.OmitArgPrefixes[LocalCallConfig] = field(default_factory=LocalCallConfig)
     seconds: float = 20.0
     """How long the call is drawn."""
     headless: bool = False
     """No window, even where there is a display."""
     size: str = "960x540"
     """Columns x rows of the window or picture."""
-    source: str | None = None
-    """What all senders play, each starting elsewhere in it; by default shipped performances."""
-    avatar: str | None = None
-    """Names or .pica files of avatars, separated by commas, dealt in turn."""
-    fps: float = 30.0
-    """Frames a second of each sender."""
-    quality: int = DEFAULT_QUALITY
-    """Fineness of the coded streams, 0 to 7."""
-    plain: bool = False
-    """Send 8 bits a value instead of coded streams."""
     out: Path = Path("demo-out")
     """Folder for call.mp4, frame.png and stats.json."""
-    encrypt: bool = False
-    """Encrypt end to end, with a secret made for this call."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.seconds <= 3600:
+            raise OptionError(f"seconds is {self.seconds:g}; 1 to 3600 is allowed")
+        parse_size(self.size)
 
 
-def demo(options: DemoOptions) -> dict[str, Any]:
+def demo(options: DemoConfig) -> dict[str, Any]:
     """Hold a call on this machine: a relay, simulated senders and a viewer.
 
     Opens a window if there is a display, else draws into a recording. Writes call.mp4, frame.png
     and stats.json.
     """
-    parse_size(options.size)
-    config = DemoConfig(
-        stage=LocalCallConfig(
-            peers=options.peers,
-            source=options.source,
-            avatar=options.avatar,
-            fps=options.fps,
-            quality=options.quality,
-            plain=options.plain,
-            is_encrypted=options.encrypt,
-        ),
-        seconds=options.seconds,
-        size=options.size,
-        is_headless=options.headless or not has_display(),
-        out=options.out,
-    )
+    config = replace(options, headless=options.headless or not has_display())
     with terminate_as_interrupt():
         stats = run_demo(config)
     latency = stats["latency_ms"]
@@ -98,24 +75,6 @@ def demo(options: DemoOptions) -> dict[str, Any]:
     )
     say(f"see call.mp4, frame.png and stats.json in {options.out}")
     return stats
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class DemoConfig:
-    """What to show and where to put it."""
-
-    stage: LocalCallConfig = field(default_factory=LocalCallConfig)
-    seconds: float = 20.0
-    """How long the call is drawn."""
-    size: str = "960x540"
-    """Columns x rows of the picture."""
-    is_headless: bool = True
-    out: Path = Path("demo-out")
-    """Folder for call.mp4, frame.png and stats.json."""
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.seconds <= 3600:
-            raise OptionError(f"seconds is {self.seconds:g}; 1 to 3600 is allowed")
 
 
 def run_demo(config: DemoConfig) -> dict[str, Any]:
@@ -132,7 +91,7 @@ def run_demo(config: DemoConfig) -> dict[str, Any]:
     library = AvatarLibrary()
     try:
         with Children() as children:
-            stage = LocalCall(config.stage, library, children)
+            stage = LocalCall(config.call, library, children)
             log = children.folder / "view.json"
             viewer = children.start("viewer", *_view_arguments(config, stage, log))
             _watch(config, stage, viewer)
@@ -153,13 +112,13 @@ def run_demo(config: DemoConfig) -> dict[str, Any]:
 def _view_arguments(config: DemoConfig, stage: LocalCall, log: Path) -> list[str]:
     arguments = ["view", "--url", stage.url, "--room", ROOM, "--name", VIEWER_NAME]
     arguments += ["--size", config.size, "--seconds", f"{config.seconds:g}"]
-    arguments += ["--expect", str(config.stage.peers), "--frame-log", str(log)]
+    arguments += ["--expect", str(config.call.peers), "--frame-log", str(log)]
     arguments += ["--record", str(config.out / "call.mp4")]
     arguments += ["--png", str(config.out / "frame.png")]
-    if config.stage.avatar is not None:
-        arguments += ["--avatar", config.stage.avatar]
+    if config.call.avatar is not None:
+        arguments += ["--avatar", config.call.avatar]
     arguments += stage.secret_arguments
-    if config.is_headless:
+    if config.headless:
         return [*arguments, "--headless"]
     return [*arguments, "--statistics", "--no-preferences"]
 
@@ -200,7 +159,7 @@ def _stats(
     rates = {peer["name"]: peer["latents_per_s"] for peer in received["peers"]}
     errors = shown["errors"] + sum(result["errors"] for result in sent.values())
     return {
-        "peers": config.stage.peers,
+        "peers": config.call.peers,
         "rendered_peers": shown["rendered_peers"],
         "seconds": shown["seconds"],
         "frames_rendered": shown["frames_rendered"],
@@ -214,7 +173,7 @@ def _stats(
         "seal": received["seal"],
         "errors": errors + len(stage.crashed),
         "crashed": stage.crashed,
-        "source": config.stage.source or "shipped performances",
+        "source": config.call.source or "shipped performances",
         "size": config.size,
         "gl_renderer": shown["gl_renderer"],
         "machine": describe_machine(),

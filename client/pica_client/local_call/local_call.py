@@ -69,9 +69,7 @@ class LocalCallConfig:
     def __post_init__(self) -> None:
         if not 1 <= self.peers <= 15:
             raise OptionError(f"peers is {self.peers}; 1 to 15 fit the room")
-        if not 1 <= self.fps <= 240:
-            raise OptionError(f"fps is {self.fps:g}; 1 to 240 is allowed")
-        SenderConfig(quality=self.quality)  # checks it
+        SenderConfig(fps=self.fps, quality=self.quality, plain=self.plain)  # checks them
 
 
 class LocalCall:
