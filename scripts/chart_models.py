@@ -8,14 +8,16 @@ import matplotlib.pyplot as plt
 from charting import (
     COLOURS,
     ROOT,
+    Column,
     Line,
     Row,
     fill_in,
-    markdown_table,
+    finish,
     plain_ticks,
     read_lines,
     save,
     source_line,
+    table,
 )
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -72,7 +74,7 @@ def _draw(line: Line) -> Figure:
         for n, name in enumerate(people)
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=6, frameon=False, fontsize=8)
-    figure.supxlabel(_source(line), fontsize=6, color="#555555")
+    finish(figure, _source(line), size=6)
     figure.draw_without_rendering()  # labels go where points have come to lie
     for axis, distance in zip(panels, shown, strict=True):
         here = [row for row in result["rows"] if row["distance_cm"] == distance]
@@ -164,40 +166,31 @@ def _table(line: Line) -> str:
     result = line["result"]
     distances = sorted({row["distance_cm"] for row in result["rows"]})
     rows = {(_key(row), row["distance_cm"]): row for row in result["rows"]}
-    header = (
-        *("identity", "model", "MSE", "decode, ms"),
-        *(f"decode + draw at {distance:g} cm" for distance in distances),
-        *("M parameters", "M multiply-adds", "a pixel", "file, MB", "steps"),
-    )
     main = min(distances, key=lambda cm: abs(cm - MAIN_CM))
-    lines = []
-    for model in result["models"]:
-        own = {distance: rows[_key(model), distance] for distance in distances}
-        lines.append(
-            (
-                model["identity"],
-                _name(model),
-                f"{model['mse']:.2f} ({model['mse_low']:.2f} to {model['mse_high']:.2f})",
-                f"{own[main]['decode_ms']:.2f}",
-                *(_total(own[distance]) for distance in distances),
-                f"{model['parameters'] / 1e6:.3f}",
-                f"{model['macs'] / 1e6:.1f}",
-                model["macs_per_pixel"],
-                f"{model['file_bytes'] / 1e6:.2f}",
-                f"{model['steps']:,}",
-            )
-        )
+
+    def total(distance: float) -> Column:
+        text = "{total_ms:.1f} ({total_ms_low:.1f} to {total_ms_high:.1f})"
+        return lambda model: text.format_map(rows[_key(model), distance])
+
+    columns: dict[str, Column] = {
+        "identity": "identity",
+        "model": _name,
+        "MSE": "{mse:.2f} ({mse_low:.2f} to {mse_high:.2f})",
+        "decode, ms": lambda model: f"{rows[_key(model), main]['decode_ms']:.2f}",
+        **{f"decode + draw at {distance:g} cm": total(distance) for distance in distances},
+        "M parameters": lambda model: f"{model['parameters'] / 1e6:.3f}",
+        "M multiply-adds": lambda model: f"{model['macs'] / 1e6:.1f}",
+        "a pixel": "macs_per_pixel",
+        "file, MB": lambda model: f"{model['file_bytes'] / 1e6:.2f}",
+        "steps": "{steps:,}",
+    }
     renderer = result["gl_renderer"].partition(" (")[0]
     note = (
         f"Medians of {result['frames']} frames in an image of {result['image_size']} pixels a "
         f"side, quartiles in brackets; ONNX Runtime on {result['threads']} thread"
         f"{'s' if result['threads'] > 1 else ''}, drawn with {renderer}."
     )
-    return f"{markdown_table(header, lines)}\n\n{note}\n\n{_source(line)}"
-
-
-def _total(row: Row) -> str:
-    return f"{row['total_ms']:.1f} ({row['total_ms_low']:.1f} to {row['total_ms_high']:.1f})"
+    return f"{table(result['models'], columns)}\n\n{note}\n\n{_source(line)}"
 
 
 def _key(row: Row) -> tuple[str, str, str | None]:

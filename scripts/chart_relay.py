@@ -1,5 +1,5 @@
-"""What a relay carries: latency, throughput and cost against the number of rooms; bad company; long
-runs."""
+"""What a relay carries: latency, throughput and cost against the number of rooms; misbehaving
+clients; long runs."""
 
 from __future__ import annotations
 
@@ -9,14 +9,16 @@ from typing import Any
 import matplotlib.pyplot as plt
 from charting import (
     RESULTS,
+    Column,
     Line,
     Row,
     fill_in,
-    markdown_table,
+    finish,
     plain_ticks,
     read_lines,
     save,
     source_line,
+    table,
 )
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -31,7 +33,7 @@ STYLE: dict[str, dict[str, Any]] = {
 
 
 def chart_relay() -> None:
-    """The newest line for each number of rooms, the newest soak and the newest bad company."""
+    """The newest line for each number of rooms, of a soak and of misbehaving clients."""
     lines = read_lines("relay")
     loads = {line["result"]["rooms"]: line for line in lines if "forward_ms" in line["result"]}
     if loads:
@@ -44,20 +46,16 @@ def chart_relay() -> None:
             draw(newest[-1])
 
 
-def _series(lines: Sequence[Line]) -> dict[str, list[Row]]:
-    """Rows by server, in the order of the rooms."""
-    series: dict[str, list[Row]] = {}
-    for line in lines:
-        result = line["result"]
-        for name, row in {"relay": result, **result["compare"]}.items():
-            series.setdefault(name, []).append(row)
-    return series
+def _servers(line: Line) -> dict[str, Row]:
+    """What was measured of each server under one load."""
+    return {"relay": line["result"], **line["result"]["compare"]}
 
 
 def _draw_load(lines: Sequence[Line]) -> Figure:
     figure, axes = plt.subplots(3, 1, figsize=(6.4, 7.6), sharex=True, layout="constrained")
     delivered, latency, cost = axes
-    for name, rows in _series(lines).items():
+    for name in dict.fromkeys(name for line in lines for name in _servers(line)):
+        rows = [servers[name] for line in lines if name in (servers := _servers(line))]
         rooms = [row["rooms"] for row in rows]
         style = STYLE[name]
         delivered.plot(rooms, [row["delivered_per_s"] / 1e3 for row in rows], **style)
@@ -77,9 +75,8 @@ def _draw_load(lines: Sequence[Line]) -> Figure:
     cost.set_ylabel("processor time for\n1,000 frames delivered, s")
     cost.set_ylim(bottom=0)
     cost.set_xlabel(f"rooms of {result['peers']} at {result['fps']:g} frames/s each")
-    figure.suptitle("One relay process on one core, the load on the other", fontsize=10)
-    figure.supxlabel(source_line(lines[-1]), fontsize=6, color="#555555")
-    return figure
+    title = "One relay process on one core, the load on the other"
+    return finish(figure, lines[-1], title, size=6)
 
 
 def _plot_known(
@@ -90,40 +87,32 @@ def _plot_known(
 
 
 def _load_table(lines: Sequence[Line]) -> str:
-    header = (
-        *("rooms", "server", "delivered/s", "p50 / p99, ms", "missing", "dropped"),
-        *("core busy", "s per 1,000", "frames/message", "bytes/connection"),
-    )
-    rows = []
-    for line in lines:
-        result = line["result"]
-        for name, row in {"relay": result, **result["compare"]}.items():
-            forward, busy = row["forward_ms"], row["relay_cpu_ratio"]
-            rows.append(
-                (
-                    row["rooms"] if name == "relay" else "",
-                    STYLE[name]["label"],
-                    f"{row['delivered_per_s']:,.0f}",
-                    f"{_ms(forward['p50'])} / {_ms(forward['p99'])}",
-                    row["missing"],
-                    row["dropped"] if name == "relay" else None,
-                    None if busy is None else f"{busy:.0%}",
-                    row["relay_cpu_s_per_1000"],
-                    row["frames_per_message"],
-                    row["bytes_per_connection"],
-                )
-            )
+    rows = [
+        row | {"rooms": row["rooms"] if name == "relay" else "", "server": name}
+        for line in lines
+        for name, row in _servers(line).items()
+    ]
+    columns: dict[str, Column] = {
+        "rooms": "rooms",
+        "server": lambda row: STYLE[row["server"]]["label"],
+        "delivered/s": "{delivered_per_s:,.0f}",
+        "p50 / p99, ms": lambda row: " / ".join(_ms(row["forward_ms"][p]) for p in ("p50", "p99")),
+        "missing": "missing",
+        "dropped": lambda row: row["dropped"] if row["server"] == "relay" else None,
+        "core busy": lambda row: (
+            None if row["relay_cpu_ratio"] is None else f"{row['relay_cpu_ratio']:.0%}"
+        ),
+        "s per 1,000": "relay_cpu_s_per_1000",
+        "frames/message": "frames_per_message",
+        "bytes/connection": "bytes_per_connection",
+    }
     capacities = [line for line in lines if "capacity" in line["result"]]
-    text = markdown_table(header, rows)
+    text = table(rows, columns)
     if capacities:
-        servers = {
-            "relay": capacities[-1]["result"],
-            **capacities[-1]["result"]["compare"],
-        }
         found = [
             f"{STYLE[name]['label']} {row['capacity']['rooms']}"
             + ("" if row["capacity"]["is_limit"] else " or more")
-            for name, row in servers.items()
+            for name, row in _servers(capacities[-1]).items()
         ]
         bar = capacities[-1]["result"]["capacity"]["bar_ms"]
         text += f"\n\nMost rooms with p99 within {bar:g} ms: {', '.join(found)}."
@@ -137,25 +126,22 @@ def _ms(value: float | None) -> str:
 def _fill_hostile(line: Line) -> None:
     """What changes for healthy rooms beside each offender."""
     result = line["result"]
-    header = (
-        *("offender", "p99 before / beside, ms", "change", "frames missing"),
-        *("relay's peak, MB", "relay closed", "offender saw"),
-    )
-    rows = [
-        (
-            row["kind"],
-            " / ".join(_ms(row[when]["forward_ms"]["p99"]) for when in ("before", "beside")),
-            None if row["p99_change"] is None else f"{row['p99_change']:+.0%}",
-            row["beside"]["missing"],
-            f"{row['relay_peak_bytes'] / 1e6:.1f}",
-            _codes(row["relay_closed"]),
+    columns: dict[str, Column] = {
+        "offender": "kind",
+        "p99 before / beside, ms": lambda row: " / ".join(
+            _ms(row[when]["forward_ms"]["p99"]) for when in ("before", "beside")
+        ),
+        "change": lambda row: None if row["p99_change"] is None else f"{row['p99_change']:+.0%}",
+        "frames missing": "{beside[missing]}",
+        "relay's peak, MB": lambda row: f"{row['relay_peak_bytes'] / 1e6:.1f}",
+        "relay closed": lambda row: _codes(row["relay_closed"]),
+        "offender saw": lambda row: (
             _codes(row["offender"]["codes"])
-            + (f", {row['offender']['cut']} cut" if "cut" in row["offender"] else ""),
-        )
-        for row in result["hostile"]
-    ]
+            + (f", {row['offender']['cut']} cut" if "cut" in row["offender"] else "")
+        ),
+    }
     load = f"{result['rooms']} healthy rooms of {result['peers']} at {result['fps']:g} frames/s"
-    text = f"{load}.\n\n{markdown_table(header, rows)}\n\n{source_line(line)}"
+    text = f"{load}.\n\n{table(result['hostile'], columns)}\n\n{source_line(line)}"
     fill_in(PAGE, "relay-hostile", text)
 
 
@@ -181,9 +167,8 @@ def _draw_soak(line: Line) -> None:
     latency.set_ylim(bottom=0)
     latency.legend(frameon=False, fontsize=8)
     latency.set_xlabel("minutes")
-    figure.suptitle(f"{result['rooms']} rooms of {result['peers']} for long", fontsize=10)
-    figure.supxlabel(source_line(line), fontsize=6, color="#555555")
-    save(figure, "relay-soak")
+    title = f"{result['rooms']} rooms of {result['peers']} for long"
+    save(finish(figure, line, title, size=6), "relay-soak")
     drain = result["drain"]
     fill_in(
         PAGE,

@@ -11,14 +11,19 @@ import matplotlib.pyplot as plt
 from charting import (
     COLOURS,
     ROOT,
+    Column,
     Line,
     Row,
     fill_in,
+    finish,
     markdown_table,
     plain_ticks,
     read_lines,
+    rows_where,
     save,
     source_line,
+    table,
+    values,
 )
 from matplotlib.figure import Figure
 
@@ -86,8 +91,7 @@ def _draw_recipes(rows: Sequence[Row], line: Line) -> Figure:
     axis.set_xlabel("seconds of training")
     axis.set_ylabel("MSE, 0–255, held-out frames from the front")
     axis.legend(frameon=False, fontsize=7, ncols=2)
-    figure.supxlabel(_foot(line), fontsize=6, color="#555555")
-    return figure
+    return finish(figure, _foot(line), size=6)
 
 
 def _foot(line: Line) -> str:
@@ -144,43 +148,36 @@ def _draw_failures(rows: Sequence[Row], line: Line) -> Figure:
     axes[0, 0].set_ylim(top=10 * max(ends))
     plain_ticks(axes[0, 0].yaxis)
     figure.supylabel("MSE, held-out frames from the front; grey: nothing spoilt", fontsize=8)
-    figure.supxlabel(f"step\n{_foot(line)}", fontsize=6, color="#555555")
-    return figure
+    return finish(figure, f"step\n{_foot(line)}", size=6)
 
 
 def _failure_table(rows: Sequence[Row]) -> str:
-    lines = []
-    for name in dict.fromkeys(row["failure"] for row in rows):
-        own = [row for row in rows if row["failure"] == name]
-        lines.append(
-            [
-                name.replace("_", " "),
-                f"{sum(row['diverged'] for row in own)} of {len(own)}",
-                _range(own, "mse", 1),
-                _range(own, "vertex_error_mm", 2),
-                _range(own, "code_deviation", 2),
-                _range(own, "reach_3_sigma_mm", 0),
-                _range(own, "reach_6_sigma_mm", 0),
-            ]
-        )
-    head = ["spoilt", "diverged", "MSE", "vertices, mm", "deviation of codes"]
-    return markdown_table([*head, "reach at 3 σ, mm", "at 6 σ, mm"], lines)
+    by_name = [rows_where(rows, failure=name) for name in dict.fromkeys(values(rows, "failure"))]
+    columns: dict[str, Column] = {
+        "spoilt": lambda own: own[0]["failure"].replace("_", " "),
+        "diverged": lambda own: f"{sum(values(own, 'diverged'))} of {len(own)}",
+        "MSE": lambda own: _range(own, "mse", 1),
+        "vertices, mm": lambda own: _range(own, "vertex_error_mm", 2),
+        "deviation of codes": lambda own: _range(own, "code_deviation", 2),
+        "reach at 3 σ, mm": lambda own: _range(own, "reach_3_sigma_mm", 0),
+        "at 6 σ, mm": lambda own: _range(own, "reach_6_sigma_mm", 0),
+    }
+    return table(by_name, columns)
 
 
 def _step_table(lines: Sequence[Line]) -> str:
     """Medians of each part in milliseconds, and of the whole step with its quartiles."""
-    rows = []
-    for line in lines:
-        found = line["result"]
-        whole = (
-            f"{found['step_ms']:.0f} ({found['step_low_ms']:.0f} to {found['step_high_ms']:.0f})"
-        )
-        options = line["command"].partition("--preset ")[2].split(" --steps")[0]
-        rows.append([options, *(f"{found[f'{part}_ms']:.0f}" for part in PARTS), whole])
-    head = ["preset and options", *(f"{part}, ms" for part in PARTS), "step"]
+    columns: dict[str, Column] = {
+        "preset and options": lambda row: (
+            row["command"].partition("--preset ")[2].split(" --steps")[0]
+        ),
+        **{f"{part}, ms": f"{{{part}_ms:.0f}}" for part in PARTS},
+        "step": "{step_ms:.0f} ({step_low_ms:.0f} to {step_high_ms:.0f})",
+    }
+    rows = [line["result"] | {"command": line["command"]} for line in lines]
     last = lines[-1]
     told = f"Medians of {last['result']['steps']} steps. {source_line(last)}"
-    return f"{markdown_table(head, rows)}\n\n{told}"
+    return f"{table(rows, columns)}\n\n{told}"
 
 
 def _range(rows: Iterable[Row], key: str, digits: int) -> str | None:
