@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from charting import fill_in
 from PIL import Image
 
 from pica_core.avatar.arkit import ARKIT_NAMES, NUM_ARKIT
@@ -121,13 +122,6 @@ def _sum(faults: list[HeadFaults]) -> int:
     return sum(fault.total for fault in faults)
 
 
-def replace_between(text: str, marker: str, lines: list[str]) -> str:
-    """Put `lines` between ``<!-- marker -->`` and ``<!-- /marker -->``."""
-    start, end = f"<!-- {marker} -->", f"<!-- /{marker} -->"
-    before, rest = text.split(start)
-    return before + start + "\n" + "\n".join(lines) + "\n" + end + rest.split(end)[1]
-
-
 def main() -> None:
     """Check, write, draw."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -135,10 +129,8 @@ def main() -> None:
     parser.add_argument("--worst", type=Path)
     options = parser.parse_args()
     page = DOCS / "heads.md"
-    text = page.read_text(encoding="utf-8")
-    text = replace_between(text, "motion", motion_table())
-    text = replace_between(text, "faults", count_faults(options.combinations, options.worst))
-    page.write_text(text, encoding="utf-8")
+    fill_in(page, "motion", "\n".join(motion_table()))
+    fill_in(page, "faults", "\n".join(count_faults(options.combinations, options.worst)))
     (DOCS / "heads.png").write_bytes(draw_sheet())
 
 

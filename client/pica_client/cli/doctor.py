@@ -38,7 +38,7 @@ def doctor(options: DoctorOptions) -> dict[str, Any]:
     return {"findings": [asdict(finding) for finding in findings]}
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, slots=True)
 class Finding:
     """One line of the examination."""
 
@@ -73,9 +73,8 @@ def examine(
         load: Imports a module by name; tests give another.
         has_display: Whether a window can be expected to open.
     """
-    findings = [_extra(extra, modules, load) for extra, modules in EXTRAS.items()]
-    findings += [_graphics(load), _inference(load), _display(has_display()), _avatars()]
-    return findings
+    extras = (_extra(extra, modules, load) for extra, modules in EXTRAS.items())
+    return [*extras, _graphics(load), _inference(load), _display(has_display()), _avatars()]
 
 
 def _extra(extra: str, modules: tuple[str, ...], load: Callable[[str], Any]) -> Finding:
@@ -87,58 +86,50 @@ def _extra(extra: str, modules: tuple[str, ...], load: Callable[[str], Any]) -> 
             kind = "" if isinstance(error, ModuleNotFoundError) else f" ({error})"
             lacking.append(f"{module}{kind}")
     if not lacking:
-        return Finding(subject=f"extra {extra}", level="good", detail="installed")
-    return Finding(
-        subject=f"extra {extra}",
-        level="lacking",
-        detail=f"no {', '.join(lacking)}",
-        fix=f"pip install '{DISTRIBUTION}[{extra}]'",
-    )
+        return Finding(f"extra {extra}", "good", "installed")
+    fix = f"pip install '{DISTRIBUTION}[{extra}]'"
+    return Finding(f"extra {extra}", "lacking", f"no {', '.join(lacking)}", fix)
 
 
 def _graphics(load: Callable[[str], Any]) -> Finding:
     try:
         context = load("pica_core.gl").create_context()
     except ModuleNotFoundError:
-        return Finding(subject="OpenGL", level="lacking", detail="see extra view")
+        return Finding("OpenGL", "lacking", "see extra view")
     except GraphicsError as error:
-        return Finding(subject="OpenGL", level="lacking", detail=str(error))
+        return Finding("OpenGL", "lacking", str(error))
     try:
         info = context.info
         renderer, version = info["GL_RENDERER"], context.version_code
     finally:
         context.release()
     is_software = any(word in renderer.lower() for word in ("llvmpipe", "softpipe", "swiftshader"))
-    return Finding(
-        subject="OpenGL",
-        level="good",
-        detail=f"{renderer}, GL {version / 100:.1f}" + (", in software" if is_software else ""),
-        fix="a graphics driver would draw faster" if is_software else "",
-    )
+    detail = f"{renderer}, GL {version / 100:.1f}"
+    if is_software:
+        return Finding(
+            "OpenGL", "good", f"{detail}, in software", "a graphics driver would draw faster"
+        )
+    return Finding("OpenGL", "good", detail)
 
 
 def _inference(load: Callable[[str], Any]) -> Finding:
     try:
         onnxruntime = load("onnxruntime")
     except Exception:
-        return Finding(subject="ONNX Runtime", level="lacking", detail="see extra view")
+        return Finding("ONNX Runtime", "lacking", "see extra view")
     providers = ", ".join(onnxruntime.get_available_providers())
-    return Finding(
-        subject="ONNX Runtime", level="good", detail=f"{onnxruntime.__version__}, {providers}"
-    )
+    return Finding("ONNX Runtime", "good", f"{onnxruntime.__version__}, {providers}")
 
 
 def _display(is_there: bool) -> Finding:
     if is_there:
-        return Finding(subject="display", level="good", detail="one is named, not tried")
+        return Finding("display", "good", "one is named, not tried")
     fix = "set DISPLAY or WAYLAND_DISPLAY, or use --headless" if sys.platform == "linux" else ""
-    return Finding(subject="display", level="lacking", detail="none", fix=fix)
+    return Finding("display", "lacking", "none", fix)
 
 
 def _avatars() -> Finding:
     names = [path.stem for path in shipped_avatar_files()]
     if names:
-        return Finding(subject="avatars", level="good", detail=", ".join(names))
-    return Finding(
-        subject="avatars", level="lacking", detail="none ship with this build", fix="--avatar FILE"
-    )
+        return Finding("avatars", "good", ", ".join(names))
+    return Finding("avatars", "lacking", "none ship with this build", "--avatar FILE")
