@@ -5,8 +5,10 @@ import re
 import socket
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 from pica_protocol.limits import MAX_PEERS, check_url
+from pica_server.config.ranges import Range, check_ranges
 from pica_server.errors import ConfigurationError
 from pica_server.net.proxies import networks
 from pica_server.store.config import StoreConfig
@@ -20,36 +22,28 @@ _NATS_URL = re.compile(r"(nats|tls)://([^/?#\s@]+@)?[A-Za-z0-9._-]+(:[0-9]{1,5})
 class LimitsConfig:
     """How much one client, one address and everybody together may ask of a relay."""
 
-    messages_per_s: float = 300.0
+    messages_per_s: Annotated[float, Range(1, 1e9)] = 300.0
     """Frames and control messages a second of one client, on average; 4008 above it."""
-    bytes_per_s: float = 131_072.0
+    bytes_per_s: Annotated[float, Range(1024, 1e12)] = 131_072.0
     """Bytes a second of one client, on average; 4008 above it."""
-    burst_s: float = 1.0
+    burst_s: Annotated[float, Range(0.1, 600)] = 1.0
     """So many seconds' worth may come at once, as after a stall of the network."""
-    joins_per_s: float = 50.0
+    joins_per_s: Annotated[float, Range(0.1, 1e9)] = 50.0
     """Joins a second of everybody together, on average; 4009 above it."""
-    joins_burst: float = 200.0
+    joins_burst: Annotated[float, Range(1, 1e9)] = 200.0
     """Joins that may come at once, as when a relay starts again."""
-    connections_per_address: int = 64
+    connections_per_address: Annotated[int, Range(1, 1_000_000)] = 64
     """Websockets of one address (of one /64 in IPv6); 4010 above it. This machine has no limit."""
-    handshakes: int = 256
+    handshakes: Annotated[int, Range(1, 1_000_000)] = 256
     """Sockets that are not websockets yet; one more is cut without a word."""
-    sockets_per_s: float = 20.0
+    sockets_per_s: Annotated[float, Range(0.1, 1e9)] = 20.0
     """New sockets a second of one address (of one /64 in IPv6), on average, downloads among them;
     one more is cut before it costs a TLS handshake. This machine has no limit."""
-    sockets_burst: float = 200.0
+    sockets_burst: Annotated[float, Range(1, 1e9)] = 200.0
     """New sockets of one address that may come at once, as when a relay starts again."""
 
     def __post_init__(self) -> None:
-        _check("limits.messages-per-s", self.messages_per_s, 1, 1e9)
-        _check("limits.bytes-per-s", self.bytes_per_s, 1024, 1e12)
-        _check("limits.burst-s", self.burst_s, 0.1, 600)
-        _check("limits.joins-per-s", self.joins_per_s, 0.1, 1e9)
-        _check("limits.joins-burst", self.joins_burst, 1, 1e9)
-        _check("limits.connections-per-address", self.connections_per_address, 1, 1_000_000)
-        _check("limits.handshakes", self.handshakes, 1, 1_000_000)
-        _check("limits.sockets-per-s", self.sockets_per_s, 0.1, 1e9)
-        _check("limits.sockets-burst", self.sockets_burst, 1, 1e9)
+        check_ranges(self, "limits.")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -62,17 +56,15 @@ class WebhookConfig:
     """File with the secret that events are signed with; without it they are not."""
     ca_file: Path | None = None
     """File of certificates to trust besides those of the system, for https://."""
-    timeout_s: float = 5.0
+    timeout_s: Annotated[float, Range(0.1, 60)] = 5.0
     """Seconds for one attempt."""
-    give_up_s: float = 600.0
+    give_up_s: Annotated[float, Range(0, 86_400)] = 600.0
     """Seconds after which an event that cannot be delivered is dropped."""
-    max_waiting: int = 1000
+    max_waiting: Annotated[int, Range(1, 100_000)] = 1000
     """Events that may wait; one more drops the oldest."""
 
     def __post_init__(self) -> None:
-        _check("webhook.timeout-s", self.timeout_s, 0.1, 60)
-        _check("webhook.give-up-s", self.give_up_s, 0, 86_400)
-        _check("webhook.max-waiting", self.max_waiting, 1, 100_000)
+        check_ranges(self, "webhook.")
         if self.url and not _HTTP_URL.fullmatch(self.url):
             raise ConfigurationError("--webhook.url is no address: write https://HOST/PATH")
         if self.secret_file is not None and not self.url:
@@ -85,7 +77,7 @@ class RelayConfig:
 
     host: str = "127.0.0.1"
     """Address to listen on. Without keys it must be this machine's own, see ``insecure``."""
-    port: int = 8765
+    port: Annotated[int, Range(0, 65_535)] = 8765
     """TCP port; 0 takes a free one."""
     keys: Path | None = None
     """File of the keys that join tokens are signed with, see ``pica token``. With it nobody joins
@@ -108,7 +100,7 @@ class RelayConfig:
     """Answer /metrics to all other machines too, not to this one alone."""
     metrics_to: tuple[str, ...] = ()
     """Addresses or networks that /metrics is answered to besides this machine, as 10.0.0.0/8."""
-    admin_port: int | None = None
+    admin_port: Annotated[int | None, Range(0, 65_535)] = None
     """TCP port for looking at rooms and managing them over HTTP, see ``pica room``; 0 takes a free
     one. With keys it wants an admin's token, else it answers this machine only."""
     admin_host: str = "127.0.0.1"
@@ -122,34 +114,34 @@ class RelayConfig:
     Several servers of one NATS cluster with commas between. See docs/cluster.md."""
     share_port: bool = False
     """Let other relays on this machine listen on the same port: the kernel spreads the clients."""
-    room_capacity: int = 16
+    room_capacity: Annotated[int, Range(1, MAX_PEERS)] = 16
     """Peers in one room."""
-    max_connections: int = 1024
+    max_connections: Annotated[int, Range(1, 1_000_000)] = 1024
     """Websockets in all, joined or not."""
-    handshake_timeout_s: float = 5.0
+    handshake_timeout_s: Annotated[float, Range(0.05, 600)] = 5.0
     """Seconds a client has to open the websocket, and then again to join."""
-    stall_timeout_s: float = 10.0
+    stall_timeout_s: Annotated[float, Range(0.05, 600)] = 10.0
     """Seconds one message to a peer may wait for the peer to read before it is closed."""
-    ping_interval_s: float = 10.0
+    ping_interval_s: Annotated[float, Range(0.05, 600)] = 10.0
     """Seconds between the pings that find silent peers; a pong is due within the same time."""
-    close_timeout_s: float = 2.0
+    close_timeout_s: Annotated[float, Range(0.05, 600)] = 2.0
     """Seconds a closing handshake may take before the socket is cut."""
-    keyframe_interval_s: float = 0.5
+    keyframe_interval_s: Annotated[float, Range(0, 600)] = 0.5
     """Shortest time between two keyframe requests that are passed on for one stream."""
-    slow_keyframe_interval_s: float = 2.0
+    slow_keyframe_interval_s: Annotated[float, Range(0, 600)] = 2.0
     """The same for requests that are made because a receiver reads too slowly: one that always
     does must not make the stream more expensive for everybody else."""
-    send_buffer_bytes: int = 16_384
+    send_buffer_bytes: Annotated[int, Range(2048, 16_777_216)] = 16_384
     """Bytes of one connection that the kernel may hold; what waits there is stale and cannot be
     replaced by newer frames. The kernel may round it up."""
-    max_control_bytes: int = 262_144
+    max_control_bytes: Annotated[int, Range(65_536, 16_777_216)] = 262_144
     """Bytes of control messages that may wait for one peer before it is closed."""
     without: tuple[str, ...] = ()
     """Parts of the fast path to leave out, ``short-read``, ``direct-write``
     and ``flow``: for ``pica bench relay --ablate``."""
-    resume_grace_s: float = 10.0
+    resume_grace_s: Annotated[float, Range(0, 600)] = 10.0
     """Seconds for which the place of a peer is kept whose connection broke; 0 keeps none."""
-    drain_s: float = 20.0
+    drain_s: Annotated[float, Range(0, 3600)] = 20.0
     """Seconds to send everybody away after SIGTERM, before the rest is cut; 0 cuts at once."""
     drain_to: str = ""
     """Address of the relay that they are sent to, as wss://HOST:PORT; empty: clients try this one's
@@ -162,22 +154,9 @@ class RelayConfig:
     """What the avatar store takes and gives."""
 
     def __post_init__(self) -> None:
-        _check("port", self.port, 0, 65_535)
-        _check("admin-port", self.admin_port or 0, 0, 65_535)
-        _check("room-capacity", self.room_capacity, 1, MAX_PEERS)
-        _check("max-connections", self.max_connections, 1, 1_000_000)
-        _check("handshake-timeout-s", self.handshake_timeout_s, 0.05, 600)
-        _check("stall-timeout-s", self.stall_timeout_s, 0.05, 600)
-        _check("ping-interval-s", self.ping_interval_s, 0.05, 600)
-        _check("close-timeout-s", self.close_timeout_s, 0.05, 600)
-        _check("keyframe-interval-s", self.keyframe_interval_s, 0, 600)
-        _check("slow-keyframe-interval-s", self.slow_keyframe_interval_s, 0, 600)
-        _check("send-buffer-bytes", self.send_buffer_bytes, 2048, 16_777_216)
-        _check("max-control-bytes", self.max_control_bytes, 65_536, 16_777_216)
+        check_ranges(self)
         if not self.avatar_store:
             raise ConfigurationError("--avatar-store is empty; name a folder, or none")
-        _check("resume-grace-s", self.resume_grace_s, 0, 600)
-        _check("drain-s", self.drain_s, 0, 3600)
         try:
             check_url("drain-to", self.drain_to)
         except ValueError as error:
@@ -216,11 +195,6 @@ class RelayConfig:
                 "tokens: name a key file with --keys (`pica token --new-key` makes one), keep "
                 "--host 127.0.0.1, or add --insecure to let anybody in"
             )
-
-
-def _check(field: str, value: float, low: float, high: float) -> None:
-    if not low <= value <= high:
-        raise ConfigurationError(f"--{field} must be in {low}..{high}, got {value}")
 
 
 def _is_loopback(host: str) -> bool:
