@@ -268,9 +268,9 @@ class Relay:
         """Cut every websocket without another word."""
         self._pump.cut()
 
-    def _notify(self, notice: RoomEvent) -> None:
+    def _notify(self, event: RoomEvent) -> None:
         if self.webhooks is not None:
-            self.webhooks.notify(notice)
+            self.webhooks.notify(event)
 
     def _watch_later(self) -> None:
         loop = asyncio.get_running_loop()

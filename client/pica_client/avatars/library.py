@@ -142,7 +142,7 @@ class AvatarLibrary:
 
         Raises:
             AvatarFileError: It must not be used.
-            AvatarLookupError: Nobody has it.
+            AvatarLookupError: No file has this hash.
         """
         if not self.has(identity):
             raise AvatarLookupError(f"no avatar file with the hash {identity[:12]}…")

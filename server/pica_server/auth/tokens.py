@@ -46,7 +46,7 @@ class Admission:
     """What somebody may do in the room they join."""
 
     identity: str = ""
-    """Who it is; empty: nobody in particular, as everybody is without tokens."""
+    """Who it is for sure; empty without tokens."""
     name: str = ""
     """What they are called; empty: as they like."""
     may_publish: bool = True

@@ -129,7 +129,7 @@ def read_options(
         The options, and every setting with its source.
 
     Raises:
-        ConfigurationError: A key or variable nobody knows, a value of the wrong type or out of
+        ConfigurationError: An unknown key or variable, a value of the wrong type or out of
             range; one line that says where.
     """
     settings = {setting.name: setting for setting in settings_of(options_type)}

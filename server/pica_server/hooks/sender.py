@@ -70,10 +70,10 @@ class WebhookSender:
         self._task: asyncio.Task[None] | None = None
         self._has_failed = False
 
-    def notify(self, notice: RoomEvent) -> None:
+    def notify(self, event: RoomEvent) -> None:
         """Queue an event."""
         now = asyncio.get_running_loop().time()
-        self.queue.offer(notice, unix_s=self._unix_time(), now=now)
+        self.queue.offer(event, unix_s=self._unix_time(), now=now)
         self._wake.set()
         self._idle.clear()
 

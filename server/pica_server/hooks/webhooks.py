@@ -78,11 +78,11 @@ class WebhookQueue:
     def __len__(self) -> int:
         return len(self._waiting) + (self._under_way is not None)
 
-    def offer(self, notice: RoomEvent, *, unix_s: float, now: float) -> None:
+    def offer(self, event: RoomEvent, *, unix_s: float, now: float) -> None:
         """Queue an event."""
         event_id = self._new_id()
-        told = {key: value for key, value in asdict(notice).items() if value}
-        body = json.dumps({"id": event_id, "created": round(unix_s, 3), **told}).encode()
+        said = {key: value for key, value in asdict(event).items() if value}
+        body = json.dumps({"id": event_id, "created": round(unix_s, 3), **said}).encode()
         self._waiting.append(Delivery(event_id, body, now))
         if len(self) > self._max_waiting:
             self._waiting.popleft()

@@ -88,7 +88,7 @@ def _context(cert: Path, key: Path) -> ssl.SSLContext:
         if b"-----BEGIN " not in text:
             raise ConfigurationError(f"--{flag} {path}: it is no PEM file")
         if flag == "tls-key" and b"ENCRYPTED" in text:
-            fix = "a relay can ask nobody for a password: `openssl pkey` takes it off"
+            fix = "a relay cannot ask for a password: `openssl pkey` takes it off"
             raise ConfigurationError(f"--{flag} {path}: it is encrypted, and {fix}")
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2

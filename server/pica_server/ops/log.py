@@ -1,9 +1,10 @@
 """The relay's log: lines of JSON or text, with numbers and ids instead of names and addresses.
 
 Whoever logs gives a message that is always the same and fields: ids that the relay made, codes,
-numbers. Room names, display names, addresses, tokens and payloads are no fields. Two doors are shut
-besides, for what nobody here has written: of an error only its type and where it happened is
-logged, and of other libraries only that they said something.
+numbers. Room names, display names, addresses, tokens and payloads are no fields. Two rules hold for
+what others have written: of an error only its type and where it happened is logged, and of other
+libraries only that they said something. The JSON formatter is six lines; a library's would have
+to be told to leave all of this out.
 
 Strangers cause most lines, so there is a limit to how many a second they can cause.
 """

@@ -77,10 +77,10 @@ class RelayStats:
     ``behind``, or ``keyless``, as who comes while the chain is too long. ``withheld``: any of them,
     too soon after another."""
     whispers: int = 0
-    """Whispers passed on."""
+    """Private messages (``Whisper``) passed on."""
     whispers_dropped: Counter[str] = field(default_factory=Counter)
-    """Whispers that were not: the sender's ``rate`` was too high, the receiver is not in the room
-    (``nobody``), or reads too slowly (``backlog``)."""
+    """Private messages that were not: the sender's ``rate`` was too high, the receiver is not in
+    the room (``nobody``), or reads too slowly (``backlog``)."""
     limits_hit: Counter[str] = field(default_factory=Counter)
     """How often a limit was reached: ``messages``, ``bytes`` or ``metadata`` updates of a client,
     ``joins``, ``connections`` in all, ``address``, ``room``, ``control`` left unread;

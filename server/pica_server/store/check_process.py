@@ -63,7 +63,7 @@ def check_fully(path: Path, identity: str) -> None:
     if done.returncode == 0 and _says_ok(done.stdout, identity):
         return
     if done.returncode == 2 and last_words.startswith("pica avatar verify:"):
-        # It names the file by a path that is nobody's business.
+        # It names the file by a path that the uploader must not learn.
         raise UnfitFileError(last_words.partition(f"{path}:")[2].strip() or "not an avatar file")
     if done.returncode < 0:
         raise UnfitFileError("the check took too much time or memory")

@@ -1,7 +1,7 @@
 """The avatar store: files by the SHA-256 of their bytes, so that a stranger can be seen by all.
 
-Nobody needs the relay's word for what it gives: whoever gets a file hashes it. So the store only
-has to take care of what it takes: who may give, how much in all, and that it is an avatar file.
+Whoever gets a file hashes it, and so need not trust the relay. The store only has to take care of
+what it takes: who may give, how much in all, and that it is an avatar file.
 
 What blocks (disk, network, hashing, the check) happens in threads of the store. It knows no
 websocket; `downloads` and `uploads` are the ways out and in.
