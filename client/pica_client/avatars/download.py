@@ -82,15 +82,16 @@ def download(
     """
     url = store_url(relay_url, identity)
     is_secure = url.startswith("https:")
-    with (
-        into.open("xb") as file,
-        httpx.Client(
+    try:
+        client = httpx.Client(
             verify=(tls or ssl.create_default_context()) if is_secure else False,
             trust_env=not is_loopback(urlsplit(url).hostname or ""),  # for proxies
             timeout=TIMEOUT_S,
             headers={"User-Agent": SOFTWARE, "Accept-Encoding": "identity"},
-        ) as client,
-    ):
+        )
+    except (ImportError, ValueError) as error:
+        raise DownloadError(f"the proxy of the environment cannot be used: {error}") from error
+    with client, into.open("xb") as file:
         transfer = _Transfer(identity, file, progress)
         for _ in range(MAX_RESUMES):
             before = transfer.received

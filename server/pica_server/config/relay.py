@@ -6,6 +6,7 @@ import socket
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
+from urllib.parse import urlsplit
 
 from pica_protocol.limits import MAX_PEERS, check_url
 from pica_server.config.ranges import Range, check_ranges
@@ -65,7 +66,7 @@ class WebhookConfig:
 
     def __post_init__(self) -> None:
         check_ranges(self, "webhook.")
-        if self.url and not _HTTP_URL.fullmatch(self.url):
+        if self.url and not _is_http_url(self.url):
             raise ConfigurationError("--webhook.url is no address: write https://HOST/PATH")
         if self.secret_file is not None and not self.url:
             raise ConfigurationError("--webhook.secret-file signs events: name a --webhook.url")
@@ -195,6 +196,13 @@ class RelayConfig:
                 "tokens: name a key file with --keys (`pica token --new-key` makes one), keep "
                 "--host 127.0.0.1, or add --insecure to let anybody in"
             )
+
+
+def _is_http_url(text: str) -> bool:
+    try:
+        return _HTTP_URL.fullmatch(text) is not None and urlsplit(text).port != 0
+    except ValueError:  # a port that no host has
+        return False
 
 
 def _is_loopback(host: str) -> bool:

@@ -110,7 +110,7 @@ class WebhookSender:
                 async with asyncio.timeout(self._config.timeout_s):
                     status = await self._post(delivery)
                 trouble = "" if 200 <= status < 300 else f"HTTP {status}"
-            except (httpx.HTTPError, OSError) as error:
+            except (httpx.HTTPError, httpx.InvalidURL, OSError, UnicodeError) as error:
                 trouble = type(error).__name__
             now = loop.time()
             if trouble:

@@ -198,6 +198,15 @@ def test_nobody_there_is_a_download_error(tmp_path: Path) -> None:
         download("ws://127.0.0.1:9", ID, tmp_path / "got")
 
 
+@pytest.mark.parametrize("proxy", ["socks5://127.0.0.1:9", "gopher://127.0.0.1:9"])
+def test_a_proxy_that_cannot_be_used_is_a_download_error(
+    proxy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ALL_PROXY", proxy)
+    with pytest.raises(DownloadError, match="proxy"):
+        download("ws://relay.invalid", ID, tmp_path / "got")
+
+
 def test_a_full_disk_is_no_fault_of_the_network(tmp_path: Path) -> None:
     if not Path("/dev/full").exists():
         pytest.skip("needs /dev/full")

@@ -132,7 +132,9 @@ def test_what_is_too_old_is_dropped_and_counted() -> None:
     assert counts == {"expired": 1}
 
 
-@pytest.mark.parametrize("url", ["ftp://a", "https://", "http://a b", "https://user:pw@host/"])
+@pytest.mark.parametrize(
+    "url", ["ftp://a", "https://", "http://a b", "https://user:pw@host/", "http://a:99999/"]
+)
 def test_what_is_no_address_is_refused(url: str) -> None:
     with pytest.raises(ConfigurationError, match=r"--webhook\.url is no address"):
         RelayConfig(webhook=WebhookConfig(url=url))
