@@ -44,7 +44,7 @@ def silhouette_problem(
     # An open mesh covers nothing from within, such as a collar from below.
     facing = _facing(camera, vertices_m, faces) > 0
     row, column = _inside(camera, pixels[facing], distance[facing])
-    wide = _grow(mask > 0, max(2, round(0.01 * min(mask.shape))))
+    wide = grow(mask > 0, max(2, round(0.01 * min(mask.shape))))
     outside = float((~wide[row, column]).mean()) if len(row) else 0.0
     if outside > MOST_OUTSIDE:
         return f"{outside:.1%} of the tracked mesh in the picture lies beside the mask"
@@ -105,7 +105,7 @@ def _facing(camera: Camera, vertices_m: FloatArray, faces: IntArray) -> Float64A
     return (normal * way).sum(axis=1) / np.maximum(size, 1e-20)
 
 
-def _grow(mask: BoolArray, reach: int) -> BoolArray:
+def grow(mask: BoolArray, reach: int) -> BoolArray:
     """The mask and what lies within `reach` pixels along rows and columns."""
     for axis in (0, 1):
         grown = mask.copy()

@@ -64,6 +64,17 @@ class Topology:
     faces: IntArray
     regions: dict[str, BoolArray]
 
+    def region(self, name: str) -> BoolArray:
+        """A vertex set by name; empty where there is none."""
+        return self.regions.get(name, np.zeros(len(self.vertex_uv), np.bool_))
+
+    def by_region(self, values: dict[str, float], elsewhere: float) -> Float64Array:
+        """A number for each vertex; the last region that applies counts. ``[V]``."""
+        result = np.full(len(self.vertex_uv), elsewhere)
+        for name, value in values.items():
+            result[self.region(name)] = value
+        return result
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Description:

@@ -80,9 +80,8 @@ def _face(capture: Capture, frame: CaptureFrame, camera_name: str) -> Image.Imag
     """The part of an image around the face, or around the whole mesh where no face is named."""
     camera = capture.head_camera(frame, camera_name)
     pixels, _ = camera.project(capture.vertices_m(frame))
-    face = capture.tracked_topology.regions.get("face")
-    if face is not None and face.any():
-        pixels = pixels[face]
+    face = capture.tracked_topology.region("face")
+    pixels = pixels[face] if face.any() else pixels
     low, high = pixels.min(axis=0), pixels.max(axis=0)
     middle, half = (low + high) / 2, max(0.62 * float((high - low).max()), 4.0)
     box = (*(middle - half).round().astype(int), *(middle + half).round().astype(int))

@@ -68,7 +68,7 @@ class StageOptions(RenderOptions):
 
 
 def render_capture(
-    options: StageOptions, out: Path, progress: Progress | None = None
+    options: StageOptions, out: Path, progress: Progress = lambda done, total: None
 ) -> dict[str, Any]:
     """Render a built-in head; arguments, result and errors as `render_subject`."""
 

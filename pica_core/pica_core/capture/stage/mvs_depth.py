@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pica_core.camera import Camera
+from pica_core.capture.dataset.check_geometry import grow
 from pica_core.types import BoolArray, ByteArray, FloatArray, Int64Array
 
 
@@ -120,15 +121,7 @@ def _near_step(depth_m: FloatArray, step_m: float, reach: int) -> BoolArray:
     step[:-1] |= down
     step[:, 1:] |= across
     step[:, :-1] |= across
-    rows = step.copy()
-    for shift in range(1, reach + 1):
-        rows[shift:] |= step[:-shift]
-        rows[:-shift] |= step[shift:]
-    near = rows.copy()
-    for shift in range(1, reach + 1):
-        near[:, shift:] |= rows[:, :-shift]
-        near[:, :-shift] |= rows[:, shift:]
-    return near
+    return grow(step, reach)
 
 
 def _box_mean(values: FloatArray, reach: int) -> FloatArray:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +37,7 @@ from pica_core.capture.stage.subject import Subject
 from pica_core.capture.stage.tracked_topology import NUM_VERTICES, track_topology
 from pica_core.capture.stage.tracker import SimulatedTracker, lagged_arkit
 from pica_core.errors import CaptureError
-from pica_core.types import FloatArray, Int64Array
+from pica_core.types import FloatArray
 
 Progress = Callable[[int, int], None]
 
@@ -102,18 +102,13 @@ def check_range(options: RenderOptions, name: str, low: int, high: int) -> None:
         raise CaptureError(f"{name} is {value}; allowed are {low} to {high}")
 
 
-def _fingerprint(options: RenderOptions, subject: Subject) -> str:
-    values = {field.name: getattr(options, field.name) for field in fields(options)}
-    return json.dumps({"options": values, "subject": subject.describe()}, sort_keys=True)
-
-
 def render_subject(
     make_subject: Callable[[], Subject],
     options: RenderOptions,
     out: Path,
-    progress: Progress | None = None,
+    progress: Progress = lambda done, total: None,
 ) -> dict[str, Any]:
-    """Render a capture.
+    """Render a capture; returns counts: frames, cameras, images, train, test, resumed.
 
     Args:
         make_subject: Makes who is to be rendered; what that raises is raised before a file is
@@ -122,9 +117,6 @@ def render_subject(
         out: Directory to fill: new, empty, or an interrupted render of the same subject and
             options.
         progress: Called with frames done and frames in all.
-
-    Returns:
-        Counts: frames, cameras, images, train, test, resumed.
 
     Raises:
         CaptureError: `out` holds something else, or cannot be written.
@@ -138,7 +130,8 @@ def render_subject(
         raise CaptureError(f"{out}: {_USED}")
     subject = make_subject()
     try:
-        fingerprint = _fingerprint(options, subject)
+        whole = {"options": asdict(options), "subject": subject.describe()}
+        fingerprint = json.dumps(whole, sort_keys=True)
         if used and multiface.read_text(marker) != fingerprint:
             raise CaptureError(f"{out}: {_USED}")
         multiface.write_aside(marker, fingerprint.encode())
@@ -157,8 +150,7 @@ class _Rendering:
     ) -> None:
         self.subject, self.options, self.out, self.writer = subject, options, out, writer
         self.cameras = dome_cameras(options.cameras, options.width, options.height, options.lenses)
-        names = subject.describe()["mask"]
-        self.materials = {int(value): name for value, name in names.items()}
+        self.materials = {int(k): name for k, name in subject.describe()["mask"].items()}
         shapes = np.stack([subject.pose(arkit) for arkit in OPENING])
         self.tracked_topology, self.tracked = track_topology(
             subject.topology, shapes, options.tracked_vertices
@@ -233,61 +225,45 @@ def _millimetres(vertices_m: FloatArray) -> FloatArray:
 
 
 def _render(
-    subject: Subject, options: RenderOptions, out: Path, progress: Progress | None
+    subject: Subject, options: RenderOptions, out: Path, progress: Progress
 ) -> dict[str, Any]:
     takes = sample_takes(options.frames, options.seed)
+    frames = [(k, take, index) for k, take in enumerate(takes) for index in range(len(take.arkit))]
     sums, errors = TrainingSums(), TrackingErrors()
-    resumed = done = 0
+    resumed = 0
     rendering: _Rendering | None = None
-    tracked: tuple[Topology, Int64Array] | None = None
     with BackgroundWriter() as writer:
-        for number, take in enumerate(takes):
-            for index in range(len(take.arkit)):
-                frame = f"{index:06d}"
-                mesh = out / multiface.mesh_path(take.segment, frame)
-                if mesh.is_file():
-                    resumed += 1
-                else:
-                    rendering = rendering or _Rendering(subject, options, out, writer)
-                    rendering.draw_frame(take, number, index)
-                tracked = tracked or read_tracked(out, len(subject.topology.vertex_uv))
-                _sum_up(out, options, take, frame, tracked[1], sums, errors)
-                done += 1
-                if progress is not None:
-                    progress(done, options.frames)
-    assert tracked is not None  # there are at least four frames
+        for done, (number, take, index) in enumerate(frames, start=1):
+            frame = f"{index:06d}"
+            mesh = out / multiface.mesh_path(take.segment, frame)
+            truth = out / multiface.mesh_path(take.segment, frame, multiface.TRUTH_MESH)
+            texture = out / multiface.texture_path(options.texture_size, take.segment, frame)
+            if mesh.is_file():
+                resumed += 1
+            else:
+                rendering = rendering or _Rendering(subject, options, out, writer)
+                rendering.draw_frame(take, number, index)
+            if done == 1:
+                tracked, dense_vertex = read_tracked(out, len(subject.topology.vertex_uv))
+            # What is summed is what the files of the frame hold.
+            tracked_mm = np.frombuffer(mesh.read_bytes(), "<f4").reshape(-1, 3)
+            exact_mm = np.frombuffer(truth.read_bytes(), "<f4").reshape(-1, 3)
+            errors.add(tracked_mm, exact_mm[dense_vertex])
+            if take.split == "train":
+                with Image.open(texture) as image:
+                    sums.add(tracked_mm, np.asarray(image))
+            progress(done, options.frames)
     sums.write(out)
-    num_test = sum(len(take.arkit) for take in takes if take.split == "test")
-    write_tables(out, takes, _describe(subject, options, tracked[0], errors))
+    write_tables(out, takes, _describe(subject, options, tracked, errors))
+    num_test = sum(take.split == "test" for _, take, _ in frames)
     return {
-        "frames": done,
+        "frames": len(frames),
         "cameras": options.cameras,
-        "images": done * options.cameras,
-        "train": done - num_test,
+        "images": len(frames) * options.cameras,
+        "train": len(frames) - num_test,
         "test": num_test,
         "resumed": resumed,
     }
-
-
-def _sum_up(
-    out: Path,
-    options: RenderOptions,
-    take: Take,
-    frame: str,
-    tracked: Int64Array,
-    sums: TrainingSums,
-    errors: TrackingErrors,
-) -> None:
-    """Count a frame that is done; what is summed is what its files hold."""
-    mesh = out / multiface.mesh_path(take.segment, frame)
-    truth = out / multiface.mesh_path(take.segment, frame, multiface.TRUTH_MESH)
-    texture = out / multiface.texture_path(options.texture_size, take.segment, frame)
-    tracked_mm = np.frombuffer(mesh.read_bytes(), "<f4").reshape(-1, 3)
-    exact_mm = np.frombuffer(truth.read_bytes(), "<f4").reshape(-1, 3)
-    errors.add(tracked_mm, exact_mm[tracked])
-    if take.split == "train":
-        with Image.open(texture) as image:
-            sums.add(tracked_mm, np.asarray(image))
 
 
 def _describe(
@@ -323,5 +299,5 @@ def _describe(
         "topology": multiface.TOPOLOGY,
         "tracked_topology": multiface.TRACKED_TOPOLOGY,
         "num_vertices": len(subject.topology.vertex_uv),
-        "evaluation_views": [name for name in EVALUATION_VIEWS],
+        "evaluation_views": list(EVALUATION_VIEWS),
     }

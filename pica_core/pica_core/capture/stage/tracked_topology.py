@@ -19,7 +19,7 @@ import numpy as np
 from pica_core.capture.dataset.files import Topology
 from pica_core.capture.stage.mouth_cover import cover_mouth
 from pica_core.capture.triangles import edges
-from pica_core.types import BoolArray, Float64Array, FloatArray, Int64Array
+from pica_core.types import BoolArray, FloatArray, Int64Array
 
 NUM_VERTICES = 7000
 """Vertices that are aimed at (paper: 5K; the published Multiface meshes have 7,306)."""
@@ -58,12 +58,12 @@ def track_topology(
     """
     places = np.concatenate(list(np.asarray(shapes_m, np.float32)), axis=1)
     faces = topology.faces.astype(np.int64)
-    untracked = topology.regions.get(UNTRACKED, np.zeros(len(places), np.bool_))
+    untracked = topology.region(UNTRACKED)
     faces = faces[~untracked[faces].any(axis=1)]
     border, border_edges = _borders(faces, len(places))
     used = np.zeros(len(places), np.bool_)
     used[faces] = True
-    weight = _density(topology, len(places)) * np.where(border, BORDER_DENSITY, 1.0)
+    weight = topology.by_region(DENSITY, 1.0) * np.where(border, BORDER_DENSITY, 1.0)
     twins = _same_places(places)
     seeds = _spread(places, used, weight.astype(np.float32), twins, num_vertices)
     owner = _patches(places, faces, border, border_edges, seeds)
@@ -90,8 +90,7 @@ def _with_mouth_cover(
     tracked: Topology, chosen: Int64Array, places: Int64Array, open_m: FloatArray
 ) -> tuple[Topology, Int64Array]:
     """The tracked mesh with its mouth covered, where it has lips."""
-    lips = tracked.regions.get("lips", np.zeros(len(chosen), np.bool_))
-    faces = tracked.faces.astype(np.int64)
+    faces, lips = tracked.faces.astype(np.int64), tracked.region("lips")
     cover = cover_mouth(faces, tracked.vertex_uv, places, open_m[chosen], lips)
     if cover is None:
         return tracked, chosen
@@ -105,14 +104,6 @@ def _with_mouth_cover(
         ),
         chosen[every],
     )
-
-
-def _density(topology: Topology, count: int) -> Float64Array:
-    density = np.ones(count)
-    for name, value in DENSITY.items():
-        if name in topology.regions:
-            density[topology.regions[name]] = value
-    return density
 
 
 def _borders(faces: Int64Array, count: int) -> tuple[BoolArray, Int64Array]:

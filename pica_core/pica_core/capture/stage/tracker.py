@@ -65,11 +65,7 @@ class SimulatedTracker:
         self._faces = topology.faces
         _, first, number = np.unique(places, return_index=True, return_inverse=True)
         self._one_point = first[number.reshape(-1)]
-        spread = np.full(len(rest_m), ELSEWHERE_MM)
-        for name, value in SPREAD_MM.items():
-            if name in topology.regions:
-                spread[topology.regions[name]] = value
-        self._spread_m = 0.001 * spread[:, None]
+        self._spread_m = 0.001 * topology.by_region(SPREAD_MM, ELSEWHERE_MM)[:, None]
         self.lag_weight = _lag_weight(topology, rest_m)
 
     def follow(
@@ -107,8 +103,8 @@ def lagged_arkit(arkit: FloatArray, history: FloatArray) -> FloatArray:
 
 def _lag_weight(topology: Topology, rest_m: FloatArray) -> Float64Array:
     """1 at the lips, 0 from three times `LAG_REACH_M` on. float64 ``[Vt]``."""
-    lips = topology.regions.get("lips")
-    if lips is None or not lips.any():
+    lips = topology.region("lips")
+    if not lips.any():
         return np.zeros(len(rest_m))
     distance = nearest(rest_m, rest_m[lips])[1]
     return np.where(distance > 3 * LAG_REACH_M, 0.0, np.exp(-((distance / LAG_REACH_M) ** 2)))
