@@ -57,7 +57,7 @@ class Topology:
     Attributes:
         vertex_uv: Texture coordinates, v = 0 is row 0. float32 ``[V, 2]``.
         faces: Triangles, counter-clockwise from outside. int32 ``[F, 3]``.
-        regions: Named vertex sets (`ProceduralHead.regions`). bool ``[V]`` each.
+        regions: Named vertex sets (`coordinates.name_regions`). bool ``[V]`` each.
     """
 
     vertex_uv: FloatArray

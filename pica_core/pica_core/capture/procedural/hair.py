@@ -128,7 +128,7 @@ def build_hair(identity: Identity, field: HeadField, chart: Chart) -> Float64Arr
     origin = np.broadcast_to([0.0, centre_y, 0.0], direction.shape)
     scalp = cast(field, origin.reshape(-1, 3), direction.reshape(-1, 3)).reshape(direction.shape)
     # Below the skull hair lies on cheek and neck: short hair all round, long hair at its front
-    # edge only, so that nobody looks in behind it; farther back it hangs.
+    # edge only, so that no camera looks in behind it; farther back it hangs.
     level = np.where(drop > 0, scalp[..., 1] - drop, 0.0)
     flat = np.stack([np.sin(azimuth), 0 * azimuth, np.cos(azimuth)], -1)
     start = np.stack([0 * level, level, 0 * level], -1)

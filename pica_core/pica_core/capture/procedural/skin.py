@@ -82,8 +82,8 @@ class EyeSurface:
     """Where lids glide: the eyeball, widened by the lid, melting into the socket around it.
 
     Frontal coordinates: `u` mm outwards from the pupil (towards the temple), `y` mm above the ear
-    axis. Lids move in
-    `y` only, and depth follows from here, so a lid can never leave the eyeball or enter it.
+    axis. Lids move in `y` only, and depth follows from here, so a lid can never leave the eyeball
+    or enter it.
     """
 
     def __init__(self, field: HeadField) -> None:

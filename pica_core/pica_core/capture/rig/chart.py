@@ -25,7 +25,7 @@ from pica_core.errors import CaptureError
 from pica_core.types import BoolArray, Float64Array, FloatArray, Int64Array, IntArray
 
 FLOW_GRIDS = ((2000, 128), (0, 48))
-"""From how many triangles on, and cells along each side of the grid on which density spreads."""
+"""Least triangles, and cells along each side of the grid on which their density spreads."""
 FLOW_MARGIN = 0.3
 """Sea around an island, as a share of its size, in which its outline may move."""
 FLOW_STEPS = 64

@@ -32,7 +32,7 @@ SEEN_FULLY = 0.27
 SEEN_ENOUGH = 0.03
 """Visibility from which on a triangle counts as seen: teeth are seen rarely and matter."""
 HIDDEN_SHARE = 0.40
-"""Texels of a triangle that nobody sees, against one that is seen."""
+"""Texels of a triangle that no camera sees, against one that is seen."""
 SHARE_BY_COUNT = 0.75
 """Part of the texels that goes to triangles alike (geometry); the rest goes by area."""
 IMPORTANCE = {"lids": 1.8, "lips": 1.8, "teeth": 1.4, "tongue": 1.2, "eyeballs": 1.3}
@@ -78,7 +78,7 @@ class _Turn:
     """An eyeball that this importer turns."""
 
     vertices: Int64Array
-    """Split vertices."""
+    """Its vertices among the split ones."""
     local: FloatArray
     """Their offsets from the centre at rest."""
     centre: FloatArray

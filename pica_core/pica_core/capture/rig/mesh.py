@@ -66,7 +66,7 @@ class RigMesh:
         faces: Triangles, counter-clockwise from outside. int32 ``[F, 3]``.
         uv: Texture coordinates, v downwards, or None. float64 ``[T, 2]``.
         uv_faces: Triangles in `uv`, or None. int32 ``[F, 3]``.
-        part: Index into `coordinates.MATERIALS`. int32 ``[F]``.
+        part: Index into `multiface.MATERIALS`. int32 ``[F]``.
         material: Index into the source's materials. int32 ``[F]``.
         eyes: Eyeballs found, left first.
         frame: How the file's coordinates became ours.

@@ -42,7 +42,7 @@ class NameMap:
     """How a rig's shapes drive the 52 ARKit shapes."""
 
     drivers: dict[str, tuple[Driver, ...]]
-    """By ARKit name; the drivers' displacements add up."""
+    """What drives each ARKit shape; displacements add up."""
     mapped: tuple[str, ...]
     """Source shapes that drive something, in the file's order."""
     missing: tuple[str, ...]

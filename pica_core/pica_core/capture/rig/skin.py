@@ -1,7 +1,7 @@
 """What the appearance shader needs to know of each vertex of a rig, and the images it brings.
 
 Where a material has no image, `shaders/rig_appearance.frag` paints it: skin with pores, brows,
-lips, lids and cropped hair, eyes, teeth, gums and tongue, from what `rig_features` found.
+lips, lids and cropped hair, eyes, teeth, gums and tongue, from what `features` found.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def open_albedo(where: str, data: bytes) -> ByteArray:
         raise CaptureError(f"{where}: not a complete image ({error})") from error
 
 
-def read_albedos(source: RigSource, wishes: tuple[str, ...]) -> dict[int, ByteArray]:
+def read_albedos(source: RigSource, choices: tuple[str, ...]) -> dict[int, ByteArray]:
     """Base colour images by material: those inside the rig's file, then the user's.
 
     A choice of the user is ``FILE`` for the material with most triangles, or ``MATERIAL=FILE``.
@@ -92,10 +92,9 @@ def read_albedos(source: RigSource, wishes: tuple[str, ...]) -> dict[int, ByteAr
         for index, data in source.images.items()
         if source.uv is not None
     }
-    for wish in wishes:
-        name, separator, path = wish.partition("=")
-        if not separator:
-            name, path = "", wish
+    for choice in choices:
+        name, separator, path = choice.partition("=")
+        path = path if separator else choice
         if source.uv is None:
             raise CaptureError(
                 f"albedo {path}: {source.path} has no texture coordinates to put it on"
@@ -104,10 +103,7 @@ def read_albedos(source: RigSource, wishes: tuple[str, ...]) -> dict[int, ByteAr
             raise CaptureError(
                 f"albedo: no material {name!r}; there are {', '.join(source.materials)}"
             )
-        index = (
-            source.materials.index(name)
-            if separator
-            else int(np.argmax(np.bincount(source.face_material)))
-        )
+        largest = int(np.argmax(np.bincount(source.face_material)))
+        index = source.materials.index(name) if separator else largest
         found[index] = open_albedo(path, read_bytes(Path(path)))
     return found

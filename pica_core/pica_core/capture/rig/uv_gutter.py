@@ -47,7 +47,7 @@ def add_gutters(
     seen: BoolArray,
     reach: float,
 ) -> tuple[Float64Array, IntArray, Int64Array, Int64Array]:
-    """Let islands reach under their neighbours.
+    """Let islands reach under those beside them.
 
     Args:
         points: Split vertices in the plane. ``[V, 2]``.
@@ -119,8 +119,7 @@ def _between(
     place = order[np.minimum(np.searchsorted(key[order], wanted), len(order) - 1)]
     third = faces[place // 3, (place % 3 + 2) % 3]
     triangles = np.stack([end[one], tip[one], tip[other]], 1)
-    flipped = (
-        signed_areas(points, triangles) * signed_areas(points, gutters[one]) <= 0
-    )  # gutters overlap here
-    fits = (key[place] == wanted) & (third == welded[other, 1]) & ~flipped
+    # Where the areas differ in sign, gutters overlap.
+    alike = signed_areas(points, triangles) * signed_areas(points, gutters[one]) > 0
+    fits = (key[place] == wanted) & (third == welded[other, 1]) & alike
     return _as_copied(triangles[fits], place[fits] % 3), place[fits] // 3

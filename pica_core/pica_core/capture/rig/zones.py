@@ -21,7 +21,7 @@ HAIRLINE = (
 )  # fmt: skip
 """Height of the hairline, metres above the ears, over the azimuth from the front in degrees."""
 EYE_TO_MOUTH_M = 0.070
-"""Of the head that the distances below were read off."""
+"""Height from mouth to eyes of the head that the distances below were read off."""
 JAW_LINE = ((-0.090, 0.010), (-0.010, -0.020), (0.045, -0.046), (0.090, -0.052))
 """Height of the jaw over the mouth, metres, over the place from back to front."""
 EAR_FROM, EAR_TO = (-0.015, -0.055), (0.030, 0.015)

@@ -291,7 +291,7 @@ class MeshRenderer(ABC):
             size: Side of the texture, texels.
 
         Returns:
-            sRGB texture, row 0 is v = 0, black where nobody looks; and where somebody does.
+            sRGB texture, row 0 is v = 0, black where no camera looks; and where one does.
             uint8 ``[S, S, 3]``, bool ``[S, S]``.
         """
         c = self._context

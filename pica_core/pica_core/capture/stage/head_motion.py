@@ -1,4 +1,4 @@
-"""Small motion of the head on the stage: nobody holds still, and cameras do not follow."""
+"""Small motion of the head on the stage, which the cameras do not follow."""
 
 from __future__ import annotations
 
@@ -21,12 +21,7 @@ LIMIT = 2.0
 
 
 class HeadMotion:
-    """Head poses of one take.
-
-    Args:
-        seed: Of the capture.
-        take: Number of the take.
-    """
+    """Head poses of one take of a capture, by the capture's seed and the take's number."""
 
     def __init__(self, seed: int, take: int) -> None:
         random = np.random.default_rng([seed, 0x4EAD, take])

@@ -78,9 +78,8 @@ def cover_mouth(
     strip = _strip(above, below, column)
     ring = {(int(a), int(b)) for a, b in zip(border, np.roll(border, -1), strict=True)}
     corners = places[source][strip]
-    if any(
-        (a, b) in ring for a, b in edges(corners).tolist()
-    ):  # neighbours go along an edge in opposite directions
+    # Triangles on both sides of an edge run along it in opposite directions.
+    if any((a, b) in ring for a, b in edges(corners).tolist()):
         strip = strip[:, ::-1]
     return MouthCover(source, ((texel + 0.5) / MAP_SIZE).astype(np.float32), strip)
 
@@ -88,9 +87,8 @@ def cover_mouth(
 def _borders(faces: Int64Array) -> list[Int64Array]:
     """Closed borders, as places in the direction of the triangles beside them."""
     sides = edges(faces)
-    _, index, uses = np.unique(
-        np.sort(sides, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
+    undirected = np.sort(sides, axis=1)
+    _, index, uses = np.unique(undirected, axis=0, return_inverse=True, return_counts=True)
     alone = sides[uses[index.reshape(-1)] == 1]
     after = dict(alone.tolist())
     loops, seen = [], set[int]()
