@@ -42,48 +42,24 @@ def _lumps(points: Float64Array, seed: int) -> Float64Array:
 
 def hairline(identity: Identity, azimuth: Float64Array) -> Float64Array:
     """Height of the hair's lower edge, mm, by azimuth, radians (0 front, pi back, sign ignored)."""
-    hair = identity.hair
+    hair, front, back = identity.hair, identity.hair.front, identity.hair.recession
     degrees = np.degrees(np.abs(azimuth))
     if hair.covers_ears:
-        at = [0, 20, 38, 52, 62, 75, 100, 140, 180]
-        heights = [
-            hair.front,
-            hair.front - 1,
-            hair.front - 10,
-            44,
-            hair.side,
-            hair.side - 8,
-            hair.side - 14,
-            hair.nape,
-            hair.nape,
-        ]
+        line = [(0, front), (20, front - 1), (38, front - 10), (52, 44.0), (62, hair.side)]
+        line += [(75, hair.side - 8), (100, hair.side - 14), (140, hair.nape), (180, hair.nape)]
     else:
-        at = [0, 14, 30, 42, 50, 58, 68, 76, 84, 92, 106, 118, 135, 155, 180]
-        heights = [
-            hair.front,
-            hair.front + 1 + 0.3 * hair.recession,
-            hair.front + 6 + hair.recession,
-            hair.front - 2 + hair.recession,
-            hair.front - 14 + 0.6 * hair.recession,
-            hair.front - 28 + 0.2 * hair.recession,
-            hair.side + 10,
-            hair.side - 10,
-            hair.side - 22,
-            hair.side + 8,
-            hair.side + 14,
-            hair.side - 8,
-            hair.nape + 14,
-            hair.nape,
-            hair.nape + 2,
-        ]
+        line = [(0, front), (14, front + 1 + 0.3 * back), (30, front + 6 + back)]
+        line += [(42, front - 2 + back), (50, front - 14 + 0.6 * back)]
+        line += [(58, front - 28 + 0.2 * back), (68, hair.side + 10), (76, hair.side - 10)]
+        line += [(84, hair.side - 22), (92, hair.side + 8), (106, hair.side + 14)]
+        line += [(118, hair.side - 8), (135, hair.nape + 14), (155, hair.nape)]
+        line += [(180, hair.nape + 2)]
+    at, heights = np.array(line, np.float64).T
     if not hair.covers_ears:
         # No hairline is drawn with a ruler: a slight peak in the middle, and waves of its own.
-        waves = _periodic_noise(
-            np.radians(np.asarray(at, np.float64) * 2.0), identity.seed + 9, 2, 7
-        )
-        peak = -2.5 * np.exp(-((np.asarray(at, np.float64) / 7.0) ** 2))
-        forehead = smoothstep(62.0, 48.0, at)
-        heights = list(np.asarray(heights) + forehead * (1.2 * waves + peak))
+        waves = _periodic_noise(np.radians(at * 2.0), identity.seed + 9, 2, 7)
+        peak = -2.5 * np.exp(-((at / 7.0) ** 2))
+        heights = heights + smoothstep(62.0, 48.0, at) * (1.2 * waves + peak)
     dense = np.arange(-30.0, 211.0)
     folded = np.interp(np.abs(np.where(dense > 180, 360 - dense, dense)), at, heights)
     kernel = np.exp(-0.5 * (np.arange(-9, 10) / 3.0) ** 2)

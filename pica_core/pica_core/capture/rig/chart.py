@@ -53,7 +53,6 @@ class PackedChart:
         face_source: The triangle of the mesh that each triangle is, or copies. int64 ``[F]``.
         source: The welded vertex of each split vertex. int64 ``[V]``.
         islands: Number of islands.
-        fill: Share of the square that triangles cover.
     """
 
     vertex_uv: FloatArray
@@ -61,7 +60,6 @@ class PackedChart:
     face_source: Int64Array
     source: Int64Array
     islands: int
-    fill: float
 
 
 def make_islands(points: Float64Array, faces: IntArray) -> tuple[Float64Array, IntArray]:
@@ -243,8 +241,7 @@ def pack(
             island[:, 0] *= -1
             signed = -signed
         if need is not None:
-            clean = bool((signed > 0).all())
-            if clean and len(mine) >= MIN_FLOW_FACES:
+            if (signed > 0).all() and len(mine) >= MIN_FLOW_FACES:
                 island = equalise(island, local, need[mine])
                 signed = signed_areas(island, local)
             island *= np.sqrt(need[mine].sum() / max(np.abs(signed).sum(), floor))
@@ -259,22 +256,20 @@ def pack(
         points, split = np.concatenate([points, tips]), np.concatenate([split, gutters])
         source = np.concatenate([source, far])
         face_source = np.concatenate([face_source, copied])
-    packed, covered = _place(points, split)
     return PackedChart(
-        vertex_uv=packed.astype(np.float32),
+        vertex_uv=_place(points, split).astype(np.float32),
         faces=split,
         face_source=face_source,
         source=source,
         islands=len(names),
-        fill=covered,
     )
 
 
-def _place(points: Float64Array, faces: IntArray) -> tuple[Float64Array, float]:
+def _place(points: Float64Array, faces: IntArray) -> Float64Array:
     """Pack islands at the largest common scale that fits into the position map."""
     area = float(np.abs(signed_areas(points, faces)).sum())
     unit = points / np.sqrt(area)  # all islands together have area 1
-    best: tuple[Float64Array, float] | None = None
+    best: Float64Array | None = None
     low, high = 0.25 * MAP_SIZE, 1.0 * MAP_SIZE
     for _ in range(9):
         scale = 0.5 * (low + high)
@@ -282,7 +277,7 @@ def _place(points: Float64Array, faces: IntArray) -> tuple[Float64Array, float]:
         if placed is None:
             high = scale
         else:
-            low, best = scale, (placed, (scale / MAP_SIZE) ** 2)
+            low, best = scale, placed
     if best is None:
         raise CaptureError("the islands of this mesh do not fit into one chart")
     return best

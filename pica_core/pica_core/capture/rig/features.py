@@ -9,7 +9,7 @@ A rig without jawOpen, or without eyeballs, lacks what hangs on it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -118,11 +118,9 @@ def find_mouth(mesh: RigMesh) -> Mouth | None:
     centre = float(line[:, 0].max() + line[:, 0].min()) / 2
     edges = np.linspace(line[:, 0].min(), line[:, 0].max() + 1e-9, 10)
     place = np.digitize(line[:, 0], edges)
-    rows = []
-    for k in np.unique(place):
-        here = line[place == k]
-        foremost = here[here[:, 2] >= np.quantile(here[:, 2], 0.5)]
-        rows.append(foremost.mean(0))
+    pieces = [line[place == k] for k in np.unique(place)]
+    # Of each piece the foremost half counts.
+    rows = [piece[piece[:, 2] >= np.quantile(piece[:, 2], 0.5)].mean(0) for piece in pieces]
     knots = np.array(rows)[np.argsort([row[0] for row in rows])]
     return Mouth(half_m=half, x=knots[:, 0], y=knots[:, 1], z=knots[:, 2], centre_x=centre)
 
@@ -148,11 +146,9 @@ def _eye_gaps(mesh: RigMesh, view: FrontView, part: IntArray) -> tuple[Float64Ar
         _, distance = nearest(mesh.rest_m[near, :2], here)
         gap[near] = np.minimum(gap[near], np.maximum(distance - view.cell_m, 0.0))
         # The canthi lie on the line between lids: what is above is the upper lid.
-        tilt = (
-            np.polyfit(here[:, 0], here[:, 1], 1)
-            if len(here) > 20
-            else np.array([0, eye.centre_m[1]])
-        )
+        tilt = np.array([0, eye.centre_m[1]])
+        if len(here) > 20:
+            tilt = np.polyfit(here[:, 0], here[:, 1], 1)
         above[near] = mesh.rest_m[near, 1] > np.polyval(tilt, mesh.rest_m[near, 0])
     return gap, above
 
@@ -188,19 +184,13 @@ def find_features(mesh: RigMesh) -> Features:
     mouth = find_mouth(mesh)
     part = _inner_parts(mesh, view, mouth)
     rest = mesh.rest_m
-
-    def of(*names: str) -> BoolArray:
-        mask = np.zeros(len(rest), np.bool_)
-        wanted = np.isin(part, [MATERIALS.index(name) for name in names])
-        mask[mesh.faces[wanted].ravel()] = True
-        return mask
-
+    of = replace(mesh, part=part).of_part
     gap, above = _eye_gaps(mesh, view, part)
     skin = of("skin")
     lips = mouth.depth_in_lips(rest) if mouth is not None else np.full(len(rest), -3.0)
     lips = np.where(skin | of("mouth_bag"), lips, -3.0)
-    eyeballs = np.zeros(len(rest), np.bool_)
-    lids = np.zeros(len(rest), np.bool_)
+    nothing = np.zeros(len(rest), np.bool_)
+    eyeballs, lids, around = nothing.copy(), nothing, nothing
     for eye in mesh.eyes:
         eyeballs[eye.vertices] = True
     blink = _length(mesh, "eyeBlink", "eyeWide", "eyeSquint")
@@ -208,19 +198,15 @@ def find_features(mesh: RigMesh) -> Features:
         moved = blink > 0.25 * blink.max()
         lids = skin & (moved & (gap < 0.012) | (gap < 0.003) if mesh.eyes else moved)
     interior = of("teeth", "tongue", "mouth_bag")
-    around = np.zeros(len(rest), np.bool_)
     if mouth is not None:
         middle = np.array([mouth.centre_x, float(np.mean(mouth.y))])
         box = np.abs(rest[:, :2] - middle) < [mouth.half_m + 0.016, 0.024]
         around = skin & box.all(1) & (rest[:, 2] > float(mouth.z.min()) - 0.03)
     eye_y = float(np.mean([eye.centre_m[1] for eye in mesh.eyes])) if mesh.eyes else 0.022
     mouth_y = float(np.mean(mouth.y)) if mouth is not None else eye_y - 0.067
-    between = (
-        skin & (np.abs(rest[:, 0]) < 0.012) & (rest[:, 1] < eye_y) & (rest[:, 1] > mouth_y + 0.01)
-    )
-    tip = (
-        rest[between][rest[between][:, 2].argmax()] if between.any() else np.array([0, -0.02, 0.11])
-    )
+    between = skin & (np.abs(rest[:, 0]) < 0.012)
+    ridge = rest[between & (rest[:, 1] < eye_y) & (rest[:, 1] > mouth_y + 0.01)]
+    tip = ridge[ridge[:, 2].argmax()] if len(ridge) else np.array([0, -0.02, 0.11])
     brow_weight = np.where(skin, _length(mesh, "brow"), 0.0) ** 4
     brow_y = eye_y + 0.018
     if brow_weight.sum() > 0:
@@ -241,7 +227,6 @@ def find_features(mesh: RigMesh) -> Features:
         "scalp": skin & (hair_coverage(rest) > 0),
         "left": rest[:, 0] > 0,
     }
-    nothing = np.zeros(len(rest), np.bool_)
     known = mouth is not None and bool(mesh.eyes) and eye_y > mouth_y
     regions["neck"] = find_neck(rest, skin, mouth_y, eye_y) if known else nothing
     regions["ears"] = find_ears(rest, mesh.faces, skin, mouth_y, eye_y) if known else nothing

@@ -42,11 +42,6 @@ class RigFrame:
         """Positions or displacements in metres and our axes, without an offset. ``[..., 3]``."""
         return positions @ self.axes.T * UNITS[self.unit]
 
-    @property
-    def mirrored(self) -> bool:
-        """True when the file's axes are left-handed."""
-        return bool(np.linalg.det(self.axes) < 0)
-
     def describe(self) -> str:
         """Axes in words, such as ``x y z`` or ``x z -y`` (our x, y, z in the file's axes)."""
         words = []

@@ -97,23 +97,23 @@ def map_names(names: Sequence[str], table: dict[str, str | None] | None = None) 
     unknown = [name for name in table if name not in names]
     if unknown:
         raise CaptureError(f"map: {unknown[0]!r} is no shape of the rig")
-    found: dict[str, list[tuple[str, Driver]]] = {}
+    found: dict[str, dict[str, list[Driver]]] = {name: {} for name in ARKIT_NAMES}
     for name in names:
         target = table.get(name)
         meanings = match_name(name) if name not in table else ((target, ""),) if target else ()
         for arkit, half in meanings:
             kind = "table" if name in table else _kind(name, arkit, half)
-            found.setdefault(arkit, []).append((kind, Driver(source=name, half=half)))
+            found[arkit].setdefault(kind, []).append(Driver(source=name, half=half))
     drivers: dict[str, tuple[Driver, ...]] = {}
-    for arkit in ARKIT_NAMES:
-        if arkit not in found:
-            continue
+    for arkit, by_kind in found.items():
         # One name may be there twice (eyeBlinkLeft and eyeBlink_L); the better match drives.
-        best = min(_RANK.index(kind) for kind, _ in found[arkit])
-        chosen = [driver for kind, driver in found[arkit] if _RANK.index(kind) == best]
-        if _RANK[best] == "whole":
+        best = min(by_kind, key=_RANK.index, default="")
+        if not best:
+            continue
+        chosen = by_kind[best]
+        if best == "whole":
             chosen = chosen[:1]
-        if _RANK[best] == "half":
+        if best == "half":
             sides = {_side(driver.source): driver for driver in reversed(chosen)}
             chosen = [sides[side] for side in sorted(sides)]
         drivers[arkit] = tuple(chosen)
