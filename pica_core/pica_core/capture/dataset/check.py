@@ -25,6 +25,7 @@ from pica_core.capture.dataset.files import (
     read_expressions,
     read_frame_list,
     read_topology,
+    spread_evenly,
 )
 from pica_core.errors import CaptureError
 
@@ -107,7 +108,7 @@ def check_capture(directory: Path, pixel_frames: int = PIXEL_FRAMES) -> dict[str
         result["split"] = {split: len(capture.frames_of(split)) for split in SPLITS}
         for frame in capture.frames:
             result["images"] += _check_frame(findings, capture, frame)
-        for frame in _spread(capture.frames, pixel_frames):
+        for frame in spread_evenly(capture.frames, pixel_frames or len(capture.frames)):
             result["decoded"] += _check_pixels(findings, capture, frame)
     if findings.uncounted:
         findings.problems.append(
@@ -290,10 +291,3 @@ def _check_pixels(findings: _Findings, capture: Capture, frame: CaptureFrame) ->
         told = findings.problems[:before]
         findings.problems[before:] = [p for p in findings.problems[before:] if p not in told]
     return len(present)
-
-
-def _spread(frames: tuple[CaptureFrame, ...], count: int) -> list[CaptureFrame]:
-    if count == 0 or count >= len(frames):
-        return list(frames)
-    chosen = np.unique(np.linspace(0, len(frames) - 1, count).round().astype(int))
-    return [frames[index] for index in chosen]

@@ -50,6 +50,12 @@ class CaptureFrame:
     """``train`` or ``test``."""
 
 
+def spread_evenly(frames: tuple[CaptureFrame, ...], count: int) -> list[CaptureFrame]:
+    """So many frames, or all if there are no more, from the first to the last."""
+    chosen = np.linspace(0, len(frames) - 1, min(count, len(frames))).round().astype(int)
+    return [frames[index] for index in np.unique(chosen)]
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Topology:
     """What all meshes of a capture share.

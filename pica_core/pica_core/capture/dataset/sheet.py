@@ -17,6 +17,7 @@ from PIL import Image, ImageDraw
 from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.capture.dataset import multiface
 from pica_core.capture.dataset.dataset import Capture, CaptureFrame
+from pica_core.capture.dataset.files import spread_evenly
 from pica_core.capture.dataset.published import displayable
 from pica_core.capture.triangles import edges, signed_areas
 from pica_core.errors import CaptureError
@@ -45,12 +46,18 @@ class _Page:
         self.tiles = 0
 
     def tile(
-        self, column: int, row: int, label: str, make: Callable[[], Image.Image], span: int = 1
+        self,
+        column: int,
+        row: int,
+        label: str,
+        make: Callable[..., Image.Image],
+        *arguments: Any,
+        span: int = 1,
     ) -> None:
         side = span * TILE
         at = (column * TILE, row * TILE + 24)
         try:
-            small = make().convert("RGB")
+            small = make(*arguments).convert("RGB")
         except CaptureError as error:
             self._draw.text((at[0] + 8, at[1] + 30), _wrapped(str(error)), fill=ACCENT)
         else:
@@ -151,8 +158,7 @@ def _camera_plan(capture: Capture, axes: tuple[int, int], signs: tuple[int, int]
 def _spread(frames: tuple[CaptureFrame, ...], capture: Capture, count: int) -> list[CaptureFrame]:
     """Frames that differ most from each other (farthest-point choice), the first one first."""
     if not capture.has_expressions:
-        chosen = np.linspace(0, len(frames) - 1, min(count, len(frames))).round().astype(int)
-        return [frames[index] for index in np.unique(chosen)]
+        return spread_evenly(frames, count)
     values = np.stack([capture.arkit(frame) for frame in frames])
     picked = [0]
     distance = np.linalg.norm(values - values[0], axis=1)
@@ -179,12 +185,9 @@ def write_sheet(directory: Path, out: Path) -> dict[str, Any]:
     _draw_stage(page, capture, _telling(capture, grid))
     for place, frame in enumerate(grid):
         camera = next(iter(capture.cameras_of(frame)), capture.cameras[0].name)
-        page.tile(
-            place % COLUMNS,
-            3 + place // COLUMNS,
-            f"{frame.segment} {frame.name} {frame.split}",
-            lambda frame=frame, camera=camera: _face(capture, frame, camera),  # type: ignore[misc]
-        )
+        row, column = divmod(place, COLUMNS)
+        label = f"{frame.segment} {frame.name} {frame.split}"
+        page.tile(column, 3 + row, label, _face, capture, frame, camera)
     split = [f"{len(capture.frames_of(name))} {name}" for name in ("train", "test")]
     page.title(
         f"{directory.name}: {len(capture.frames)} frames ({', '.join(split)}; "
@@ -210,10 +213,10 @@ def _draw_stage(page: _Page, capture: Capture, frame: CaptureFrame) -> None:
     views = [name for name in named if name in names] if isinstance(named, list) else []
     views = (views or names)[: COLUMNS - 1]
     for column, name in enumerate(views):
-        page.tile(column, 0, name, lambda name=name: _image(capture, frame, name))  # type: ignore[misc]
+        page.tile(column, 0, name, _image, capture, frame, name)
     front = views[0]
-    page.tile(5, 0, "cameras from above", lambda: _camera_plan(capture, (0, 2), (1, 1)))
-    page.tile(0, 1, "tracked mesh", lambda: _wire_picture(capture, frame, front), span=2)
+    page.tile(5, 0, "cameras from above", _camera_plan, capture, (0, 2), (1, 1))
+    page.tile(0, 1, "tracked mesh", _wire_picture, capture, frame, front, span=2)
     page.tile(
         2, 1, "average texture", lambda: Image.fromarray(capture.average_texture(frame)), span=2
     )
@@ -223,4 +226,4 @@ def _draw_stage(page: _Page, capture: Capture, frame: CaptureFrame) -> None:
         page.tile(5, 1, "exact depth", lambda: _depth_picture(capture.true_depth_m(frame, front)))
     if capture.has_masks:
         page.tile(4, 2, "mask", lambda: _mask_picture(capture.mask(frame, front)))
-    page.tile(5, 2, "cameras from the side", lambda: _camera_plan(capture, (2, 1), (1, -1)))
+    page.tile(5, 2, "cameras from the side", _camera_plan, capture, (2, 1), (1, -1))
