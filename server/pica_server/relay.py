@@ -1,6 +1,6 @@
 """A relay: its port, its hub, and all that goes with them, put together and taken apart again.
 
-What moves between the websockets and the hub, ``relay_pump`` moves.
+What moves between the websockets and the hub, `pica_server.net.pump` moves.
 """
 
 import asyncio

@@ -69,9 +69,9 @@ class _Healthy:
             self.hub.receive(self.connection, data, now)
 
     def listen(self, now: float) -> None:
-        while (parcel := self.hub.take(self.connection, now)) is not None:
-            self.hub.sent(self.connection, parcel, now)
-            events = self.session.receive_data(parcel.data, now)
+        while (message := self.hub.take(self.connection, now)) is not None:
+            self.hub.sent(self.connection, message, now)
+            events = self.session.receive_data(message.data, now)
             self.frames += [event for event in events if isinstance(event, Frame)]
         expect(self.connection.closed is None, "a healthy peer was closed:", self.connection.closed)
         expect(self.session.closed is None, "a healthy peer had to go:", self.session.closed)
@@ -119,8 +119,8 @@ def hub(rng: random.Random, meter: Meter) -> None:
                 relay.disconnect(connection, rng.randrange(5000), "\x00", now)
                 hostile.remove(connection)
             elif rng.random() < 0.3:
-                while (parcel := relay.take(connection, now)) is not None:
-                    relay.sent(connection, parcel, now)
+                while (message := relay.take(connection, now)) is not None:
+                    relay.sent(connection, message, now)
         if rng.random() < 0.05:
             _administer(rng, relay, now)
         if step % 8 == 0:

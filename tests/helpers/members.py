@@ -71,13 +71,13 @@ class Member:
 
     def listen(self, now: float) -> list[Message | Frame]:
         heard: list[Message | Frame] = []
-        while (parcel := self.hub.take(self.connection, now)) is not None:
-            self.hub.sent(self.connection, parcel, now)
-            self.session.receive_data(parcel.data, now)
-            if parcel.received_s:
-                heard += decode_media(parcel.data)
+        while (message := self.hub.take(self.connection, now)) is not None:
+            self.hub.sent(self.connection, message, now)
+            self.session.receive_data(message.data, now)
+            if message.received_s:
+                heard += decode_media(message.data)
             else:
-                heard.append(decode_message(parcel.data))
+                heard.append(decode_message(message.data))
         return heard
 
     def lose_connection(self, now: float) -> Ticket | None:

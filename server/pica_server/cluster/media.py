@@ -95,12 +95,12 @@ class NodeLink:
 
     def take(self, now: float) -> tuple[bytes, int] | None:
         """Take the next message for the node, and how many frames are in it."""
-        parcel = self.outbox.take(now)
-        if parcel is None:
+        message = self.outbox.take(now)
+        if message is None:
             return None
         header = MediaHeader(self._my_slot, self.epoch, self._number)
         self._number += 1
-        return encode_media(header, parcel.data), len(parcel.received_s)
+        return encode_media(header, message.data), len(message.received_s)
 
 
 class Exchange:

@@ -80,7 +80,7 @@ class Cluster:
 
         Args:
             url: Of NATS; several of one NATS cluster with commas between.
-            hub: Whose neighbours the other nodes are to be.
+            hub: Whose cluster_peers the other nodes are to be.
             capacity: Peers in one room.
             on_news: Called on the loop when the hub may have got something to send.
         """

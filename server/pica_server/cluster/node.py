@@ -86,7 +86,7 @@ class _Place:
 
 
 class ClusterNode:
-    """The cluster as one hub's neighbours; see `pica_server.cluster.peers`.
+    """The cluster as one hub's cluster_peers; see `pica_server.cluster.peers`.
 
     Attributes:
         liveness: Which nodes live.
@@ -96,7 +96,7 @@ class ClusterNode:
         """Begin with a lease that was confirmed just now.
 
         Args:
-            hub: Whose neighbours these are.
+            hub: Whose cluster_peers these are.
             me: This node.
             capacity: Peers in one room.
             now: The time.

@@ -217,9 +217,9 @@ class Pump:
                     await websocket.drain()
                     hub.sent(connection, waker.under_way, self._now())
                     waker.under_way = None
-                while (parcel := hub.take(connection, self._now())) is not None:
-                    await websocket.send(parcel.data)
-                    hub.sent(connection, parcel, self._now())
+                while (message := hub.take(connection, self._now())) is not None:
+                    await websocket.send(message.data)
+                    hub.sent(connection, message, self._now())
                 if connection.closed is not None:
                     websocket.close_timeout = self._close_timeout_s()
                     await websocket.close(connection.closed.code, connection.closed.reason)

@@ -15,7 +15,7 @@ websocket; pings, which it answers by itself, and fragments; and the time that a
 socket open after the library has given it up.
 
 It relies on details of the library that its documentation does not promise: ``protocol.parser`` and
-``process_event``. tests/server/test_relay_socket.py is there to notice when they change.
+``process_event``. tests/server/net/test_socket.py is there to notice when they change.
 """
 
 import asyncio

@@ -54,11 +54,11 @@ class StatusPages:
 
     @property
     def _cluster_trouble(self) -> str:
-        return "" if self._hub.neighbours is None else self._hub.neighbours.trouble
+        return "" if self._hub.cluster_peers is None else self._hub.cluster_peers.trouble
 
     def _metrics(self, now: float) -> str:
         hub = self._hub
-        cluster = hub.neighbours
+        cluster = hub.cluster_peers
         num_nodes = 0 if cluster is None else cluster.num_nodes
         is_up = cluster is not None and not cluster.trouble
         store = self._store

@@ -33,32 +33,32 @@ def _nothing_more(_connection: Connection, _now: float) -> None:
     """Stand in for those who keep more about a connection."""
 
 
-class Switchboard:
+class Connections:
     """The connections of one relay.
 
     Attributes:
         config: The limits.
         stats: What the relay has done so far.
-        connections: Those that are not over, by the id of their peer; to be read only.
+        by_peer: Those that are not over, by the id of their peer; to be read only.
         ready: Those that have got something to send, or have closed.
         timers: When which connection is to be looked at, a heap with the soonest first; to be read
             only.
         on_over: Told of every connection that is over, once or more, to clear up after it; it
             begins with ``wind_up``.
         is_draining: Whether everybody is being sent away, and nobody let in.
-        neighbours: The other nodes of the cluster, or None.
+        cluster_peers: The other nodes of the cluster, or None.
         prefix: Begins the id of every peer; with a cluster it is different on each node.
     """
 
     def __init__(self, config: RelayConfig, stats: RelayStats) -> None:
         self.config = config
         self.stats = stats
-        self.connections: dict[str, Connection] = {}
+        self.by_peer: dict[str, Connection] = {}
         self.ready: dict[Connection, None] = {}
         self.timers: list[tuple[float, int, Connection]] = []
         self.on_over: Callable[[Connection, float], None] = _nothing_more
         self.is_draining = False
-        self.neighbours: ClusterPeers | None = None
+        self.cluster_peers: ClusterPeers | None = None
         self.prefix = "p"
         self._serials = count(1)
         self._by_address: Counter[str] = Counter()  # bounded by the number of connections
@@ -77,8 +77,8 @@ class Switchboard:
         connection = Connection(next(self._serials), session, outbox, limits, address, now)
         connection.peer_id = f"{self.prefix}{connection.serial}"
         self.stats.connections += 1
-        is_full = len(self.connections) >= config.max_connections
-        self.connections[connection.peer_id] = connection
+        is_full = len(self.by_peer) >= config.max_connections
+        self.by_peer[connection.peer_id] = connection
         self._push_timer(connection, now)
         is_crowded = bool(address) and self._by_address[address] >= limits.connections_per_address
         if address:
@@ -96,13 +96,13 @@ class Switchboard:
 
     def rename(self, connection: Connection, peer_id: str) -> None:
         """Give a connection the id of a peer whose own is over."""
-        del self.connections[connection.peer_id]
+        del self.by_peer[connection.peer_id]
         connection.peer_id = peer_id
-        self.connections[peer_id] = connection
+        self.by_peer[peer_id] = connection
 
     def connected(self, room: Room) -> list[Connection]:
         """Return the connections of those in a room who are on this node and not away."""
-        found = (self.connections.get(peer.peer_id) for peer in room.peers_here)
+        found = (self.by_peer.get(peer.peer_id) for peer in room.peers_here)
         return [connection for connection in found if connection is not None]
 
     def close(self, connection: Connection, code: CloseCode, reason: str, now: float) -> None:
@@ -143,9 +143,9 @@ class Switchboard:
         """Take a connection that is over out of the books; return whether it was in them."""
         closed = connection.closed
         assert closed is not None
-        if self.connections.get(connection.peer_id) is not connection:
+        if self.by_peer.get(connection.peer_id) is not connection:
             return False
-        del self.connections[connection.peer_id]
+        del self.by_peer[connection.peer_id]
         # A peer may name any code; each that is counted apart is a line of the metrics for ever.
         self.stats.closed[closed.code if closed.code in _KNOWN_CODES else 0] += 1
         if connection.address:
@@ -189,7 +189,7 @@ class Switchboard:
         """Tell something to everybody in a room who is on this node, but not to one of them."""
         for other in room.peers_here:
             # Closing one that is full tells the rest, and so may close more: look again.
-            connection = self.connections.get(other.peer_id)
+            connection = self.by_peer.get(other.peer_id)
             if connection is not None and other.peer_id != peer_id:
                 self.send(connection, message, now)
 

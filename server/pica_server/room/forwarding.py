@@ -12,7 +12,7 @@ from pica_protocol.session import Media
 from pica_protocol.stream_queue import Put
 from pica_server.cluster.media import NodeLink
 from pica_server.room.connection import Connection
-from pica_server.room.connections import Switchboard
+from pica_server.room.connections import Connections
 from pica_server.room.outbox import ArrivedFrame
 from pica_server.room.room import Room, Stream
 
@@ -22,9 +22,9 @@ _WAITS, _DROPPED = Put.WAITS, Put.DROPPED  # an enumeration's own lookup is slow
 class Forwarding:
     """What passes through one relay."""
 
-    def __init__(self, switchboard: Switchboard) -> None:
-        self._switchboard = switchboard
-        self._stats = switchboard.stats
+    def __init__(self, connections: Connections) -> None:
+        self._connections = connections
+        self._stats = connections.stats
         self._ready_links: dict[NodeLink, None] = {}
 
     def forward(self, connection: Connection, media: Media, now: float) -> None:
@@ -34,10 +34,10 @@ class Forwarding:
         for span in media.spans:
             if not room.owns(connection.peer_id, span.stream):
                 reason = f"frame on stream {span.stream}, which is not yours"
-                self._switchboard.close(connection, CloseCode.FOREIGN_STREAM, reason, now)
+                self._connections.close(connection, CloseCode.FOREIGN_STREAM, reason, now)
                 return
         if len(media.spans) > 1 and not connection.messages_in.take(now, len(media.spans) - 1):
-            self._switchboard.close_too_fast(connection, "messages", now)
+            self._connections.close_too_fast(connection, "messages", now)
             return
         self.deliver(room, media, now)
 
@@ -51,8 +51,8 @@ class Forwarding:
             num_here: Of the publisher: 1 if it is connected here, else 0.
         """
         needed: dict[tuple[int, Put], None] = {}
-        switchboard, stats = self._switchboard, self._stats
-        connections, ready = switchboard.connections, switchboard.ready
+        connections, stats = self._connections, self._stats
+        by_peer, ready = connections.by_peer, connections.ready
         for number, layer, flags, start, end in media.spans:
             stream = room.stream(number)
             assert stream is not None  # its publisher is in the room
@@ -66,11 +66,11 @@ class Forwarding:
             if layer == 0:
                 stream.remember(frame.data, frame.is_keyframe)
             if stream.deadline_s is not None:
-                outboxes = [connections[peer_id].outbox for peer_id in receivers]
+                outboxes = [by_peer[peer_id].outbox for peer_id in receivers]
                 for outbox in outboxes + [link.outbox for link in room.links.values()]:
                     outbox.open_ordered(number, stream.deadline_s)
             for peer_id in receivers:
-                receiver = connections[peer_id]
+                receiver = by_peer[peer_id]
                 fate = receiver.outbox.put(frame)
                 if fate is not _DROPPED:
                     ready[receiver] = None
@@ -96,8 +96,8 @@ class Forwarding:
             return  # it has just ended
         starts_again = room.want(connection.peer_id, stream, layer)
         self._stats.unwanted += connection.outbox.want(stream, layer)
-        if self._switchboard.neighbours is not None:
-            self._switchboard.neighbours.note_wishes(room)
+        if self._connections.cluster_peers is not None:
+            self._connections.cluster_peers.note_wishes(room)
         if starts_again:
             self._resume(connection, room, stream, now)
 
@@ -115,14 +115,14 @@ class Forwarding:
         self._stats.frames_resumed += connection.outbox.resume(
             number, stream.chain, is_whole=stream.is_whole, now=now
         )
-        self._switchboard.ready[connection] = None
+        self._connections.ready[connection] = None
         if not stream.is_whole:
             self.ask_for_keyframe(room, number, Put.KEYLESS.value, now)
 
     def ask_for_keyframe(self, room: Room, stream: int, why: str, now: float) -> None:
         """Ask a publisher for a keyframe, unless it was asked a moment ago."""
-        switchboard = self._switchboard
-        config = switchboard.config
+        connections = self._connections
+        config = connections.config
         is_slow = why == Put.BEHIND.value
         interval_s = config.slow_keyframe_interval_s if is_slow else config.keyframe_interval_s
         publisher = room.request_keyframe(stream, interval_s, now)
@@ -130,11 +130,11 @@ class Forwarding:
             self._stats.keyframe_requests["withheld"] += 1
             return
         self._stats.keyframe_requests[why] += 1
-        connection = switchboard.connections.get(publisher)
+        connection = connections.by_peer.get(publisher)
         if connection is not None:
-            switchboard.send(connection, KeyframeRequest(stream=stream), now)
-        elif switchboard.neighbours is not None:
-            switchboard.neighbours.ask_for_keyframe(room, publisher, stream, why)
+            connections.send(connection, KeyframeRequest(stream=stream), now)
+        elif connections.cluster_peers is not None:
+            connections.cluster_peers.ask_for_keyframe(room, publisher, stream, why)
 
     def mute(self, room: Room, number: int, stream: Stream, *, is_muted: bool, now: float) -> None:
         """Stop a stream, or let it go on, and tell everybody here."""
@@ -142,21 +142,21 @@ class Forwarding:
         room.forget_chain(number)
         if is_muted:
             for outbox in [link.outbox for link in room.links.values()]:
-                self._switchboard.note_dropped(outbox.interrupt(number), "muted")
-        for receiver in self._switchboard.connected(room):
+                self._connections.note_dropped(outbox.interrupt(number), "muted")
+        for receiver in self._connections.connected(room):
             if is_muted:
-                self._switchboard.note_dropped(receiver.outbox.interrupt(number), "muted")
-            self._switchboard.send(receiver, StreamMuted(stream=number, is_muted=is_muted), now)
+                self._connections.note_dropped(receiver.outbox.interrupt(number), "muted")
+            self._connections.send(receiver, StreamMuted(stream=number, is_muted=is_muted), now)
         if not is_muted and stream.deadline_s is None:
             stream.asked_s = None
             self.ask_for_keyframe(room, number, Put.KEYLESS.value, now)
 
     def forget_stream(self, room: Room, number: int) -> None:
         """Drop what waits of a stream that has ended."""
-        for receiver in self._switchboard.connected(room):
-            self._switchboard.note_dropped(receiver.outbox.forget_stream(number), "departed")
+        for receiver in self._connections.connected(room):
+            self._connections.note_dropped(receiver.outbox.forget_stream(number), "departed")
         for link in room.links.values():
-            self._switchboard.note_dropped(link.forget_stream(number), "departed")
+            self._connections.note_dropped(link.forget_stream(number), "departed")
 
     def whisper(self, connection: Connection, whisper: Whisper, now: float) -> None:
         """Pass a whisper on, under its sender's name, or drop it."""
@@ -165,8 +165,8 @@ class Forwarding:
         if not connection.whispers.take(now):
             stats.whispers_dropped["rate"] += 1
             return
-        neighbours = self._switchboard.neighbours
-        if neighbours is not None and neighbours.whisper(room, connection.peer_id, whisper):
+        cluster_peers = self._connections.cluster_peers
+        if cluster_peers is not None and cluster_peers.whisper(room, connection.peer_id, whisper):
             stats.whispers += 1
         elif whisper.peer_id != connection.peer_id:
             self.pass_whisper(room, connection.peer_id, whisper, now)
@@ -175,16 +175,16 @@ class Forwarding:
 
     def pass_whisper(self, room: Room, sender: str, whisper: Whisper, now: float) -> None:
         """Pass a whisper to a peer that is connected here."""
-        switchboard, stats = self._switchboard, self._stats
-        receiver = switchboard.connections.get(whisper.peer_id)
+        connections, stats = self._connections, self._stats
+        receiver = connections.by_peer.get(whisper.peer_id)
         if receiver is None or receiver.room is not room:
             stats.whispers_dropped["nobody"] += 1
             return
         # Whispers of many must not fill the queue that closes a peer for reading too slowly.
-        if receiver.outbox.waiting_control_bytes > switchboard.config.max_control_bytes // 4:
+        if receiver.outbox.waiting_control_bytes > connections.config.max_control_bytes // 4:
             stats.whispers_dropped["backlog"] += 1
             return
-        switchboard.send(receiver, replace(whisper, peer_id=sender), now)
+        connections.send(receiver, replace(whisper, peer_id=sender), now)
         stats.whispers += 1
 
     @property

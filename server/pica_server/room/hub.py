@@ -4,7 +4,7 @@ The shell tells the hub what happened (``connect``, ``receive``, ``disconnect``,
 asks which connections have something to send (``take_ready``) and takes it from them one message at
 a time (``take``, ``sent``). The parts decide:
 
-    switchboard   the connections: how they begin and end, who is late, what is said to whom
+    connections   the connections: how they begin and end, who is late, what is said to whom
     forwarding    frames, keyframe requests and whispers, from peer to peer and node to node
     membership    rooms: who comes, goes, is away for a while and comes back
     moderation    what an admin does to rooms
@@ -24,7 +24,7 @@ from pica_server.config.relay import RelayConfig
 from pica_server.hooks.events import RoomEvent
 from pica_server.ops.stats import RelayStats
 from pica_server.room.connection import Connection
-from pica_server.room.connections import Switchboard
+from pica_server.room.connections import Connections
 from pica_server.room.drain import departures
 from pica_server.room.forwarding import Forwarding
 from pica_server.room.membership import Membership
@@ -63,41 +63,41 @@ class Hub:
         """
         self.stats = RelayStats()
         grace_s = 0.0 if new_secret is None else config.resume_grace_s
-        self._returns = ResumeTickets(grace_s, new_secret or str)
-        self._switchboard = Switchboard(config, self.stats)
-        self.forwarding = Forwarding(self._switchboard)
+        self._tickets = ResumeTickets(grace_s, new_secret or str)
+        self._connections = Connections(config, self.stats)
+        self.forwarding = Forwarding(self._connections)
         self.membership = Membership(
-            self._switchboard,
+            self._connections,
             self.forwarding,
-            self._returns,
+            self._tickets,
             admit or (lambda join: Admission()),
             notify or (lambda notice: None),
         )
-        self.moderation = Moderation(self._switchboard, self.membership, self.forwarding)
+        self.moderation = Moderation(self._connections, self.membership, self.forwarding)
         self._config = config
-        self._ready, self._timers = self._switchboard.ready, self._switchboard.timers
+        self._ready, self._timers = self._connections.ready, self._connections.timers
         self._load = (0.0, 0.0)
         self._busy_ratio = 0.0
         self._departures: deque[tuple[float, str]] = deque()
 
-    def meet(self, neighbours: ClusterPeers, prefix: str) -> None:
+    def meet(self, cluster_peers: ClusterPeers, prefix: str) -> None:
         """Be one node of a cluster from now on; nobody is here yet.
 
         Args:
-            neighbours: The other nodes.
+            cluster_peers: The other nodes.
             prefix: Begins the id of every peer of this node, and of no other one's.
         """
-        self._switchboard.neighbours, self._switchboard.prefix = neighbours, prefix
+        self._connections.cluster_peers, self._connections.prefix = cluster_peers, prefix
 
     @property
-    def neighbours(self) -> ClusterPeers | None:
+    def cluster_peers(self) -> ClusterPeers | None:
         """The other nodes of its cluster, or None."""
-        return self._switchboard.neighbours
+        return self._connections.cluster_peers
 
     @property
     def num_connections(self) -> int:
         """Connections that are not over yet."""
-        return len(self._switchboard.connections)
+        return len(self._connections.by_peer)
 
     @property
     def num_rooms(self) -> int:
@@ -115,23 +115,23 @@ class Hub:
 
     def connection_of(self, peer_id: str) -> Connection | None:
         """Return the connection of a peer to look at, or None: it is away, elsewhere, or gone."""
-        return self._switchboard.connections.get(peer_id)
+        return self._connections.by_peer.get(peer_id)
 
     @property
     def is_draining(self) -> bool:
         """Whether everybody is being sent away, and nobody let in."""
-        return self._switchboard.is_draining
+        return self._connections.is_draining
 
     @property
     def num_waiting_frames(self) -> int:
         """Frames that wait for their receivers."""
-        connections = self._switchboard.connections.values()
+        connections = self._connections.by_peer.values()
         return sum(each.outbox.waiting_frames for each in connections)
 
     @property
     def num_waiting_control_bytes(self) -> int:
         """Bytes of control messages that wait."""
-        connections = self._switchboard.connections.values()
+        connections = self._connections.by_peer.values()
         return sum(each.outbox.waiting_control_bytes for each in connections)
 
     @property
@@ -152,21 +152,21 @@ class Hub:
             now: The time.
             address: Whose it is, see ``limits.address_group``; empty is not limited.
         """
-        return self._switchboard.connect(now, address)
+        return self._connections.connect(now, address)
 
     def receive(self, connection: Connection, data: bytes | str, now: float) -> None:
         """Take one websocket message of a connection."""
         self.stats.bytes_in += len(data)
         if not connection.bytes_in.take(now, len(data)):
-            self._switchboard.close_too_fast(connection, "bytes", now)
+            self._connections.close_too_fast(connection, "bytes", now)
         elif not connection.messages_in.take(now):
-            self._switchboard.close_too_fast(connection, "messages", now)
+            self._connections.close_too_fast(connection, "messages", now)
         for event in connection.session.receive_data(data, now):
             if type(event) is Media:  # nearly always; it leaves the session nothing to say
                 self.forwarding.forward(connection, event, now)
                 return
             self._handle(connection, event, now)
-        self._switchboard.flush(connection, now)
+        self._connections.flush(connection, now)
 
     def disconnect(self, connection: Connection, code: int, reason: str, now: float) -> None:
         """Take note that a websocket has ended."""
@@ -186,12 +186,12 @@ class Hub:
 
         All that waits for them goes out before their goodbye. Nobody is let in any more.
         """
-        config, switchboard = self._config, self._switchboard
-        switchboard.is_draining = True
-        roomless = [each for each in switchboard.connections.values() if each.room is None]
-        switchboard.send_elsewhere(roomless, now)
+        config, connections = self._config, self._connections
+        connections.is_draining = True
+        roomless = [each for each in connections.by_peer.values() if each.room is None]
+        connections.send_elsewhere(roomless, now)
         offsets_s = departures(
-            [len(switchboard.connected(room)) for room in self.rooms],
+            [len(connections.connected(room)) for room in self.rooms],
             per_s=config.limits.joins_per_s,
             burst=config.limits.joins_burst,
             longest_s=config.drain_s,
@@ -208,19 +208,19 @@ class Hub:
 
     def take(self, connection: Connection, now: float) -> OutboundMessage | None:
         """Take the next message for a connection; the shell calls ``sent`` when it is out."""
-        parcel = connection.outbox.take(now)
-        if parcel is not None:
+        message = connection.outbox.take(now)
+        if message is not None:
             connection.sending_since = now
-        return parcel
+        return message
 
     def is_sending(self, connection: Connection, now: float) -> None:
         """Take note that a socket did not take a message at once; ``sent`` follows when it has."""
         connection.sending_since = now
 
-    def sent(self, connection: Connection, parcel: OutboundMessage, now: float) -> None:
+    def sent(self, connection: Connection, message: OutboundMessage, now: float) -> None:
         """Take note that the socket took a message."""
         connection.sending_since = None
-        self.all_sent([parcel], now)
+        self.all_sent([message], now)
 
     def all_sent(self, messages: Sequence[OutboundMessage], now: float) -> None:
         """Take note that the sockets took these messages."""
@@ -236,7 +236,7 @@ class Hub:
     def next_timer(self) -> float | None:
         """Return when ``handle_timer`` is due, or None."""
         timers = [line[0][0] for line in (self._timers, self._departures) if line]
-        grace_ends_s = self._returns.next_timer()
+        grace_ends_s = self._tickets.next_timer()
         if grace_ends_s is not None:
             timers.append(grace_ends_s)
         return min(timers, default=None)
@@ -245,14 +245,14 @@ class Hub:
         """Close those who are late by now, and those whose turn to go has come."""
         self._send_rooms_away(now)
         self.membership.handle_timer(now)
-        self._switchboard.handle_timer(now)
+        self._connections.handle_timer(now)
 
     def _send_rooms_away(self, now: float) -> None:
         while self._departures and self._departures[0][0] <= now:
             _, name = self._departures.popleft()
             room = self.room(name)
             if room is not None:  # else it has emptied by itself
-                self._switchboard.send_elsewhere(self._switchboard.connected(room), now)
+                self._connections.send_elsewhere(self._connections.connected(room), now)
                 self.membership.give_up_away(room, "lost", now)
 
     def _handle(self, connection: Connection, event: ServerEvent, now: float) -> None:

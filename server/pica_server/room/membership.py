@@ -1,8 +1,8 @@
 """Who is in which room of one relay: coming, going, being away for a while, coming back. Pure.
 
 A peer of this node has a connection, or it is away: its connection broke, and its place is kept for
-a while (see ``returns``). A connection that comes back to a place takes the id of the peer there.
-In a cluster the rooms also hold the peers of other nodes.
+a while (see `ResumeTickets`). A connection that comes back to a place takes the id of the peer
+there. In a cluster the rooms also hold the peers of other nodes.
 """
 
 from collections.abc import Callable
@@ -28,7 +28,7 @@ from pica_server.errors import AdmissionError, RoomFullError
 from pica_server.hooks.events import RoomEvent
 from pica_server.net.limits import TokenBucket
 from pica_server.room.connection import Connection
-from pica_server.room.connections import Switchboard
+from pica_server.room.connections import Connections
 from pica_server.room.forwarding import Forwarding
 from pica_server.room.resume_tickets import ResumeTickets
 from pica_server.room.room import Room
@@ -43,49 +43,49 @@ class Membership:
 
     def __init__(
         self,
-        switchboard: Switchboard,
+        connections: Connections,
         forwarding: Forwarding,
-        returns: ResumeTickets,
+        tickets: ResumeTickets,
         admit: Callable[[Join], Admission],
         notify: Callable[[RoomEvent], None],
     ) -> None:
-        """Begin empty, and clear up after the switchboard's connections from now on.
+        """Begin empty, and clear up after the connections from now on.
 
         Args:
-            switchboard: Where everybody is connected.
+            connections: Where everybody is connected.
             forwarding: Gives them their frames.
-            returns: The places that are kept.
+            tickets: The places that are kept.
             admit: Says what who joins may do, or raises `AdmissionError`.
             notify: Told at once what happens in rooms; it must neither block nor raise.
         """
-        self._switchboard = switchboard
+        self._connections = connections
         self._forwarding = forwarding
-        self._returns = returns
+        self._tickets = tickets
         self._admit = admit
         self._notify = notify
-        self._stats = switchboard.stats
+        self._stats = connections.stats
         self.rooms: dict[str, Room] = {}
         # The last connection of those who are away; as many as there are places kept.
         self._away: dict[str, Connection] = {}
         self._joins: TokenBucket | None = None  # full when the first one comes
-        switchboard.on_over = self.clear_up
+        connections.on_over = self.clear_up
 
     def join(self, connection: Connection, join: Join, now: float) -> None:
         """Let somebody into a room, or close them."""
-        limits = self._switchboard.config.limits
+        limits = self._connections.config.limits
         # First of all: who has no token must not use up the joins of those who have one.
         try:
             admission = self._admit(join)
         except AdmissionError as error:
             self._stats.limits_hit["admission"] += 1
-            self._switchboard.close(connection, error.code, str(error), now)
+            self._connections.close(connection, error.code, str(error), now)
             return
         if self._joins is None:
             self._joins = TokenBucket(limits.joins_per_s, limits.joins_burst, now)
         if not self._joins.take(now):
             self._stats.limits_hit["joins"] += 1
             reason = "too many join at once, try again"
-            self._switchboard.close(connection, CloseCode.BUSY, reason, now)
+            self._connections.close(connection, CloseCode.BUSY, reason, now)
             return
         connection.is_resumable = join.resumable
         if join.resume and self._come_back(connection, join, admission, now):
@@ -95,9 +95,9 @@ class Membership:
         if former is not None and former.is_barred(admission.identity):
             self.refuse_barred(connection, now)
             return
-        neighbours = self._switchboard.neighbours
-        if neighbours is not None:
-            neighbours.join(connection, join, admission, now)
+        cluster_peers = self._connections.cluster_peers
+        if cluster_peers is not None:
+            cluster_peers.join(connection, join, admission, now)
             return
         room = self._room(join.room)
         try:
@@ -127,49 +127,49 @@ class Membership:
     def refuse(self, connection: Connection, name: str, now: float) -> None:
         """Close somebody for whom a room has no place."""
         self._stats.limits_hit["room"] += 1
-        reason = f"room {name} is full: {self._switchboard.config.room_capacity} peers"
-        self._switchboard.close(connection, CloseCode.ROOM_FULL, reason, now)
+        reason = f"room {name} is full: {self._connections.config.room_capacity} peers"
+        self._connections.close(connection, CloseCode.ROOM_FULL, reason, now)
 
     def refuse_barred(self, connection: Connection, now: float) -> None:
         """Close somebody whom an admin keeps out."""
         self._stats.limits_hit["admission"] += 1
         reason = "an admin has removed you"
-        self._switchboard.close(connection, CloseCode.FORBIDDEN, reason, now)
+        self._connections.close(connection, CloseCode.FORBIDDEN, reason, now)
 
     def update_metadata(self, connection: Connection, update: UpdateMetadata, now: float) -> None:
         """Note what somebody says of themselves, and tell the others."""
-        room, metadata, switchboard = connection.room, update.metadata, self._switchboard
+        room, metadata, connections = connection.room, update.metadata, self._connections
         assert room is not None
         if not connection.updates.take(now):
             self._stats.limits_hit["metadata"] += 1
             reason = "metadata changes too often"
-            switchboard.close(connection, CloseCode.TOO_FAST, reason, now)
+            connections.close(connection, CloseCode.TOO_FAST, reason, now)
         elif room.update_metadata(connection.peer_id, metadata):
             news = PeerUpdated(peer_id=connection.peer_id, metadata=metadata)
-            switchboard.tell_others(room, connection.peer_id, news, now)
-            if switchboard.neighbours is not None:
-                switchboard.neighbours.note_member(room, connection.peer_id)
+            connections.tell_others(room, connection.peer_id, news, now)
+            if connections.cluster_peers is not None:
+                connections.cluster_peers.note_member(room, connection.peer_id)
 
     def close(self, connection: Connection, code: CloseCode, reason: str, now: float) -> None:
         """End a connection from this side; one that is lost, for good."""
         if connection.closed is None:
-            self._switchboard.close(connection, code, reason, now)
+            self._connections.close(connection, code, reason, now)
         elif self._away.get(connection.peer_id) is connection:
             self.give_up(connection.peer_id, "removed", now)
 
     def close_all(self, code: CloseCode, reason: str, now: float) -> None:
         """End every connection, and give up every place."""
-        for connection in [*self._switchboard.connections.values(), *self._away.values()]:
+        for connection in [*self._connections.by_peer.values(), *self._away.values()]:
             self.close(connection, code, reason, now)
 
     def close_peer(self, peer_id: str, code: CloseCode, reason: str, now: float) -> None:
         """Put a peer of this node out, whether it is away or not."""
-        connection = self._switchboard.connections.get(peer_id) or self._away[peer_id]
+        connection = self._connections.by_peer.get(peer_id) or self._away[peer_id]
         self.close(connection, code, reason, now)
 
     def handle_timer(self, now: float) -> None:
         """Take those out of their rooms who have been away for too long."""
-        for peer_id in self._returns.take_expired(now):
+        for peer_id in self._tickets.take_expired(now):
             self.give_up(peer_id, "lost", now)
 
     def give_up(self, peer_id: str, reason: str, now: float) -> None:
@@ -183,20 +183,20 @@ class Membership:
 
     def clear_up(self, connection: Connection, now: float) -> None:
         """Clear up after a connection that is over: its last words, its place, the others' view."""
-        switchboard = self._switchboard
-        if not switchboard.wind_up(connection, now):
+        connections = self._connections
+        if not connections.wind_up(connection, now):
             return
         closed = connection.closed
         assert closed is not None
         room, peer_id, reason = connection.room, connection.peer_id, _farewell(closed)
-        may_come_back = _is_loss(closed) and not switchboard.is_draining
-        if room is not None and may_come_back and self._returns.go_away(peer_id, now):
+        may_come_back = _is_loss(closed) and not connections.is_draining
+        if room is not None and may_come_back and self._tickets.go_away(peer_id, now):
             self._stats.resumes["away"] += 1
             self._away[peer_id] = connection
             room.go_away(peer_id)
-            if switchboard.neighbours is not None:
-                switchboard.neighbours.note_member(room, peer_id)
-            switchboard.tell_others(room, peer_id, PeerAway(peer_id=peer_id), now)
+            if connections.cluster_peers is not None:
+                connections.cluster_peers.note_member(room, peer_id)
+            connections.tell_others(room, peer_id, PeerAway(peer_id=peer_id), now)
             return
         self._depart(connection, reason, now)
 
@@ -205,14 +205,14 @@ class Membership:
         room = self._room(name)
         self.rooms[name] = room
         room.arrive(peer, node)
-        self._switchboard.tell_others(room, peer.peer_id, PeerJoined(peer=peer), now)
+        self._connections.tell_others(room, peer.peer_id, PeerJoined(peer=peer), now)
 
     def follow(self, name: str, before: Member, member: Member, now: float) -> None:
         """Note what is different about a peer of another node, and tell who is here."""
         room, peer_id = self.rooms.get(name), member.peer.peer_id
         if room is None or not room.node_of(peer_id):
             return
-        tell_others = self._switchboard.tell_others
+        tell_others = self._connections.tell_others
         if room.update_metadata(peer_id, member.peer.metadata):
             news = PeerUpdated(peer_id=peer_id, metadata=member.peer.metadata)
             tell_others(room, peer_id, news, now)
@@ -236,7 +236,7 @@ class Membership:
 
     def _room(self, name: str) -> Room:
         room = self.rooms.get(name)
-        return Room(name, self._switchboard.config.room_capacity) if room is None else room
+        return Room(name, self._connections.config.room_capacity) if room is None else room
 
     def _enter(
         self,
@@ -253,7 +253,7 @@ class Membership:
         self._note(room, connection.peer_id, "peer_joined")
         self._accept(connection, room, joined, now)
         arrival = PeerJoined(peer=room.peer(connection.peer_id))
-        self._switchboard.tell_others(room, connection.peer_id, arrival, now)
+        self._connections.tell_others(room, connection.peer_id, arrival, now)
         if admission.may_subscribe:
             self._forwarding.catch_up(connection, room, now)
 
@@ -261,13 +261,13 @@ class Membership:
         self, connection: Connection, join: Join, admission: Admission, now: float
     ) -> bool:
         """Let somebody come back to their place, if it is still there and theirs."""
-        peer_id = self._returns.redeem(join.room, join.resume)
+        peer_id = self._tickets.redeem(join.room, join.resume)
         if peer_id is None:
             self._stats.resumes["unknown"] += 1
             return False
-        switchboard, room = self._switchboard, self.rooms[join.room]
+        connections, room = self._connections, self.rooms[join.room]
         lost = self._away.get(peer_id)
-        former = switchboard.connections[peer_id] if lost is None else lost
+        former = connections.by_peer[peer_id] if lost is None else lost
         if not room.is_place_of(peer_id, admission.identity, join.tracks):
             # Whoever has the secret does not come as who they were: nobody else will.
             self._stats.resumes["unfit"] += 1
@@ -278,18 +278,18 @@ class Membership:
         if lost is None:  # it is dead, and nobody has noticed yet
             former.room = None
             former.session.close(CloseCode.REPLACED, "you have come back on another connection")
-            switchboard.wind_up(former, now)
-        switchboard.rename(connection, peer_id)
+            connections.wind_up(former, now)
+        connections.rename(connection, peer_id)
         joined = room.come_back(peer_id, may_subscribe=admission.may_subscribe)
-        if switchboard.neighbours is not None:
-            switchboard.neighbours.come_back(connection, room)
+        if connections.cluster_peers is not None:
+            connections.cluster_peers.come_back(connection, room)
         self._accept(connection, room, joined, now)
-        switchboard.tell_others(room, peer_id, PeerBack(peer_id=peer_id), now)
+        connections.tell_others(room, peer_id, PeerBack(peer_id=peer_id), now)
         if room.update_metadata(peer_id, join.metadata):
             news = PeerUpdated(peer_id=peer_id, metadata=join.metadata)
-            switchboard.tell_others(room, peer_id, news, now)
-        if switchboard.neighbours is not None:
-            switchboard.neighbours.note_member(room, peer_id)
+            connections.tell_others(room, peer_id, news, now)
+        if connections.cluster_peers is not None:
+            connections.cluster_peers.note_member(room, peer_id)
         if admission.may_subscribe:
             self._forwarding.catch_up(connection, room, now)
         return True
@@ -298,17 +298,17 @@ class Membership:
         """Tell somebody that they are in, and what else is so in the room."""
         connection.room = room
         if connection.is_resumable:
-            secret = self._returns.issue(room.name, connection.peer_id)
-            resume_ms = round(self._returns.grace_s * 1000)
+            secret = self._tickets.issue(room.name, connection.peer_id)
+            resume_ms = round(self._tickets.grace_s * 1000)
             joined = replace(joined, resume=secret, resume_ms=resume_ms)
         connection.has_joined = True
         connection.session.accept(joined)
-        self._switchboard.flush(connection, now)
+        self._connections.flush(connection, now)
         for peer_id in room.away:
-            self._switchboard.send(connection, PeerAway(peer_id=peer_id), now)
+            self._connections.send(connection, PeerAway(peer_id=peer_id), now)
         for number, stream in list(room.streams):
             if stream.is_muted:
-                self._switchboard.send(connection, StreamMuted(stream=number, is_muted=True), now)
+                self._connections.send(connection, StreamMuted(stream=number, is_muted=True), now)
 
     def _replace(self, room_name: str, identity: str, now: float) -> None:
         """Close who is here under an identity that joins again: the newer one wins."""
@@ -320,9 +320,9 @@ class Membership:
 
     def _depart(self, connection: Connection, reason: str, now: float) -> None:
         """Take somebody whose connection is over out of the room, if they are in one."""
-        self._returns.forget(connection.peer_id)
-        if self._switchboard.neighbours is not None:
-            self._switchboard.neighbours.leave(connection, reason)
+        self._tickets.forget(connection.peer_id)
+        if self._connections.cluster_peers is not None:
+            self._connections.cluster_peers.leave(connection, reason)
         room, connection.room = connection.room, None
         if room is not None:
             self._note(room, connection.peer_id, "peer_left", reason)
@@ -340,7 +340,7 @@ class Membership:
         for track in peer.tracks:
             self._forwarding.forget_stream(room, track.stream)
         news = PeerLeft(peer_id=peer_id, reason=reason)
-        self._switchboard.tell_others(room, peer_id, news, now)
+        self._connections.tell_others(room, peer_id, news, now)
 
     def _note(self, room: Room, peer_id: str, event: str, reason: str = "") -> None:
         """Tell whoever keeps books about a peer of this node."""

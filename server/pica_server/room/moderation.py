@@ -4,7 +4,7 @@ What must be done on another node of the cluster is passed on to it.
 """
 
 from pica_protocol.errors import CloseCode
-from pica_server.room.connections import Switchboard
+from pica_server.room.connections import Connections
 from pica_server.room.forwarding import Forwarding
 from pica_server.room.membership import Membership
 from pica_server.room.room import Room
@@ -17,9 +17,9 @@ class Moderation:
     """The admin's hand in the rooms of one relay."""
 
     def __init__(
-        self, switchboard: Switchboard, membership: Membership, forwarding: Forwarding
+        self, connections: Connections, membership: Membership, forwarding: Forwarding
     ) -> None:
-        self._switchboard = switchboard
+        self._connections = connections
         self._membership = membership
         self._forwarding = forwarding
 
@@ -44,8 +44,8 @@ class Moderation:
         if bar:
             identity = room.identity_of(peer_id)
             room.bar(identity, MAX_BARRED)
-            if self._switchboard.neighbours is not None:
-                self._switchboard.neighbours.bar(room, identity)
+            if self._connections.cluster_peers is not None:
+                self._connections.cluster_peers.bar(room, identity)
         reason = "an admin has removed you"
         self._membership.close_peer(peer_id, CloseCode.REMOVED, reason, now)
         return True
@@ -59,9 +59,9 @@ class Moderation:
         if everywhere:
             self._order(room, "close", "")
         num_peers = len(room)
-        connections = self._switchboard.connected(room)
+        connections = self._connections.connected(room)
         reason = "an admin has closed the room"
-        self._switchboard.close_together(connections, CloseCode.ROOM_CLOSED, reason, now)
+        self._connections.close_together(connections, CloseCode.ROOM_CLOSED, reason, now)
         self._membership.give_up_away(room, "removed", now)
         return num_peers
 
@@ -77,11 +77,11 @@ class Moderation:
             self._order(room, "mute" if is_muted else "unmute", str(number))
             return True
         self._forwarding.mute(room, number, stream, is_muted=is_muted, now=now)
-        if self._switchboard.neighbours is not None:
-            self._switchboard.neighbours.note_member(room, stream.publisher)
+        if self._connections.cluster_peers is not None:
+            self._connections.cluster_peers.note_member(room, stream.publisher)
         return True
 
     def _order(self, room: Room, what: str, target: str) -> None:
         """Have something done where it must be, if there are other nodes."""
-        if self._switchboard.neighbours is not None:
-            self._switchboard.neighbours.order(room, what, target)
+        if self._connections.cluster_peers is not None:
+            self._connections.cluster_peers.order(room, what, target)

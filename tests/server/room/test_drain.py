@@ -68,10 +68,10 @@ class Guest:
 
     def hear(self, at: float) -> list[Message]:
         heard = []
-        while (parcel := self.hub.take(self.connection, at)) is not None:
-            self.hub.sent(self.connection, parcel, at)
-            self.session.receive_data(parcel.data, at)
-            heard.append(decode_message(parcel.data))
+        while (message := self.hub.take(self.connection, at)) is not None:
+            self.hub.sent(self.connection, message, at)
+            self.session.receive_data(message.data, at)
+            heard.append(decode_message(message.data))
         return heard
 
 
@@ -129,9 +129,9 @@ def test_who_comes_while_the_relay_drains_is_told_where_to_go() -> None:
     hub.drain(now=20.0)
     late = hub.connect(20.1)
     for connection in (waiting, late):
-        parcel = hub.take(connection, 20.1)
-        assert parcel is not None
-        assert decode_message(parcel.data) == Bye(
+        message = hub.take(connection, 20.1)
+        assert message is not None
+        assert decode_message(message.data) == Bye(
             code=1001, reason="the relay is stopping", url=ELSEWHERE
         )
 

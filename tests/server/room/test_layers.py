@@ -244,11 +244,11 @@ class Member:
 
     def listen(self, at: float, max_messages: int = 1000) -> None:
         for _ in range(max_messages):
-            parcel = self.hub.take(self.connection, at)
-            if parcel is None:
+            message = self.hub.take(self.connection, at)
+            if message is None:
                 return
-            self.hub.sent(self.connection, parcel, at)
-            for event in self.session.receive_data(parcel.data, at):
+            self.hub.sent(self.connection, message, at)
+            for event in self.session.receive_data(message.data, at):
                 if isinstance(event, Frame):
                     self.readers.setdefault(event.stream, LayeredReader()).read(event)
                 elif isinstance(event, KeyframeRequest):

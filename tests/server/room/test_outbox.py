@@ -53,10 +53,10 @@ def test_a_newer_frame_replaces_the_waiting_one_of_its_stream() -> None:
     outbox = Outbox(LIMIT, Counter(), flows=False)
     put(outbox, 1, frame(1, sequence=0), now=0.0)
     put(outbox, 1, frame(1, sequence=1), now=0.1)
-    parcel = outbox.take()
-    assert parcel is not None
-    assert parcel.data == b"\x02" + frame(1, sequence=1)
-    assert parcel.received_s == (0.1,)
+    message = outbox.take()
+    assert message is not None
+    assert message.data == b"\x02" + frame(1, sequence=1)
+    assert message.received_s == (0.1,)
     assert outbox.take() is None
 
 
@@ -64,9 +64,9 @@ def test_frames_of_all_streams_leave_in_one_message_oldest_stream_first() -> Non
     outbox = Outbox(LIMIT, Counter(), flows=False)
     for stream, sequence in ((2, 0), (1, 0), (2, 1)):
         put(outbox, stream, frame(stream, sequence))
-    parcel = outbox.take()
-    assert parcel is not None
-    assert parcel.data == b"\x02" + frame(2, sequence=1) + frame(1)
+    message = outbox.take()
+    assert message is not None
+    assert message.data == b"\x02" + frame(2, sequence=1) + frame(1)
 
 
 def test_control_goes_before_frames_and_in_order() -> None:
@@ -75,7 +75,11 @@ def test_control_goes_before_frames_and_in_order() -> None:
     outbox.put_control(b"first")
     outbox.put_control(b"second")
     taken = [outbox.take() for _ in range(3)]
-    assert [parcel.data for parcel in taken if parcel] == [b"first", b"second", b"\x02" + frame(1)]
+    assert [message.data for message in taken if message] == [
+        b"first",
+        b"second",
+        b"\x02" + frame(1),
+    ]
 
 
 def test_no_message_is_longer_than_the_limit() -> None:
@@ -83,9 +87,9 @@ def test_no_message_is_longer_than_the_limit() -> None:
     for stream in range(1, 41):
         put(outbox, stream, frame(stream, num_bytes=1184))
     streams = []
-    while (parcel := outbox.take()) is not None:
-        assert len(parcel.data) <= MAX_MEDIA_MESSAGE_BYTES
-        streams += [frame.stream for frame in decode_media(parcel.data)]
+    while (message := outbox.take()) is not None:
+        assert len(message.data) <= MAX_MEDIA_MESSAGE_BYTES
+        streams += [frame.stream for frame in decode_media(message.data)]
     assert streams == list(range(1, 41))
 
 
@@ -103,7 +107,7 @@ def test_last_words_are_queued_whatever_the_limit_and_frames_are_dropped() -> No
     put(outbox, 1, frame(1))
     assert outbox.finish([b"goodbye"]) == 1
     taken = [outbox.take(), outbox.take(), outbox.take()]
-    assert [parcel and parcel.data for parcel in taken] == [bytes(100), b"goodbye", None]
+    assert [message and message.data for message in taken] == [bytes(100), b"goodbye", None]
 
 
 def test_several_frames_of_a_stream_wait_in_order_among_those_of_others() -> None:
@@ -112,9 +116,9 @@ def test_several_frames_of_a_stream_wait_in_order_among_those_of_others() -> Non
     put(outbox, 2, frame(2, sequence=0))
     for sequence, layer in ((1, 2), (2, 0)):
         put_delta(outbox, 1, sequence, layer)
-    parcel = outbox.take()
-    assert parcel is not None
-    order = [(frame.stream, frame.sequence) for frame in decode_media(parcel.data)]
+    message = outbox.take()
+    assert message is not None
+    order = [(frame.stream, frame.sequence) for frame in decode_media(message.data)]
     assert order == [(1, 0), (1, 1), (1, 2), (2, 0)]
 
 
@@ -125,8 +129,8 @@ def test_a_stream_that_does_not_fit_goes_on_in_the_next_message() -> None:
         for sequence in range(1, 5):
             put_delta(outbox, stream, sequence, 0, num_bytes=1184)
     order = []
-    while (parcel := outbox.take()) is not None:
-        order += [(frame.stream, frame.sequence) for frame in decode_media(parcel.data)]
+    while (message := outbox.take()) is not None:
+        order += [(frame.stream, frame.sequence) for frame in decode_media(message.data)]
     assert order == [(stream, sequence) for stream in range(1, 5) for sequence in range(5)]
 
 
@@ -143,9 +147,9 @@ def test_what_was_kept_of_a_stream_is_sent_again() -> None:
     outbox = Outbox(LIMIT, Counter(), flows=False)
     chain = [frame(1, 0), delta(1, 1, layer=0)]
     assert outbox.resume(1, chain, is_whole=True, now=3.0) == 2
-    parcel = outbox.take()
-    assert parcel is not None
-    assert parcel.data == b"\x02" + b"".join(chain)
+    message = outbox.take()
+    assert message is not None
+    assert message.data == b"\x02" + b"".join(chain)
     assert outbox.take() is None
 
 
@@ -191,18 +195,18 @@ class OutboxMachine(RuleBasedStateMachine):
 
     @rule()
     def take(self) -> None:
-        parcel = self.outbox.take()
+        message = self.outbox.take()
         if self.control:
-            assert parcel is not None
-            assert parcel.data == self.control.pop(0)
+            assert message is not None
+            assert message.data == self.control.pop(0)
         elif not self.frames:
-            assert parcel is None
+            assert message is None
         else:
-            assert parcel is not None
+            assert message is not None
             expected = b"\x02"
             while self.frames and len(expected + self.frames[0][1]) <= MAX_MEDIA_MESSAGE_BYTES:
                 expected += self.frames.pop(0)[1]
-            assert parcel.data == expected
+            assert message.data == expected
 
     @invariant()
     def it_is_bounded(self) -> None:
