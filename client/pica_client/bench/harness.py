@@ -1,6 +1,6 @@
 """What all benches share: fair turns, times with their spread, limits of settings, GL contexts.
 
-Cases of a bench take turns, round after round, so that a busy machine is unfair to nobody; the
+Cases of a bench take turns, round after round, so that a busy machine treats all alike; the
 first rounds warm up and are not counted. Results are medians with quartiles.
 """
 

@@ -115,7 +115,7 @@ def open_models(names: Sequence[str]) -> list[Model]:
         Models by person, in the order of the paper's tables.
 
     Raises:
-        OptionError: No files, two of the same model, or a baseline of nobody knows whom.
+        OptionError: No files, two of the same model, or a baseline without a person.
         AvatarFileError: A file that is neither an avatar nor a baseline.
     """
     files = [found for name in names for found in _files(name)]

@@ -3,7 +3,7 @@
 Every file is what `pica export` wrote: avatars of any variant and block, and baselines. All of them
 decode and draw the same talking performance in one process, each with its own expression encoder,
 with the renderer of the product; they take turns, frame by frame, in an order drawn anew for every
-frame, so that a busy machine is unfair to nobody. Avatars are shown at their full level.
+frame. Avatars are shown at their full level.
 
 The error is not measured here: it is the held-out MSE that `pica eval` measured of the same models,
 by the model's own encoder, and comes in with its rows (`eval_rows`).
@@ -18,7 +18,7 @@ Models:
 
 Rows, one for each model and distance:
 
-    distance_cm      from the camera to the front of the head's bounding box, as in `bench_render`
+    distance_cm      from the camera to the front of the head's bounding box, as in `bench.render`
     pixels           coloured in the last frame; a baseline colours some twice
     decode_ms        ONNX Runtime
     upload_ms        maps, or vertices and texture; not part of the total, for how it is done

@@ -5,7 +5,7 @@ from the camera to the front of its bounding box, looked at from the front. `FIE
 chosen so that the three distances cover pixels in about the paper's ratios (2.7 : 0.9 : 0.2
 million). A frame is all that the product draws but texts: surfaces, pixel decoder, smoothed edges;
 its time ends when the GPU is done, and reading the image back is not in it. Cases take turns, one
-frame each, round after round, so that a busy machine is unfair to nobody; medians over the rounds.
+frame each; medians over the rounds.
 
 Rows:
 

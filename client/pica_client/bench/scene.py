@@ -28,7 +28,7 @@ Rows:
     triangles
 
 `summary` compares: many heads near and far against one that fills the screen, with and without the
-scheduler; half of the unconstrained cost; nobody on the screen.
+scheduler; half of the unconstrained cost; no head on the screen.
 
 What it does not show: networks and playout (`pica bench call`), windows, several threads.
 """
@@ -220,7 +220,7 @@ class _Bench:
         self.gl_renderer = self._renderer.gl_renderer
 
     def free_cases(self) -> list[_Case]:
-        """Every scene with and without the scheduler, one head that fills the screen, and nobody
+        """Every scene with and without the scheduler, one head that fills the screen, and none
         on it."""
         most = max(self._config.avatars)
         cases = [_Case(1, FULL_SCREEN_CM, scheduled) for scheduled in (False, True)]

@@ -20,7 +20,7 @@ def summarise(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         and without the scheduler, and the error with it.
         ``budgets``: of these scenes, with less than they cost unconstrained: what was spent and
         what error that left.
-        ``away``: with nobody on the screen: decodes, and payload over that of the same scene seen.
+        ``away``: with no head on the screen: decodes, and payload over that of the same scene seen.
         ``plan_ms``: planning, where it took longest.
     """
     most = max(row["avatars"] for row in rows)

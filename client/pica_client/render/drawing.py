@@ -1,8 +1,8 @@
 """One head drawn on its own, and how far two drawings of it are apart.
 
-Whatever shortens, quantises or conceals a latent, or saves triangles, is judged by pictures, never
-by distances between latents. The error is MSE on 0-255 values over rasterised pixels, as in the
-paper's tables; pixels that only one of the two drawings covers count too.
+Whatever shortens, quantises or conceals a latent, or saves triangles, is measured on pictures,
+never by distances between latents. The error is MSE on 0-255 values over rasterised pixels, as in
+the paper's tables; pixels that only one of the two drawings covers count too.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""A way through the network that is not what one would wish, as a model. Pure: `now` and the source
-of chance are arguments, so a seed and a list of sends give the same arrivals on every machine.
+"""A bad way through the network, as a model. Pure: `now` and the source of chance are arguments, so
+a seed and a list of sends give the same arrivals on every machine.
 
 `Way` says when a piece of so many bytes arrives: `frame_path` puts a relay in front of it and sends
 frames, `proxy` imposes it on the bytes of a real connection.
 
 Delay. Jitter is a positive extra delay with a heavy tail: a Lomax (Pareto II) distribution of shape
 3 whose 95th percentile is `jitter_s`; median 0.15, 99th percentile 2.1, cut off at 5 times that.
-Neighbouring frames have alike delays: they are the quantiles of a first-order Gaussian process that
+Successive frames have similar delays: they are the quantiles of a first-order Gaussian process that
 forgets within `JITTER_MEMORY_S`. A stall holds everything for `stall_s`; then all of it comes at
 once, in order.
 
@@ -15,7 +15,7 @@ means that a piece arrives one retransmission timeout later, and that all behind
 are lost, doubled and overtaken.
 
 Rate. Pieces leave one after the other. What has not left yet waits with whoever sends, up to
-`queue_bytes` of it where nobody can take it back: in socket buffers and routers.
+`queue_bytes` of it where it cannot be taken back: in socket buffers and routers.
 
 Unrealistic: no congestion control, so loss does not shrink a window and a rate is a fixed figure;
 no fast retransmit and no tail-loss probe (streams as thin as ours mostly wait for the timeout, but

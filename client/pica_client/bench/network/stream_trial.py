@@ -13,7 +13,7 @@ request takes the calm way's delay back to the sender, and the next frame captur
 keyframe.
 
 Unrealistic: code takes no time; the display never misses a refresh; the relay's cached keyframe is
-not used (nobody joins late); the receiver asks for no other layers when the rate falls short.
+not used (no peer joins late); the receiver asks for no other layers when the rate falls short.
 """
 
 from __future__ import annotations
