@@ -346,33 +346,27 @@ class Call:
 
     def _face(self, seat: RemoteParticipant, now: float) -> FaceState:
         played, is_held = seat.play(now)
+        peer, avatar_id, note = seat.peer, seat.track.avatar, seat.note
+        face = FaceState(
+            peer_id=peer.peer_id, name=peer.name, avatar_id=avatar_id, latent=None, status="waiting"
+        )
         if played is None:
-            return FaceState(
-                peer_id=seat.peer.peer_id,
-                name=seat.peer.name,
-                avatar_id=seat.track.avatar,
-                latent=None,
-                status="waiting",
-                note=seat.note or self._avatars.note(seat.track.avatar),
-            )
+            return replace(face, note=note or self._avatars.note(avatar_id))
         status: FaceStatus = "concealed" if is_held or played.is_concealed else "live"
         silent_s = 0.0 if seat.last_arrival_s is None else now - seat.last_arrival_s
         if silent_s > self.config.stale_after_s and not seat.is_paused:
             status = "stale"
-        newest = played.newest
         if not is_held:
+            newest = played.newest
             arrived_us = round(newest.arrived_s * 1e6)
-            self._shown.append(
-                Shown(seat.peer.name, played.captured_us, newest.captured_us, arrived_us)
-            )
-        return FaceState(
-            peer_id=seat.peer.peer_id,
-            name=seat.peer.name,
-            avatar_id=seat.track.avatar,
-            latent=played.sample.latent,
-            rotation=played.sample.rotation,
-            translation_m=played.sample.translation_m,
+            self._shown.append(Shown(peer.name, played.captured_us, newest.captured_us, arrived_us))
+        sample = played.sample
+        return replace(
+            face,
+            latent=sample.latent,
+            rotation=sample.rotation,
+            translation_m=sample.translation_m,
             captured_us=max(played.captured_us, 0),
             status=status,
-            note=seat.note,
+            note=note,
         )

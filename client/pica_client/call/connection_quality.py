@@ -17,7 +17,7 @@ from typing import Literal
 Quality = Literal["unknown", "good", "fair", "poor"]
 
 WINDOW_S = 4.0
-"""What is judged: the last so many seconds (chosen: some 120 frames, so that one is no percent)."""
+"""Window that is rated (chosen: some 120 frames, so that one is no percent)."""
 WORSE_AFTER_S = 1.5
 BETTER_AFTER_S = 5.0
 """How long another level must have been the right one before it is believed."""
@@ -38,7 +38,7 @@ class StreamHealth:
     shown: int = 0
     """Display times."""
     concealed: int = 0
-    """Of them, those without a fresh face."""
+    """Display times without a fresh face."""
     age_s: float = 0.0
     """How old the shown face is."""
     payload_bytes: int = 0
@@ -50,7 +50,7 @@ class StreamHealth:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QualityLimits:
-    """From where on a connection is not good any more."""
+    """Figures from which on a connection is not good any more."""
 
     lost_ratio: float
     """Frames that were lost or late, of all."""
@@ -81,7 +81,7 @@ display."""
 _RANK: dict[Quality, int] = {"unknown": 0, "good": 1, "fair": 2, "poor": 3}
 
 
-def judge(before: StreamHealth, after: StreamHealth) -> Quality:
+def quality_between(before: StreamHealth, after: StreamHealth) -> Quality:
     """What a stream was like between two moments; unknown when nothing came or too little was
     shown."""
     received, shown = after.received - before.received, after.shown - before.shown
@@ -99,7 +99,7 @@ def judge(before: StreamHealth, after: StreamHealth) -> Quality:
 
 
 class QualityMeter:
-    """Judges one stream; keeps a bounded window of what it was told."""
+    """Rates one stream; keeps a bounded window of what it was told."""
 
     def __init__(self) -> None:
         self._samples: deque[tuple[float, StreamHealth]] = deque(maxlen=MAX_SAMPLES)
@@ -123,7 +123,7 @@ class QualityMeter:
         self._samples.append((now, health))
         while len(self._samples) > 2 and now - self._samples[1][0] >= WINDOW_S:
             self._samples.popleft()
-        found = judge(self._samples[0][1], health)
+        found = quality_between(self._samples[0][1], health)
         if found == "unknown" or found == self._level:
             self._differs_since_s = None  # a stream that is silent is as good as it was
             return self._level

@@ -29,12 +29,12 @@ PROBE_JAW = (0.0, 0.2, 0.4, 0.7, 1.0)
 PROBE_OTHER = (0.0, 0.5)
 """Values of jawOpen and of each other shape over which the reader is fitted."""
 RIDGE = 1e-2
-"""Of the fit, relative to the mean square of the latents: where two functions tell the jaw equally
-well, the smaller one is less easily disturbed (chosen: of 1e-5 to 1e-2 the one that errs least
+"""Ridge of the fit, relative to the mean square of the latents: where two functions tell the jaw
+equally well, the smaller one is less easily disturbed (chosen: of 1e-5 to 1e-2 the one that errs least
 while the shipped avatars talk)."""
 
 WINDOW_S = 1.2
-"""Over which a jaw is watched (chosen: three syllables)."""
+"""Time over which a jaw is watched (chosen: three syllables)."""
 DEAD_BAND = 0.02
 """Movement that is not seen as such, in units of jawOpen: what quantisation leaves (chosen)."""
 SPEAKING_TRAVEL = 0.25

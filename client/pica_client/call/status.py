@@ -30,7 +30,7 @@ class CallStatus:
     is_muted_by_admin: bool = False
     """Whether an admin has stopped our own face."""
     peers: Mapping[str, PeerStatus] = field(default_factory=dict)
-    """By peer id."""
+    """How each stream comes in, by peer id."""
     summary: tuple[tuple[str, str], ...] = ()
     """Further figures for the statistics, name and value."""
 

@@ -116,7 +116,7 @@ class _Peer:
     acknowledged: int = 0
     """Newest generation of our key that it has."""
     keys: dict[int, OpeningKey] = field(default_factory=dict)
-    """By key id, oldest first."""
+    """Keys by key id, oldest first."""
     newest: int = 0
     sent_s: float = float("-inf")
     wait_s: float = FIRST_WAIT_S

@@ -43,7 +43,7 @@ CODE_BYTES: Final = 16
 WRAPPED_BYTES: Final = BASE_KEY_BYTES + 16
 MAX_GENERATION: Final = 2**32 - 1
 NOBODY: Final = bytes(ECHO_BYTES)
-"""As an echo: the sender does not know the receiver's public key."""
+"""The echo of a sender who does not know the receiver's public key."""
 
 _BODY = struct.Struct(">BBH32s8sII")
 NOTE_BYTES: Final = (_BODY.size + CODE_BYTES, _BODY.size + WRAPPED_BYTES + CODE_BYTES)
@@ -55,7 +55,7 @@ class RoomKeys(NamedTuple):
     """What a secret gives in one room."""
 
     note_key: bytes
-    """Of the code of every note."""
+    """The message authentication key for every note."""
     pair_salt: bytes
     """Goes into every key between two peers: without the secret, no such key."""
 

@@ -29,7 +29,7 @@ ROOM = "demo"
 JOIN_TIMEOUT_S = 30.0
 """For all peers to be seen; five Pythons that import numpy on two busy cores take some seconds."""
 CHECK_INTERVAL_S = 0.25
-"""Between two looks at whether all processes are alive."""
+"""Time between two looks at whether all processes are alive."""
 
 DEFAULT_SOURCES = (
     "performance:talk#1",
@@ -60,7 +60,7 @@ class LocalCallConfig:
     fps: float = 30.0
     """Frames a second of each sender."""
     quality: int = DEFAULT_QUALITY
-    """Of the coded streams, 0 (coarse) to 7 (fine)."""
+    """Fineness of the coded streams, 0 (coarse) to 7 (fine)."""
     plain: bool = False
     """Send 8 bits a value instead of coded streams."""
     is_encrypted: Annotated[bool, tyro.conf.arg(name="encrypt")] = False

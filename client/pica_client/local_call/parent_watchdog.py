@@ -17,12 +17,12 @@ import threading
 import time
 
 GRACE_S = 3.0
-"""From the wish to end to the end: longer than any command needs to say goodbye."""
+"""From being asked to end to the end: longer than any command needs to say goodbye."""
 
 
 def main() -> None:
     """Watch the parent and become the command."""
-    threading.Thread(target=_follow_parent, name="tether", daemon=True).start()
+    threading.Thread(target=_follow_parent, name="parent-watchdog", daemon=True).start()
     sys.argv[0] = "pica"
     runpy.run_module("pica_command", run_name="__main__", alter_sys=False)
 

@@ -32,13 +32,7 @@ class Child:
         self._out, self._err = folder / f"{name}.out", folder / f"{name}.err"
         with self._out.open("wb") as out, self._err.open("wb") as err:
             self._process = subprocess.Popen(
-                [
-                    sys.executable,
-                    "-m",
-                    PARENT_WATCHDOG,
-                    *arguments,
-                    "--json",
-                ],
+                [sys.executable, "-m", PARENT_WATCHDOG, *arguments, "--json"],
                 stdin=subprocess.PIPE,
                 stdout=out,
                 stderr=err,
@@ -57,7 +51,7 @@ class Child:
         return self._process.poll()
 
     def let_go(self) -> None:
-        """Ask it to end: its tether is cut."""
+        """Ask it to end, by closing the pipe that it watches."""
         if self._process.stdin is not None:
             with contextlib.suppress(OSError):
                 self._process.stdin.close()

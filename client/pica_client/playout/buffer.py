@@ -77,7 +77,7 @@ class PlayoutReport:
     refused: int = 0
     """Frames that fit nowhere on the time line."""
     future: int = 0
-    """Of these, frames from the future."""
+    """Refused frames that came from the future."""
     restarts: int = 0
     """How often sender or its clock began anew."""
     shown: int = 0
@@ -93,7 +93,7 @@ class PlayoutReport:
     jitter_s: float = 0.0
     """Lateness that is waited for."""
     interval_s: float = 0.0
-    """Between two frames that arrive; 0 until two have come."""
+    """Time between two frames that arrive; 0 until two have come."""
     drift_ppm: float = 0.0
     """How much faster the sender's clock runs than ours, parts in a million."""
     age_s: float = 0.0

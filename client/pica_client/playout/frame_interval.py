@@ -3,7 +3,7 @@
 A stream is thinned on its way when a receiver or the network wants less of it, so a hole in the
 sequence is no loss by itself. What tells them apart is time: after thinning the frames that are
 left come at an even, longer interval; a lost frame leaves a gap among frames that come closer. The
-interval is the median of the last gaps, so single losses do not move it. A hole is judged with the
+interval is the median of the last gaps, so single losses do not move it. A hole is counted with the
 longer of two intervals, when its end came and half a second or eight frames later: only then is it
 known whether the stream is thinned from there on, and whether the frames were merely overtaken.
 """
@@ -20,12 +20,12 @@ from pica_core.codec.latent_sample import DecodedFrame
 NUM_GAPS = 16
 """Gaps the interval is the median of (chosen: with a third of the frames lost it still stands, and
 it follows a thinned stream after eight frames)."""
-JUDGED_AFTER_S = 0.5
+COUNTED_AFTER_S = 0.5
 """Until then a frame may still come (chosen: more than twice the usual ceiling of the delay)."""
-JUDGED_AFTER_FRAMES = NUM_GAPS // 2
+COUNTED_AFTER_FRAMES = NUM_GAPS // 2
 """The interval follows after so many."""
-MAX_UNJUDGED = 512
-"""Frames that wait for judgement; beyond it the oldest is judged."""
+MAX_UNCOUNTED = 512
+"""Frames whose holes are not counted yet; beyond it the oldest is."""
 
 
 class _Seen(NamedTuple):
@@ -40,7 +40,7 @@ class FrameInterval:
 
     Attributes:
         interval_s: Between two frames of the layers that arrive; 0 until two have come.
-        num_lost: Frames known to be lost; one that comes after it was judged counts, too.
+        num_lost: Frames known to be lost; one that comes after it was counted stays so.
     """
 
     def __init__(self) -> None:
@@ -48,12 +48,12 @@ class FrameInterval:
         self.num_lost = 0
         # In order of their numbers; drop their oldest when full.
         self._recent: list[_Seen] = []
-        self._unjudged: list[_Seen] = []
+        self._uncounted: list[_Seen] = []
 
     def receive(self, frame: DecodedFrame) -> None:
         """Take a frame into account; one that came again changes nothing."""
-        place = bisect_left(self._unjudged, (frame.number,))
-        if place < len(self._unjudged) and self._unjudged[place].number == frame.number:
+        place = bisect_left(self._uncounted, (frame.number,))
+        if place < len(self._uncounted) and self._uncounted[place].number == frame.number:
             return
         seen = _Seen(frame.number, frame.media_s, frame.sample.is_still, self.interval_s)
         insort(self._recent, seen)
@@ -67,13 +67,13 @@ class FrameInterval:
             self.interval_s = gaps[(len(gaps) - 1) // 2]
         if len(self._recent) > NUM_GAPS:
             del self._recent[0]
-        if place or not self._unjudged:  # else its hole has been judged already
-            self._unjudged.insert(place, seen)
-        self._judge()
+        if place or not self._uncounted:  # else its hole has been counted already
+            self._uncounted.insert(place, seen)
+        self._count_lost()
 
     def pause(self) -> None:
         """Note that the stream is stopped on purpose: what follows the last frame is no gap."""
-        for frames in (self._recent, self._unjudged):
+        for frames in (self._recent, self._uncounted):
             if frames:
                 frames[-1] = frames[-1]._replace(is_still=True)
 
@@ -84,17 +84,17 @@ class FrameInterval:
             return 0
         return max(round((after_s - before_s) / interval_s) - 1, 0)
 
-    def _judge(self) -> None:
+    def _count_lost(self) -> None:
         """Count what is missing between the oldest frames, where that is known by now."""
-        unjudged = self._unjudged
-        while len(unjudged) > JUDGED_AFTER_FRAMES + 1:
-            before, after = unjudged[:2]
-            is_known = unjudged[-1].media_s - after.media_s >= JUDGED_AFTER_S
-            if not is_known and len(unjudged) <= MAX_UNJUDGED:
+        uncounted = self._uncounted
+        while len(uncounted) > COUNTED_AFTER_FRAMES + 1:
+            before, after = uncounted[:2]
+            is_known = uncounted[-1].media_s - after.media_s >= COUNTED_AFTER_S
+            if not is_known and len(uncounted) <= MAX_UNCOUNTED:
                 return
             num_skipped = after.number - before.number - 1
             if 0 < num_skipped < RESTART_FRAMES and not before.is_still:
                 interval_s = max(self.interval_s, after.interval_s)
                 num_missing = self.num_missing(before.media_s, after.media_s, interval_s)
                 self.num_lost += min(num_skipped, num_missing)
-            del unjudged[0]
+            del uncounted[0]

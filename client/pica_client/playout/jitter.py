@@ -3,7 +3,7 @@
 The lateness of a frame is how far its transit lies above the fastest (`clock_map`). What counts are
 delays, not frames: those that a stall held back come in one burst, and only the first of them tells
 how long it was. (Counting all of them let one stall of 300 ms every two seconds raise the delay
-to its ceiling; the face was 150 ms older and hardly less often concealed.) Two windows judge, and
+to its ceiling; the face was 150 ms older and hardly less often concealed.) Two windows rate, and
 the longer wait counts:
 
 - slow release: the share of the delays of the last seconds that must not be longer. When trouble

@@ -61,7 +61,7 @@ class Distance:
     turn_rad: float = 0.0
     """Angle between the two head rotations."""
     move_m: float = 0.0
-    """Between the two head positions."""
+    """Distance of the two head positions, metres."""
 
 
 def distance(one: LatentSample, other: LatentSample) -> Distance:

@@ -11,14 +11,14 @@ import math
 from typing import NamedTuple
 
 UNSEEN_S = 0.001
-"""Nobody sees a display that is less far behind."""
+"""A display that is less far behind is not seen as such."""
 
 
 class Step(NamedTuple):
-    """From one display time to the next."""
+    """The step from one display time to the next."""
 
     elapsed_s: float
-    """On our clock."""
+    """Time that passed on our clock."""
     moved_s: float
     """How far the moment shown went on; where it leapt, how far it would have gone."""
     is_leap: bool = False

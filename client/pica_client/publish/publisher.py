@@ -170,7 +170,7 @@ class Publisher:
 
     @property
     def seconds_sent(self) -> float:
-        """From the first frame to the last."""
+        """Time from the first frame to the last."""
         return self._last_sent_s - (self._first_sent_s or 0.0)
 
     def _tell_mode(self, link: Link, now: float) -> None:

@@ -2,7 +2,7 @@
 
 The shell around `pica_protocol.session.ClientSession`. It connects, joins, hands events to its
 owner, sends what waits, and comes back by itself when the relay goes away. It keeps nothing for
-later: a frame offered while nobody listens is refused, because a late face is worse than none.
+later: a frame offered without a connection is refused, because a late face is worse than none.
 
 Who lost the connection comes back to the place it had, if the relay still keeps it; else it joins
 anew, with another id. Either way its owner gets a ``Joined`` and begins its streams anew.
@@ -54,7 +54,7 @@ class LinkCounters:
     """Connections that ended because somebody broke the protocol."""
     sent_messages: int = 0
     sent_wire_bytes: int = 0
-    """With all that lies around a message, see `stats.wire_bytes`."""
+    """Bytes with all that lies around a message, see `stats.wire_bytes`."""
     received_messages: int = 0
     received_wire_bytes: int = 0
     frames_replaced: int = 0
@@ -365,7 +365,7 @@ class Link:
         closed = session.closed
         self.last_closed = closed
         if closed is not None and not self._is_leaving:
-            self._judge(closed)
+            self._raise_if_final(closed)
         return joined_s
 
     async def _read(
@@ -433,7 +433,7 @@ class Link:
         if self.guard is not None and timer is not None and now >= timer:
             self.guard.handle_timer(now)
 
-    def _judge(self, closed: Closed) -> None:
+    def _raise_if_final(self, closed: Closed) -> None:
         """Raise if coming back cannot help."""
         broken = closed.code in (CloseCode.MALFORMED, CloseCode.UNEXPECTED_MESSAGE)
         self.counters.errors += broken

@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import random
 import threading
+from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Self
 
@@ -22,7 +23,7 @@ from pica_protocol.messages import Joined
 from pica_protocol.session import ClientEvent
 
 REPORT_INTERVAL_S = 5.0
-"""Between two reports to the relay."""
+"""Time between two reports to the relay."""
 JOIN_TIMEOUT_S = 5.0
 """For the thread to end: a link that is told to leave is gone within its close timeouts."""
 
@@ -52,7 +53,7 @@ class Receiver:
         self.arrived = asyncio.Event()
         """Set by every event; for those who wait on the same loop."""
         self._subscribed = asyncio.Event()
-        call.on_subscription = self._wake_subscriptions
+        call.on_subscription = lambda: self._call_soon(self._subscribed.set)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread: threading.Thread | None = None
         self._error: BaseException | None = None
@@ -83,9 +84,7 @@ class Receiver:
 
     def stop(self) -> None:
         """Make `run` leave the room and return; any thread may call it."""
-        if self._loop is not None:
-            with contextlib.suppress(RuntimeError):  # the loop may be closed by now
-                self._loop.call_soon_threadsafe(self.link.leave)
+        self._call_soon(self.link.leave)
 
     def check(self) -> None:
         """Raise what ended the thread, if anything did.
@@ -154,11 +153,11 @@ class Receiver:
             self._subscribed.set()
         self.arrived.set()
 
-    def _wake_subscriptions(self) -> None:
-        loop = self._loop
-        if loop is not None:
+    def _call_soon(self, action: Callable[[], None]) -> None:
+        """Call something on the loop, if it runs."""
+        if self._loop is not None:
             with contextlib.suppress(RuntimeError):  # the loop may be closed by now
-                loop.call_soon_threadsafe(self._subscribed.set)
+                self._loop.call_soon_threadsafe(action)
 
     async def _tell_subscriptions(self) -> None:
         """Tell the relay which layers are wanted, when that changes and when its time has come."""

@@ -70,7 +70,7 @@ class StreamConfig:
     still_after_s: float = 0.25
     """A face that has not changed for so long falls silent."""
     heartbeat_s: float = 1.0
-    """Between two frames of a silent face."""
+    """Time between two frames of a silent face."""
 
     def __post_init__(self) -> None:
         for name, low, high in (

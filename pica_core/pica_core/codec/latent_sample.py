@@ -61,7 +61,7 @@ class ReceivedFrame:
     """Capture time on the stream's own time line, seconds: the sender's clock, from an origin of
     the receiver's, with its jumps taken out."""
     arrived_s: float = 0.0
-    """On the receiver's clock, seconds."""
+    """When it came, on the receiver's clock, seconds."""
 
     def decoded(self, sample: LatentSample, arrived_s: float | None = None) -> DecodedFrame:
         """The frame with its face; with `arrived_s` if it had to wait for what it refers to."""

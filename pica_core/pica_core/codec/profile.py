@@ -192,7 +192,7 @@ class StreamProfile:
 
     @cached_property
     def residual_tables(self) -> tuple[tuple[tuple[Table, ...], ...], ...]:
-        """By frame type, coefficient and context."""
+        """Tables of residuals by frame type, coefficient and context."""
         tables = [make_table(row) for row in self.tables]
         return tuple(
             tuple(tuple(tables[index] for index in contexts) for contexts in coefficients)
@@ -201,12 +201,12 @@ class StreamProfile:
 
     @cached_property
     def header_ranges(self) -> tuple[Table, ...]:
-        """By frame type."""
+        """Tables of frame headers by frame type."""
         return tuple(make_table(row) for row in self.header_tables)
 
     @cached_property
     def distance_ranges(self) -> tuple[Table, ...]:
-        """By layer."""
+        """Tables of reference distances by layer."""
         return tuple(make_table(row) for row in self.distance_tables)
 
     @cached_property

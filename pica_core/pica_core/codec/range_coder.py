@@ -46,9 +46,9 @@ class Table(NamedTuple):
     """Frequencies of one alphabet, ready for both directions."""
 
     ranges: tuple[Range, ...]
-    """By symbol."""
+    """Start and frequency of each symbol."""
     symbol_of_slot: bytes
-    """By slot, `TOTAL` of them."""
+    """The symbol that each of the `TOTAL` slots belongs to."""
 
 
 def make_table(frequencies: Sequence[int] | npt.NDArray[np.integer]) -> Table:

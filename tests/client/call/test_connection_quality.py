@@ -15,8 +15,8 @@ from pica_client.call.connection_quality import (
     Quality,
     QualityMeter,
     StreamHealth,
-    judge,
     own_quality,
+    quality_between,
 )
 
 pytestmark = pytest.mark.unit
@@ -114,12 +114,12 @@ def test_a_stream_that_is_muted_is_not_poor_for_it() -> None:
 def test_a_machine_that_draws_seldom_does_not_blame_the_network() -> None:
     seldom = StreamHealth(received=120, lost=60, shown=9, concealed=5, age_s=0.7)
     often = StreamHealth(received=120, shown=120, concealed=60, age_s=0.1)
-    assert judge(StreamHealth(), seldom) == "unknown"
-    assert judge(StreamHealth(), often) == "poor"
+    assert quality_between(StreamHealth(), seldom) == "unknown"
+    assert quality_between(StreamHealth(), often) == "poor"
 
 
 def test_nothing_known_is_unknown() -> None:
-    assert judge(StreamHealth(), StreamHealth()) == "unknown"
+    assert quality_between(StreamHealth(), StreamHealth()) == "unknown"
     assert QualityMeter().level == "unknown"
 
 
