@@ -58,7 +58,7 @@ class Track:
     profile: str = ""
     """SHA-256 of the stream profile the payloads are encoded with, in hexadecimal; empty: plain."""
     deadline_ms: int = 0
-    """With ``ordered``, how long a frame may wait for a receiver, milliseconds; else 0."""
+    """Says, with ``ordered``, how long a frame may wait for a receiver, milliseconds; else 0."""
 
     def __post_init__(self) -> None:
         check_token("track.kind", self.kind)
@@ -134,7 +134,7 @@ class Join:
     resumable: bool = False
     """Whether it comes back when the connection breaks: its place is kept for a while."""
     resume: str = field(default="", repr=False)
-    """From the last ``Joined``: it comes back to its place, if that is still there. A secret."""
+    """The secret of the last ``Joined``, which opens the place again if that is still there."""
 
     def __post_init__(self) -> None:
         check_token("join.room", self.room)
@@ -163,7 +163,7 @@ class Joined:
     resume: str = field(default="", repr=False)
     """What to come back with, once; empty: the place is not kept. A secret."""
     resume_ms: int = 0
-    """For how long the place is kept after the connection broke, milliseconds."""
+    """How long the place is kept after the connection broke, milliseconds."""
 
     def __post_init__(self) -> None:
         check_token("joined.room", self.room)

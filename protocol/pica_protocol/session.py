@@ -59,7 +59,7 @@ from pica_protocol.messages import (
 )
 
 HANDSHAKE_TIMEOUT_S: Final = 5.0
-"""From the open socket to the place in the room (chosen: ten slow round trips)."""
+"""Seconds from the open socket to the place in the room (chosen: ten slow round trips)."""
 
 
 class State(Enum):

@@ -20,12 +20,12 @@ from typing import Final
 BEAT_S: Final = 0.75
 """Between two renewals (chosen: four in a lease)."""
 SUSPECT_S: Final = 1.75
-"""From the last renewal that was confirmed: two have failed, something may be wrong."""
+"""Seconds from the last renewal that was confirmed: two have failed, something may be wrong."""
 FENCE_S: Final = 2.25
 """From the last renewal that was confirmed, by the time it was sent, to the end of this node's
 part in the cluster."""
 LEASE_S: Final = 3.0
-"""From the last renewal that was heard to the end of the node's peers, as the others see it."""
+"""Seconds from the last renewal that was heard to the end of the node's peers for the others."""
 
 
 class Standing(Enum):

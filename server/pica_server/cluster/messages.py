@@ -55,7 +55,7 @@ class NodeId(NamedTuple):
 
     @property
     def name(self) -> str:
-        """As it stands in records."""
+        """Return what stands for it in records."""
         return f"{self.slot}-{self.run}"
 
 
@@ -109,7 +109,7 @@ class Interest:
     epoch: int
     """A new one asks for all wanted streams from a keyframe on: something was lost."""
     revision: int
-    """Of the record that the node knows."""
+    """The revision of the record that the node knows."""
     wants_answer: bool
     """The node does not know what the receiver wants."""
     layers: Mapping[int, int] = field(default_factory=dict)
@@ -154,7 +154,7 @@ class MediaHeader(NamedTuple):
     slot: int
     """The sending node's."""
     epoch: int
-    """Of the receiver's interest that this answers."""
+    """The number of the receiver's interest that this answers."""
     number: int
     """Counts the messages of the epoch: a hole is a loss."""
 

@@ -44,16 +44,16 @@ from pica_server.errors import ClusterError
 from pica_server.room.hub import Hub
 
 CONNECT_S: Final = 3.0
-"""For the first connection."""
+"""Seconds that the first connection may take."""
 REQUEST_S: Final = 1.0
-"""For an answer of the store."""
+"""Seconds that an answer of the store may take."""
 STOP_S: Final = 1.0
-"""For taking this node's peers out of the records when it stops."""
+"""Seconds for taking this node's peers out of the records when it stops."""
 RECONNECT_S: Final = 0.2
 """Between two attempts to reach NATS again."""
 _NUM_WORKERS: Final = 16
 _MAX_UNSENT_BYTES: Final = 131_072
-"""Of messages that NATS has not taken; above it media waits in the outboxes."""
+"""Bytes of messages that NATS has not taken; above it media waits in the outboxes."""
 _MAX_TOLD: Final = 4096
 """Messages to nodes that may wait."""
 _RECORD_LIMITS: Final = (64, 4_194_304)

@@ -123,7 +123,7 @@ class ClusterNode:
 
     @property
     def slot(self) -> int:
-        """Its slot."""
+        """The slot of this node."""
         return self._me.slot
 
     @property

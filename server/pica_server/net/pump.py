@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from pica_server.cluster.nats import Cluster
 
 _UNSENT_LIMIT_BYTES = 2048
-"""Of the kernel's buffer (chosen: about thirty frames)."""
+"""Unsent bytes in the kernel's buffer (chosen: about thirty frames)."""
 
 _MOST_AT_ONCE = 8
 """Messages of one peer that are passed on in one turn of the loop (chosen: a quarter of a second of

@@ -83,7 +83,7 @@ class _GoneTransport(asyncio.Transport):
         """Do nothing more."""
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Drop it."""
+        """Drop the bytes."""
 
     def get_write_buffer_size(self) -> int:
         """Return that nothing waits."""

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 TELLING_SHARE = 0.5
-"""Of the time for a drain: all are told within it, and the rest is left for them to go (chosen)."""
+"""The share of a drain's time in which all are told; the rest is left for them to go (chosen)."""
 
 
 def departures(

@@ -17,14 +17,14 @@ from pica_server.cluster.media import NodeLink
 from pica_server.errors import RoomFullError
 
 _NOTHING = -1
-"""As the highest wanted layer: none."""
+"""Stands for no layer at all as the highest wanted one."""
 
 
 @dataclass(slots=True)
 class _Member:
     peer: Peer
     highest_layer: dict[int, int] = field(default_factory=dict)
-    """By stream; a stream that is missing is wanted up to ``default_layer``."""
+    """The highest wanted layer by stream; one that is missing is wanted up to ``default_layer``."""
     identity: str = ""
     default_layer: int = MAX_LAYER
     is_away: bool = False
@@ -47,7 +47,7 @@ class Stream:
     """The latest keyframe and, if ``is_whole``, all base frames since."""
     is_whole: bool = False
     num_bytes: int = 0
-    """Of the chain."""
+    """Bytes of all frames of the chain."""
     asked_s: float | None = None
     """When the publisher was last asked for a keyframe."""
 
@@ -292,7 +292,7 @@ class Room:
             found.chain, found.num_bytes, found.is_whole = [], 0, False
 
     def want(self, peer_id: str, stream: int, layer: int | None) -> bool:
-        """Note a wish; one for a stream that has just ended is no mistake and changes nothing.
+        """Note a layer subscription; one for a stream that has just ended changes nothing.
 
         Returns:
             Whether the peer wants frames of the stream after it wanted none.

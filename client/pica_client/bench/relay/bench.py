@@ -61,9 +61,9 @@ SETTLE_S: Final = 1.5
 """Between the first frame and the first that counts: queues and windows find their size."""
 OWN_JOINS_PER_S: Final = 400.0
 PATIENCE_S: Final = 30.0
-"""For a swarm's answer, beyond the time that the order takes."""
+"""Seconds that a swarm's answer may take beyond the time of its order."""
 GROWTH: Final = 1.25
-"""Of the number of rooms from one try to the next, when capacity is looked for."""
+"""Factor between the numbers of rooms of two tries, when capacity is looked for."""
 NO_LIMITS: Final = (
     *("--limits.joins-per-s", "100000", "--limits.joins-burst", "100000"),
     *("--limits.handshakes", "4096"),
@@ -86,13 +86,13 @@ class RelayBenchConfig:
     """A relay that runs already; by default one is started."""
     rooms: int = 20
     peers: int = 5
-    """In each room."""
+    """Number of peers in each room."""
     fps: float = 30.0
     """Frames a second of each peer."""
     seconds: float = 10.0
-    """Measured time."""
+    """Seconds that are measured."""
     processes: int = 1
-    """Of the load generator."""
+    """Number of processes of the load generator."""
     joins_per_s: float | None = None
     """How fast peers come; by default 40, as many as a relay lets in, 400 for one of our own."""
     capacity: bool = False
@@ -160,7 +160,7 @@ class Target:
 
     url: str
     pid: int | None = None
-    """Of its process, if it runs here and is ours."""
+    """The id of its process, if it runs here and is ours."""
     has_metrics: bool = False
 
 
@@ -204,7 +204,7 @@ class Load:
 
     @property
     def first_room(self) -> str:
-        """Its name."""
+        """The name of the first room."""
         return self._room(0)
 
     @property

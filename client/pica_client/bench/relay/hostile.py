@@ -31,7 +31,7 @@ from pica_client.stats import describe_machine
 LIMIT_ARGUMENTS: Final = ("--limits.joins-per-s", "50", "--limits.joins-burst", "200")
 """The relay's own limits on joins, which the load is otherwise spared."""
 EXTRA_S: Final = 3.0
-"""Of an offender's time beyond that of the rooms beside it."""
+"""Seconds of an offender's time beyond that of the rooms beside it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

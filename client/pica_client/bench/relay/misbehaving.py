@@ -1,4 +1,4 @@
-"""Those whom a relay must bear.
+"""Clients that misbehave, which a relay must outlast.
 
 ``python -m pica_client.bench.relay.misbehaving KIND URL ROOM SECONDS`` does one bad thing to a
 relay for a bounded time and prints what became of it as JSON: how often it tried, and the close
@@ -37,7 +37,7 @@ FLOOD_FPS: Final = 3000.0
 SLOW_BPS: Final = 8000
 CONNECTS_PER_S: Final = 10_000 / 60
 NUM_SOCKETS: Final = 100
-"""Of those who open many and say nothing, or next to nothing."""
+"""Sockets that are opened by those who then say nothing, or next to nothing."""
 STEP_S: Final = 0.1
 
 _UPGRADE: Final = (

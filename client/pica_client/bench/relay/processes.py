@@ -19,9 +19,9 @@ from typing import IO, Any, Self
 from pica_client.errors import CallProcessError, OptionError
 
 START_TIMEOUT_S = 20.0
-"""For a process to say its first word."""
+"""Seconds that a process has to say its first word."""
 STOP_TIMEOUT_S = 5.0
-"""For all processes together to end when asked; then they are killed."""
+"""Seconds that all processes together have to end when asked; then they are killed."""
 
 
 class Worker:

@@ -27,11 +27,11 @@ from pica_protocol.limits import MAX_CONTROL_BYTES
 from pica_protocol.messages import Bye, Whisper
 
 NUM_WHISPERS: Final = 100
-"""In one go before the end: fewer than a peer may send at once."""
+"""Messages sent in one go before the end: fewer than a peer may send at once."""
 HEAD_START_S: Final = 0.01
-"""Of the first half of them: the relay is to be stopped between some whispers and the others."""
+"""Seconds after the first half of them: the relay is to be stopped between two messages."""
 DRAIN_TIMEOUT_S: Final = 30.0
-"""For everybody's goodbye."""
+"""Seconds that everybody's goodbye may take."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -46,7 +46,7 @@ class SwarmConfig:
     rooms: list[str]
     """Names of this process's rooms."""
     peers: int
-    """In each room."""
+    """Number of peers in each room."""
     fps: float
     joins_per_s: float
     """How fast to come in."""
@@ -111,11 +111,11 @@ class Swarm:
 
     # The window is exchanged between measurements; peers keep counting into the newest.
     def received(self, captured_us: int) -> None:
-        """See `Window`."""
+        """Count one frame in the newest window."""
         self._window.received(captured_us)
 
     def heard(self, num_bytes: int) -> None:
-        """See `Window`."""
+        """Count the bytes of one read in the newest window."""
         self._window.heard(num_bytes)
 
     def closed(self, code: int) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Final
 
 LAYERS: Final = (0, 2, 1, 2)
-"""Of successive frames."""
+"""Temporal layers of successive frames."""
 SIZES: Final[dict[int, Sequence[int]]] = {
     0: (1, 2, 5, 7, 8, 9, 10, 11, 12, 14, 18),
     1: (1, 2, 3, 5, 6, 7, 8, 9, 10, 11, 17),
@@ -22,7 +22,8 @@ SIZES: Final[dict[int, Sequence[int]]] = {
 KEYFRAME_SIZES: Final = (15, 15, 16, 16, 16, 16, 16, 17, 17, 21, 21)
 KEYFRAME_INTERVAL_S: Final = 10.0
 KEYFRAME_PAUSE_S: Final = 0.25
-"""As the real encoder: so often at least, and at most so soon after the last one when asked."""
+"""Keyframes come as from the real encoder: so often at least, and at most so soon after the last
+one when asked."""
 
 
 class Traffic:

@@ -50,7 +50,7 @@ class BenchRelayOptions:
     relay_arguments: str = ""
     """Further arguments of the relay that is started: --relay-arguments="--port 8765"."""
     seed: int = 0
-    """Of phases and payload sizes."""
+    """Seed of phases and payload sizes."""
 
 
 def bench_relay(options: BenchRelayOptions) -> dict[str, Any]:
