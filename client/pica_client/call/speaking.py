@@ -30,8 +30,8 @@ PROBE_OTHER = (0.0, 0.5)
 """Values of jawOpen and of each other shape over which the reader is fitted."""
 RIDGE = 1e-2
 """Ridge of the fit, relative to the mean square of the latents: where two functions tell the jaw
-equally well, the smaller one is less easily disturbed (chosen: of 1e-5 to 1e-2 the one that errs least
-while the shipped avatars talk)."""
+equally well, the smaller one is less easily disturbed (chosen: of 1e-5 to 1e-2 the one that errs
+least while the shipped avatars talk)."""
 
 WINDOW_S = 1.2
 """Time over which a jaw is watched (chosen: three syllables)."""

@@ -142,3 +142,42 @@ def test_a_leap_of_the_count_goes_on_with_the_next_keyframe() -> None:
     shown = receiving.deliver_all(sent) + receiving.deliver_all(later)
     assert len(shown) == 60
     assert_shown_is_true(shown, [*sent, *later])
+
+
+def frame(number: int, captured_s: float) -> Frame:
+    captured_us = CLOCK_US + round(captured_s * 1e6)
+    return Frame(stream=1, sequence=number % 65536, captured_us=captured_us, payload=b"")
+
+
+def test_numbers_go_on_across_the_wrap_and_leap_where_the_sender_begins_anew() -> None:
+    clock = SenderClock()
+    numbers = [clock.receive(frame(n, n / 30), n / 30)[0].number for n in range(65_534, 65_540)]
+    assert numbers == list(range(65_534, 65_540))
+    now, passed = 65_540 / 30, []
+    for index in range(3):
+        passed = clock.receive(frame(index, now + index / 30), now + index / 30)
+        assert len(passed) == (3 if index == 2 else 0)
+    assert [received.number % 65536 for received in passed] == [0, 1, 2]
+    assert passed[0].number > 65_539 + RESTART_FRAMES
+    assert clock.num_jumps == 1
+
+
+def test_in_a_backlog_nothing_is_doubted_and_its_newest_frame_begins_the_time_line() -> None:
+    clock = SenderClock()
+    # A still face: heartbeats of the last three seconds come at once.
+    for index in range(4):
+        assert len(clock.receive(frame(index, float(index)), 50.0, is_backlog=True)) == 1
+    assert clock.map is not None
+    (received,) = clock.receive(frame(4, 4.0), 51.0)
+    assert received.media_s + clock.map.fastest_transit_s(received.media_s) == 51.0
+    assert (clock.num_jumps, clock.num_future) == (0, 0)
+
+
+def test_a_sender_who_began_anew_while_we_were_away_is_believed_at_once() -> None:
+    clock = SenderClock()
+    for index in range(30):
+        clock.receive(frame(index, index / 30), index / 30)
+    (received,) = clock.receive(frame(5, -3.0), 60.0, is_backlog=True)
+    assert received.number > 29 + RESTART_FRAMES
+    assert len(clock.receive(frame(6, -3.0 + 1 / 30), 60.0 + 1 / 30)) == 1
+    assert (clock.num_jumps, clock.num_refused) == (1, 0)
