@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,8 @@ ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "docs" / "results"
 LIMITS_PAGE = ROOT / "docs" / "limits-of-the-stream.md"
 
+PAGE_COLUMNS = 118
+"""Longest line of prose that is filled into docs/, which allows 120."""
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
 """Told apart by people who see fewer colours, too."""
 
@@ -100,8 +103,18 @@ def fill_in(page: Path, mark: str, text: str) -> None:
     _, found_end, after = rest.partition(end)
     if not (found and found_end):
         sys.exit(f"{page.relative_to(ROOT)} has no place for {mark!r}")
-    page.write_text(f"{before}{begin}\n{text}\n{end}{after}")
+    page.write_text(f"{before}{begin}\n{_wrapped(text)}\n{end}{after}")
     print(f"filled {mark} into {page.relative_to(ROOT)}")
+
+
+def _wrapped(text: str) -> str:
+    """The text with paragraphs that fit a page; tables and code stay as they are."""
+    return "\n".join(
+        line
+        if line.startswith(("|", "`")) or len(line) <= PAGE_COLUMNS
+        else textwrap.fill(line, PAGE_COLUMNS, break_long_words=False, break_on_hyphens=False)
+        for line in text.splitlines()
+    )
 
 
 def short_source(source: str) -> str:
