@@ -183,7 +183,7 @@ def _draw_soak(line: Line) -> None:
         "relay-soak",
         f"{result['minutes']:g} minutes, {result['rooms']} rooms of {result['peers']}: memory "
         f"{result['memory_growth']:+.1%}, p99 {result['p99_growth']:+.1%} from the first third to "
-        f"the last. Then SIGTERM: {drain['connections']} connections closed in "
+        f"the last.\nThen SIGTERM: {drain['connections']} connections closed in "
         f"{drain['seconds']:g} s ({_codes(drain['close_codes'])}), {drain['whispers_passed']} "
         f"whispers passed on in that time, {drain['lost_control']} control messages lost.\n\n"
         f"{source_line(line)}",
