@@ -12,7 +12,6 @@ import numpy.typing as npt
 from pica_core.avatar.decoder_layers import Layer, decoder_layers, trunk_layers
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import LATENT_SIZE, LEAKY_SLOPE, POSITION_CHANNELS
-from pica_core.reference.pixel import sample_bilinear
 from pica_core.types import Array
 
 
@@ -31,25 +30,6 @@ def decode_position_map(avatar: Avatar, latent: npt.ArrayLike, level: int | None
     offset, prefix = _decode(avatar, "geometry", np.asarray(latent, np.float64), level)
     mean: Array = avatar.tensors[f"{prefix}geometry.mean"].astype(np.float64)
     return mean + avatar.manifest.position_scale_m * offset.transpose(1, 2, 0)
-
-
-def decode_vertices(avatar: Avatar, latent: npt.ArrayLike, level: int | None = None) -> Array:
-    """Where the vertices of a level's mesh are.
-
-    Args:
-        avatar: Checked avatar.
-        latent: ``[8, 8, 4]``.
-        level: One of the avatar's levels; None for the full one.
-
-    Returns:
-        float64 ``[V', 3]`` metres, the vertices that `Avatar.level_faces` uses, in ascending order.
-    """
-    size = avatar.spec.map_size if level is None else level
-    used = np.unique(avatar.level_faces(size))
-    found = decode_position_map(avatar, latent, size)
-    if size == avatar.spec.map_size:
-        return sample_bilinear(found, avatar.tensors["mesh.vertex_uv"][used])
-    return found.reshape(-1, POSITION_CHANNELS)[: len(used)]
 
 
 def decode_expression_map(

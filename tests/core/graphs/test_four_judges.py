@@ -22,7 +22,7 @@ from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.interface import Surface
 from pica_core.reference.pixel import count_parameters, decode_pixels, sample_bilinear
 from pica_core.train.export import avatar_tensors
-from pica_core.train.lod.exits import FaceSet, FrozenDecoder, Head, SheetHead
+from pica_core.train.lod.exits import FaceSet, FrozenDecoder, MapExit, SheetExit
 
 pytestmark = pytest.mark.train
 
@@ -103,14 +103,14 @@ def test_torch_and_onnx_leave_by_the_same_exit(block: str, level: int, plain: bo
         if name.startswith(f"level.{level}.")
     }
     ((trunk, _),) = FrozenDecoder(avatar, "geometry").run(faces, level)
-    sheet = SheetHead(
+    sheet = SheetExit(
         texel=tensors["geometry.texel"].flatten(0, 1).long(),
         weight=avatar.manifest.position_scale_m
         * tensors["geometry.weight"].flatten(0, 1).unflatten(1, (3, -1)),
         rest=tensors["geometry.mean"].flatten(0, 1),
     )
     ((seen, _),) = FrozenDecoder(avatar, "expression").run(faces, level)
-    codes = Head(tensors["expression.weight"], tensors["expression.bias"])(seen)
+    codes = MapExit(tensors["expression.weight"], tensors["expression.bias"])(seen)
     maps = {
         "geometry": sheet(trunk)[0].reshape(tensors["geometry.mean"].shape),
         "expression": codes[0].permute(1, 2, 0),

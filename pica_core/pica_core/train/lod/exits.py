@@ -1,8 +1,8 @@
-"""The heads of early exits, fitted by least squares with the trunk as it is.
+"""Early exits, fitted by least squares with the trunk as it is.
 
-A head is one linear layer and a map-sized bias behind a trunk that is not touched, so what it makes
-is linear in what is fitted, and the best head is the solution of a system of equations: seconds, no
-learning rate, no seed but that of the faces it is fitted on.
+An exit is one linear layer and a map-sized bias behind a trunk that is not touched, so what it
+makes is linear in what is fitted, and the best exit is the solution of a system of equations:
+seconds, no learning rate, no seed but that of the faces it is fitted on.
 
 What is asked for:
 
@@ -48,7 +48,7 @@ CODE_STEP = 0.02
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FaceSet:
-    """Faces that heads are fitted on, and from where they are seen."""
+    """Faces that exits are fitted on, and from where they are seen."""
 
     latents: Tensor
     """``[N, 4, 8, 8]``."""
@@ -92,7 +92,7 @@ class FrozenDecoder:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Head:
+class MapExit:
     """A fitted convolution ``[C', C, 3, 3]`` and bias ``[C', level, level]``."""
 
     weight: Tensor
@@ -104,7 +104,7 @@ class Head:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SheetHead:
+class SheetExit:
     """Fitted vertices: each from some texels of the trunk."""
 
     texel: Tensor
@@ -131,13 +131,13 @@ def fit_convolution(
     metric: Tensor,
     points_per_face: int = 6000,
     seed: int = 0,
-) -> Head:
+) -> MapExit:
     """Fit one convolution for all texels, so that its map is like the decoder's own output.
 
     Args:
         decoder: Whose output to imitate, and whose trunk to do it from.
         faces: To fit on.
-        level: Rows of the head's map.
+        level: Rows of the exit's map.
         points: Where the maps are read, UV in [0, 1]. ``[P, 2]``.
         metric: How differences count, per point, ``[P, C', C']``.
         points_per_face: How many of the points are read in each face while the convolution is
@@ -156,7 +156,7 @@ def fit_convolution(
     weight = system.solve().reshape(mean_full.shape[0], mean_trunk.shape[0], 3, 3).float()
     at_rest = functional.conv2d(mean_trunk[None], weight, padding=1)[0]
     importance = torch.ones(len(points))
-    return Head(weight, _fit_rest(points, importance, mean_full, at_rest))
+    return MapExit(weight, _fit_rest(points, importance, mean_full, at_rest))
 
 
 def fit_sheet(
@@ -166,7 +166,7 @@ def fit_sheet(
     vertex_uv: Tensor,
     rest: Tensor,
     num_texels: int,
-) -> SheetHead:
+) -> SheetExit:
     """Fit every vertex by itself to where the decoder's own output has it.
 
     Args:
@@ -181,7 +181,7 @@ def fit_sheet(
     nearest = torch.argsort(share, dim=1, descending=True, stable=True)[:, :num_texels]
     mean_trunk, mean_full = _means(decoder, faces, level)
     width, outputs = mean_trunk.shape[0] * num_texels, mean_full.shape[0]
-    head = SheetHead(
+    found = SheetExit(
         texel=index.gather(1, nearest),
         weight=torch.zeros(len(vertex_uv), outputs, width),
         rest=sample_map((mean_full + rest)[None], vertex_uv)[0],
@@ -189,18 +189,18 @@ def fit_sheet(
     grams = torch.zeros(len(vertex_uv), width, width)
     rights = torch.zeros(len(vertex_uv), width, outputs)
     for trunk, full in decoder.run(faces, level):
-        read = head.read(trunk - mean_trunk).transpose(0, 1)
+        read = found.read(trunk - mean_trunk).transpose(0, 1)
         wanted = sample_map(full - mean_full, vertex_uv).transpose(0, 1)
         grams += read.transpose(1, 2) @ read
         rights += read.transpose(1, 2) @ wanted
     floor = VERTEX_RIDGE * grams.diagonal(dim1=1, dim2=2).mean() * torch.eye(width)
     weight = torch.linalg.solve(grams + floor, rights).transpose(1, 2).contiguous()
-    at_rest = torch.einsum("vf,vdf->vd", head.read(mean_trunk[None])[0], weight)
-    return replace(head, weight=weight, rest=head.rest - at_rest)
+    at_rest = torch.einsum("vf,vdf->vd", found.read(mean_trunk[None])[0], weight)
+    return replace(found, weight=weight, rest=found.rest - at_rest)
 
 
 def _fit_rest(points: Tensor, importance: Tensor, full: Tensor, at_rest: Tensor) -> Tensor:
-    """The bias that takes a head from what it says of the mean face to the mean of the output."""
+    """The bias that takes an exit from what it says of the mean face to the mean of the output."""
     start = functional.adaptive_avg_pool2d(full[None], at_rest.shape[-1])[0] - at_rest
     left = sample_map(full[None], points)[0] - sample_map(at_rest[None], points)[0]
     return fit_map(points, left, importance, start)
@@ -308,14 +308,9 @@ class _System:
 
 def _means(decoder: FrozenDecoder, faces: FaceSet, level: int) -> tuple[Tensor, Tensor]:
     """Mean trunk ``[C, level, level]`` and mean output ``[C', S, S]`` over faces."""
-    trunk_sum: Tensor | None = None
-    full_sum: Tensor | None = None
-    for trunk, full in decoder.run(faces, level):
-        trunk_sum = trunk.sum(0) if trunk_sum is None else trunk_sum + trunk.sum(0)
-        full_sum = full.sum(0) if full_sum is None else full_sum + full.sum(0)
-    assert trunk_sum is not None
-    assert full_sum is not None
-    return trunk_sum / len(faces), full_sum / len(faces)
+    sums = [(trunk.sum(0), full.sum(0)) for trunk, full in decoder.run(faces, level)]
+    trunk, full = (sum(parts[1:], parts[0]) for parts in zip(*sums, strict=True))
+    return trunk / len(faces), full / len(faces)
 
 
 def _features(trunk: Tensor, points: Tensor) -> Tensor:
@@ -332,14 +327,7 @@ def _taps(points: Tensor, size: int) -> tuple[Tensor, Tensor]:
     share = place - low
     near = low.long().clamp(0, size - 1)
     far = (low.long() + 1).clamp(0, size - 1)
-    index = torch.stack(
-        [
-            near[:, 1] * size + near[:, 0],
-            near[:, 1] * size + far[:, 0],
-            far[:, 1] * size + near[:, 0],
-            far[:, 1] * size + far[:, 0],
-        ],
-        1,
-    )
+    corners = [row[:, 1] * size + column[:, 0] for row in (near, far) for column in (near, far)]
+    index = torch.stack(corners, 1)
     x, y = share[:, 0], share[:, 1]
     return index, torch.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y], 1)

@@ -28,8 +28,8 @@ from pica_core.reference.pixel import decode_pixels
 from pica_core.train.lod.exits import (
     FaceSet,
     FrozenDecoder,
-    Head,
-    SheetHead,
+    MapExit,
+    SheetExit,
     colour_metric,
     fit_convolution,
     fit_sheet,
@@ -55,14 +55,14 @@ class LevelOptions:
     faces: int = 320
     """Faces to fit on."""
     rounds: int = 12
-    """Practice performances of each kind to draw them from."""
+    """Performances of each kind to draw them from."""
     points: int = 24_000
     """Points of the surface at which colours are compared."""
     mesh_ratios: tuple[float, ...] = (0.16, 0.28)
     """Triangles of the levels' meshes, the coarsest first, as shares of the full mesh (chosen: at
     heads 256 pixels high they leave 4 and 2 more MSE; with 0.08 it would be 20)."""
     texels: tuple[int, ...] = (1, 2)
-    """Of the trunk that a vertex is made of, the coarsest level first (chosen: at 64 one leaves
+    """Texels of the trunk per vertex, the coarsest level first (chosen: at 64 one leaves
     0.07 mm and two 0.05, at 128 it is 0.09 and 0.06; two take twice as long)."""
     check_faces: int = 48
     """Other faces, to report the error on."""
@@ -139,7 +139,9 @@ def add_levels(
         levels, meshes[-len(levels) :], options.texels[-len(levels) :], strict=True
     ):
         show(f"level {level}: exits")
-        geometry = _fit_geometry(bare, decoders["geometry"], faces, level, mesh, texels)
+        vertex_uv, mean_m = _mesh_at_rest(bare, mesh)
+        rest = mean_m / avatar.manifest.position_scale_m
+        geometry = fit_sheet(decoders["geometry"], faces, level, vertex_uv, rest, texels)
         expression = fit_convolution(
             decoders["expression"], faces, level, surface.points, surface.metric, seed=options.seed
         )
@@ -150,7 +152,7 @@ def add_levels(
 
 
 def _draw_faces(avatar: Avatar, options: LevelOptions) -> tuple[FaceSet, FaceSet]:
-    """Faces to fit on and, from other performances, faces to judge by."""
+    """Draw faces to fit on and, from other performances, faces to report the error on."""
     encoder = ExpressionEncoder(avatar)
     sets = []
     for number, (count, noise) in enumerate(
@@ -263,23 +265,15 @@ def _simplify(avatar: Avatar, shapes_m: Array, options: LevelOptions) -> list[Ar
     return meshes[::-1]
 
 
-def _fit_geometry(
-    avatar: Avatar,
-    decoder: FrozenDecoder,
-    faces: FaceSet,
-    level: int,
-    mesh: Array,
-    texels: int,
-) -> SheetHead:
-    """Fit the vertices of the level's mesh."""
+def _mesh_at_rest(avatar: Avatar, mesh: Array) -> tuple[Tensor, Tensor]:
+    """UVs of the vertices that a mesh uses, ``[V, 2]``, and the mean map, metres, ``[3, S, S]``."""
     vertex_uv = torch.from_numpy(np.array(avatar.tensors["mesh.vertex_uv"][np.unique(mesh)]))
     mean = torch.from_numpy(np.array(avatar.tensors["geometry.mean"])).permute(2, 0, 1)
-    rest = mean / avatar.manifest.position_scale_m
-    return fit_sheet(decoder, faces, level, vertex_uv, rest, texels)
+    return vertex_uv, mean
 
 
 def _exit_tensors(
-    avatar: Avatar, level: int, geometry: SheetHead, expression: Head
+    avatar: Avatar, level: int, geometry: SheetExit, expression: MapExit
 ) -> dict[str, Array]:
     num_slots = level * sheet_rows(len(geometry.rest), level)
 
@@ -289,7 +283,7 @@ def _exit_tensors(
         return filled.reshape(-1, level, filled.shape[1]).numpy()
 
     mean_m = geometry.rest * avatar.manifest.position_scale_m
-    # Slots that belong to nobody repeat a vertex: numbers far from the others would cost the
+    # Slots without a vertex repeat one: numbers far from the others would cost the
     # rounding of all.
     mean_m = torch.cat([mean_m, mean_m[-1:].expand(num_slots - len(mean_m), -1)])
     found = {
@@ -310,17 +304,16 @@ def _exit_tensors(
 def _report(
     avatar: Avatar,
     decoders: dict[str, FrozenDecoder],
-    geometry: SheetHead,
-    expression: Head,
+    geometry: SheetExit,
+    expression: MapExit,
     level: int,
     mesh: Array,
     check: FaceSet,
     surface: _Surface,
 ) -> LevelReport:
-    vertex_uv = torch.from_numpy(np.array(avatar.tensors["mesh.vertex_uv"][np.unique(mesh)]))
-    mean = torch.from_numpy(np.array(avatar.tensors["geometry.mean"])).permute(2, 0, 1)
+    vertex_uv, mean_m = _mesh_at_rest(avatar, mesh)
     scale = avatar.manifest.position_scale_m
-    at_rest = sample_map(mean[None], vertex_uv) / scale
+    at_rest = sample_map(mean_m[None], vertex_uv) / scale
     full = torch.cat(
         [sample_map(output, vertex_uv) for _, output in decoders["geometry"].run(check, level)]
     )

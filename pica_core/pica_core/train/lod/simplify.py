@@ -60,16 +60,16 @@ class Simplifier:
         shapes = (shapes - shapes[0].mean(axis=0)) / np.ptp(shapes[0], axis=0).max()
         self._shapes = np.ascontiguousarray(shapes[:, self._place].transpose(1, 0, 2))  # [V, K, 3]
         self._uv = uv
-        self._triangles: list[list[int] | None] = []
+        self._triangles: dict[int, list[int]] = {}
         self._around: dict[int, set[int]] = {}
         for corners in faces.tolist():
             if len({self._place[corner] for corner in corners}) < 3:
                 continue
+            number = len(self._triangles)
             for corner in corners:
-                self._around.setdefault(self._place[corner], set()).add(len(self._triangles))
-            self._triangles.append(corners)
-        self._num_alive = len(self._triangles)
-        whole = np.array(self._triangles, np.int64)
+                self._around.setdefault(self._place[corner], set()).add(number)
+            self._triangles[number] = corners
+        whole = np.array(list(self._triangles.values()), np.int64)
         self._goals = self._pack_goals()
         self._swallowed = self._pack_faces(whole)
         self._stamp = dict.fromkeys(self._around, 0)
@@ -78,8 +78,7 @@ class Simplifier:
 
     def faces(self) -> IntArray:
         """What is left: same vertices, same winding, neighbours together. int32 ``[F', 3]``."""
-        left = [corners for corners in self._triangles if corners is not None]
-        return order_faces(np.array(left, np.int32), self._uv)
+        return order_faces(np.array(list(self._triangles.values()), np.int32), self._uv)
 
     def reduce(self, num_triangles: int, map_size: int) -> None:
         """Collapse edges, cheapest first.
@@ -93,7 +92,7 @@ class Simplifier:
         for a in self._around:
             for b in self._neighbours(a):
                 self._offer(a, b)
-        while self._num_alive > num_triangles and self._queue:
+        while len(self._triangles) > num_triangles and self._queue:
             _, a, b, stamp_a, stamp_b = heapq.heappop(self._queue)
             if self._stamp.get(a) != stamp_a or self._stamp.get(b) != stamp_b:
                 continue
@@ -157,7 +156,6 @@ class Simplifier:
         used: set[int] = set()
         for number in self._around[a]:
             corners = self._triangles[number]
-            assert corners is not None
             start, end = -1, -1
             for corner in corners:
                 if self._place[corner] == a:
@@ -179,7 +177,6 @@ class Simplifier:
         before, after = [], []
         for number in self._around[a] - shared:
             corners = self._triangles[number]
-            assert corners is not None
             before.append(corners)
             after.append([moves.get(c, c) if self._place[c] == a else c for c in corners])
         if not before:
@@ -196,10 +193,8 @@ class Simplifier:
     def _collapse(self, a: int, b: int, moves: dict[int, int]) -> None:
         for number in self._around.pop(a):
             corners = self._triangles[number]
-            assert corners is not None
             if any(self._place[corner] == b for corner in corners):
-                self._triangles[number] = None
-                self._num_alive -= 1
+                del self._triangles[number]
                 for corner in corners:
                     if self._place[corner] != a:
                         self._around[self._place[corner]].discard(number)
@@ -218,9 +213,7 @@ class Simplifier:
             self._offer(b, place)
 
     def _corner_places(self, number: int) -> list[int]:
-        corners = self._triangles[number]
-        assert corners is not None
-        return [self._place[corner] for corner in corners]
+        return [self._place[corner] for corner in self._triangles[number]]
 
     def _neighbours(self, place: int) -> set[int]:
         found = {p for number in self._around[place] for p in self._corner_places(number)}
@@ -237,13 +230,9 @@ class Simplifier:
         return any(number == 1 for number in count.values())
 
 
-def _edges(triangles: Array) -> Array:
-    return triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-
-
 def _alone(triangles: Array) -> BoolArray:
     """Whether no other triangle has the side, for each side of each triangle. ``[F, 3]``."""
-    edges = np.sort(_edges(triangles), axis=1)
+    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     _, inverse, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
     alone: BoolArray = count[inverse.reshape(-1)].reshape(-1, 3) == 1
     return alone
@@ -339,20 +328,3 @@ def weld(vertices_m: npt.ArrayLike) -> Int64Array:
         if np.array_equal(shorter, parent):
             return parent
         parent = shorter
-
-
-def boundary_edges(faces: Array, same_place: Array | None = None) -> Array:
-    """Edges that only one triangle has, as pairs of vertices, int64 ``[B, 2]``.
-
-    Args:
-        faces: ``[F, 3]``.
-        same_place: Names the places of vertices as `weld` does; then edges of a UV seam that meet
-            on both sides are no boundary. Triangles without area in these names do not count.
-    """
-    corners = faces if same_place is None else same_place[faces]
-    a, b, c = corners.T
-    corners = corners[(a != b) & (b != c) & (c != a)].astype(np.int64)
-    edges = np.sort(corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    unique, count = np.unique(edges, axis=0, return_counts=True)
-    alone: Array = unique[count == 1]
-    return alone

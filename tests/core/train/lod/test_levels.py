@@ -10,19 +10,20 @@ import numpy as np
 import pytest
 import torch
 
+from helpers.mesh_edges import boundary_edges
 from helpers.toy import grid_faces, make_toy_avatar, with_toy_levels
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar, avatar_id, load_avatar, save_avatar
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.errors import TrainingOptionError
 from pica_core.model.decoders import sample_map
-from pica_core.reference.decoders import decode_expression_map, decode_position_map, decode_vertices
+from pica_core.reference.decoders import decode_expression_map, decode_position_map
 from pica_core.reference.mesh import sample_vertices
 from pica_core.reference.pixel import decode_pixels, sample_bilinear
 from pica_core.train.cli.levels import AvatarLevelsOptions, avatar_levels
 from pica_core.train.lod.exits import fit_map
 from pica_core.train.lod.levels import LevelOptions, LevelReport, add_levels
-from pica_core.train.lod.simplify import Simplifier, boundary_edges, weld
+from pica_core.train.lod.simplify import Simplifier, weld
 from pica_core.types import Array
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
@@ -51,6 +52,15 @@ def shipped() -> Avatar:
 def some_latent(avatar: Avatar, seed: int) -> Array:
     arkit = np.random.default_rng(seed).uniform(0, 0.5, 52)
     return ExpressionEncoder(avatar).encode(arkit)
+
+
+def decode_vertices(avatar: Avatar, latent: Array, level: int) -> Array:
+    """Where the vertices are that a level's mesh uses, in ascending order. ``[V', 3]`` metres."""
+    used = np.unique(avatar.level_faces(level))
+    found = decode_position_map(avatar, latent, level)
+    if level == avatar.spec.map_size:
+        return sample_bilinear(found, avatar.tensors["mesh.vertex_uv"][used])
+    return found.reshape(-1, 3)[: len(used)]
 
 
 # Exits
