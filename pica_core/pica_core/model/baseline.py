@@ -172,32 +172,22 @@ class TextureDecoder(nn.Module):
         self.grid = Connected(
             spec.num_latent + VIEW_FEATURES, spec.num_latent * FIRST_SIZE * FIRST_SIZE
         )
-        self.convolutions = nn.ModuleList()
-        self.biases = nn.ModuleList()
+        self.layers: list[tuple[Doubling, UntiedBias]] = []
         size = FIRST_SIZE
         for c_in, c_out in pairwise((spec.num_latent, *spec.channels)):
             size *= 2
             gain = 0.1 * _GAIN if size == spec.texture_size else _GAIN
-            self.convolutions.append(Doubling(c_in, c_out, gain))
-            self.biases.append(UntiedBias(c_out, size))
-
-    def layers(self) -> list[tuple[Doubling, UntiedBias]]:
-        """Convolutions with the biases behind them."""
-        pairs = []
-        for convolution, bias in zip(self.convolutions, self.biases, strict=True):
-            assert isinstance(convolution, Doubling)
-            assert isinstance(bias, UntiedBias)
-            pairs.append((convolution, bias))
-        return pairs
+            self.layers.append((Doubling(c_in, c_out, gain), UntiedBias(c_out, size)))
+        self.convolutions = nn.ModuleList(convolution for convolution, _ in self.layers)
+        self.biases = nn.ModuleList(bias for _, bias in self.layers)
 
     def forward(self, features: Tensor) -> Tensor:
         """``[N, z + 8]`` to ``[N, 3, T, T]``."""
         values = functional.leaky_relu(self.grid(features), LEAKY_SLOPE)
         values = values.view(len(features), self._first, FIRST_SIZE, FIRST_SIZE)
-        layers = self.layers()
-        for index, (convolution, bias) in enumerate(layers):
+        for index, (convolution, bias) in enumerate(self.layers):
             values = bias(convolution(values))
-            if index + 1 < len(layers):
+            if index + 1 < len(self.layers):
                 values = functional.leaky_relu(values, LEAKY_SLOPE)
         return values
 
@@ -291,18 +281,14 @@ class DeepAppearanceModel(AvatarModel):
         """The decoder as `BaselineSpec.tensor_shapes` names it: outputs in metres and in colours,
         with mean and units folded into the last weights."""
         tensors: dict[str, Tensor] = {}
-        for name, layer in (
-            ("view", self.view),
-            ("latent", self.latent),
-            ("mesh", self.mesh),
-            ("grid", self.texture.grid),
-        ):
+        connected = {"view": self.view, "latent": self.latent, "mesh": self.mesh}
+        for name, layer in (connected | {"grid": self.texture.grid}).items():
             assert layer.bias is not None
             tensors[f"{name}.weight"], tensors[f"{name}.bias"] = layer.weight, layer.bias
         for part in ("weight", "bias"):
             tensors[f"mesh.{part}"] = self.position_scale_m * tensors[f"mesh.{part}"]
         tensors["mesh.bias"] = tensors["mesh.bias"] + self.tracked_mean_m.flatten()
-        layers = self.texture.layers()
+        layers = self.texture.layers
         for index, (convolution, bias) in enumerate(layers):
             unit = TEXTURE_SCALE if index + 1 == len(layers) else 1.0
             tensors[f"texture.{index}.weight"] = unit * convolution.weight
@@ -314,4 +300,4 @@ class DeepAppearanceModel(AvatarModel):
 
     @property
     def _texel_bias(self) -> nn.Parameter:
-        return self.texture.layers()[-1][1].weight
+        return self.texture.layers[-1][1].weight

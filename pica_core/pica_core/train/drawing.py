@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from pica_core.camera import Camera
+from pica_core.capture.dataset.dataset import Topology
 from pica_core.model.interface import Surface
 from pica_core.train.edge_gradient import Edges, find_edges, screen_positions
 from pica_core.train.losses import screen_normals
@@ -102,9 +103,8 @@ class MeshDrawer:
     """Draws the meshes of one topology.
 
     Args:
-        rasteriser: Made for these faces; it stays its owner's.
-        faces: int64 ``[F, 3]``.
-        vertex_uv: ``[V, 2]``.
+        rasteriser: Made for that topology; it stays its owner's.
+        topology: Faces and UVs.
         face_weights: How much more often than others a pixel of each triangle is drawn, ``[F]``.
         device: Where the meshes will be.
     """
@@ -112,14 +112,14 @@ class MeshDrawer:
     def __init__(
         self,
         rasteriser: Rasteriser,
-        faces: Tensor,
-        vertex_uv: Tensor,
+        topology: Topology,
         face_weights: FloatArray,
         device: torch.device | str = "cpu",
     ) -> None:
         self.rasteriser = rasteriser
-        self._faces = faces.to(device)
-        self._face_uv = vertex_uv[faces].to(device)
+        faces = topology.faces.astype(np.int64)
+        self._faces = torch.from_numpy(faces).to(device)
+        self._face_uv = torch.from_numpy(np.float32(topology.vertex_uv[faces])).to(device)
         self._face_weights = np.append(face_weights, 0).astype(np.float32)
         self._ids = np.zeros((0, 0), np.int32)
         self._cameras: list[Camera] = []

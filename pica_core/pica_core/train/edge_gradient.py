@@ -56,7 +56,7 @@ class Edges(NamedTuple):
 
     def chosen(self, places: Int64Array) -> Edges:
         """Some of the pairs."""
-        return Edges(self.front[places], self.back[places], self.axis[places], self.sign[places])
+        return Edges(*(values[places] for values in self))
 
 
 def find_edges(depth_m: FloatArray, gap_m: float = GAP_M) -> Edges:
@@ -72,8 +72,7 @@ def find_edges(depth_m: FloatArray, gap_m: float = GAP_M) -> Edges:
     index = np.arange(depth_m.size, dtype=np.int64).reshape(depth_m.shape)
     parts = []
     for axis in (0, 1):
-        depth = depth_m if axis == 0 else depth_m.T
-        flat = index if axis == 0 else index.T
+        depth, flat = (depth_m, index) if axis == 0 else (depth_m.T, index.T)
         first, second = depth[:, :-1], depth[:, 1:]
         lead = np.pad(depth, ((0, 0), (1, 1)))
         before, after = lead[:, :-3], lead[:, 3:]
@@ -96,12 +95,7 @@ def find_edges(depth_m: FloatArray, gap_m: float = GAP_M) -> Edges:
                 np.where(lower, 1, -1).astype(np.float32),
             )
         )
-    return Edges(
-        np.concatenate([part.front for part in parts]),
-        np.concatenate([part.back for part in parts]),
-        np.concatenate([part.axis for part in parts]),
-        np.concatenate([part.sign for part in parts]),
-    )
+    return Edges(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
 def screen_positions(

@@ -93,18 +93,17 @@ class Objectives:
             self._wants_depth = False
             self.notes.append("the capture has no depth: depth and normal losses are off")
         topology = data.meshes.topology(model.topology)
-        faces = torch.from_numpy(topology.faces.astype(np.int64))
-        uv = torch.from_numpy(np.ascontiguousarray(topology.vertex_uv, np.float32))
         important_faces = important_vertices(topology)[topology.faces].all(1)
         face_weights = np.where(important_faces, losses.region_weight, 1.0).astype(np.float32)
-        self.drawer = MeshDrawer(rasteriser, faces, uv, face_weights, device)
+        self.drawer = MeshDrawer(rasteriser, topology, face_weights, device)
         self._vertex_weights = self._mesh_weights().to(device)
         neutral_m = data.meshes.neutral_m(model.topology, data.arkit)
         self.mean_m = torch.tensor(neutral_m, device=device)
         self._laplacian: MeshLaplacian | None = None
         if losses.smooth and losses.laplacian:
             self._laplacian = MeshLaplacian(neutral_m, topology.faces, device=device)
-            self._rough = torch.from_numpy(smoothness_weights(topology.regions, len(uv))).to(device)
+            rough = smoothness_weights(topology.regions, len(topology.vertex_uv))
+            self._rough = torch.from_numpy(rough).to(device)
         self._codes: tuple[dict[int, Tensor], Tensor] | None = None
 
     def forget_codes(self) -> None:
@@ -113,9 +112,8 @@ class Objectives:
 
     def encode(self, frames: list[int]) -> tuple[Tensor, Tensor]:
         """The encoder's mean and log-variance of frames, ``[N, 4, 8, 8]`` each."""
-        textures = self.data.images.textures(frames, self.model.encoder.texture_size).to(
-            self.device
-        )
+        size = self.model.encoder.texture_size
+        textures = self.data.images.textures(frames, size).to(self.device)
         maps = self.data.meshes.position_maps(frames).to(self.device)
         mean, log_variance = self.model.encoder(textures, maps)
         return mean, hold_log_variance(log_variance)
