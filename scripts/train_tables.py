@@ -25,10 +25,11 @@ from claims import give_back, take
 
 from pica_core.avatar.variants import TABLE_1, TABLE_2, VARIANTS
 from pica_core.capture.dataset.dataset import Capture
+from pica_core.train.checkpoint import read_checkpoint
 from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.run import RUN_FILE
-from pica_core.train.loop import Trainer, open_trainer, read_checkpoint
+from pica_core.train.loop import Trainer, open_trainer
 
 WATCH_EVERY = 100
 """Steps between looks at held-out frames: the curves of error against seconds."""

@@ -47,8 +47,6 @@ from pica_core.train.parallel import Ranks
 from pica_core.train.prior import face_prior
 from pica_core.train.rasterise import Rasteriser
 
-__all__ = ["Losses", "Trainer", "open_trainer", "rate_ratio", "read_checkpoint"]
-
 SCALE_TOLERANCE = 1e-5
 """Relative difference of position scales that two machines' sums may show for one capture."""
 METRICS_EVERY = 50

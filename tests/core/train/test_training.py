@@ -17,14 +17,16 @@ from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.procedural.subject import StageOptions, render_capture
 from pica_core.errors import CheckpointError, TrainingDivergedError, TrainingOptionError
 from pica_core.model.decoders import sample_map
+from pica_core.train.checkpoint import read_checkpoint
 from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data.training import TrainingData
 from pica_core.train.data.uv_raster import rasterise_uv
 from pica_core.train.eval.evaluate import evaluate, mean_mse
 from pica_core.train.export import make_avatar
 from pica_core.train.held_out import draw_held_out
-from pica_core.train.loop import Trainer, open_trainer, rate_ratio, read_checkpoint
+from pica_core.train.loop import Trainer, open_trainer
 from pica_core.train.losses import DEPTH_LIMIT_M, depth_loss, depth_mask
+from pica_core.train.optimiser import rate_ratio
 from pica_core.train.trials.failures import Failure, far_codes_reach_mm, spoil
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]

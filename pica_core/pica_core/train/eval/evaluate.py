@@ -11,41 +11,21 @@ Intervals are 95 % bootstrap intervals over test frames.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 from torch import Tensor
 
-from pica_core.model.interface import AvatarModel
 from pica_core.train.data.sampler import spaced
 from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.metrics import bootstrap_interval, change_mse, mse, psnr_db, ssim
 from pica_core.train.eval.model_evaluator import ModelEvaluator
+from pica_core.train.loop import Trainer
 from pica_core.train.painter import Picture
-from pica_core.train.rasterise import Rasteriser
 from pica_core.types import FloatArray
 
 Source = Literal["encoder", "driver"]
 Split = Literal["train", "test"]
-
-
-class Trained(Protocol):
-    """What of a trainer is evaluated."""
-
-    @property
-    def data(self) -> TrainingData:
-        """The capture that it is compared with."""
-        ...
-
-    @property
-    def model(self) -> AvatarModel:
-        """The model to evaluate."""
-        ...
-
-    @property
-    def rasteriser(self) -> Rasteriser:
-        """A rasteriser of the topology that the model draws."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -123,7 +103,7 @@ def measure_views(
     return {view: errors for view, errors in found.items() if errors.mse}
 
 
-def evaluate(trainer: Trained, *, max_frames: int = 25) -> list[dict[str, Any]]:
+def evaluate(trainer: Trainer, *, max_frames: int = 25) -> list[dict[str, Any]]:
     """Evaluate a run on evenly spaced test frames, from the capture's evaluation views.
 
     Returns:

@@ -14,6 +14,7 @@ from pica_core.avatar.variants import VARIANTS
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import CheckpointError, TrainingOptionError, check_ranges
 from pica_core.model.interface import AvatarModel
+from pica_core.train.checkpoint import read_checkpoint
 from pica_core.train.config import TrainConfig
 from pica_core.train.data.sampler import spaced
 from pica_core.train.data.training import TrainingData
@@ -30,7 +31,6 @@ from pica_core.train.eval.truth import (
     tracked_errors,
     true_views,
 )
-from pica_core.train.loop import read_checkpoint
 from pica_core.train.prior import face_prior
 from pica_core.train.rasterise import Rasteriser
 from pica_core.types import ByteArray
