@@ -56,7 +56,7 @@ class Edges(NamedTuple):
 
     def chosen(self, places: Int64Array) -> Edges:
         """Some of the pairs."""
-        return Edges(*(values[places] for values in self))
+        return Edges(self.front[places], self.back[places], self.axis[places], self.sign[places])
 
 
 def find_edges(depth_m: FloatArray, gap_m: float = GAP_M) -> Edges:
