@@ -22,7 +22,7 @@ from pica_core.avatar.file import Avatar
 from pica_core.avatar.levels import default_errors
 from pica_core.avatar.spec import BLOCKS, AvatarSpec
 
-pytestmark = pytest.mark.unit
+pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
 TOY = with_toy_levels(
     make_toy_avatar(spec=AvatarSpec(uv_encoding_size=16, axis_encoding_size=20), grid=8)

@@ -21,7 +21,7 @@ from pica_core.reference.mesh import sample_vertices
 from pica_core.reference.pixel import decode_pixels, sample_bilinear
 from pica_core.types import Array
 
-pytestmark = pytest.mark.unit
+pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
 TOY = make_toy_avatar(grid=12, spec=AvatarSpec(uv_encoding_size=16, axis_encoding_size=20))
 SMALL = BaselineSpec(num_latent=6, num_vertices=5, channels=(4, 3))

@@ -19,7 +19,7 @@ from pica_core.reference.decoders import decode_expression_map, decode_position_
 from pica_core.reference.pixel import decode_pixels
 from pica_core.types import Array
 
-pytestmark = pytest.mark.unit
+pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
 
 @functools.cache
