@@ -155,12 +155,6 @@ class ClientSession(Session):
         except RemoteProtocolError as error:
             return [self._end(error.code, str(error), is_remote=False)]
 
-    def receive_close(self, code: int, reason: str, now: float) -> list[ClientEvent]:
-        """Take note that the websocket has ended; after a ``Bye`` this is no news."""
-        if self.state is State.CLOSED:
-            return []
-        return [self._end(code, reason, is_remote=True)]
-
     def messages_to_send(self, now: float) -> list[bytes]:
         """Take the websocket messages that must go out now, in order."""
         messages, self._outgoing = self._outgoing, []

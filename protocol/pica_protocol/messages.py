@@ -257,7 +257,10 @@ class Leave:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Want:
-    """A receiver's wish for one stream: frames up to ``layer``, or none. Default is everything."""
+    """A receiver's subscription to one stream: frames up to ``layer``, or none.
+
+    Without one it gets everything.
+    """
 
     stream: int
     layer: int | None = None

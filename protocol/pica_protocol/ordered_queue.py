@@ -6,8 +6,8 @@ refers to another, so any may be dropped; none replaces another, so all wait in 
 1. A frame that has waited longer than the deadline is dropped, the oldest first.
 2. At most ``MAX_WAITING_FRAMES`` and ``MAX_WAITING_BYTES`` wait; one more drops the oldest.
 
-Layers and keyframe flags mean nothing here, but a wish for a lower layer is followed. Latecomers
-get what comes from then on. It stands beside `StreamQueue` and takes the same calls.
+Layers and keyframe flags mean nothing here, but a subscription to a lower layer is followed.
+Latecomers get what comes from then on. It stands beside `StreamQueue` and takes the same calls.
 """
 
 from collections import Counter, deque
@@ -66,7 +66,7 @@ class OrderedQueue:
             self._drop_oldest("expired")
 
     def want(self, layer: int | None) -> int:
-        """Follow a wish for frames up to ``layer``, or for none; return how many that waited were
+        """Follow a subscription up to ``layer``, or for none; return how many that waited were
         dropped for it. After none, ``resume`` starts again."""
         before = len(self._waiting)
         self._is_unwanted = layer is None

@@ -174,6 +174,12 @@ class Session:
         """Return when ``handle_timer`` is due, or None."""
         return self._deadline
 
+    def receive_close(self, code: int, reason: str, now: float) -> list[Closed]:
+        """Take note that the websocket has ended; after a ``Bye`` this is no news."""
+        if self.state is State.CLOSED:
+            return []
+        return [self._end(code, reason, is_remote=True)]
+
     def close(self, code: int, reason: str, url: str = "") -> None:
         """End the session from this side: ``Bye`` goes out, then the shell closes the websocket."""
         if self.state is not State.CLOSED:

@@ -15,8 +15,8 @@ So, in this order:
 3. The base layer waits in order. When too much of it waits, in frames, bytes or time, the stream is
    cut for this reader: what waits is dropped, but for a keyframe, and so is all that comes before
    the next keyframe. ``put`` says that one is needed, again with each base frame that it drops.
-4. After a wish for more layers, these start with the next base frame: what came between is not
-   known to have reached the reader.
+4. After a subscription to more layers, these start with the next base frame: what came between is
+   not known to have reached the reader.
 5. After a cut, upper layers stay closed until some base frames have found nothing waiting before
    them; twice as many after each further cut, so that a link with room for the base layer alone
    settles on that.
@@ -114,7 +114,7 @@ class StreamQueue:
         self.is_cut = True
         self._is_behind = False
         self._wanted_layer = MAX_LAYER
-        # The highest layer that has started; follows the wish down at once, up at a base frame.
+        # The highest layer that has started; goes down at once, up at a base frame.
         self._open_layer = MAX_LAYER
         # Base frames that must pass at once before upper layers start, and as many after a new cut.
         self._probation = 0
@@ -185,7 +185,7 @@ class StreamQueue:
         return Put.WAITS
 
     def want(self, layer: int | None) -> int:
-        """Follow a wish for frames up to ``layer``, or for none; return how many that waited were
+        """Follow a subscription up to ``layer``, or for none; return how many that waited were
         dropped for it. After none, ``resume`` starts again."""
         before = len(self._waiting)
         if layer is None:

@@ -17,7 +17,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import random
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 
 from websockets.asyncio.client import ClientConnection
@@ -336,7 +336,7 @@ class Link:
         self._session = session
         joined_s: float | None = None
 
-        def handle(events: list[ClientEvent], now: float) -> None:
+        def handle(events: Sequence[ClientEvent], now: float) -> None:
             nonlocal joined_s
             for event in events:
                 if isinstance(event, Joined):
@@ -372,7 +372,7 @@ class Link:
         self,
         session: ClientSession,
         websocket: ClientConnection,
-        handle: Callable[[list[ClientEvent], float], None],
+        handle: Callable[[Sequence[ClientEvent], float], None],
     ) -> None:
         """Feed the session until it is over."""
         loop = asyncio.get_running_loop()

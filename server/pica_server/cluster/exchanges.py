@@ -1,8 +1,8 @@
-"""Frames between this node and the others of its rooms, and the wishes that they follow. Pure.
+"""Frames between this node and the others of its rooms, and their subscriptions. Pure.
 
 To its hub another node is one more reader of a room: a link with an outbox, see ``cluster_media``.
-Here its wishes become links, the wishes of the peers here are told to it, and what comes from it
-goes to the hub.
+Here its subscriptions become links, the subscriptions of the peers here are told to it, and what
+comes from it goes to the hub.
 """
 
 from collections.abc import Iterator
@@ -108,9 +108,9 @@ class ClusterExchanges:
         return told
 
     def follow(self, shared: SharedRoom, room: Room, interest: Interest, now: float) -> bool:
-        """Do as another node wishes; return whether it is to be told what is wanted of it."""
+        """Follow the subscriptions of another node; return whether to tell it ours."""
         exchange = self._exchanges.get(shared.key)
-        # Who is not known to be in the room yet will be asked for its wishes once it is.
+        # Who is not known to be in the room yet will be asked for its subscriptions once it is.
         if exchange is None or interest.node not in shared.nodes:
             return False
         if not exchange.receive_interest(interest):

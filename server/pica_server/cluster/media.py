@@ -8,8 +8,8 @@ message.
 
 The messages from one node to another about one room are numbered. A hole means that NATS dropped
 some, because a reader or the server was overrun: the receiver takes nothing more, names a new epoch
-in its wishes, and gets every stream from its keyframe on. Until then its peers see a still face and
-nothing that they could not decode. Pure.
+in its subscriptions, and gets every stream from its keyframe on. Until then its peers see a
+still face and nothing that they could not decode. Pure.
 """
 
 from collections import Counter
@@ -41,7 +41,7 @@ class NodeLink:
         room_key: What stands for the room.
         outbox: What waits for it.
         layers: What it wants: stream to highest layer.
-        epoch: Of its wishes; -1 before the first ones.
+        epoch: Of its subscriptions; -1 before the first ones.
     """
 
     __slots__ = (
@@ -78,7 +78,7 @@ class NodeLink:
         return self.outbox.put(frame)
 
     def want(self, stream: int, layer: int | None) -> bool:
-        """Follow a wish; return whether the stream begins, or begins again."""
+        """Follow a subscription; return whether the stream begins, or begins again."""
         if layer is None:
             if self.layers.pop(stream, None) is not None:
                 self.outbox.want(stream, None)
@@ -148,7 +148,7 @@ class Exchange:
         return True
 
     def receive_interest(self, interest: Interest) -> bool:
-        """Say whether these are the latest wishes of that node."""
+        """Say whether these are the latest subscriptions of that node."""
         latest = (interest.epoch, interest.number)
         if latest <= self._heard.get(interest.node, (-1, -1)):
             return False
@@ -158,7 +158,7 @@ class Exchange:
         return True
 
     def suspect_loss(self) -> None:
-        """Begin a new epoch as soon as may be, and ask everybody for their wishes."""
+        """Begin a new epoch as soon as may be, and ask everybody for their subscriptions."""
         self.is_lossy = True
         self._told.clear()
 

@@ -1,4 +1,4 @@
-"""What the nodes of a cluster tell each other, as bytes: room records, wishes, requests, media.
+"""What the nodes of a cluster tell each other, as bytes: records, subscriptions, requests, media.
 
 All of it travels on NATS, which only nodes may use; it is checked all the same, and what cannot be
 read is dropped and counted. Rooms are named by a hash, so that no name stands in a subject, and an

@@ -7,7 +7,7 @@ ties them together is one NATS with JetStream:
     pica_rooms        key-value store   hash of a room -> record of who is in it, where
     pica.beat.SLOT    each renewal, as the store repeats it to all nodes
     pica.record.ROOM  each change of a record, as the store repeats it to the nodes in the room
-    pica.node.SLOT    what a node is told by others: wishes, keyframe requests, whispers
+    pica.node.SLOT    what a node is told by others: subscriptions, keyframe requests, whispers
     pica.media.SLOT.ROOM  frames for a node: once for each room and turn, only what it wants
 
 How the nodes agree on a room stands in ``cluster_room``, who lives in ``cluster_liveness``, how

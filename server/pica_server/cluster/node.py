@@ -176,7 +176,7 @@ class ClusterNode:
         place = self._places.get(connection.peer_id)
         if place is not None:
             place.connection = connection
-        self.note_wishes(room)
+        self.note_subscriptions(room)
 
     def note_member(self, room: Room, peer_id: str) -> None:
         """Note that something is different about a peer; see `ClusterPeers`."""
@@ -209,7 +209,7 @@ class ClusterNode:
         for node in sorted(nodes):
             self._tell(node, Order(key, what, target))
 
-    def note_wishes(self, room: Room) -> None:
+    def note_subscriptions(self, room: Room) -> None:
         """Look at what the peers here want; see `ClusterPeers`."""
         self._dirty[room_key(room.name)] = None
 
@@ -410,7 +410,7 @@ class ClusterNode:
                 self.liveness.receive_beat(node, now)
 
     def _follow(self, shared: SharedRoom, room: Room, interest: Interest, now: float) -> None:
-        """Do as another node wishes."""
+        """Follow the subscriptions of another node."""
         if interest.revision > shared.revision and shared.revision > 0:
             shared.doubt()  # news was lost
             self._dirty[shared.key] = None

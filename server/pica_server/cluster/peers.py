@@ -42,7 +42,7 @@ class ClusterPeers(Protocol):
         """Have something done where it must be: ``remove`` or ``bar`` a peer, ``mute`` or
         ``unmute`` a stream, or ``close`` the room on all other nodes."""
 
-    def note_wishes(self, room: Room) -> None:
+    def note_subscriptions(self, room: Room) -> None:
         """Note that a peer in the room may want something else of the others than before."""
 
     def ask_for_keyframe(self, room: Room, publisher: str, stream: int, why: str) -> None:

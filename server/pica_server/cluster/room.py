@@ -231,7 +231,7 @@ class SharedRoom:
         self._since_s[peer.peer_id] = now
 
     def leave(self, peer_id: str, reason: str) -> None:
-        """Give up a place, or the wish for one."""
+        """Give up a place, or the request for one."""
         self._pending.pop(peer_id, None)
         if self._own.pop(peer_id, None) is not None:
             self._note_farewell(peer_id, reason)

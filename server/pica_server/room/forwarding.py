@@ -89,7 +89,7 @@ class Forwarding:
             self.ask_for_keyframe(room, number, fate.value, now)
 
     def want(self, connection: Connection, stream: int, layer: int | None, now: float) -> None:
-        """Follow a receiver's wish."""
+        """Follow a receiver's layer subscription."""
         room = connection.room
         assert room is not None
         if room.stream(stream) is None:
@@ -97,7 +97,7 @@ class Forwarding:
         starts_again = room.want(connection.peer_id, stream, layer)
         self._stats.unwanted += connection.outbox.want(stream, layer)
         if self._connections.cluster_peers is not None:
-            self._connections.cluster_peers.note_wishes(room)
+            self._connections.cluster_peers.note_subscriptions(room)
         if starts_again:
             self._resume(connection, room, stream, now)
 

@@ -74,7 +74,7 @@ class Stream:
 
 
 class Room:
-    """One room and the wishes of its members.
+    """One room and the subscriptions of its members.
 
     Attributes:
         name: As the peers know it.
@@ -166,7 +166,7 @@ class Room:
         self._num_remote += 1
 
     def leave(self, peer_id: str) -> Peer:
-        """Forget a peer, its streams and everybody's wishes for them."""
+        """Forget a peer, its streams and everybody's subscriptions for them."""
         self._receivers.clear()
         gone = self._members.pop(peer_id)
         self._num_remote -= bool(gone.node)
@@ -202,7 +202,7 @@ class Room:
         return tuple(t.stream for t in tracks if self._streams[t.stream].is_muted)
 
     def come_back(self, peer_id: str, *, may_subscribe: bool) -> Joined:
-        """Give a peer its place again, without its wishes, and return what to tell it."""
+        """Give a peer its place again, without its subscriptions, and return what to tell it."""
         self._receivers.clear()
         member = self._members[peer_id]
         member.is_away = False
@@ -302,10 +302,10 @@ class Room:
         member = self._members[peer_id]
         if member.default_layer == _NOTHING:
             return False
-        wishes = member.highest_layer
-        had_stopped = wishes.get(stream) == _NOTHING
+        wanted = member.highest_layer
+        had_stopped = wanted.get(stream) == _NOTHING
         self._receivers.clear()
-        wishes[stream] = _NOTHING if layer is None else layer
+        wanted[stream] = _NOTHING if layer is None else layer
         return had_stopped and layer is not None
 
     def owns(self, peer_id: str, stream: int) -> bool:
