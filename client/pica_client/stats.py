@@ -59,7 +59,7 @@ class Samples:
         self._samples.append(duration_s)
 
     def clear(self) -> None:
-        """Forget all."""
+        """Forget all samples so far."""
         self._samples.clear()
 
     def __len__(self) -> int:

@@ -195,7 +195,7 @@ class Call:
     # The display's side
 
     def subscribe(self, peer_id: str, layer: int | None, now: float) -> None:
-        """See `FaceSource.subscribe`."""
+        """Note how much of a peer's stream is worth having; see `FaceSource.subscribe`."""
         with self._lock:
             seat = self._seats.get(peer_id)
             has_changed = seat is not None and seat.subscription.subscribe(layer, now)
@@ -203,7 +203,7 @@ class Call:
             self.on_subscription()
 
     def faces(self, now: float) -> list[FaceState]:
-        """See `FaceSource.faces`."""
+        """Return everybody's face at display time; see `FaceSource.faces`."""
         with self._lock:
             return [self._face(seat, now) for seat in self._seats.values()]
 

@@ -36,7 +36,7 @@ class StreamHealth:
     late: int = 0
     """Frames that came when a newer one was shown already."""
     shown: int = 0
-    """Display times."""
+    """Display times at which a face was shown, a count."""
     concealed: int = 0
     """Display times without a fresh face."""
     age_s: float = 0.0

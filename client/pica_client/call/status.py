@@ -43,6 +43,6 @@ class AvatarFigures:
     """Rows of the position map shown; None before the first."""
     decode_ms: float | None
     latency_ms: float | None
-    """From the sender's sample to its decoded maps; means something on one machine only."""
+    """Time from the sender's sample to its decoded maps; meaningful on one machine only."""
     num_decoded: int
     is_speaking: bool

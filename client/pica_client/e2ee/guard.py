@@ -142,15 +142,15 @@ class Guard:
         return [event]
 
     def messages_to_send(self, now: float) -> list[tuple[str, bytes]]:
-        """See `FrameGuard.messages_to_send`."""
+        """Take the key messages that must go out; see `FrameGuard.messages_to_send`."""
         return self._keys.messages_to_send(now)
 
     def next_timer(self) -> float | None:
-        """See `FrameGuard.next_timer`."""
+        """Say when to be woken; see `FrameGuard.next_timer`."""
         return self._keys.next_timer()
 
     def handle_timer(self, now: float) -> None:
-        """See `FrameGuard.handle_timer`."""
+        """Do what is due by now; see `FrameGuard.handle_timer`."""
         self._keys.handle_timer(now)
 
     def _note_streams(self, peer: Peer) -> None:

@@ -61,7 +61,7 @@ class RoomKeys(NamedTuple):
 
     @classmethod
     def of(cls, secret: RoomSecret, room: str) -> RoomKeys:
-        """Derive them."""
+        """Derive all keys that two peers share."""
 
         def derive(label: bytes) -> bytes:
             info = b"pica seal 1 " + label + b" " + room.encode()

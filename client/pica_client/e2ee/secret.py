@@ -37,7 +37,7 @@ class RoomSecret:
 
     @classmethod
     def new(cls, random_bytes: RandomBytes = os.urandom) -> RoomSecret:
-        """Draw one."""
+        """Draw a new room secret from the system's randomness."""
         return cls(random_bytes(SECRET_BYTES))
 
 

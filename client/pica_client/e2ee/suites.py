@@ -47,11 +47,11 @@ class GcmAead:
         self._cipher = AESGCM(key)
 
     def encrypt(self, nonce: bytes, data: bytes, associated: bytes) -> bytes:
-        """See `Aead.encrypt`."""
+        """Encrypt and authenticate; see `Aead.encrypt`."""
         return self._cipher.encrypt(nonce, data, associated)
 
     def decrypt(self, nonce: bytes, data: bytes, associated: bytes) -> bytes:
-        """See `Aead.decrypt`."""
+        """Check and decrypt; see `Aead.decrypt`."""
         try:
             return self._cipher.decrypt(nonce, data, associated)
         except InvalidTag:
@@ -66,12 +66,12 @@ class CtrHmacAead:
         self._tag_bytes = tag_bytes
 
     def encrypt(self, nonce: bytes, data: bytes, associated: bytes) -> bytes:
-        """See `Aead.encrypt`."""
+        """Encrypt and authenticate; see `Aead.encrypt`."""
         encrypted = self._apply_keystream(nonce, data)
         return encrypted + self._tag(nonce, encrypted, associated)
 
     def decrypt(self, nonce: bytes, data: bytes, associated: bytes) -> bytes:
-        """See `Aead.decrypt`."""
+        """Check and decrypt; see `Aead.decrypt`."""
         encrypted, tag = data[: -self._tag_bytes], data[-self._tag_bytes :]
         if not hmac.compare_digest(tag, self._tag(nonce, encrypted, associated)):
             raise ForgedFrameError("the tag does not fit")
@@ -93,7 +93,7 @@ class Suite:
     """One row of the registry of RFC 9605 (8.1)."""
 
     number: int
-    """As registered; goes into the key derivation and into the announcement of a key."""
+    """The suite's number as registered; keys are derived with it and announced with it."""
     name: str
     key_bytes: int
     tag_bytes: int

@@ -27,7 +27,8 @@ from pica_core.codec.latent_stream import DEFAULT_QUALITY
 NAMES = ("Ada", "Ben", "Cho", "Dee", "Eve", "Fay", "Gus", "Hal")
 ROOM = "demo"
 JOIN_TIMEOUT_S = 30.0
-"""For all peers to be seen; five Pythons that import numpy on two busy cores take some seconds."""
+"""Longest wait until all peers are seen; five Pythons that import numpy on two busy cores take some
+seconds."""
 CHECK_INTERVAL_S = 0.25
 """Time between two looks at whether all processes are alive."""
 

@@ -17,7 +17,7 @@ import threading
 import time
 
 GRACE_S = 3.0
-"""From being asked to end to the end: longer than any command needs to say goodbye."""
+"""Time between being asked to end and being ended; no command needs longer to say goodbye."""
 
 
 def main() -> None:

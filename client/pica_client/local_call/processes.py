@@ -18,7 +18,7 @@ from pica_client.errors import CallProcessError
 
 PARENT_WATCHDOG = "pica_client.local_call.parent_watchdog"
 START_TIMEOUT_S = 20.0
-"""For a relay to say where it listens; an imported numpy on a busy machine takes seconds."""
+"""Longest wait for a relay to say where it listens; importing numpy can take seconds."""
 STOP_TIMEOUT_S = 6.0
 """For all processes together to end when asked; more than `parent_watchdog.GRACE_S`. Then they are
 killed."""

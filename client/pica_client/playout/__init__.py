@@ -1,1 +1,1 @@
-"""From frames as the network delivers them to a face at display time. Pure."""
+"""The playout buffer: frames as the network delivers them, faces at display time. Pure."""

@@ -57,7 +57,7 @@ class Sender:
 
     @property
     def frame_log(self) -> deque[tuple[int, int]]:
-        """See `Publisher.frame_log`."""
+        """The times of frames that were sent; see `Publisher.frame_log`."""
         return self._publisher.frame_log
 
     def stop(self) -> None:

@@ -78,7 +78,7 @@ class Recording:
         return float(self.times_s[-1]) + self.loop_gap_s
 
     def frame_at(self, time_s: float) -> ExpressionFrame:
-        """See `Source.frame_at`."""
+        """Return the face at a time; see `Source.frame_at`."""
         looped_s = (time_s + self.start_s) % self.duration_s
         after = int(np.searchsorted(self.times_s, looped_s, side="right"))
         before = after - 1

@@ -55,7 +55,7 @@ def smooth(track: Float64Array, width_s: float) -> Float64Array:
 def bump(
     times_s: Float64Array, begin_s: float, rise_s: float, hold_s: float, fall_s: float
 ) -> Float64Array:
-    """From 0 to 1 and back with smooth ends; exactly 0 before and after."""
+    """Rise from 0 to 1 and fall back with smooth ends; exactly 0 before and after."""
     rising = np.clip((times_s - begin_s) / rise_s, 0, 1)
     falling = np.clip((begin_s + rise_s + hold_s + fall_s - times_s) / fall_s, 0, 1)
     shape = np.minimum(rising, falling)

@@ -34,7 +34,7 @@ class LinkConfig:
     token: str = field(default="", repr=False)
     """The token itself, instead of a file; a secret."""
     ca_file: Path | None = None
-    """With wss://, trust the certificates of this PEM file instead of the system's."""
+    """PEM file whose certificates a wss:// address is checked with, instead of the system's."""
     backoff: BackoffConfig = field(default_factory=BackoffConfig)
 
     def __post_init__(self) -> None:

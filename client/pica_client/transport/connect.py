@@ -18,7 +18,7 @@ from pica_protocol.limits import MAX_CONTROL_BYTES
 
 SOFTWARE: Final = "pica-telepresence"
 CLOSE_TIMEOUT_S: Final = 1.0
-"""For the goodbyes of a websocket; a relay that is gone does not answer them."""
+"""Longest wait for a websocket's goodbye; a relay that is gone does not answer."""
 PING_INTERVAL_S: Final = 5.0
 PING_TIMEOUT_S: Final = 10.0
 """A relay that says nothing for 15 s is gone, even when its socket is not (chosen)."""

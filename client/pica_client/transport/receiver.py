@@ -25,7 +25,7 @@ from pica_protocol.session import ClientEvent
 REPORT_INTERVAL_S = 5.0
 """Time between two reports to the relay."""
 JOIN_TIMEOUT_S = 5.0
-"""For the thread to end: a link that is told to leave is gone within its close timeouts."""
+"""Longest wait for the thread; a link that leaves is gone within its close timeouts."""
 
 
 class Receiver:

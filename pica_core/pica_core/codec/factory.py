@@ -21,7 +21,7 @@ PLAIN = ""
 
 
 class FaceEncoder(Protocol):
-    """See `LatentEncoder`."""
+    """The sending end of a stream, in either format; see `LatentEncoder`."""
 
     def encode(
         self,
@@ -43,7 +43,7 @@ class FaceEncoder(Protocol):
 
 
 class FaceDecoder(Protocol):
-    """See `LatentDecoder`."""
+    """The receiving end of a stream, in either format; see `LatentDecoder`."""
 
     @property
     def needs_keyframe(self) -> bool:

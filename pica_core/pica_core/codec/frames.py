@@ -67,7 +67,7 @@ class FrameState:
     layer: int
     quality: int
     coefficients: Int64Array
-    """int64 ``[C]``."""
+    """Quantised coefficients of the latent, int64 ``[C]``."""
     motion: Int64Array
     """Less those of the frame's own reference; 0 for a keyframe. int64 ``[C]``."""
 

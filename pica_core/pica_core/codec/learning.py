@@ -307,7 +307,7 @@ class _Counts:
     residuals: Float64Array
     """``[types, C, contexts, symbols]``."""
     headers: Float64Array
-    """``[types, headers]``."""
+    """Symbols of the header counted by frame type, ``[types, headers]``."""
 
 
 def _count(profile: StreamProfile, codes: list[Float64Array], rng: np.random.Generator) -> _Counts:

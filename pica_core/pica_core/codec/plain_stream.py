@@ -141,7 +141,7 @@ class PlainEncoder:
         translation_m: npt.ArrayLike,
         now_us: int,
     ) -> EncodedFrame | None:
-        """As `LatentEncoder.encode`; never None."""
+        """Code a face, as `LatentEncoder.encode` does; the result is never None."""
         return EncodedFrame(encode_latent(latent, rotation, translation_m, self._profile))
 
     def request_keyframe(self) -> None:
@@ -161,5 +161,5 @@ class PlainDecoder:
         self._profile = profile
 
     def receive(self, frame: ReceivedFrame) -> list[DecodedFrame]:
-        """As `LatentDecoder.receive`."""
+        """Decode a frame, as `LatentDecoder.receive` does."""
         return [frame.decoded(decode_latent(frame.payload, self._profile))]
