@@ -342,6 +342,8 @@ def one_line(box: str) -> str:
     parts = " ".join(line for line in lines[1:] if line).split("───")
     text = parts[0].strip(" ─.") or "bad usage"
     near = re.search(r"Perhaps you meant:\s+(--[a-z0-9.-]+)", " ".join(lines))
+    if any(name.replace("_", "-") in text for name in GONE):
+        return f"{text}; this setting has gone, leave it out"
     return text + (f"; did you mean {near[1]}?" if near else "; `--help` lists all options")
 
 

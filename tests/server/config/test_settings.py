@@ -282,6 +282,10 @@ def test_a_relay_reads_its_settings_from_all_three(
         (["--log", "xml"], "invalid choice 'xml' for argument '--log'. Expected one of "),
         (["--port"], "Missing value for argument '--port'"),
         (["noise"], "Unrecognized options: noise; `--help` lists all options"),
+        (
+            ["--coalesce-longest-s", "0"],
+            "--coalesce-longest-s, 0; this setting has gone, leave it out",
+        ),
     ],
 )
 def test_what_the_command_line_says_wrong_is_one_line(words: list[str], complaint: str) -> None:
