@@ -1,8 +1,6 @@
 """Files that a command writes: refused at its start where that can be known, and with one wording
 where it comes out later."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Iterator

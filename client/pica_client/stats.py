@@ -1,7 +1,5 @@
 """Numbers about a call: percentiles of bounded samples, and the record of the machine."""
 
-from __future__ import annotations
-
 import math
 import os
 import platform

@@ -10,8 +10,6 @@ Exit status: 0 done; 2 bad usage or bad input (any exception with an ``exit_code
 extra); 1 a failure, or a result whose ``ok`` is false.
 """
 
-from __future__ import annotations
-
 import inspect
 import json
 import re

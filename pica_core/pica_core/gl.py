@@ -1,7 +1,5 @@
 """One way to get a GL context, with the errors that people really meet."""
 
-from __future__ import annotations
-
 import ctypes
 import functools
 import signal

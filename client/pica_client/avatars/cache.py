@@ -3,8 +3,6 @@
 Files are named by their hash; when they have too many bytes, the one used longest ago goes first.
 """
 
-from __future__ import annotations
-
 import os
 import secrets
 import tempfile

@@ -3,8 +3,6 @@
 The file is known by its hash, so it does not matter who gives it, or in how many pieces.
 """
 
-from __future__ import annotations
-
 import hashlib
 import re
 import ssl

@@ -7,8 +7,6 @@ have a file may get it yet, from a sender that has just joined; so it is asked a
 often, while somebody still wants the avatar.
 """
 
-from __future__ import annotations
-
 import logging
 import ssl
 import threading

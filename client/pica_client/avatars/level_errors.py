@@ -20,8 +20,6 @@ changes with the view that an expression map was decoded for, and with the laten
 the moments before they are divided.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

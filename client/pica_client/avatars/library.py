@@ -5,8 +5,6 @@ when a library is made and loaded when they are first asked for, in a thread: lo
 of a second, in which neither network nor display may stand still.
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor

@@ -4,8 +4,6 @@ It goes over a websocket of its own, beside the call: in small messages, and wit
 the kernel, because the faces share the way up with it.
 """
 
-from __future__ import annotations
-
 import asyncio
 import random
 import socket

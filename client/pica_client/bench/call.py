@@ -14,8 +14,6 @@ Chosen, with the reason:
 - a decode waits in a queue, first come first served, which drops nothing until it is full.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import math

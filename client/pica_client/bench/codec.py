@@ -29,8 +29,6 @@ only the recording is of a face. An error of 8 bits and of the pixels that chang
 in every `mse`: about 0.2.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Callable, Sequence

@@ -29,8 +29,6 @@ What it does not show: uploads and drawing (`pica bench render`), several avatar
 providers than the one chosen.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """A sheet of pictures as they were shown, each with its difference from what it should be."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

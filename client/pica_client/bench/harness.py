@@ -4,8 +4,6 @@ Cases of a bench take turns, round after round, so that a busy machine treats al
 first rounds warm up and are not counted. Results are medians with quartiles.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager

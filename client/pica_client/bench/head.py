@@ -1,8 +1,6 @@
 """What several benches draw: one head before a camera, at rest, talking, or from the views of the
 stage."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from types import TracebackType

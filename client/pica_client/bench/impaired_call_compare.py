@@ -14,8 +14,6 @@ reference knows of the same peer, on the clock that all processes of this machin
 What it does not show: the loss of the format itself, which both streams share.
 """
 
-from __future__ import annotations
-
 import asyncio
 import bisect
 from collections import defaultdict, deque

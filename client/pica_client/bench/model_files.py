@@ -1,7 +1,5 @@
 """Trained models as benches run them: what `pica export` wrote, avatars and baselines alike."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Sequence

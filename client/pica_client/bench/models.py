@@ -35,8 +35,6 @@ error (`pica avatar precision`), and caches that are warm from the frame before:
 measured in between has emptied them.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass

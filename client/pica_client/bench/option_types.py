@@ -1,7 +1,5 @@
 """How settings of benches are spelled on the command line: lists as one word, with commas."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Annotated, Any
 

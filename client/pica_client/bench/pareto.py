@@ -25,8 +25,6 @@ What it does not show: the trained errors of other blocks and of the paper's abl
 those models; several heads (`pica bench scene`).
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -34,8 +34,6 @@ What it does not show: real networks (see `network.impairment` for what is model
 miss refreshes, and people: performances and avatars are synthetic.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

@@ -32,8 +32,6 @@ ns_per_pixel * pixels fitted to each, and `summary` with the ratios.
 What it does not show: decoding and uploads (`pica bench decode`), several heads, window systems.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable, Sequence

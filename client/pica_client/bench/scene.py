@@ -33,8 +33,6 @@ scheduler; half of the unconstrained cost; no head on the screen.
 What it does not show: networks and playout (`pica bench call`), windows, several threads.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections import Counter

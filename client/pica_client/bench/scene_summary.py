@@ -1,7 +1,5 @@
 """The ratios that `pica bench scene` is run for. Pure."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

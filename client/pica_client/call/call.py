@@ -7,8 +7,6 @@ What is wrong with one stream stays with that stream: a payload that cannot be r
 the face is held; a peer whose avatar nobody has gets a seat without a face.
 """
 
-from __future__ import annotations
-
 import threading
 from collections import deque
 from collections.abc import Callable

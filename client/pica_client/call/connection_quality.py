@@ -7,8 +7,6 @@ before it changes, and longer for the better than for the worse.
     quality = meter.receive(health, now)        # twice a second, say
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass

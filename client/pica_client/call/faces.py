@@ -9,8 +9,6 @@ of recordings, a test).
     source.subscribe(face.peer_id, layer, now)
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 

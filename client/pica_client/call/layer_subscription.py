@@ -11,8 +11,6 @@ wanted for some time. So a head that comes and goes at the edge of the screen co
 a second at most, and its stream is there whenever it is seen.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final

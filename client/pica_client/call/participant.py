@@ -3,8 +3,6 @@
 `call.Call` owns the seats and holds its lock around them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

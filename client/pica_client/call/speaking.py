@@ -12,8 +12,6 @@ noise.
     meter.is_speaking(now)
 """
 
-from __future__ import annotations
-
 from collections import deque
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """How the call stands and what its avatars cost, to be shown. Pure data."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """``pica avatar push``, ``pica avatar thumbnail`` and ``pica avatar measure``."""
 
-from __future__ import annotations
-
 import asyncio
 import sys
 from dataclasses import dataclass

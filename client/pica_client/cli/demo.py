@@ -4,8 +4,6 @@ The numbers are of this machine under its present load, over loopback; with soft
 latency is waiting for the picture before.
 """
 
-from __future__ import annotations
-
 import json
 import time
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """What this machine can do, and the fix for each lack."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """What the options of several commands share."""
 
-from __future__ import annotations
-
 from pica_client.errors import OptionError
 
 CONNECT_TIMEOUT_S = 3.0

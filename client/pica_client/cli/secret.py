@@ -1,7 +1,5 @@
 """``pica secret``: make what the people of a call share beforehand."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``pica send``: one face from a source into a room."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from dataclasses import dataclass, field

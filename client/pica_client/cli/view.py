@@ -1,7 +1,5 @@
 """``pica view``: everybody in a room, in a window or a recording."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any

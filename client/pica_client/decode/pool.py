@@ -20,8 +20,6 @@ for those that were not asked for yet, one after the other, so that a change of 
 of a call finds everything there.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable

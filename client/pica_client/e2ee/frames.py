@@ -10,8 +10,6 @@ The tag covers the header and the *metadata*: the fields of the media header tha
 clear. Who moves a payload to another stream, sequence number, layer or time breaks it.
 """
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 from typing import Final

@@ -4,8 +4,6 @@ What cannot be opened is dropped and counted; a plain frame is never taken for w
 The counters are those of this side and of one room after the other; they tell no contents.
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path

@@ -23,8 +23,6 @@ Everything is bounded: peers by the room, keys of a peer by `KEYS_PER_PEER`, not
 the relay's own limit.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Final
 

@@ -1,7 +1,5 @@
 """Which counters of one key have been seen: a sliding window of bits."""
 
-from __future__ import annotations
-
 from typing import Final
 
 WINDOW: Final = 1024

@@ -8,8 +8,6 @@ weakness: a forger of 64 bits guesses, once in 2^64 tries, and learns nothing fr
 matter, that is the suite to take.
 """
 
-from __future__ import annotations
-
 import hmac
 from dataclasses import dataclass
 from typing import Final, Protocol

@@ -1,7 +1,5 @@
 """Where the time of a frame goes, from the tracker's sample to the decoded avatar. Pure."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -6,8 +6,6 @@ this process's clock: right on one machine, where all processes share the monoto
 one machine only.
 """
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Mapping, Sequence

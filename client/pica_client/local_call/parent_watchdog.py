@@ -7,8 +7,6 @@ standard input, a pipe that the parent holds open and never writes to: when the 
 whatever way, the pipe ends too. That is portable, and holds even for a parent that was killed.
 """
 
-from __future__ import annotations
-
 import os
 import runpy
 import signal

@@ -1,8 +1,6 @@
 """The processes of a demo or bench: started together, watched, and ended together in bounded
 time."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import subprocess

@@ -19,8 +19,6 @@ One frame alone cannot spoil the map: far below the line it pulls it down by `FA
 `NUM_AGREEING` such frames one after the other by as much as all of them say.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from statistics import median

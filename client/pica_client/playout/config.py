@@ -1,7 +1,5 @@
 """How a playout buffer is set. Pure."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 from pica_client.errors import OptionError

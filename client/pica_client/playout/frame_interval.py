@@ -8,8 +8,6 @@ longer of two intervals, when its end came and half a second or eight frames lat
 known whether the stream is thinned from there on, and whether the frames were merely overtaken.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_left, insort
 from itertools import pairwise
 from typing import NamedTuple

@@ -14,8 +14,6 @@ What *all* frames of the long window have in common is no jitter but the way its
 a standing queue, a sender's clock set back): `base_s`, which is waited for without being counted.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ seen: so the display's time runs a little faster or slower until it is there, an
 Only where that would take too long it leaps forwards.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Rotation vectors: made from trackers' head angles, and blended along the shortest way."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

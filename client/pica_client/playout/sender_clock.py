@@ -27,8 +27,6 @@ The backlog that a latecomer gets at once is old, so its arrival tells nothing: 
 doubted, and where the time line begins, it begins with the newest frame of it.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from typing import NamedTuple
 

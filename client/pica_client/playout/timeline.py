@@ -11,8 +11,6 @@ leaves for the next frame, if that is there, just so early that it does not hurr
 says that nothing moves until one interval before the next frame.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_left, bisect_right
 from operator import attrgetter
 from typing import Literal

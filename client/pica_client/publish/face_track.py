@@ -1,7 +1,5 @@
 """What a peer says of its face to the others: the kind of its track, and why it stands still."""
 
-from __future__ import annotations
-
 from typing import Final, Literal
 
 FACE_TRACK: Final = "face"

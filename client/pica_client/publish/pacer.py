@@ -1,7 +1,5 @@
 """When the next frame is due. Pure: `now` is an argument."""
 
-from __future__ import annotations
-
 import math
 
 

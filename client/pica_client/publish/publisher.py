@@ -5,8 +5,6 @@ The link is run by somebody else: a `sender.Sender`, which does nothing else, or
 runs on the event loop itself; a thread would cost more than it saves.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import math

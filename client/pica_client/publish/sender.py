@@ -3,8 +3,6 @@
 A shell: it owns the link; `publisher` makes the frames.
 """
 
-from __future__ import annotations
-
 import asyncio
 import random
 from collections import deque

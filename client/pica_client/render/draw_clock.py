@@ -9,8 +9,6 @@ A timer query's answer is there when the GPU is done, and asking earlier waits f
 are taken in turn, and each is read just before its turn comes again, `DEPTH` frames later.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Generic, TypeVar

@@ -5,8 +5,6 @@ never by distances between latents. The error is MSE on 0-255 values over raster
 the paper's tables; pixels that only one of the two drawings covers count too.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import moderngl

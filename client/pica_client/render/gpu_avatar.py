@@ -1,8 +1,6 @@
 """What the GPU holds of an avatar: its meshes, encodings and program; and of the head that stands
 in for one."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Literal
 

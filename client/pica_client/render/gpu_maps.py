@@ -5,8 +5,6 @@ A kind remembers which level came last and which one before it, so that a change
 in: `Placement.blend` mixes the two.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import moderngl

@@ -1,7 +1,5 @@
 """Compiled shaders, and the texture units that all of them agree on."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import moderngl

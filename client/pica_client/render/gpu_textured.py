@@ -4,8 +4,6 @@ Its decoder makes vertices and a whole texture for each frame; both are uploaded
 drawn in one pass.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import moderngl

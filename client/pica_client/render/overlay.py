@@ -7,8 +7,6 @@ is given back.
     renderer.draw(placements, camera, items)
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -8,8 +8,6 @@
 All rectangles are of the whole image, so that several views can share it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ Frames keep the times they were drawn at, so a call that was drawn unevenly play
 Needs PyAV (the `video` extra); importing this module does not.
 """
 
-from __future__ import annotations
-
 from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path

@@ -20,8 +20,6 @@ thread of its context. After the first frame nothing is allocated on the GPU unt
 texts change: an avatar's maps have a texture for each of its levels from the start.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

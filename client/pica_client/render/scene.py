@@ -10,8 +10,6 @@ World: metres, +y up; `seats` says who sits where.
     direction = view_direction(placement.world_from_head, camera.centre_m)
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

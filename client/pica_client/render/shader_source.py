@@ -17,8 +17,6 @@ name. A file is included once; naming one that does not exist is an error, as is
 `MAX_DEPTH`.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping

@@ -12,8 +12,6 @@ vectors:
     joint  m_uv    axes  m_u in xy, m_v in zw    uv  u, v    sinusoids  an octave in each of ten
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal

@@ -7,8 +7,6 @@ in both: it appears at the depth of the screen, and nothing is turned inwards (w
 pixels up and down between the eyes).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The images that a frame of one size passes through."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

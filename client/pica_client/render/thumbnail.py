@@ -1,8 +1,6 @@
 """One picture of one avatar, drawn like in a call: for lists of avatars, documents and a look after
 training."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

@@ -17,8 +17,6 @@ that lasts is learned after a few. Nothing is ever negative. A finer level is ne
 cheaper than a coarser one, nor both maps than one of them.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Mapping

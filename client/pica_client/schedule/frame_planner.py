@@ -11,8 +11,6 @@
 The scheduler knows numbers; this knows matrices and latents. Pure: no GPU, no clock, no threads.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

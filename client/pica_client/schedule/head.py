@@ -7,8 +7,6 @@ When maps of another level arrive, or the mesh changes, the new ones fade in ove
 that comes and goes is never a jump of the picture.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple

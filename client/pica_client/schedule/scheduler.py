@@ -21,8 +21,6 @@ Before, measured tables of errors and a knapsack chose what saved most error per
 rule leaves as little error at the same cost (measured: docs/results/receiver.md, "A simple rule").
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence

@@ -11,8 +11,6 @@ with head tracking off): that yaw turns about +y, pitch about +x and roll about 
 in this order from the outside in, is our assumption.
 """
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Iterable
 from pathlib import Path

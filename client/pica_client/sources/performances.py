@@ -13,8 +13,6 @@ alone it is nonsense).
 The same name and seed give the same performance on every machine.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import numpy as np

@@ -4,8 +4,6 @@ csv:FILE[@SECONDS]                    a Live Link Face recording, starting somew
 performance:NAME[#SEED][@SECONDS]     a performance that ships with the package
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

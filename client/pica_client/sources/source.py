@@ -5,8 +5,6 @@ A source knows no clock and never waits: the sender asks it for the face at a mo
 serves a 30 fps call, a 90 Hz one, a test on a virtual clock and a statistics check.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

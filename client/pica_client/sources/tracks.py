@@ -6,8 +6,6 @@ gaze that jumps and rests); the exact distributions are our choice. Equal genera
 tracks.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How long to wait before trying a relay again. Pure: chance is an argument."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

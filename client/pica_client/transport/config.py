@@ -1,7 +1,5 @@
 """Where a link leads, as whom, and with which pass."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import urlsplit

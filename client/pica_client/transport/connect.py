@@ -1,7 +1,5 @@
 """Opening one websocket to a relay: small buffers, no compression, and what an error means."""
 
-from __future__ import annotations
-
 import ipaddress
 import socket
 import ssl

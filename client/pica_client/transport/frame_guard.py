@@ -4,8 +4,6 @@ A `Link` that is given one asks it before a frame goes out and before an event i
 carries its whispers. It knows no more about encryption; `pica_client.e2ee.guard` is what there is.
 """
 
-from __future__ import annotations
-
 from typing import Any, Protocol
 
 from pica_protocol.frames import Frame

@@ -12,8 +12,6 @@ all processes share that clock (Linux CLOCK_MONOTONIC, macOS and Windows likewis
 may subtract a sender's capture times from a receiver's clock. Across machines nobody may.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import random

@@ -1,7 +1,5 @@
 """How a call stands, out of what receiver and call count: for the texts over the picture."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from pica_client.call.connection_quality import QualityMeter, StreamHealth, own_quality

@@ -4,8 +4,6 @@ Garbage never gets further than here: what breaks the protocol ends the connecti
 the link comes back; what breaks a payload is counted by the call.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import random

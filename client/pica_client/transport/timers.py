@@ -1,7 +1,5 @@
 """Waiting on an event loop, which may fire a timer up to its clock's resolution too early."""
 
-from __future__ import annotations
-
 import asyncio
 
 

@@ -12,8 +12,6 @@ Decoding runs beside drawing, so a frame shows the latents of the frame before i
 avatar is missing or broken sits there as a placeholder with the reason; the others do not notice.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack

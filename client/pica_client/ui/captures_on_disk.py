@@ -3,8 +3,6 @@
 Names count up and say nothing of the time: ``picture-0001.png``, ``recording-0001.mp4``.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Self
 

@@ -8,8 +8,6 @@ shows. A mouse drags the view, its wheel comes closer, and a click pins a head.
     controls.state.layout, controls.take_orders()
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Whether a window is worth trying, without asking a window library."""
 
-from __future__ import annotations
-
 import os
 import sys
 

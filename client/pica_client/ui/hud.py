@@ -3,8 +3,6 @@
 The statistics are in `statistics_table`.
 """
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace

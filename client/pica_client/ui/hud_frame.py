@@ -1,8 +1,6 @@
 """All texts of one frame, and what of them lasts longer than a frame: the panel's figures, which
 change twice a second, and notices."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The join form in a window: a loop around `join_form`."""
 
-from __future__ import annotations
-
 import time
 
 from pica_client.render.renderer import Renderer, RenderOptions

@@ -5,8 +5,6 @@ form.receive(TextTyped("a"))
 form.outcome                    # "join" once Enter was pressed on fields that can be right
 """
 
-from __future__ import annotations
-
 import textwrap
 from dataclasses import dataclass, fields, replace
 from pathlib import Path

@@ -4,8 +4,6 @@ A damaged file is no reason not to start: it is said once, and defaults are take
 in it: the last address is kept without user, password or query, tokens are not kept at all.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import secrets

@@ -4,8 +4,6 @@ Columns: the level of detail and what its decode costs; its share of the drawing
 stream takes; how late and how old it is; how much of it had to be made up.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

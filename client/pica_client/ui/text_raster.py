@@ -5,8 +5,6 @@ item_size_px(item)          # columns and rows that it covers
 set_item(item)              # premultiplied RGBA, uint8 [H, W, 4]
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """One receiver from end to end: network in a thread, decoding in others, drawing in this one."""
 
-from __future__ import annotations
-
 import json
 import sys
 import time

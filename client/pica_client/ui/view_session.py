@@ -3,8 +3,6 @@
 `view.View` is one stay in one room; this is what lies around it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, replace

@@ -8,8 +8,6 @@ Each frame: take what the user did, let `avatar_presenter` arrange and decode th
 put the texts of `hud_frame` over them, show or record.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from contextlib import ExitStack

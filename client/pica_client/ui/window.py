@@ -12,8 +12,6 @@
 One window per process; everything on the thread that made it.
 """
 
-from __future__ import annotations
-
 from typing import Any, Protocol, Self
 
 import glfw

@@ -4,8 +4,6 @@ Order: Live Link Face's UDP order, which is ARKit's own order of `ARFaceAnchor.B
 Files and trackers are always mapped by *name*; the order matters only inside this code base.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -18,8 +18,6 @@ float32. Tensors: those of `BaselineSpec.tensor_shapes`, ``mesh.vertex_uv`` ``[V
 ``mesh.faces`` ``[F, 3]`` int32, and ``encoder.{i}.weight .bias`` as in an avatar file.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass

@@ -15,8 +15,6 @@ by name in the spec:
 A LeakyReLU follows every block but the last, whose output is the map itself.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

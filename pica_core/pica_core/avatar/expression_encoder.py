@@ -7,8 +7,6 @@ numpy is fast enough and a sender needs no inference library.
     latent = encoder.encode(frame.arkit)
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping
 from typing import Protocol

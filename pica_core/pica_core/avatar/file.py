@@ -27,8 +27,6 @@ In the file big maps may be smaller than in memory: fp16, or 8 or 16 bit integer
 offset + scale * q per last-axis channel, the two tables standing in the metadata key ``storage``.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Iterator, Mapping

@@ -19,8 +19,6 @@ the k-th vertex that the level's mesh uses, counted from the lowest number, stan
 column k % S. What is left of the last row belongs to no vertex.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 
 import numpy as np

@@ -20,8 +20,6 @@ An avatar may have exits at a quarter and a half of its full map: 64 and 128 of 
     avatar.level_errors.at(64, head_px=200.0)       MSE, 0-255
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

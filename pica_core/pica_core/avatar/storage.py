@@ -4,8 +4,6 @@ fp16, or 8 or 16 bit integers q with value = offset + scale * q per last-axis ch
 tables stand in the file's metadata. Integers that are integers anyway stay so.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Any, Literal

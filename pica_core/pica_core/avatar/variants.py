@@ -12,8 +12,6 @@
 What the paper says of each, what it leaves open and what we chose: `docs/variants.md`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise

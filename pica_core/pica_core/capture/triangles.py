@@ -1,7 +1,5 @@
 """What the capture rooms ask of triangle meshes: areas, edges, normals, samples and pieces."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pica_core.types import Array, Float64Array, FloatArray, Int64Array, IntArray

@@ -1,7 +1,5 @@
 """`pica avatar info`, `pica avatar verify` and `pica avatar precision`."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`pica capture synth`, `pica capture check` and `pica capture sheet`."""
 
-from __future__ import annotations
-
 import re
 import time
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """`pica capture rig`."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ A sender names its format in the track that it publishes: the hash of the avatar
 or nothing for the plain 8-bit format, which every avatar can be sent in.
 """
 
-from __future__ import annotations
-
 from typing import Protocol
 
 import numpy.typing as npt

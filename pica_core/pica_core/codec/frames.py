@@ -17,8 +17,6 @@ All is integers. Nothing here knows of time, networks or which reference to choo
 `latent_stream`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

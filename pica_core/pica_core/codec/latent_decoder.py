@@ -1,7 +1,5 @@
 """The receiving end of a latent stream; see `latent_stream` for the theory of both ends."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

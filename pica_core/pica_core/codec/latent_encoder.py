@@ -1,7 +1,5 @@
 """The sending end of a latent stream; see `latent_stream` for the theory of both ends."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One moment of a face as it travels: encoded, off the wire, decoded."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from pica_core.types import FloatArray

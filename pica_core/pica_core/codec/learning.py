@@ -13,8 +13,6 @@
 Nothing here needs torch or GL; the metric comes from outside (`pica_core.train.stream_metric`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any

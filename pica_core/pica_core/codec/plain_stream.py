@@ -14,8 +14,6 @@ beyond the range is clamped when it is encoded: a head that moves further than a
 stops there.
 """
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 from typing import Any, Self

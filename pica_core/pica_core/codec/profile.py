@@ -23,8 +23,6 @@ on average over faces and views. Pose units are 2⁻¹⁴ radians and 2⁻¹⁴ 
     quality_table   uint16  [Q]         quality less that of the reference, modulo Q
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields

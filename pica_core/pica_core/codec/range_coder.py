@@ -18,8 +18,6 @@ Source: Martin, "Range encoding" (1979), in integers of 48 bits; the carry runs 
 which is a big integer here and a byte string with carry in other languages.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 

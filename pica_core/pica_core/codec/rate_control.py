@@ -13,8 +13,6 @@ So over any second no more than 1.5 times the target is sent, keyframes on reque
 at the coarsest quality aside.
 """
 
-from __future__ import annotations
-
 CAPACITY_S = 0.5
 """What the bucket holds, in seconds of the target rate (chosen: a word)."""
 SHARES = (0.5, 0.35, 0.25)

@@ -1,7 +1,5 @@
 """A small builder of ONNX models: nodes and constants in the order in which they are added."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

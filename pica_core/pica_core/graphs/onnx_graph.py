@@ -30,8 +30,6 @@ ONNX Runtime's CPU kernels. One thread of AVX-512, block C, both maps, in one ru
 - A map is reshaped before its last transpose, not after: a reshape that makes an output is a copy.
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

@@ -7,8 +7,6 @@ Our choices: the position map is the mean map plus `position_scale_m` times the 
 the decoders is a setting.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

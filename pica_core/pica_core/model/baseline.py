@@ -20,8 +20,6 @@ inputs learn more slowly (`EqualizedLayer`), without which the baseline does not
 rates.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import torch

@@ -4,8 +4,6 @@ Source: Ma et al., "Pixel Codec Avatars" (CVPR 2021), section 3 and appendix A.1
 choice by name (`AvatarSpec.block`), because the paper's Fig. 3b is not in its text.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional

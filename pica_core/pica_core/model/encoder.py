@@ -5,8 +5,6 @@ them in its second convolution. `LightEncoder` is ours: it looks at a 256 x 256 
 0.04 G, for training without a GPU. Neither is needed at run time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 

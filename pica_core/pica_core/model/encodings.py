@@ -4,8 +4,6 @@ Each class is one part; an encoding is several side by side. What they compute, 
 `pica_core.reference.surface_encoding`.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence

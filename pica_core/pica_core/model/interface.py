@@ -13,8 +13,6 @@ the coarse one that a face tracker follows, which the mesh loss compares with, a
 variants draw too. Both share one UV layout.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from itertools import pairwise

@@ -6,8 +6,6 @@ Activation Functions" (2020), with the frequency folded into the weights, so tha
 sin(W x + b) and nothing else, in torch, in the avatar file and in GLSL.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

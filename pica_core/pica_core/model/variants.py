@@ -1,7 +1,5 @@
 """Build a model that can be trained from a row of `VARIANTS`."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from pica_core.avatar.spec import AvatarSpec

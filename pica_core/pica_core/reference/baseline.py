@@ -3,8 +3,6 @@
 It looks right and costs what a trained one costs; its motion means nothing.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from pica_core.avatar.arkit import NUM_ARKIT

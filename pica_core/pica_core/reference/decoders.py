@@ -4,8 +4,6 @@ Written to be read: each layer of `decoder_layers` in a few lines, nothing rearr
 a second; for drawing there are the graphs of `onnx_graph`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

@@ -1,8 +1,6 @@
 """Position map -> mesh vertices. The GPU does the same lookup in the vertex shader; this is its
 judge."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

@@ -12,8 +12,6 @@ Written to be read, in the order of the paper (Ma et al., "Pixel Codec Avatars",
 Every frequency (SIREN's omega) is folded into the weights. How maps are looked up: `sampling`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

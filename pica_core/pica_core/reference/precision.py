@@ -7,8 +7,6 @@ slightly other face, one that jumps is seen at once, and a mean over single fram
 from the other.
 """
 
-from __future__ import annotations
-
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ Texel centres lie at (i + 0.5) / W, and outside of them the edge continues, as a
 CLAMP_TO_EDGE does.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

@@ -15,8 +15,6 @@ paper but for a sign in the first octave, which the weights behind them absorb.
 Source of joint and axes: Ma et al., "Pixel Codec Avatars" (CVPR 2021), section 4.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Checkpoint files: written aside, brought to the disk, then renamed; read without running code."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ The driver says once a step which triangle covers which pixel. From then on ever
 P pixels of all images together, on the device of the meshes.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Checkpoint to avatar file: what the receiver and the sender need, under the file's names."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tells a run that diverges from one that wobbles."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

@@ -1,7 +1,5 @@
 """Held-out frames drawn while a run goes on: error and picture, without gradient or chance."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

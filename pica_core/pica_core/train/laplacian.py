@@ -13,8 +13,6 @@ that was sampled from a tracked one has triangles of no area where the tracked o
 (inside the mouth), and obtuse triangles have negative cotangents, whose rows may add up to nothing.
 """
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

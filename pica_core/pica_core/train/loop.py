@@ -8,8 +8,6 @@ A run that diverges goes back to its last checkpoint with half the learning rate
 `metrics.jsonl` counts it. What a step looks at is in `objectives`, what it draws in `drawing`.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import time

@@ -16,8 +16,6 @@ Every loss is made of one term for each image or mesh of the batch, and their me
 two equal halves gives the mean of the halves' losses and gradients.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """What an avatar file says of its making: data, training, held-out error (the model card)."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

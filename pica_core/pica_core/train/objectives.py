@@ -5,8 +5,6 @@ joint       image, depth, normal, mesh, smoothness, KL
 driver      code, mesh
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor

@@ -1,7 +1,5 @@
 """Which parameters a phase trains, and how fast."""
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -1,7 +1,5 @@
 """Pictures of a model: what one latent looks like through a camera, pixel by pixel."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple

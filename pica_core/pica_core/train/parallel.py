@@ -6,8 +6,6 @@ all parts are of one size, so the average is the gradient of the whole batch, up
 additions, and all processes hold the same weights at all times.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What a capture tells a model before training: mean shape, its unit, meshes and mean texture."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

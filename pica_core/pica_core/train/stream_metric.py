@@ -7,8 +7,6 @@ inner products, averaged over faces and views, the metric. Silhouettes count: wh
 background changes pixels too.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

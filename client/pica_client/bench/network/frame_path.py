@@ -12,8 +12,6 @@ Unrealistic: the sender's own way to the relay is perfect; a message carries the
 stream only, where a relay puts those of several senders together.
 """
 
-from __future__ import annotations
-
 import heapq
 from collections import Counter, deque
 from dataclasses import dataclass

@@ -23,8 +23,6 @@ not always); losses do not come in bursts; delay, loss and rate do not depend on
 back, for requests, has the same delay and none of the trouble; no two connections share a way.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The playout policies that benches compare."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from pica_client.playout.config import PlayoutConfig

@@ -17,8 +17,6 @@ way with a slow reader, so its congestion control and its round trip times are n
 network.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import socket

@@ -4,8 +4,6 @@ Each row changes one thing about a calm way of 20 ms; a bench lets the trouble b
 third of a run and end before the last one, so that recovery shows.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Final

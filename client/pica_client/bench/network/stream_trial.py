@@ -16,8 +16,6 @@ Unrealistic: code takes no time; the display never misses a refresh; the relay's
 not used (no peer joins late); the receiver asks for no other layers when the rate falls short.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -21,8 +21,6 @@ What the figures are:
 What it does not show: real networks, TLS (unless --url says wss), slow receivers.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time

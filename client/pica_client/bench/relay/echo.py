@@ -6,8 +6,6 @@ rooms, no queues, no limits: a relay that comes near these figures has reached t
 its own.
 """
 
-from __future__ import annotations
-
 import contextlib
 import select
 import socket

@@ -1,7 +1,5 @@
 """What is made of a relay bench's counts: percentiles, sums, and a line to read."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any

@@ -5,8 +5,6 @@ was closed with is what the relay counts (an offender that does not read sees no
 saw itself.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from contextlib import suppress

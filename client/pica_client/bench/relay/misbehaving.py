@@ -6,8 +6,6 @@ codes that it saw. A peer that does not read sees none; the relay's own counters
 for relays of one's own.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import socket

@@ -6,8 +6,6 @@ keyframes for latecomers, no limits, no shared messages. A receiver that does no
 grow. It is no server to run.
 """
 
-from __future__ import annotations
-
 import asyncio
 import os
 import sys

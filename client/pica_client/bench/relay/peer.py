@@ -11,8 +11,6 @@ session of `pica_protocol`), while media is written and read here, by hand:
 No event loop: `swarm` calls `on_readable` when the socket is.
 """
 
-from __future__ import annotations
-
 import random
 import socket
 import ssl

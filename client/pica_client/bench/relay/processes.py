@@ -1,7 +1,5 @@
 """The processes of a relay bench: servers and swarms, each on its core, and what they cost."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

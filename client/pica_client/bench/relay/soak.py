@@ -6,8 +6,6 @@ A control message is lost if the relay passed it on, by its own count, and nobod
 that the relay had not read when it closed its sender is none.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

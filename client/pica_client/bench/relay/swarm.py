@@ -11,8 +11,6 @@ both ways, and the time that the frame waited here because this process was busy
 the last: how long the loop needed from one look at the sockets to the next, naps not counted.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

@@ -5,8 +5,6 @@ performance "talk", one minute, default quality, so 6 bytes on average); the byt
 noise. Unlike a real sender this one never falls silent.
 """
 
-from __future__ import annotations
-
 import random
 from collections.abc import Sequence
 from typing import Final

@@ -1,7 +1,5 @@
 """What the options of benches of avatars share."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 

@@ -1,7 +1,5 @@
 """`pica bench call`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """`pica bench codec`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from pica_client.bench.codec import CodecConfig, run_codec_bench

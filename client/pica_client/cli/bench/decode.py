@@ -1,7 +1,5 @@
 """`pica bench decode`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from pica_client.bench.decode import DecodeBenchConfig, run_decode_bench

@@ -1,7 +1,5 @@
 """`pica bench models`: error against milliseconds of the models of the paper's tables."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

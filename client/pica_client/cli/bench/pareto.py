@@ -1,7 +1,5 @@
 """`pica bench pareto`: error against milliseconds of one face."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from pica_client.bench.pareto import ParetoBenchConfig, run_pareto_bench

@@ -1,7 +1,5 @@
 """`pica bench playout`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from pica_client.bench.playout import BenchPlayoutConfig, run_bench_playout

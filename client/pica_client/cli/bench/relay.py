@@ -1,7 +1,5 @@
 """`pica bench relay`. Needs no numpy: it may run where only a relay does."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """`pica bench render`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from pica_client.bench.render import RenderBenchConfig, run_render_bench

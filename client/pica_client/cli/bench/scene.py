@@ -1,7 +1,5 @@
 """`pica bench scene`: error against milliseconds of scenes of several heads."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -6,8 +6,6 @@ some frames spread over the capture: there the projected mesh has to lie on the 
 the mesh (`check_geometry`).
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Whether a mesh, an image's mask and its depth speak of the same head in the same place."""
 
-from __future__ import annotations
-
 import numpy as np
 from PIL import Image, ImageDraw
 

@@ -3,8 +3,6 @@
 What is missing, damaged or does not fit is a `CaptureError` that names the file.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Iterator

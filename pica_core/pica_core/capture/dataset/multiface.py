@@ -24,8 +24,6 @@ Layout source: the published description of the Multiface dataset (Wuu et al. 20
 2207.11243).
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import os

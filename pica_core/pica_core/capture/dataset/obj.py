@@ -4,8 +4,6 @@ Polygons become fans of triangles. Lines are told apart first and read when aske
 file that only repeats another's faces costs little. What cannot be read is a `CaptureError`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

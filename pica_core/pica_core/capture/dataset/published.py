@@ -7,8 +7,6 @@ dataset is part of this project; it has a licence of its own (CC BY-NC 4.0).
 Layout source: the published description of the dataset (Wuu et al. 2022, arXiv 2207.11243).
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection
 from pathlib import Path

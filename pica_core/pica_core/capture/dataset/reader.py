@@ -11,8 +11,6 @@ rest the least recently used goes first; what does not fit waits its turn, and w
 before then decodes it. So memory depends on `max_bytes` alone, however large the capture is.
 """
 
-from __future__ import annotations
-
 import logging
 from collections import OrderedDict, deque
 from collections.abc import Iterable, Iterator

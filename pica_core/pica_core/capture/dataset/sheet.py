@@ -4,8 +4,6 @@ What a capture does not have is left empty; what cannot be read says why in its 
 published directory are made fit for looking at (`published.displayable`).
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a rendered capture consists of, written: frames in the background, tables at the end."""
 
-from __future__ import annotations
-
 import io
 import json
 import struct

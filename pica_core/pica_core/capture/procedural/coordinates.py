@@ -4,8 +4,6 @@
 tests ask for.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """GL side of the built-in heads: paint an identity's appearance, pose it with its shadow."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -5,8 +5,6 @@ ending at the back. Strands themselves are appearance (shaders), not geometry. M
 frame.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from pica_core.capture.procedural.identity import Identity

@@ -7,8 +7,6 @@ The mesh is one topology for every identity (`layout`), so an avatar trained on 
 UVs of all others. Lengths are metres at this module's boundary and millimetres inside the package.
 """
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

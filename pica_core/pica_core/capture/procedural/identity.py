@@ -14,8 +14,6 @@ within one or two standard deviations per identity:
 The heads are invented. None of them is a likeness of a person, and none was measured from one.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

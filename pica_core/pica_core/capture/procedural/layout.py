@@ -7,8 +7,6 @@ by skipping rows or columns as a whole, so there are no T-junctions and no crack
 eyes) are missing quads between two neighbouring rows.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ moves is the height of the margin. Depth then follows from the `EyeSurface`. So 
 over a sphere, and any sum of blink, squint, wide and gaze is safe.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 Each function fills one chart's grid with positions in the head frame, millimetres, ``[R, C, 3]``.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from pica_core.capture.procedural.layout import Chart

@@ -5,8 +5,6 @@ with a Gaussian profile across the line. Strokes are drawn for the subject's lef
 Millimetres.
 """
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

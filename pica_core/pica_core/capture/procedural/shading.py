@@ -1,7 +1,5 @@
 """Light on the built-in heads: soft edges of shadow, and shade of the lids on the eyeballs."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pica_core.capture.procedural.heads import ProceduralHead

@@ -10,8 +10,6 @@ What each shape should do follows Apple's published `ARFaceAnchor.BlendShapeLoca
 of the jaw (`heads`) and no field.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

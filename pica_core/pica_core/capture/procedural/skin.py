@@ -8,8 +8,6 @@ lips are laid over it.
 All lengths in this module are millimetres.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A built-in head on the stage: what a render asks of it, and what `capture.json` says of it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

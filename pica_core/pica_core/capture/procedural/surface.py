@@ -9,8 +9,6 @@ Everything here is in millimetres in the head frame (+x the subject's left, +y u
 face).
 """
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

@@ -10,8 +10,6 @@ packed at a common scale:
 Meshes without UVs get islands from xatlas first. The flow keeps islands whole and unfolded.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 

@@ -7,8 +7,6 @@
 A rig without jawOpen, or without eyeballs, lacks what hangs on it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

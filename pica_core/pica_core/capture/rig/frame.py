@@ -4,8 +4,6 @@ Left shapes move the subject's left, eyes and brows lie above mouth and jaw, and
 the motion is. Axes snap to the file's own axes: a rig that stands askew in its file is left askew.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

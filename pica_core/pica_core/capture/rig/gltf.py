@@ -6,8 +6,6 @@ transforms and embedded base colour images. Not understood, and said so: compres
 beside the .glb. Skins are taken in the pose that the vertices are stored in.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from pathlib import Path

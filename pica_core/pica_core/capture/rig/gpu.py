@@ -1,7 +1,5 @@
 """GL side of a rig: paint its appearance, pose it with its shadow."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -3,8 +3,6 @@
 read -> names -> mesh (units, axes, parts) -> features -> chart -> pose
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

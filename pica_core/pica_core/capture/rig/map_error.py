@@ -5,8 +5,6 @@ bilinearly, at the vertices' texture coordinates. What is left is the error that
 take away; it depends on the chart alone.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from pica_core.capture.dataset.files import MAP_SIZE

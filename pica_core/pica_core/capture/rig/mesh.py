@@ -4,8 +4,6 @@ Vertices that only a seam of the texture coordinates tells apart become one. Tra
 the eyes go, since nothing here is transparent. Eyeballs are found by their shape.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, replace
 

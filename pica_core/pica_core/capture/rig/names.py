@@ -5,8 +5,6 @@ browInnerUp_L + browInnerUp_R                                                   
 mouthSmile (one shape for both sides)           -> its halves drive mouthSmileLeft and ...Right
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Read a rig from a folder of OBJ files: a neutral face and one file per shape, one topology."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

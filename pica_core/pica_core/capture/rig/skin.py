@@ -4,8 +4,6 @@ Where a material has no image, `shaders/rig_appearance.frag` paints it: skin wit
 lips, lids and cropped hair, eyes, teeth, gums and tongue, from what `features` found.
 """
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 

@@ -5,8 +5,6 @@ Checks stand here, so that both readers refuse the same things in the same words
 `CaptureError` that names the file.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A rig on the stage: what `render_subject` asks of it, and what `capture.json` says of it."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 from typing import Any

@@ -7,8 +7,6 @@ next along the seam leave a triangle between them, at the vertex that they share
 too; it needs no point of its own.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from pica_core.capture.triangles import signed_areas

@@ -3,8 +3,6 @@
 Used once per rig: to give texels to what cameras see, and to find the eye openings in a front view.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -8,8 +8,6 @@ Distances are those of an average head; neck and ears are taken in the rig's own
 height from mouth to eyes. A rig without mouth or eyeballs has none of the two.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from pica_core.capture.triangles import components, nearest

@@ -9,8 +9,6 @@ left). Two plans fill the rest:
   50 mm. Where those stood is not published; ours fill the section evenly.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from pica_core.camera import Camera, look_at

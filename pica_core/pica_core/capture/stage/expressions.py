@@ -5,8 +5,6 @@ the two sides move together, eyes blink and jump. No recording is read. Whole ta
 for testing, so no test frame has a neighbour in the training set.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How eyeballs turn: what the ARKit look shapes mean in angles, for every kind of head."""
 
-from __future__ import annotations
-
 from typing import TypeVar
 
 import numpy as np

@@ -4,8 +4,6 @@ A subclass paints its appearance; all else is here. The mesh keeps its topology,
 once.
 """
 
-from __future__ import annotations
-
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping

@@ -1,7 +1,5 @@
 """Small motion of the head on the stage, which the cameras do not follow."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

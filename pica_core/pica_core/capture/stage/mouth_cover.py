@@ -6,8 +6,6 @@ the same places again, with texture coordinates of their own in a free part of t
 moves as the lips do, closes with them, and needs no position that a tracker does not give.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

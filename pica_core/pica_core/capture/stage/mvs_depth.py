@@ -9,8 +9,6 @@
 Amounts are chosen; `docs/capture.md` shows what comes of them.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

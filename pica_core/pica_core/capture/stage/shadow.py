@@ -5,8 +5,6 @@ a pose takes a mix of them. So soft shadow of nose, brows, hair and lips moves w
 cost per frame. What it does not know: shadow of combinations that no single expression has.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Container
 from dataclasses import dataclass
 from typing import Protocol

@@ -5,8 +5,6 @@ probability tables adapt to how lively a face is, so they must have seen every l
 performance of the client and no recording is among them; those are for testing.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

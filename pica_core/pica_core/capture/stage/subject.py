@@ -1,7 +1,5 @@
 """What can stand on the stage: anything that takes 52 values, has a mesh and can be drawn."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from functools import cached_property
 from typing import Any

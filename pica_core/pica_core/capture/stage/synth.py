@@ -6,8 +6,6 @@ tracked mesh, the last of its files, is there. The same options give the same by
 driver.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass

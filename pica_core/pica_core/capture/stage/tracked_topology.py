@@ -10,8 +10,6 @@ border only, so lips and lids keep their slits and seams do not open. A surface 
 covers the mouth (`mouth_cover`); its vertices are vertices of the lips once more.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

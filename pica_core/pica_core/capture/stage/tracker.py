@@ -9,8 +9,6 @@ Amounts by region are in `SPREAD_MM`; they are chosen, not measured on a tracker
 states what came of them, and `docs/capture.md` shows it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from pica_core.capture.dataset.files import Topology

@@ -4,8 +4,6 @@ Any moment can be asked for by itself, so a render that is resumed gives what an
 gives.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

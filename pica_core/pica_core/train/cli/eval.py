@@ -1,7 +1,5 @@
 """`pica eval`: the paper's tables from finished runs."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Sequence

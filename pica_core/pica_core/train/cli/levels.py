@@ -1,7 +1,5 @@
 """`pica avatar levels`: give an avatar file levels of detail."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path

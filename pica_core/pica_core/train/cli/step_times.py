@@ -1,7 +1,5 @@
 """`pica bench train`."""
 
-from __future__ import annotations
-
 import sys
 import tempfile
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """`pica train` and `pica export`."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """`pica bench recipes` and `pica bench failures`: many short runs on one capture, compared."""
 
-from __future__ import annotations
-
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator

@@ -1,7 +1,5 @@
 """A memory of what was made, of bounded size."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from collections.abc import Callable
 from typing import Generic, TypeVar

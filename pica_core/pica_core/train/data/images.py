@@ -1,7 +1,5 @@
 """The images of a capture behind a cache of bounded size, and the cameras that took them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

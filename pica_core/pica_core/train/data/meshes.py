@@ -5,8 +5,6 @@ same. The best meshes there are: exact ones; without them the tracked ones, thro
 maps where they are of another topology.
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which frames a step is trained on: rare expressions are drawn more often."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pica_core.train.data.meshes import IMPORTANT_REGIONS

@@ -4,8 +4,6 @@ Every random choice of step n comes from a generator seeded with (seed, n), so a
 what an uninterrupted one would have drawn.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

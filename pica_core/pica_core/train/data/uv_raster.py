@@ -1,7 +1,5 @@
 """Meshes as maps: which triangle lies under each texel of a UV layout."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -8,8 +8,6 @@ which a mean over single frames does not show.
 Intervals are 95 % bootstrap intervals over test frames.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any, Literal
 

@@ -4,8 +4,6 @@ All take values on 0-255, and judge the pixels that a mesh covers, as the paper'
 Squared Error between rendered image and original image on rasterized pixels", section 6).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

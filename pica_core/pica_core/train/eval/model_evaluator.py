@@ -1,7 +1,5 @@
 """A trained model beside its capture: its pictures of frames, and what the cameras saw."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor

@@ -1,7 +1,5 @@
 """Finished runs, opened for evaluation, and everything that is measured of one."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Rows of an evaluation as Markdown: the paper's tables, and what stands beside them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 

@@ -10,8 +10,6 @@ Near-field pictures are drawn from a place much closer to the mouth than any cam
 (paper, Fig. "Rendering at a novel viewing position"); the truth is drawn by the stage itself.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field

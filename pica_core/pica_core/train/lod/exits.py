@@ -14,8 +14,6 @@ What is asked for:
   that two charts share is fitted to both.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 

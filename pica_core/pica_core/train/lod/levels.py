@@ -7,8 +7,6 @@ with noise, seen from all over the front. Nothing of the full model changes.
     levelled, report = add_levels(avatar, LevelOptions())
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

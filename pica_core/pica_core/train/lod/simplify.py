@@ -14,8 +14,6 @@ vertices, tear seams or come without binaries:
 - Vertices that lie within a texel of the map go first: the map could not tell them apart.
 """
 
-from __future__ import annotations
-
 import heapq
 
 import numpy as np

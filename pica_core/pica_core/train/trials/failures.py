@@ -5,8 +5,6 @@ data. `run_failures` trains them all alike and gives rows to compare with the fi
 spoils.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace

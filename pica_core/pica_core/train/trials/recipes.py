@@ -4,8 +4,6 @@ Each recipe changes one thing in a preset. `run_recipes` trains them one after t
 the points of their curves; a curve is honest only if nothing else ran on the machine.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Seconds per step of the joint phase, part by part: `pica bench train` and the log of results."""
 
-from __future__ import annotations
-
 import time
 from typing import Any
 
