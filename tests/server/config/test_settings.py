@@ -284,7 +284,7 @@ def test_a_relay_reads_its_settings_from_all_three(
         (["noise"], "Unrecognized options: noise; `--help` lists all options"),
         (
             ["--coalesce-longest-s", "0"],
-            "--coalesce-longest-s, 0; this setting has gone, leave it out",
+            "Unrecognized options: --coalesce-longest-s, 0; this setting has gone, leave it out",
         ),
     ],
 )
