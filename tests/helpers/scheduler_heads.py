@@ -45,7 +45,7 @@ def view(
     head.latent_change, head.view_turn_rad = latent_change, view_turn_rad
     if held_level is not None:
         head.asked = DecodeRequest(LATENT, AHEAD, 0, held_level)
-        head.asked_s = NOW_S - age_s
+        head.asked_s = head.latent_asked_s = NOW_S - age_s
     return head
 
 

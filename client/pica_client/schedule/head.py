@@ -72,6 +72,9 @@ class Head:
     asked: DecodeRequest | None = None
     """The decode that was asked for last."""
     asked_s: float = -math.inf
+    """When that was."""
+    latent_asked_s: float = -math.inf
+    """When its latent was first asked for; a decode of the expression map alone keeps it."""
 
     shown_level: int | None = None
     """Level of the maps on the GPU."""
@@ -105,7 +108,11 @@ class Head:
         latent, captured_us = self.latent, self.captured_us
         if choice.decode == "expression" and self.asked is not None:
             # The position map stays: both must be of the same face.
-            latent, captured_us = self.asked.latent, self.asked.captured_us
+            latent = self.asked.latent
+            if not np.array_equal(latent, self.latent):  # a face at rest is as new as its sample
+                captured_us = self.asked.captured_us
+        else:
+            self.latent_asked_s = now
         view = self.view_direction
         self.asked = DecodeRequest(latent, view, captured_us, choice.level, choice.decode)
         self.asked_s = now

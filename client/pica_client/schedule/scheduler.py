@@ -137,7 +137,8 @@ class Scheduler:
             decode, level, mesh = self._wanted(head, self._shrink, now)
             decode_s = self._decode_s(head, level, decode)
             # One is decoded in any case, so that not everybody is overdue at once.
-            is_needed = head.asked is None or now - head.asked_s >= self.options.max_age_s
+            asked_s = head.latent_asked_s if decode == "both" else head.asked_s
+            is_needed = now - asked_s >= self.options.max_age_s
             kept = _kept(head, level, mesh)
             can_wait = decode != "none" and has_decoded and not is_needed and kept[1] <= mesh
             is_kept_back = can_wait and spent_s + decode_s > budget_s
@@ -221,7 +222,8 @@ class Scheduler:
         # The first display frame after the interval, however frames fall.
         if interval_s > FACE_S and age_s < interval_s - FACE_S / 4:
             return "none", level, mesh
-        is_old = age_s >= options.max_age_s / 2
+        # Turning asks for expression maps again and again: they do not make the latent newer.
+        is_old = now - head.latent_asked_s >= options.max_age_s / 2
         if head.latent_change > (0.0 if is_old else options.least_change):
             return "both", level, mesh
         is_turned = head.view_turn_rad > LEAST_TURN_RAD

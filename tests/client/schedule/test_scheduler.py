@@ -92,12 +92,12 @@ def run(
 ) -> list[tuple[float, Plan]]:
     """A scene in which what is chosen is decoded, and what is not grows older."""
     for head in heads:
-        head.asked_s = 0.0
+        head.asked_s = head.latent_asked_s = 0.0
     plans = []
     for frame in range(round(seconds / frame_s)):
         now = (frame + 1) * frame_s
         for head in heads:
-            head.latent_change = latent_speed * (now - head.asked_s)
+            head.latent_change = latent_speed * (now - head.latent_asked_s)
         plans.append((now, scheduler.plan(heads, budget_s, now)))
         for head in heads:
             head.request(now)
@@ -115,6 +115,16 @@ def test_nobody_s_maps_grow_old_whatever_the_budget(frame_s: float) -> None:
                 last[slot] = now
             worst = max(worst, now - last[slot])
     assert worst <= SchedulerOptions().max_age_s + frame_s + 1e-9
+
+
+@pytest.mark.parametrize("latent_speed", [0.01, 0.1, 1.0])
+def test_a_head_that_turns_all_the_time_still_gets_its_small_changes(latent_speed: float) -> None:
+    head = view()  # its view turns in every frame, which alone asks for expression maps
+    options, last, worst = SchedulerOptions(), 0.0, 0.0
+    for now, made in run(Scheduler(options), [head], AMPLE_S, 2.0, latent_speed=latent_speed):
+        last = now if made.choices[head.slot].decode == "both" else last
+        worst = max(worst, now - last)
+    assert worst <= options.max_age_s / 2 + FRAME_S + 1e-9
 
 
 def test_with_a_small_budget_heads_take_turns_and_not_all_in_one_frame() -> None:
@@ -333,3 +343,21 @@ def test_nobody_there_costs_nothing() -> None:
 
 def test_behind_the_viewer_nothing_is_decoded() -> None:
     assert choose(unseen()).decode == "none"
+
+
+def test_the_expression_map_of_a_face_at_rest_is_as_new_as_its_sample() -> None:
+    head = view(latent_change=0.0)
+    head.captured_us = 33_000
+    plan(head)
+    request = head.request(NOW_S)
+    assert request is not None
+    assert (request.parts, request.captured_us) == ("expression", 33_000)
+
+
+def test_an_expression_map_for_an_older_latent_says_its_age() -> None:
+    head = view(latent_change=0.01)
+    head.captured_us, head.latent = 33_000, head.latent + 0.01
+    plan(head)
+    request = head.request(NOW_S)
+    assert request is not None
+    assert (request.parts, request.captured_us) == ("expression", 0)
