@@ -1,4 +1,4 @@
-"""Texts on top of the picture, set by `typesetting`, drawn as textures.
+"""Texts on top of the picture, set by `ui.text_raster`, drawn as textures.
 
 An item is set again only when its text or size changes; a texture whose key is not drawn any more
 is given back.
