@@ -4,7 +4,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 DEMO ?=
 
-.PHONY: demo test quick lint types imports docs pytest extras deployment golden clean
+.PHONY: demo test quick lint types imports docs pages pytest extras fuzz images clean
 
 demo: .venv/.ready-demo
 	@sh scripts/system_libraries.sh
@@ -36,6 +36,11 @@ imports: .venv/.ready-test
 docs: .venv/.ready-test
 	$(BIN)/python -m mkdocs build --strict --quiet
 
+# What README, quick start and tutorial tell a reader to type, typed in new folders.
+pages: .venv/.ready-test
+	@sh scripts/system_libraries.sh
+	$(BIN)/python scripts/run_pages.py README.md docs/quick-start.md docs/tutorial.md
+
 # Tests on a real clock run alone: two at once would slow each other down.
 pytest: .venv/.ready-test
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not realtime" $(PYTEST)
@@ -45,9 +50,15 @@ pytest: .venv/.ready-test
 extras: .venv/.ready-test
 	$(BIN)/python scripts/check_extras.py
 
-# What the relay's image would start, from a wheel in an environment of its own.
-deployment: .venv/.ready-test
-	$(BIN)/python scripts/check_deployment.py
+# Coverage-guided fuzzing of all that reads strangers' bytes, ten seconds a target. Linux alone.
+fuzz: .venv/.ready-test
+	$(PIP) install --quiet --constraint constraints.txt --group fuzz
+	$(BIN)/python scripts/fuzz_coverage.py $(FUZZ)
+
+# Builds the container images and starts what they, the compose file and the manifests start. As root,
+# on Debian: apt-get install buildah mmdebstrap iproute2 nats-server.
+images: .venv/.ready-test
+	$(BIN)/python scripts/check_images.py $(IMAGES)
 
 .venv/bin/python:
 	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed (set PYTHON=...)"; exit 1; }

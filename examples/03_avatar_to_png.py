@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from pica_client.avatars.library import shipped_avatar_files
 from pica_client.render.thumbnail import draw_thumbnail
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.avatar.file import load_avatar
+from pica_core.avatar.shipped import shipped_avatar_files
 
 OUT = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
 OUT.mkdir(parents=True, exist_ok=True)

@@ -11,20 +11,18 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from pica_client.avatars.library import shipped_avatar_files
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import (
     Placement,
-    ViewState,
-    arrange_seats,
     head_matrix,
-    view_camera,
     view_direction,
 )
+from pica_client.render.seats import ViewState, plan_camera, plan_seats
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar
+from pica_core.avatar.shipped import shipped_avatar_files
 from pica_core.gl import create_context
 
 OUT = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
@@ -34,13 +32,13 @@ SIZE = (640, 360)
 talking = np.zeros(NUM_ARKIT, np.float32)
 talking[ARKIT_INDEX["jawOpen"]] = 0.5
 files = shipped_avatar_files()[:2]
-seats = arrange_seats(len(files))
-camera = view_camera(ViewState(), len(files), *SIZE)
+plan = plan_seats("arc", len(files), SIZE[0] / SIZE[1])
+camera = plan_camera(plan, ViewState(), *SIZE)
 
 context = create_context()
-renderer = Renderer(context, SIZE, RenderOptions())
+renderer = Renderer(context, SIZE, RenderOptions(fade_busts=True))
 placements = []
-for file, seat in zip(files, seats, strict=True):
+for file, seat in zip(files, plan.seats, strict=True):
     avatar = load_avatar(file)
     world_from_head = head_matrix(seat, np.zeros(3), np.zeros(3))
     towards_camera = view_direction(world_from_head, camera.centre_m)

@@ -4,10 +4,10 @@ You learn why a relay needs no decoder: no frame depends on a frame of a higher 
 forwards a stream may leave out layer 2, or 2 and 1, at any moment. What is left always decodes.
 """
 
-from pica_client.avatars.library import shipped_avatar_files
 from pica_client.sources import open_source
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar
+from pica_core.avatar.shipped import shipped_avatar_files
 from pica_core.codec.factory import open_decoder, open_encoder
 from pica_core.codec.latent_sample import ReceivedFrame
 from pica_core.codec.latent_stream import StreamConfig

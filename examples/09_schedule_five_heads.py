@@ -5,11 +5,11 @@ stand before the camera go in, choices come out. The less there is to spend, the
 head counts; what cannot be seen costs nothing.
 """
 
-from pica_client.avatars.library import shipped_avatar_files
 from pica_client.schedule.head import Head
 from pica_client.schedule.scheduler import Scheduler
 from pica_client.schedule.visibility import Sight
 from pica_core.avatar.file import load_avatar
+from pica_core.avatar.shipped import shipped_avatar_files
 
 HEIGHTS_PX = {"Ada": 520, "Ben": 260, "Cho": 140, "Dee": 24, "Eve": 0}  # Eve is off the screen
 

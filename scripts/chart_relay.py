@@ -48,6 +48,9 @@ def chart_relay() -> None:
             ordered.append(runs[len(runs) // 2])
         save(_draw_load(ordered), "relay")
         fill_in(PAGE, "relay-load", _load_table(ordered))
+    overloads = {(x["result"]["rooms"], x["commit"]): x for x in read_lines("relay-overload")}
+    if overloads:
+        fill_in(PAGE, "relay-overload", _overload_table(list(overloads.values())))
     for key, draw in (("hostile", _fill_hostile), ("soak", _draw_soak)):
         newest = [line for line in lines if key in line["result"]]
         if newest:
@@ -124,6 +127,27 @@ def _load_table(lines: Sequence[Line]) -> str:
         ]
         bar = capacities[-1]["result"]["capacity"]["bar_ms"]
         text += f"\n\nMost rooms with p99 within {bar:g} ms: {', '.join(found)}."
+    return f"{text}\n\n{source_line(lines[-1])}"
+
+
+def _overload_table(lines: Sequence[Line]) -> str:
+    """Each number of rooms and commit: what came, how old, what was dropped, and who was closed."""
+    lines = sorted(lines, key=lambda line: (line["result"]["rooms"], line["date"]))
+    rows = [line["result"] | {"commit": line["commit"]} for line in lines]
+    text = table(
+        rows,
+        {
+            "rooms": "rooms",
+            "commit": "commit",
+            "delivered/s": "{delivered_per_s:,.0f}",
+            "p50 / p99, ms": lambda r: " / ".join(_ms(r["forward_ms"][p]) for p in ("p50", "p99")),
+            "dropped": "{dropped:,}",
+            "missing besides": lambda r: f"{r['missing'] - r['dropped']:,}",
+            "not sent": lambda r: f"{r['blocked']:,}",
+            "peers closed": lambda r: _codes(r["close_codes"]),
+            "core busy": "{relay_cpu_ratio:.0%}",
+        },
+    )
     return f"{text}\n\n{source_line(lines[-1])}"
 
 

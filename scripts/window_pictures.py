@@ -1,194 +1,238 @@
-"""Pictures of the viewer's window in a real call: each layout with five people, with and without
-statistics, a pinned participant, help, banners, and the join form.
+"""Pictures of the viewer's window, steered by mouse: join, pin, settings, record, leave.
 
-    xvfb-run -a -s "-screen 0 2560x1440x24" python scripts/window_pictures.py OUT [COLUMNSxROWS ...]
+    python scripts/window_pictures.py OUT [COLUMNSxROWS[@SCALE] ...]
 
-Writes OUT/NAME-COLUMNSxROWS.png, and of the first size OUT/sheet.jpg, which is docs/viewer.jpg.
-
-Starts a relay and five senders on this machine, opens the window that `pica view` opens, presses
-its keys, and takes each picture by its own screenshot key. Faces are the generated ones that ship.
+Needs Xvfb, xdotool and xprop. For each size it starts an X server, a relay, five people with names
+in six scripts, two who only watch, one who encrypts and one whose avatar nobody has; then it runs
+`pica view` with an invite link, as a process of its own, and moves and clicks the pointer of the X
+server. Where buttons are is noted by the window's process as it draws them. Pictures are taken of
+the screen: OUT/NAME-COLUMNSxROWS@SCALE.png.
 """
 
-from __future__ import annotations
-
-import math
+import argparse
+import json
+import os
+import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from PIL import Image
+from PIL import ImageGrab
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
-from pica_client.local_call.local_call import ROOM, LocalCall, LocalCallConfig
-from pica_client.local_call.processes import Children
-from pica_client.render.recorder import save_png
-from pica_client.render.renderer import Renderer
-from pica_client.render.seats import LAYOUTS
+from pica_client.local_call.processes import Child, Children
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.monitor import CallMonitor
 from pica_client.transport.receiver import Receiver
-from pica_client.ui.controls import KeyPressed, OwnFace
-from pica_client.ui.join_dialog import empty_room
-from pica_client.ui.join_form import Fields, JoinForm
-from pica_client.ui.view_session import make_publisher
-from pica_client.ui.viewer import Viewer, ViewerOptions
-from pica_client.ui.window import Window
+from pica_core.avatar.file import load_avatar, save_avatar
+from pica_protocol.invite import Invite, make_link
 
-SIZES = ((1280, 720), (2560, 1440))
-PEOPLE = 5
-SETTLE_S = 3.0
-"""For figures and the speaking hint to mean something."""
-AWAY_S = 6.0
-SHEET = (
-    "layout-line",
-    "layout-arc",
-    "layout-table",
-    "layout-grid",
-    "pinned-arc-statistics",
-    "join",
+ROOT = Path(__file__).resolve().parents[1]
+SIZES = ("1280x720", "320x240", "2560x1440", "2560x1440@2")
+ROOM = "standup"
+PEOPLE = (
+    ("Ada Lovelace", "sam", "talk"),
+    ("Ольга Петровна", "mei", "listen"),
+    ("李小龍 さくら 김", "karim", "talk"),
+    ("מרים  مريم", "ines", "listen"),
+    ("Ελένη 😀🎉", "olav", "talk"),
 )
-SHEET_COLUMNS = 2
-CELL_PX = 640
+PATIENCE_S = 60.0
 
 
-class Photographer:
-    """Presses keys of a viewer and keeps what it shows.
+class Desk:
+    """An X server with a pointer, and one window on it."""
 
-    Args:
-        viewer: In a window.
-        folder: Where pictures go; the viewer's `keep_in`.
-        size: For their names.
-    """
-
-    def __init__(self, viewer: Viewer, folder: Path, size: tuple[int, int]) -> None:
-        self._viewer = viewer
+    def __init__(self, size: tuple[int, int], scale: float, folder: Path) -> None:
+        self.places = folder / "places.json"
         self._folder = folder
-        self._suffix = f"{size[0]}x{size[1]}"
+        read, write = os.pipe()
+        screen = f"{size[0]}x{size[1]}x24"
+        self._server = subprocess.Popen(
+            ["Xvfb", "-displayfd", str(write), "-screen", "0", screen, "-nolisten", "tcp"],
+            pass_fds=[write],
+            stderr=subprocess.DEVNULL,
+        )
+        os.close(write)
+        with os.fdopen(read) as number:
+            self.display = f":{number.readline().strip()}"
+        self.environment = {**os.environ, "DISPLAY": self.display, "HOME": str(folder)}
+        self.environment.pop("XDG_CONFIG_HOME", None)
+        dpi = f"Xft.dpi:\t{96 * scale:g}"
+        self._run("xprop", "-root", "-f", "RESOURCE_MANAGER", "8s", "-set", "RESOURCE_MANAGER", dpi)
 
-    @property
-    def layout(self) -> str:
-        """How people sit."""
-        return self._viewer.controls.state.layout
+    def close(self) -> None:
+        """End the X server."""
+        self._server.terminate()
+        self._server.wait(10)
 
-    def press(self, *keys: str) -> None:
-        """Press keys one after the other."""
-        for key in keys:
-            self._viewer.receive(KeyPressed(key))
+    def click(self, label: str) -> None:
+        """Click on what is labelled so, once it is there and stands still."""
+        left, top, right, bottom = self._where(label)
+        self.point((left + right) / 2, (top + bottom) / 2)
+        time.sleep(0.4)
+        self._run("xdotool", "click", "1")
 
-    def run(self, seconds: float) -> None:
-        """Let the call go on."""
-        self._viewer.run(seconds)
+    def point(self, x: float, y: float) -> None:
+        """Move the pointer."""
+        self._run("xdotool", "mousemove", str(round(x)), str(round(y)))
 
-    def take(self, name: str, seconds: float = 0.7) -> None:
-        """Let the call go on for a moment, and keep the picture under a name."""
-        self.run(seconds)
-        before = set(self._folder.glob("picture-*.png"))
-        self.press("P")
-        self._viewer.step(time.monotonic())
-        (taken,) = set(self._folder.glob("picture-*.png")) - before
-        taken.replace(self._folder / f"{name}-{self._suffix}.png")
-        print(f"{name}-{self._suffix}.png", flush=True)
+    def is_shown(self, label: str) -> bool:
+        """Whether something is labelled so in the latest frame."""
+        try:
+            return any(label in known for known in json.loads(self.places.read_text()))
+        except (OSError, ValueError):
+            return False
 
+    def take(self, path: Path) -> None:
+        """Take a picture of the screen."""
+        ImageGrab.grab(xdisplay=self.display).save(path)
+        print(path.name, flush=True)
 
-def photograph_call(camera: Photographer, lose_relay: Callable[[], object]) -> None:
-    """Take all pictures of a call with people in it; the relay is lost at the end."""
-    camera.run(SETTLE_S)
-    for _ in LAYOUTS:
-        layout = camera.layout
-        # The notice of the picture before is gone by then.
-        camera.take(f"layout-{layout}", 4.5)
-        camera.press("S")
-        camera.take(f"statistics-{layout}", 4.5)
-        camera.press("3")
-        camera.take(f"pinned-{layout}-statistics", 4.5)
-        camera.press("S")
-        camera.take(f"pinned-{layout}", 4.5)
-        camera.press("0", "L")
-    camera.press("H")
-    camera.take("help", 4.5)
-    camera.press("H", "M", "V")
-    camera.take("muted-recording")
-    camera.press("V", "F")
-    camera.take("frozen", 4.5)
-    camera.press("F")
-    lose_relay()
-    camera.take("connection-lost", AWAY_S)
+    def _where(self, label: str) -> list[float]:
+        end, before = time.monotonic() + PATIENCE_S, None
+        while time.monotonic() < end:
+            try:
+                places = json.loads(self.places.read_text())
+            except (OSError, ValueError):
+                places = {}
+            found = next((rect for known, rect in places.items() if label in known), None)
+            if found is not None and found == before:
+                return list(found)
+            before = found
+            time.sleep(0.3)
+        raise TimeoutError(f"nothing is labelled {label!r}; there are {sorted(places)}")
 
-
-def photograph_form(folder: Path, size: tuple[int, int]) -> None:
-    """Take the join form, as it begins and with an error in it."""
-    given = Fields(url="wss://relay.example:8765", room="standup", name="Ada")
-    wrong = replace(given, room="a room with spaces", token="eyJhbGciOiJIUzI1")
-    with Window("PiCA Telepresence", size) as window:
-        renderer = Renderer(window.context, window.size_px)
-        for name, fields, key in (("join", given, "Tab"), ("join-error", wrong, "Enter")):
-            form = JoinForm(fields)
-            form.receive(KeyPressed(key))
-            renderer.draw([], empty_room(), [form.item(renderer.size)])
-            window.show(renderer)
-            save_png(folder / f"{name}-{size[0]}x{size[1]}.png", renderer.read_image())
-            print(f"{name}-{size[0]}x{size[1]}.png", flush=True)
+    def _run(self, *command: str) -> None:
+        subprocess.run(command, env=self.environment, check=True, timeout=20)
 
 
-def photograph(folder: Path, size: tuple[int, int]) -> None:
-    """Hold a call of five and take its pictures in a window of this size."""
+@contextmanager
+def room_of_people(children: Children) -> Iterator[tuple[Child, str]]:
+    """A relay and everybody in it; gives the relay and its address."""
+    relay, url = children.start_relay()
+    secret = children.folder / "secret"
+    children.start("secret", "secret", str(secret)).wait(time.monotonic() + 20)
+    for name, avatar, source in PEOPLE:
+        start_sender(children, url, name, avatar, source)
+    unknown = children.folder / "unknown.pica"
+    sam = load_avatar(AvatarLibrary().path(AvatarLibrary().find("sam")))
+    save_avatar(unknown, replace(sam, manifest=replace(sam.manifest, name="Nowhere")))
+    start_sender(children, url, "Nobody's friend", "mei", "talk", "--secret-file", str(secret))
+    start_sender(children, url, "Mina of nowhere", str(unknown), "talk")
     library = AvatarLibrary()
-    try:
-        with Children() as children:
-            stage = LocalCall(LocalCallConfig(peers=PEOPLE), library, children)
-            call = Call(library)
-            publisher = make_publisher("performance:talk", None, library)
-            link = LinkConfig(url=stage.url, room=ROOM, name="Me", connect_timeout_s=20)
-            receiver = Receiver(link, call, publisher=publisher)
-
-            def set_own_face(wanted: OwnFace) -> None:
-                if wanted != "none":
-                    publisher.set_mode(wanted)
-
-            with receiver:
-                while call.num_live < PEOPLE:
-                    receiver.check()
-                    stage.check()
-                    time.sleep(0.05)
-                options = ViewerOptions(size=size, keep_in=folder, sends_face=True)
-                with Viewer(
-                    call,
-                    options,
-                    status=CallMonitor(receiver).status,
-                    on_own_face=set_own_face,
-                ) as viewer:
-                    viewer.prepare()
-                    photograph_call(Photographer(viewer, folder, size), stage.relay.let_go)
-    finally:
-        library.close()
+    with ExitStack() as stack:
+        for name in ("Watching Wanda", "Watching Walter"):
+            link = LinkConfig(url=url, room=ROOM, name=name, connect_timeout_s=20)
+            stack.enter_context(Receiver(link, Call(library)))
+        yield relay, url
 
 
-def make_sheet(folder: Path, size: tuple[int, int]) -> None:
-    """Put some of the pictures side by side."""
-    cell = (CELL_PX, CELL_PX * size[1] // size[0])
-    rows = math.ceil(len(SHEET) / SHEET_COLUMNS)
-    sheet = Image.new("RGB", (SHEET_COLUMNS * cell[0], rows * cell[1]))
-    for index, name in enumerate(SHEET):
-        with Image.open(folder / f"{name}-{size[0]}x{size[1]}.png") as image:
-            row, column = divmod(index, SHEET_COLUMNS)
-            small = image.resize(cell, Image.Resampling.LANCZOS)
-            sheet.paste(small, (column * cell[0], row * cell[1]))
-    sheet.save(folder / "sheet.jpg", quality=90, optimize=True)
+def start_sender(
+    children: Children, url: str, name: str, avatar: str, source: str, *more: str
+) -> None:
+    """Let somebody send a face."""
+    where = ("--url", url, "--room", ROOM, "--name", name)
+    face = ("--avatar", avatar, "--source", f"performance:{source}", "--give-avatar", "no")
+    children.start(name, "send", *where, *face, *more)
+
+
+def photograph(out: Path, size: tuple[int, int], scale: float) -> None:
+    """Go through a call, and take a picture at each step."""
+    suffix = f"{size[0]}x{size[1]}@{scale:g}.png"
+    with Children() as children, tempfile.TemporaryDirectory() as home, ExitStack() as stack:
+        desk = Desk(size, scale, Path(home))
+        stack.callback(desk.close)
+        relay, url = stack.enter_context(room_of_people(children))
+        link = make_link(Invite(url=url, room=ROOM))
+        columns, rows = size if scale == 1 else (round(size[0]), round(size[1]))
+        view = [sys.executable, __file__, "--window", str(desk.places)]
+        view += ["view", link, "--size", f"{columns}x{rows}"]
+        window = subprocess.Popen(view, env=desk.environment, cwd=ROOT)
+        stack.callback(window.kill)
+
+        def take(name: str, seconds: float = 1.5) -> None:
+            time.sleep(seconds)
+            desk.take(out / f"{name}-{suffix}")
+
+        time.sleep(3.0)
+        desk.click("##name")
+        time.sleep(1.0)
+        subprocess.run(["xdotool", "type", "--delay", "80", "Me"], env=desk.environment, check=True)
+        take("01-join", 5.0)
+        desk.click("Join")
+        take("02-connecting", 0.2)
+        # Seven people in an arc: the one in the middle.
+        desk.point(size[0] / 2, size[1] * 0.36)
+        take("03-call", 8.0)
+        subprocess.run(["xdotool", "click", "1"], env=desk.environment, check=True)
+        take("04-pinned", 3.0)
+        desk.point(size[0] / 2, size[1] * 0.2)
+        if desk.is_shown("Got it"):
+            desk.click("Got it")
+        for number, panel in enumerate(("Participants", "Settings", "Help"), 5):
+            desk.click(panel)
+            take(f"{number:02}-{panel.lower()}")
+            desk.click("Close")
+        desk.click("Record")
+        desk.point(size[0] / 2, size[1] * 0.7)
+        take("08-recording", 2.5)
+        desk.click("Stop recording")
+        take("09-recorded", 0.7)
+        desk.click("Next layout")
+        take("10-layout")
+        relay.let_go()
+        desk.point(size[0] / 2, size[1] * 0.4)
+        take("11-relay-gone", 5.0)
+        desk.point(size[0] / 2, size[1] * 0.6)
+        desk.click("Leave the call")
+        take("12-leaving", 1.0)
+        desk.click("Leave")
+        window.wait(20)
+
+
+def show_window(places: Path, arguments: list[str]) -> None:
+    """Be the window's process: run a command, and note where its buttons are."""
+    sys.path.insert(0, str(ROOT / "tests"))
+    import pytest
+    from imgui_bundle import imgui
+
+    from helpers.hand import note_places
+    from pica_command.main import main as pica
+
+    noted = note_places(pytest.MonkeyPatch())
+    render = imgui.render
+
+    def render_and_note() -> None:
+        part = places.with_suffix(".part")
+        part.write_text(json.dumps(noted))
+        part.replace(places)
+        noted.clear()
+        render()
+
+    imgui.render = render_and_note
+    sys.argv = ["pica", *arguments]
+    pica()
 
 
 def main() -> None:
-    """Take all pictures in all sizes."""
-    folder = Path(sys.argv[1])
-    folder.mkdir(parents=True, exist_ok=True)
-    given = [text.partition("x") for text in sys.argv[2:]]
-    sizes = [(int(columns), int(rows)) for columns, _, rows in given] or SIZES
-    for size in sizes:
-        photograph_form(folder, size)
-        photograph(folder, size)
-    make_sheet(folder, sizes[0])
+    """Do as the module's docstring says."""
+    if sys.argv[1:2] == ["--window"]:
+        show_window(Path(sys.argv[2]), sys.argv[3:])
+        return
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("out", type=Path)
+    parser.add_argument("sizes", nargs="*", default=SIZES)
+    chosen = parser.parse_args()
+    chosen.out.mkdir(parents=True, exist_ok=True)
+    for text in chosen.sizes:
+        sides, _, scale = text.partition("@")
+        columns, rows = sides.split("x")
+        photograph(chosen.out, (int(columns), int(rows)), float(scale or 1))
 
 
 if __name__ == "__main__":

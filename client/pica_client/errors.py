@@ -46,7 +46,17 @@ class RelayUnreachableError(RelayError):
 
 
 class RelayRefusedError(RelayError):
-    """The relay closed the door for good: names its close code and reason."""
+    """The relay closed the door: names its close code and reason.
+
+    Attributes:
+        may_pass: Whether it may be open again soon, without anybody changing anything.
+        code: The relay's close code; None when what answered was no relay.
+    """
+
+    def __init__(self, message: str, *, may_pass: bool = True, code: int | None = None) -> None:
+        super().__init__(message)
+        self.may_pass = may_pass
+        self.code = code
 
 
 class CallProcessError(ClientError):

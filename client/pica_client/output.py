@@ -3,11 +3,23 @@ where it comes out later."""
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from pica_client.errors import OptionError
+from pica_core.files import replacing
+
+
+@contextmanager
+def writing_whole(path: Path) -> Iterator[Path]:
+    """Give a new file to write to, which becomes `path` at the end of the block, or nothing does.
+
+    Raises:
+        OptionError: The block met an `OSError`.
+    """
+    with writing(path), replacing(path) as unfinished:
+        yield unfinished
 
 
 @contextmanager
@@ -23,12 +35,50 @@ def writing(path: Path) -> Iterator[None]:
         raise OptionError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
-def check_writable(path: Path) -> None:
+class Outputs:
+    """What a command was asked to write; what cannot be costs neither its work nor its report.
+
+    Attributes:
+        failures: A line for each file that could not be written.
+    """
+
+    def __init__(self) -> None:
+        self.failures: list[str] = []
+
+    def attempt(self, write: Callable[[], object]) -> bool:
+        """Write something; return whether that was possible."""
+        try:
+            write()
+        except OptionError as error:
+            self.failures.append(str(error))
+            say(str(error))
+            return False
+        return True
+
+    def write_text(self, path: Path, text: str) -> bool:
+        """Write a file; return whether that was possible."""
+
+        def write() -> None:
+            with writing_whole(path) as unfinished:
+                unfinished.write_text(text)
+
+        return self.attempt(write)
+
+
+def check_writable(path: Path, suffix: str = "") -> None:
     """Refuse before the work what could not be written after it. Writes nothing.
 
+    Args:
+        path: The file.
+        suffix: What the name of such a file ends in; a name without any ending will do, too.
+
     Raises:
-        OptionError: A folder stands there, its folder is not there, or it is not ours to write.
+        OptionError: A folder stands there, its folder is not there, it is not ours to write, or its
+            name promises another kind of file.
     """
+    if suffix and path.suffix.lower() not in ("", suffix):
+        better = path.with_suffix(suffix)
+        raise OptionError(f"{path}: would hold {suffix[1:].upper()} all the same; name it {better}")
     folder = path.parent
     if path.is_dir():
         reason = "Is a directory; name a file in it"

@@ -9,15 +9,27 @@ from contextlib import contextmanager
 def on_stop_signal(stop: Callable[[], object]) -> Iterator[None]:
     """Call `stop` on SIGINT and SIGTERM while the block runs; main thread only.
 
+    A second Ctrl-C must not cost the report. The third is a `KeyboardInterrupt`, should anything
+    hang; and after the block, when all that is left is to print, those who come are ignored.
+
     `signal.signal` and not a method of the event loop: the latter is missing on Windows.
     """
+    num_stops = 0
+
+    def note(*_: object) -> None:
+        nonlocal num_stops
+        num_stops += 1
+        if num_stops > 2:
+            raise KeyboardInterrupt
+        stop()
+
     numbers = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(number, lambda *_: stop()) for number in numbers]
+    before = [signal.signal(number, note) for number in numbers]
     try:
         yield
     finally:
         for number, handler in zip(numbers, before, strict=True):
-            signal.signal(number, handler)
+            signal.signal(number, signal.SIG_IGN if num_stops else handler)
 
 
 @contextmanager

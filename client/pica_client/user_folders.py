@@ -1,17 +1,34 @@
-"""The folders that this system gives a user for what we keep."""
+"""The folders that this system gives a user for what we keep, for their eyes alone.
 
+Which avatars somebody has seen says whom they met, and preferences say where.
+"""
+
+import os
 import sys
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
 from platformdirs import PlatformDirs
 
 _NAME: Final = "pica-telepresence"
+_TITLE: Final = "PiCA Telepresence"
 
 
 def cache_folder(system: type[PlatformDirs] = PlatformDirs) -> Path:
     """The folder for avatars that can be fetched again."""
     return system(_NAME, appauthor=False).user_cache_path / "avatars"
+
+
+def pictures_folder(system: type[PlatformDirs] = PlatformDirs) -> Path:
+    """The folder for pictures that this user takes of a call."""
+    return system(_NAME, appauthor=False).user_pictures_path / _TITLE
+
+
+def videos_folder(system: type[PlatformDirs] = PlatformDirs) -> Path:
+    """The folder for recordings that this user makes of a call."""
+    return system(_NAME, appauthor=False).user_videos_path / _TITLE
 
 
 def preferences_folder(system: type[PlatformDirs] = PlatformDirs) -> Path:
@@ -21,3 +38,25 @@ def preferences_folder(system: type[PlatformDirs] = PlatformDirs) -> Path:
     if sys.platform == "darwin" and former.is_dir():
         return former
     return system(_NAME, appauthor=False, roaming=True).user_config_path
+
+
+def make_private(folder: Path) -> None:
+    """Make a folder that its owner alone can look into, or make one that is there be so.
+
+    Raises:
+        OSError: The system says no.
+    """
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    with suppress(PermissionError):  # somebody else's: what is in it is still ours alone
+        folder.chmod(0o700)
+
+
+def open_to_others(paths: Iterable[Path] = ()) -> Iterator[Path]:
+    """Find what other users of this machine can read and should not: our two folders of this user,
+    and these files. Where files have no such modes (Windows), nothing is found."""
+    if os.name != "posix":
+        return
+    for path in (cache_folder(), preferences_folder(), *paths):
+        with suppress(OSError):  # not there, or not ours to ask about
+            if path.stat().st_mode & 0o077:
+                yield path

@@ -1,7 +1,7 @@
 """The client's end of a connection; see `pica_protocol.session` for how a shell uses it."""
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -75,6 +75,7 @@ class ClientSession(Session):
     Attributes:
         state: Where it stands.
         peer_id: Our own id, once joined.
+        name: What we are called; once joined, what the others are shown.
         tracks: Our own tracks; with their streams, once joined.
         peers: Everybody else in the room by id, kept up to date.
         away: Ids of those among them who have lost their connection and may come back.
@@ -118,11 +119,13 @@ class ClientSession(Session):
         """
         super().__init__(CLIENT_TABLE, MAX_CONTROL_BYTES, now + timeout_s)
         self.peer_id = ""
+        self.name = name
         self.tracks = tracks
         self.peers: dict[str, Peer] = {}
         self.away: set[str] = set()
         self.muted: set[int] = set()
         self.drops: Counter[str] = Counter()
+        self._room = room
         self._seal = seal
         self._next_sequence = [0] * len(tracks)
         self._queues = [queue_for(track, self.drops) for track in tracks]
@@ -277,7 +280,11 @@ class ClientSession(Session):
             case Joined():
                 if [replace(track, stream=0) for track in message.tracks] != list(self.tracks):
                     raise RemoteProtocolError("joined with other tracks than ours")
+                if message.room != self._room:
+                    raise RemoteProtocolError(f"joined room {message.room}, not the one asked for")
+                self._check_peers(message.peer_id, message.tracks, message.peers)
                 self.peer_id = message.peer_id
+                self.name = message.name or self.name
                 self.tracks = message.tracks
                 self.peers = {peer.peer_id: peer for peer in message.peers}
                 self._deadline = None
@@ -291,8 +298,13 @@ class ClientSession(Session):
                 # A relay that does not keep to it would fill our memory.
                 if len(self.peers) >= MAX_PEERS and peer.peer_id not in self.peers:
                     raise RemoteProtocolError(f"more than {MAX_PEERS} peers in a room")
-                self.peers[peer.peer_id] = peer
-                return [message]
+                others = {**self.peers, peer.peer_id: peer}
+                self._check_peers(self.peer_id, self.tracks, others.values())
+                # One id is one peer: whoever had it has gone.
+                gone = [PeerLeft(peer_id=peer.peer_id)] if peer.peer_id in self.peers else []
+                self.peers = others
+                self.away.discard(peer.peer_id)
+                return [*gone, message]
             case PeerLeft(peer_id=peer_id):
                 self.peers.pop(peer_id, None)
                 self.away.discard(peer_id)
@@ -314,6 +326,17 @@ class ClientSession(Session):
             case KeyframeRequest() | Whisper():
                 return [message]
         raise AssertionError(f"the table admits {message} and nobody handles it")
+
+    @staticmethod
+    def _check_peers(own_id: str, own: tuple[Track, ...], peers: Collection[Peer]) -> None:
+        """Refuse a room in which we are our own peer, or an id or a stream is there twice: faces
+        are told apart by their streams."""
+        ids = [own_id, *(peer.peer_id for peer in peers)]
+        streams = [track.stream for peer in peers for track in peer.tracks]
+        streams += [track.stream for track in own]
+        for what, values in (("peer", ids), ("stream", streams)):
+            if len(set(values)) < len(values):
+                raise RemoteProtocolError(f"a room that has a {what} twice")
 
     def _queue_when_joined(self, message: Message) -> None:
         if self.state is not State.JOINED:

@@ -24,7 +24,7 @@ from pica_protocol.limits import (
     MAX_WHISPER_BYTES,
     quoted,
 )
-from pica_protocol.messages import MESSAGE_TYPES, Message, Metadata
+from pica_protocol.messages import LEFT_OUT, MESSAGE_TYPES, Message, Metadata
 from pica_protocol.store import STORE_MESSAGE_TYPES, StoreMessage
 
 CONTROL_KIND: Final = 1
@@ -98,6 +98,7 @@ def _unpack(data: bytes) -> object:
             raw=False,
             strict_map_key=True,
             ext_hook=_refuse_extension,
+            object_pairs_hook=unique_keys,
             max_str_len=max(MAX_TEXT_BYTES, MAX_PASS_BYTES),
             max_bin_len=MAX_WHISPER_BYTES,
             max_array_len=max(MAX_PEERS, MAX_REPORT_STREAMS),
@@ -111,6 +112,18 @@ def _unpack(data: bytes) -> object:
         raise RemoteProtocolError(f"not msgpack within the limits: {quoted(what)}") from error
 
 
+def unique_keys(pairs: list[tuple[Any, Any]]) -> dict[Any, Any]:
+    """Make a map of what msgpack read.
+
+    Raises:
+        ValueError: A key stands there twice: two readers might not agree on its value.
+    """
+    record = dict(pairs)
+    if len(record) < len(pairs):
+        raise ValueError("a key twice in a map")
+    return record
+
+
 def _refuse_extension(code: int, _data: bytes) -> object:
     raise ValueError(f"extension type {code}")
 
@@ -120,11 +133,17 @@ class _Field(NamedTuple):
     read: _Reader
     default: object
     is_map: bool = False
+    is_left_out: bool = False
+    """Whether it does not travel where it has its default."""
 
 
 def _plain_record(record: Any) -> dict[str, object]:
     values = ((field, getattr(record, field.name)) for field in _SCHEMAS[type(record)])
-    return {field.name: dict(value) if field.is_map else _plain(value) for field, value in values}
+    return {
+        field.name: dict(value) if field.is_map else _plain(value)
+        for field, value in values
+        if not (field.is_left_out and value == field.default)
+    }
 
 
 def _plain(value: Any) -> object:
@@ -222,6 +241,7 @@ def _add_schema(cls: type) -> None:
             _reader(hints[field.name]),
             field.default,
             hints[field.name] == Metadata,
+            LEFT_OUT in field.metadata,
         )
         for field in fields(cast(Any, cls))
     )

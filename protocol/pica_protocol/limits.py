@@ -5,6 +5,7 @@ made, so one written here is as well-formed as one that was read from a stranger
 """
 
 import re
+import unicodedata
 
 MAX_FRAME_BYTES = 1200
 """Header and payload of one media frame: fits a datagram on any path (chosen: RFC 9000 14.1)."""
@@ -69,6 +70,9 @@ _TOKEN = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 _PASS = re.compile(r"[A-Za-z0-9_.-]*")
 _RELAY_URL = re.compile(r"wss?://([A-Za-z0-9.-]+|\[[0-9a-fA-F:.]+\])(:\d{1,5})?(/[!-~]*)?")
 _SHA256_HEX = re.compile(r"[0-9a-f]{64}")
+_BLANK_LETTERS = "\u115f\u1160\u2800\u3164\uffa0\U0001d159"
+"""Printable, neither space nor mark, and drawn as nothing: Hangul fillers, the empty Braille cell,
+the note without a head."""
 
 
 def check_range(field: str, value: int, low: int, high: int) -> None:
@@ -91,6 +95,18 @@ def check_text(field: str, value: str, max_bytes: int, *, required: bool = False
         raise ValueError(f"{field} must be printable text, got {quoted(value)}")
     if len(value.encode()) > max_bytes:
         raise ValueError(f"{field} must be at most {max_bytes} bytes of UTF-8, got {quoted(value)}")
+
+
+def draws_nothing(character: str) -> bool:
+    """Say whether a character leaves no ink of its own: a space, a mark, a control, a filler."""
+    return character in _BLANK_LETTERS or unicodedata.category(character)[0] in "MZC"
+
+
+def check_name(field: str, value: str) -> None:
+    """Refuse what is no name that people can see: too long, not printable, or without any ink."""
+    check_text(field, value, MAX_NAME_BYTES, required=True)
+    if all(map(draws_nothing, value)):
+        raise ValueError(f"{field} must be a name that can be seen, got {quoted(value)}")
 
 
 def check_pass(field: str, value: str) -> None:

@@ -3,11 +3,12 @@
 Direction and bytes of each are shown in ``docs/protocol.md``. The annotations are the schema that
 ``codec.py`` reads: ``int``, ``bool``, ``str``, ``bytes``, ``int | None``, another record, a tuple
 of one of these, or ``Metadata``. A later version may add a field with a default; it never reorders,
-retypes or removes one.
+retypes or removes one. A field made by ``_added`` travels only where it is not its default, so the
+bytes of a message without it stay those of before.
 """
 
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 from pica_protocol import PROTOCOL_VERSION
 from pica_protocol.limits import (
@@ -23,6 +24,7 @@ from pica_protocol.limits import (
     check_bytes,
     check_count,
     check_metadata,
+    check_name,
     check_pass,
     check_range,
     check_sha256,
@@ -41,6 +43,13 @@ Metadata = tuple[tuple[str, str], ...]
 """What a peer says of itself, a few short texts by key; a map on the wire."""
 BYE_CODES: Final = (1000, 1001, 1009, 1011)
 """Codes below 3000 that a ``Bye`` may carry (RFC 6455 7.4)."""
+LEFT_OUT: Final = "left out where it is the default"
+"""Stands in the metadata of such a field."""
+
+
+def _added(default: Any) -> Any:
+    """Return a field that a later version has added."""
+    return field(default=default, metadata={LEFT_OUT: True})
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -82,12 +91,18 @@ class Peer:
     peer_id: str
     """Opaque, unique in the room for its lifetime; made by the relay."""
     name: str
-    """What the person wants to be called; not unique, not to be trusted."""
+    """What the person is called; not unique, and a mere claim unless ``is_name_assured``."""
     tracks: tuple[Track, ...] = ()
     metadata: Metadata = ()
     """What it says of itself; not to be trusted."""
+    identity: str = _added("")
+    """Who it is by the token that it came in with; empty without tokens."""
+    is_name_assured: bool = _added(False)
+    """Whether the name stands in that token, and is not what its owner would like to be called."""
 
     def __post_init__(self) -> None:
+        if self.identity:
+            check_token("peer.identity", self.identity)
         check_token("peer.peer_id", self.peer_id)
         check_metadata("peer.metadata", self.metadata)
         check_text("peer.name", self.name, MAX_NAME_BYTES, required=True)
@@ -141,7 +156,7 @@ class Join:
         check_pass("join.token", self.token)
         check_pass("join.resume", self.resume)
         check_metadata("join.metadata", self.metadata)
-        check_text("join.name", self.name, MAX_NAME_BYTES, required=True)
+        check_name("join.name", self.name)
         check_count("join.tracks", self.tracks, MAX_TRACKS)
         for track in self.tracks:
             check_range("join.tracks.stream", track.stream, 0, 0)
@@ -164,8 +179,11 @@ class Joined:
     """What to come back with, once; empty: the place is not kept. A secret."""
     resume_ms: int = 0
     """How long the place is kept after the connection broke, milliseconds."""
+    name: str = _added("")
+    """What the others are shown, where the token says it; empty: the name of the ``Join``."""
 
     def __post_init__(self) -> None:
+        check_text("joined.name", self.name, MAX_NAME_BYTES)
         check_token("joined.room", self.room)
         check_token("joined.peer_id", self.peer_id)
         check_count("joined.tracks", self.tracks, MAX_TRACKS)

@@ -87,6 +87,10 @@ class ClusterError(RelayError):
     """The cluster cannot be joined: names the setting and the fix."""
 
 
+class ClusterAwayError(ClusterError):
+    """Nobody answers where the cluster should be; somebody may, later."""
+
+
 class ClusterMessageError(RelayError, ValueError):
     """Another node, or whoever may use its NATS, sent what cannot be read; quotes nothing of it."""
 

@@ -5,9 +5,11 @@ What moves between the websockets and the hub, `pica_server.net.pump` moves.
 
 import asyncio
 import logging
+import math
 import secrets
 import time
 from collections.abc import Awaitable, Callable, Sequence
+from http import HTTPStatus
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -22,15 +24,16 @@ from pica_protocol.store import AVATARS_PATH, STORE_SUBPROTOCOL
 from pica_server.admin.admin import Admin
 from pica_server.admin.server import AdminServer
 from pica_server.auth.tokens import KeyRing, admin_scope, admit, admit_upload, load_keys
-from pica_server.config.relay import RelayConfig
+from pica_server.config.relay import RelayConfig, is_loopback
 from pica_server.errors import AdmissionError, ListenError
 from pica_server.hooks.events import RoomEvent
 from pica_server.hooks.sender import WebhookSender
 from pica_server.net.limits import SocketGuard
 from pica_server.net.proxies import is_in, networks
 from pica_server.net.pump import Pump
-from pica_server.net.socket import RelaySocket
+from pica_server.net.socket import RelaySocket, bound_receive_buffer
 from pica_server.ops.certificate import Certificate
+from pica_server.ops.descriptors import Descriptors, most_descriptors
 from pica_server.ops.loop_watch import PERIOD_S, LoopWatch
 from pica_server.ops.status_pages import StatusPages
 from pica_server.room.hub import Hub
@@ -80,12 +83,15 @@ class Relay:
                 `time.thread_time` by default.
         """
         self.config = config
-        keys: KeyRing | None = None if config.keys is None else load_keys(config.keys)
+        keys: KeyRing | None = None
+        if config.keys is not None:
+            keys = load_keys(config.keys, max_token_s=config.max_token_s or math.inf)
         self.hub = Hub(
             config,
             None if keys is None else lambda join: admit(keys, join, now=unix_time()),
             new_secret=_new_secret,
             notify=self._notify,
+            unix_time=unix_time,
         )
         self._pump = Pump(self.hub, config)
         self.webhooks: WebhookSender | None = None
@@ -121,6 +127,7 @@ class Relay:
             self.certificate = Certificate(config.tls_cert, config.tls_key)
         self._proxies = networks(config.trusted_proxies)
         self._metrics_to = networks(config.metrics_to)
+        self._is_private = is_loopback(config.host)
         limits = config.limits
         # Twice: of sockets that are closing, and of those that are told why they must.
         per_address = 2 * limits.connections_per_address
@@ -131,6 +138,7 @@ class Relay:
             burst=limits.sockets_burst,
         )
         self._silent: set[RelaySocket] = set()
+        self._descriptors = Descriptors(most_descriptors(), self.hub.stats.limits_hit)
         self._server: Server | None = None
         self._cluster: Cluster | None = None
         self._watch = LoopWatch()
@@ -158,6 +166,7 @@ class Relay:
     async def __aenter__(self) -> Self:
         config = self.config
         self._pump.start()
+        asyncio.get_running_loop().set_exception_handler(self._on_error)
         if config.cluster:
             # Only here: a relay alone needs no NATS.
             from pica_server.cluster.nats import Cluster
@@ -198,6 +207,8 @@ class Relay:
                 f"cannot listen on {config.host}:{config.port}: {error.strerror or error}; "
                 "choose another --port (0 takes a free one) or --host"
             ) from error
+        for sock in self._server.sockets:
+            bound_receive_buffer(sock, config.receive_buffer_bytes)
         if self.webhooks is not None:
             self.webhooks.start()
         if self.admin is not None and config.admin_port is not None:
@@ -245,6 +256,9 @@ class Relay:
         assert isinstance(websocket, RelaySocket)
         websocket.note_request(request)
         is_local = websocket.is_local or is_in(websocket.direct_from, self._metrics_to)
+        if self._is_private and websocket.is_misnamed and "Upgrade" not in request.headers:
+            text = "this relay is for its own machine: ask for 127.0.0.1 or localhost\n"
+            return websocket.respond(HTTPStatus.FORBIDDEN, text)
         if request.path.startswith(AVATARS_PATH):
             return self._downloads.answer(websocket, request)
         page = self._pages.answer(request.path, is_local=is_local, now=self._now())
@@ -253,7 +267,15 @@ class Relay:
         response = websocket.respond(page.status, page.text)
         del response.headers["Content-Type"]
         response.headers["Content-Type"] = page.content_type
+        if page.retry_after_s is not None:
+            response.headers["Retry-After"] = f"{page.retry_after_s:.0f}"
         return response
+
+    def _on_error(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """Take what nobody else takes: asyncio says once for each socket that there are too
+        many."""
+        if not self._descriptors.note_error(context.get("exception"), loop.time()):
+            loop.default_exception_handler(context)
 
     async def drain(self) -> None:
         """Send everybody away in good order, and return when they are gone.
@@ -277,8 +299,9 @@ class Relay:
         due_s = loop.time() + PERIOD_S
 
         def look() -> None:
-            self._watch.note(due_s, loop.time())
-            self.hub.note_load(self._processor_time(), loop.time())
+            now = loop.time()
+            self._watch.note(due_s, now)
+            self.hub.note_turn(now - due_s, self._processor_time(), now)
             self._watch_later()
 
         self._watching = loop.call_at(due_s, look)
@@ -287,6 +310,7 @@ class Relay:
         connection = RelaySocket(*args, **kwargs)
         connection.guard = self._guard
         connection.silent = self._silent
+        connection.descriptors = self._descriptors
         if self.certificate is not None:
             # Not the server's: the guard is to be asked before the dear work of a handshake begins.
             connection.tls = self.certificate.context

@@ -21,11 +21,12 @@ from pica_client.avatars.upload import AvatarGiver, Push
 from pica_client.call.call import Call
 from pica_client.call.faces import FaceState
 from pica_client.decode.decoder import OnnxDecoder
+from pica_client.publish.own_face import FaceChoice, open_own_face
 from pica_client.publish.sender import Sender, SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.receiver import Receiver
-from pica_core.avatar.file import avatar_id, load_avatar, save_avatar
+from pica_core.avatar.file import avatar_id, save_avatar
 from pica_server.auth.tokens import Admission, KeyRing, mint
 from pica_server.relay import Relay
 
@@ -40,8 +41,13 @@ async def until(condition: Callable[[], bool]) -> None:
     raise AssertionError("it did not happen")
 
 
-async def hold_call(relay: Relay, folder: Path) -> list[str]:
+async def hold_call(relay: Relay, folder: Path, *, also_views: bool = False) -> list[str]:
     """Send a stranger's face, receive it, decode it.
+
+    Args:
+        relay: Where.
+        folder: Has the avatar's file.
+        also_views: The sender is a viewer that sends its face beside.
 
     Returns:
         What the receiver was told of the avatar while it was on its way.
@@ -49,15 +55,15 @@ async def hold_call(relay: Relay, folder: Path) -> list[str]:
     path = folder / "stranger.pica"
     identity = avatar_id(path)
     link = LinkConfig(url=relay.url, name="stranger")
-    giver = AvatarGiver(
-        Push(path=path, identity=identity),
-        lambda: relay.url,
-        lambda line: None,
-    )
-    source = open_source("performance:talk")
-    sender = Sender(
-        SenderConfig(), link, source, load_avatar(path), identity, on_joined=giver.begin
-    )
+    own = AvatarLibrary(shipped=[])
+    face = open_own_face(FaceChoice(avatar=str(path)), link, own, lambda line: None)
+    assert face is not None
+    giver = face.giver
+    assert giver is not None
+    sender: Sender | Receiver = Receiver(link, Call(own), publisher=face.publisher, giver=giver)
+    if not also_views:
+        source = open_source("performance:talk")
+        sender = Sender(SenderConfig(), link, source, own.load(identity), identity, giver=giver)
     library = AvatarLibrary(shipped=[])
     fetcher = AvatarFetcher(library, lambda: relay.url, cache=AvatarCache(folder / "cache"))
     call = Call(fetcher)
@@ -88,17 +94,20 @@ async def hold_call(relay: Relay, folder: Path) -> list[str]:
         assert giver.outcome == "given"
         assert fetcher.num_fetched == 1
     finally:
-        await giver.close()
         fetcher.close()
         library.close()
+        own.close()
     return notes
 
 
+@pytest.mark.parametrize("also_views", [False, True], ids=["sender", "viewer that sends"])
 @pytest.mark.asyncio
-async def test_a_strangers_face_is_seen_by_who_does_not_have_its_file(tmp_path: Path) -> None:
+async def test_a_strangers_face_is_seen_by_who_does_not_have_its_file(
+    tmp_path: Path, *, also_views: bool
+) -> None:
     save_avatar(tmp_path / "stranger.pica", make_toy_avatar(seed=23))
     async with store_relay(check="full") as relay:
-        notes = await hold_call(relay, tmp_path)
+        notes = await hold_call(relay, tmp_path, also_views=also_views)
         assert relay.stats()["store"]["uploads_kept"] == 1
     assert any("avatar" in note for note in notes)
 
@@ -119,8 +128,8 @@ async def test_with_tokens_a_stranger_gives_the_avatar_that_the_token_names(
     config = {"keys": tmp_path / "keys"}
     async with store_relay(tmp_path / "store", config=config, unix_time=lambda: 1e9) as relay:
         push = Push(path=tmp_path / "stranger.pica", identity=identity, token_file=tokens)
-        giver = AvatarGiver(push, lambda: relay.url, lambda line: None)
-        giver.begin()
+        giver = AvatarGiver(push, lambda line: None)
+        giver.begin(relay.url)
         await until(lambda: giver.outcome == "given")
         await giver.close()
     assert (tmp_path / "store" / f"{identity}.pica").exists()

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import random
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +17,15 @@ from helpers.senders import LoadedAvatars, make_senders, run_senders
 from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
 from pica_client.e2ee.secret import RoomSecret, save_secret
-from pica_client.publish.sender import SenderConfig
+from pica_client.publish.sender import Sender, SenderConfig
+from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
+from pica_client.transport.link_news import LinkNews
 from pica_client.transport.receiver import Receiver
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
+from simnet.network import Network
 
 pytestmark = pytest.mark.call
 
@@ -61,9 +68,13 @@ class Display:
 
 
 async def break_calls(
-    broken: str, *, secret_file: Path | None = None, away_s: float = 0.0, seconds: float = 20.0
+    broken: str,
+    *,
+    how: Callable[[Network, str], None] = Network.reset,
+    secret_file: Path | None = None,
+    seconds: float = 20.0,
 ) -> tuple[Display, dict[str, object], dict[str, object], dict[str, object]]:
-    """A sender and a receiver; the connection of one of them is reset at 8 s."""
+    """A sender and a receiver; the connection of one of them breaks at 8 s."""
     network = current_network()
     async with Relay(RELAY) as relay:
         senders = make_senders(
@@ -81,7 +92,7 @@ async def break_calls(
         await asyncio.sleep(4)
         call.begin_window(asyncio.get_running_loop().time())
         await asyncio.sleep(4)
-        network.reset(broken, away_s)
+        how(network, broken)
         (sent,) = await sending
         received = receiver.stats(asyncio.get_running_loop().time())
         stats = relay.stats()
@@ -90,6 +101,36 @@ async def break_calls(
         watching.cancel()
         await asyncio.gather(watching, return_exceptions=True)
     return display, sent, received, stats
+
+
+@in_virtual_time
+async def test_a_sender_without_a_window_says_that_it_is_in_that_the_relay_went_and_returned() -> (
+    None
+):
+    said: list[str] = []
+    news = LinkNews("sending", said.append)
+    avatar_id, avatar = next(iter(AVATARS.items()))
+    link = replace(config("ada", "ada"), connect_timeout_s=None)
+    source = open_source("performance:talk")
+    sender = Sender(
+        SenderConfig(), link, source, avatar, avatar_id, rng=random.Random(2), news=news
+    )
+    sending = asyncio.create_task(sender.run())
+    await asyncio.sleep(3)
+    assert said == []  # there is no relay yet
+    for num_lines in (1, 3):
+        async with Relay(RELAY):
+            await asyncio.sleep(10)
+            assert len(said) == num_lines
+        await asyncio.sleep(2)
+    sender.stop()
+    await sending
+    assert said[:2] == [
+        "sending",
+        "connection to the relay lost (the relay is stopping); coming back by itself",
+    ]
+    assert re.fullmatch(r"back in the room after \d\.\d s", said[2])
+    assert len(said) == 4  # lost once more; leaving is no news
 
 
 @in_virtual_time
@@ -108,7 +149,7 @@ async def test_a_sender_that_comes_back_has_its_old_seat_and_goes_on_within_a_se
 
 @in_virtual_time
 async def test_a_face_whose_sender_is_away_is_concealed_then_stale_then_live_in_its_seat() -> None:
-    display, sent, _, _ = await break_calls("ada", away_s=5.0)
+    display, sent, _, _ = await break_calls("ada", how=partial(Network.reset, down_s=5.0))
     assert sent["resumes"] == 1
     assert len(display.peer_ids) == 1
     assert display.statuses(8.1, 9.5) == {"concealed"}
@@ -118,7 +159,9 @@ async def test_a_face_whose_sender_is_away_is_concealed_then_stale_then_live_in_
 
 @in_virtual_time
 async def test_a_sender_that_is_away_for_too_long_gets_a_new_seat() -> None:
-    display, sent, _, stats = await break_calls("ada", away_s=11.0, seconds=40.0)
+    display, sent, _, stats = await break_calls(
+        "ada", how=partial(Network.reset, down_s=11.0), seconds=40.0
+    )
     assert (sent["reconnects"], sent["resumes"]) == (1, 0)
     assert len(display.peer_ids) == 2
     assert stats["resumes"] == {"away": 1, "unknown": 1}
@@ -131,6 +174,16 @@ async def test_a_receiver_that_comes_back_keeps_its_seats_and_sees_everybody_at_
     assert len(display.peer_ids) == 1
     assert stats["resumes"] == {"away": 1, "resumed": 1}
     assert display.statuses(9.0, 19.0) == {"live"}
+
+
+@pytest.mark.parametrize("broken", ["ada", "viewer"])
+@in_virtual_time
+async def test_a_way_that_died_without_a_word_costs_three_seconds(broken: str) -> None:
+    display, sent, received, stats = await break_calls(broken, how=Network.forget)
+    assert "concealed" in display.statuses(8.2, 8.7)
+    assert display.statuses(11.0, 19.0) == {"live"}
+    assert (sent if broken == "ada" else received)["resumes"] == 1
+    assert stats["resumes"] == {"resumed": 1}
 
 
 @pytest.mark.parametrize("broken", ["ada", "viewer"])

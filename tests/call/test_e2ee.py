@@ -19,6 +19,7 @@ from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
 from pica_client.e2ee.guard import Guard
 from pica_client.e2ee.secret import RoomSecret, save_secret
+from pica_client.e2ee.status import SealStatus
 from pica_client.e2ee.suites import AES_128_CTR_HMAC_SHA256_64, Suite
 from pica_client.publish.sender import SenderConfig
 from pica_client.transport.config import LinkConfig
@@ -46,11 +47,16 @@ class Unforgetting:
 
     def __init__(self, guard: Guard) -> None:
         self._guard = guard
+        self.begin = guard.begin
         self.seal = guard.seal
         self.messages_to_send = guard.messages_to_send
         self.next_timer = guard.next_timer
         self.handle_timer = guard.handle_timer
         self.stats = guard.stats
+
+    @property
+    def status(self) -> SealStatus:
+        return self._guard.status
 
     def receive_event(self, event: ClientEvent, now: float) -> list[ClientEvent]:
         return [event] if isinstance(event, Closed) else self._guard.receive_event(event, now)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import asyncio
 import random
-from functools import partial
+from collections.abc import Awaitable
 from pathlib import Path
 
 import pytest
@@ -14,7 +14,7 @@ from websockets.typing import Subprotocol
 
 from pica_client.errors import OptionError, RelayRefusedError, RelayUnreachableError
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.connect import open_websocket
+from pica_client.transport.connect import RelayWebsocket, open_websocket
 from pica_client.transport.link import Link
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
@@ -78,7 +78,7 @@ async def test_who_waits_finds_the_relay_within_the_longest_wait_of_its_coming()
 @in_virtual_time
 async def test_a_link_goes_where_a_relay_sends_it_without_waiting() -> None:
     loop = asyncio.get_running_loop()
-    config = RelayConfig(drain_to="ws://other:8766")
+    config = RelayConfig(drain_to="ws://relay:8766")
     async with Relay(RelayConfig(port=8766)) as other, Relay(config) as relay:
         link, seen = make_link()
         running = asyncio.create_task(link.run())
@@ -89,15 +89,33 @@ async def test_a_link_goes_where_a_relay_sends_it_without_waiting() -> None:
         await relay.drain()
         await seen.joined.wait()
         assert loop.time() - start < 0.1
-        assert link.url == "ws://other:8766"
+        assert link.url == "ws://relay:8766"
         assert other.hub.num_rooms == 1
         link.leave()
         await running
 
 
 @in_virtual_time
+async def test_a_link_does_not_go_to_a_host_that_it_does_not_know() -> None:
+    link, seen = make_link()
+    async with Relay(RelayConfig(port=8766)) as other:
+        async with Relay(RelayConfig(drain_to="ws://other:8766")) as relay:
+            running = asyncio.create_task(link.run())
+            await seen.joined.wait()
+            await asyncio.sleep(10)
+            await relay.drain()
+        seen.joined.clear()
+        async with Relay(RelayConfig()):
+            await seen.joined.wait()
+            assert link.url == URL
+            assert other.hub.stats.connections == 0
+            link.leave()
+            await running
+
+
+@in_virtual_time
 async def test_a_link_that_is_sent_to_nobody_comes_back() -> None:
-    config = RelayConfig(drain_to="ws://nobody:9999")
+    config = RelayConfig(drain_to="ws://relay:9999")
     link, seen = make_link()
     async with Relay(config) as relay:
         running = asyncio.create_task(link.run())
@@ -116,7 +134,10 @@ async def test_a_link_that_is_sent_to_nobody_comes_back() -> None:
 async def test_a_link_on_tls_is_not_sent_where_there_is_none() -> None:
     config = LinkConfig(url="wss://relay:8765", room="r")
     seen = Seen()
-    connector = partial(open_websocket, URL)  # the virtual network has no TLS
+
+    def connector(_url: str) -> Awaitable[RelayWebsocket]:
+        return open_websocket(URL)  # the virtual network has no TLS
+
     link = Link(config, on_event=seen.take, rng=random.Random(0), connector=connector)
     async with Relay(RelayConfig(drain_to="ws://other:8766")) as relay:
         running = asyncio.create_task(link.run())
@@ -181,6 +202,153 @@ async def test_leaving_ends_a_connection_attempt_that_nobody_answers() -> None:
     link.leave()
     await running
     assert loop.time() == pytest.approx(1)
+
+
+@in_virtual_time
+async def test_who_was_in_a_room_that_is_full_now_waits_a_minute_for_a_place() -> None:
+    loop = asyncio.get_running_loop()
+    async with Relay(RelayConfig(room_capacity=1)):
+        link, seen = make_link()
+        running = asyncio.create_task(link.run())
+        await seen.joined.wait()
+        current_network().reset("relay", down_s=11)  # its place is kept for 10 s
+        await asyncio.sleep(10.5)
+        seen.joined.clear()
+        async with peer_in_room("ws://other:8765", "Bob", room="r"):
+            await asyncio.sleep(40)
+        left_s = loop.time()
+        await seen.joined.wait()
+        assert loop.time() - left_s <= 8
+        current_network().reset("relay", down_s=11)
+        await asyncio.sleep(10.5)
+        async with peer_in_room("ws://other:8765", "Bob", room="r"):
+            with pytest.raises(RelayRefusedError, match=r"4004\); tried to come back for 60 s"):
+                await running
+
+
+def test_two_seconds_of_wrong_keys_end_no_call(tmp_path: Path) -> None:
+    right, wrong, token_file = tmp_path / "right", tmp_path / "wrong", tmp_path / "token"
+    for keys in (right, wrong):
+        keys.write_text(KeyRing.new_line())
+    admission = Admission(identity="ada")
+    token = mint(load_keys(right), "r", admission, now=1e9, lasts_s=900, starts_s=0)
+    token_file.write_text(token)
+
+    @in_virtual_time
+    async def scenario() -> None:
+        loop = asyncio.get_running_loop()
+        seen = Seen()
+        config = LinkConfig(url=URL, room="r", token_file=token_file)
+        link = Link(config, on_event=seen.take, rng=random.Random(0))
+        running = asyncio.create_task(link.run())
+        for keys, seconds in ((right, 10.0), (wrong, 2.0), (right, 10.0)):
+            async with Relay(RelayConfig(keys=keys), unix_time=lambda: 1e9 + loop.time()):
+                await asyncio.sleep(seconds)
+                assert link.is_joined == (keys == right)
+        token_file.write_text("")  # as while somebody writes it anew
+        await asyncio.sleep(5)
+        token_file.write_text(token)
+        async with Relay(RelayConfig(keys=right), unix_time=lambda: 1e9 + loop.time()):
+            await asyncio.sleep(10)
+            assert link.is_joined
+            link.leave()
+            await running
+
+    scenario()
+
+
+@in_virtual_time
+async def test_the_next_address_is_tried_when_one_fails() -> None:
+    loop = asyncio.get_running_loop()
+    seen = Seen()
+    current_network().cut("away")
+    urls = ["ws://away:1", "ws://nobody:2", "ws://one:8765", "ws://two:8766"]
+    config = LinkConfig(url=",".join(urls), room="r")
+    link = Link(config, on_event=seen.take, rng=random.Random(0))
+    async with Relay(RelayConfig(port=8766)) as two:
+        async with Relay(RelayConfig()):
+            running = asyncio.create_task(link.run())
+            await seen.joined.wait()
+            assert link.url == "ws://one:8765"
+            assert loop.time() < 1
+            await asyncio.sleep(10)
+            seen.joined.clear()
+            lost_s = loop.time()
+        await seen.joined.wait()
+        assert link.url == "ws://two:8766"
+        assert loop.time() - lost_s < 7  # of which the address that swallows all takes 5
+        assert two.hub.num_rooms == 1
+        link.leave()
+        await running
+
+
+@in_virtual_time
+async def test_when_all_addresses_fail_each_is_named_with_its_trouble() -> None:
+    loop = asyncio.get_running_loop()
+    current_network().cut("away")
+    config = LinkConfig(url="ws://away:1,ws://nobody:2")
+    trouble = r"no relay answers at ws://away:1,ws://nobody:2 \(tried for 3 s: nobody answered; "
+    with pytest.raises(RelayUnreachableError, match=f"{trouble}.*port 2"):
+        await Link(config, rng=random.Random(0)).run()
+    assert loop.time() <= 3
+
+
+@in_virtual_time
+async def test_a_way_that_died_without_a_word_is_left_for_the_next_address() -> None:
+    seen = Seen()
+    config = LinkConfig(url="ws://one:8765,ws://two:8766", room="r")
+    link = Link(config, on_event=seen.take, rng=random.Random(0))
+    async with Relay(RelayConfig()), Relay(RelayConfig(port=8766)):
+        running = asyncio.create_task(link.run())
+        await seen.joined.wait()
+        seen.joined.clear()
+        current_network().cut("one")
+        await seen.joined.wait()
+        assert asyncio.get_running_loop().time() < 7  # 2.5 s, 3 s for the address that is dead
+        assert (link.url, link.num_looks) == ("ws://two:8766", 2)
+        link.leave()
+        await running
+
+
+@in_virtual_time
+async def test_alone_in_a_quiet_room_nobody_looks_for_another_way() -> None:
+    async with Relay(RelayConfig()) as relay:
+        link, seen = make_link()
+        running = asyncio.create_task(link.run())
+        await seen.joined.wait()
+        await asyncio.sleep(600)
+        assert (link.num_looks, link.reconnects, relay.stats()["connections"]) == (0, 0, 1)
+        link.leave()
+        await running
+
+
+@in_virtual_time
+async def test_a_relay_that_is_busy_for_a_while_loses_nobody_and_is_asked_to_do_little() -> None:
+    loop = asyncio.get_running_loop()
+    busy_until_s = 0.0
+
+    async def connect(url: str) -> RelayWebsocket:
+        await asyncio.sleep(max(busy_until_s - loop.time(), 0))
+        return await open_websocket(url)
+
+    links = [
+        Link(LinkConfig(url=URL, room="r"), rng=random.Random(seed), connector=connect)
+        for seed in range(15)
+    ]
+    async with Relay(RelayConfig()) as relay:
+        running = [asyncio.create_task(link.run()) for link in links]
+        await asyncio.sleep(5)
+        for _ in range(3):
+            busy_until_s = loop.time() + 3.5
+            current_network().stall("relay", 3.5)
+            await asyncio.sleep(10)
+        assert all(link.is_joined for link in links)
+        assert {link.reconnects for link in links} == {0}
+        assert {link.num_looks for link in links} <= {1, 2}
+        assert relay.stats()["joins"] == 15
+        for link in links:
+            link.leave()
+        await asyncio.gather(*running)
 
 
 @in_virtual_time

@@ -113,6 +113,42 @@ async def test_a_face_is_sent_frozen_muted_and_let_go_on_over_the_link_of_the_ca
 
 
 @in_virtual_time
+async def test_everybody_is_told_who_records_though_it_shows_no_face() -> None:
+    async with Relay(RelayConfig(port=0)) as relay:
+        ada, ben = Person(relay.url, "ada", sends=True), Person(relay.url, "ben")
+        cho = Person(relay.url, "cho")
+        ben.receiver.say_recording(True)  # as from a command line, before anything runs
+
+        def recorders(person: Person, now: float) -> list[str]:
+            members = person.receiver.call.room(now).members
+            return [member.peer.name for member in members if member.is_recording]
+
+        async with asyncio.TaskGroup() as tasks:
+            for person in (ada, ben):
+                tasks.create_task(person.receiver.run())
+            await asyncio.sleep(2)
+            assert recorders(ada, 2.0) == ["ben"]
+            tasks.create_task(cho.receiver.run())
+            set_mode(ada, "muted")
+            await asyncio.sleep(2)
+            assert recorders(cho, 4.0) == ["ben"]
+            for index in range(200):  # a key that is held down: the relay allows one a second
+                for person in (ada, ben):
+                    person.receiver.say_recording(index % 2 == 0)
+                await asyncio.sleep(0.05)
+            await asyncio.sleep(2)
+            assert recorders(cho, 16.0) == []
+            ada.receiver.say_recording(True)
+            await asyncio.sleep(2)
+            assert recorders(cho, 18.0) == ["ada"]
+            (face,) = cho.receiver.call.faces(18.0)
+            assert face.note == "face is off"  # what else ada says of itself goes on being said
+            for person in (ada, ben, cho):
+                assert person.receiver.link.reconnects == 0
+                person.receiver.stop()
+
+
+@in_virtual_time
 async def test_somebody_who_comes_later_is_told_of_a_muted_face_too() -> None:
     async with Relay(RelayConfig(port=0)) as relay:
         ada, ben = Person(relay.url, "ada", sends=True), Person(relay.url, "ben")

@@ -6,19 +6,22 @@ The window is one without a screen: a GL context and the events that the test ha
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
-import numpy as np
 import pytest
 
 from pica_client.avatars.library import AvatarLibrary
+from pica_client.call.call import Call
 from pica_client.local_call.processes import Children
+from pica_client.publish.own_face import FaceChoice
 from pica_client.transport.config import LinkConfig
-from pica_client.ui.controls import InputEvent, KeyPressed, TextTyped
-from pica_client.ui.join_dialog import ask_where
-from pica_client.ui.join_form import Fields, JoinForm
+from pica_client.transport.receiver import Receiver
+from pica_client.ui.events import InputEvent, KeyPressed
+from pica_client.ui.joining.form import Fields, JoinForm
 from pica_client.ui.preferences import Preferences, PreferencesFile
 from pica_client.ui.view import ViewConfig
 from pica_client.ui.view_session import Destination, ask_and_look, look
@@ -29,6 +32,7 @@ pytestmark = pytest.mark.call
 
 NOBODY = "ws://127.0.0.1:9"
 SIZE = (640, 360)
+WATCHING = FaceChoice(source="")
 
 
 class ScreenlessWindow:
@@ -39,7 +43,8 @@ class ScreenlessWindow:
     def __init__(self, title: str, size: tuple[int, int]) -> None:
         self.context = create_context()
         self.size_px = self.windowed_size = size
-        self.shown: list[np.ndarray] = []
+        self.content_scale = 1.0
+        self._screen = self.context.simple_framebuffer(size)
 
     def __enter__(self) -> Self:
         return self
@@ -50,11 +55,11 @@ class ScreenlessWindow:
     def poll(self) -> list[InputEvent]:
         return [self.happened.pop(0)] if self.happened else []
 
-    def show(self, renderer: Any) -> None:
-        self.shown.append(renderer.read_image())
+    def show(self, draw: Callable[[Any], None]) -> None:
+        draw(self._screen)
 
     def clipboard(self) -> str:
-        return "pasted"
+        return ""
 
 
 @pytest.fixture
@@ -93,27 +98,12 @@ def config(url: str, *, headless: bool = False) -> ViewConfig:
     )
 
 
-def test_the_form_is_drawn_typed_into_and_pasted_into() -> None:
-    window = ScreenlessWindow("t", SIZE)
-    window.happened = [
-        TextTyped("A"),
-        KeyPressed("Tab"),
-        KeyPressed("V", has_control=True),
-        KeyPressed("Enter"),
-    ]
-    with window:
-        link = ask_where(window, JoinForm(Fields(url=NOBODY, room="r")))  # type: ignore[arg-type]
-    assert link is not None
-    assert (link.name, link.token) == ("A", "pasted")
-    assert (window.shown[0] != window.shown[2]).any()
-
-
 def test_one_can_leave_at_the_form(
     window_of: Callable[[list[InputEvent]], None], library: AvatarLibrary
 ) -> None:
     window_of([KeyPressed("Escape")])
     result = ask_and_look(
-        config(NOBODY), library, None, without_signals, form=JoinForm(Fields(url=NOBODY))
+        config(NOBODY), library, WATCHING, without_signals, form=JoinForm(Fields(url=NOBODY))
     )
     assert result["frames_rendered"] == 0
 
@@ -126,12 +116,12 @@ def test_a_relay_that_is_not_there_is_said_in_the_form(
     form = JoinForm(Fields(url=NOBODY, room="lobby", name="Ada"), base=base)
     refusals: list[str] = []
 
-    def refuse(reason: str) -> None:
-        refusals.append(reason)
+    def refuse(error: BaseException) -> None:
+        refusals.append(str(error))
         form.outcome = "leave"
 
     form.refuse = refuse  # type: ignore[method-assign]
-    ask_and_look(config(NOBODY), library, None, without_signals, form=form)
+    ask_and_look(config(NOBODY), library, WATCHING, without_signals, form=form)
     assert len(refusals) == 1
     assert f"no relay answers at {NOBODY}" in refusals[0]
 
@@ -145,7 +135,7 @@ def test_who_joins_by_the_form_is_in_the_call_and_found_again_next_time(
     window_of([KeyPressed("Enter")])
     kept = PreferencesFile(tmp_path)
     form = JoinForm(Fields(url=relay_url, room="standup", name="Ada", token="a-secret"))
-    result = ask_and_look(config(NOBODY), library, None, without_signals, form=form, kept=kept)
+    result = ask_and_look(config(NOBODY), library, WATCHING, without_signals, form=form, kept=kept)
     assert result["frames_rendered"] > 0
     found = kept.load()
     assert (found.url, found.room, found.name, found.layout) == (
@@ -162,9 +152,32 @@ def test_an_address_on_the_command_line_needs_no_form(
     library: AvatarLibrary, relay_url: str, tmp_path: Path
 ) -> None:
     kept = PreferencesFile(tmp_path)
-    result = look(config(relay_url, headless=True), library, None, without_signals, kept=kept)
+    result = look(config(relay_url, headless=True), library, WATCHING, without_signals, kept=kept)
     assert result["frames_rendered"] > 0
     assert kept.load().url == relay_url
+
+
+@pytest.mark.parametrize("what", ["film", "series of pictures"])
+def test_who_records_from_the_command_line_is_seen_to_by_those_in_the_room(
+    library: AvatarLibrary, relay_url: str, tmp_path: Path, what: str
+) -> None:
+    pytest.importorskip("av")
+    recording = config(relay_url, headless=True)
+    if what == "film":
+        options = replace(recording.viewer, record=tmp_path / "call.mp4")
+        recording = replace(recording, viewer=options)
+    else:
+        recording = replace(recording, png_folder=tmp_path)
+    call = Call(library)
+    with Receiver(LinkConfig(url=relay_url, name="Ada"), call) as receiver:
+        while not receiver.is_connected:
+            time.sleep(0.01)
+        look(recording, library, WATCHING, without_signals)
+        news: list[tuple[str, str]] = []
+        while ("left", "guest") not in news:
+            news += [(each.kind, each.name) for each in call.room(time.monotonic()).news]
+            time.sleep(0.01)
+    assert ("records", "guest") in news
 
 
 def test_what_the_command_line_says_comes_before_what_was_kept() -> None:

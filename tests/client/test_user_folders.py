@@ -1,5 +1,7 @@
 """Each system's folders are those where earlier versions kept their files."""
 
+import os
+import stat
 import sys
 from pathlib import Path
 
@@ -8,7 +10,10 @@ from platformdirs import PlatformDirs, windows
 from platformdirs.macos import MacOS
 from platformdirs.unix import Unix
 
-from pica_client.user_folders import cache_folder, preferences_folder
+from pica_client.avatars.cache import AvatarCache
+from pica_client.cli.doctor import Finding, examine
+from pica_client.ui.preferences import Preferences, PreferencesFile
+from pica_client.user_folders import cache_folder, open_to_others, preferences_folder
 
 pytestmark = pytest.mark.unit
 
@@ -59,6 +64,33 @@ def test_files_are_where_the_platform_has_them_and_where_they_were(
     monkeypatch.setattr(windows, "get_win_folder", windows.get_win_folder_from_env_vars)
     assert cache_folder(system) == Path(cache, "avatars")
     assert preferences_folder(system) == Path(preferences)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="files have no such modes")
+def test_what_is_kept_of_a_user_is_for_their_eyes_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    monkeypatch.setattr(sys, "platform", "linux")
+    assert list(open_to_others()) == []
+    for folder in (cache_folder(), preferences_folder()):  # as earlier versions made them
+        folder.mkdir(parents=True)
+        folder.chmod(0o755)
+    token = tmp_path / "token"
+    token.touch(0o644)
+    assert list(open_to_others([token])) == [cache_folder(), preferences_folder(), token]
+    assert examined()["privacy"].fix == f"chmod go= {cache_folder()} {preferences_folder()}"
+    AvatarCache()
+    PreferencesFile().save(Preferences(name="Ada"))
+    assert list(open_to_others()) == []
+    assert stat.S_IMODE((preferences_folder() / "preferences.json").stat().st_mode) == 0o600
+    monkeypatch.setenv("PICA_SEND_TOKEN_FILE", str(token))
+    assert examined()["privacy"].fix == f"chmod go= {token}"
+
+
+def examined() -> dict[str, Finding]:
+    return {each.subject: each for each in examine(has_display=lambda: False, wanted=["privacy"])}
 
 
 def test_preferences_that_were_kept_on_a_mac_before_are_still_found(

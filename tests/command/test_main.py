@@ -10,7 +10,9 @@ from typing import Any
 
 import pytest
 
-import pica_command.main as command
+import pica_command.catalogue as command
+from pica_command.extras import install_line
+from pica_command.main import main
 
 pytestmark = pytest.mark.unit
 
@@ -53,7 +55,7 @@ def run(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
     ]
     monkeypatch.setattr(command, "entry_points", lambda group: entries)
     monkeypatch.setattr(EntryPoint, "load", lambda _: greet)
-    return lambda *words: command.main(words)
+    return lambda *words: main(words)
 
 
 def test_json_is_the_last_line_of_stdout(
@@ -90,7 +92,7 @@ def test_a_missing_module_names_the_smallest_extra_that_brings_it(
 ) -> None:
     assert run("greet", "--name", f"needs {module}") == 2
     assert capsys.readouterr().err == (
-        f"pica greet: needs {module}; install it with: pip install 'pica-telepresence[{extra}]'\n"
+        f"pica greet: needs {module}; install it with: {install_line(extra)}\n"
     )
 
 
@@ -108,41 +110,61 @@ def test_an_interrupt_ends_with_130_and_no_traceback(
     assert capsys.readouterr().err == "pica greet: stopped\n"
 
 
-def test_an_unknown_command_ends_with_2_and_lists_the_known_ones(
+def test_an_unknown_command_ends_with_2_and_the_one_that_was_meant(
     run: Callable[..., int], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run("dance") == 2
-    assert "pica say greet" in capsys.readouterr().err
+    assert run("geet") == run("say", "greed") == run("dance") == 2
+    assert capsys.readouterr().err.splitlines() == [
+        "pica: no command 'geet'; did you mean `pica greet`?",
+        "pica: no command 'say greed'; did you mean `pica say greet`?",
+        "pica: no command 'dance'; `pica --help` lists all commands",
+    ]
 
 
-def test_an_unknown_option_ends_with_2(run: Callable[..., int]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        run("greet", "--nam", "Ada")
-
-    assert ended.value.code == 2
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ShoutOptions(GreetOptions):
-    """Options that come from elsewhere."""
-
-    @classmethod
-    def parse(cls, words: list[str], *, prog: str, description: str) -> ShoutOptions:
-        """Take the words as they are."""
-        assert prog == "pica greet"
-        return cls(name=" ".join(words).upper())
+def test_half_a_command_ends_with_2_and_lists_its_family(
+    run: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("say") == 2
+    listed = capsys.readouterr().err
+    assert "  say greet  Greet somebody\n" in listed
+    assert "  greet " not in listed
+    assert run("say", "--help") == 0
+    assert capsys.readouterr().out == listed
 
 
-def shout(options: ShoutOptions) -> dict[str, Any]:
-    """Greet somebody loudly."""
-    return greet(options)
+def test_an_unknown_option_ends_with_2_in_one_line(
+    run: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("greet", "--nam", "Ada") == 2
+    assert capsys.readouterr().err == (
+        "pica greet: Unrecognized options: --nam, Ada; did you mean --name?\n"
+    )
 
 
-def test_options_may_read_the_words_themselves(
+@pytest.mark.parametrize(
+    ("words", "kind", "code"),
+    [
+        (["greet", "--name", "nobody"], "bad_input", 2),
+        (["greet", "--name", "missing"], "file_not_found", 2),
+        (["greet", "--name", "needs torch"], "missing_extra", 2),
+        (["greet", "--name", "crash"], "bug", 1),
+        (["greet", "--name", "interrupt"], "interrupted", 130),
+        (["greet", "--nam", "Ada"], "usage", 2),
+        (["geet"], "usage", 2),
+    ],
+)
+def test_with_json_an_error_is_one_object_and_debug_changes_no_exit_status(
     run: Callable[..., int],
     capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    words: list[str],
+    kind: str,
+    code: int,
 ) -> None:
-    monkeypatch.setattr(EntryPoint, "load", lambda _: shout)
-    assert run("greet", "Ada", "--json") == 0
-    assert json.loads(capsys.readouterr().out) == {"greeting": "hello ADA"}
+    assert run(*words, "--json") == code
+    shown = capsys.readouterr()
+    (line,) = shown.out.splitlines()
+    error = json.loads(line)["error"]
+    assert (error["kind"], error["exit_code"]) == (kind, code)
+    assert error["message"] in shown.err
+    assert run(*words, "--debug") == code
+    assert "Traceback" in capsys.readouterr().err

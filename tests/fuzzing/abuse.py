@@ -49,7 +49,7 @@ _METHODS: Final = (
 )
 _VERSIONS: Final = ("HTTP/1.1", "HTTP/1.1", "HTTP/1.0", "HTTP/2", "HTTP/9.9", "http/1.1", "")
 _HEADERS: Final = (
-    "Host: relay",
+    "Host: localhost",
     "Host: a\r\nHost: b",
     "Connection: close",
     "Connection: Upgrade, keep-alive",
@@ -88,7 +88,7 @@ def handshake(rng: random.Random, protocol: str = "pica.1", *, is_good: bool = T
     key = base64.b64encode(rng.randbytes(16)).decode()
     lines = [
         "GET / HTTP/1.1",
-        "Host: relay",
+        "Host: localhost",
         "Upgrade: websocket",
         "Connection: Upgrade",
         f"Sec-WebSocket-Key: {key}",
@@ -134,7 +134,7 @@ def http(rng: random.Random) -> bytes:
     odd = rng.choices(range(4), k=rng.choice((0, 1, 1, 2)))
     method = rng.choice(_METHODS) if 0 in odd else "GET"
     version = rng.choice(_VERSIONS) if 1 in odd else "HTTP/1.1"
-    headers = rng.choices(_HEADERS, k=rng.randrange(1, 4)) if 2 in odd else ["Host: relay"]
+    headers = rng.choices(_HEADERS, k=rng.randrange(1, 4)) if 2 in odd else ["Host: localhost"]
     end = rng.choice(("\n", "\r", "\0")) if 3 in odd else "\r\n"
     lines = [f"{method} {rng.choice(PATHS)} {version}", *headers, "", ""]
     more = (b"", b"hello", b"GET /healthz HTTP/1.1\r\n\r\n" * 3)

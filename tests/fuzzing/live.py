@@ -288,7 +288,7 @@ async def healthy_call(url: str) -> AsyncIterator[tuple[WirePeer, WirePeer]]:
 async def _status(port: int, path: str) -> tuple[int, bytes]:
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     try:
-        writer.write(f"GET {path} HTTP/1.1\r\nHost: relay\r\n\r\n".encode())
+        writer.write(f"GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
         answer = await reader.read()
         return int(answer.split(b" ", 2)[1]), answer.partition(b"\r\n\r\n")[2]
     finally:

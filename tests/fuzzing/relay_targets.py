@@ -154,13 +154,14 @@ def hub(rng: random.Random, meter: Meter) -> None:
 def _administer(rng: random.Random, relay: Hub, now: float) -> None:
     """Do to the room of strangers alone what an admin may do."""
     peers = [peer.peer_id for room in relay.rooms if room.name == "attic" for peer in room.peers]
-    match rng.randrange(4):
+    match rng.randrange(5):
         case 0:
             relay.moderation.close_room("attic", now)
         case 1:
-            relay.moderation.remove(
-                "attic", rng.choice([*peers, "p1"]), bar=rng.random() < 0.5, now=now
-            )
+            relay.moderation.remove("attic", rng.choice([*peers, "p1"]), now=now)
+        case 2:
+            who = f"{rng.randrange(3)}"
+            relay.moderation.bar("attic", who, is_barred=rng.random() < 0.5, now=now)
         case _:
             relay.moderation.mute(
                 "attic", rng.randrange(1, 9), is_muted=rng.random() < 0.5, now=now

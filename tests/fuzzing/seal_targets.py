@@ -75,6 +75,8 @@ def guard(rng: random.Random, meter: Meter) -> None:
         for number in (1, 2, 3)
     ]
     tracks = [peer.tracks for peer in peers]
+    for each in (ada, bob):
+        each.begin("lobby", "X")
     ada.receive_event(Joined(room="lobby", peer_id="p1", tracks=tracks[0]), 0.0)
     joined = Joined(room="lobby", peer_id="p2", tracks=tracks[1], peers=(peers[0],))
     bob.receive_event(joined, 0.0)

@@ -46,6 +46,7 @@ _ADA = Peer(
     tracks=(Track(kind="face", avatar=_AVATAR, stream=1, profile=_PROFILE),),
     metadata=(("role", "host"),),
 )
+_KNOWN_ADA = replace(_ADA, identity="ada-1", is_name_assured=True)
 _ADA_BEFORE_METADATA = replace(_ADA, metadata=())
 _OLD_ADA = Peer(peer_id="p1", name="Ada", tracks=(Track(kind="face", avatar=_AVATAR, stream=1),))
 
@@ -73,7 +74,11 @@ MESSAGES: dict[str, Message] = {
         resume="Zk3vT8mN5rLa",
         resume_ms=10_000,
     ),
+    "joined with a name": Joined(
+        room="lobby", peer_id="p2", peers=(replace(_KNOWN_ADA, tracks=()),), name="Bob"
+    ),
     "peer_joined": PeerJoined(peer=_ADA),
+    "peer_joined with identity": PeerJoined(peer=replace(_KNOWN_ADA, tracks=())),
     "peer_left": PeerLeft(peer_id="p1", reason="lost"),
     "peer_away": PeerAway(peer_id="p1"),
     "peer_back": PeerBack(peer_id="p1"),
@@ -184,6 +189,10 @@ def invalid_bytes() -> dict[str, bytes]:
             Join(room="r", name="n", tracks=(Track(kind="face"),))
         ).replace(b"deadline_ms\x00", b"deadline_ms\x01"),
         "stream 0": encode_message(Want(stream=1)).replace(b"stream\x01", b"stream\x00"),
+        "key that stands twice": hello[:1] + b"\x84" + hello[2:] + b"\xa7version\x01",
+        "name that draws nothing": encode_message(Join(room="r", name="n")).replace(
+            b"\xa1n", b"\xa3\xe3\x85\xa4"
+        ),
         "map with a number as key": b"\x01\x81\x01\x01",
         "extension type": b"\x01\xd4\x05\x00",
         "media without a frame": b"\x02",

@@ -64,9 +64,17 @@ class Member:
             self.hub.receive(self.connection, data, now)
 
     def send_frame(
-        self, payload: bytes, now: float, *, is_keyframe: bool = True, track: int = 0
+        self,
+        payload: bytes,
+        now: float,
+        *,
+        is_keyframe: bool = True,
+        track: int = 0,
+        layer: int = 0,
     ) -> None:
-        self.session.send_frame(payload, captured_us=0, is_keyframe=is_keyframe, track=track)
+        self.session.send_frame(
+            payload, captured_us=0, is_keyframe=is_keyframe, track=track, layer=layer
+        )
         self.speak(now)
 
     def listen(self, now: float) -> list[Message | Frame]:

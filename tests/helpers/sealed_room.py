@@ -74,23 +74,31 @@ class Room:
         suite: Suite = AES_128_GCM_SHA256_128,
         publishes: bool = True,
         guard: Guard | None = None,
+        more_tracks: tuple[Track, ...] = (),
+        asks_for: str = "r",
+        pad_to: tuple[int, ...] = (),
     ) -> Member:
         """Let somebody in; the name is the peer id."""
         self._serial += 1
         stream = self._serial
-        tracks = (Track(kind="face", stream=stream),) if publishes else ()
+        tracks = (Track(kind="face", stream=stream), *more_tracks) if publishes else ()
         chance = random.Random(f"{name}/{self._serial}").randbytes
-        guard = guard or Guard(secret, suite=suite, random_bytes=chance)
+        guard = guard or Guard(secret, suite=suite, pad_to=pad_to, random_bytes=chance)
         others = tuple(member.peer for member in self.members.values())
         peer = Peer(peer_id=name, name=name, tracks=tracks)
         joined = Joined(room="r", peer_id=name, tracks=tracks, peers=others)
         member = Member(guard, peer, joined)
+        guard.begin(asks_for, name)
         member.take(guard.receive_event(joined, self.now))
         for other in self.members.values():
             other.take(other.guard.receive_event(PeerJoined(peer=peer), self.now))
         self.members[name] = member
         self.frames.setdefault(name, [])
         return member
+
+    def others(self, name: str) -> list[str]:
+        """Everybody but one."""
+        return [other for other in self.members if other != name]
 
     def leave(self, name: str) -> Member:
         """Let somebody go."""

@@ -5,7 +5,12 @@ import string
 from hypothesis import strategies as st
 
 from pica_protocol.frames import MAX_PAYLOAD_BYTES, Frame
-from pica_protocol.limits import MAX_DEADLINE_MS, MAX_PASS_BYTES, MAX_WHISPER_BYTES
+from pica_protocol.limits import (
+    MAX_DEADLINE_MS,
+    MAX_PASS_BYTES,
+    MAX_WHISPER_BYTES,
+    draws_nothing,
+)
 from pica_protocol.messages import (
     BYE_CODES,
     Bye,
@@ -37,7 +42,7 @@ tokens = st.text(_TOKEN_CHARS, min_size=1, max_size=64)
 streams = st.integers(1, 65_535)
 counters = st.integers(0, 2**63 - 1)
 texts = st.text(max_size=15).filter(str.isprintable)
-names = texts.filter(lambda text: bool(text.strip()))
+names = texts.filter(lambda text: not all(map(draws_nothing, text)))
 metadata = st.dictionaries(
     st.text(_TOKEN_CHARS, min_size=1, max_size=16), texts | st.just("x" * 64), max_size=8
 ).map(lambda entries: tuple(entries.items()))
@@ -57,7 +62,15 @@ def tracks(stream: st.SearchStrategy[int]) -> st.SearchStrategy[tuple[Track, ...
     return st.lists(track, max_size=4).map(tuple)
 
 
-peers = st.builds(Peer, peer_id=tokens, name=names, tracks=tracks(streams), metadata=metadata)
+peers = st.builds(
+    Peer,
+    peer_id=tokens,
+    name=names,
+    tracks=tracks(streams),
+    metadata=metadata,
+    identity=secrets,
+    is_name_assured=st.booleans(),
+)
 
 messages: st.SearchStrategy[Message] = st.one_of(
     st.builds(Hello, version=counters, software=texts),
@@ -81,6 +94,7 @@ messages: st.SearchStrategy[Message] = st.one_of(
         resumed=st.booleans(),
         resume=secrets,
         resume_ms=counters,
+        name=texts,
     ),
     st.builds(PeerJoined, peer=peers),
     st.builds(PeerLeft, peer_id=tokens, reason=texts),

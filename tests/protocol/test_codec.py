@@ -192,7 +192,14 @@ def test_the_fullest_room_fits_a_control_message() -> None:
         deadline_ms=10_000,
     )
     metadata = tuple((f"{i}" * 16, "x" * 64) for i in range(8))
-    peer = Peer(peer_id="p" * 64, name="n" * 64, tracks=(track,) * 4, metadata=metadata)
+    peer = Peer(
+        peer_id="p" * 64,
+        name="n" * 64,
+        tracks=(track,) * 4,
+        metadata=metadata,
+        identity="i" * 64,
+        is_name_assured=True,
+    )
     joined = Joined(
         room="r" * 64,
         peer_id="p" * 64,
@@ -201,6 +208,7 @@ def test_the_fullest_room_fits_a_control_message() -> None:
         resumed=True,
         resume="s" * 64,
         resume_ms=2**63 - 1,
+        name="n" * 64,
     )
     assert len(encode_message(joined)) <= MAX_CONTROL_BYTES
 

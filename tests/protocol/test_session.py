@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from helpers.strategies import messages
 from pica_protocol.client_session import MAX_QUEUED_MESSAGES, ClientSession
 from pica_protocol.codec import decode_message, encode_message
-from pica_protocol.errors import CloseCode, LocalProtocolError, is_worth_retrying
+from pica_protocol.errors import CloseCode, LocalProtocolError, is_worth_retrying, may_pass
 from pica_protocol.frames import Frame, decode_media, encode_frame, media_message
 from pica_protocol.limits import MAX_PEERS
 from pica_protocol.messages import (
@@ -458,3 +458,8 @@ def test_a_retry_is_worth_it_when_nobody_is_at_fault() -> None:
     assert not is_worth_retrying(CloseCode.WRONG_VERSION)
     assert not is_worth_retrying(CloseCode.ROOM_FULL)
     assert not is_worth_retrying(4999)
+    assert [code for code in CloseCode if may_pass(code)] == [
+        CloseCode.ROOM_FULL,
+        CloseCode.TOO_MANY,
+        CloseCode.UNAUTHORIZED,
+    ]

@@ -8,13 +8,15 @@ import socket
 import struct
 import subprocess
 import sys
+import time
 import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
 
+from helpers.certificates import write_certificate
 from pica_protocol.frames import Frame
 from pica_protocol.messages import PeerLeft
 from simnet.peers import peer_in_room
@@ -86,7 +88,63 @@ def test_a_relay_without_numpy_forwards_stops_on_a_signal_and_prints_its_numbers
     stats = json.loads(stdout.splitlines()[-1])
     assert (stats["frames_in"], stats["frames_out"]) == (1, 1)
     assert stats["forward_ms"]["p99"] > 0
+    size = stats["bytes_out"]
+    summary = f"forwarded 1 frames ({size} bytes) for 2 joins; 0 frames dropped"
+    assert stderr.splitlines()[-1] == summary
     assert not ready_file.exists()
+
+
+def test_a_signal_while_the_relay_is_loaded_ends_it_in_good_order() -> None:
+    early = """
+import os, signal, sys
+
+class Early:
+    def find_spec(self, name, path=None, target=None):
+        if name == "pica_server.cli.relay":
+            os.kill(os.getpid(), signal.SIGTERM)
+
+sys.meta_path.insert(0, Early())
+"""
+    ended = subprocess.run([sys.executable, "-c", early + PROGRAM, "relay", "--port", "0"])
+    assert ended.returncode == 0
+
+
+@pytest.mark.parametrize("name", [signal.SIGTERM, signal.SIGINT])
+def test_signals_that_repeat_cost_no_numbers(name: signal.Signals) -> None:
+    with running_relay("--json") as (process, _):
+        for _ in range(50):
+            process.send_signal(name)
+            time.sleep(0.002)
+        stdout, stderr = process.communicate(timeout=30)
+    assert process.returncode == 0, stderr
+    assert json.loads(stdout.splitlines()[-1])["open_connections"] == 0
+
+
+@pytest.mark.parametrize("tls", [False, True])
+def test_without_descriptors_it_says_so_in_one_line_and_goes_on(tls: bool, tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "pica_command", "relay", "--port", "0", "--avatar-store", "none"]
+    if tls:  # another event loop
+        path = write_certificate(tmp_path)
+        words += ["--tls-cert", str(path), "--tls-key", str(path.with_suffix(".key"))]
+    relay = subprocess.Popen(
+        ["sh", "-c", 'ulimit -n 64; exec "$@"', "sh", *words], stderr=subprocess.PIPE, text=True
+    )
+    assert relay.stderr is not None
+    port = int(relay.stderr.readline().strip().rpartition(":")[2])
+    with ExitStack() as sockets:
+        for _ in range(100):
+            sockets.enter_context(socket.create_connection(("127.0.0.1", port), 1))
+        time.sleep(0.5)
+    time.sleep(1.5)  # asyncio waits for a second before it accepts again
+    with socket.create_connection(("127.0.0.1", port), 5) as late:
+        if not tls:
+            late.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
+            assert late.recv(100).startswith(b"HTTP/1.1 200")
+    relay.terminate()
+    lines = relay.communicate(timeout=30)[1].splitlines()
+    assert relay.returncode == 0
+    assert len([line for line in lines if "out of file descriptors" in line]) == 1
+    assert "message of asyncio" not in "".join(lines)
 
 
 def test_a_relay_answers_health_checks_and_shows_its_numbers() -> None:

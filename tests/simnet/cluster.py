@@ -16,7 +16,7 @@ from contextlib import asynccontextmanager, contextmanager, suppress
 
 from pica_client.errors import ClientError
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.connect import open_websocket
+from pica_client.transport.connect import RelayWebsocket, open_websocket
 from pica_client.transport.link import Link
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, KeyframeRequest, PeerJoined, PeerLeft, Track, Whisper
@@ -117,7 +117,7 @@ class Person:
         config = LinkConfig(url=urls[0], room=room, name=name, connect_timeout_s=10.0)
         tracks = (Track(kind="face"),) if publishes else ()
 
-        async def connect() -> object:
+        async def connect(_url: str) -> RelayWebsocket:
             url = self._urls[self._attempts % len(self._urls)]
             self._attempts += 1
             return await open_websocket(url)
@@ -126,7 +126,7 @@ class Person:
             config,
             tracks,
             on_event=self._note,
-            connector=connect,  # type: ignore[arg-type]
+            connector=connect,
             rng=random.Random(name),
         )
 

@@ -32,6 +32,7 @@ class Network:
         self._connections: list[tuple[str, SimTransport, SimTransport]] = []
         self._unreachable: set[str] = set()
         self._down_until_s: dict[str, float] = {}
+        self._stalled_until_s: dict[str, float] = {}
 
     def route(self, host: str, *, up: Link | None = None, down: Link | None = None) -> None:
         """Say what the way to the server is like for those who connect to this host name."""
@@ -40,6 +41,11 @@ class Network:
     def cut(self, host: str) -> None:
         """Swallow everything on this route, in both directions, without telling anybody."""
         self._unreachable.add(host)
+        self.forget(host)
+
+    def forget(self, host: str) -> None:
+        """Swallow everything on the connections that are there, without telling anybody; new ones
+        get through, as after a change of address or where a NAT has lost its table."""
         for transport in self._transports(host):
             transport.cut()
 
@@ -51,8 +57,9 @@ class Network:
 
     def stall(self, host: str, seconds: float) -> None:
         """Let nothing through on this route for a while; then all of it comes, in order."""
+        self._stalled_until_s[host] = until_s = self._loop.time() + seconds
         for transport in self._transports(host):
-            transport.hold(self._loop.time() + seconds)
+            transport.hold(until_s)
 
     async def create_connection(
         self, factory: ProtocolFactory, host: str = "", port: int = 0, **_options: Any
@@ -61,7 +68,8 @@ class Network:
         up, down = self._routes.get(host, (Link(), Link()))
         if host in self._unreachable:
             await asyncio.get_running_loop().create_future()  # nobody answers
-        await asyncio.sleep(up.delay_s + down.delay_s)
+        stalled_s = self._stalled_until_s.get(host, 0.0) - self._loop.time()
+        await asyncio.sleep(max(stalled_s, 0.0) + up.delay_s + down.delay_s)
         if self._loop.time() < self._down_until_s.get(host, 0.0):
             raise OSError(101, "Network is unreachable")
         listener = self._listeners.get(port)
@@ -147,3 +155,6 @@ class _ListeningSocket:
 
     def getsockname(self) -> tuple[str, int]:
         return "127.0.0.1", self._port
+
+    def setsockopt(self, _level: int, _option: int, _value: int) -> None:
+        """Ignore it: nothing piles up in a kernel here."""

@@ -22,6 +22,7 @@ class _Ends:
     def __init__(self, sockname: Any, peername: Any) -> None:
         self.getsockname = lambda: sockname
         self.getpeername = lambda: peername
+        self.fileno = lambda: 0
 
 
 class SimTransport(asyncio.Transport):

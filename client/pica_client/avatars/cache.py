@@ -10,7 +10,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from pica_client.user_folders import cache_folder
+from pica_client.user_folders import cache_folder, make_private
 from pica_core.avatar.file import avatar_id
 from pica_core.errors import AvatarFileError
 
@@ -32,7 +32,9 @@ class AvatarCache:
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self.folder = cache_folder() if folder is None else folder
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
+            if folder is None:
+                make_private(self.folder)
+            self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             trial = self.unfinished("trial")
             trial.touch()
             trial.unlink()

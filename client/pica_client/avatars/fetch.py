@@ -129,7 +129,7 @@ class AvatarFetcher:
         while len(self._wanted) >= MAX_WANTED:
             oldest = min(self._wanted, key=lambda each: self._wanted[each].asked_s)
             del self._wanted[oldest]
-        self._wanted[identity] = _Wanted(asked_s=now, due_s=now, note="fetching avatar")
+        self._wanted[identity] = _Wanted(asked_s=now, due_s=now, note="avatar is on its way")
         if self._thread is None and not self._is_closing:
             self._thread = threading.Thread(target=self._work, name="avatar-fetch", daemon=True)
             self._thread.start()
@@ -181,18 +181,17 @@ class AvatarFetcher:
             self.fetched_bytes += path.stat().st_size
             return path
         except NotThereError:
-            self._note_failure(identity, "the relay does not have this avatar yet")
+            self._note_failure(identity, "avatar file is missing: the relay does not have it yet")
         except (NoStoreError, WrongFileError) as error:
             problem = (
-                f"avatar {identity[:8]} is not on this machine, and {error}; "
-                "get its file and name it with --avatar"
+                f"avatar file is missing: {error}; get {identity[:8]} and name it with --avatar"
             )
             self._note_failure(identity, problem, is_final=True)
         except StoppedError:
             pass
         except (DownloadError, OSError) as error:
             _log.debug("avatar not fetched", extra={"error": type(error).__name__})
-            self._note_failure(identity, "the avatar does not come; trying again")
+            self._note_failure(identity, "avatar file does not come; trying again")
         finally:
             with suppress(OSError):
                 unfinished.unlink(missing_ok=True)
@@ -203,7 +202,7 @@ class AvatarFetcher:
             wanted = self._wanted.get(identity)
             if wanted is None or self._is_closing:
                 return False
-            wanted.note = f"fetching avatar {ratio:.0%}"
+            wanted.note = f"avatar is on its way ({ratio:.0%})"
             return time.monotonic() - wanted.asked_s <= FORGOTTEN_AFTER_S
 
     def _note_failure(self, identity: str, note: str, *, is_final: bool = False) -> None:

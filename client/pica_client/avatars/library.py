@@ -8,15 +8,13 @@ of a second, in which neither network nor display may stand still.
 import threading
 from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
-from importlib import resources
 from pathlib import Path
 from typing import Protocol
 
 from pica_client.errors import AvatarLookupError
 from pica_core.avatar.file import Avatar, avatar_id, load_avatar
+from pica_core.avatar.shipped import SUFFIX, shipped_avatar_files
 from pica_core.errors import AvatarFileError
-
-SUFFIX = ".pica"
 
 
 class AvatarStore(Protocol):
@@ -37,15 +35,6 @@ class AvatarStore(Protocol):
     def note(self, identity: str) -> str:
         """How far an avatar is on its way, for people; empty when there is nothing to say."""
         ...
-
-
-def shipped_avatar_files() -> list[Path]:
-    """The avatar files inside the package, by name."""
-    folder = resources.files("pica_core") / "avatars"
-    if not folder.is_dir():
-        return []
-    files = [Path(str(item)) for item in folder.iterdir() if item.name.endswith(SUFFIX)]
-    return sorted(files)
 
 
 class AvatarLibrary:
@@ -94,7 +83,7 @@ class AvatarLibrary:
             AvatarFileError: The file cannot be read.
         """
         for identity, path in self._paths.items():
-            if path.stem == name:
+            if path.stem.lower() == name.lower():
                 return identity
         path = Path(name).expanduser()
         if path.suffix != SUFFIX:
@@ -120,7 +109,8 @@ class AvatarLibrary:
         error = future.exception()
         if isinstance(error, AvatarFileError):
             # A fresh one each time: an error raised again and again keeps every traceback.
-            raise AvatarFileError(str(error)) from error
+            why = str(error).removeprefix(f"{self._paths[identity]}: ")
+            raise AvatarFileError(f"avatar file is refused: {why} ({identity[:8]})") from error
         return future.result()
 
     def note(self, identity: str) -> str:

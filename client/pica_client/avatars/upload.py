@@ -9,7 +9,7 @@ import random
 import socket
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from websockets.asyncio.client import ClientConnection
@@ -62,6 +62,8 @@ class Push:
     """The SHA-256 of the file, in hexadecimal."""
     token_file: Path | None = None
     """File with a join token that allows to wear this avatar, for a relay that wants one."""
+    token: str = field(default="", repr=False)
+    """The token itself, instead of a file; a secret."""
     ca_file: Path | None = None
     """File of certificates to trust with wss:// instead of the system's."""
 
@@ -78,7 +80,7 @@ async def push_avatar(url: str, push: Push, progress: Progress = lambda ratio: N
         OptionError: The token file, or the certificates, cannot be read.
     """
     data = await asyncio.to_thread(_read, push.path)
-    token = read_token(push.token_file)
+    token = push.token or read_token(push.token_file)
     async with _store_socket(url, push.ca_file) as websocket:
         try:
             offer = Offer(sha256=push.identity, size=len(data), token=token)
@@ -102,7 +104,7 @@ async def push_avatar(url: str, push: Push, progress: Progress = lambda ratio: N
 
 
 class AvatarGiver:
-    """Gives our avatar to whatever relay we are at; ``begin`` it after each join.
+    """Gives our avatar to whatever relay we are at; `begin` it after each join.
 
     Attributes:
         outcome: For the statistics: ``""`` until something happened, then ``known``, ``given`` or
@@ -112,7 +114,6 @@ class AvatarGiver:
     def __init__(
         self,
         push: Push,
-        relay_url: Callable[[], str],
         say: Callable[[str], None],
         *,
         rng: random.Random | None = None,
@@ -121,19 +122,20 @@ class AvatarGiver:
 
         Args:
             push: The file to give.
-            relay_url: Returns the address of the relay where we are.
             say: Takes a line for the user.
             rng: Spreads further attempts.
         """
         self.outcome = ""
         self._push = push
-        self._relay_url = relay_url
+        self._url = ""
         self._say = say
         self._backoff = Backoff((rng or random.Random()).random)
         self._task: asyncio.Task[None] | None = None
 
-    def begin(self) -> None:
-        """Give it in the background, unless that is going on; another relay may not have it."""
+    def begin(self, url: str) -> None:
+        """Give it to the relay at an address, in the background; what is under way goes there with
+        its next attempt."""
+        self._url = url
         if self._task is None or self._task.done():
             self._task = asyncio.create_task(self._give(), name="avatar push")
 
@@ -146,7 +148,7 @@ class AvatarGiver:
     async def _give(self) -> None:
         for attempt in range(1, MAX_ATTEMPTS + 1):
             try:
-                stored = await push_avatar(self._relay_url(), self._push)
+                stored = await push_avatar(self._url, self._push)
             except (AvatarFileError, ClientError) as error:
                 if getattr(error, "is_worth_retrying", False) and attempt < MAX_ATTEMPTS:
                     await asyncio.sleep(self._backoff.next_wait_s(0.0))

@@ -156,7 +156,7 @@ async def _measure(config: BenchConfig, local: LocalCall, library: AvatarLibrary
             return await _measure_through(local.url, None, config, local, library)
         proxy = await stack.enter_async_context(ImpairedProxy(local.url, config.impairment))
         play = CallConfig(playout=config.playout)
-        comparison = CallComparison(local.url, proxy.url, library, play)
+        comparison = CallComparison(local.url, proxy.url, library, play, local.secret_file)
         result = await _measure_through(proxy.url, comparison, config, local, library)
     return result | {"impairment": asdict(config.impairment), "rendered": comparison.compare()}
 
@@ -169,9 +169,14 @@ async def _measure_through(
     library: AvatarLibrary,
 ) -> dict[str, Any]:
     call = Call(library, CallConfig(playout=config.playout))
-    receiver = Receiver(
-        LinkConfig(url=url, room=ROOM, name="bench", connect_timeout_s=JOIN_TIMEOUT_S), call
+    link = LinkConfig(
+        url=url,
+        room=ROOM,
+        name="bench",
+        connect_timeout_s=JOIN_TIMEOUT_S,
+        secret_file=local.secret_file,
     )
+    receiver = Receiver(link, call)
     queue = DecodeQueue(library, config.decode_threads)
     loop = asyncio.get_running_loop()
     work = [receiver.run(), _release(receiver, queue)]

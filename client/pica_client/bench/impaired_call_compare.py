@@ -18,6 +18,8 @@ import asyncio
 import bisect
 from collections import defaultdict, deque
 from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -87,7 +89,12 @@ class CallComparison:
     """Both receivers. Let `run` run beside the call, then `compare`."""
 
     def __init__(
-        self, url: str, impaired_url: str, library: AvatarLibrary, config: CallConfig
+        self,
+        url: str,
+        impaired_url: str,
+        library: AvatarLibrary,
+        config: CallConfig,
+        secret_file: Path | None = None,
     ) -> None:
         """Prepare.
 
@@ -96,14 +103,15 @@ class CallComparison:
             impaired_url: The way to it through the bad network.
             library: Avatars of the call.
             config: How the display plays.
+            secret_file: The room secret of an encrypted call.
         """
+        link = LinkConfig(room=ROOM, connect_timeout_s=20.0, secret_file=secret_file)
         self._library = library
         self._reference = Receiver(
-            LinkConfig(url=url, room=ROOM, name="reference"), Call(library, CallConfig())
+            replace(link, url=url, name="reference"), Call(library, CallConfig())
         )
         self._display = Receiver(
-            LinkConfig(url=impaired_url, room=ROOM, name="display", connect_timeout_s=20.0),
-            Call(library, config),
+            replace(link, url=impaired_url, name="display"), Call(library, config)
         )
         self._true: defaultdict[str, TrueFace] = defaultdict(TrueFace)
         # Drops its oldest when full.

@@ -9,7 +9,7 @@ the face is held; a peer whose avatar nobody has gets a seat without a face.
 
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
@@ -19,6 +19,9 @@ from pica_client.call.connection_quality import StreamHealth
 from pica_client.call.faces import FaceState, FaceStatus
 from pica_client.call.layer_subscription import LayerSubscriptionConfig
 from pica_client.call.participant import RemoteParticipant, Tell
+from pica_client.call.roster import SECRET_NEEDED, RoomState, Roster
+from pica_client.call.seal_note import seal_note
+from pica_client.e2ee.status import PeerSeal, SealState, SealStatus
 from pica_client.errors import OptionError
 from pica_client.playout.config import PlayoutConfig
 from pica_client.publish.face_track import FACE_TRACK
@@ -91,6 +94,8 @@ class Call:
         errors: Payloads that could not be read.
         without_avatar: Frames whose avatar is not there, or not yet.
         strays: Frames of streams that nobody owns, as when their peer has just left.
+        seal_status: Says how the encryption stands; None where we do not encrypt. Asked on any
+            thread.
         on_subscription: Called, on any thread, when `tell_subscriptions` has news.
     """
 
@@ -107,10 +112,12 @@ class Call:
         self._shown: deque[Shown] = deque(maxlen=MAX_SHOWN if log_shown else 0)
         self._avatars = avatars
         self._lock = threading.Lock()
+        self._roster = Roster()
         self._seats: dict[str, RemoteParticipant] = {}  # bounded by the protocol's limit on peers
         self._by_stream: dict[int, RemoteParticipant] = {}
         self._departed: deque[RemoteParticipant] = deque(maxlen=MAX_DEPARTED)
         self._window_begin_s: float | None = None
+        self.seal_status: Callable[[], SealStatus | None] = lambda: None
         self.on_subscription: Callable[[], None] = lambda: None
 
     # The network's side
@@ -118,24 +125,28 @@ class Call:
     def receive_event(self, event: ClientEvent, now: float) -> None:
         """Take an event of the link's session."""
         with self._lock:
+            if isinstance(event, Frame):
+                self._receive_frame(event, now)
+                return
+            self._roster.receive_event(event, now)
             match event:
-                case Frame():
-                    self._receive_frame(event, now)
                 case Joined(peers=peers):
                     present = {peer.peer_id: peer for peer in peers}
                     for peer_id, seat in list(self._seats.items()):
-                        if not seat.stays(present.get(peer_id), is_same_room=event.resumed):
-                            self._remove(peer_id)
+                        if not seat.stays(present.get(peer_id)):
+                            self._remove(peer_id, "lost", now)
+                            continue
                         seat.is_behind = True
                         seat.is_away = seat.is_muted = False  # we are told again if it is so
                         seat.resume(now)
+                        seat.note_silence(now)
                         seat.subscription.begin(now)
                     for peer in peers:
                         self._add(peer)
                 case PeerJoined(peer=peer):
                     self._add(peer)
-                case PeerLeft(peer_id=peer_id):
-                    self._remove(peer_id)
+                case PeerLeft(peer_id=peer_id, reason=reason):
+                    self._remove(peer_id, reason, now)
                 case PeerAway(peer_id=peer_id) | PeerBack(peer_id=peer_id):
                     if peer_id in self._seats:
                         self._seats[peer_id].is_away = isinstance(event, PeerAway)
@@ -143,9 +154,12 @@ class Call:
                     if peer_id in self._seats:
                         seat = self._seats[peer_id]
                         seat.peer = replace(seat.peer, metadata=metadata)
+                        seat.note_silence(now)
                 case StreamMuted(stream=stream, is_muted=is_muted):
                     if stream in self._by_stream:
-                        self._by_stream[stream].is_muted = is_muted
+                        seat = self._by_stream[stream]
+                        seat.is_muted = is_muted
+                        seat.note_silence(now)
                 case _:
                     pass  # a keyframe is all we ever send; a closed session is the link's affair
 
@@ -203,14 +217,15 @@ class Call:
     def faces(self, now: float) -> list[FaceState]:
         """Return everybody's face at display time; see `FaceSource.faces`."""
         with self._lock:
-            return [self._face(seat, now) for seat in self._seats.values()]
+            faces = [self._face(seat, now) for seat in self._seats.values()]
+            return sorted(faces, key=lambda face: self._roster.place(face.peer_id))
 
     def avatar(self, avatar_id: str) -> Avatar | None:
         """See `FaceSource.avatar`; an avatar that nobody here has is an error with the fix."""
         if not self._avatars.has(avatar_id):
+            short = avatar_id[:8] or "(none)"
             raise AvatarFileError(
-                f"avatar {avatar_id[:8] or '(none)'} is not on this machine; "
-                "get its file and name it with --avatar"
+                f"avatar file is missing here: get {short} and name it with --avatar"
             )
         return self._avatars.get(avatar_id)
 
@@ -234,6 +249,33 @@ class Call:
                 seat.settle()
             timers = [seat.playout.next_timer() for seat in self._seats.values()]
         return min((timer for timer in timers if timer is not None), default=None)
+
+    # The people
+
+    def set_own_name(self, name: str) -> None:
+        """Say what we are called: whoever has our name gets a number."""
+        with self._lock:
+            self._roster.own_name = name
+
+    def room(self, now: float) -> RoomState:
+        """Who is in the room, those who only watch among them, and what happened since the last
+        call."""
+        with self._lock:
+            self._roster.handle_timer(now)
+            joined_s, lost_s = self._roster.joined_s, self._roster.lost_s
+            return RoomState(
+                own_name=self._roster.own_name,
+                members=tuple(self._roster.members),
+                notes=self._notes(now),
+                verified=frozenset(
+                    peer_id
+                    for peer_id, seal in self._seals().items()
+                    if seal.state is SealState.VERIFIED
+                ),
+                news=tuple(self._roster.take_news()),
+                duration_s=0.0 if joined_s is None else now - joined_s,
+                away_s=None if lost_s is None else now - lost_s,
+            )
 
     # Statistics
 
@@ -266,7 +308,7 @@ class Call:
             self._departed.clear()
             self._shown.clear()
             for seat in self._seats.values():
-                seat.begin_window()
+                seat.begin_window(now)
 
     def take_shown(self) -> list[Shown]:
         """The faces shown in the window, if they were to be logged."""
@@ -276,11 +318,16 @@ class Call:
         return shown
 
     def stats(self, now: float) -> dict[str, Any]:
-        """How the streams came in since `begin_window`, or since the call began."""
+        """How the stream of each person came in since `begin_window`, or since the call began.
+
+        Who left and came back is one person; `longest_gap_ms` is how long a face stood still that
+        was expected to move, also if it does so now, or was lost and came back to another seat.
+        """
         with self._lock:
             begin_s = self._window_begin_s
             seconds = None if begin_s is None else now - begin_s
-            peers = [seat.stats(seconds) for seat in self._all_seats()]
+            peers = [seat.stats(seconds, None) for seat in self._departed]
+            peers += [seat.stats(seconds, now) for seat in self._seats.values()]
             return {
                 "seconds": None if seconds is None else round(seconds, 3),
                 "peers": peers,
@@ -290,9 +337,6 @@ class Call:
                 "without_avatar": self.without_avatar,
                 "strays": self.strays,
             }
-
-    def _all_seats(self) -> list[RemoteParticipant]:
-        return [*self._departed, *self._seats.values()]
 
     def _add(self, peer: Peer) -> None:
         if peer.peer_id in self._seats:
@@ -305,11 +349,18 @@ class Call:
                     self._avatars.get(track.avatar)
                 seat = RemoteParticipant(peer, track, self.config.playout, self.config.subscription)
                 self._seats[peer.peer_id] = self._by_stream[track.stream] = seat
+                for former in [each for each in self._departed if each.is_same_person(peer)][-1:]:
+                    self._departed.remove(former)
+                    seat.succeed(former)
                 return  # one face a person
 
-    def _remove(self, peer_id: str) -> None:
+    def _remove(self, peer_id: str, reason: str, now: float) -> None:
         seat = self._seats.pop(peer_id, None)
         if seat is not None:
+            since_s = seat.window.silent_since_s
+            seat.note_gap(now, is_expected=False)
+            if reason == "lost":
+                seat.window.silent_since_s = since_s  # it goes on if they come back
             self._by_stream.pop(seat.track.stream, None)
             self._departed.append(seat)
 
@@ -318,6 +369,8 @@ class Call:
         if seat is None:
             self.strays += 1
             return
+        if self._lacks_secret(seat.peer.peer_id):
+            return  # it could be read as a latent all the same, and would be a heap of triangles
         if seat.decoder is None and not self._open_decoder(seat):
             return
         self.errors += seat.receive_frame(frame, now)
@@ -342,17 +395,51 @@ class Call:
             return False
         return True
 
+    def _lacks_secret(self, peer_id: str) -> bool:
+        """Whether a peer's payloads are encrypted, as it has told us, and we have no secret."""
+        return self.seal_status() is None and self._roster.has_whispered(peer_id)
+
+    def _is_silent(self, seat: RemoteParticipant, now: float) -> bool:
+        """Whether nothing has come for so long that it is to be shown."""
+        silent_s = 0.0 if seat.last_arrival_s is None else now - seat.last_arrival_s
+        return silent_s > self.config.stale_after_s and not seat.is_paused
+
+    def _seals(self) -> Mapping[str, PeerSeal]:
+        """How the encryption of each peer stands, by peer id; empty where we do not encrypt."""
+        status = self.seal_status()
+        return {} if status is None else status.peers
+
+    def _notes(self, now: float) -> dict[str, str]:
+        """What is wrong with each peer, by peer id; watchers have no face that could be missing."""
+        notes = {peer_id: seal_note(seal) for peer_id, seal in self._seals().items()}
+        return notes | {peer_id: self._note(seat, now) for peer_id, seat in self._seats.items()}
+
+    def _note(self, seat: RemoteParticipant, now: float) -> str:
+        """Why a face is not to be seen, or not as it should be; empty when nothing is wrong."""
+        peer_id = seat.peer.peer_id
+        note = seal_note(self._seals().get(peer_id)) or seat.note
+        if note:
+            return note
+        if self._lacks_secret(peer_id):
+            return SECRET_NEEDED
+        if seat.played is None:
+            return self._avatars.note(seat.track.avatar) or "no face yet"
+        return "no signal" if self._is_silent(seat, now) else ""
+
     def _face(self, seat: RemoteParticipant, now: float) -> FaceState:
         played, is_held = seat.play(now)
-        peer, avatar_id, note = seat.peer, seat.track.avatar, seat.note
+        peer, avatar_id, note = seat.peer, seat.track.avatar, self._note(seat, now)
         face = FaceState(
-            peer_id=peer.peer_id, name=peer.name, avatar_id=avatar_id, latent=None, status="waiting"
+            peer_id=peer.peer_id,
+            name=self._roster.title(peer.peer_id),
+            avatar_id=avatar_id,
+            latent=None,
+            status="waiting",
         )
-        if played is None:
-            return replace(face, note=note or self._avatars.note(avatar_id))
+        if played is None or self._lacks_secret(peer.peer_id):
+            return replace(face, note=note)
         status: FaceStatus = "concealed" if is_held or played.is_concealed else "live"
-        silent_s = 0.0 if seat.last_arrival_s is None else now - seat.last_arrival_s
-        if silent_s > self.config.stale_after_s and not seat.is_paused:
+        if self._is_silent(seat, now):
             status = "stale"
         if not is_held:
             newest = played.newest

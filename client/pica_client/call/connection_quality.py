@@ -12,6 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from pica_client.playout.buffer import PlayoutReport
+
 Quality = Literal["unknown", "good", "fair", "poor"]
 
 WINDOW_S = 4.0
@@ -24,24 +26,10 @@ MAX_SAMPLES = 64
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class StreamHealth:
+class StreamHealth(PlayoutReport):
     """How a stream stands; counters since it began."""
 
-    received: int = 0
-    """Frames that came."""
-    lost: int = 0
-    """Frames that did not."""
-    late: int = 0
-    """Frames that came when a newer one was shown already."""
-    shown: int = 0
-    """Display times at which a face was shown, a count."""
-    concealed: int = 0
-    """Display times without a fresh face."""
-    age_s: float = 0.0
-    """How old the shown face is."""
     payload_bytes: int = 0
-    delay_s: float = 0.0
-    """What it waits in the playout buffer."""
     is_paused: bool = False
     """Whether nothing is to be expected: its sender is away or muted."""
 

@@ -5,7 +5,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from pica_client.call.connection_quality import StreamHealth
@@ -16,7 +16,7 @@ from pica_client.call.layer_subscription import (
 )
 from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
 from pica_client.playout.config import PlayoutConfig
-from pica_client.publish.face_track import FACE_KEY
+from pica_client.publish.face_track import FACE_KEY, FACE_LOST
 from pica_core.codec.factory import FaceDecoder
 from pica_core.codec.latent_sample import DecodedFrame
 from pica_core.errors import LatentError
@@ -26,9 +26,18 @@ from pica_protocol.messages import Peer, Track
 CATCH_UP_S = 0.02
 """Whoever comes late gets the frames since the last keyframe at once, to decode from. They are old;
 only the newest is shown, or the playout would take them for a network that delays."""
+BACKLOG_S = 1.0
+"""A frame this late, after a silence this long, was kept for us on its way: this machine slept, or
+the network stood (chosen: shorter stalls the playout buffer goes over without a leap)."""
+FRESH_S = 0.1
+"""A frame less late than this ends a backlog, and so does a pause this long in it."""
 RETRY_S = 0.1
 """Until a subscription is told again that could not be, as while the network takes nothing."""
-FACE_NOTES = {"muted": "face is off", "frozen": "face is frozen"}
+FACE_NOTES = {
+    "muted": "face is off",
+    "frozen": "face is frozen",
+    FACE_LOST: "no face in front of the tracker",
+}
 """Why a face stands still, by what its owner says under `FACE_KEY`."""
 
 
@@ -43,7 +52,12 @@ class StreamWindow:
     received: int = 0
     payload_bytes: int = 0
     longest_gap_s: float = 0.0
+    """Longest time without a frame that has ended."""
+    silent_since_s: float | None = None
+    """When the gap began that is still open: with the last frame; None: no frame is expected."""
     keyframe_requests: int = 0
+    unreferenced: int = 0
+    """Frames without a reference that came to former seats of the same person."""
     before: PlayoutReport = field(default_factory=PlayoutReport)
 
 
@@ -69,20 +83,21 @@ class RemoteParticipant:
         self.is_behind = True
         self.catching_up_until_s = -math.inf
         self.catch_up: DecodedFrame | None = None
-        self.is_paused = self.is_resuming = False
+        self.is_paused = self.is_resuming = self.is_in_backlog = False
+        self.last_captured_us = 0
         self.played: PlayedFace | None = None
         self.last_arrival_s: float | None = None
         self.payload_bytes = 0
         self.window = StreamWindow()
         self.reported = PlayoutReport()
 
-    def stays(self, peer: Peer | None, *, is_same_room: bool) -> bool:
+    def stays(self, peer: Peer | None) -> bool:
         """Say whether this is still the seat of whoever has its id after we joined again.
 
-        If we have come back to our old place, ids are those of before. Else somebody else may have
-        got an old id, as from another relay: only who is the same in every respect keeps the seat.
+        Somebody else may have got an old id, as from another relay, or from one that lies: only who
+        is the same in every respect keeps the seat.
         """
-        if peer is None or (not is_same_room and replace(peer, metadata=()) != self._who):
+        if peer is None or replace(peer, metadata=()) != self._who:
             return False
         self.peer = peer
         return True
@@ -90,6 +105,38 @@ class RemoteParticipant:
     @property
     def _who(self) -> Peer:
         return replace(self.peer, metadata=())
+
+    def is_same_person(self, peer: Peer) -> bool:
+        """Say whether somebody who comes is who sat here: by identity, or else by name."""
+        mine = self.peer.identity or self.peer.name
+        return mine == (peer.identity or peer.name)
+
+    def succeed(self, former: "RemoteParticipant") -> None:
+        """Go on counting where the last seat of the same person stopped."""
+        counted = former.playout.report().since(former.window.before)
+        self.window = replace(
+            former.window,
+            before=PlayoutReport().since(counted),
+            unreferenced=former.num_unreferenced,
+        )
+
+    def note_gap(self, now: float, *, is_expected: bool) -> None:
+        """End the gap that is open, and begin another if a next frame is to be expected."""
+        window = self.window
+        if window.silent_since_s is not None:
+            window.longest_gap_s = max(window.longest_gap_s, now - window.silent_since_s)
+        window.silent_since_s = now if is_expected else None
+
+    def note_silence(self, now: float) -> None:
+        """Note that it has changed whether the stream stands still on purpose."""
+        is_expected = not (self.is_paused or self.is_muted or self.says_muted)
+        if is_expected != (self.window.silent_since_s is not None):
+            self.note_gap(now, is_expected=is_expected and self.last_arrival_s is not None)
+
+    @property
+    def num_unreferenced(self) -> int:
+        """Frames whose reference was not there, over all seats of the person."""
+        return self.window.unreferenced + (self.decoder.num_unreferenced if self.decoder else 0)
 
     @property
     def note(self) -> str:
@@ -130,6 +177,7 @@ class RemoteParticipant:
             subscription.note_told(layer, now)
             if layer == NOTHING:
                 self.pause()
+                self.note_silence(now)
             elif before == NOTHING:
                 self.resume(now)
         return subscription.next_timer()
@@ -146,6 +194,7 @@ class RemoteParticipant:
             self.catching_up_until_s = -math.inf
             if self.last_arrival_s is not None:
                 self.last_arrival_s = now
+            self.note_silence(now)
 
     def receive_frame(self, frame: Frame, now: float) -> int:
         """Take a frame off the wire; there must be a decoder.
@@ -155,6 +204,7 @@ class RemoteParticipant:
         """
         assert self.decoder is not None
         num_unreadable = 0
+        self._note_backlog(frame, now)
         is_backlog = self.is_behind or now <= self.catching_up_until_s
         for received in self.playout.sender.receive(frame, now, is_backlog=is_backlog):
             try:
@@ -164,14 +214,33 @@ class RemoteParticipant:
                 num_unreadable += 1
         if num_unreadable:
             return num_unreadable
-        window = self.window
-        if window.received and self.last_arrival_s is not None:
-            window.longest_gap_s = max(window.longest_gap_s, now - self.last_arrival_s)
         self.last_arrival_s = now
+        is_silent = self.is_paused or self.is_muted or self.says_muted
+        self.note_gap(now, is_expected=not is_silent)
+        window = self.window
         window.received += 1
         window.payload_bytes += len(frame.payload)
         self.payload_bytes += len(frame.payload)
         return 0
+
+    def _note_backlog(self, frame: Frame, now: float) -> None:
+        """Find out whether a frame is one of many that were kept for us on their way.
+
+        They come much faster than they were captured. They are decoded, for others refer to them;
+        the face stands still until the newest is there, and goes on from that.
+        """
+        late_s = self.playout.sender.lateness_s(frame, now)
+        silent_s = 0.0 if self.last_arrival_s is None else now - self.last_arrival_s
+        if late_s >= BACKLOG_S and silent_s >= BACKLOG_S:
+            self.settle()
+            self.is_in_backlog = self.is_resuming = True
+        elif self.is_in_backlog:
+            is_burst = 2e6 * silent_s < frame.captured_us - self.last_captured_us
+            self.is_in_backlog = is_burst and late_s >= FRESH_S
+            self.catching_up_until_s = now
+        if self.is_in_backlog:
+            self.catching_up_until_s = now + FRESH_S
+        self.last_captured_us = frame.captured_us
 
     def _receive_decoded(self, frame: DecodedFrame, now: float) -> None:
         """Hand a face to the playout, unless it is one of those that bring us up to date."""
@@ -191,35 +260,38 @@ class RemoteParticipant:
     def play(self, now: float) -> tuple[PlayedFace | None, bool]:
         """The face to show now, None before the first one; and whether the stream is stopped on
         purpose: then the face stands still, and nothing is concealed."""
-        self.settle()
-        is_stopped = self.is_paused or (self.is_resuming and self.is_behind)
+        is_catching_up = self.is_in_backlog and now <= self.catching_up_until_s
+        if not is_catching_up:
+            self.settle()
+        is_stopped = self.is_paused or is_catching_up or (self.is_resuming and self.is_behind)
         if not is_stopped:
             self.played = self.playout.sample_at(now)
         return self.played, is_stopped
 
-    def begin_window(self) -> None:
+    def begin_window(self, now: float) -> None:
         """Begin the statistics anew."""
         self.window = StreamWindow(before=self.playout.report())
+        self.note_silence(now)
 
     def health(self) -> StreamHealth:
         """What judges the connection."""
-        report = self.playout.report()
         return StreamHealth(
-            received=report.received,
-            lost=report.lost,
-            late=report.late,
-            shown=report.shown,
-            concealed=report.concealed,
-            age_s=report.age_s,
+            **asdict(self.playout.report()),
             payload_bytes=self.payload_bytes,
-            delay_s=report.delay_s,
             is_paused=self.is_away or self.is_muted or self.says_muted,
         )
 
-    def stats(self, seconds: float | None) -> dict[str, Any]:
-        """How the stream came in since `begin_window`, so many seconds ago; None: since the call
-        began."""
+    def stats(self, seconds: float | None, now: float | None) -> dict[str, Any]:
+        """How the person's stream came in, over all their seats.
+
+        Args:
+            seconds: So long ago was `begin_window`; None: there was none, so since the call began.
+            now: The time, up to which a gap counts that is still open; None: they are gone.
+        """
         window = self.window
+        gap_s = window.longest_gap_s
+        if now is not None and window.silent_since_s is not None:
+            gap_s = max(gap_s, now - window.silent_since_s)
         report = self.playout.report().since(window.before)
         counted = ("lost", "late", "concealed", "duplicates", "refused", "future", "restarts")
         return {
@@ -227,13 +299,14 @@ class RemoteParticipant:
             "received": window.received,
             "latents_per_s": round(window.received / seconds, 2) if seconds else None,
             "payload_bps": round(window.payload_bytes * 8 / seconds) if seconds else None,
-            "longest_gap_ms": round(window.longest_gap_s * 1e3, 1),
+            "longest_gap_ms": round(gap_s * 1e3, 1),
             "keyframe_requests": window.keyframe_requests,
-            "unreferenced": self.decoder.num_unreferenced if self.decoder else 0,
+            "unreferenced": self.num_unreferenced,
             **{name: getattr(report, name) for name in counted},
             "concealed_ratio": round(report.concealed_ratio, 4),
             "playout_delay_ms": round(report.delay_s * 1e3, 2),
             "jitter_ms": round(report.jitter_s * 1e3, 2),
             "age_ms": round(report.age_s * 1e3, 2),
             "clock_drift_ppm": round(report.drift_ppm, 1),
+            "clock_offset_ms": round(report.offset_s * 1e3, 1),
         }

@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from pica_client.call.connection_quality import Quality, StreamHealth
+from pica_client.call.participants import Participant
+from pica_client.call.roster import News
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -27,8 +29,25 @@ class CallStatus:
     own_quality: Quality = "unknown"
     is_muted_by_admin: bool = False
     """Whether an admin has stopped our own face."""
+    own_trouble: str = ""
+    """What is wrong with the tracker of our own face; empty: nothing, or there is none."""
     peers: Mapping[str, PeerStatus] = field(default_factory=dict)
     """How each stream comes in, by peer id."""
+    participants: tuple[Participant, ...] = ()
+    """Oneself, and everybody else in the order of coming."""
+    news: tuple[News, ...] = ()
+    """What happened since the last status."""
+    room: str = ""
+    """Where we are; empty outside a call."""
+    invitation: str = ""
+    """A line that leads others here."""
+    is_encrypted: bool = False
+    """Whether faces are encrypted end to end."""
+    code: str = ""
+    """Digits that everybody who sees the same people has, too; empty without encryption, and while
+    nobody else is verified."""
+    duration_s: float = 0.0
+    """Since we came in for the first time."""
     summary: tuple[tuple[str, str], ...] = ()
     """Further figures for the statistics, name and value."""
 

@@ -1,33 +1,35 @@
-"""``pica avatar push``, ``pica avatar thumbnail`` and ``pica avatar measure``."""
+"""`pica avatar push`, `pica avatar thumbnail` and `pica avatar measure`."""
 
 import asyncio
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import tyro
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.upload import Push, push_avatar
-from pica_client.cli.options import parse_size
+from pica_client.cli.options import SHARED_OPTIONS, parse_size
 from pica_client.output import check_writable, say
 from pica_client.transport.config import LinkConfig
 from pica_core.avatar.file import avatar_id, load_avatar, save_avatar
+from pica_core.avatar.shipped import avatar_file
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AvatarPushOptions:
-    """Options of ``pica avatar push``."""
+    """Options of `pica avatar push`."""
 
     file: tyro.conf.Positional[Path]
-    """Avatar file (.pica)."""
+    """Name of a shipped avatar, or a .pica file."""
     url: str = "ws://127.0.0.1:8765"
     """Address of the relay, ws:// or wss://."""
     token_file: Path | None = None
     """File with a join token that allows to wear this avatar, see pica token."""
     ca_file: Path | None = None
     """Trust the certificates of this PEM file instead of the system's, at a wss:// address."""
+    SHARED: ClassVar[tuple[str, ...]] = SHARED_OPTIONS
 
 
 def avatar_push(options: AvatarPushOptions) -> dict[str, Any]:
@@ -36,10 +38,11 @@ def avatar_push(options: AvatarPushOptions) -> dict[str, Any]:
     Checks it first, as receivers do. `pica send` gives the avatar that it wears by itself.
     """
     LinkConfig(url=options.url, ca_file=options.ca_file)  # refuses what is no address
-    load_avatar(options.file)
+    file = avatar_file(options.file)
+    load_avatar(file)
     push = Push(
-        path=options.file,
-        identity=avatar_id(options.file),
+        path=file,
+        identity=avatar_id(file),
         token_file=options.token_file,
         ca_file=options.ca_file,
     )
@@ -53,15 +56,15 @@ def avatar_push(options: AvatarPushOptions) -> dict[str, Any]:
 
     stored = asyncio.run(push_avatar(options.url, push, show))
     if stored.checked:
-        say(f"{options.file}: the relay has it now; it checked: {stored.checked}")
+        say(f"{file}: the relay has it now; it checked: {stored.checked}")
     else:
-        say(f"{options.file}: the relay had it already")
+        say(f"{file}: the relay had it already")
     return {"sha256": push.identity, "was_there": not stored.checked, "checked": stored.checked}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ThumbnailOptions:
-    """Options of ``pica avatar thumbnail``."""
+    """Options of `pica avatar thumbnail`."""
 
     avatar: tyro.conf.Positional[str]
     """Name of a shipped avatar, or a .pica file."""
@@ -76,6 +79,7 @@ def avatar_thumbnail(options: ThumbnailOptions) -> dict[str, Any]:
     from pica_client.render.recorder import save_png
     from pica_client.render.thumbnail import draw_thumbnail
 
+    check_writable(options.out, ".png")
     size = parse_size(options.size)
     library = AvatarLibrary()
     try:
@@ -89,20 +93,20 @@ def avatar_thumbnail(options: ThumbnailOptions) -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AvatarMeasureOptions:
-    """Options of ``pica avatar measure``."""
+    """Options of `pica avatar measure`."""
 
     file: tyro.conf.Positional[Path]
-    """Avatar file (.pica)."""
+    """Name of a shipped avatar, or a .pica file."""
     out: Path
     """Avatar file to write, with the table of errors in it; may be the same."""
 
 
 def avatar_measure(options: AvatarMeasureOptions) -> dict[str, Any]:
-    """Measure how well an avatar's levels of detail serve, and write the table into its file."""
+    """Measure an avatar's levels of detail; write the table of errors into its file."""
     from pica_client.avatars.level_errors import measure_levels, with_errors
 
-    check_writable(options.out)
-    avatar = load_avatar(options.file)
+    check_writable(options.out, ".pica")
+    avatar = load_avatar(avatar_file(options.file))
     errors = measure_levels(avatar, lambda ratio: say(f"{ratio:.0%}"))
     save_avatar(options.out, with_errors(avatar, errors))
     rows: list[dict[str, Any]] = []

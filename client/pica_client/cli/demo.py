@@ -26,7 +26,7 @@ from pica_client.local_call.local_call import (
     bitrates,
 )
 from pica_client.local_call.processes import Child, Children
-from pica_client.output import make_folder, say, writing
+from pica_client.output import make_folder, say, writing_whole
 from pica_client.signals import terminate_as_interrupt
 from pica_client.stats import describe_machine
 from pica_client.ui.display import has_display
@@ -38,7 +38,7 @@ VIEWER_NAME = "viewer"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DemoConfig:
-    """What to show and where to put it; the options of ``pica demo``."""
+    """What to show and where to put it; the options of `pica demo`."""
 
     call: tyro.conf.OmitArgPrefixes[LocalCallConfig] = field(default_factory=LocalCallConfig)
     seconds: float = 20.0
@@ -76,10 +76,10 @@ def demo(options: DemoConfig) -> dict[str, Any]:
 
 
 def run_demo(config: DemoConfig) -> dict[str, Any]:
-    """Hold the call, and write ``call.mp4``, ``frame.png`` and ``stats.json``.
+    """Hold the call, and write `call.mp4`, `frame.png` and `stats.json`.
 
     Returns:
-        What stands in ``stats.json``.
+        What stands in `stats.json`.
 
     Raises:
         ClientError: A source, an avatar, the folder or a process is not as it must be. When a
@@ -100,8 +100,8 @@ def run_demo(config: DemoConfig) -> dict[str, Any]:
     finally:
         library.close()
     stats_file = config.out / "stats.json"
-    with writing(stats_file):
-        stats_file.write_text(json.dumps(stats, indent=2) + "\n")
+    with writing_whole(stats_file) as unfinished:
+        unfinished.write_text(json.dumps(stats, indent=2) + "\n")
     if failures:
         raise CallProcessError("; ".join(failures))
     return stats

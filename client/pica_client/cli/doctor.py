@@ -1,39 +1,49 @@
-"""What this machine can do, and the fix for each lack."""
+"""What this machine can do, and the fix for each lack. Runs on the base install."""
 
 import importlib
+import os
+import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from functools import partial
+from pathlib import Path
+from typing import Any, Final, Literal
 
-from pica_client.avatars.library import shipped_avatar_files
+import tyro
+
+from pica_client.errors import OptionError
 from pica_client.output import say
 from pica_client.ui.display import has_display
+from pica_client.user_folders import open_to_others
+from pica_command.catalogue import commands, nearest, spoken
+from pica_command.extras import install_line, modules_by_extra
+from pica_core.avatar.shipped import shipped_avatar_files
 from pica_core.errors import GraphicsError
 
-DISTRIBUTION = "pica-telepresence"
-EXTRAS = {
-    "send": ("numpy", "safetensors"),
-    "view": ("moderngl", "glfw", "onnx", "onnxruntime", "PIL"),
-    "video": ("av",),
-    "train": ("torch",),
-}
-"""Each extra by what its modules are called."""
+Level = Literal["ready", "missing"]
 
-Level = Literal["good", "lacking"]
+NEEDS: Final = {
+    "view": ("OpenGL", "ONNX Runtime", "display", "avatars"),
+    "demo": ("OpenGL", "ONNX Runtime", "video", "avatars"),
+    "send": ("avatars",),
+    "avatar thumbnail": ("OpenGL", "ONNX Runtime"),
+    "avatar measure": ("OpenGL", "ONNX Runtime"),
+    "capture synth": ("OpenGL",),
+    "capture rig": ("OpenGL",),
+    "bench": ("OpenGL", "ONNX Runtime", "avatars"),
+}
+"""What commands, or families of them, need besides their extras."""
+SOFTWARE_RENDERERS: Final = ("llvmpipe", "softpipe", "swiftshader")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DoctorOptions:
-    """``pica doctor`` has no options."""
+    """Options of `pica doctor`."""
 
-
-def doctor(options: DoctorOptions) -> dict[str, Any]:
-    """Say what this machine can do: GL, inference, display, extras, with the fix for each lack."""
-    findings = examine(has_display=has_display)
-    for finding in findings:
-        say(finding.line)
-    return {"findings": [asdict(finding) for finding in findings]}
+    command: tyro.conf.Positional[tuple[str, ...]] = ()
+    """A command, such as view or capture rig: only what it needs is examined, and the exit status
+    is 1 if it cannot work."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,9 +58,28 @@ class Finding:
     @property
     def line(self) -> str:
         """The finding as people read it."""
-        mark = "ok  " if self.level == "good" else "LACK"
-        fix = f" -> {self.fix}" if self.fix else ""
-        return f"{mark}  {self.subject}: {self.detail}{fix}"
+        fix = f"; to mend it: {self.fix}" if self.fix else ""
+        return f"{self.level:8} {self.subject}: {self.detail}{fix}"
+
+
+def doctor(options: DoctorOptions) -> dict[str, Any]:
+    """Say what this machine can do, and how to mend what it lacks.
+
+    With the name of a command, say whether that one can work here.
+    """
+    asked = " ".join(options.command)
+    findings = examine(wanted=_wanted(asked) if asked else None, has_display=has_display)
+    for finding in findings:
+        say(finding.line)
+    lacking = [finding.subject for finding in findings if finding.level == "missing"]
+    if asked and lacking:
+        say(f"pica {asked} cannot work here: {', '.join(lacking)} missing")
+    elif asked:
+        say(f"pica {asked} can work here")
+    return {
+        "ok": not (asked and lacking),
+        "findings": [asdict(finding) for finding in findings],
+    }
 
 
 def load_module(name: str) -> Any:
@@ -64,15 +93,61 @@ def examine(
     load: Callable[[str], Any] = load_module,
     *,
     has_display: Callable[[], bool],
+    wanted: Collection[str] | None = None,
 ) -> list[Finding]:
-    """Look at everything a sender, a viewer and a trainer need.
+    """Look at every extra, every device and the avatars.
 
     Args:
         load: Imports a module by name; tests give another.
         has_display: Whether a window can be expected to open.
+        wanted: Subjects to look at; None is all of them.
     """
-    extras = (_extra(extra, modules, load) for extra, modules in EXTRAS.items())
-    return [*extras, _graphics(load), _inference(load), _display(has_display()), _avatars()]
+    looks: dict[str, Callable[[], Finding]] = {
+        f"extra {extra}": partial(_extra, extra, modules, load)
+        for extra, modules in modules_by_extra().items()
+        if modules and extra != "all"
+    }
+    looks |= {
+        "OpenGL": lambda: _graphics(load),
+        "ONNX Runtime": lambda: _inference(load),
+        "CUDA": lambda: _training_device(load),
+        "video": lambda: _video(load),
+        "display": lambda: _display(has_display()),
+        "avatars": _avatars,
+        "privacy": _privacy,
+    }
+    return [look() for subject, look in looks.items() if wanted is None or subject in wanted]
+
+
+def _wanted(asked: str) -> set[str]:
+    """Subjects that a command, or a family of them, needs.
+
+    Raises:
+        OptionError: There is none of that name.
+    """
+    name = asked.replace(" ", ".")
+    known = commands()
+    chosen = {one: each for one, each in known.items() if one == name or one.startswith(f"{name}.")}
+    if not chosen:
+        near = nearest(asked.split(), known)
+        hint = f"did you mean `pica doctor {near}`?" if near else "`pica --help` lists them"
+        raise OptionError(f"no command {asked!r}; {hint}")
+    wanted = {f"extra {extra.strip()}" for each in chosen.values() for extra in each.extras}
+    for one in chosen:
+        family, whole = one.partition(".")[0], spoken(one).removeprefix("pica ")
+        wanted.update(NEEDS.get(whole, NEEDS.get(family, ())))
+    return wanted
+
+
+def _privacy() -> Finding:
+    """Look whether others on this machine can read what is this user's alone."""
+    secret = ("_KEYS", "TOKEN_FILE", "SECRET_FILE", "TLS_KEY")
+    named = [Path(v) for k, v in os.environ.items() if k.startswith("PICA_") and k.endswith(secret)]
+    found = [shlex.quote(str(path)) for path in open_to_others(named)]
+    if found:
+        detail = f"others on this machine can look into {', '.join(found)}"
+        return Finding("privacy", "missing", detail, f"chmod go= {' '.join(found)}")
+    return Finding("privacy", "ready", "cache, preferences and secrets are for you alone")
 
 
 def _extra(extra: str, modules: tuple[str, ...], load: Callable[[str], Any]) -> Finding:
@@ -84,50 +159,65 @@ def _extra(extra: str, modules: tuple[str, ...], load: Callable[[str], Any]) -> 
             kind = "" if isinstance(error, ModuleNotFoundError) else f" ({error})"
             lacking.append(f"{module}{kind}")
     if not lacking:
-        return Finding(f"extra {extra}", "good", "installed")
-    fix = f"pip install '{DISTRIBUTION}[{extra}]'"
-    return Finding(f"extra {extra}", "lacking", f"no {', '.join(lacking)}", fix)
+        return Finding(f"extra {extra}", "ready", "installed")
+    return Finding(f"extra {extra}", "missing", f"no {', '.join(lacking)}", install_line(extra))
 
 
 def _graphics(load: Callable[[str], Any]) -> Finding:
     try:
         context = load("pica_core.gl").create_context()
     except ModuleNotFoundError:
-        return Finding("OpenGL", "lacking", "see extra view")
+        return Finding("OpenGL", "missing", "moderngl is not installed", install_line("view"))
     except GraphicsError as error:
-        return Finding("OpenGL", "lacking", str(error))
+        return Finding("OpenGL", "missing", str(error))
     try:
         info = context.info
         renderer, version = info["GL_RENDERER"], context.version_code
     finally:
         context.release()
-    is_software = any(word in renderer.lower() for word in ("llvmpipe", "softpipe", "swiftshader"))
     detail = f"{renderer}, GL {version / 100:.1f}"
-    if is_software:
-        return Finding(
-            "OpenGL", "good", f"{detail}, in software", "a graphics driver would draw faster"
-        )
-    return Finding("OpenGL", "good", detail)
+    if any(word in renderer.lower() for word in SOFTWARE_RENDERERS):
+        detail += ", in software: a graphics driver would draw faster"
+    return Finding("OpenGL", "ready", detail)
 
 
 def _inference(load: Callable[[str], Any]) -> Finding:
     try:
         onnxruntime = load("onnxruntime")
     except Exception:
-        return Finding("ONNX Runtime", "lacking", "see extra view")
+        return Finding("ONNX Runtime", "missing", "not installed", install_line("view"))
     providers = ", ".join(onnxruntime.get_available_providers())
-    return Finding("ONNX Runtime", "good", f"{onnxruntime.__version__}, {providers}")
+    return Finding("ONNX Runtime", "ready", f"{onnxruntime.__version__}, {providers}")
+
+
+def _training_device(load: Callable[[str], Any]) -> Finding:
+    try:
+        torch = load("torch")
+    except Exception:
+        return Finding("CUDA", "missing", "PyTorch is not installed", install_line("train"))
+    about = f"PyTorch {torch.__version__}"
+    if torch.cuda.is_available():
+        return Finding("CUDA", "ready", f"{about}, {torch.cuda.get_device_name()}")
+    return Finding("CUDA", "missing", f"{about} finds none and trains on the CPU")
+
+
+def _video(load: Callable[[str], Any]) -> Finding:
+    try:
+        has_h264 = "libx264" in load("av").codecs_available
+    except Exception:
+        return Finding("video", "missing", "no recordings to MP4", install_line("video"))
+    return Finding("video", "ready", f"recordings in {'H.264' if has_h264 else 'MPEG-4'}")
 
 
 def _display(is_there: bool) -> Finding:
     if is_there:
-        return Finding("display", "good", "one is named, not tried")
+        return Finding("display", "ready", "the environment names one; it was not tried")
     fix = "set DISPLAY or WAYLAND_DISPLAY, or use --headless" if sys.platform == "linux" else ""
-    return Finding("display", "lacking", "none", fix)
+    return Finding("display", "missing", "none", fix)
 
 
 def _avatars() -> Finding:
     names = [path.stem for path in shipped_avatar_files()]
     if names:
-        return Finding("avatars", "good", ", ".join(names))
-    return Finding("avatars", "lacking", "none ship with this build", "--avatar FILE")
+        return Finding("avatars", "ready", ", ".join(names))
+    return Finding("avatars", "missing", "none ship with this build", "--avatar FILE")

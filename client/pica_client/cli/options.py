@@ -2,12 +2,20 @@
 
 from pica_client.errors import OptionError
 
+SHARED_OPTIONS = ("url", "room", "name", "token_file", "ca_file", "secret_file")
+"""What who meets others says once for all commands, in a variable or in the profile."""
 CONNECT_TIMEOUT_S = 3.0
 """How long a command tries to reach a relay before it gives up, unless told to wait."""
 
 
+def connect_timeout_s(*, wait: bool, seconds: float) -> float | None:
+    """How long to try to reach a relay: until the time that the command was given is over, if it is
+    to wait; None is for ever."""
+    return (seconds or None) if wait else CONNECT_TIMEOUT_S
+
+
 def parse_size(text: str) -> tuple[int, int]:
-    """``960x540`` as columns and rows."""
+    """`960x540` as columns and rows."""
     columns, _, rows = text.partition("x")
     if not (columns.isdecimal() and rows.isdecimal()):
         raise OptionError(f"size is {text!r}; write COLUMNSxROWS, such as 960x540")

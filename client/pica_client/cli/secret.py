@@ -1,4 +1,4 @@
-"""``pica secret``: make what the people of a call share beforehand."""
+"""`pica secret`: make what the people of a call share beforehand."""
 
 import sys
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from pica_client.e2ee.secret import RoomSecret, save_secret
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SecretOptions:
-    """Options of ``pica secret``."""
+    """Options of `pica secret`."""
 
     file: tyro.conf.Positional[Path]
     """File to write; it must not be there yet."""

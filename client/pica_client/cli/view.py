@@ -1,35 +1,50 @@
-"""``pica view``: everybody in a room, in a window or a recording."""
+"""`pica view`: everybody in a room, in a window or a recording."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
+
+import tyro
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.cli.options import CONNECT_TIMEOUT_S, parse_size
+from pica_client.avatars.own_avatar import GiveAvatar
+from pica_client.cli.options import SHARED_OPTIONS, connect_timeout_s, parse_size
+from pica_client.errors import OptionError
 from pica_client.output import say
 from pica_client.playout.config import PlayoutConfig, playout_with_floor
+from pica_client.publish.own_face import DEFAULT_SOURCE, FaceChoice
 from pica_client.render.seats import Layout
 from pica_client.signals import on_stop_signal
 from pica_client.transport.config import LinkConfig
 from pica_client.ui.display import has_display
 
+WATCH = "none"
+"""What ``--send`` is told by who only watches."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ViewOptions:
-    """Options of ``pica view``."""
+    """Options of `pica view`."""
 
+    link: tyro.conf.Positional[str] = ""
+    """An invite link, pica://HOST/ROOM, as `pica token --link` prints it: it fills in the form, or
+    says where to go where there is none."""
     url: str | None = None
-    """Address of the relay, ws:// or wss://. Without one, and with a display, a form asks; off the
-    screen it is ws://127.0.0.1:8765."""
+    """Address of the relay, ws:// or wss://; several with commas between, tried in order. Without
+    one, and with a display, a form asks; off the screen it is ws://127.0.0.1:8765."""
     room: str | None = None
     """Room to look into; lobby by default."""
     name: str | None = None
     """Our own name."""
     send: str | None = None
-    """Send one's own face as well: a source as in pica send, such as performance:talk. M mutes it,
-    F freezes it."""
+    """Send one's own face as well: a source as in pica send; none only watches, the default with
+    --url. Who joins by the form is seen, by performance:talk if nothing else is named here. M mutes
+    the face, F freezes it."""
     own_avatar: str | None = None
-    """Avatar of one's own face: a shipped one by its name, or a .pica file."""
+    """Avatar of one's own face: a shipped one by its name, or a .pica file; by default a shipped
+    one that goes by the name."""
+    give_avatar: GiveAvatar = "auto"
+    """Give that avatar's file to the relay, for those who do not have it; as in pica send."""
     layout: Layout | None = None
     """How people sit: line, arc, table or grid; L goes through them. By default as it was left."""
     size: str | None = None
@@ -50,7 +65,8 @@ class ViewOptions:
     seconds: float = 0.0
     """How long to look; 0 is until the window is closed, or Ctrl-C."""
     wait: bool = False
-    """Wait for a relay that is not there yet instead of giving up after 3 seconds."""
+    """Wait for a relay that is not there yet, for --seconds if given, instead of giving up after 3
+    seconds."""
     expect: int = 0
     """Begin to draw once so many peers are seen."""
     statistics: bool = False
@@ -69,7 +85,8 @@ class ViewOptions:
     playout_floor_ms: float = field(default=PlayoutConfig().floor_s * 1e3)
     """Least playout delay, milliseconds; 33 makes 30 frames a second smooth on a fast display."""
     frame_log: Path | None = None
-    """Write the times of every frame into this file at the end."""
+    """Write the times of every frame into this file at the end. Those of capture are on the clocks
+    of the senders: less ours, they are latencies on this machine only."""
     token_file: Path | None = None
     """File with the join token that the relay wants, see pica token."""
     ca_file: Path | None = None
@@ -80,16 +97,25 @@ class ViewOptions:
     """Get avatars that are not on this machine from the relay, and keep them."""
     avatar_cache: Path | None = None
     """Where to keep those, instead of this user's folder for such things."""
+    register_links: bool = False
+    """Have the desktop open invite links with this command, and stop (Linux)."""
+    SHARED: ClassVar[tuple[str, ...]] = SHARED_OPTIONS
 
 
 def view(options: ViewOptions) -> dict[str, Any]:
-    """Show everybody in a room, in a window or, with --headless, into a recording.
+    """Show everybody in a room, in a window or in a recording.
 
-    Comes back by itself when the relay goes away and returns.
+    With --headless there is no window. Comes back by itself when the relay goes away and returns.
     """
+    if options.register_links:
+        from pica_client.ui.joining.link_handler import register_links
+
+        path = register_links()
+        say(f"invite links are opened with pica view now, says {path}")
+        return {"registered": str(path)}
     from pica_client.call.call import CallConfig
     from pica_client.render.stereo import EYE_DISTANCE_M
-    from pica_client.ui.join_form import JoinForm
+    from pica_client.ui.joining.form import JoinForm
     from pica_client.ui.preferences import Preferences, PreferencesFile
     from pica_client.ui.view import ViewConfig
     from pica_client.ui.view_session import (
@@ -97,19 +123,29 @@ def view(options: ViewOptions) -> dict[str, Any]:
         ask_and_look,
         keep_folder,
         look,
-        make_publisher,
     )
     from pica_client.ui.viewer import ViewerOptions
 
     kept = PreferencesFile() if options.preferences and not options.headless else None
     preferences = Preferences() if kept is None else kept.load()
-    going = Destination(url=options.url, room=options.room, name=options.name)
+    going = Destination.invited(options.link) if options.link else Destination()
+    asks = not options.headless and bool(options.link or not options.url) and has_display()
+    face = _face(options, asks=asks)
+    going = replace(
+        going,
+        url=going.url or options.url,
+        room=going.room or options.room,
+        name=options.name,
+        ca_file=str(options.ca_file or ""),
+        secret_file=str(options.secret_file or ""),
+        avatar=options.own_avatar or "",
+        source=face.source,
+    )
     base = LinkConfig(
-        connect_timeout_s=None if options.wait else CONNECT_TIMEOUT_S,
+        connect_timeout_s=connect_timeout_s(wait=options.wait, seconds=options.seconds),
         secret_file=options.secret_file,
         token_file=options.token_file,
     )
-    asks = not options.headless and options.url is None and has_display()
     # Until the form is filled the address is not known to be wss://.
     link = base if asks else replace(going.link(base), ca_file=options.ca_file)
     config = ViewConfig(
@@ -125,6 +161,8 @@ def view(options: ViewOptions) -> dict[str, Any]:
             layout=options.layout or preferences.layout,
             eye_distance_m=EYE_DISTANCE_M if options.stereo else 0.0,
             show_statistics=options.statistics or preferences.show_statistics,
+            settings=preferences.settings,
+            shows_hint=kept is not None and not preferences.has_seen_hint,
         ),
         seconds=options.seconds,
         expect=options.expect,
@@ -139,15 +177,28 @@ def view(options: ViewOptions) -> dict[str, Any]:
         for name in (options.avatar or "").split(","):
             if name:
                 library.load(library.find(name))
-        publisher = None
-        if options.send is not None:
-            publisher = make_publisher(options.send, options.own_avatar, library)
         if asks:
-            form = JoinForm(going.fields(preferences), base=base, ca_file=options.ca_file)
-            result = ask_and_look(config, library, publisher, on_stop_signal, kept=kept, form=form)
+            form = JoinForm(going.fields(preferences), base=base)
+            result = ask_and_look(config, library, face, on_stop_signal, kept=kept, form=form)
         else:
-            result = look(config, library, publisher, on_stop_signal, kept=kept)
+            result = look(config, library, face, on_stop_signal, kept=kept)
     finally:
         library.close()
     say(f"drew {result['frames_rendered']} images at {result['render_fps']} a second")
     return result
+
+
+def _face(options: ViewOptions, *, asks: bool) -> FaceChoice:
+    """The face of one's own that was asked for; a person at a form is to be seen, unless they say
+    otherwise.
+
+    Raises:
+        OptionError: It is said how one looks, and not that one is to be seen.
+    """
+    send = options.send if options.send is not None else (DEFAULT_SOURCE if asks else WATCH)
+    source = "" if send == WATCH else send
+    if options.own_avatar is not None and not source:
+        raise OptionError(
+            f"own-avatar says how one's own face looks; to send one, add --send {DEFAULT_SOURCE}"
+        )
+    return FaceChoice(source=source, avatar=options.own_avatar, give=options.give_avatar)

@@ -12,6 +12,7 @@
 Of an `OpenError` a receiver learns no more than its kind: what is refused is dropped and counted.
 """
 
+from pica_client.e2ee.status import SealState
 from pica_client.errors import ClientError
 
 
@@ -24,7 +25,15 @@ class SecretFileError(SealError):
 
 
 class NoteError(SealError):
-    """A message about keys cannot be trusted."""
+    """A message about keys cannot be trusted.
+
+    Attributes:
+        state: What it shows of its sender, if anything.
+    """
+
+    def __init__(self, message: str, state: SealState | None = None) -> None:
+        super().__init__(message)
+        self.state = state
 
 
 class OpenError(SealError):

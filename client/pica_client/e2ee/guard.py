@@ -17,13 +17,15 @@ from pica_client.e2ee.errors import (
 )
 from pica_client.e2ee.frames import decode_header, metadata_of, open_, seal
 from pica_client.e2ee.keys import KeyExchange
+from pica_client.e2ee.padding import pad, unpad
 from pica_client.e2ee.secret import RandomBytes, RoomSecret, load_secret
+from pica_client.e2ee.status import SealStatus
 from pica_client.e2ee.suites import (
     AES_128_CTR_HMAC_SHA256_64,
     AES_128_GCM_SHA256_128,
     Suite,
 )
-from pica_protocol.frames import Frame
+from pica_protocol.frames import MAX_PAYLOAD_BYTES, Frame
 from pica_protocol.messages import (
     Joined,
     KeyframeRequest,
@@ -35,6 +37,9 @@ from pica_protocol.messages import (
 )
 from pica_protocol.session import ClientEvent, Closed
 
+_MAX_HEADER_BYTES = 3
+"""The longest header of our own frames: key ids fit the first byte, counters two more."""
+
 
 @dataclass(kw_only=True, slots=True)
 class SealCounters:
@@ -42,7 +47,7 @@ class SealCounters:
 
     sealed: int = 0
     overhead_bytes: int = 0
-    """What sealing added to our payloads."""
+    """What padding and sealing added to our payloads."""
     opened: int = 0
     unreadable: int = 0
     """Frames whose key we do not have: it is not here yet, or was replaced."""
@@ -61,6 +66,8 @@ class Guard:
 
     Attributes:
         counters: What it did.
+        status: Who is verified and who is not, and the code to read aloud; a new object at each
+            change, so any thread may read it. As of when we were last in the room.
     """
 
     def __init__(
@@ -68,17 +75,24 @@ class Guard:
         secret: RoomSecret,
         *,
         suite: Suite = AES_128_GCM_SHA256_128,
+        pad_to: tuple[int, ...] = (),
         random_bytes: RandomBytes = os.urandom,
     ) -> None:
-        """Start outside any room; see `KeyExchange`."""
+        """Start outside any room; see `KeyExchange`. Payloads are filled up to the sizes of
+        ``pad_to``, if there are any."""
         self.counters = SealCounters()
-        self._keys = KeyExchange(secret, suite=suite, random_bytes=random_bytes)
+        self.status = SealStatus()
+        self._pad_to = pad_to
+        self._max_padded = MAX_PAYLOAD_BYTES - _MAX_HEADER_BYTES - suite.tag_bytes
+        self._keys = KeyExchange(
+            secret, suite=suite, random_bytes=random_bytes, is_padded=bool(pad_to)
+        )
         self._owners: dict[int, str] = {}  # by stream; bounded as the peers of a session are
         self._own_streams: tuple[int, ...] = ()
 
     @property
     def members(self) -> frozenset[str]:
-        """The ids of those in the room who have proven to know the secret."""
+        """The ids of those in the room who have proven to be here, and to know the secret."""
         return self._keys.members
 
     def stats(self) -> dict[str, Any]:
@@ -86,17 +100,29 @@ class Guard:
         return {
             **asdict(self.counters),
             "key_changes": self._keys.key_changes,
-            "members": len(self.members),
+            "members": self.status.num_verified,
+            "code": self.status.code,
+            "peers": {
+                peer_id: {"state": peer.state.value, "reason": peer.reason}
+                for peer_id, peer in self.status.peers.items()
+            },
         }
+
+    def begin(self, room: str, name: str) -> None:
+        """Learn which room is asked for, and our name; see `FrameGuard.begin`."""
+        self._keys.begin(room, name)
 
     def seal(self, frame: Frame) -> bytes:
         """See `FrameGuard.seal`.
 
         Raises:
-            SealError: We are in no room, or have no track in it.
+            SealError: We are in no room.
         """
         key, counter = self._keys.next_counter()
-        sealed = seal(frame.payload, metadata_of(frame), key, counter)
+        payload = frame.payload
+        if self._pad_to:
+            payload = pad(payload, self._pad_to, self._max_padded)
+        sealed = seal(payload, metadata_of(frame), key, counter)
         self.counters.sealed += 1
         self.counters.overhead_bytes += len(sealed) - len(frame.payload)
         return sealed
@@ -107,9 +133,15 @@ class Guard:
         Whispers end here and frames come out plain. A newcomer who can read our frames from now on
         needs one to begin with: that shows as a `KeyframeRequest` for each of our streams.
         """
+        if isinstance(event, Frame):
+            return self._open(event, now)
+        events = self._receive_news(event, now)
+        if not isinstance(event, Closed):
+            self.status = self._keys.status()
+        return events
+
+    def _receive_news(self, event: ClientEvent, now: float) -> list[ClientEvent]:
         match event:
-            case Frame():
-                return self._open(event, now)
             case Whisper(peer_id=peer_id, data=data):
                 try:
                     self._keys.receive_note(peer_id, data, now)
@@ -118,20 +150,19 @@ class Guard:
                 return self._keyframe_requests()
             case Joined(tracks=tracks, peers=peers):
                 self._keys.receive_joined(event, now)
-                self._own_streams = tuple(track.stream for track in tracks)
+                # Only these know keyframes; of other tracks each frame stands alone.
+                self._own_streams = tuple(t.stream for t in tracks if t.policy == "latest")
                 self._owners.clear()
                 for peer in peers:
                     self._note_streams(peer)
             case PeerJoined(peer=peer):
-                self._keys.receive_peer_joined(peer.peer_id, now)
+                self._keys.receive_peer_joined(peer, now)
                 self._note_streams(peer)
             case PeerLeft(peer_id=peer_id):
                 self._keys.receive_peer_left(peer_id, now)
                 self._owners = {s: who for s, who in self._owners.items() if who != peer_id}
             case PeerBack(peer_id=peer_id):
-                # Back on a new connection, it has forgotten its keys and ours.
-                self._keys.receive_peer_left(peer_id, now)
-                self._keys.receive_peer_joined(peer_id, now)
+                self._keys.receive_peer_back(peer_id, now)
             case Closed():
                 self._keys.receive_closed(now)
                 self._owners.clear()
@@ -141,7 +172,10 @@ class Guard:
 
     def messages_to_send(self, now: float) -> list[tuple[str, bytes]]:
         """Take the key messages that must go out; see `FrameGuard.messages_to_send`."""
-        return self._keys.messages_to_send(now)
+        notes = self._keys.messages_to_send(now)
+        if notes:
+            self.status = self._keys.status()
+        return notes
 
     def next_timer(self) -> float | None:
         """Say when to be woken; see `FrameGuard.next_timer`."""
@@ -189,18 +223,21 @@ class Guard:
             raise ReplayedFrameError(f"counter {header.counter} came before")
         payload = open_(frame.payload, metadata_of(frame), opening.key)
         opening.window.mark(header.counter)
-        return payload
+        return unpad(payload) if opening.is_padded else payload
 
 
-def guard_from(secret_file: Path, *, short_tags: bool = False) -> Guard:
+def guard_from(
+    secret_file: Path, *, short_tags: bool = False, pad_to: tuple[int, ...] = ()
+) -> Guard:
     """Return a guard for a command that was given the file with the room secret.
 
     Args:
         secret_file: As `pica secret` writes it.
         short_tags: Seal with tags of 8 bytes instead of 16, see `pica_client.e2ee.suites`.
+        pad_to: Sizes that payloads are filled up to, see `pica_client.e2ee.padding`.
 
     Raises:
         SecretFileError: The file holds no secret.
     """
     suite = AES_128_CTR_HMAC_SHA256_64 if short_tags else AES_128_GCM_SHA256_128
-    return Guard(load_secret(secret_file), suite=suite)
+    return Guard(load_secret(secret_file), suite=suite, pad_to=pad_to)

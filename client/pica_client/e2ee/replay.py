@@ -3,8 +3,8 @@
 from typing import Final
 
 WINDOW: Final = 1024
-"""Counters that are remembered: 34 s of one stream at 30 frames a second (chosen: longer than any
-delay that a playout would wait for)."""
+"""Counters that are remembered: 12 s of a face at 30 frames a second and a voice at 50 (chosen:
+longer than any delay that a playout would wait for)."""
 
 
 class ReplayWindow:
@@ -14,9 +14,10 @@ class ReplayWindow:
     up a counter.
     """
 
-    def __init__(self) -> None:
-        self._highest = -1
-        self._seen = 0  # bit i: counter highest - i
+    def __init__(self, first: int = 0) -> None:
+        """Begin with a counter; whatever is below it counts as seen."""
+        self._highest = first - 1
+        self._seen = (1 << WINDOW) - 1  # bit i: counter highest - i
 
     def is_new(self, counter: int) -> bool:
         """Whether this counter has not been seen, as far as that can be told."""

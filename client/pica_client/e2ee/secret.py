@@ -50,8 +50,12 @@ def save_secret(path: Path, secret: RoomSecret) -> None:
     line = _PREFIX + urlsafe_b64encode(secret.value).decode() + "\n"
     try:
         handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with open(handle, "w", encoding="ascii") as file:
-            file.write(line)
+        try:
+            with open(handle, "w", encoding="ascii") as file:
+                file.write(line)
+        except OSError:  # half a secret would be in the way of the next try
+            path.unlink()
+            raise
     except FileExistsError as error:
         raise SecretFileError(f"{path}: is there already; name a new file") from error
     except OSError as error:

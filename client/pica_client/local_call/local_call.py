@@ -78,7 +78,8 @@ class LocalCall:
         relay: Its process.
         url: Where it listens.
         senders: Their processes, by name.
-        secret_arguments: What senders and viewers are told of the secret, if there is one.
+        secret_file: The room secret, if the call is encrypted.
+        secret_arguments: What senders and viewers are told of it.
         names: The senders, in order.
     """
 
@@ -99,7 +100,10 @@ class LocalCall:
             for index in range(config.peers)
         ]
         self._children = children
-        self.secret_arguments = _make_secret(children) if config.is_encrypted else []
+        self.secret_file = _make_secret(children) if config.is_encrypted else None
+        self.secret_arguments: list[str] = []
+        if self.secret_file is not None:
+            self.secret_arguments = ["--secret-file", str(self.secret_file)]
         self.relay, self.url = children.start_relay()
         self.senders: dict[str, Child] = {}
         for index, (name, source) in enumerate(zip(self.names, sources, strict=True)):
@@ -157,7 +161,7 @@ class LocalCall:
         return self._children.folder / f"{name.replace(' ', '-')}.frames.json"
 
 
-def _make_secret(children: Children) -> list[str]:
+def _make_secret(children: Children) -> Path:
     """Make the secret of one call, and check that it can be used here."""
     from pica_client.e2ee.guard import guard_from
     from pica_client.e2ee.secret import RoomSecret, save_secret
@@ -165,7 +169,7 @@ def _make_secret(children: Children) -> list[str]:
     file = children.folder / "room.secret"
     save_secret(file, RoomSecret.new())
     guard_from(file)
-    return ["--secret-file", str(file)]
+    return file
 
 
 def peer_sources(source: str | None, num_peers: int) -> list[str]:

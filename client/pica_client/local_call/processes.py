@@ -3,6 +3,7 @@ time."""
 
 import contextlib
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -22,6 +23,12 @@ STOP_TIMEOUT_S = 6.0
 killed."""
 
 
+def bare_environment() -> dict[str, str]:
+    """The environment without what our user set for commands of their own."""
+    ours = {name: value for name, value in os.environ.items() if not name.startswith("PICA_")}
+    return ours | {"PICA_PROFILE": "none"}
+
+
 class Child:
     """One `pica` command in a process of its own."""
 
@@ -34,6 +41,7 @@ class Child:
                 stdin=subprocess.PIPE,
                 stdout=out,
                 stderr=err,
+                env=bare_environment(),
                 # Ctrl-C in a terminal goes to the parent, which ends its children in good order.
                 start_new_session=True,
             )

@@ -96,6 +96,9 @@ class PlayoutReport:
     """Time between two frames that arrive; 0 until two have come."""
     drift_ppm: float = 0.0
     """How much faster the sender's clock runs than ours, parts in a million."""
+    offset_s: float = 0.0
+    """Our clock minus the sender's, with what the fastest frame took, which cannot be told apart:
+    between two machines it may be anything, and so may be what somebody calls a latency."""
     age_s: float = 0.0
     """`PlayedFace.age_s` of the last face."""
     largest_correction: float = 0.0
@@ -238,6 +241,7 @@ class Playout:
             jitter_s=self._jitter.jitter_s,
             interval_s=self._interval.interval_s,
             drift_ppm=0.0 if clock is None else clock.drift_ppm,
+            offset_s=sender.offset_s,
             age_s=self._age_s,
             largest_correction=self._correction.largest_step,
         )

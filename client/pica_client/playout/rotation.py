@@ -62,7 +62,7 @@ def blend_rotations(
         share = math.sin(weight * angle) / math.sin(angle)
         rest = math.sin((1 - weight) * angle) / math.sin(angle)
     real, *imaginary = (rest * a + share * b for a, b in zip(first, second, strict=True))
-    return _vector((real, *imaginary))
+    return rotation_vector_from_quaternion((real, *imaginary))
 
 
 def turn_between(
@@ -70,14 +70,14 @@ def turn_between(
 ) -> npt.NDArray[np.float32]:
     """The turn after `begin` that makes `end` of it; all are rotation vectors, float32 ``[3]``."""
     real, x, y, z = _quaternion(begin)
-    return _vector(_product(_quaternion(end), (real, -x, -y, -z)))
+    return rotation_vector_from_quaternion(_product(_quaternion(end), (real, -x, -y, -z)))
 
 
 def turned(
     rotation: npt.NDArray[np.float32], turn: npt.NDArray[np.float32]
 ) -> npt.NDArray[np.float32]:
     """A rotation, and after it another turn; all are rotation vectors, float32 ``[3]``."""
-    return _vector(_product(_quaternion(turn), _quaternion(rotation)))
+    return rotation_vector_from_quaternion(_product(_quaternion(turn), _quaternion(rotation)))
 
 
 def _quaternion(vector: npt.NDArray[np.float32]) -> tuple[float, float, float, float]:
@@ -88,7 +88,7 @@ def _quaternion(vector: npt.NDArray[np.float32]) -> tuple[float, float, float, f
     return math.cos(angle / 2), scale * x, scale * y, scale * z
 
 
-def _vector(quaternion: Sequence[float]) -> npt.NDArray[np.float32]:
+def rotation_vector_from_quaternion(quaternion: Sequence[float]) -> npt.NDArray[np.float32]:
     """The rotation vector of a quaternion, with an angle of at most π."""
     real, *imaginary = quaternion
     if real < 0:  # an angle above π is the rest of the turn, the other way round

@@ -84,6 +84,18 @@ class SenderClock:
         """Frames that nothing can be said of yet."""
         return len(self._held_back)
 
+    @property
+    def offset_s(self) -> float:
+        """Our clock minus the sender's for the newest frame, had it come the fastest way."""
+        if self.map is None:
+            return 0.0
+        newest_s = self._media_s(self._newest_us)
+        return newest_s + self.map.fastest_transit_s(newest_s) - self._newest_us / 1e6
+
+    def lateness_s(self, frame: Frame, now: float) -> float:
+        """How much later than the fastest a frame comes that arrives now; 0 for the first."""
+        return 0.0 if self.map is None else self._lateness_s(_Arrival(frame, now))
+
     def receive(self, frame: Frame, now: float, *, is_backlog: bool = False) -> list[ReceivedFrame]:
         """Take a frame that arrived just now.
 

@@ -15,10 +15,11 @@ from typing import Annotated, Any
 
 import tyro
 
+from pica_client.call.reflection import Reflection
 from pica_client.errors import OptionError
-from pica_client.publish.face_track import FACE_KEY, FACE_TRACK, FaceMode
+from pica_client.publish.face_track import FACE_KEY, FACE_LOST, FACE_TRACK, FaceMode
 from pica_client.publish.pacer import Pacer
-from pica_client.sources import Source
+from pica_client.sources import LiveSource, Source
 from pica_client.stats import Samples
 from pica_client.transport.link import Link
 from pica_client.transport.timers import wait_until
@@ -34,8 +35,8 @@ _log = logging.getLogger(__name__)
 
 MAX_LOGGED_FRAMES = 100_000
 """Encoding times kept for a latency analysis: 55 minutes at 30 a second."""
-TELL_INTERVAL_S = 1.0
-"""Between two changes of what we say of ourselves: the relay takes no more for long."""
+MAX_AGE_US = 200_000
+"""Oldest face that a tracker's delay explains."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -45,7 +46,7 @@ class SenderConfig:
     fps: float = 30.0
     """Frames a second, 1 to 240."""
     seconds: float = 0.0
-    """How long to send, from the first frame on; 0 is until Ctrl-C."""
+    """How long to send, once the relay has let us in; 0 is until Ctrl-C."""
     quality: int = DEFAULT_QUALITY
     """Fineness of the coded stream, 0 to 7; each step up costs a quarter more bits."""
     bitrate_bps: Annotated[float | None, tyro.conf.arg(name="bitrate")] = None
@@ -88,6 +89,8 @@ class Publisher:
         self, config: SenderConfig, source: Source, avatar: Avatar, avatar_identity: str
     ) -> None:
         self.config = config
+        self._avatar = avatar
+        self._reflection: Reflection | None = None
         self.frame_log: deque[tuple[int, int]] = deque(maxlen=MAX_LOGGED_FRAMES)
         self.is_muted_by_admin = False
         self._source = source
@@ -103,13 +106,35 @@ class Publisher:
         self._mode: FaceMode = "sent"
         self._mode_before: FaceMode = "sent"
         self._frozen: ExpressionFrame | None = None
-        self._told: FaceMode = "sent"
-        self._told_s = -math.inf
+        self._is_lost = False
+        self._told_trouble = ""
+        self._told = ""
 
     def set_mode(self, mode: FaceMode) -> None:
         """Mute or freeze the face, or let it go on; holds from the next frame. Any thread may call
         it."""
         self._mode = mode
+
+    def reflect(self) -> Reflection:
+        """One's own face as the others get it, from the next keyframe on."""
+        self._reflection = Reflection(self._avatar, self.track)
+        self._stream.request_keyframe()
+        return self._reflection
+
+    @property
+    def mode(self) -> FaceMode:
+        """What becomes of the face, as far as its owner says."""
+        return self._mode
+
+    @property
+    def trouble(self) -> str:
+        """What is wrong with the tracker, for its user; empty: nothing, or there is none."""
+        return self._source.trouble if isinstance(self._source, LiveSource) else ""
+
+    def close(self) -> None:
+        """Let go of the tracker."""
+        if isinstance(self._source, LiveSource):
+            self._source.close()
 
     def receive_event(self, event: ClientEvent) -> None:
         """Take an event of the link's session."""
@@ -129,17 +154,18 @@ class Publisher:
     async def pace(self, link: Link, stopping: asyncio.Event) -> None:
         """Send until told to stop, or for the configured time."""
         loop = asyncio.get_running_loop()
-        begin_s = loop.time()
+        begin_s, joined_s = loop.time(), math.inf
         pacer = Pacer(self.config.fps, begin_s)
         while not stopping.is_set():
             now = await wait_until(stopping, pacer.due_s)
             if stopping.is_set():
                 return
-            if self._first_sent_s is not None and 0 < self.config.seconds <= (
-                now - self._first_sent_s
-            ):
+            if link.is_joined:
+                joined_s = min(joined_s, now)
+            if 0 < self.config.seconds <= now - joined_s:
                 return
-            self._tell_mode(link, now)
+            self._tell_mode(link)
+            self._tell_trouble()
             self._send_face(link, now - begin_s, now)
             pacer.advance(max(loop.time(), now))
             self._skipped = pacer.num_skipped
@@ -171,16 +197,24 @@ class Publisher:
         """Time from the first frame to the last."""
         return self._last_sent_s - (self._first_sent_s or 0.0)
 
-    def _tell_mode(self, link: Link, now: float) -> None:
+    def _tell_mode(self, link: Link) -> None:
         """Let the others know why the face stands still."""
-        mode = self._mode
-        if mode != self._told and now - self._told_s >= TELL_INTERVAL_S:
-            self._told, self._told_s = mode, now
-            link.update_metadata(() if mode == "sent" else ((FACE_KEY, mode),))
+        reason = self._mode if self._mode != "sent" else FACE_LOST if self._is_lost else ""
+        if reason != self._told:
+            self._told = reason
+            link.describe(FACE_KEY, reason)
+
+    def _tell_trouble(self) -> None:
+        """Let the face's owner know what is wrong with the tracker."""
+        trouble = self.trouble
+        if trouble != self._told_trouble:
+            self._told_trouble = trouble
+            _log.warning(trouble or "the tracker is there again")
 
     def _face(self, time_s: float) -> ExpressionFrame:
         """The face to send: the source's, or the last one of it."""
         frame = self._source.frame_at(time_s)
+        self._is_lost = not frame.has_face
         if self._mode == "frozen" and self._frozen is not None:
             return replace(self._frozen, captured_us=frame.captured_us)
         if self._mode == "muted":
@@ -203,7 +237,9 @@ class Publisher:
             self._faceless += 1  # nothing to say: the receivers see the stream fall silent
             return
         latent = self._encoder.encode(frame.arkit)
-        captured_us = round(now * 1e6)
+        # When a tracker saw it, which is before now.
+        age_us = round(time_s * 1e6) - frame.captured_us
+        captured_us = round(now * 1e6) - min(max(age_us, 0), MAX_AGE_US)
         coded = self._stream.encode(latent, frame.rotation, frame.translation_m, captured_us)
         encode_s = time.perf_counter() - began_s
         if coded is None:
@@ -213,6 +249,8 @@ class Publisher:
         if link.send_frame(
             coded.payload, captured_us, layer=coded.layer, is_keyframe=coded.is_keyframe
         ):
+            if self._reflection is not None:
+                self._reflection.receive(coded, captured_us, now)
             self._first_sent_s = now if self._first_sent_s is None else self._first_sent_s
             self._last_sent_s = now
             self._sent += 1

@@ -6,13 +6,15 @@ A shell: it owns the link; `publisher` makes the frames.
 import asyncio
 import random
 from collections import deque
-from collections.abc import Callable
 from typing import Any
 
+from pica_client.avatars.upload import AvatarGiver
 from pica_client.publish.publisher import Publisher, SenderConfig
 from pica_client.sources import Source
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.link import Connector, Link
+from pica_client.transport.dialer import Connector
+from pica_client.transport.link import Link
+from pica_client.transport.link_news import LinkNews
 from pica_core.avatar.file import Avatar
 from pica_protocol.messages import Joined
 from pica_protocol.session import ClientEvent
@@ -33,11 +35,14 @@ class Sender:
         *,
         connector: Connector | None = None,
         rng: random.Random | None = None,
-        on_joined: Callable[[], None] | None = None,
+        giver: AvatarGiver | None = None,
+        news: LinkNews | None = None,
     ) -> None:
-        """Prepare; see `Link` for connector and rng; ``on_joined`` is called after each join."""
+        """Prepare; see `Link` for connector and rng. A giver gives the avatar's file to each relay
+        that we join; `news` hears of the link."""
         self.config = config
-        self._on_joined = on_joined
+        self._giver = giver
+        self._news = news
         self._publisher = Publisher(config, source, avatar, avatar_identity)
         self._link = Link(
             link_config,
@@ -47,11 +52,6 @@ class Sender:
             rng=rng,
         )
         self._stopping = asyncio.Event()
-
-    @property
-    def relay_url(self) -> str:
-        """The relay that the sender is at, or tries next."""
-        return self._link.url
 
     @property
     def frame_log(self) -> deque[tuple[int, int]]:
@@ -85,6 +85,9 @@ class Sender:
             for task in (pacing, linking):
                 task.cancel()
             await asyncio.gather(pacing, linking, return_exceptions=True)
+            self._publisher.close()
+            if self._giver is not None:
+                await self._giver.close()
         return self.stats()
 
     def stats(self) -> dict[str, Any]:
@@ -99,10 +102,13 @@ class Sender:
             "reconnects": self._link.reconnects,
             "resumes": counters.resumes,
             "errors": counters.errors,
+            "avatar_given": "" if self._giver is None else self._giver.outcome,
             "seal": None if self._link.guard is None else self._link.guard.stats(),
         }
 
     def _on_event(self, event: ClientEvent, now: float) -> None:
         self._publisher.receive_event(event)
-        if isinstance(event, Joined) and self._on_joined is not None:
-            self._on_joined()
+        if isinstance(event, Joined) and self._giver is not None:
+            self._giver.begin(self._link.url)
+        if self._news is not None:
+            self._news.receive_event(event, now)

@@ -18,8 +18,6 @@ from pica_core.camera import Camera
 MAX_HEADS = 255
 """Heads that a frame draws, both eyes together; further ones are left out: a head's number fits 8
 bits."""
-FADED = (0.16, 0.18, 0.21)
-"""Colour that stale heads fade to: the room's wall."""
 MAX_FADE = 0.75
 """A head that has faded completely can still be made out."""
 
@@ -117,7 +115,6 @@ def count_draws(
     painted_counts: Sequence[int | None],
     *,
     is_smooth: bool,
-    num_overlays: int,
 ) -> DrawStats:
     """What a frame drew.
 
@@ -126,7 +123,6 @@ def count_draws(
         counts: Coloured pixels of each decoded head.
         painted_counts: Of each textured one.
         is_smooth: Edges were smoothed.
-        num_overlays: Texts on top.
     """
     heads = [
         HeadStats(
@@ -154,8 +150,7 @@ def count_draws(
         num_placeholders=num_placeholders,
         num_triangles=sum(head.num_triangles for head in heads),
         num_draw_calls=(2 + 2 * is_smooth) * len(listed.decoded)
-        + (1 + 2 * is_smooth) * len(listed.painted)
-        + num_overlays,
+        + (1 + 2 * is_smooth) * len(listed.painted),
         shaded_pixels=sum(counted) if len(counted) == len(counts) else None,
         heads=tuple(heads),
     )
@@ -178,7 +173,7 @@ def _arrange(
         matrix=matrix,
         view=view.rect,
         rect=rect_in_view(covered, view.rect),
-        tint=(*FADED, min(max(placement.fade, 0.0), 1.0) * MAX_FADE),
+        shown=(*bounds.fade_m, 1 - min(max(placement.fade, 0.0), 1.0) * MAX_FADE),
     )
     if textured is not None:
         return [PaintedHead(slot=placement.slot, place=place, number=number, head=textured)]

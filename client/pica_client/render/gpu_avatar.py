@@ -14,10 +14,10 @@ from pica_client.render.gpu_program import (
     UNIT_UV_ENCODING,
     UNIT_V_ENCODING,
     build_program,
-    set_values,
 )
 from pica_client.render.shader_source import AXIS_ROW, axis_levels, compose
 from pica_client.render.shader_weights import pack_weights, siren_source
+from pica_core.avatar.bust import WHOLE_M, bust_of, fade_heights_m
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.level_tensors import sheet_uv
 from pica_core.avatar.spec import AvatarSpec
@@ -31,8 +31,28 @@ WeightsPlace = Literal["block", "constants", "turns"]
 BOUNDS_MARGIN_M = 0.01
 """Positions may leave the bounds of the file by this much; the rest is cut off."""
 
-PLACEHOLDER_RADII_M = (0.078, 0.115, 0.095)
-_PLACEHOLDER_GRID = 33
+PLACEHOLDER_GRID = 64
+"""Rows and columns of the placeholder's position map."""
+PLACEHOLDER_PROFILE_M = (
+    # height, half width, half depth, middle of the depth
+    (0.138, 0.000, 0.000, 0.000),
+    (0.132, 0.031, 0.038, 0.000),
+    (0.112, 0.057, 0.070, 0.000),
+    (0.075, 0.075, 0.092, 0.000),
+    (0.030, 0.080, 0.098, 0.002),
+    (-0.020, 0.075, 0.092, 0.006),
+    (-0.060, 0.066, 0.080, 0.012),
+    (-0.090, 0.053, 0.064, 0.012),
+    (-0.104, 0.047, 0.054, 0.002),
+    (-0.124, 0.047, 0.050, -0.012),
+    (-0.138, 0.062, 0.058, -0.018),
+    (-0.150, 0.108, 0.074, -0.022),
+    (-0.166, 0.146, 0.086, -0.026),
+    (-0.192, 0.167, 0.094, -0.028),
+    (-0.230, 0.174, 0.098, -0.028),
+    (-0.290, 0.174, 0.098, -0.028),
+)
+"""A bust of nobody, from the crown down (chosen: as large as a person, without a face)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +82,8 @@ class Body:
     """Bound to uniform block 0; None if the program holds them as constants."""
     low_m: tuple[float, ...]
     high_m: tuple[float, ...]
+    fade_m: tuple[float, float] = WHOLE_M
+    """Heights below which nothing and above which all of it is seen, head frame."""
 
     def mesh(self, position_level: int, mesh_level: int | None) -> Mesh:
         """The triangles to draw with positions of a level.
@@ -88,6 +110,7 @@ def upload_avatar(
     weights_place: WeightsPlace,
     *,
     filtered: bool = True,
+    fades: bool = False,
     program: moderngl.Program | None = None,
 ) -> Body:
     """Put everything of an avatar but its two decoded maps on the GPU.
@@ -98,6 +121,7 @@ def upload_avatar(
         avatar: Checked avatar.
         weights_place: See `RenderOptions`.
         filtered: Encodings are averaged over what a pixel covers.
+        fades: It fades out towards its lower border.
         program: Of another avatar of the same spec and variant; weights in a block only.
 
     Raises:
@@ -115,6 +139,7 @@ def upload_avatar(
     weights = None
     if weights_place == "block":
         weights = context.buffer(pack_weights(avatar.spec, tensors))
+    fade_m = fade_heights_m(bust_of(avatar).lower_m) if fades else WHOLE_M
     return Body(
         meshes=_level_meshes(context, mesh_programs, avatar),
         shade=program,
@@ -123,6 +148,7 @@ def upload_avatar(
         weights=weights,
         low_m=tuple(value - BOUNDS_MARGIN_M for value in manifest.bounds_min_m),
         high_m=tuple(value + BOUNDS_MARGIN_M for value in manifest.bounds_max_m),
+        fade_m=fade_m,
     )
 
 
@@ -156,24 +182,25 @@ def encoding_file(spec: AvatarSpec) -> str:
 def upload_placeholder(context: moderngl.Context, mesh_programs: MeshPrograms) -> Body:
     """The head that stands in for an avatar that is not there or cannot be used."""
     program = build_program(context, compose("rect.vert"), compose("placeholder.frag"))
-    set_values(program, radii_m=PLACEHOLDER_RADII_M)
-    count = _PLACEHOLDER_GRID
+    count, bust = PLACEHOLDER_GRID, placeholder_map()
     corner = np.arange(count * count, dtype=np.int32).reshape(count, count)
     a, b, c, d = corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]
     faces = np.stack([a, c, b, b, c, d], axis=-1).reshape(-1, 3)
     # Texel centres, so that the mesh closes exactly on the map's border texels.
     texel = (np.arange(count, dtype=np.float32) + 0.5) / count
     vertex_uv = np.stack(np.meshgrid(texel, texel), axis=-1).reshape(-1, 2)
-    ellipsoid = context.texture((count, count), 3, _ellipsoid(count).tobytes(), dtype="f4")
-    _clamp(ellipsoid, moderngl.NEAREST)
+    texture = context.texture((count, count), 3, bust.tobytes(), dtype="f4")
+    _clamp(texture, moderngl.LINEAR)
+    low_m, high_m = bust.min(axis=(0, 1)), bust.max(axis=(0, 1))
     return Body(
         meshes={(0, 0): upload_mesh(context, mesh_programs, 0, faces, vertex_uv, vertex_uv)},
         shade=program,
         shade_rect=context.vertex_array(program, []),
-        textures={UNIT_POSITION: ellipsoid},
+        textures={UNIT_POSITION: texture},
         weights=None,
-        low_m=tuple(-radius for radius in PLACEHOLDER_RADII_M),
-        high_m=PLACEHOLDER_RADII_M,
+        low_m=tuple(low_m.tolist()),
+        high_m=tuple(high_m.tolist()),
+        fade_m=fade_heights_m(float(low_m[1])),
     )
 
 
@@ -226,15 +253,20 @@ def upload_mesh(
     return Mesh(level, whole, sharing, len(faces))
 
 
-def _ellipsoid(count: int) -> FloatArray:
-    """A closed ellipsoid as a position map, columns around +y and rows from the crown down."""
-    turn = np.linspace(-np.pi, np.pi, count, dtype=np.float32)
-    tilt = np.linspace(0, np.pi, count, dtype=np.float32)[:, None]
-    unit = np.stack(
-        [np.sin(tilt) * np.sin(turn), np.cos(tilt) + 0 * turn, np.sin(tilt) * np.cos(turn)], axis=-1
-    )
-    ellipsoid: FloatArray = np.ascontiguousarray(unit * PLACEHOLDER_RADII_M, np.float32)
-    return ellipsoid
+def placeholder_map() -> FloatArray:
+    """The bust of nobody as a position map, columns around +y and rows from the crown down: the
+    profile at even steps along itself, its corners rounded. float32 ``[S, S, 3]``."""
+    profile = np.array(PLACEHOLDER_PROFILE_M)
+    way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(profile[:, :3], axis=0), axis=1))])
+    steps = np.linspace(0, way[-1], PLACEHOLDER_GRID)
+    rows = np.stack([np.interp(steps, way, column) for column in profile.T], axis=1)
+    for _ in range(3):
+        rows[1:-1] = 0.25 * rows[:-2] + 0.5 * rows[1:-1] + 0.25 * rows[2:]
+    height, wide, deep, middle = (column[:, None] for column in rows.T)
+    turn = np.linspace(-np.pi, np.pi, PLACEHOLDER_GRID)
+    around = [wide * np.sin(turn), height + 0 * turn, middle + deep * np.cos(turn)]
+    bust: FloatArray = np.ascontiguousarray(np.stack(around, axis=-1), np.float32)
+    return bust
 
 
 def _encoding_texture(

@@ -12,7 +12,7 @@ from pica_core.types import FloatArray
 
 UNIT_VISIBLE_XYZ, UNIT_VISIBLE_UV, UNIT_POSITION, UNIT_EXPRESSION = 0, 1, 2, 3
 UNIT_UV_ENCODING, UNIT_U_ENCODING, UNIT_V_ENCODING = 4, 5, 6
-UNIT_SKIN = 7
+UNIT_SKIN, UNIT_ROOM = 7, 8
 _UNITS = {
     "visible_xyz": UNIT_VISIBLE_XYZ,
     "visible_uv": UNIT_VISIBLE_UV,
@@ -22,6 +22,7 @@ _UNITS = {
     "u_encoding": UNIT_U_ENCODING,
     "v_encoding": UNIT_V_ENCODING,
     "skin": UNIT_SKIN,
+    "room": UNIT_ROOM,
 }
 
 

@@ -10,6 +10,7 @@ import moderngl
 import numpy as np
 import numpy.typing as npt
 
+from pica_core.avatar.bust import WHOLE_M, fade_heights_m
 from pica_core.errors import ShapeError
 from pica_core.reference.mesh import order_faces
 from pica_core.types import FloatArray
@@ -37,12 +38,19 @@ class TexturedHead:
         context: Of this thread.
         program: ``textured.vert`` and ``textured.frag``.
         mesh: See `TexturedMesh`.
+        fades: It fades out above the lower end of its box.
     """
 
     def __init__(
-        self, context: moderngl.Context, program: moderngl.Program, mesh: TexturedMesh
+        self,
+        context: moderngl.Context,
+        program: moderngl.Program,
+        mesh: TexturedMesh,
+        *,
+        fades: bool = False,
     ) -> None:
         self.low_m, self.high_m = mesh.low_m, mesh.high_m
+        self.fade_m = fade_heights_m(mesh.low_m[1]) if fades else WHOLE_M
         self.num_triangles = len(mesh.faces)
         self._num_vertices = len(mesh.vertex_uv)
         self._positions = context.buffer(reserve=12 * self._num_vertices, dynamic=True)

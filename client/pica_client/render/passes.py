@@ -14,17 +14,20 @@ from dataclasses import dataclass
 from typing import Any
 
 import moderngl
+import numpy as np
 
 from pica_client.render.gpu_avatar import Body, Mesh, upload_placeholder
 from pica_client.render.gpu_program import (
     UNIT_EXPRESSION,
     UNIT_POSITION,
+    UNIT_ROOM,
     UNIT_SKIN,
     build_program,
     set_matrix,
     set_values,
 )
 from pica_client.render.gpu_textured import TexturedHead
+from pica_client.render.room import Room, lens_of, world_from_view
 from pica_client.render.shader_source import compose
 from pica_client.render.targets import (
     PixelRect,
@@ -32,6 +35,7 @@ from pica_client.render.targets import (
     clip_rect,
     inset_rect,
 )
+from pica_core.camera import Camera
 from pica_core.types import FloatArray
 
 WHOLE = (0.0, 1.0)
@@ -48,8 +52,9 @@ class Place:
     """The part of the image that the view fills."""
     rect: PixelRect
     """The part of the image that the head may cover."""
-    tint: tuple[float, float, float, float]
-    """A colour, and how far towards it."""
+    shown: tuple[float, float, float]
+    """Heights in the head frame below which nothing and above which all of it is there, metres; and
+    its opacity before the room."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -101,26 +106,43 @@ class DrawPasses:
             context, compose("textured.vert"), compose("textured.frag")
         )
         self._background = self._screen_program("background.frag")
+        self._enlarge = self._screen_program("enlarge.frag")
         self._near_edges = self._screen_program("near_edges.frag")
         self._smooth = self._screen_program("smooth_edges.frag")
         self._background_rect = context.vertex_array(self._background, [])
+        self._enlarge_rect = context.vertex_array(self._enlarge, [])
         self._near_edges_rect = context.vertex_array(self._near_edges, [])
         self._smooth_rect = context.vertex_array(self._smooth, [])
         self.placeholder = upload_placeholder(context, self.mesh_programs)
         self._queries: list[moderngl.Query] = []
 
-    def draw_room(self, targets: RenderTargets, views: Sequence[PixelRect]) -> None:
-        """Draw the background of each view into the image that frames begin with."""
-        targets.room.use()
+    def draw_room(
+        self, targets: RenderTargets, views: Sequence[tuple[Camera, PixelRect]], room: Room
+    ) -> None:
+        """Draw the room as each view sees it into the image that frames begin with."""
         self._context.disable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
-        for view in views:
-            left, bottom, right, top = view
+        members: dict[str, Any] = {name: self._background[name] for name in self._background}
+        seats = np.zeros((members["seats"].array_length, 4), np.float32)
+        for row, place, speaking in zip(seats, room.seats_m, room.speaking, strict=False):
+            row[:] = (*place, speaking)
+        members["seats"].write(seats.tobytes())
+        for camera, rect in views:
+            turned = np.ascontiguousarray(world_from_view(camera).T, np.float32)
+            members["world_from_view"].write(turned.tobytes())
             set_values(
                 self._background,
-                aspect=(right - left) / (top - bottom),
-                rect=clip_rect(view, targets.size),
+                lens=lens_of(camera),
+                eye_m=tuple(camera.centre_m.tolist()),
+                floor_m=room.floor_m,
+                num_seats=min(len(room.seats_m), len(seats)),
+                rect=(-1.0, -1.0, 1.0, 1.0),
             )
+            targets.small_room.use()
             self._background_rect.render(moderngl.TRIANGLE_STRIP, vertices=4)
+            targets.room.use()
+            targets.small_room_image.use(0)
+            set_values(self._enlarge, rect=clip_rect(rect, targets.size))
+            self._enlarge_rect.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
     def surfaces(
         self, targets: RenderTargets, heads: Sequence[DecodedHead], *, clear: bool
@@ -196,6 +218,7 @@ class DrawPasses:
         context.enable(moderngl.DEPTH_TEST)
         targets.textured.depth_mask = False
         targets.textured.viewport = (0, 0, *targets.size)
+        targets.room_image.use(UNIT_ROOM)
         for unit, texture in targets.visible.items():
             texture.use(unit)
         queries = self._queries_for(heads, count)
@@ -223,6 +246,7 @@ class DrawPasses:
         """
         if not heads:
             return []
+        targets.room_image.use(UNIT_ROOM)
         targets.textured.use()
         self._context.enable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         program = self.textured_program
@@ -236,7 +260,7 @@ class DrawPasses:
             set_values(
                 program,
                 slot=float(painted.number),
-                tint=place.tint,
+                shown=place.shown,
                 low_m=painted.head.low_m,
                 high_m=painted.head.high_m,
             )
@@ -276,7 +300,7 @@ class DrawPasses:
             program,
             slot=float(head.number),
             mark=float(head.mark),
-            tint=head.place.tint,
+            shown=head.place.shown,
             rect=clip_rect(head.place.rect, targets.size),
         )
         body.shade_rect.render(moderngl.TRIANGLE_STRIP, vertices=4)

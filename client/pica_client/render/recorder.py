@@ -16,12 +16,13 @@ from typing import Any, Self
 import numpy as np
 
 from pica_client.errors import OptionError
-from pica_client.output import writing
+from pica_client.output import writing, writing_whole
 from pica_core.types import Image
 
-TICKS_PER_S = 1000
-"""Resolution of a frame's time; also the finest that MPEG-4 part 2 can state."""
-NOMINAL_FPS = 30
+TICKS_PER_S = 60
+"""Resolution of a frame's time. It is also the rate that players and editors take a recording to
+have, of which the frames that were not drawn are missing: at a finer one they speak of 1000 a
+second (chosen: displays seldom do more)."""
 
 
 class Recorder:
@@ -52,7 +53,7 @@ class Recorder:
             self._container: Any = av.open(str(path), "w", format="mp4")
         has_h264 = "libx264" in av.codecs_available
         self.codec = "libx264" if has_h264 else "mpeg4"
-        stream: Any = self._container.add_stream(self.codec, rate=NOMINAL_FPS)
+        stream: Any = self._container.add_stream(self.codec, rate=TICKS_PER_S)
         stream.width, stream.height = width, height
         stream.pix_fmt = "yuv420p"
         stream.codec_context.time_base = Fraction(1, TICKS_PER_S)
@@ -81,8 +82,8 @@ class Recorder:
         Args:
             image: uint8 ``[H, W, 3]``, top row first. One of another size is cropped, or stands on
                 black.
-            time_s: Since the start of the recording. Frames that do not come at least a millisecond
-                after the last one are dropped, and those that come after `close`.
+            time_s: Since the start of the recording. Frames that come within a tick of the last one
+                are dropped, and those that come after `close`.
 
         Raises:
             OptionError: The disk is full; the recording is over.
@@ -136,5 +137,5 @@ def save_png(path: Path, image: Image) -> None:
     """
     from PIL import Image as PillowImage
 
-    with writing(path):
-        PillowImage.fromarray(image).save(path, format="png")
+    with writing_whole(path) as unfinished:
+        PillowImage.fromarray(image).save(unfinished, format="png")

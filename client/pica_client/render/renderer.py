@@ -10,14 +10,14 @@ pixels.
 A frame is: (1) the surface pass draws all meshes and keeps, per pixel, the head-frame position, the
 UV, whose it is and how much of the texture it reaches over; (2) a shade pass per avatar covers the
 rectangle of its head, and runs the pixel decoder where the first pass says the pixel is its own;
-(3) edges are smoothed; (4) overlays are blended. So a hidden pixel costs no decoding, and the pixel
+(3) edges are smoothed. So a hidden pixel costs no decoding, and the pixel
 decoder runs on whole blocks of pixels: drawn triangle by triangle, a mesh whose triangles are as
 small as pixels would run it several times over (llvmpipe and GPUs shade in blocks of 2x2 or 4x4 per
 triangle).
 
 Colours of avatars are sRGB values already and are stored as they come. The renderer belongs to the
-thread of its context. After the first frame nothing is allocated on the GPU until avatars, size or
-texts change: an avatar's maps have a texture for each of its levels from the start.
+thread of its context. After the first frame nothing is allocated on the GPU until avatars or size
+change: an avatar's maps have a texture for each of its levels from the start.
 """
 
 from collections.abc import Sequence
@@ -41,10 +41,10 @@ from pica_client.render.gpu_avatar import WeightsPlace, upload_avatar
 from pica_client.render.gpu_maps import MapSeries
 from pica_client.render.gpu_program import UNIT_VISIBLE_UV, UNIT_VISIBLE_XYZ
 from pica_client.render.gpu_textured import TexturedHead, TexturedMesh
-from pica_client.render.overlay import Overlay, OverlayItem
 from pica_client.render.passes import DrawPasses
+from pica_client.render.room import EMPTY_ROOM, STILL, Room, lens_of
 from pica_client.render.scene import Placement
-from pica_client.render.targets import PixelRect, make_targets
+from pica_client.render.targets import make_targets
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import POSITION_CHANNELS
 from pica_core.camera import Camera
@@ -71,6 +71,9 @@ class RenderOptions:
     filter_encodings: bool = True
     """Average the encoding maps over what a pixel covers of them; else they are looked up at its
     middle alone."""
+    fade_busts: bool = False
+    """Let heads fade into the room towards their lower border, as in a call; else they are drawn as
+    they are."""
 
 
 class Renderer:
@@ -104,7 +107,6 @@ class Renderer:
         self.gl_renderer = str(context.info["GL_RENDERER"])
         self.weights = self._choose_weights()
         self._passes = DrawPasses(context)
-        self._overlay = Overlay(context)
         self._slots: dict[str, RenderSlot] = {}
         self._num_decoded = 0
         self.size = (0, 0)
@@ -118,7 +120,7 @@ class Renderer:
             raise OptionError(f"size is {size[0]}x{size[1]}; each side may be 1 to {MAX_SIDE_PX}")
         self.size = size
         self._targets = make_targets(self._context, size)
-        self._views: tuple[PixelRect, ...] = ()
+        self._drawn_room: object = None
         self._context.gc()
 
     def add_avatar(self, slot: str, avatar: Avatar) -> None:
@@ -139,6 +141,7 @@ class Renderer:
                 avatar,
                 self.weights,
                 filtered=self._options.filter_encodings,
+                fades=self._options.fade_busts,
                 program=self._program_for(avatar),
             )
         square = {level: level for level in avatar.levels}
@@ -160,7 +163,9 @@ class Renderer:
         """Put a textured head into a slot: the baseline. Drawn as a placeholder until its first
         `update_textured`."""
         self.add_placeholder(slot)
-        head = TexturedHead(self._context, self._passes.textured_program, mesh)
+        head = TexturedHead(
+            self._context, self._passes.textured_program, mesh, fades=self._options.fade_busts
+        )
         self._slots[slot] = RenderSlot(textured=head)
 
     def add_placeholder(self, slot: str) -> None:
@@ -208,8 +213,8 @@ class Renderer:
         self,
         placements: Sequence[Placement],
         camera: Camera,
-        overlays: Sequence[OverlayItem] = (),
         *,
+        room: Room = EMPTY_ROOM,
         count_pixels: bool = False,
     ) -> DrawStats:
         """Draw one frame into the renderer's image.
@@ -217,18 +222,18 @@ class Renderer:
         Args:
             placements: Heads; unknown slots are left out. The order does not matter.
             camera: World to image; its size should be the renderer's.
-            overlays: Texts on top, in this order.
+            room: What is behind them.
             count_pixels: Count shaded pixels; waits for the GPU.
         """
         whole = (0, 0, *self.size)
-        return self._draw(placements, [View(camera, whole)], overlays, count_pixels)
+        return self._draw(placements, [View(camera, whole)], room, count_pixels)
 
     def draw_stereo(
         self,
         placements: Sequence[Placement],
         cameras: tuple[Camera, Camera],
-        overlays: Sequence[OverlayItem] = (),
         *,
+        room: Room = EMPTY_ROOM,
         count_pixels: bool = False,
     ) -> DrawStats:
         """Draw one frame for two eyes, the left one into the left half of the image. Both see the
@@ -237,7 +242,7 @@ class Renderer:
         Args:
             placements: Heads.
             cameras: Left and right; each is half as wide as the image.
-            overlays: Texts on top, placed in the whole image.
+            room: What is behind them.
             count_pixels: Count shaded pixels; waits for the GPU.
         """
         width, height = self.size
@@ -246,7 +251,7 @@ class Renderer:
             View(cameras[0], (0, 0, middle, height)),
             View(cameras[1], (middle, 0, width, height)),
         ]
-        return self._draw(placements, views, overlays, count_pixels)
+        return self._draw(placements, views, room, count_pixels)
 
     def draw_vertices(
         self, placements: Sequence[Placement], camera: Camera, times: int = 1
@@ -289,6 +294,11 @@ class Renderer:
         heads = np.where(numbers <= self._num_decoded, numbers - 1, -1).astype(np.int32)
         return xyz[..., :3], uv.reshape(height, width, 2)[::-1], heads
 
+    @property
+    def image(self) -> moderngl.Framebuffer:
+        """The last frame, for whoever draws over it."""
+        return self._targets.final
+
     def present(self, target: moderngl.Framebuffer) -> None:
         """Copy the last frame to a window's framebuffer of the same size."""
         self._context.copy_framebuffer(target, self._targets.final)
@@ -328,14 +338,21 @@ class Renderer:
         self,
         placements: Sequence[Placement],
         views: Sequence[View],
-        overlays: Sequence[OverlayItem],
+        room: Room,
         count_pixels: bool,
     ) -> DrawStats:
         passes, targets = self._passes, self._targets
-        rects = tuple(view.rect for view in views)
-        if rects != self._views:  # the room never changes, so it is drawn once and then copied
-            self._views = rects
-            passes.draw_room(targets, rects)
+        seen = [(view.camera if room != EMPTY_ROOM else STILL, view.rect) for view in views]
+        drawn = (
+            room,
+            [
+                (lens_of(eye), eye.rotation.tobytes(), eye.translation_m.tobytes(), rect)
+                for eye, rect in seen
+            ],
+        )
+        if drawn != self._drawn_room:  # only when it looks different; else it is copied
+            self._drawn_room = drawn
+            passes.draw_room(targets, seen, room)
         heads = list_heads(self._slots, placements, views, passes.placeholder)
         # With both kinds of heads depth does not tell whose a pixel is.
         has_both = bool(heads.decoded and heads.painted)
@@ -347,8 +364,4 @@ class Renderer:
         is_smooth = self._options.smooth_edges
         if is_smooth:
             passes.smooth(targets, heads.places)
-        targets.final.use()
-        self._overlay.draw(overlays, self.size)
-        return count_draws(
-            heads, counts, painted_counts, is_smooth=is_smooth, num_overlays=len(overlays)
-        )
+        return count_draws(heads, counts, painted_counts, is_smooth=is_smooth)

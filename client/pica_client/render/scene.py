@@ -22,7 +22,6 @@ from pica_client.render.seats import (
     HEAD_HALF_WIDTH_M,
     SeatPlan,
     plan_camera,
-    plan_seats,
 )
 from pica_client.render.seats import ViewState as ViewState
 from pica_core.camera import Camera
@@ -54,11 +53,6 @@ class Placement:
     """Level whose mesh what fades out is drawn with, as `mesh_level`."""
     is_same_maps: bool = False
     """Whether only the mesh fades: what fades out are the maps that came last, too."""
-
-
-def arrange_seats(count: int) -> list[Float64Array]:
-    """Seat frames on the arc around the viewer, left to right: see `seats.plan_seats`."""
-    return list(plan_seats("arc", count, 1.0).seats)
 
 
 def rotation_matrix(rotation: npt.ArrayLike) -> Float64Array:
@@ -100,11 +94,6 @@ def view_direction(world_from_head: FloatArray, camera_centre_m: npt.ArrayLike) 
         return np.array([0, 0, 1], np.float32)
     direction: FloatArray = (seen / length).astype(np.float32)
     return direction
-
-
-def view_camera(view: ViewState, count: int, width: int, height: int) -> Camera:
-    """The camera that shows `count` seats on the arc, moved as the user wants."""
-    return plan_camera(plan_seats("arc", count, width / height), view, width, height)
 
 
 def clip_from_head(camera: Camera, world_from_head: FloatArray) -> FloatArray:
@@ -192,13 +181,3 @@ def pick_head(
             away = placement.world_from_head[:3, 3].astype(np.float64) - camera.centre_m
             found.append((float(np.linalg.norm(away)), placement.slot))
     return min(found)[1] if found else None
-
-
-def label_anchor_px(camera: Camera, world_from_head: FloatArray) -> tuple[float, float] | None:
-    """Where a head's name belongs: image pixels (x right, y down) below the chin; None if
-    behind."""
-    chin = world_from_head[:3, 3].astype(np.float64) - [0.0, HEAD_HALF_HEIGHT_M, 0.0]
-    pixel, depth = camera.project(chin)
-    if depth <= NEAR_M:
-        return None
-    return float(pixel[0]), float(pixel[1])

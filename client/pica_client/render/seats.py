@@ -2,13 +2,16 @@
 
 World: metres, +y up; the viewer is on the +z side and looks towards -z. Four layouts:
 
-    line    side by side, 25 cm apart, all looking straight ahead: the paper's row of five
+    line    side by side, all looking straight ahead
     arc     the same on an arc around the viewer, everybody facing the viewer
     table   around the far side of a round table, seen from a little above
     grid    rows and columns, everybody facing the viewer
 
-In each of them one participant may be pinned: that one fills the picture, and the others look on
-from a strip at its side.
+Neighbours sit as far apart as the broadest shoulders need. Where that makes the faces of a row much
+smaller than those of a grid, as on a narrow picture, the grid is taken.
+
+In each of them one participant may be pinned: that one stands large in the middle, and the others
+look on from a strip at the side.
 
     plan = plan_seats("table", 5, aspect=16 / 9)
     camera = plan_camera(plan, ViewState(), 1280, 720)
@@ -29,14 +32,24 @@ from pica_core.types import Float64Array
 Layout = Literal["line", "arc", "table", "grid"]
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 
-SEAT_SPACING_M = 0.25
-"""Between neighbours: the paper's row of five."""
+SHOULDERS_M = 0.36
+"""Width of the shoulders of whoever has no avatar yet; those of the built-in heads are as broad."""
+MIN_SHOULDERS_M, MAX_SHOULDERS_M = 0.22, 0.56
+"""A head alone keeps room for its movements, and no file from a stranger pushes everybody aside."""
+SHOULDER_GAP_M = 0.025
+"""Between the shoulders of neighbours: heads move (chosen)."""
 SEAT_RADIUS_M = 1.1
-"""From the viewer to each seat of the arc: where people sit when they talk (chosen; 0.7 to 1.2 m is
-usual)."""
-TABLE_SPACING_M = 0.29
-"""Between neighbours at the table, as seen from the front: those at its sides are nearer and look
-larger (chosen: their heads stay apart on the screen)."""
+"""From the viewer to each seat of the arc, at least: where people sit when they talk (chosen; 0.7
+to 1.2 m is usual)."""
+MAX_ARC = math.radians(62)
+"""Between the ends of the arc: with more people its radius grows, so that nobody is seen from the
+side (chosen)."""
+SHOULDER_DEPTH_M = 0.07
+"""Seats that are turned to each other come closer at the front of the shoulders, which reach so far
+before the middle of the head."""
+GRID_INSTEAD = 1.4
+"""A row gives way to the grid where that makes the heads so many times larger (chosen: five people
+sit in a row on a picture of 16:9, and in a grid on one of 4:3)."""
 TABLE_RADIUS_M = 0.62
 TABLE_PITCH = math.radians(9)
 """How far from above the table is seen (chosen: a person who sits at it)."""
@@ -45,6 +58,8 @@ VERTICAL_FOV = math.radians(32)
 HEAD_HALF_WIDTH_M = 0.115
 HEAD_HALF_HEIGHT_M = 0.165
 """What is framed around each seat: a head with room for its movements."""
+GROUP_HALF_WIDTH_M = 0.15
+"""More of the shoulders of several people is framed: nobody looks cut off at the edge."""
 FRAME_FILL = 0.9
 """Part of the picture that the framed heads may fill."""
 LABEL_SHARE = 0.1
@@ -53,20 +68,38 @@ GRID_FROM = 4
 """People from whom on a grid has two rows or more."""
 MAX_GRID_HEIGHT_M = 8.0
 """So many rows that no room is left for their names stand closer."""
-MAX_GRID_SPACING_M = 0.42
+MAX_GRID_GAP_M = 0.1
 """Where the picture is wide enough, columns stand further apart, so that names have room."""
+STRIP_BESIDE = 1.25
+"""Pictures at least so wide for their height have the strip of those who are not pinned at the
+right; others have it below."""
 STRIP_COLUMN_SHARE = 0.17
-"""Part of the picture's longer side for each column of those who are not pinned."""
-STRIP_PER_COLUMN = 2
-STRIP_PER_ROW = 3
+"""Part of the picture's longer side for each column or row of it."""
+STRIP_PER_COLUMN = 4
+STRIP_PER_ROW = 4
 STRIP_HEAD_SHARE = 0.26
 """Height of their heads, as part of the picture's height, at most."""
 MAX_STRIP_SHARE = 0.4
 """Part of the picture that the strip takes at most: the rest is for whoever is pinned."""
+CENTRING_LOSS = 1.35
+"""Whoever is pinned stands in the middle of the picture unless the strip makes the head this many
+times smaller there than in the middle of what it leaves."""
+STRIP_LABEL_SHARE = 0.06
+"""Part of the picture's height that is kept free below each of their heads: a name alone."""
+PINNED_CHEST_M = 0.29
+"""How far below the middle of a pinned head nothing of the strip may begin."""
 MAX_FREE = 0.5
 
-MAX_PITCH = math.radians(80)
-MIN_ZOOM, MAX_ZOOM = 0.25, 12.0
+MAX_YAW = math.radians(45)
+MIN_PITCH, MAX_PITCH = math.radians(-26), math.radians(32)
+"""From where faces may be seen. The built-in captures have cameras 75 degrees to both sides, 30
+below and 36 above; the ends of an arc are turned 31 degrees already (chosen: what lies beyond what
+an avatar was trained on is torn)."""
+SOFT_SHARE = 0.4
+"""The last part of the way to a limit, over which a drag moves the view less and less."""
+NEAREST_M = 0.3
+"""The camera stays so far from the middle of any head: hair, nose, movements lie within 0.2."""
+MIN_ZOOM, MAX_ZOOM = 0.4, 12.0
 ORBIT_PER_PIXEL = 0.005
 """Radians (chosen: half a turn is a drag over 630 pixels)."""
 ZOOM_PER_STEP = 1.1
@@ -82,13 +115,16 @@ class ViewState:
     pitch: float = 0.0
     """Positive moves the camera up."""
     zoom: float = 1.0
-    """The camera's distance is the framing distance divided by this."""
+    """The camera's way to the nearest place before the heads is divided by this; below 1 its
+    distance."""
 
     def orbited(self, right_px: float, down_px: float) -> ViewState:
-        """The view after dragging the scene by so many pixels."""
-        pitch = self.pitch + down_px * ORBIT_PER_PIXEL
-        yaw = math.remainder(self.yaw - right_px * ORBIT_PER_PIXEL, 2 * math.pi)
-        return replace(self, yaw=yaw, pitch=min(max(pitch, -MAX_PITCH), MAX_PITCH))
+        """The view after dragging the scene by so many pixels; limits are met softly."""
+        return replace(
+            self,
+            yaw=_towards_limit(self.yaw, -right_px * ORBIT_PER_PIXEL, -MAX_YAW, MAX_YAW),
+            pitch=_towards_limit(self.pitch, down_px * ORBIT_PER_PIXEL, MIN_PITCH, MAX_PITCH),
+        )
 
     def zoomed(self, steps: float) -> ViewState:
         """The view after turning the wheel; positive comes closer."""
@@ -102,9 +138,10 @@ class FreeShares:
 
     top: float = 0.0
     right: float = 0.0
+    bottom: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("top", "right"):
+        for name in ("top", "right", "bottom"):
             share = getattr(self, name)
             if not 0 <= share <= MAX_FREE:
                 raise ValueError(f"{name} is {share:g}; 0 to {MAX_FREE} can be kept free")
@@ -121,6 +158,11 @@ class SeatPlan:
     """Where the camera is as long as the user has not moved it. float64 ``[3]``."""
     target_m: Float64Array
     """What it looks at, and turns around. float64 ``[3]``."""
+
+    @property
+    def places_m(self) -> tuple[tuple[float, float, float], ...]:
+        """The middle of each head at rest, world."""
+        return tuple((float(x), float(y), float(z)) for x, y, z in (s[:3, 3] for s in self.seats))
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +182,7 @@ def plan_seats(
     *,
     pinned: int | None = None,
     free: FreeShares | None = None,
+    shoulders_m: float = SHOULDERS_M,
 ) -> SeatPlan:
     """Seats for `count` people, and the camera that shows them with their names.
 
@@ -149,6 +192,8 @@ def plan_seats(
         aspect: Columns divided by rows of the picture.
         pinned: Index of the one who fills the picture; beyond `count` nobody is.
         free: What to keep free.
+        shoulders_m: Width of the broadest shoulders, within `MIN_SHOULDERS_M` to
+            `MAX_SHOULDERS_M`.
 
     Raises:
         ValueError: Fewer than no people, or an aspect that is not above 0.
@@ -156,10 +201,18 @@ def plan_seats(
     if count < 0 or not (math.isfinite(aspect) and aspect > 0):
         raise ValueError(f"{count} people at an aspect of {aspect:g} cannot be seated")
     frame = _frame(aspect, free or FreeShares())
+    shoulders_m = min(max(shoulders_m, MIN_SHOULDERS_M), MAX_SHOULDERS_M)
     if pinned is not None and 0 <= pinned < count and count > 1:
-        return _plan_pinned(count, pinned, aspect, frame)
-    places, pitch, faced = _ARRANGEMENTS[layout](max(count, 1), frame)
-    camera_m, target_m = _framing(places, pitch, frame)
+        return _plan_pinned(count, pinned, aspect, frame, shoulders_m)
+    spacing_m = shoulders_m + SHOULDER_GAP_M
+    places, pitch, faced = _ARRANGEMENTS[layout](max(count, 1), frame, spacing_m)
+    half_width = HEAD_HALF_WIDTH_M if count < 2 else GROUP_HALF_WIDTH_M
+    camera_m, target_m = _framing(places, pitch, frame, half_width=half_width)
+    if layout != "grid" and count > 1:
+        grid, level, _ = _grid(count, frame, spacing_m)
+        instead = _framing(grid, level, frame, half_width=half_width)
+        if _distance(camera_m, target_m) > GRID_INSTEAD * _distance(*instead):
+            places, pitch, faced, (camera_m, target_m) = grid, level, None, instead
     if faced is None:
         seats = [_seat(place, camera_m) for place in places]
     else:
@@ -171,9 +224,8 @@ def plan_camera(plan: SeatPlan, view: ViewState, width: int, height: int) -> Cam
     """The viewer's camera: that of the plan, turned and moved closer as the user wants."""
     offset = plan.camera_m - plan.target_m
     distance = float(np.linalg.norm(offset))
-    yaw = math.atan2(float(offset[0]), float(offset[2])) + view.yaw
-    pitch = math.asin(float(offset[1]) / distance) + view.pitch
-    pitch = min(max(pitch, -MAX_PITCH), MAX_PITCH)
+    yaw = min(max(math.atan2(offset[0], offset[2]) + view.yaw, -MAX_YAW), MAX_YAW)
+    pitch = min(max(math.asin(offset[1] / distance) + view.pitch, MIN_PITCH), MAX_PITCH)
     direction = np.array(
         [
             math.sin(yaw) * math.cos(pitch),
@@ -181,9 +233,13 @@ def plan_camera(plan: SeatPlan, view: ViewState, width: int, height: int) -> Cam
             math.cos(yaw) * math.cos(pitch),
         ]
     )
+    # The nearer the camera comes to a head, the less a notch of the wheel moves it.
+    nearest = min(_nearest_m(plan, direction), distance)
+    zoom = min(max(view.zoom, MIN_ZOOM), MAX_ZOOM)
+    distance = nearest + (distance - nearest) / zoom if zoom > 1 else distance / zoom
     return look_at(
         name="viewer",
-        centre_m=plan.target_m + distance / view.zoom * direction,
+        centre_m=plan.target_m + distance * direction,
         target_m=plan.target_m,
         vertical_fov=VERTICAL_FOV,
         width=width,
@@ -196,46 +252,42 @@ Arrangement = tuple[Float64Array, float, Float64Array | None]
 camera."""
 
 
-def _line(count: int, frame: _Frame) -> Arrangement:
+def _line(count: int, frame: _Frame, spacing_m: float) -> Arrangement:
     places = np.zeros((count, 3))
-    places[:, 0] = _centred(count) * SEAT_SPACING_M
+    places[:, 0] = _centred(count) * spacing_m
     return places, 0.0, places + np.array([0.0, 0.0, 1.0])
 
 
-def _arc(count: int, frame: _Frame) -> Arrangement:
-    angles = _centred(count) * SEAT_SPACING_M / SEAT_RADIUS_M
+def _arc(count: int, frame: _Frame, spacing_m: float) -> Arrangement:
+    radius = max(SEAT_RADIUS_M, (count - 1) * spacing_m / MAX_ARC + SHOULDER_DEPTH_M)
+    angles = _centred(count) * spacing_m / (radius - SHOULDER_DEPTH_M)
     places = np.stack(
-        [
-            SEAT_RADIUS_M * np.sin(angles),
-            np.zeros(count),
-            SEAT_RADIUS_M * (1 - np.cos(angles)),
-        ],
-        axis=-1,
+        [radius * np.sin(angles), np.zeros(count), radius * (1 - np.cos(angles))], axis=-1
     )
-    return places, 0.0, np.tile([0.0, 0.0, SEAT_RADIUS_M], (count, 1))
+    return places, 0.0, np.tile([0.0, 0.0, radius], (count, 1))
 
 
-def _table(count: int, frame: _Frame) -> Arrangement:
+def _table(count: int, frame: _Frame, spacing_m: float) -> Arrangement:
     """On a circle about the origin, evenly spaced as the viewer sees them; the viewer's side stays
     empty. They look at the middle of the table's near edge: half at each other, half at us."""
-    across = _centred(count) * TABLE_SPACING_M
-    radius = max(TABLE_RADIUS_M, 1.04 * float(across.max()))
+    across = _centred(count) * spacing_m
+    radius = max(TABLE_RADIUS_M, 1.25 * float(across.max()))
     places = np.stack([across, np.zeros(count), -np.sqrt(radius**2 - across**2)], axis=-1)
     return places, TABLE_PITCH, np.tile([0.0, 0.0, radius], (count, 1))
 
 
-def _grid(count: int, frame: _Frame) -> Arrangement:
+def _grid(count: int, frame: _Frame, spacing_m: float) -> Arrangement:
     """A grid of as many columns as make the heads largest; the last row stands in the middle."""
     fewest_rows = 2 if count >= GRID_FROM else 1
     height_m, columns = min(
-        (_grid_height_m(count, columns, frame), columns)
+        (_grid_height_m(count, columns, frame, spacing_m), columns)
         for columns in range(1, math.ceil(count / fewest_rows) + 1)
     )
     rows = math.ceil(count / columns)
     pitch_m = 2 * HEAD_HALF_HEIGHT_M + LABEL_SHARE * min(height_m, MAX_GRID_HEIGHT_M)
     width_m = height_m * (frame.right - frame.left) / (2 * math.tan(VERTICAL_FOV / 2))
     room_m = (width_m - 2 * HEAD_HALF_WIDTH_M) / max(columns - 1, 1)
-    spacing_m = min(max(room_m, SEAT_SPACING_M), MAX_GRID_SPACING_M)
+    spacing_m = min(max(room_m, spacing_m), spacing_m + MAX_GRID_GAP_M)
     places = np.zeros((count, 3))
     for row in range(rows):
         first, last = row * columns, min((row + 1) * columns, count)
@@ -244,17 +296,17 @@ def _grid(count: int, frame: _Frame) -> Arrangement:
     return places, 0.0, None
 
 
-def _grid_height_m(count: int, columns: int, frame: _Frame) -> float:
+def _grid_height_m(count: int, columns: int, frame: _Frame, spacing_m: float) -> float:
     """How many metres at the grid the whole picture is high."""
     rows = math.ceil(count / columns)
     whole = 2 * math.tan(VERTICAL_FOV / 2)
     left = (frame.top - frame.bottom) / whole - (rows - 1) * LABEL_SHARE
     high = rows * 2 * HEAD_HALF_HEIGHT_M / left if left > 0 else math.inf
-    span_m = (columns - 1) * SEAT_SPACING_M + 2 * HEAD_HALF_WIDTH_M
+    span_m = (columns - 1) * spacing_m + 2 * HEAD_HALF_WIDTH_M
     return max(high, span_m * whole / (frame.right - frame.left))
 
 
-_ARRANGEMENTS: dict[Layout, Callable[[int, _Frame], Arrangement]] = {
+_ARRANGEMENTS: dict[Layout, Callable[[int, _Frame, float], Arrangement]] = {
     "line": _line,
     "arc": _arc,
     "table": _table,
@@ -262,49 +314,62 @@ _ARRANGEMENTS: dict[Layout, Callable[[int, _Frame], Arrangement]] = {
 }
 
 
-def _plan_pinned(count: int, pinned: int, aspect: float, frame: _Frame) -> SeatPlan:
-    """One in front, the others in a strip at the right, or below on a picture that is higher than
-    wide: as far away as makes them fit."""
+def _plan_pinned(
+    count: int, pinned: int, aspect: float, frame: _Frame, shoulders_m: float
+) -> SeatPlan:
+    """One in front, the others in a strip at the right or below: as far away as makes them fit."""
     others = [index for index in range(count) if index != pinned]
     tangent = math.tan(VERTICAL_FOV / 2)
-    is_wide = aspect >= 1
+    is_wide = aspect >= STRIP_BESIDE
     lines = math.ceil(len(others) / (STRIP_PER_COLUMN if is_wide else STRIP_PER_ROW))
-    longer = 2 * tangent * (aspect if is_wide else 1.0)
-    floor = frame.bottom - _label(tangent)
-    most = frame.right - frame.left if is_wide else frame.top - floor
-    strip = min(lines * STRIP_COLUMN_SHARE * longer, MAX_STRIP_SHARE * most)
-    edge = frame.right - strip if is_wide else floor + strip
-    main = replace(frame, right=edge) if is_wide else replace(frame, bottom=edge + _label(tangent))
-    camera_m, target_m = _framing(np.zeros((1, 3)), 0.0, main)
-    seats = [_seat(np.zeros(3), camera_m)] * count
     per_line = math.ceil(len(others) / lines)
+    longer = 2 * tangent * (aspect if is_wide else 1.0)
+    floor, label = frame.bottom - 2 * tangent * LABEL_SHARE, 2 * tangent * STRIP_LABEL_SHARE
+    across, along = frame.right - frame.left, frame.top - floor
+    if not is_wide:
+        across, along = along, across
+    strip = min(lines * STRIP_COLUMN_SHARE * longer, MAX_STRIP_SHARE * across)
+    width, height = strip / lines, along / per_line
+    if not is_wide:
+        width, height = height, width
+    head_per_width = 2 * HEAD_HALF_HEIGHT_M / (shoulders_m + SHOULDER_GAP_M)
+    head = min(height - label, width * head_per_width, STRIP_HEAD_SHARE * 2 * tangent)
+    head = max(head, 1e-3)
+    # No broader than its heads need.
+    strip = min(strip, lines * (head / head_per_width if is_wide else head + label))
+    edge = frame.right - strip if is_wide else floor + strip
+    camera_m, target_m = _framing_pinned(frame, edge, is_wide=is_wide, shoulders_m=shoulders_m)
+    seats = [_seat(np.zeros(3), camera_m)] * count
     for number, index in enumerate(others):
         line, place = divmod(number, per_line)
         in_line = min(per_line, len(others) - line * per_line)
-        across, along = (line + 0.5) / lines, (place + 0.5) / in_line
+        inwards, onwards = (line + 0.5) / lines * strip, (place + 0.5) / in_line * along
         if is_wide:
-            cell = (strip / lines, (frame.top - floor) / in_line)
-            x = edge + across * strip
-            y = frame.top - along * in_line * cell[1]
+            x, y = edge + inwards, frame.top - onwards
         else:
-            cell = ((frame.right - frame.left) / in_line, strip / lines)
-            x = frame.left + along * in_line * cell[0]
-            y = edge - across * strip
-        head = min(
-            cell[1] - _label(tangent),
-            cell[0] * 0.92 * HEAD_HALF_HEIGHT_M / HEAD_HALF_WIDTH_M,
-            STRIP_HEAD_SHARE * 2 * tangent,
-        )
-        depth = 2 * HEAD_HALF_HEIGHT_M / max(head, 1e-3)
+            x, y = frame.left + onwards, edge - inwards
         # The head and its name together stand in the middle of the cell.
-        at = camera_m + depth * np.array([x, y + _label(tangent) / 2, -1.0])
-        seats[index] = _seat(at, camera_m)
+        at = np.array([x, y + label / 2, -1.0]) * 2 * HEAD_HALF_HEIGHT_M / head
+        seats[index] = _seat(camera_m + at, camera_m)
     return SeatPlan(seats=tuple(seats), camera_m=camera_m, target_m=target_m)
 
 
-def _label(tangent: float) -> float:
-    """What is kept free for a name, in tangents."""
-    return LABEL_SHARE * 2 * tangent
+def _framing_pinned(
+    frame: _Frame, edge: float, *, is_wide: bool, shoulders_m: float
+) -> tuple[Float64Array, Float64Array]:
+    """The view of whoever is pinned, at the origin, beside a strip that begins at `edge`."""
+    origin, half_width = np.zeros((1, 3)), min(HEAD_HALF_WIDTH_M, shoulders_m / 2)
+    if not is_wide:
+        above = replace(frame, bottom=edge)
+        return _framing(origin, 0.0, above, half_width=half_width, below_m=PINNED_CHEST_M)
+    beside = _framing(origin, 0.0, replace(frame, right=edge), half_width=half_width)
+    if edge <= 0:
+        return beside
+    side = min(edge, -frame.left)
+    centred = _framing(
+        origin, 0.0, replace(frame, left=-side, right=side), half_width=shoulders_m / 2
+    )
+    return centred if _distance(*centred) <= CENTRING_LOSS * _distance(*beside) else beside
 
 
 def _frame(aspect: float, free: FreeShares) -> _Frame:
@@ -313,13 +378,18 @@ def _frame(aspect: float, free: FreeShares) -> _Frame:
     return _Frame(
         left=-wide * FRAME_FILL,
         right=wide * (FRAME_FILL - 2 * free.right),
-        bottom=tangent * (2 * LABEL_SHARE - FRAME_FILL),
+        bottom=tangent * (2 * LABEL_SHARE - FRAME_FILL + 2 * free.bottom),
         top=tangent * (FRAME_FILL - 2 * free.top),
     )
 
 
 def _framing(
-    places: Float64Array, pitch: float, frame: _Frame
+    places: Float64Array,
+    pitch: float,
+    frame: _Frame,
+    *,
+    half_width: float = HEAD_HALF_WIDTH_M,
+    below_m: float = HEAD_HALF_HEIGHT_M,
 ) -> tuple[Float64Array, Float64Array]:
     """The nearest camera, looking down by `pitch`, that has all heads within `frame`, and what it
     looks at.
@@ -332,12 +402,12 @@ def _framing(
     axes = np.array([[1.0, 0.0, 0.0], [0.0, cosine, -sine], [0.0, sine, cosine]])
     x, y, z = np.matmul(axes, places.T)
     spans = (
-        (x, HEAD_HALF_WIDTH_M, frame.left, frame.right),
-        (y, HEAD_HALF_HEIGHT_M, frame.bottom, frame.top),
+        (x, half_width, half_width, frame.left, frame.right),
+        (y, below_m, HEAD_HALF_HEIGHT_M, frame.bottom, frame.top),
     )
     bounds = [
-        (float((at + half + high * z).max()), float((at - half + low * z).min()), low, high)
-        for at, half, low, high in spans
+        (float((at + after + high * z).max()), float((at - before + low * z).min()), low, high)
+        for at, before, after, low, high in spans
     ]
     distance = max(
         *((most - least) / (high - low) for most, least, low, high in bounds),
@@ -367,3 +437,28 @@ def _seat(place_m: Float64Array, towards_m: Float64Array) -> Float64Array:
 def _centred(count: int) -> Float64Array:
     """-1, 0, 1 and so on: as many as wanted, about 0."""
     return np.arange(count, dtype=np.float64) - (count - 1) / 2
+
+
+def _distance(camera_m: Float64Array, target_m: Float64Array) -> float:
+    """How far a camera is from what it looks at, metres."""
+    return float(np.linalg.norm(camera_m - target_m))
+
+
+def _towards_limit(value: float, step: float, low: float, high: float) -> float:
+    """A value after a step that shrinks on the last part of the way to a limit."""
+    way = high - value if step > 0 else value - low
+    soft = SOFT_SHARE * (high if step > 0 else -low)
+    moved = value + step * min(max(way / soft, 0.0), 1.0)
+    return min(max(moved, low), high)
+
+
+def _nearest_m(plan: SeatPlan, direction: Float64Array) -> float:
+    """From the middle of the view along a direction to where no head is nearer than `NEAREST_M`
+    from there on: the farther root of |target + t direction - head| = NEAREST_M, of all heads."""
+    if not plan.seats:
+        return NEAREST_M
+    towards = np.array([seat[:3, 3] for seat in plan.seats]) - plan.target_m
+    along = np.matmul(towards, direction)
+    inside = NEAREST_M**2 - np.square(towards).sum(axis=1) + np.square(along)
+    roots = along + np.sqrt(np.maximum(inside, 0.0))
+    return max(float(np.where(inside > 0, roots, 0.0).max()), NEAREST_M)

@@ -7,12 +7,10 @@ in both: it appears at the depth of the screen, and nothing is turned inwards (w
 pixels up and down between the eyes).
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from pica_client.ui.text_raster import OverlayItem, corner_px, item_size_px
 from pica_core.camera import Camera
 
 EYE_DISTANCE_M = 0.063
@@ -45,36 +43,9 @@ def stereo_cameras(
     )
 
 
-def side_by_side(
-    left: Sequence[OverlayItem], right: Sequence[OverlayItem], eye_size: tuple[int, int]
-) -> list[OverlayItem]:
-    """The texts of both eyes on one picture, each within its own half.
-
-    Args:
-        left: Placed on the left eye's picture.
-        right: Placed on the right eye's.
-        eye_size: Columns and rows of one eye's picture.
-    """
-    return [
-        *(_in_half(item, eye_size, 0) for item in left),
-        *(
-            replace(_in_half(item, eye_size, eye_size[0]), key=f"{item.key}:right")
-            for item in right
-        ),
-    ]
-
-
 def _moved(camera: Camera, right_m: float, screen_distance_m: float) -> Camera:
     """A camera that has moved to its right, its picture shifted back."""
     centre = camera.centre_m + right_m * camera.rotation[0]
     intrinsics = camera.intrinsics.copy()
     intrinsics[0, 2] += intrinsics[0, 0] * right_m / screen_distance_m
     return replace(camera, intrinsics=intrinsics, translation_m=-np.matmul(camera.rotation, centre))
-
-
-def _in_half(item: OverlayItem, eye_size: tuple[int, int], offset_px: int) -> OverlayItem:
-    """An item moved to lie inside its eye's picture, and that to its half."""
-    size = item_size_px(item)
-    left, top = corner_px(item, size, eye_size)
-    share = 0.5 if item.style in ("label", "banner") else float(item.is_right_aligned)
-    return replace(item, x_px=left + share * size[0] + offset_px, y_px=top)

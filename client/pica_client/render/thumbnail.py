@@ -8,12 +8,10 @@ from pica_client.decode.decoder import ObjectDecoder, OnnxDecoder
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import (
     Placement,
-    ViewState,
-    arrange_seats,
     head_matrix,
-    view_camera,
     view_direction,
 )
+from pica_client.render.seats import ViewState, plan_camera, plan_seats
 from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
@@ -47,12 +45,13 @@ def draw_thumbnail(
     """
     expression = np.zeros(NUM_ARKIT, np.float32) if arkit is None else arkit
     latent = ExpressionEncoder(avatar).encode(expression)
-    camera = view_camera(view or ViewState(), 1, *size)
-    matrix = head_matrix(arrange_seats(1)[0], np.zeros(3), np.zeros(3))
+    plan = plan_seats("arc", 1, size[0] / size[1])
+    camera = plan_camera(plan, view or ViewState(), *size)
+    matrix = head_matrix(plan.seats[0], np.zeros(3), np.zeros(3))
     maps = (decoder or OnnxDecoder(avatar)).decode(latent, view_direction(matrix, camera.centre_m))
     context = create_context()
     try:
-        renderer = Renderer(context, size, RenderOptions())
+        renderer = Renderer(context, size, RenderOptions(fade_busts=True))
         renderer.add_avatar("avatar", avatar)
         renderer.update_maps("avatar", maps.position_map, maps.expression_map)
         renderer.draw([Placement(slot="avatar", world_from_head=matrix)], camera)

@@ -19,7 +19,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_client.errors import SourceError
+from pica_client.output import say
 from pica_client.playout.rotation import rotation_vector_from_yaw_pitch_roll
+from pica_client.sources.live.sample import VALUE_LIMIT
 from pica_client.sources.source import Recording
 from pica_core.avatar.arkit import ARKIT_NAMES
 
@@ -28,8 +30,6 @@ TIMECODE_FPS = 60.0
 DAY_S = 24 * 3600.0
 MAX_ROWS = 1_000_000
 """Longest recording we read into memory (chosen: 4.6 hours at 60 fps, about 240 MiB)."""
-VALUE_LIMIT = 4.0
-"""Blendshape values beyond this are no face (chosen: real recordings reach 1.05)."""
 ANGLE_COLUMNS = ("HeadYaw", "HeadPitch", "HeadRoll")
 
 
@@ -41,7 +41,8 @@ def load_livelink_csv(path: Path, *, start_s: float = 0.0) -> Recording:
         start_s: Where in the recording the source begins, seconds.
 
     Returns:
-        The looping recording. Rows with a BlendShapeCount of 0 are moments without a face.
+        The looping recording. Rows with a BlendShapeCount of 0 are moments without a face, and so
+        are those with values that are no numbers; of the latter the user is told.
 
     Raises:
         SourceError: No such file, not such a file, missing columns, a cut or unreadable row, or
@@ -82,8 +83,15 @@ def load_livelink_csv(path: Path, *, start_s: float = 0.0) -> Recording:
                 values[index] = [float(row[column]) for column in value_columns]
             except ValueError as error:
                 raise SourceError(f"{where}: {error}; every value must be a number") from error
-    if not np.isfinite(values).all() or np.abs(values).max() > VALUE_LIMIT:
-        line = int(np.argmax(~(np.abs(values) <= VALUE_LIMIT).all(axis=1))) + 2
+    is_number = np.isfinite(values).all(axis=1)
+    if not is_number.all():
+        num_lost = int((~is_number).sum())
+        if num_lost == len(body):
+            raise SourceError(f"{path}: no frame holds numbers alone; export the take again")
+        say(f"{path}: {num_lost} of {len(body)} frames are lost, they hold NaN or infinity")
+        values[~is_number], has_face[~is_number] = 0.0, False
+    if np.abs(values).max() > VALUE_LIMIT:
+        line = int(np.argmax((np.abs(values) > VALUE_LIMIT).any(axis=1))) + 2
         raise SourceError(f"{path}, line {line}: a value lies outside ±{VALUE_LIMIT:g}")
     times_s, loop_gap_s = _unroll(times_s, path)
     return Recording(

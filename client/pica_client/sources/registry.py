@@ -1,7 +1,9 @@
 """The text a user writes after ``--source``, and the source it stands for.
 
 csv:FILE[@SECONDS]                    a Live Link Face recording, starting somewhere in it
+take:FILE[@SECONDS]                   what `pica track --record` wrote
 performance:NAME[#SEED][@SECONDS]     a performance that ships with the package
+livelink, vmc, ...                    trackers; see `live.opening`
 """
 
 import math
@@ -9,28 +11,56 @@ from collections.abc import Callable
 from pathlib import Path
 
 from pica_client.errors import SourceError
+from pica_client.output import say
+from pica_client.sources.live.calibration import Calibration, CalibrationStore
+from pica_client.sources.live.opening import LIVE_HELP, LIVE_KINDS, open_live
+from pica_client.sources.live.take import TakeSource, load_take
 from pica_client.sources.livelink_csv import load_livelink_csv
 from pica_client.sources.performances import PERFORMANCES, make_performance
-from pica_client.sources.source import Source
+from pica_client.sources.source import Recording, Source
+from pica_client.user_folders import preferences_folder
 
 SOURCE_HELP = (
-    "csv:FILE[@SECONDS] for a Live Link Face recording, or "
-    "performance:NAME[#SEED][@SECONDS] with NAME one of " + ", ".join(PERFORMANCES)
+    "csv:FILE[@SECONDS] for a Live Link Face recording, take:FILE[@SECONDS] for a recorded take, "
+    f"{LIVE_HELP}, or performance:NAME[#SEED][@SECONDS] with NAME one of " + ", ".join(PERFORMANCES)
 )
 
 
-def open_source(text: str) -> Source:
-    """Open the source that a text describes.
+def open_source(text: str, person: str = "") -> Source:
+    """Open the source that a text describes; a tracker listens from then on until it is closed.
+
+    Args:
+        text: What the user wrote.
+        person: Whose calibration a tracker's samples are given, if there is one.
 
     Raises:
         SourceError: The text is not of a known form, or what it names cannot be read.
     """
-    kind, _, rest = text.partition(":")
+    kind, rest = split_source(text)
+    if kind in LIVE_KINDS:
+        return open_live(kind, rest, calibration_of(person, kind))
     opener = OPENERS.get(kind)
     if opener is None or not rest:
         raise SourceError(f"source {text!r} is unknown; write {SOURCE_HELP}")
     name, start_s = _split_start(rest, text)
     return opener(name, start_s)
+
+
+def split_source(text: str) -> tuple[str, str]:
+    """The kind of a source, and what stands behind it: ``livelink/Ada`` has no colon."""
+    kind, _, rest = text.partition(":")
+    first, slash, subject = kind.partition("/")
+    return (first, slash + subject) if first in LIVE_KINDS and slash else (kind, rest)
+
+
+def calibrations() -> CalibrationStore:
+    """The calibrations of this machine's people."""
+    return CalibrationStore(preferences_folder() / "calibrations")
+
+
+def calibration_of(person: str, kind: str) -> Calibration | None:
+    """What was stored for a person and a kind of tracker, or None."""
+    return calibrations().load(person, kind) if person else None
 
 
 def start_later(text: str, seconds: float) -> str:
@@ -48,24 +78,40 @@ def _split_start(rest: str, text: str) -> tuple[str, float]:
         start_s = float(tail)
     except ValueError:
         return rest, 0.0
-    if not math.isfinite(start_s):
-        raise SourceError(f"source {text!r}: the start must be a finite number of seconds")
+    if not 0 <= start_s < math.inf:
+        raise SourceError(f"source {text!r}: the start is {tail} s; 0 or more is allowed")
     return name, start_s
 
 
 def _open_csv(name: str, start_s: float) -> Source:
-    return load_livelink_csv(Path(name).expanduser(), start_s=start_s)
+    return _within(load_livelink_csv(Path(name).expanduser(), start_s=start_s), f"csv:{name}")
 
 
 def _open_performance(name: str, start_s: float) -> Source:
     name, mark, seed = name.partition("#")
     if mark and not seed.isdecimal():
         raise SourceError(f"performance seed {seed!r} is not a number; write performance:NAME#7")
-    return make_performance(name, seed=int(seed) if mark else 0, start_s=start_s)
+    recording = make_performance(name, seed=int(seed) if mark else 0, start_s=start_s)
+    return _within(recording, f"performance:{name}")
+
+
+def _within(recording: Recording, name: str) -> Recording:
+    """Tell the user of a start behind the end: a recording loops, so it begins somewhere else."""
+    if recording.start_s >= recording.duration_s:
+        say(
+            f"{name} lasts {recording.duration_s:.1f} s and loops: "
+            f"@{recording.start_s:g} begins at {recording.start_s % recording.duration_s:.1f} s"
+        )
+    return recording
+
+
+def _open_take(name: str, start_s: float) -> Source:
+    return TakeSource(load_take(Path(name).expanduser()), None, start_s)
 
 
 OPENERS: dict[str, Callable[[str, float], Source]] = {
     "csv": _open_csv,
+    "take": _open_take,
     "performance": _open_performance,
 }
 """Each kind of source by the word before the colon."""

@@ -1,5 +1,6 @@
 """Where a link leads, as whom, and with which pass."""
 
+import secrets
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -14,7 +15,7 @@ class LinkConfig:
     """Where to connect, as whom, and how patiently."""
 
     url: str = "ws://127.0.0.1:8765"
-    """Address of the relay, ws:// or wss://."""
+    """Address of the relay, ws:// or wss://; several with commas between, tried in order."""
     room: str = "lobby"
     """Room to join: 1 to 64 of A-Z a-z 0-9 _ . -"""
     name: str = "guest"
@@ -26,6 +27,9 @@ class LinkConfig:
     `seal`."""
     short_tags: bool = False
     """Seal with tags of 8 bytes instead of 16; see `pica_client.e2ee.suites`."""
+    pad_to: tuple[int, ...] = ()
+    """Sizes in bytes that payloads are filled up to before they are sealed; none: as they are. See
+    `pica_client.e2ee.padding`."""
     token_file: Path | None = None
     """File with the token that the relay wants, from `pica token`; read anew for every join, so
     that a fresh one can be put there."""
@@ -36,17 +40,14 @@ class LinkConfig:
     backoff: BackoffConfig = field(default_factory=BackoffConfig)
 
     def __post_init__(self) -> None:
-        try:
-            parts = urlsplit(self.url)
-            usable = parts.scheme in ("ws", "wss") and bool(parts.hostname) and parts.port != 0
-        except ValueError:
-            usable = False
-        if not usable:
-            raise OptionError(f"url {self.url!r} is no relay address; write ws://HOST:PORT")
-        if self.ca_file is not None and not self.url.startswith("wss://"):
+        for url in self.urls or ("",):
+            _check_address(url)
+        if self.ca_file is not None and not any(url.startswith("wss://") for url in self.urls):
             raise OptionError(f"ca-file says whom to trust with wss://; url is {self.url}")
         if self.short_tags and self.secret_file is None:
             raise OptionError("short-tags says how to encrypt; it needs a secret-file")
+        if self.pad_to and self.secret_file is None:
+            raise OptionError("pad says how to encrypt; it needs a secret-file")
         if self.token and self.token_file is not None:
             raise OptionError("token and token-file say the same thing; give one of them")
         try:
@@ -55,6 +56,26 @@ class LinkConfig:
             check_pass("token", self.token)
         except ValueError as error:
             raise OptionError(str(error)) from error
+
+    @property
+    def urls(self) -> tuple[str, ...]:
+        """The addresses, in the order in which they are tried."""
+        return tuple(dict.fromkeys(filter(None, map(str.strip, self.url.split(",")))))
+
+
+def _check_address(url: str) -> None:
+    try:
+        parts = urlsplit(url)
+        usable = parts.scheme in ("ws", "wss") and bool(parts.hostname) and parts.port != 0
+    except ValueError:
+        usable = False
+    if not usable:
+        raise OptionError(f"url {url!r} is no relay address; write ws://HOST:PORT")
+
+
+def guest_name() -> str:
+    """A name for who has given none: the names of a few guests differ."""
+    return f"Guest {secrets.randbelow(90) + 10}"
 
 
 def read_token(path: Path | None) -> str:

@@ -5,7 +5,11 @@ owner, sends what waits, and comes back by itself when the relay goes away. It k
 later: a frame offered without a connection is refused, because a late face is worse than none.
 
 Who lost the connection comes back to the place it had, if the relay still keeps it; else it joins
-anew, with another id. Either way its owner gets a ``Joined`` and begins its streams anew.
+anew, with another id. Either way its owner gets a ``Joined`` and begins its streams anew. When the
+relay falls silent, another websocket is opened beside the one that is there, and takes its place if
+that is still silent by then (`lookout`). Several addresses are tried in order (`addresses`).
+
+A refusal ends the link, unless it may pass and we were in the room (`refusals`).
 
 Time is that of the event loop, which for asyncio's own loops is `time.monotonic`. On one machine
 all processes share that clock (Linux CLOCK_MONOTONIC, macOS and Windows likewise), so benches there
@@ -15,29 +19,35 @@ may subtract a sender's capture times from a receiver's clock. Across machines n
 import asyncio
 import logging
 import random
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from websockets.asyncio.client import ClientConnection
-from websockets.exceptions import ConnectionClosed, InvalidHandshake
+from websockets.exceptions import ConnectionClosed
 
-from pica_client.errors import RelayRefusedError, RelayUnreachableError
+from pica_client.errors import (
+    OptionError,
+    RelayRefusedError,
+    RelayUnreachableError,
+)
 from pica_client.stats import wire_bytes
 from pica_client.transport.backoff import Backoff
 from pica_client.transport.config import LinkConfig, read_token
-from pica_client.transport.connect import SOFTWARE, open_websocket, refusal
-from pica_client.transport.frame_guard import FrameGuard
+from pica_client.transport.connect import SOFTWARE, RelayWebsocket, open_websocket
+from pica_client.transport.dialer import Connector, Dialer
+from pica_client.transport.frame_guard import FrameGuard, shown_name
+from pica_client.transport.lookout import Lookout
+from pica_client.transport.redirects import refused_redirect
+from pica_client.transport.refusals import Refusals, breaks_protocol, refusal_of
+from pica_client.transport.self_description import SelfDescription
+from pica_client.transport.silence import Silence
 from pica_client.transport.timers import time_after, wait_until
-from pica_protocol import SUBPROTOCOL
 from pica_protocol.client_session import ClientSession, Ticket
-from pica_protocol.errors import CloseCode, is_worth_retrying
-from pica_protocol.limits import check_metadata
-from pica_protocol.messages import Joined, Metadata, Report, Track
+from pica_protocol.errors import CloseCode
+from pica_protocol.messages import Joined, Report, Track
 from pica_protocol.session import ClientEvent, Closed, State
 
 _log = logging.getLogger(__name__)
 
-Connector = Callable[[], Awaitable[ClientConnection]]
 EventHandler = Callable[[ClientEvent, float], None]
 
 
@@ -84,7 +94,7 @@ class Link:
             config: Where to and as whom.
             tracks: What we publish.
             on_event: Called on the event loop for every event of every session, if given.
-            connector: Opens one websocket; a plain TCP or TLS connection to `url` by default.
+            connector: Opens one websocket to an address; plain TCP or TLS by default.
             rng: Spreads reconnects; seeded by tests.
             guard: Seals what we send and opens what comes; by default one for the secret of the
                 configuration, and without a secret everything is plain.
@@ -96,26 +106,33 @@ class Link:
             # Only here: who does not encrypt needs no cryptography.
             from pica_client.e2ee.guard import guard_from
 
-            guard = guard_from(config.secret_file, short_tags=config.short_tags)
+            guard = guard_from(
+                config.secret_file, short_tags=config.short_tags, pad_to=config.pad_to
+            )
         self.config = config
         self.counters = LinkCounters()
         self.last_closed: Closed | None = None
         self._tracks = tracks
         self._on_event = on_event
         self.guard = guard
-        self._elsewhere = ""
-        self._connector = connector or (lambda: open_websocket(self.url, config.ca_file))
-        self._backoff = Backoff((rng or random.Random()).random, config.backoff)
+        connector = connector or (lambda url: open_websocket(url, config.ca_file))
+        self._dialer = Dialer(config.urls, connector)
+        self._addresses = self._dialer.addresses
+        chance = (rng or random.Random()).random
+        self._backoff = Backoff(chance, config.backoff)
+        self._lookout = Lookout(self._dialer, Silence(chance, config.backoff))
+        self._refusals = Refusals()
         self._session: ClientSession | None = None
         self._wake = asyncio.Event()
         self._is_leaving = False
-        self._metadata: Metadata = ()
+        self._description = SelfDescription()
         self._ticket: Ticket | None = None
+        self._ticket_url = ""
 
     @property
     def url(self) -> str:
-        """The relay that we are at, or try next: the configured one, or where that has sent us."""
-        return self._elsewhere or self.config.url
+        """The relay that we are at, or try: one of the configured, or where that has sent us."""
+        return self._addresses.current
 
     @property
     def is_joined(self) -> bool:
@@ -126,6 +143,11 @@ class Link:
     def reconnects(self) -> int:
         """How often the link came back."""
         return max(self.counters.connects - 1, 0)
+
+    @property
+    def num_looks(self) -> int:
+        """How often another way was tried because the relay had fallen silent."""
+        return self._lookout.num_looks
 
     def send_frame(
         self, payload: bytes, captured_us: int, *, layer: int = 0, is_keyframe: bool = True
@@ -190,20 +212,15 @@ class Link:
             session.whisper(peer_id, data)
         return session is not None
 
-    def update_metadata(self, metadata: Metadata) -> None:
-        """Say something of ourselves to the others, now and after each join; it replaces what was
-        said before.
-
-        More than once a second, over some time, makes the relay close us.
+    def describe(self, key: str, value: str) -> None:
+        """Say something of ourselves to the others under a key, now and after each join; "" says
+        nothing under it any more. Of quick changes they hear the last.
 
         Raises:
             ValueError: It is out of its limits.
         """
-        check_metadata("metadata", metadata)
-        self._metadata = metadata
-        session = self._session_for_control()
-        if session is not None:
-            session.update_metadata(metadata)
+        self._description.say(key, value)
+        self._wake.set()
 
     def report(self, report: Report) -> None:
         """Tell the relay how streams arrived, if it is there."""
@@ -232,73 +249,79 @@ class Link:
             RelayRefusedError: The relay, or what answers there, will not have us.
             OptionError: The token file, or that of certificates to trust, cannot be read.
         """
+        try:
+            await self._stay()
+        finally:
+            if (unused := self._lookout.take_successor()) is not None:
+                unused.transport.abort()
+
+    async def _stay(self) -> None:
+        """Stay connected; `run` says what may be raised."""
         loop = asyncio.get_running_loop()
         limit_s = self.config.connect_timeout_s
         give_up_s = None if limit_s is None else loop.time() + limit_s
-        trouble = "it does not let us in"
+        troubles: dict[str, Exception] = {}  # by address, and the latest alone
         while not self._is_leaving:
-            token = self.config.token or read_token(self.config.token_file)
-            before_first = self.counters.connects == 0
-            joined_s = None
+            joined_s, is_last, websocket = None, False, self._lookout.take_successor()
             try:
-                async with asyncio.timeout_at(give_up_s if before_first else None):
-                    websocket = await self._connect_or_leave()
-            except (OSError, TimeoutError, InvalidHandshake, EOFError) as error:
-                reason = refusal(error)
-                if self._elsewhere:
-                    self._elsewhere = ""  # nobody there; back to where we were sent from
-                elif reason is not None:
-                    raise RelayRefusedError(f"{self.url}: {reason}") from error
-                trouble = str(error) or "nobody answered"
-                _log.debug("relay not reached", extra={"error": type(error).__name__})
-            else:
+                token = self.config.token or read_token(self.config.token_file)
+                websocket = websocket or await self._connect_or_leave(give_up_s)
                 if websocket is None:
                     return
-                if websocket.subprotocol != SUBPROTOCOL:
-                    websocket.transport.abort()
-                    raise RelayRefusedError(
-                        f"{self.url}: a websocket server that does not speak {SUBPROTOCOL}"
-                    )
                 joined_s = await self._talk(websocket, token)
+            except (RelayUnreachableError, RelayRefusedError, OptionError) as error:
+                if websocket is not None:
+                    websocket.transport.abort()
+                # A file of our own is in the way of all addresses alike.
+                is_last = not self._addresses.num_left or isinstance(error, OptionError)
+                self._refusals.receive(error, loop.time(), is_last=is_last)
+                troubles[self.url] = error
             if self._is_leaving:
                 return
-            lasted_s = 0.0 if joined_s is None else loop.time() - joined_s
+            if self._lookout.has_successor:
+                continue
+            if joined_s is None and not is_last and self._addresses.num_left:
+                continue
+            lasted_s, elsewhere = 0.0, ""
+            if joined_s is not None:
+                lasted_s, elsewhere = loop.time() - joined_s, self._elsewhere()
+                self._addresses.begin_with(elsewhere or self.url)
             wait_s = self._backoff.next_wait_s(lasted_s)
-            if joined_s is not None and self._is_sent_elsewhere():
+            if elsewhere and lasted_s >= self.config.backoff.settled_s:
                 # The relay that sends us away spreads its clients over time. Two that send us to
                 # and fro are another matter.
-                wait_s = 0.0 if lasted_s >= self.config.backoff.settled_s else wait_s
+                wait_s = 0.0
             was_never_there = self.counters.connects == 0
             if was_never_there and give_up_s is not None and loop.time() + wait_s >= give_up_s:
                 raise RelayUnreachableError(
-                    f"no relay answers at {self.config.url} (tried for {limit_s:g} s: {trouble}); "
+                    f"no relay answers at {self.config.url} (tried for {limit_s:g} s: "
+                    f"{'; '.join(map(str, troubles.values())) or 'it does not let us in'}); "
                     "start one with `pica relay`, or wait for it with --wait"
-                )
+                ) from next(iter(troubles.values()), None)
             await self._sleep(wait_s)
 
-    def _is_sent_elsewhere(self) -> bool:
-        """Whether the latest connection ended with the address of another relay to go to."""
+    def _elsewhere(self) -> str:
+        """The other relay that the latest connection ended with, if we may go there."""
         closed = self.last_closed
         if closed is None or closed.code != CloseCode.GOING_AWAY or not closed.url:
-            return False
-        if self.config.url.startswith("wss://") and not closed.url.startswith("wss://"):
-            _log.warning("the relay sends us where connections are not encrypted; not going")
-            return False
-        self._elsewhere = closed.url
-        self._ticket = None  # a secret between us and the relay that gave it
-        return True
+            return ""
+        refused = refused_redirect(closed.url, self.url, self.config.urls)
+        if refused:
+            _log.warning("the relay sends us elsewhere; not going: %s", refused)
+        return "" if refused else closed.url
 
-    async def _connect_or_leave(self) -> ClientConnection | None:
-        """Open a websocket, unless `leave` is called first."""
-        connecting = asyncio.ensure_future(self._connector())
+    async def _connect_or_leave(self, give_up_s: float | None) -> RelayWebsocket | None:
+        """Open a websocket to the next address, unless `leave` is called first."""
+        deadline = give_up_s if self.counters.connects == 0 else None
+        opening = asyncio.ensure_future(self._dialer.open_next(deadline))
         leaving = asyncio.ensure_future(self._until_leaving())
         try:
-            await asyncio.wait({connecting, leaving}, return_when=asyncio.FIRST_COMPLETED)
-            return await connecting if connecting.done() else None
+            await asyncio.wait({opening, leaving}, return_when=asyncio.FIRST_COMPLETED)
+            return await opening if opening.done() else None
         finally:
-            for task in (connecting, leaving):
+            for task in (opening, leaving):
                 task.cancel()
-            await asyncio.gather(connecting, leaving, return_exceptions=True)
+            await asyncio.gather(opening, leaving, return_exceptions=True)
 
     async def _until_leaving(self) -> None:
         while not self._is_leaving:
@@ -312,13 +335,19 @@ class Link:
         except TimeoutError:
             pass
 
-    async def _talk(self, websocket: ClientConnection, token: str) -> float | None:
+    async def _talk(self, websocket: RelayWebsocket, token: str) -> float | None:
         """One connection from its first byte to its last.
 
         Returns:
             When it joined the room, or None if it never did.
+
+        Raises:
+            RelayRefusedError: The relay will not have us.
         """
         loop = asyncio.get_running_loop()
+        url = self.url
+        if self.guard is not None:
+            self.guard.begin(self.config.room, shown_name(self.config.name, token))
         session = ClientSession(
             room=self.config.room,
             name=self.config.name,
@@ -327,11 +356,13 @@ class Link:
             now=loop.time(),
             seal=None if self.guard is None else self.guard.seal,
             token=token,
-            metadata=self._metadata,
+            metadata=self._description.metadata,
             resumable=True,
-            ticket=self._ticket,
+            # It is a secret between us and the relay that gave it.
+            ticket=self._ticket if self._ticket_url == self.url else None,
         )
         self._session = session
+        self._description.note_told(loop.time())
         joined_s: float | None = None
 
         def handle(events: Sequence[ClientEvent], now: float) -> None:
@@ -339,6 +370,7 @@ class Link:
             for event in events:
                 if isinstance(event, Joined):
                     joined_s = now
+                    self._refusals.note_joined()
                     self.counters.connects += 1
                     self.counters.resumes += event.resumed
                 passed = [event]
@@ -351,25 +383,30 @@ class Link:
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._write(session, websocket))
+                watching = tasks.create_task(self._lookout.watch(websocket))
                 await self._read(session, websocket, handle)
+                watching.cancel()
                 self._wake.set()  # let the writer see that it is over
         finally:
             self._session = None
             # One that was refused meanwhile does not cost the place: it is kept for a while.
-            self._ticket = session.ticket or self._ticket
+            if session.ticket is not None:
+                self._ticket, self._ticket_url = session.ticket, url
             self.counters.frames_replaced += session.drops.total()
             # In case we are cancelled: no socket outlives its link.
             websocket.transport.abort()
-        closed = session.closed
-        self.last_closed = closed
+        self.last_closed = closed = session.closed
         if closed is not None and not self._is_leaving:
-            self._raise_if_final(closed)
+            _log.info("connection to the relay ended", extra={"code": closed.code})
+            self.counters.errors += breaks_protocol(closed)
+            if (refused := refusal_of(url, closed)) is not None:
+                raise refused
         return joined_s
 
     async def _read(
         self,
         session: ClientSession,
-        websocket: ClientConnection,
+        websocket: RelayWebsocket,
         handle: Callable[[Sequence[ClientEvent], float], None],
     ) -> None:
         """Feed the session until it is over."""
@@ -393,7 +430,7 @@ class Link:
                 handle(session.receive_data(data, loop.time()), loop.time())
             self._wake.set()
 
-    async def _write(self, session: ClientSession, websocket: ClientConnection) -> None:
+    async def _write(self, session: ClientSession, websocket: RelayWebsocket) -> None:
         """Drain the session into the socket until one of them is over, then close the socket."""
         loop = asyncio.get_running_loop()
         try:
@@ -402,6 +439,7 @@ class Link:
                 if self._is_leaving:
                     session.leave(loop.time())
                 self._whisper_keys(session, loop.time())
+                self._describe(session, loop.time())
                 for message in session.messages_to_send(loop.time()):
                     self.counters.sent_messages += 1
                     self.counters.sent_wire_bytes += wire_bytes(len(message), is_masked=True)
@@ -424,21 +462,18 @@ class Link:
                 if session.can_queue:  # else it is lost, as a whisper may be
                     session.whisper(peer_id, data)
 
-    async def _until_woken(self) -> None:
-        """Wait until there may be something to write, by the guard's timer too."""
-        timer = None if self.guard is None else self.guard.next_timer()
-        now = await wait_until(self._wake, timer)
-        if self.guard is not None and timer is not None and now >= timer:
-            self.guard.handle_timer(now)
+    def _describe(self, session: ClientSession, now: float) -> None:
+        """Queue what the others do not know of us yet, once it may be said."""
+        due_s = self._description.next_timer()
+        if due_s is not None and due_s <= now and session.can_queue:
+            session.update_metadata(self._description.metadata)
+            self._description.note_told(now)
 
-    def _raise_if_final(self, closed: Closed) -> None:
-        """Raise if coming back cannot help."""
-        broken = closed.code in (CloseCode.MALFORMED, CloseCode.UNEXPECTED_MESSAGE)
-        self.counters.errors += broken
-        if is_worth_retrying(closed.code) or (broken and not closed.is_remote):
-            # What we could not read may have been a passing fault of the relay: try again, slower.
-            _log.info("connection to the relay ended", extra={"code": closed.code})
-            return
-        raise RelayRefusedError(
-            f"{self.url}: the relay said no: {closed.reason or 'no reason'} (code {closed.code})"
-        )
+    async def _until_woken(self) -> None:
+        """Wait until there may be something to write, by a timer too."""
+        sealing_s = None if self.guard is None else self.guard.next_timer()
+        timers = (sealing_s, self._description.next_timer() if self.is_joined else None)
+        timer = min((each for each in timers if each is not None), default=None)
+        now = await wait_until(self._wake, timer)
+        if self.guard is not None and sealing_s is not None and now >= sealing_s:
+            self.guard.handle_timer(now)

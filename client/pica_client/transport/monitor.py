@@ -3,8 +3,10 @@
 from collections.abc import Mapping
 
 from pica_client.call.connection_quality import QualityMeter, StreamHealth, own_quality
+from pica_client.call.participants import Participant, list_participants
 from pica_client.call.status import CallStatus, PeerStatus
 from pica_client.transport.receiver import Receiver
+from pica_protocol.invite import Invite, make_link
 
 
 class CallMonitor:
@@ -40,17 +42,43 @@ class CallMonitor:
             )
         if self._before is None or now > before_s:
             self._before = (now, health)
-        publisher = receiver.publisher
+        room, guard = receiver.call.room(now), receiver.link.guard
+        quality = {peer_id: peer.quality for peer_id, peer in peers.items()}
         return CallStatus(
+            participants=list_participants(self._own(room.own_name), room, quality),
+            news=room.news,
+            room=receiver.link.config.room,
+            invitation=invitation(receiver.link.config.url, receiver.link.config.room),
+            is_encrypted=guard is not None,
+            code="" if guard is None else guard.status.code,
+            duration_s=room.duration_s,
             is_connected=receiver.is_connected,
             away_s=0.0 if self._away_since_s is None else now - self._away_since_s,
-            own_quality=own_quality(
-                [peer.quality for peer in peers.values()], replaced_ratio=self._replaced_ratio()
-            ),
-            is_muted_by_admin=publisher is not None and publisher.is_muted_by_admin,
+            own_quality=own_quality(list(quality.values()), replaced_ratio=self._replaced_ratio()),
+            is_muted_by_admin=self._is_muted_by_admin,
+            own_trouble="" if receiver.publisher is None else receiver.publisher.trouble,
             peers=peers,
             summary=self._summary(now, peers),
         )
+
+    def _own(self, name: str) -> Participant:
+        """Ourselves, as the others see us."""
+        publisher = self._receiver.publisher
+        return Participant(
+            peer_id="",
+            name=name,
+            is_self=True,
+            is_watching=publisher is None,
+            is_away=not self._receiver.is_connected,
+            is_recording=self._receiver.is_recording,
+            face="sent" if publisher is None else publisher.mode,
+            note="muted by an admin" if self._is_muted_by_admin else "",
+        )
+
+    @property
+    def _is_muted_by_admin(self) -> bool:
+        publisher = self._receiver.publisher
+        return publisher is not None and publisher.is_muted_by_admin
 
     def _replaced_ratio(self) -> float | None:
         """Share of our own frames since the last look that the network did not take in time."""
@@ -75,6 +103,12 @@ class CallMonitor:
             ("refused", str(refused)),
             ("errors", str(stats["errors"])),
         )
+
+
+def invitation(url: str, room: str) -> str:
+    """A link that leads to a room; whom a relay wants a token of needs one of their own."""
+    (first, *_) = url.split(",")
+    return make_link(Invite(url=first.strip(), room=room))
 
 
 def _bits_per_s(before: StreamHealth | None, after: StreamHealth, elapsed_s: float) -> float | None:

@@ -12,10 +12,14 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Self
 
+from pica_client.avatars.upload import AvatarGiver
 from pica_client.call.call import Call
+from pica_client.publish.face_track import RECORDS_KEY, RECORDS_YES
 from pica_client.publish.publisher import Publisher
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.link import Connector, Link
+from pica_client.transport.dialer import Connector
+from pica_client.transport.link import Link
+from pica_client.transport.link_news import LinkNews
 from pica_client.transport.timers import wait_until
 from pica_protocol.messages import Joined
 from pica_protocol.session import ClientEvent
@@ -31,6 +35,9 @@ class Receiver:
 
     On an event loop that is there: ``await receiver.run()``. Beside a drawing loop: ``with
     receiver: …`` runs it in a thread, and `check` tells the drawing thread what went wrong there.
+
+    Attributes:
+        is_recording: Whether the others are told that what is seen here is kept.
     """
 
     def __init__(
@@ -41,13 +48,22 @@ class Receiver:
         publisher: Publisher | None = None,
         connector: Connector | None = None,
         rng: random.Random | None = None,
+        giver: AvatarGiver | None = None,
+        news: LinkNews | None = None,
     ) -> None:
         """Prepare; see `Link` for connector and rng. With a publisher, a face is sent as well, over
-        the same link: the relay does not send it back."""
+        the same link: the relay does not send it back. A giver gives its avatar's file to each
+        relay that we join; `news` hears of the link."""
         self.call = call
+        call.set_own_name(link_config.name)
         self.publisher = publisher
+        self.is_recording = False
+        self._giver = giver
+        self._news = news
         tracks = () if publisher is None else (publisher.track,)
         self.link = Link(link_config, tracks, on_event=self._on_event, connector=connector, rng=rng)
+        guard = self.link.guard
+        call.seal_status = lambda: None if guard is None else guard.status
         self.arrived = asyncio.Event()
         """Set by every event; for those who wait on the same loop."""
         self._subscribed = asyncio.Event()
@@ -79,6 +95,10 @@ class Receiver:
             for task in tasks:
                 with contextlib.suppress(asyncio.CancelledError):
                     await task
+            if self.publisher is not None:
+                self.publisher.close()
+            if self._giver is not None:
+                await self._giver.close()
 
     def stop(self) -> None:
         """Make `run` leave the room and return; any thread may call it."""
@@ -92,6 +112,14 @@ class Receiver:
         """
         if self._error is not None:
             raise self._error
+
+    def say_recording(self, is_recording: bool) -> None:
+        """Tell the others whether what is seen here is kept; any thread may call it."""
+        self.is_recording = is_recording
+        value = RECORDS_YES if is_recording else ""
+        if self._loop is None:
+            self.link.describe(RECORDS_KEY, value)  # nothing runs yet
+        self._call_soon(lambda: self.link.describe(RECORDS_KEY, value))
 
     @property
     def is_connected(self) -> bool:
@@ -107,6 +135,7 @@ class Receiver:
         stats["resumes"] = counters.resumes
         stats["received_wire_bytes"] = counters.received_wire_bytes
         stats["sent"] = None if self.publisher is None else self.publisher.stats()
+        stats["avatar_given"] = "" if self._giver is None else self._giver.outcome
         stats["seal"] = None if self.link.guard is None else self.link.guard.stats()
         return stats
 
@@ -149,6 +178,10 @@ class Receiver:
             self.link.request_keyframe(stream)
         if isinstance(event, Joined):
             self._subscribed.set()
+            if self._giver is not None:
+                self._giver.begin(self.link.url)
+        if self._news is not None:
+            self._news.receive_event(event, now)
         self.arrived.set()
 
     def _call_soon(self, action: Callable[[], None]) -> None:

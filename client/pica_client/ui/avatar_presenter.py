@@ -12,20 +12,24 @@ Decoding runs beside drawing, so a frame shows the latents of the frame before i
 avatar is missing or broken sits there as a placeholder with the reason; the others do not notice.
 """
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 
 from pica_client.call.faces import FaceSource, FaceState
+from pica_client.call.seat_order import SeatOrder
 from pica_client.call.speaking import JawReader, SpeakingMeter
 from pica_client.call.status import AvatarFigures
 from pica_client.decode.pool import DecodePool
 from pica_client.decode.request import DecodeResult
 from pica_client.errors import ShaderError
 from pica_client.render.renderer import Renderer
+from pica_client.render.room import Room
 from pica_client.render.scene import Placement, head_matrix
 from pica_client.render.seats import (
+    SHOULDERS_M,
     FreeShares,
     Layout,
     SeatPlan,
@@ -37,12 +41,15 @@ from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.head import Head
 from pica_client.schedule.scheduler import Plan
 from pica_client.stats import Samples, Summary
+from pica_core.avatar.bust import bust_of
 from pica_core.camera import Camera
 from pica_core.errors import AvatarFileError
 
 FADE_OF_STATUS = {"waiting": 0.6, "stale": 0.8, "away": 0.4}
 FADE_S = 0.5
 """How long a face takes to fade all the way, and to come back (chosen: seen, and not a flash)."""
+RING_STEPS = 4
+"""Between no ring around a speaker and a bright one."""
 RECENT_SAMPLES = 60
 """What the figures of one avatar, and of the panel, are made of."""
 MEASURED = ("decode", "decode_wait", "upload", "draw", "latency")
@@ -95,6 +102,8 @@ class CallScene:
     """Where their heads are, in the order of the faces."""
     camera: Camera
     plan: SeatPlan
+    room: Room
+    """What is behind them."""
 
 
 @dataclass(slots=True, eq=False)
@@ -104,6 +113,7 @@ class _Peer:
     avatar_id: str
     head: Head | None = None
     """Its avatar before the cameras; None until that is there."""
+    shoulders_m: float = SHOULDERS_M
     problem: str = ""
     """Why there is a placeholder instead of the avatar."""
     captured_us: int = 0
@@ -115,8 +125,15 @@ class _Peer:
     latency: Samples = field(default_factory=lambda: Samples(RECENT_SAMPLES))
     jaw: JawReader | None = None
     speaking: SpeakingMeter = field(default_factory=SpeakingMeter)
+    ring_share: float = 0.0
     on_leave: ExitStack = field(default_factory=ExitStack)
     """Gives back what the decode pool and the renderer hold of it."""
+
+    def ring(self, now: float, step: float) -> float:
+        """How bright the ring around it is, in a few steps: each draws the room anew."""
+        goal = float(self.speaking.is_speaking(now))
+        self.ring_share = _towards(goal, self.ring_share, step)
+        return math.ceil(RING_STEPS * self.ring_share) / RING_STEPS
 
 
 class AvatarPresenter:
@@ -153,28 +170,30 @@ class AvatarPresenter:
         self._clock = clock
         self._peers: dict[str, _Peer] = {}
         self._seen: set[str] = set()
+        self._seat_order = SeatOrder()
         self._faded_s: float | None = None
 
     def arrange(self, now: float, seating: Seating, size: tuple[int, int]) -> CallScene:
         """Who is here, where each sits, and from where they are seen, on a picture of this size;
         avatars are made ready."""
-        faces = self._source.faces(now)
+        faces = self._seat_order.arrange(self._source.faces(now), now)
         width, height = size
         peers = [face.peer_id for face in faces]
         for absent in self._peers.keys() - set(peers):
             self._peers.pop(absent).on_leave.close()
+        entries = [self._make_ready(face) for face in faces]
         plan = plan_seats(
             seating.layout,
             len(faces),
             width / height,
             pinned=peers.index(seating.pinned) if seating.pinned in peers else None,
             free=seating.free,
+            shoulders_m=max((entry.shoulders_m for entry in entries), default=SHOULDERS_M),
         )
         step = 1.0 if self._faded_s is None else max(now - self._faded_s, 0.0) / FADE_S
         self._faded_s = now
         placements = []
-        for face, seat in zip(faces, plan.seats, strict=True):
-            entry = self._make_ready(face)
+        for face, entry, seat in zip(faces, entries, plan.seats, strict=True):
             entry.fade = _towards(FADE_OF_STATUS.get(face.status, 0.0), entry.fade, step)
             if face.latent is not None and entry.jaw is not None and face.status == "live":
                 entry.speaking.receive(entry.jaw.jaw_open(face.latent), now)
@@ -186,7 +205,13 @@ class AvatarPresenter:
                 )
             )
         camera = plan_camera(plan, seating.view, width, height)
-        return CallScene(now=now, faces=faces, placements=placements, camera=camera, plan=plan)
+        room = Room(
+            seats_m=plan.places_m,
+            speaking=tuple(entry.ring(now, step) for entry in entries),
+        )
+        return CallScene(
+            now=now, faces=faces, placements=placements, camera=camera, plan=plan, room=room
+        )
 
     def decide(self, scene: CallScene, cameras: Sequence[Camera], budget_s: float) -> Plan:
         """Plan a frame: hand what is to be decoded to the pool, and say what is wanted of streams.
@@ -251,6 +276,10 @@ class AvatarPresenter:
             head = self._peers[placement.slot].head
             dressed.append(placement if head is None else head.dressed(placement, scene.now))
         return replace(scene, placements=dressed)
+
+    def follow(self, peer_id: str) -> str | None:
+        """Who sits where somebody sat in the frame before; see `SeatOrder.follow`."""
+        return self._seat_order.follow(peer_id)
 
     def is_ready(self, scene: CallScene) -> bool:
         """Whether everybody with a face who can be seen has maps, or will not get any."""
@@ -322,6 +351,7 @@ class AvatarPresenter:
         alike = (each for each in self._peers.values() if each.head and each.head.avatar is avatar)
         shared = next(alike, None)
         entry.head = Head(slot=peer_id, avatar=avatar)
+        entry.shoulders_m = shared.shoulders_m if shared else bust_of(avatar).width_m
         # Some frames' worth of work (25 ms), so peers who look alike share it.
         entry.jaw = shared.jaw if shared is not None else JawReader(avatar)
         self._pool.add(peer_id, avatar)

@@ -7,21 +7,56 @@ from pathlib import Path
 from typing import Self
 
 from pica_client.errors import OptionError
-from pica_client.output import make_folder, writing
+from pica_client.output import Outputs, make_folder, writing
 from pica_client.render.recorder import Recorder, save_png
+from pica_client.user_folders import pictures_folder, videos_folder
 from pica_core.types import Image
 
 MAX_NUMBER = 9999
 
 
-class CapturesOnDisk:
-    """Writes into one folder, which is made when it is first needed.
+class Recording:
+    """The recording that was asked for at the start, if any; a full disk ends it and nothing else.
 
-    Its methods return what to tell the user, empty for nothing.
+    Raises:
+        OptionError: It cannot be begun.
+        ModuleNotFoundError: PyAV is not installed.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, path: Path | None, size: tuple[int, int], outputs: Outputs) -> None:
+        self._recorder = None if path is None else Recorder(path, size)
+        self._outputs = outputs
+
+    @property
+    def is_going(self) -> bool:
+        """Whether `write` is wanted."""
+        return self._recorder is not None
+
+    def write(self, image: Image, time_s: float) -> None:
+        """Append a frame, so long after the beginning."""
+        recorder = self._recorder
+        if recorder and not self._outputs.attempt(lambda: recorder.write(image, time_s)):
+            self._recorder = None
+
+    def close(self) -> None:
+        """Finish the file."""
+        recorder, self._recorder = self._recorder, None
+        if recorder is not None:
+            self._outputs.attempt(recorder.close)
+
+
+class CapturesOnDisk:
+    """Writes into folders that are made when they are first needed.
+
+    Its methods return what to tell the user, empty for nothing.
+
+    Args:
+        folder: Where to; None is the system's folders for pictures and for videos.
+    """
+
+    def __init__(self, folder: Path | None = None) -> None:
+        self._pictures = folder or pictures_folder()
+        self._videos = folder or videos_folder()
         self._recorder: Recorder | None = None
         self._path = Path()
         self._began_s = 0.0
@@ -30,7 +65,7 @@ class CapturesOnDisk:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._stop()
+        self.close()
 
     @property
     def is_recording(self) -> bool:
@@ -43,9 +78,9 @@ class CapturesOnDisk:
         Raises:
             OptionError: It cannot be written.
         """
-        path = new_path(self.folder, "picture", ".png")
+        path = new_path(self._pictures, "picture", ".png")
         save_png(path, image)
-        return f"Saved {path.name} in {self.folder}"
+        return f"Saved {path.name} in {path.parent}"
 
     def toggle_recording(self, size: tuple[int, int], now: float) -> str:
         """Begin a recording of images of this size, or end the one under way.
@@ -55,14 +90,14 @@ class CapturesOnDisk:
             ModuleNotFoundError: PyAV is not installed; names the extra.
         """
         if self._recorder is not None:
-            return self._stop()
+            return self.close()
         try:
             import av  # noqa: F401
         except ModuleNotFoundError as error:
             raise ModuleNotFoundError(
                 "recording needs PyAV: pip install 'pica-telepresence[video]'", name="av"
             ) from error
-        self._path = new_path(self.folder, "recording", ".mp4")
+        self._path = new_path(self._videos, "recording", ".mp4")
         self._recorder = Recorder(self._path, size)
         self._began_s = now
         return f"Recording into {self._path.name}"
@@ -82,12 +117,17 @@ class CapturesOnDisk:
             raise
         return ""
 
-    def _stop(self) -> str:
+    def close(self) -> str:
+        """End the recording that is under way, if any.
+
+        Raises:
+            OptionError: The disk is full; the file cannot be played.
+        """
         if self._recorder is None:
             return ""
         recorder, self._recorder = self._recorder, None
         recorder.close()
-        return f"Saved {self._path.name} in {self.folder}"
+        return f"Saved {self._path.name} in {self._path.parent}"
 
 
 def new_path(folder: Path, stem: str, suffix: str) -> Path:

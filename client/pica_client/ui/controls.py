@@ -1,10 +1,12 @@
-"""What the user does, and what it means: input events in, changes and orders out. Pure; no window.
+"""What the user wants: input events and orders of the surface in, changes and orders out. Pure.
 
-One table, `BINDINGS`, says which key does what: it is what keys are looked up in, and what the help
-shows. A mouse drags the view, its wheel comes closer, and a click pins a head.
+One table, `BINDINGS`, says which key gives which order: keys are looked up in it, and the help and
+the tooltips are read from it. Buttons give the same orders. A mouse drags the view, its wheel comes
+closer, and a click pins a head.
 
     controls = Controls(ControlState())
     controls.receive(KeyPressed("L"), peers=("peer-1",))
+    controls.obey(Pin("peer-1"))
     controls.state.layout, controls.take_orders()
 """
 
@@ -15,6 +17,16 @@ from enum import Enum, auto
 from typing import Literal
 
 from pica_client.render.seats import LAYOUTS, Layout, ViewState
+from pica_client.ui.events import (
+    CloseWanted,
+    InputEvent,
+    KeyPressed,
+    MouseMoved,
+    MousePressed,
+    MouseReleased,
+    Scrolled,
+)
+from pica_client.ui.settings import Settings
 
 CLICK_PX = 5.0
 """A press that moves less than this before it is let go is a click."""
@@ -30,77 +42,65 @@ LAYOUT_TITLES: dict[Layout, str] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class KeyPressed:
-    """A key went down, or repeats while it is held."""
-
-    key: str
-    """Its name as in `BINDINGS`: a letter, a digit, or such as "Escape" and "Left"."""
-    is_repeat: bool = False
-    has_control: bool = False
-    """Whether Control (Command on a Mac) is held."""
-    has_shift: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class TextTyped:
-    """Characters, as the keyboard's layout makes them of keys."""
-
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
-class Scrolled:
-    """The wheel was turned; positive is away from the user."""
-
-    steps: float
-
-
-@dataclass(frozen=True, slots=True)
-class MousePressed:
-    """The first button went down at a place of the picture, pixels, y down."""
-
-    x_px: float
-    y_px: float
-
-
-@dataclass(frozen=True, slots=True)
-class MouseMoved:
-    """The pointer is somewhere else."""
-
-    x_px: float
-    y_px: float
-
-
-@dataclass(frozen=True, slots=True)
-class MouseReleased:
-    """The first button was let go."""
-
-    x_px: float
-    y_px: float
-
-
-@dataclass(frozen=True, slots=True)
-class CloseWanted:
-    """The window's own close button."""
-
-
-InputEvent = (
-    KeyPressed | TextTyped | Scrolled | MousePressed | MouseMoved | MouseReleased | CloseWanted
-)
-
-
 class Order(Enum):
-    """What is to be done once, by whoever owns files and windows."""
+    """What a key or a button asks for."""
 
+    NEXT_LAYOUT = auto()
+    RESET_VIEW = auto()
+    UNPIN = auto()
+    COME_CLOSER = auto()
+    GO_BACK = auto()
+    LOOK_LEFT = auto()
+    LOOK_RIGHT = auto()
+    LOOK_UP = auto()
+    LOOK_DOWN = auto()
+    MUTE_FACE = auto()
+    FREEZE_FACE = auto()
+    STATISTICS = auto()
+    PARTICIPANTS = auto()
+    SETTINGS = auto()
+    HELP = auto()
     SCREENSHOT = auto()
     TOGGLE_RECORDING = auto()
     TOGGLE_FULL_SCREEN = auto()
+    CLOSE = auto()
+    """Close what is open, or ask whether to leave."""
+    STAY = auto()
+    LEAVE = auto()
+    DISMISS_HINT = auto()
+    EXPLAIN_NO_FACE = auto()
+    """Say what to do for a face that can be muted."""
 
+
+@dataclass(frozen=True, slots=True)
+class Pin:
+    """Pin a participant, or let go of the one who is pinned."""
+
+    peer_id: str
+
+
+@dataclass(frozen=True, slots=True)
+class ChooseLayout:
+    """Seat people so."""
+
+    layout: Layout
+
+
+@dataclass(frozen=True, slots=True)
+class CopyText:
+    """Put a text into the clipboard, and say so."""
+
+    text: str
+    notice: str = "Copied"
+
+
+UserOrder = Order | Pin | ChooseLayout | CopyText | Settings
 
 OwnFace = Literal["none", "sent", "frozen", "muted"]
 """What becomes of the user's own face. none: there is none to send; frozen: the last expression
 goes on being sent; muted: nothing is."""
+Side = Literal["none", "help", "participants", "settings"]
+"""What stands in the panel at the right."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -112,26 +112,16 @@ class ControlState:
     pinned: str | None = None
     """The peer who fills the picture."""
     show_statistics: bool = False
-    show_help: bool = False
+    side: Side = "none"
+    asks_to_leave: bool = False
     own_face: OwnFace = "none"
+    settings: Settings = field(default_factory=Settings)
+    shows_hint: bool = False
+    """Whether what one needs to know in the first call is shown."""
     wants_close: bool = False
 
 
 Change = Callable[[ControlState], ControlState]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Binding:
-    """One thing that keys do."""
-
-    keys: tuple[str, ...]
-    title: str
-    """What the help says of it; empty is not shown there."""
-    change: Change | None = None
-    order: Order | None = None
-    needs_own_face: bool = False
-    repeats: bool = False
-    """Whether holding the key does it again."""
 
 
 def _next_layout(state: ControlState) -> ControlState:
@@ -148,6 +138,11 @@ def _own_face(wanted: OwnFace) -> Change:
     return change
 
 
+def _side(wanted: Side) -> Change:
+    """Open a panel at the right, or close it."""
+    return lambda state: replace(state, side="none" if state.side == wanted else wanted)
+
+
 def _orbit(right_px: float, down_px: float) -> Change:
     return lambda state: replace(state, view=state.view.orbited(right_px, down_px))
 
@@ -156,42 +151,75 @@ def _zoom(steps: float) -> Change:
     return lambda state: replace(state, view=state.view.zoomed(steps))
 
 
+def _close(state: ControlState) -> ControlState:
+    if state.asks_to_leave:
+        return replace(state, asks_to_leave=False)
+    if state.side != "none":
+        return replace(state, side="none")
+    return replace(state, asks_to_leave=True)
+
+
+CHANGES: dict[Order, Change] = {
+    Order.NEXT_LAYOUT: _next_layout,
+    Order.RESET_VIEW: lambda state: replace(state, view=ViewState(), pinned=None),
+    Order.UNPIN: lambda state: replace(state, pinned=None),
+    Order.COME_CLOSER: _zoom(1.0),
+    Order.GO_BACK: _zoom(-1.0),
+    Order.LOOK_LEFT: _orbit(KEY_ORBIT_PX, 0.0),
+    Order.LOOK_RIGHT: _orbit(-KEY_ORBIT_PX, 0.0),
+    Order.LOOK_UP: _orbit(0.0, KEY_ORBIT_PX),
+    Order.LOOK_DOWN: _orbit(0.0, -KEY_ORBIT_PX),
+    Order.MUTE_FACE: _own_face("muted"),
+    Order.FREEZE_FACE: _own_face("frozen"),
+    Order.STATISTICS: lambda state: replace(state, show_statistics=not state.show_statistics),
+    Order.PARTICIPANTS: _side("participants"),
+    Order.SETTINGS: _side("settings"),
+    Order.HELP: _side("help"),
+    Order.CLOSE: _close,
+    Order.STAY: lambda state: replace(state, asks_to_leave=False),
+    Order.LEAVE: lambda state: replace(state, wants_close=True),
+    Order.DISMISS_HINT: lambda state: replace(state, shows_hint=False),
+}
+"""What orders change of the state; all others are for whoever owns files and windows."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Binding:
+    """One thing that keys do."""
+
+    keys: tuple[str, ...]
+    title: str
+    """What the help says of it; empty is not shown there."""
+    order: Order
+    needs_own_face: bool = False
+    repeats: bool = False
+    """Whether holding the key does it again."""
+
+
 BINDINGS: tuple[Binding, ...] = (
-    Binding(keys=("L",), title="next layout", change=_next_layout),
-    Binding(
-        keys=("R",),
-        title="reset view and pin",
-        change=lambda state: replace(state, view=ViewState(), pinned=None),
-    ),
-    Binding(keys=("0",), title="pin nobody", change=lambda state: replace(state, pinned=None)),
-    Binding(keys=("+", "="), title="come closer", change=_zoom(1.0), repeats=True),
-    Binding(keys=("-",), title="go back", change=_zoom(-1.0), repeats=True),
-    Binding(keys=("Left",), title="", change=_orbit(KEY_ORBIT_PX, 0.0), repeats=True),
-    Binding(keys=("Right",), title="", change=_orbit(-KEY_ORBIT_PX, 0.0), repeats=True),
-    Binding(keys=("Up",), title="", change=_orbit(0.0, KEY_ORBIT_PX), repeats=True),
-    Binding(keys=("Down",), title="", change=_orbit(0.0, -KEY_ORBIT_PX), repeats=True),
-    Binding(keys=("M",), title="mute own face", change=_own_face("muted"), needs_own_face=True),
-    Binding(keys=("F",), title="freeze own face", change=_own_face("frozen"), needs_own_face=True),
-    Binding(
-        keys=("S",),
-        title="statistics",
-        change=lambda state: replace(state, show_statistics=not state.show_statistics),
-    ),
+    Binding(keys=("L",), title="next layout", order=Order.NEXT_LAYOUT),
+    Binding(keys=("R",), title="reset view and pin", order=Order.RESET_VIEW),
+    Binding(keys=("0",), title="pin nobody", order=Order.UNPIN),
+    Binding(keys=("+", "="), title="come closer", order=Order.COME_CLOSER, repeats=True),
+    Binding(keys=("-",), title="go back", order=Order.GO_BACK, repeats=True),
+    Binding(keys=("Left",), title="", order=Order.LOOK_LEFT, repeats=True),
+    Binding(keys=("Right",), title="", order=Order.LOOK_RIGHT, repeats=True),
+    Binding(keys=("Up",), title="", order=Order.LOOK_UP, repeats=True),
+    Binding(keys=("Down",), title="", order=Order.LOOK_DOWN, repeats=True),
+    Binding(keys=("M",), title="mute own face", order=Order.MUTE_FACE, needs_own_face=True),
+    Binding(keys=("F",), title="freeze own face", order=Order.FREEZE_FACE, needs_own_face=True),
+    Binding(keys=("U",), title="participants", order=Order.PARTICIPANTS),
+    Binding(keys=("S",), title="statistics", order=Order.STATISTICS),
     Binding(keys=("P",), title="picture into a file", order=Order.SCREENSHOT),
     Binding(keys=("V",), title="start or stop recording", order=Order.TOGGLE_RECORDING),
     Binding(keys=("F11",), title="full screen", order=Order.TOGGLE_FULL_SCREEN),
-    Binding(
-        keys=("H", "F1"),
-        title="this help",
-        change=lambda state: replace(state, show_help=not state.show_help),
-    ),
-    Binding(
-        keys=("Q", "Escape"),
-        title="leave",
-        change=lambda state: replace(state, wants_close=True),
-    ),
+    Binding(keys=("O",), title="settings", order=Order.SETTINGS),
+    Binding(keys=("H", "F1"), title="this help", order=Order.HELP),
+    Binding(keys=("Escape", "Q"), title="close, or leave", order=Order.CLOSE),
 )
 _BY_KEY = {key: binding for binding in BINDINGS for key in binding.keys}
+KEYS_OF = {binding.order: binding.keys[0] for binding in BINDINGS}
+"""The key that a tooltip names, by order."""
 
 
 def help_lines(own_face: OwnFace = "none") -> tuple[tuple[str, str], ...]:
@@ -206,7 +234,7 @@ def help_lines(own_face: OwnFace = "none") -> tuple[tuple[str, str], ...]:
         ("wheel", "come closer, go back"),
         (f"click, 1 to {MAX_PINNED_BY_KEY}", "pin a participant, or not"),
     ]
-    return (("Keys", ""), *pointer, *keys)
+    return (*pointer, *keys)
 
 
 Picker = Callable[[float, float], str | None]
@@ -222,7 +250,7 @@ class Controls:
 
     def __init__(self, state: ControlState | None = None) -> None:
         self.state = state or ControlState()
-        self._orders: list[Order] = []
+        self._orders: list[UserOrder] = []
         self._pressed_at: tuple[float, float] | None = None
         self._pointer = (0.0, 0.0)
         self._is_drag = False
@@ -234,7 +262,7 @@ class Controls:
         peers: Sequence[str] = (),
         pick: Picker = lambda x_px, y_px: None,
     ) -> None:
-        """Take one event.
+        """Take one event that is not for the surface.
 
         Args:
             event: What the user did.
@@ -246,29 +274,46 @@ class Controls:
                 self._press_key(event, peers)
             case Scrolled(steps=steps) if math.isfinite(steps):
                 self.state = _zoom(steps)(self.state)
-            case MousePressed(x_px=x, y_px=y):
+            case MousePressed(x_px=x, y_px=y, button=0):
                 self._pressed_at = self._pointer = (x, y)
                 self._is_drag = False
             case MouseMoved(x_px=x, y_px=y):
                 self._move(x, y)
-            case MouseReleased(x_px=x, y_px=y):
+            case MouseReleased(x_px=x, y_px=y, button=0):
                 if self._pressed_at is not None and not self._is_drag:
                     self._toggle_pin(pick(x, y))
                 self._pressed_at = None
             case CloseWanted():
-                self.state = replace(self.state, wants_close=True)
+                self.obey(Order.LEAVE)
             case _:
                 pass
 
-    def take_orders(self) -> list[Order]:
-        """What is to be done since the last call."""
+    def obey(self, order: UserOrder) -> None:
+        """Take an order, from a key or from the surface."""
+        match order:
+            case Pin(peer_id=peer_id):
+                self._toggle_pin(peer_id)
+            case ChooseLayout(layout=layout):
+                self.state = replace(self.state, layout=layout, view=ViewState())
+            case Settings():
+                self.state = replace(self.state, settings=order)
+            case Order.MUTE_FACE | Order.FREEZE_FACE if self.state.own_face == "none":
+                self._orders.append(Order.EXPLAIN_NO_FACE)
+            case Order() if order in CHANGES:
+                self.state = CHANGES[order](self.state)
+            case _:
+                self._orders.append(order)
+
+    def take_orders(self) -> list[UserOrder]:
+        """What is to be done since the last call, by whoever owns files and windows."""
         orders, self._orders = self._orders, []
         return orders
 
-    def forget_absent(self, peers: Sequence[str]) -> None:
-        """Let go of a pin on somebody who has left."""
-        if self.state.pinned is not None and self.state.pinned not in peers:
-            self.state = replace(self.state, pinned=None)
+    def follow_pin(self, follow: Callable[[str], str | None]) -> None:
+        """Keep the pin on a person who has come back as another peer, and let go of it once nobody
+        is expected."""
+        if self.state.pinned is not None:
+            self.state = replace(self.state, pinned=follow(self.state.pinned))
 
     def _press_key(self, event: KeyPressed, peers: Sequence[str]) -> None:
         if event.has_control:
@@ -278,15 +323,13 @@ class Controls:
             if not event.is_repeat and number <= len(peers):
                 self._toggle_pin(peers[number - 1])
             return
+        if self.state.asks_to_leave and event.key == "Enter":
+            self.obey(Order.LEAVE)
+            return
         binding = _BY_KEY.get(event.key)
         if binding is None or (event.is_repeat and not binding.repeats):
             return
-        if binding.needs_own_face and self.state.own_face == "none":
-            return
-        if binding.change is not None:
-            self.state = binding.change(self.state)
-        if binding.order is not None:
-            self._orders.append(binding.order)
+        self.obey(binding.order)
 
     def _move(self, x: float, y: float) -> None:
         if self._pressed_at is None:

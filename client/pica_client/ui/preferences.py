@@ -5,18 +5,18 @@ in it: the last address is kept without user, password or query, tokens are not 
 """
 
 import json
-import os
-import secrets
 from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit, urlunsplit
 
+from pica_client.errors import OptionError
 from pica_client.output import say
 from pica_client.render.seats import LAYOUTS, Layout
-from pica_client.user_folders import preferences_folder
+from pica_client.ui.settings import Settings
+from pica_client.user_folders import make_private, preferences_folder
+from pica_core.files import replacing
 
 FILE_NAME = "preferences.json"
 MAX_FILE_BYTES = 65_536
@@ -32,6 +32,9 @@ class Preferences:
 
     layout: Layout = "arc"
     show_statistics: bool = False
+    settings: Settings = field(default_factory=Settings)
+    has_seen_hint: bool = False
+    """Whether what one needs to know in the first call was dismissed."""
     window_size: tuple[int, int] = DEFAULT_SIZE
     """Columns and rows, in the screen's units."""
     url: str = ""
@@ -40,20 +43,32 @@ class Preferences:
     name: str = ""
     """What the user was called in it."""
     keep_in: str = ""
-    """Folder for pictures and recordings; empty is `default_keep_folder`."""
+    """Folder for pictures and recordings; empty is the system's for each of them."""
+    ca_file: str = ""
+    """File of certificates to trust."""
+    secret_file: str = ""
+    """File with the room secret; the secret itself is not kept."""
+    avatar: str = ""
+    """The user's own, by name or file; empty takes one by the name."""
+    source: str | None = None
+    """What plays the user's face; empty only watches, None has not been chosen yet."""
 
     def __post_init__(self) -> None:
         if self.layout not in LAYOUTS:
             raise ValueError(f"layout is {self.layout!r}; it may be {', '.join(LAYOUTS)}")
-        if not isinstance(self.show_statistics, bool):
-            raise ValueError(f"show_statistics is {self.show_statistics!r}; true or false")
+        for name in ("show_statistics", "has_seen_hint"):
+            if not isinstance(getattr(self, name), bool):
+                raise ValueError(f"{name} is {getattr(self, name)!r}; true or false")
         sides = self.window_size
         if len(sides) != 2 or not all(
             type(side) is int and MIN_SIDE <= side <= MAX_SIDE for side in sides
         ):
             raise ValueError(f"window_size is {sides!r}; two of {MIN_SIDE} to {MAX_SIDE}")
-        for name in ("url", "room", "name", "keep_in"):
+        texts = ("url", "room", "name", "keep_in", "ca_file", "secret_file", "avatar", "source")
+        for name in texts:
             value = getattr(self, name)
+            if name == "source" and value is None:
+                continue
             if not isinstance(value, str) or len(value) > MAX_TEXT or not value.isprintable():
                 raise ValueError(f"{name} is no text of up to {MAX_TEXT} characters")
 
@@ -91,22 +106,13 @@ class PreferencesFile:
         the call goes on."""
         kept = asdict(preferences) | {"url": without_secrets(preferences.url)}
         text = json.dumps(kept, indent=2) + "\n"
-        unfinished = self.path.with_name(f"{FILE_NAME}-{secrets.token_hex(8)}.part")
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            try:
+            make_private(self.path.parent)
+            with replacing(self.path) as unfinished:
+                unfinished.touch(0o600)
                 unfinished.write_text(text)
-                os.replace(unfinished, self.path)
-            finally:
-                with suppress(OSError):
-                    unfinished.unlink(missing_ok=True)
         except OSError as error:
             self._warn(f"{self.path}: preferences cannot be kept: {error.strerror or error}")
-
-
-def default_keep_folder() -> Path:
-    """Where pictures and recordings go unless the user says otherwise."""
-    return Path.home() / "PiCA Telepresence"
 
 
 def without_secrets(url: str) -> str:
@@ -129,6 +135,14 @@ def _from_json(content: Any) -> Preferences:
         raise ValueError("it holds no object")
     known = {field.name for field in fields(Preferences)}
     values = {name: value for name, value in content.items() if name in known}
+    settings = values.get("settings", {})
+    if not isinstance(settings, dict):
+        raise ValueError("settings is no object")
+    kinds = {field.name for field in fields(Settings)}
+    try:
+        values["settings"] = Settings(**{k: v for k, v in settings.items() if k in kinds})
+    except OptionError as error:
+        raise ValueError(str(error)) from error
     size = values.get("window_size")
     if size is not None:
         if not isinstance(size, list):

@@ -4,6 +4,7 @@ import json
 import sys
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,13 +15,14 @@ from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call, CallConfig
 from pica_client.decode.request import DecodeResult
 from pica_client.errors import OptionError, RelayUnreachableError
-from pica_client.output import check_writable, make_folder, writing
-from pica_client.publish.publisher import Publisher
+from pica_client.output import check_writable, make_folder, say
+from pica_client.publish.own_face import OutgoingFace
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.connect import trusting
+from pica_client.transport.link_news import LinkNews
 from pica_client.transport.monitor import CallMonitor
 from pica_client.transport.receiver import Receiver
-from pica_client.ui.controls import CloseWanted, ControlState, OwnFace
+from pica_client.ui.controls import ControlState, OwnFace
 from pica_client.ui.viewer import Viewer, ViewerOptions
 from pica_client.ui.window import Window
 from pica_protocol.limits import MAX_PEERS
@@ -28,6 +30,8 @@ from pica_protocol.limits import MAX_PEERS
 MAX_LOGGED_DECODES = 100_000
 """Decodes kept for a latency analysis: eleven minutes of five avatars at 30 a second."""
 POLL_S = 0.02
+NOTHING_SHOWN = {"frames_rendered": 0, "render_fps": 0.0}
+"""What `View.run` returns when there was nothing to show."""
 PNG_PERIOD_S = 1.0
 """Between two still images of a series."""
 DRAIN_S = 0.2
@@ -71,6 +75,7 @@ class View:
     Attributes:
         last_controls: How the user left the view; None before it was shown.
         last_window_size: And the window, in the screen's units; None without one.
+        was_cancelled: Whether the user did not want to wait for the room.
     """
 
     def __init__(
@@ -78,32 +83,47 @@ class View:
         config: ViewConfig,
         library: AvatarLibrary,
         *,
-        publisher: Publisher | None = None,
+        face: OutgoingFace | None = None,
         window: Window | None = None,
+        waiting: Callable[[], bool] | None = None,
     ) -> None:
         """Check what can be checked before anybody is there.
 
         Args:
             config: What to show, and how.
             library: The avatars of this machine.
-            publisher: Sends a face as well.
+            face: To be sent as well.
             window: To show it in, which stays open; by default a new one.
+            waiting: Called again and again until we are in the room; False gives up.
 
         Raises:
             OptionError: A file or folder that is to be written cannot be.
         """
-        for path in (config.png, config.frame_log, config.viewer.record):
+        for path, suffix in (
+            (config.png, ".png"),
+            (config.frame_log, ""),
+            (config.viewer.record, ".mp4"),
+        ):
             if path is not None:
-                check_writable(path)
+                check_writable(path, suffix)
         if config.png_folder is not None:
             make_folder(config.png_folder)
         self._config = config
         self._fetcher = self._make_fetcher(library) if config.fetch else None
         avatars = self._fetcher or library
         self._call = Call(avatars, config.call, log_shown=config.frame_log is not None)
-        self._publisher = publisher
+        self._publisher = None if face is None else face.publisher
         self._window = window
-        self._receiver = Receiver(config.link, self._call, publisher=publisher)
+        self._waiting = waiting
+        self.was_cancelled = False
+        doing = "looking into" if face is None else f"in, as {config.link.name},"
+        self._receiver = Receiver(
+            config.link,
+            self._call,
+            publisher=self._publisher,
+            giver=None if face is None else face.giver,
+            news=LinkNews(f"{doing} room {config.link.room} at {config.link.url}", say),
+        )
         self.last_controls: ControlState | None = None
         self.last_window_size: tuple[int, int] | None = None
         self._is_stopping = False
@@ -123,7 +143,6 @@ class View:
         Raises:
             RelayError: The relay is not there, or will not have us.
             GraphicsError: There is no way to draw.
-            OptionError: A file cannot be written.
         """
         try:
             return self._run()
@@ -133,23 +152,31 @@ class View:
 
     def _run(self) -> dict[str, Any]:
         config = self._config
+        self._say_recording(config.viewer.record is not None)
         with self._receiver:
             self._wait_for_peers()
+            if self.was_cancelled:
+                return dict(NOTHING_SHOWN)
             with Viewer(
                 self._call,
                 replace(config.viewer, sends_face=self._publisher is not None),
                 status=CallMonitor(self._receiver).status,
                 on_decoded=self._note_decode if config.frame_log is not None else None,
                 on_own_face=self._set_own_face,
+                on_recording=self._say_recording,
+                reflection=None if self._publisher is None else self._publisher.reflect(),
                 window=self._window,
             ) as viewer:
-                viewer.prepare()
+                # In a window a person looks on: they see who is ready, and no frozen frame.
+                if self._window is None or config.frame_log is not None:
+                    viewer.prepare()
                 begin_s = time.monotonic()
                 self._call.begin_window(begin_s)
                 self._draw(viewer)
                 end_s = time.monotonic()
                 drawn, received = viewer.report(), self._receiver.stats(end_s)
                 problems = list(viewer.problems.values())
+                outputs = viewer.outputs
                 if config.png is not None and drawn["frames_rendered"]:
                     viewer.save_image(config.png)
                 self.last_controls = viewer.controls.state
@@ -157,12 +184,13 @@ class View:
         for problem in problems:
             print(problem, file=sys.stderr)
         if config.frame_log is not None:
-            self._write_log(config.frame_log, begin_s)
+            outputs.write_text(config.frame_log, self._log(begin_s))
         return {
             **drawn,
+            "ok": not outputs.failures,
             "seconds": round(end_s - begin_s, 2),
             "errors": drawn["errors"] + received["errors"],
-            "problems": problems,
+            "problems": [*problems, *outputs.failures],
             "received": received,
             "avatars_fetched": 0 if self._fetcher is None else self._fetcher.num_fetched,
         }
@@ -185,23 +213,23 @@ class View:
             self._receiver.check()
             if self._receiver.is_connected and self._call.num_live >= config.expect:
                 return
-            if self._window is not None and any(
-                isinstance(event, CloseWanted) for event in self._window.poll()
-            ):
-                self._is_stopping = True
+            if self._waiting is not None and not self._waiting():
+                self.was_cancelled = True
+                return
             if config.expect and time.monotonic() > deadline:
                 raise RelayUnreachableError(
                     f"{self._call.num_live} of {config.expect} expected peers were seen within "
                     f"{config.expect_timeout_s:g} s"
                 )
-            time.sleep(POLL_S)
+            if self._waiting is None:
+                time.sleep(POLL_S)
 
     def _draw(self, viewer: Viewer) -> None:
         """Draw until the time is over, the user leaves, or the network gives up."""
         config = self._config
         begin_s = time.monotonic()
         index = 0
-        has_ended = False
+        has_ended, keeps_images = False, True
 
         def should_stop() -> bool:
             self._receiver.check()
@@ -220,23 +248,26 @@ class View:
             # The viewer returns early only when its user closed the window, or we stopped it.
             has_ended = time.monotonic() - slice_begin_s < slice_s
             index += 1
-            viewer.save_image(config.png_folder / f"frame-{index:05d}.png")
+            image = config.png_folder / f"frame-{index:05d}.png"
+            keeps_images = keeps_images and viewer.save_image(image)
 
     def _set_own_face(self, wanted: OwnFace) -> None:
         if self._publisher is not None and wanted != "none":
             self._publisher.set_mode(wanted)
+
+    def _say_recording(self, is_recording: bool) -> None:
+        """Tell the others whether what is seen here is kept, as a film or as a series of images."""
+        self._receiver.say_recording(is_recording or self._config.png_folder is not None)
 
     def _note_decode(self, result: DecodeResult) -> None:
         name = self._call.names().get(result.slot)
         if name is not None:
             self._decodes.append((name, result))
 
-    def _write_log(self, path: Path, begin_s: float) -> None:
+    def _log(self, begin_s: float) -> str:
         decodes = [
             (name, result.captured_us, result.submitted_s, result.finished_s)
             for name, result in self._decodes
             if result.captured_us >= (begin_s + DRAIN_S) * 1e6
         ]
-        log = {"shown": self._call.take_shown(), "decodes": decodes}
-        with writing(path):
-            path.write_text(json.dumps(log))
+        return json.dumps({"shown": self._call.take_shown(), "decodes": decodes})

@@ -4,25 +4,30 @@
 """
 
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.errors import RelayError
-from pica_client.local_call.local_call import choose_avatars
+from pica_client.errors import AvatarLookupError, OptionError, RelayError, SourceError
 from pica_client.output import say
-from pica_client.publish.publisher import Publisher, SenderConfig
-from pica_client.sources import open_source
+from pica_client.publish.own_face import FaceChoice, OutgoingFace, open_own_face
 from pica_client.transport.config import LinkConfig
-from pica_client.ui.join_form import Fields, JoinForm
-from pica_client.ui.preferences import Preferences, PreferencesFile, default_keep_folder
-from pica_client.ui.view import View, ViewConfig
+from pica_client.ui.joining.form import Fields, JoinForm
+from pica_client.ui.preferences import Preferences, PreferencesFile
+from pica_client.ui.view import NOTHING_SHOWN, View, ViewConfig
+from pica_core.errors import AvatarFileError
+from pica_protocol.invite import parse_link
 
 DEFAULT_URL = "ws://127.0.0.1:8765"
 DEFAULT_ROOM = "lobby"
 DEFAULT_NAME = "viewer"
+
+JOINING_ERRORS = (RelayError, SourceError, AvatarLookupError, AvatarFileError, OptionError)
+"""What can be mended at the form."""
+KEPT_FIELDS = ("ca_file", "secret_file", "avatar", "source")
 
 Stopping = Callable[[Callable[[], None]], AbstractContextManager[None]]
 """Makes a signal call what it is given, for the length of a block."""
@@ -35,6 +40,24 @@ class Destination:
     url: str | None = None
     room: str | None = None
     name: str | None = None
+    token: str = field(default="", repr=False)
+    ca_file: str = ""
+    secret_file: str = ""
+    avatar: str = ""
+    source: str = ""
+
+    @classmethod
+    def invited(cls, link: str) -> "Destination":
+        """Where an invite link leads.
+
+        Raises:
+            OptionError: It is none.
+        """
+        try:
+            invite = parse_link(link)
+        except ValueError as error:
+            raise OptionError(f"link: {error}") from error
+        return cls(url=invite.url, room=invite.room, token=invite.token)
 
     def fields(self, preferences: Preferences) -> Fields:
         """What stands in the form at first."""
@@ -42,6 +65,12 @@ class Destination:
             url=self.url or preferences.url or DEFAULT_URL,
             room=self.room or preferences.room or DEFAULT_ROOM,
             name=self.name or preferences.name,
+            token=self.token,
+            **{
+                name: getattr(self, name) or getattr(preferences, name)
+                for name in ("ca_file", "secret_file", "avatar")
+            },
+            source=self.source if preferences.source is None else preferences.source,
         )
 
     def link(self, base: LinkConfig) -> LinkConfig:
@@ -55,33 +84,20 @@ class Destination:
             url=self.url or DEFAULT_URL,
             room=self.room or DEFAULT_ROOM,
             name=self.name or DEFAULT_NAME,
+            token=self.token,
+            token_file=None if self.token else base.token_file,
         )
 
 
-def make_publisher(source: str, avatar: str | None, library: AvatarLibrary) -> Publisher:
-    """What sends one's own face.
-
-    Raises:
-        SourceError: The source cannot be opened.
-        AvatarLookupError: The avatar is not there.
-    """
-    opened = open_source(source)
-    (chosen, *_) = choose_avatars(avatar, library)
-    identity = library.find(chosen)
-    return Publisher(SenderConfig(), opened, library.load(identity), identity)
-
-
-def keep_folder(given: Path | None, preferences: Preferences) -> Path:
-    """Where pictures and recordings go."""
-    if given is not None:
-        return given
-    return Path(preferences.keep_in) if preferences.keep_in else default_keep_folder()
+def keep_folder(given: Path | None, preferences: Preferences) -> Path | None:
+    """Where pictures and recordings go; None is the system's folders for them."""
+    return given or (Path(preferences.keep_in) if preferences.keep_in else None)
 
 
 def look(
     config: ViewConfig,
     library: AvatarLibrary,
-    publisher: Publisher | None,
+    face: FaceChoice,
     stopping: Stopping,
     *,
     kept: PreferencesFile | None = None,
@@ -91,15 +107,14 @@ def look(
     Args:
         config: What to show, and how.
         library: The avatars of this machine.
-        publisher: Sends one's own face.
+        face: Which face of one's own to send.
         stopping: How signals end it.
         kept: Where preferences go afterwards.
 
     Raises:
-        See `View.run`.
+        See `View.run` and `open_own_face`.
     """
-    looking = View(config, library, publisher=publisher)
-    say(f"looking into room {config.link.room} at {config.link.url}")
+    looking = View(config, library, face=open_own_face(face, config.link, library, say))
     with stopping(looking.stop):
         result = looking.run()
     if kept is not None:
@@ -110,7 +125,7 @@ def look(
 def ask_and_look(
     config: ViewConfig,
     library: AvatarLibrary,
-    publisher: Publisher | None,
+    face: FaceChoice,
     stopping: Stopping,
     *,
     form: JoinForm,
@@ -122,40 +137,69 @@ def ask_and_look(
         As `look`; ``{"frames_rendered": 0, "render_fps": 0.0}`` when the user left at the form.
     """
     # Only here: who knows where to go needs no window before the call.
-    from pica_client.ui.join_dialog import ask_where
+    from pica_client.ui.joining.lobby import Lobby
     from pica_client.ui.window import Window
 
     with ExitStack() as stack:
         window = stack.enter_context(Window(config.viewer.title, config.viewer.size))
-        while (link := ask_where(window, form)) is not None:
-            stay = replace(config, link=link)
-            looking = View(stay, library, publisher=publisher, window=window)
+        lobby = stack.enter_context(Lobby(window, library))
+        pool = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="own-face"))
+        while lobby.ask(form):
+            stay, chosen = replace(config, link=form.link()), form.face(face)
             try:
+                opening = pool.submit(open_own_face, chosen, stay.link, library, say)
+                if not lobby.wait("Getting your avatar …", opening.done):
+                    form.ask_again()
+                    continue
+                looking = View(
+                    stay,
+                    library,
+                    face=opening.result(),
+                    window=window,
+                    waiting=lambda: lobby.show_waiting("Connecting …"),
+                )
                 with stopping(looking.stop):
                     result = looking.run()
-            except RelayError as error:
-                form.refuse(str(error))
+            except JOINING_ERRORS as error:
+                form.refuse(error)
+                continue
+            finally:
+                opening.add_done_callback(_let_go)
+            if looking.was_cancelled:
+                form.ask_again()
                 continue
             if kept is not None:
-                _keep(kept, stay, looking)
+                _keep(kept, stay, looking, form.fields)
             return result
-    return {"frames_rendered": 0, "render_fps": 0.0}
+    return dict(NOTHING_SHOWN)
 
 
-def _keep(kept: PreferencesFile, config: ViewConfig, looking: View) -> None:
-    """Remember how the user left it."""
+def _let_go(opening: Future[OutgoingFace | None]) -> None:
+    """Free a tracker's port once the face is there and not wanted any more."""
+    if opening.exception() is None and (face := opening.result()) is not None:
+        face.publisher.close()
+
+
+def _keep(
+    kept: PreferencesFile, config: ViewConfig, looking: View, fields: Fields | None = None
+) -> None:
+    """Remember how the user left it, and what stood in the form but for secrets."""
     state = looking.last_controls
     before = kept.load()
     folder = config.viewer.keep_in
+    typed = {} if fields is None else {name: getattr(fields, name) for name in KEPT_FIELDS}
     kept.save(
         replace(
             before,
+            **typed,
             layout=before.layout if state is None else state.layout,
             show_statistics=before.show_statistics if state is None else state.show_statistics,
+            settings=before.settings if state is None else state.settings,
+            has_seen_hint=before.has_seen_hint or (state is not None and not state.shows_hint),
             window_size=looking.last_window_size or before.window_size,
             url=config.link.url,
             room=config.link.room,
             name=config.link.name,
-            keep_in="" if folder == default_keep_folder() else str(folder.absolute()),
+            keep_in="" if folder is None else str(folder.absolute()),
         )
     )

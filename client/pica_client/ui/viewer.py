@@ -5,7 +5,7 @@
         print(viewer.report())
 
 Each frame: take what the user did, let `avatar_presenter` arrange and decode the faces, draw them,
-put the texts of `hud_frame` over them, show or record.
+put the surface of `call_surface` over them, show or record.
 """
 
 import time
@@ -15,27 +15,39 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
 
+import moderngl
 import numpy as np
 
 from pica_client.call.faces import FaceSource
+from pica_client.call.reflection import Reflection
 from pica_client.call.status import CallStatus
 from pica_client.decode.decoder import OnnxDecoder, OnnxOptions
 from pica_client.decode.pool import DecodePool, DecodePoolOptions
 from pica_client.decode.request import DecodeResult
 from pica_client.errors import ClientError, OptionError
+from pica_client.output import Outputs
 from pica_client.render.draw_clock import DrawClock
-from pica_client.render.recorder import Recorder, save_png
+from pica_client.render.recorder import save_png
 from pica_client.render.renderer import DrawStats, Renderer, RenderOptions
 from pica_client.render.scene import pick_head
 from pica_client.render.seats import Layout
-from pica_client.render.stereo import MAX_EYE_DISTANCE_M, side_by_side, stereo_cameras
+from pica_client.render.stereo import MAX_EYE_DISTANCE_M, stereo_cameras
 from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Plan, Scheduler, SchedulerOptions
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter, Seating
-from pica_client.ui.captures_on_disk import CapturesOnDisk
-from pica_client.ui.controls import Controls, ControlState, InputEvent, Order, OwnFace
-from pica_client.ui.hud_frame import HudFrame
-from pica_client.ui.text_raster import OverlayItem
+from pica_client.ui.call_surface import CallSurface
+from pica_client.ui.captures_on_disk import CapturesOnDisk, Recording
+from pica_client.ui.controls import (
+    Controls,
+    ControlState,
+    CopyText,
+    Order,
+    OwnFace,
+    UserOrder,
+)
+from pica_client.ui.events import InputEvent, MouseMoved, MousePressed, MouseReleased
+from pica_client.ui.self_view import SelfView
+from pica_client.ui.settings import Settings
 from pica_client.ui.window import Window
 from pica_core.avatar.file import Avatar
 from pica_core.camera import Camera
@@ -60,8 +72,9 @@ class ViewerOptions:
     """Draw without a window."""
     record: Path | None = None
     """MP4 file to record into from the start."""
-    keep_in: Path = Path(".")
-    """Folder for the pictures and recordings that the user asks for meanwhile."""
+    keep_in: Path | None = None
+    """Folder for the pictures and recordings that the user asks for meanwhile; None is the system's
+    for each of them."""
     max_fps: float = 30.0
     """Frames are drawn no more often than this; in a window the display limits too."""
     frame_budget_ms: float = 0.0
@@ -74,10 +87,14 @@ class ViewerOptions:
     """Show the statistics from the start."""
     eye_distance_m: float = 0.0
     """Above 0 the picture is side by side for two eyes so far apart, metres."""
+    settings: Settings = field(default_factory=Settings)
+    """What the user has set, at first."""
+    shows_hint: bool = False
+    """Whether what one needs to know in the first call is shown."""
     sends_face: bool = False
     """Whether the user's own face is sent: then there are keys to mute and to freeze it."""
     title: str = "PiCA Telepresence"
-    render: RenderOptions = field(default_factory=RenderOptions)
+    render: RenderOptions = field(default_factory=lambda: RenderOptions(fade_busts=True))
     decode: DecodePoolOptions = field(default_factory=DecodePoolOptions)
     onnx: OnnxOptions = field(default_factory=OnnxOptions)
 
@@ -117,10 +134,15 @@ class Viewer:
         on_decoded: Told of every decode that reached the GPU, on the drawing thread; its slot is
             the peer id.
         on_own_face: Told when the user mutes or freezes their own face, or lets it go on.
+        reflection: One's own face, to be shown in a corner; None while none is sent.
+        on_recording: Told when what is shown begins to be kept, and when that is over.
         window: To show it in, which stays open afterwards; by default a new one.
         clock: Seconds, monotonic; the same clock that stamps `FaceState.captured_us` when sender
             and receiver share a machine (then `report` holds the latency from sample to decoded
             maps; otherwise it means nothing).
+
+    Attributes:
+        outputs: What could not be written.
 
     Raises:
         GraphicsError: No window or no GL context; names the fix.
@@ -136,22 +158,30 @@ class Viewer:
         status: StatusSource = lambda now: CallStatus(),
         on_decoded: Callable[[DecodeResult], None] | None = None,
         on_own_face: Callable[[OwnFace], None] | None = None,
+        on_recording: Callable[[bool], None] = lambda is_recording: None,
+        reflection: Reflection | None = None,
         window: Window | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.options = options or ViewerOptions()
         self._clock = clock
         self._on_own_face = on_own_face
+        self._on_recording = on_recording
+        self._was_recording = False
         self.controls = Controls(
             ControlState(
                 layout=self.options.layout,
                 show_statistics=self.options.show_statistics,
                 own_face="sent" if self.options.sends_face else "none",
+                settings=self.options.settings,
+                shows_hint=self.options.shows_hint,
             )
         )
+        self._told_own_face = self.controls.state.own_face
         self._meter = Meter()
-        self._hud = HudFrame(self._meter, status)
+        self._events: list[InputEvent] = []
         self._num_frames = 0
+        self.outputs = Outputs()
         self._scene: CallScene | None = None
         self.last_draw: DrawStats | None = None
         with ExitStack() as stack:
@@ -167,10 +197,18 @@ class Viewer:
                 context = self._window.context
             size = self._window.size_px if self._window else self.options.size
             self._renderer = Renderer(context, size, self.options.render)
-            self._recorder = None
-            if self.options.record is not None:
-                self._recorder = stack.enter_context(Recorder(self.options.record, size))
-            self._captures = stack.enter_context(CapturesOnDisk(self.options.keep_in))
+            self._surface = CallSurface(
+                context,
+                self._eye_size,
+                self._meter,
+                status,
+                has_pointer=self._window is not None,
+            )
+            stack.callback(self._surface.close)
+            self._recording = Recording(self.options.record, size, self.outputs)
+            stack.callback(self._recording.close)
+            self._captures = CapturesOnDisk(self.options.keep_in)
+            stack.callback(lambda: self.outputs.attempt(self._captures.close))
             self._pool = stack.enter_context(
                 DecodePool(self.options.decode, self._make_decoder, self._clock)
             )
@@ -185,6 +223,10 @@ class Viewer:
                 on_decoded=on_decoded,
                 clock=clock,
             )
+            self._self_view = None
+            if reflection is not None and self.options.eye_distance_m == 0:
+                self._self_view = SelfView(context, reflection, self.options.render)
+                stack.callback(self._self_view.close)
             self._resources = stack.pop_all()
         self._started_s = self._clock()
 
@@ -228,47 +270,48 @@ class Viewer:
             self._decide(scene)
             self._presenter.collect(now)
             if self._presenter.is_ready(scene):
-                self._renderer.draw(scene.placements, scene.camera, [])
+                self._renderer.draw(scene.placements, scene.camera)
                 break
             time.sleep(PREPARE_POLL_S)
         self._meter.clear()
         self._started_s = self._clock()
 
     def receive(self, event: InputEvent) -> None:
-        """Take something that the user did, as from the window."""
-        faces = [] if self._scene is None else self._scene.faces
-        before = self.controls.state.own_face
-        self.controls.receive(event, peers=[face.peer_id for face in faces], pick=self.pick)
-        wanted = self.controls.state.own_face
-        if wanted != before and self._on_own_face is not None:
-            self._on_own_face(wanted)
+        """Take something that the user did, as from the window; the next frame sees it."""
+        self._events.append(event)
 
     def step(self, now: float) -> bool:
         """Draw one frame; False once the user wants to leave."""
+        content_scale = 1.0
         if self._window is not None:
-            for event in self._window.poll():
-                self.receive(event)
+            self._events += self._window.poll()
             self._renderer.resize(self._window.size_px)
+            content_scale = self._window.content_scale
+        self._take_events(now, content_scale)
         if self.controls.state.wants_close:
+            self._surface.abandon()
             return False
         scene = self._scene = self._arrange(now)
-        self.controls.forget_absent([face.peer_id for face in scene.faces])
+        self.controls.follow_pin(self._presenter.follow)
         plan = self._decide(scene)
         self._presenter.collect(now)
         scene = self._presenter.dressed(scene)
-        items = self._hud.items(
+        orders = self._surface.build(
             now,
             scene,
             self._presenter,
             self.controls.state,
-            self._eye_size,
-            is_recording=self._captures.is_recording,
+            is_recording=self._recording.is_going or self._captures.is_recording,
+            self_texture=self._draw_self(now),
         )
+        for order in orders:
+            self.controls.obey(order)
+        self._tell_own_face()
         begin_s = self._clock()
         # What a frame cost is known some frames later, when the GPU is done with it.
         drawn = _DrawnFrame(plan.shaded_px)
         with self._draw_clock.around(drawn):
-            self.last_draw = self._draw(now, scene, items)
+            self.last_draw = self._draw(scene)
         drawn.num_triangles = self.last_draw.num_triangles
         for frame, seconds in self._draw_clock.take():
             self._scheduler.costs.observe_draw(frame.num_triangles, frame.shaded_px, seconds)
@@ -276,13 +319,16 @@ class Viewer:
         if self._window is None:
             image = self._renderer.read_image()  # waits for the GPU: the draw time is a true one
         self._meter.add("draw", self._clock() - begin_s)
-        if self._recorder is not None or self._captures.is_recording:
+        is_recording = self._recording.is_going or self._captures.is_recording
+        if is_recording != self._was_recording:
+            self._was_recording = is_recording
+            self._on_recording(is_recording)
+        if is_recording:
             shown = self._renderer.read_image() if image is None else image
-            if self._recorder is not None:
-                self._recorder.write(shown, now - self._started_s)
+            self._recording.write(shown, now - self._started_s)
             self._keep(lambda: self._captures.write(shown, now))
         if self._window is not None:
-            self._window.show(self._renderer)
+            self._window.show(self._show)
         for order in self.controls.take_orders():
             self._obey(order, now)
         self._num_frames += 1
@@ -292,16 +338,15 @@ class Viewer:
         """The peer whose head is at a place of the picture, pixels, y down."""
         if self._scene is None:
             return None
-        x_px %= self._eye_size[0]  # both halves show the same people
         return pick_head(self._scene.placements, self._scene.camera, x_px, y_px)
 
     def wait_decoded(self, timeout_s: float) -> bool:
         """Wait until nothing is being decoded; False when the time runs out first."""
         return self._pool.wait_idle(timeout_s)
 
-    def save_image(self, path: Path) -> None:
-        """Write the last frame as PNG."""
-        save_png(path, self._renderer.read_image())
+    def save_image(self, path: Path) -> bool:
+        """Write the last frame as PNG; return whether that was possible."""
+        return self.outputs.attempt(lambda: save_png(path, self._renderer.read_image()))
 
     @property
     def gl_renderer(self) -> str:
@@ -340,7 +385,7 @@ class Viewer:
     def _arrange(self, now: float) -> CallScene:
         state = self.controls.state
         seating = Seating(
-            layout=state.layout, view=state.view, pinned=state.pinned, free=self._hud.free
+            layout=state.layout, view=state.view, pinned=state.pinned, free=self._surface.free
         )
         return self._presenter.arrange(now, seating, self._eye_size)
 
@@ -351,7 +396,8 @@ class Viewer:
         return (max(width // 2, 1), height) if self.options.eye_distance_m > 0 else (width, height)
 
     def _decide(self, scene: CallScene) -> Plan:
-        return self._presenter.decide(scene, self._eyes(scene), self.options.frame_budget_s)
+        budget_s = self.controls.state.settings.detail * self.options.frame_budget_s
+        return self._presenter.decide(scene, self._eyes(scene), budget_s)
 
     def _eyes(self, scene: CallScene) -> tuple[Camera, ...]:
         """The cameras that a scene is drawn from: one, or the left and the right eye's."""
@@ -360,19 +406,64 @@ class Viewer:
         away_m = float(np.linalg.norm(scene.plan.target_m - scene.camera.centre_m))
         return stereo_cameras(scene.camera, self.options.eye_distance_m, away_m)
 
-    def _draw(self, now: float, scene: CallScene, items: list[OverlayItem]) -> DrawStats:
-        """Draw a scene for one eye, or for two."""
+    def _draw(self, scene: CallScene) -> DrawStats:
+        """Draw a scene for one eye, or for two, with what is written on the picture."""
         eyes = self._eyes(scene)
         if len(eyes) == 1:
-            return self._renderer.draw(scene.placements, eyes[0], items)
-        left, right = (
-            self._hud.names(now, replace(scene, camera=eye), self._presenter) for eye in eyes
-        )
-        both = [item for item in items if not item.key.startswith("name:")]
-        texts = side_by_side([*left, *both], [*right, *both], self._eye_size)
-        return self._renderer.draw_stereo(scene.placements, (eyes[0], eyes[1]), texts)
+            stats = self._renderer.draw(scene.placements, eyes[0], room=scene.room)
+        else:
+            stats = self._renderer.draw_stereo(
+                scene.placements, (eyes[0], eyes[1]), room=scene.room
+            )
+        self._paint(self._renderer.image, panels=self._window is None)
+        return stats
 
-    def _obey(self, order: Order, now: float) -> None:
+    def _show(self, screen: moderngl.Framebuffer) -> None:
+        """Put a frame on the window. What steers the call is there, not in what is kept of it."""
+        self._renderer.present(screen)
+        self._paint(screen, signs=False)
+
+    def _paint(
+        self, target: moderngl.Framebuffer, *, signs: bool = True, panels: bool = True
+    ) -> None:
+        """Paint the surface: for two eyes twice, at the depth of the screen."""
+        width, height = self._eye_size
+        for left in range(0, self._renderer.size[0] - width + 1, width):
+            self._surface.painter.paint(
+                target, (left, 0, width, height), background=signs, windows=panels
+            )
+
+    def _take_events(self, now: float, content_scale: float) -> None:
+        """Give what the user did to the surface, and what is not for it to the controls."""
+        width = self._eye_size[0]  # both halves of a picture for two eyes show the same
+        events = [
+            replace(event, x_px=event.x_px % width)
+            if isinstance(event, MouseMoved | MousePressed | MouseReleased)
+            else event
+            for event in self._events
+        ]
+        self._events = []
+        peers = [] if self._scene is None else [face.peer_id for face in self._scene.faces]
+        settings = self.controls.state.settings
+        rest = self._surface.begin(now, self._eye_size, content_scale, events, settings)
+        for event in rest:
+            self.controls.receive(event, peers=peers, pick=self.pick)
+
+    def _draw_self(self, now: float) -> moderngl.Texture | None:
+        """One's own face, if it is to be seen and there is room for it."""
+        height_px = self._surface.self_view_px
+        if self._self_view is None or not self.controls.state.settings.shows_self or not height_px:
+            return None
+        return self._self_view.draw(now, height_px)
+
+    def _tell_own_face(self) -> None:
+        """Pass on what the user wants to become of their own face."""
+        wanted = self.controls.state.own_face
+        if wanted != self._told_own_face and self._on_own_face is not None:
+            self._on_own_face(wanted)
+        self._told_own_face = wanted
+
+    def _obey(self, order: UserOrder, now: float) -> None:
         """Do once what the user asked for."""
         match order:
             case Order.SCREENSHOT:
@@ -382,6 +473,14 @@ class Viewer:
             case Order.TOGGLE_FULL_SCREEN:
                 if self._window is not None:
                     self._window.toggle_full_screen()
+            case Order.EXPLAIN_NO_FACE:
+                self._surface.notice(
+                    "You show no face: leave, and join with a face source (--send)", now
+                )
+            case CopyText(text=text, notice=notice):
+                if self._window is not None:
+                    self._window.copy(text)
+                self._surface.notice(notice, now)
 
     def _keep(self, action: Callable[[], str]) -> None:
         """Say what came of something that the user wants to keep; a full disk ends no call."""
@@ -390,4 +489,4 @@ class Viewer:
         except (ClientError, ModuleNotFoundError) as error:
             notice = str(error)
         if notice:
-            self._hud.notice(notice, self._clock())
+            self._surface.notice(notice, self._clock())

@@ -7,30 +7,34 @@
                 controls.receive(event)
             renderer.resize(window.size_px)
             ...draw...
-            window.show(renderer)
+            window.show(renderer.present)
 
 One window per process; everything on the thread that made it.
 """
 
-from typing import Any, Protocol, Self
+from collections.abc import Callable
+from typing import Any, Self
 
 import glfw
 import moderngl
 
-from pica_client.ui.controls import (
+from pica_client.ui.display import has_display
+from pica_client.ui.events import (
     CloseWanted,
     InputEvent,
     KeyPressed,
+    KeyReleased,
     MouseMoved,
     MousePressed,
     MouseReleased,
     Scrolled,
     TextTyped,
 )
-from pica_client.ui.display import has_display
 from pica_core.errors import GraphicsError
 from pica_core.gl import GL_VERSION
 
+MIN_SIZE = (320, 240)
+"""The smallest window, in the screen's units: what the panels are laid out for."""
 MAX_EVENTS = 1000
 """Between two polls; what comes beyond is dropped."""
 MAX_PASTED = 4096
@@ -44,6 +48,10 @@ KEY_NAMES: dict[int, str] = {
     glfw.KEY_ENTER: "Enter",
     glfw.KEY_KP_ENTER: "Enter",
     glfw.KEY_TAB: "Tab",
+    glfw.KEY_SPACE: "Space",
+    glfw.KEY_DELETE: "Delete",
+    glfw.KEY_HOME: "Home",
+    glfw.KEY_END: "End",
     glfw.KEY_BACKSPACE: "Backspace",
     glfw.KEY_LEFT: "Left",
     glfw.KEY_RIGHT: "Right",
@@ -54,14 +62,6 @@ KEY_NAMES: dict[int, str] = {
     glfw.KEY_MINUS: "-",
     glfw.KEY_KP_SUBTRACT: "-",
 }
-
-
-class Presenter(Protocol):
-    """What can put an image into a window's framebuffer."""
-
-    def present(self, target: moderngl.Framebuffer) -> None:
-        """Copy the last frame there."""
-        ...
 
 
 class Window:
@@ -94,6 +94,8 @@ class Window:
                 f"no window with OpenGL {GL_VERSION / 100:.1f} ({self._reason()}); update the "
                 "graphics driver, or run with --headless"
             )
+        no_limit = glfw.DONT_CARE
+        glfw.set_window_size_limits(self._window, *MIN_SIZE, no_limit, no_limit)
         glfw.make_context_current(self._window)
         glfw.swap_interval(1 if vertical_sync else 0)
         try:
@@ -131,6 +133,11 @@ class Window:
         width, height = glfw.get_window_size(self._window)
         return (width, height) if width > 0 and height > 0 else None
 
+    @property
+    def content_scale(self) -> float:
+        """Pixels a point of the display that the window is on."""
+        return max(float(glfw.get_window_content_scale(self._window)[0]), 0.5)
+
     def poll(self) -> list[InputEvent]:
         """What the user did since the last call, in order. Does not wait."""
         glfw.poll_events()
@@ -139,9 +146,9 @@ class Window:
             events.append(CloseWanted())
         return events
 
-    def show(self, renderer: Presenter) -> None:
-        """Put the renderer's image on the screen; waits for the display if that was asked for."""
-        renderer.present(self.context.screen)
+    def show(self, paint: Callable[[moderngl.Framebuffer], None]) -> None:
+        """Have the screen painted; waits for the display if that was asked for."""
+        paint(self.context.screen)
         glfw.swap_buffers(self._window)
 
     def clipboard(self) -> str:
@@ -149,6 +156,10 @@ class Window:
         content = glfw.get_clipboard_string(self._window)
         text = content.decode(errors="replace") if isinstance(content, bytes) else content
         return (text or "")[:MAX_PASTED]
+
+    def copy(self, text: str) -> None:
+        """Put a text into the clipboard."""
+        glfw.set_clipboard_string(self._window, text)
 
     def close(self) -> None:
         """Close the window and give the display back. Once is enough, twice is harmless."""
@@ -187,15 +198,16 @@ class Window:
 
     def _on_key(self, _window: Any, key: int, _code: int, action: int, modifiers: int) -> None:
         name = KEY_NAMES.get(key)
-        if name is None or action == glfw.RELEASE:
+        if name is None:
             return
+        has_control = bool(modifiers & (glfw.MOD_CONTROL | glfw.MOD_SUPER))
+        has_shift = bool(modifiers & glfw.MOD_SHIFT)
+        if action == glfw.RELEASE:
+            self._note(KeyReleased(name, has_control=has_control, has_shift=has_shift))
+            return
+        is_repeat = action == glfw.REPEAT
         self._note(
-            KeyPressed(
-                name,
-                is_repeat=action == glfw.REPEAT,
-                has_control=bool(modifiers & (glfw.MOD_CONTROL | glfw.MOD_SUPER)),
-                has_shift=bool(modifiers & glfw.MOD_SHIFT),
-            )
+            KeyPressed(name, is_repeat=is_repeat, has_control=has_control, has_shift=has_shift)
         )
 
     def _on_character(self, _window: Any, code_point: int) -> None:
@@ -205,10 +217,10 @@ class Window:
         self._note(Scrolled(up))
 
     def _on_button(self, window: Any, button: int, action: int, _modifiers: int) -> None:
-        if button == glfw.MOUSE_BUTTON_LEFT:
+        if button <= glfw.MOUSE_BUTTON_MIDDLE:
             place = self._in_pixels(*glfw.get_cursor_pos(window))
-            is_pressed = action == glfw.PRESS
-            self._note(MousePressed(*place) if is_pressed else MouseReleased(*place))
+            kind = MousePressed if action == glfw.PRESS else MouseReleased
+            self._note(kind(*place, button))
 
     def _on_move(self, _window: Any, x: float, y: float) -> None:
         event = MouseMoved(*self._in_pixels(x, y))

@@ -66,6 +66,7 @@ from pica_core.avatar.storage import (
 from pica_core.codec.profile import PREFIX as STREAM_PREFIX
 from pica_core.codec.profile import StreamProfile, profile_shapes
 from pica_core.errors import AvatarFileError
+from pica_core.files import replacing
 from pica_core.types import Array, IntArray
 
 __all__ = [
@@ -263,13 +264,14 @@ def read_bytes(path: Path | str, limit: int) -> bytes:
 
 
 def write_bytes(path: Path | str, data: bytes) -> None:
-    """Write a file.
+    """Write a file, whole or not at all.
 
     Raises:
         AvatarFileError: It cannot be written.
     """
     try:
-        Path(path).write_bytes(data)
+        with replacing(Path(path)) as unfinished:
+            unfinished.write_bytes(data)
     except OSError as error:
         raise AvatarFileError(f"{path}: cannot be written: {error.strerror or error}") from error
 

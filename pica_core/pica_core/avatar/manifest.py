@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any
 
 from pica_core.avatar.spec import LATENT_CHANNELS, AvatarSpec
-from pica_core.avatar.variants import VARIANTS
+from pica_core.avatar.variants import VARIANTS, pixel_codec_cost
 
 SCHEMA_VERSION = 1
 MAX_TEXT = 200
@@ -18,6 +18,13 @@ MAX_CARD_TEXT = 2000
 MAX_POSITION_SCALE_M = 10.0
 MAX_EXTENT_M = 10.0
 MAX_LATENT = 1e3
+MAX_MAP_SIZE = 512
+MAX_DECODE_MULTIPLY_ADDS = 256_000_000
+"""What a decode of both maps may take (chosen: eight times what the shipped avatars take, twice
+what the dearest block takes at the paper's widths; at the limits 43 ms and 35 MiB on one thread,
+against 2 ms and 6 MiB, measured)."""
+MAX_PIXEL_MULTIPLY_ADDS = 1024
+"""What one pixel may take (chosen: nearly twice those of the dearest variant)."""
 DRAWN_VARIANTS = tuple(name for name, row in VARIANTS.items() if row.network == "pixel_codec")
 """Variants that an avatar file may hold."""
 
@@ -75,6 +82,7 @@ class Manifest:
             spec = AvatarSpec.from_json(values["spec"])
         except ValueError as error:
             raise ValueError(f"manifest.spec: {error}") from error
+        _check_cost(spec)
         found: dict[str, Any] = {
             key: _text(key, values[key]) for key in ("name", "identity", "licence", "variant")
         }
@@ -100,6 +108,18 @@ class Manifest:
             "position_scale_m": _number("position_scale_m", scale_m, 1e-9, MAX_POSITION_SCALE_M),
         }
         return cls(spec=spec, model_card=_card(values["model_card"]), **found)
+
+
+def _check_cost(spec: AvatarSpec) -> None:
+    """Refuse what would keep a receiver from drawing anybody else."""
+    cost = pixel_codec_cost(spec)
+    for what, value, limit in (
+        ("rows of a map", spec.map_size, MAX_MAP_SIZE),
+        ("multiply-adds a decode", cost.per_object_multiply_adds, MAX_DECODE_MULTIPLY_ADDS),
+        ("multiply-adds a pixel", cost.per_pixel_multiply_adds, MAX_PIXEL_MULTIPLY_ADDS),
+    ):
+        if value > limit:
+            raise ValueError(f"manifest.spec has {value:,} {what}; {limit:,} are allowed")
 
 
 def _text(name: str, value: object, limit: int = MAX_TEXT) -> str:

@@ -12,6 +12,7 @@ from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.decoder_layers import decoder_layers
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar, avatar_id, load_avatar
+from pica_core.avatar.shipped import avatar_file
 from pica_core.codec.plain_stream import LatentProfile, decode_latent, encode_latent
 from pica_core.errors import AvatarFileError
 from pica_core.reference.pixel import count_parameters
@@ -23,7 +24,7 @@ class AvatarInfoOptions:
     """Show what an avatar file holds."""
 
     file: tyro.conf.Positional[Path]
-    """Avatar file (.pica)."""
+    """Name of a shipped avatar, or a .pica file."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -31,7 +32,7 @@ class AvatarVerifyOptions:
     """Check an avatar file as a receiver would, and its identity."""
 
     file: tyro.conf.Positional[Path]
-    """Avatar file (.pica)."""
+    """Name of a shipped avatar, or a .pica file."""
     sha256: str = ""
     """Expected identity, hexadecimal; empty to accept any."""
 
@@ -41,7 +42,7 @@ class AvatarPrecisionOptions:
     """Options of `pica avatar precision`."""
 
     file: tyro.conf.Positional[Path]
-    """The avatar file, best one that was exported with --precision f32."""
+    """Name of a shipped avatar or a .pica file, best one that was exported with --precision f32."""
     frames: int = 8
     """Frames of a sentence to decode, at 30 a second."""
 
@@ -52,8 +53,8 @@ class AvatarPrecisionOptions:
 
 def avatar_info(options: AvatarInfoOptions) -> dict[str, Any]:
     """Show what an avatar file holds: who, how large, trained on what."""
-    avatar = load_avatar(options.file)
-    found = _describe(options.file, avatar)
+    file = avatar_file(options.file)
+    found = _describe(file, load_avatar(file))
     for name, value in found.items():
         print(f"{name:>16}  {value}", file=sys.stderr)
     return found
@@ -62,26 +63,28 @@ def avatar_info(options: AvatarInfoOptions) -> dict[str, Any]:
 def avatar_verify(options: AvatarVerifyOptions) -> dict[str, Any]:
     """Check an avatar file: everything a receiver checks, then one trip through the sender's
     half."""
-    avatar = load_avatar(options.file)
-    identity = avatar_id(options.file)
+    file = avatar_file(options.file)
+    avatar = load_avatar(file)
+    identity = avatar_id(file)
     if options.sha256 and options.sha256.lower() != identity:
         raise AvatarFileError(
-            f"{options.file}: sha256 is {identity}; {options.sha256.lower():.64} was expected"
+            f"{file}: sha256 is {identity}; {options.sha256.lower():.64} was expected"
         )
     latents = ExpressionEncoder(avatar).encode(np.eye(NUM_ARKIT, dtype=np.float32))
     if not np.isfinite(latents).all():
-        raise AvatarFileError(f"{options.file}: the expression encoder's output is not finite")
+        raise AvatarFileError(f"{file}: the expression encoder's output is not finite")
     profile = LatentProfile.from_manifest(avatar.manifest)
     sent = encode_latent(latents[0], np.zeros(3), np.zeros(3), profile)
     decode_latent(sent, profile)
     beyond = float((np.abs(latents) > np.asarray(avatar.manifest.latent_scale)).mean())
-    print(f"{options.file}: ok, {identity}", file=sys.stderr)
-    return {"file": str(options.file), "ok": True, "sha256": identity, "clamped_ratio": beyond}
+    print(f"{file}: ok, {identity}", file=sys.stderr)
+    return {"file": str(file), "ok": True, "sha256": identity, "clamped_ratio": beyond}
 
 
 def avatar_precision(options: AvatarPrecisionOptions) -> dict[str, Any]:
-    """Measure what storing an avatar in 32, 16 or 8 bits costs in error and in flicker."""
-    avatar = load_avatar(options.file)
+    """Measure what storing an avatar in 32, 16 or 8 bits costs: error, and flicker."""
+    file = avatar_file(options.file)
+    avatar = load_avatar(file)
     found = [asdict(cost) for cost in measure_precisions(avatar, options.frames)]
     for row in found:
         print(
@@ -89,7 +92,7 @@ def avatar_precision(options: AvatarPrecisionOptions) -> dict[str, Any]:
             f"flicker {row['flicker_mse']:9.5f}  positions {row['position_error_um']:7.2f} um",
             file=sys.stderr,
         )
-    return {"file": str(options.file), "rows": found}
+    return {"file": str(file), "rows": found}
 
 
 def _describe(path: Path, avatar: Avatar) -> dict[str, Any]:

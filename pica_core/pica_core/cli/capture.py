@@ -48,7 +48,7 @@ class RenderArguments:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SynthOptions(RenderArguments):
-    """Render a built-in head on the synthetic stage into a capture directory."""
+    """Options of `pica capture synth`."""
 
     head: str = "S1"
     """Identity, such as S1."""
@@ -61,7 +61,7 @@ class SynthOptions(RenderArguments):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CheckOptions:
-    """Find what is wrong with a capture."""
+    """Options of `pica capture check`."""
 
     capture: Annotated[Path, tyro.conf.Positional]
     """Capture directory: one of ours, or a Multiface directory as published."""
@@ -72,7 +72,7 @@ class CheckOptions:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SheetOptions:
-    """Draw a contact sheet of a capture."""
+    """Options of `pica capture sheet`."""
 
     capture: Annotated[Path, tyro.conf.Positional]
     """Capture directory to look at."""
@@ -81,7 +81,7 @@ class SheetOptions:
 
 
 def synth(options: SynthOptions) -> dict[str, Any]:
-    """Run `pica capture synth`."""
+    """Render a built-in head on a synthetic stage into a capture directory."""
     stage = StageOptions(
         head=options.head,
         lenses=options.lenses,
@@ -98,7 +98,7 @@ def synth(options: SynthOptions) -> dict[str, Any]:
 
 
 def check(options: CheckOptions) -> dict[str, Any]:
-    """Run `pica capture check`."""
+    """Find what is wrong with a capture."""
     result = check_capture(options.capture, options.pixel_frames)
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     for problem in result["problems"][:SHOWN_PROBLEMS]:
@@ -117,7 +117,7 @@ def check(options: CheckOptions) -> dict[str, Any]:
 
 
 def sheet(options: SheetOptions) -> dict[str, Any]:
-    """Run `pica capture sheet`."""
+    """Draw a contact sheet of a capture."""
     result = write_sheet(options.capture, options.out)
     Console(stderr=True).print(f"contact sheet in {options.out}")
     return result

@@ -20,7 +20,7 @@ head, and its face covers half of the chart."""
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RigOptions(RenderArguments):
-    """Render a head with blendshapes into a capture directory."""
+    """Options of `pica capture rig`."""
 
     rig: Path
     """A .glb file with morph targets, or a folder of OBJ files of one topology."""
@@ -32,7 +32,7 @@ class RigOptions(RenderArguments):
 
 
 def rig(options: RigOptions) -> dict[str, Any]:
-    """Run `pica capture rig`."""
+    """Render a head of your own, one with blendshapes, into a capture directory."""
     stage = RenderOptions(**options.values())
     started = time.monotonic()
     console = Console(stderr=True)

@@ -20,6 +20,8 @@ device of the vertices.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
+from importlib import import_module
 from types import TracebackType
 from typing import NamedTuple, Self
 
@@ -34,6 +36,11 @@ from pica_core.capture.dataset.dataset import Topology
 from pica_core.errors import GraphicsError, ShapeError
 from pica_core.gl import create_context, link_program
 from pica_core.types import FloatArray, Int64Array, IntArray
+
+# Most wheels of torch bring Triton, which has an LLVM of its own. Mesa's software GL has another;
+# when that comes first, the process dies as soon as torch's first optimiser imports Triton.
+with suppress(ImportError):
+    import_module("triton")
 
 _VERTEX = """#version 330 core
 uniform mat4 clip_from_head;

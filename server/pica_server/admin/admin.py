@@ -4,9 +4,12 @@
     GET    /v1/rooms/ROOM                       who is in it, and what they publish
     DELETE /v1/rooms/ROOM                       close it: everybody is put out
     DELETE /v1/rooms/ROOM/peers/PEER            put somebody out; ?bar=true keeps the identity out
+    PUT    /v1/rooms/ROOM/bars/IDENTITY         put an identity out and keep it out; DELETE lets it
+                                                come again
     PUT    /v1/rooms/ROOM/peers/PEER/muted      stop what somebody publishes; DELETE lets it go on
     PUT    /v1/rooms/ROOM/streams/STREAM/muted  the same for one stream
 
+What keeps out takes ?for_s=SECONDS, a day by default.
 In a cluster any node with peers in the room takes the order, and passes on what another must do.
 
 Answers are JSON; an error is ``{"error": "..."}``. Whoever asks shows an admin's token, for one
@@ -15,18 +18,21 @@ without one, but no web page: neither one that names its origin, nor one whose n
 point here.
 """
 
-import ipaddress
+import math
 from collections.abc import Callable, Mapping
 from http import HTTPStatus
 from typing import Any, Final, NamedTuple
 from urllib.parse import parse_qs, unquote, urlsplit
 
 from pica_protocol.errors import CloseCode
+from pica_protocol.limits import quoted
 from pica_protocol.messages import Peer
 from pica_server.auth.tokens import ANY_ROOM
 from pica_server.errors import AdmissionError
+from pica_server.net.proxies import names_this_machine
 from pica_server.room.hub import Hub
 from pica_server.room.room import Room
+from pica_server.room.rulings import MAX_RULING_S, RULING_S
 
 _SHOWN: Final = ("stream", "kind", "policy", "avatar")
 """The fields of a track that an admin sees."""
@@ -83,7 +89,7 @@ class Admin:
 
     def _scope(self, headers: Mapping[str, str]) -> str:
         if self._authority is None:
-            if "origin" in headers or not _names_this_machine(headers.get("host", "")):
+            if "origin" in headers or not names_this_machine(headers.get("host", "")):
                 text = "this relay has no keys: it answers programs on its own machine only"
                 raise _RefusedError(HTTPStatus.FORBIDDEN, text)
             return ANY_ROOM
@@ -107,6 +113,12 @@ class Admin:
     ) -> Answer:
         hub = self._hub
         room = hub.room(name)
+        match rest:
+            case ("bars", identity) if room is not None or hub.cluster_peers is None:
+                _allow(method, "PUT", "DELETE")
+                is_barred, lasts_s = method == "PUT", _duration_s(query)
+                hub.moderation.bar(name, identity, is_barred=is_barred, lasts_s=lasts_s, now=now)
+                return _ok({"room": name, "identity": identity, "barred": is_barred})
         if room is None:
             raise _RefusedError(HTTPStatus.NOT_FOUND, "there is no such room on this relay")
         match rest:
@@ -120,9 +132,11 @@ class Admin:
                 peer = _peer(room, peer_id)
                 if method == "GET":
                     return _ok(self._peer_details(room, peer))
+                lasts_s = _duration_s(query)
                 bar = query.get("bar", ["false"])[-1] == "true"
-                hub.moderation.remove(name, peer_id, bar=bar, now=now)
-                return _ok({"room": name, "peer_id": peer_id, "removed": True, "barred": bar})
+                barred = bar and hub.moderation.bar(name, peer.identity, lasts_s=lasts_s, now=now)
+                hub.moderation.remove(name, peer_id, now=now)
+                return _ok({"room": name, "peer_id": peer_id, "removed": True, "barred": barred})
             case ("peers", peer_id, "muted"):
                 streams = [track.stream for track in _peer(room, peer_id).tracks]
                 return self._mute(method, room, streams, now)
@@ -181,6 +195,18 @@ def _peer(room: Room, peer_id: str) -> Peer:
     return room.peer(peer_id)
 
 
+def _duration_s(query: Mapping[str, list[str]]) -> float:
+    text = query.get("for_s", [f"{RULING_S}"])[-1]
+    try:
+        duration_s = float(text)
+    except ValueError:
+        duration_s = math.nan
+    if not 1 <= duration_s <= MAX_RULING_S:
+        text = f"for_s must be 1 to {MAX_RULING_S:.0f} seconds, got {quoted(text)}"
+        raise _RefusedError(HTTPStatus.BAD_REQUEST, text)
+    return duration_s
+
+
 def _allow(method: str, *allowed: str) -> None:
     if method not in allowed:
         text = f"only {' and '.join(allowed)} can be done with this"
@@ -193,12 +219,3 @@ def _unauthorized(text: str) -> _RefusedError:
 
 def _ok(body: dict[str, Any]) -> Answer:
     return Answer(HTTPStatus.OK, body)
-
-
-def _names_this_machine(host: str) -> bool:
-    """Say whether a Host header is one that no stranger's name server can have made."""
-    name = urlsplit(f"//{host}").hostname or ""
-    try:
-        return ipaddress.ip_address(name).is_loopback
-    except ValueError:
-        return name == "localhost"

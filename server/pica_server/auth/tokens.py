@@ -9,8 +9,11 @@ keeping the old one in the file until its last token has expired.
 
 import base64
 import binascii
+import math
+import os
 import re
 import secrets
+import stat
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +22,7 @@ from typing import Any, Final
 import jwt
 
 from pica_protocol.errors import CloseCode
-from pica_protocol.limits import MAX_NAME_BYTES, MAX_PASS_BYTES, check_text, check_token, quoted
+from pica_protocol.limits import MAX_PASS_BYTES, check_name, check_token, quoted
 from pica_protocol.messages import Join
 from pica_server.errors import AdmissionError, KeyFileError
 
@@ -61,10 +64,14 @@ class KeyRing:
     """Signing keys by id, the newest last.
 
     The file has one key on each line, its id and its secret in base64url; ``#`` begins a comment.
+
+    Attributes:
+        max_token_s: The longest time that a token signed with one of them may hold to be taken.
     """
 
     def __init__(self, keys: Mapping[str, bytes]) -> None:
         self._keys = dict(keys)
+        self.max_token_s = math.inf
 
     @classmethod
     def parse(cls, text: str) -> "KeyRing":
@@ -113,19 +120,27 @@ class KeyRing:
         return self._keys.get(key_id)
 
 
-def load_keys(path: Path) -> KeyRing:
+def load_keys(path: Path, *, max_token_s: float = math.inf) -> KeyRing:
     """Read a key file.
 
+    Args:
+        path: The file.
+        max_token_s: The longest time that a token may hold to be taken.
+
     Raises:
-        KeyFileError: It cannot be read, or used.
+        KeyFileError: It cannot be read, or used, or anybody may write their own key into it.
     """
     try:
-        return KeyRing.parse(path.read_text())
+        if os.name == "posix" and path.stat().st_mode & stat.S_IWOTH:
+            raise KeyFileError("anybody can write keys into it: make new ones, for its owner")
+        keys = KeyRing.parse(path.read_text())
     except (OSError, UnicodeDecodeError) as error:
         what = error.strerror if isinstance(error, OSError) else "no text"
         raise KeyFileError(f"--keys {path}: {what}") from error
     except KeyFileError as error:
         raise KeyFileError(f"--keys {path}: {error}") from error
+    keys.max_token_s = max_token_s
+    return keys
 
 
 def mint(
@@ -147,7 +162,8 @@ def mint(
     if room != ANY_ROOM or not admission.may_admin:
         check_token("room", room)
     check_token("identity", admission.identity)
-    check_text("name", admission.name, MAX_NAME_BYTES, required=bool(admission.name))
+    if admission.name:
+        check_name("name", admission.name)
     if len(admission.avatars) > MAX_AVATARS:
         raise ValueError(f"avatars must have at most {MAX_AVATARS}, got {len(admission.avatars)}")
     for avatar in admission.avatars:
@@ -192,7 +208,8 @@ def admit(keys: KeyRing, join: Join, *, now: float) -> Admission:
     try:
         identity = claims["sub"]
         check_token("identity", identity)
-        check_text("name", name, MAX_NAME_BYTES, required=bool(name))
+        if name:
+            check_name("name", name)
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise _unauthorized("the token names nobody") from error
     admission = Admission(
@@ -247,6 +264,8 @@ def _claims_that_hold(keys: KeyRing, token: str, now: float) -> Mapping[str, Any
         raise _unauthorized("the token does not hold yet")
     if now >= ends_s + LEEWAY_S:
         raise _unauthorized("the token has expired")
+    if ends_s - begins_s > keys.max_token_s:
+        raise _unauthorized(f"the token holds for longer than {keys.max_token_s:g} s")
     return claims
 
 

@@ -1,31 +1,23 @@
-"""``pica relay``: run a relay until it is told to stop."""
+"""`pica relay`: run a relay until it is told to stop."""
 
 import asyncio
 import gc
-import io
 import logging
 import os
+import re
 import signal
+import stat
 import sys
 import time
-from collections.abc import Awaitable, Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, redirect_stderr
-from dataclasses import dataclass, field, replace
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar
 
 import tyro
 
 from pica_server.config.relay import RelayConfig
-from pica_server.config.settings import (
-    ELSEWHERE,
-    Effective,
-    as_plain,
-    as_toml,
-    one_line,
-    read_options,
-    without_user,
-)
 from pica_server.errors import ConfigurationError, ListenError
 from pica_server.ops.certificate import Certificate
 from pica_server.ops.log import Level, Style, logging_to, say
@@ -34,7 +26,6 @@ from pica_server.store.store import AvatarStore
 
 _logger = logging.getLogger(__name__)
 
-ENVIRONMENT_PREFIX = "PICA_RELAY_"
 CERTIFICATE_PERIOD_S = 2.0
 """Between two looks at the files of the certificate, see below (chosen: two stat calls)."""
 CERTIFICATE_SETTLES_S = 0.5
@@ -43,7 +34,7 @@ CERTIFICATE_SETTLES_S = 0.5
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RelayOptions:
-    """Options of ``pica relay``."""
+    """Options of `pica relay`."""
 
     config: Annotated[RelayConfig, tyro.conf.arg(name="")] = field(default_factory=RelayConfig)
     """Where to listen, and the limits."""
@@ -54,48 +45,18 @@ class RelayOptions:
     payloads."""
     log_level: Level = "info"
     """The least that is logged; debug tells of connections that were not let in."""
-    config_file: Annotated[Path | None, tyro.conf.arg(name="config"), ELSEWHERE] = None
-    """Read settings from this TOML file. Flags go before PICA_RELAY_... in the environment, and
-    that before the file; see docs/operating.md."""
-    print_config: Annotated[bool, ELSEWHERE] = False
-    """Check the settings, print all of them as TOML with where each comes from, and stop."""
-    effective: Annotated[tuple[Effective, ...], tyro.conf.Suppress, ELSEWHERE] = ()
-
-    @classmethod
-    def parse(cls, words: Sequence[str], *, prog: str, description: str) -> Self:
-        """Read the command line, the environment and the file.
-
-        Raises:
-            ConfigurationError: A setting that cannot work; one line that says where it stands.
-        """
-
-        def read_words(defaults: Self) -> Self:
-            said = io.StringIO()
-            try:
-                with redirect_stderr(said):
-                    return tyro.cli(
-                        cls, prog=prog, args=list(words), description=description, default=defaults
-                    )
-            except SystemExit as end:
-                if end.code != 2:
-                    raise  # help was asked for
-                raise ConfigurationError(one_line(said.getvalue())) from None
-
-        options, effective = read_options(
-            cls, read_words, words, os.environ, prefix=ENVIRONMENT_PREFIX
-        )
-        return replace(options, effective=tuple(effective))
+    OWN_FILE: ClassVar[bool] = True
+    """Settings come from a file of the relay's own, not from the profile of whoever starts it."""
 
 
 def relay(options: RelayOptions) -> dict[str, Any]:
-    """Run the relay: forwards between the peers of a room, until SIGINT or SIGTERM.
+    """Run a relay: it forwards between the people of a room, until SIGINT or SIGTERM.
 
     SIGTERM sends everybody away first, see --drain-s; SIGINT, or another SIGTERM, ends at once. The
     first line on stderr says where it listens.
 
     Returns:
-        Its settings with --print-config, else its statistics at the end; ``forward_ms`` holds
-        percentiles of the forwarding latency.
+        Its statistics at the end; `forward_ms` holds percentiles of the forwarding latency.
 
     Raises:
         ConfigurationError: The certificate cannot be used.
@@ -103,18 +64,15 @@ def relay(options: RelayOptions) -> dict[str, Any]:
         KeyFileError: The key file cannot be used.
         StoreError: The avatar store cannot be used.
     """
-    if options.print_config:
-        print(as_toml(options.effective), end="")
-        return as_plain(options.effective)
-    with asyncio.Runner(loop_factory=_loop_factory(options)) as runner:
-        return runner.run(_run(options))
+    with _Signals() as signals, asyncio.Runner(loop_factory=_loop_factory(options)) as runner:
+        return runner.run(_run(options, signals))
 
 
 def _loop_factory(options: RelayOptions) -> Callable[[], asyncio.AbstractEventLoop] | None:
     """Choose uvloop where it can be had: a quarter less processor time (docs/results/relay.md).
 
     With TLS the standard loop stays: in uvloop nothing bounds what is written ahead of a slow
-    reader, see `pica_server.net.socket.bound_tls_buffer`.
+    reader, see `pica_protocol.tls_buffer`.
     """
     if sys.platform == "win32" or options.config.tls_cert is not None:
         return None
@@ -124,10 +82,14 @@ def _loop_factory(options: RelayOptions) -> Callable[[], asyncio.AbstractEventLo
     return factory
 
 
-async def _run(options: RelayOptions) -> dict[str, Any]:
+async def _run(options: RelayOptions, signals: "_Signals") -> dict[str, Any]:
     log = logging_to(sys.stderr, options.log, options.log_level, time.monotonic)
-    with log, _signals() as signals, ExitStack() as stack:
-        async with Relay(options.config) as server:
+    with log as log_counts, ExitStack() as stack:
+        server = Relay(options.config)
+        server.hub.stats.log = log_counts
+        if not await _unless(signals.wait(), server.__aenter__()):
+            return {"url": "", **server.stats()}
+        try:
             stack.enter_context(_certificate_kept_fresh(server.certificate))
             url = server.url
             _spare_the_collector()
@@ -142,7 +104,16 @@ async def _run(options: RelayOptions) -> dict[str, Any]:
                 server.cut()
             num_open = server.hub.num_connections
             _say("stopping", f"stopping, {num_open} connections to close", open=num_open)
-    return {"url": url, **server.stats()}
+        finally:
+            await server.__aexit__(None, None, None)
+        stats = server.stats()
+        _say(
+            "stopped",
+            f"forwarded {stats['frames_out']} frames ({stats['bytes_out']} bytes) "
+            f"for {stats['joins']} joins; {sum(stats['dropped'].values())} frames dropped",
+            **{name: stats[name] for name in ("joins", "frames_in", "frames_out", "bytes_out")},
+        )
+    return {"url": url, **stats}
 
 
 def _say_what_is_open(config: RelayConfig, store: AvatarStore | None) -> None:
@@ -150,9 +121,12 @@ def _say_what_is_open(config: RelayConfig, store: AvatarStore | None) -> None:
         _say("insecure", "INSECURE: anybody who reaches this port may join any room")
     elif config.keys is None:
         _say("development", "DEVELOPMENT: no --keys, anybody on this machine may join any room")
+    elif os.name == "posix" and config.keys.stat().st_mode & stat.S_IROTH:
+        _say("keys open", "anybody on this machine can read the key file: chmod 600 it")
     if store is not None:
         how = "all that receivers check" if store.checks_fully else "its layout"
-        place, num_avatars = without_user(config.avatar_store), store.num_avatars
+        place = re.sub(r"(?<=://)[^/@\s]*@", "***@", config.avatar_store)  # without a password
+        num_avatars = store.num_avatars
         _say(
             "avatar store",
             f"avatar store {place}: {num_avatars} avatars; of an upload is checked: {how}",
@@ -207,40 +181,57 @@ def _certificate_kept_fresh(certificate: Certificate | None) -> Iterator[None]:
             signal.signal(signal.SIGHUP, before)
 
 
-async def _unless(interruption: Awaitable[object], work: Awaitable[object]) -> None:
-    """Do some work until it is done or something else happens."""
-    tasks = {asyncio.ensure_future(interruption), asyncio.ensure_future(work)}
+async def _unless(interruption: Awaitable[object], work: Awaitable[object]) -> bool:
+    """Do some work until it is done, or something else happens; return whether it is."""
+    tasks = [asyncio.ensure_future(interruption), asyncio.ensure_future(work)]
     try:
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         for task in done:
             task.result()
+        return tasks[1] in done
     finally:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
 
 
-@contextmanager
-def _signals() -> Iterator[asyncio.Queue[int]]:
-    """Queue the signals to stop that come; two say all there is to say, more are dropped."""
-    # signal.signal and not loop.add_signal_handler: the latter is missing on Windows.
-    loop = asyncio.get_running_loop()
-    queue: asyncio.Queue[int] = asyncio.Queue(maxsize=2)
+class _Signals:
+    """Takes the signals to stop while the block runs, which is nearly as long as the process: one
+    that comes before the event loop is not lost, and one after its end, which is ignored, does not
+    cost the result."""
 
-    def note(number: int) -> None:
-        if not queue.full():
-            queue.put_nowait(number)
+    def __init__(self) -> None:
+        self._came: list[int] = []
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._has_come = asyncio.Event()
 
-    names = (signal.SIGINT, signal.SIGTERM)
-    before = [
-        signal.signal(name, lambda number, _: loop.call_soon_threadsafe(note, number))
-        for name in names
-    ]
-    try:
-        yield queue
-    finally:
-        for name, handler in zip(names, before, strict=True):
-            signal.signal(name, handler)
+    async def wait(self) -> None:
+        """Wait until one is there."""
+        self._loop = asyncio.get_running_loop()
+        while not self._came:
+            self._has_come.clear()
+            await self._has_come.wait()
+
+    async def get(self) -> int:
+        """Wait for the next one, and take it."""
+        await self.wait()
+        return self._came.pop(0)
+
+    def _note(self, number: int, _: object) -> None:
+        self._came.append(number)
+        if self._loop is not None:
+            with suppress(RuntimeError):  # it has ended
+                self._loop.call_soon_threadsafe(self._has_come.set)
+
+    def __enter__(self) -> "_Signals":
+        # signal.signal and not loop.add_signal_handler: the latter is missing on Windows.
+        for name in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(name, self._note)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for name in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(name, signal.SIG_IGN)
 
 
 @contextmanager

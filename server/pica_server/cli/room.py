@@ -1,4 +1,4 @@
-"""``pica room``: look at the rooms of a relay that runs with --admin-port, and manage them.
+"""`pica room`: look at the rooms of a relay that runs with --admin-port, and manage them.
 
 Every command raises `AdminRequestError` if the relay cannot be reached, or says no.
 """
@@ -14,6 +14,7 @@ import tyro
 
 from pica_server.errors import AdminRequestError, ConfigurationError
 from pica_server.ops.certificate import trusting
+from pica_server.room.rulings import RULING_S
 
 TIMEOUT_S: Final = 10.0
 MAX_ANSWER_BYTES: Final = 16_777_216
@@ -28,7 +29,7 @@ class AdminOptions:
     url: str = "http://127.0.0.1:8766"
     """Address of the relay's admin port."""
     token_file: Path | None = None
-    """File with an admin's token, from ``pica token --admin``; a relay without keys wants none."""
+    """File with an admin's token, from `pica token --admin`; a relay without keys wants none."""
     ca_file: Path | None = None
     """File of certificates to trust besides those of the system, for https://."""
 
@@ -51,9 +52,29 @@ class RemoveOptions(RoomOptions):
     """One peer of a room."""
 
     peer: tyro.conf.Positional[str]
-    """Id of the peer, see ``pica room inspect``."""
+    """Id of the peer, see `pica room inspect`."""
     bar: bool = False
-    """Also keep its identity out as long as the room lasts."""
+    """Also keep its identity out."""
+    for_s: float = RULING_S
+    """Seconds for which it is kept out, also when the room has ended: 30 days at most."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BarOptions(RoomOptions):
+    """An identity that is kept out of a room."""
+
+    identity: tyro.conf.Positional[str]
+    """Who, as their token names them."""
+    for_s: float = RULING_S
+    """Seconds for which it is kept out, also when the room has ended: 30 days at most."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class UnbarOptions(RoomOptions):
+    """An identity that may come into a room again."""
+
+    identity: tyro.conf.Positional[str]
+    """Who, as their token names them."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -61,7 +82,7 @@ class MuteOptions(RoomOptions):
     """What a peer publishes."""
 
     peer: tyro.conf.Positional[str]
-    """Id of the peer, see ``pica room inspect``."""
+    """Id of the peer, see `pica room inspect`."""
     stream: int | None = None
     """One stream of it alone; all of them by default."""
 
@@ -100,9 +121,27 @@ def room_close(options: RoomOptions) -> dict[str, Any]:
 
 def room_remove(options: RemoveOptions) -> dict[str, Any]:
     """Put somebody out of a room."""
-    query = "?bar=true" if options.bar else ""
+    query = f"?bar=true&for_s={options.for_s}" if options.bar else ""
     answer = _ask(options, "DELETE", "rooms", options.room, "peers", options.peer, query=query)
-    print(f"removed {options.peer} from {options.room}")
+    kept_out = ", and keeps them out" if answer["barred"] else ""
+    if options.bar and not kept_out:
+        kept_out = "; they came without a token, so nothing keeps them from coming again"
+    print(f"removed {options.peer} from {options.room}{kept_out}")
+    return answer
+
+
+def room_bar(options: BarOptions) -> dict[str, Any]:
+    """Put an identity out of a room and keep it out, whether the room is there or not."""
+    query = f"?for_s={options.for_s}"
+    answer = _ask(options, "PUT", "rooms", options.room, "bars", options.identity, query=query)
+    print(f"{options.identity} is kept out of {options.room} for {options.for_s:g} s")
+    return answer
+
+
+def room_unbar(options: UnbarOptions) -> dict[str, Any]:
+    """Let an identity come into a room again."""
+    answer = _ask(options, "DELETE", "rooms", options.room, "bars", options.identity)
+    print(f"{options.identity} may come into {options.room} again")
     return answer
 
 

@@ -1,5 +1,6 @@
-"""``pica token``: let somebody into one room of a relay."""
+"""`pica token`: let somebody into one room of a relay."""
 
+import errno
 import os
 import sys
 import time
@@ -7,13 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pica_protocol.invite import Invite, make_link
 from pica_server.auth.tokens import ANY_AVATAR, Admission, KeyRing, load_keys, mint
 from pica_server.errors import ConfigurationError, KeyFileError
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TokenOptions:
-    """Options of ``pica token``."""
+    """Options of `pica token`."""
 
     keys: Path
     """The relay's key file; the newest key signs."""
@@ -27,7 +29,8 @@ class TokenOptions:
     name: str = ""
     """What they are called in the room; empty: as they like."""
     lasts_s: float = 3600.0
-    """Seconds until it expires. It is checked when its owner joins."""
+    """Seconds until it expires: an hour, unless said otherwise. It is checked when its owner
+    joins."""
     starts_s: float = 0.0
     """Seconds until it begins to hold."""
     publish: bool = True
@@ -35,9 +38,12 @@ class TokenOptions:
     subscribe: bool = True
     """Whether they get the faces of others."""
     admin: bool = False
-    """Whether they may list, mute, remove and close, see ``pica room``."""
+    """Whether they may list, mute, remove and close, see `pica room`."""
     avatars: tuple[str, ...] = ()
-    """Ids of the avatars they may wear, see ``pica avatar info``; ``any`` for any."""
+    """Ids of the avatars they may wear, see `pica avatar info`; `any` for any."""
+    link: str = ""
+    """Address of the relay, ws:// or wss://: print an invite link instead, which fills in the form
+    of `pica view`."""
 
 
 def token(options: TokenOptions) -> dict[str, Any]:
@@ -66,16 +72,36 @@ def token(options: TokenOptions) -> dict[str, Any]:
         minted = mint(keys, options.room, admission, **times)
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
-    print(minted)
-    return {"token": minted, "key_id": keys.newest, "expires": int(now + options.lasts_s)}
+    result = {"token": minted, "key_id": keys.newest, "expires": int(now + options.lasts_s)}
+    until = time.strftime("%Y-%m-%d %H:%M", time.localtime(now + options.lasts_s))
+    print(f"it opens {options.room} until {until}; --lasts-s says how long", file=sys.stderr)
+    if not options.link:
+        print(minted)
+        return result
+    try:
+        link = make_link(Invite(url=options.link, room=options.room, token=minted))
+    except ValueError as error:
+        raise ConfigurationError(f"--link: {error}") from error
+    print(link)
+    return {**result, "link": link}
 
 
 def _add_key(path: Path) -> dict[str, Any]:
-    line = KeyRing.new_line()
     try:
+        # An editor may have left the last key without an end of its line.
+        is_torn = path.exists() and path.read_bytes()[-1:] not in (b"", b"\n")
+        line = "\n" * is_torn + KeyRing.new_line()
         # Readable for its owner alone from its first moment.
-        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600), "a") as file:
-            file.write(line)
+        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600), "ab", 0) as file:
+            before = file.tell()
+            try:
+                if file.write(line.encode()) != len(line):
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            except OSError:  # half a key would spoil the file
+                file.truncate(before)
+                if not before:
+                    path.unlink()
+                raise
     except OSError as error:
         raise KeyFileError(f"--keys {path}: {error.strerror}") from error
     key_id = load_keys(path).newest

@@ -1,11 +1,11 @@
 """What the nodes of a cluster tell each other, as bytes: records, subscriptions, requests, media.
 
 All of it travels on NATS, which only nodes may use; it is checked all the same, and what cannot be
-read is dropped and counted. Rooms are named by a hash, so that no name stands in a subject, and an
-identity is kept as a hash. A record holds the names that peers show each other.
+read is dropped and counted. Rooms are named by a hash, so that no name stands in a subject, and who
+is barred is kept as a hash. A record holds the names and identities that peers show each other.
 
-    record    version, writer, members: (node, identity, PeerJoined as on the wire, away, muted),
-              farewells, barred identities
+    record    version, writer, members: (node, PeerJoined as on the wire, away, muted), farewells,
+              rulings: (hash of an identity, kind of track, when given, when over, whether it holds)
     interest  which streams of the receiving node the sending node wants, up to which layer
     ask       a keyframe is wanted of a stream of the receiving node
     order     an admin wants something of the receiving node
@@ -21,7 +21,7 @@ from typing import Any, Final, NamedTuple
 
 import msgpack
 
-from pica_protocol.codec import decode_message, encode_message
+from pica_protocol.codec import decode_message, encode_message, unique_keys
 from pica_protocol.errors import ProtocolError
 from pica_protocol.limits import (
     MAX_CONTROL_BYTES,
@@ -33,8 +33,9 @@ from pica_protocol.limits import (
 )
 from pica_protocol.messages import Peer, PeerJoined, Whisper
 from pica_server.errors import ClusterMessageError
+from pica_server.room.rulings import RoomRulings, Ruling, Subject
 
-VERSION: Final = 1
+VERSION: Final = 2
 NUM_SLOTS: Final = 128
 """Nodes of one cluster: each allots streams from a part of the numbers that is its own."""
 STREAMS_PER_SLOT: Final = (MAX_STREAM + 1) // NUM_SLOTS
@@ -77,12 +78,14 @@ class Member:
 
     node: str
     peer: Peer
-    identity: str = ""
-    """Hash of who it is for sure, or empty."""
     is_away: bool = False
     """Its connection is lost, and it may come back."""
     muted: tuple[int, ...] = ()
     """Its streams that an admin has stopped."""
+
+    def is_same_person(self, other: "Member") -> bool:
+        """Say whether both have the same identity."""
+        return bool(self.peer.identity) and self.peer.identity == other.peer.identity
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,8 +97,8 @@ class Record:
     """Why those have gone who were in the record before this one: peer id to a word."""
     writer: str = ""
     """The node that wrote it."""
-    barred: tuple[str, ...] = ()
-    """Hashes of identities that an admin keeps out."""
+    rulings: RoomRulings = field(default_factory=dict)
+    """What an admin has ruled that outlasts connections."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +134,7 @@ class Order:
 
     room: str
     what: str
-    """``remove`` or ``bar`` a peer, ``mute`` or ``unmute`` a stream, ``close`` the room."""
+    """``remove`` a peer, ``mute`` or ``unmute`` a stream, ``close`` the room."""
     target: str
     """The peer id, or the number of the stream."""
 
@@ -164,21 +167,14 @@ def room_key(room: str) -> str:
     return hashlib.sha256(b"pica room\0" + room.encode()).hexdigest()[:32]
 
 
-def identity_key(identity: str) -> str:
-    """Return what stands for an identity in a record; empty for nobody in particular."""
-    if not identity:
-        return ""
-    return hashlib.sha256(b"pica identity\0" + identity.encode()).hexdigest()[:32]
-
-
 def encode_record(record: Record) -> bytes:
     """Return a record as it is kept."""
     members = [
-        [m.node, m.identity, encode_message(PeerJoined(peer=m.peer)), m.is_away, list(m.muted)]
+        [m.node, encode_message(PeerJoined(peer=m.peer)), m.is_away, list(m.muted)]
         for m in record.members
     ]
-    barred = list(record.barred)
-    return _pack([VERSION, record.writer, members, dict(record.farewells), barred])
+    rulings = [[*subject, *ruling] for subject, ruling in record.rulings.items()]
+    return _pack([VERSION, record.writer, members, dict(record.farewells), rulings])
 
 
 def decode_record(data: bytes) -> Record:
@@ -189,14 +185,17 @@ def decode_record(data: bytes) -> Record:
     """
     if not data:
         return Record()
-    version, writer, members, farewells, barred = _unpack(data, MAX_RECORD_BYTES, 5)
+    version, writer, members, farewells, rulings = _unpack(data, MAX_RECORD_BYTES, 5)
     if version != VERSION:
         raise ClusterMessageError("record of another version: run the same release on all nodes")
-    if not isinstance(members, list) or not isinstance(barred, list):
+    if not isinstance(members, list) or not isinstance(rulings, list):
         raise ClusterMessageError("malformed members of a record")
     slot_of(_text(writer))
     return Record(
-        tuple(map(_read_member, members)), _texts(farewells), writer, tuple(map(_text, barred))
+        tuple(map(_read_member, members)),
+        _texts(farewells),
+        writer,
+        dict(map(_read_ruling, rulings)),
     )
 
 
@@ -290,6 +289,7 @@ def _unpack(data: bytes, max_bytes: int, num_items: int | None = None) -> list[A
             max_map_len=_MAX_ITEMS,
             max_ext_len=0,
             ext_hook=_refuse_extension,
+            object_pairs_hook=unique_keys,
         )
     # A key that is a list is a TypeError, a timestamp out of range an OverflowError.
     except (ValueError, TypeError, OverflowError, RecursionError, msgpack.UnpackException) as error:
@@ -305,15 +305,24 @@ def _refuse_extension(code: int, _data: bytes) -> object:
 
 def _read_member(item: Any) -> Member:
     try:
-        node, identity, body, is_away, muted = item
+        node, body, is_away, muted = item
         slot_of(_text(node))
         arrival = decode_message(_bytes(body))
         if not isinstance(arrival, PeerJoined):
             raise ValueError("no peer")
         streams = tuple(_count(stream, MAX_STREAM) for stream in muted)
-        return Member(node, arrival.peer, _text(identity), bool(is_away), streams)
+        return Member(node, arrival.peer, bool(is_away), streams)
     except (ValueError, TypeError, ProtocolError) as error:
         raise ClusterMessageError("malformed member of a record") from error
+
+
+def _read_ruling(item: Any) -> tuple[Subject, Ruling]:
+    try:
+        key, kind, given_ms, ends_s, holds = item
+        ruling = Ruling(_count(given_ms), _count(ends_s), bool(holds))
+        return (_text(key), _text(kind)), ruling
+    except (ValueError, TypeError) as error:
+        raise ClusterMessageError("malformed ruling in a record") from error
 
 
 def _texts(value: object) -> dict[str, str]:

@@ -40,17 +40,22 @@ from pica_server.cluster.messages import NUM_SLOTS, NodeId
 from pica_server.cluster.node import ClusterNode, Command, Tell, Unwatch, Watch
 from pica_server.cluster.room import Read, Request, Write
 from pica_server.cluster.store import ClusterStore, open_store
-from pica_server.errors import ClusterError
+from pica_server.errors import ClusterAwayError, ClusterError
+from pica_server.ops.log import say
 from pica_server.room.hub import Hub
 
 CONNECT_S: Final = 3.0
 """Seconds that the first connection may take."""
 REQUEST_S: Final = 1.0
 """Seconds that an answer of the store may take."""
+BEATS_PER_CHECK: Final = 4
+"""Renewals between two looks at whether the store is still the same (chosen: every 3 s)."""
 STOP_S: Final = 1.0
 """Seconds for taking this node's peers out of the records when it stops."""
 RECONNECT_S: Final = 0.2
 """Between two attempts to reach NATS again."""
+LONGEST_WAIT_S: Final = 5.0
+"""Between two attempts before it was there at all (chosen)."""
 _NUM_WORKERS: Final = 16
 _MAX_UNSENT_BYTES: Final = 131_072
 """Bytes of messages that NATS has not taken; above it media waits in the outboxes."""
@@ -100,12 +105,12 @@ class Cluster:
         self._own: list[Subscription] = []
 
     async def start(self) -> None:
-        """Take a place in the cluster.
+        """Take a place in the cluster, as soon as NATS answers.
 
         Raises:
-            ClusterError: NATS does not answer, has no JetStream, or has no place left.
+            ClusterError: NATS has no JetStream, no place left, or does not let us in.
         """
-        self._client, self._store = await self._connect()
+        self._client, self._store = await self._connect_patiently()
         try:
             me, self._revision = await self._claim()
             self.node = ClusterNode(self._hub, me, self._capacity, self._now())
@@ -144,6 +149,19 @@ class Cluster:
         if self._hub.forwarding.has_ready_links:
             self._has_media.set()
 
+    async def _connect_patiently(self) -> tuple[Client, ClusterStore]:
+        """Connect when NATS is there: a machine that starts may start a relay first."""
+        wait_s = RECONNECT_S
+        while True:
+            try:
+                return await self._connect()
+            except ClusterAwayError as error:
+                if wait_s == RECONNECT_S:
+                    spoken = f"{error}; waiting for it"
+                    say(_logger, "waiting for the cluster", spoken, why=self._last_error)
+            await asyncio.sleep(wait_s)
+            wait_s = min(2 * wait_s, LONGEST_WAIT_S)
+
     async def _connect(self) -> tuple[Client, ClusterStore]:
         """Make a connection, and open the store over it."""
         client = Client()
@@ -166,7 +184,8 @@ class Cluster:
         except (TimeoutError, OSError, ValueError, nats.errors.Error) as error:
             await client.close()
             trouble = self._last_error if isinstance(error, TimeoutError) else _words(error)
-            raise ClusterError(
+            is_away = isinstance(error, TimeoutError | OSError | nats.errors.NoServersError)
+            raise (ClusterAwayError if is_away else ClusterError)(
                 f"--cluster {places}: {trouble}; start `nats-server -js` there, or leave --cluster "
                 "out"
             ) from error
@@ -256,12 +275,14 @@ class Cluster:
 
     async def _renew(self) -> None:
         """Keep the lease; its owner cancels this."""
+        num_beats = 0
         while True:
             with suppress(TimeoutError):
                 async with asyncio.timeout(BEAT_S):
                     await self._must_renew.wait()
             self._must_renew.clear()
             sent_s = self._now()
+            num_beats += 1
             try:
                 if self._client.is_closed:
                     await self._connect_anew()
@@ -271,9 +292,25 @@ class Cluster:
                 else:
                     self._revision = revision
                     self.node.receive_renewed(sent_s, self._now())
+                if num_beats % BEATS_PER_CHECK == 0:
+                    await self._store.check()
             except (nats.errors.Error, TimeoutError, OSError, ClusterError):
                 self._hub.stats.cluster["renewals_failed"] += 1
+            if self._store.is_lost:
+                await self._open_anew()
             self._on_news()
+
+    async def _open_anew(self) -> None:
+        """Open the store again, or make it if NATS has come back without it; each node then says
+        who is in its rooms. If this fails, the next renewal fails too."""
+        try:
+            self._store = await open_store(self._client, REQUEST_S)
+        except (nats.errors.Error, TimeoutError, OSError, ClusterError):
+            return
+        _logger.warning("cluster store opened anew")
+        self._hub.stats.cluster["reopened"] += 1
+        self.node.receive_loss_of_all()
+        self._must_renew.set()
 
     async def _begin_anew(self) -> None:
         """Take another slot: ours has been given away while we were cut off."""

@@ -25,7 +25,6 @@ from pica_server.cluster.messages import (
     Passed,
     decode_node_message,
     encode_node_message,
-    identity_key,
     room_key,
     slot_of,
 )
@@ -39,6 +38,7 @@ from pica_server.cluster.room import (
     Refused,
     Replaced,
     Request,
+    Ruled,
     SharedRoom,
     SharedRoomEvent,
 )
@@ -160,8 +160,15 @@ class ClusterNode:
         tracks = tuple(replace(t, stream=self._new_stream(shared)) for t in join.tracks)
         name = admission.name or join.name
         self._places[connection.peer_id] = _Place(connection, shared, admission)
-        peer = Peer(peer_id=connection.peer_id, name=name, tracks=tracks, metadata=join.metadata)
-        shared.join(peer, identity_key(admission.identity), now)
+        peer = Peer(
+            peer_id=connection.peer_id,
+            name=name,
+            tracks=tracks,
+            metadata=join.metadata,
+            identity=admission.identity,
+            is_name_assured=bool(admission.name),
+        )
+        shared.join(peer, now)
         self._dirty[shared.key] = None
 
     def leave(self, connection: Connection, reason: str) -> None:
@@ -186,12 +193,9 @@ class ClusterNode:
             place.shared.update(peer, is_away=peer_id in room.away, muted=room.muted_of(peer_id))
             self._dirty[place.shared.key] = None
 
-    def bar(self, room: Room, identity: str) -> None:
-        """Keep an identity out everywhere; see `ClusterPeers`."""
-        shared = self._rooms.get(room_key(room.name))
-        if shared is not None and identity:
-            shared.bar(identity_key(identity))
-            self._dirty[shared.key] = None
+    def note_rulings(self, room_name: str) -> None:
+        """Note that an admin has ruled something; see `ClusterPeers`."""
+        self._dirty[room_key(room_name)] = None
 
     def order(self, room: Room, what: str, target: str) -> None:
         """Have something done elsewhere; see `ClusterPeers`."""
@@ -406,6 +410,8 @@ class ClusterNode:
                 self._hub.membership.follow(shared.name, before, member, now)
             case Departed(peer_id=peer_id, reason=reason):
                 self._hub.membership.depart(shared.name, peer_id, reason, now)
+            case Ruled():
+                self._hub.moderation.enforce(shared.name, now)
             case Heard(node=node):
                 self.liveness.receive_beat(node, now)
 
@@ -426,9 +432,8 @@ class ClusterNode:
                 number, is_muted = int(order.target), order.what == "mute"
                 if room.stream(number) is not None and not room.is_remote(number):
                     self._hub.moderation.mute(room.name, number, is_muted=is_muted, now=now)
-            case "remove" | "bar" if order.target in room and not room.node_of(order.target):
-                is_bar = order.what == "bar"
-                self._hub.moderation.remove(room.name, order.target, bar=is_bar, now=now)
+            case "remove" if order.target in room and not room.node_of(order.target):
+                self._hub.moderation.remove(room.name, order.target, now=now)
 
     def _look(self, now: float) -> None:
         """See who lives, and what this node is; bring rooms up to date that depend on it."""
@@ -449,7 +454,7 @@ class ClusterNode:
                 self._dirty[key] = None
 
     def _room(self, name: str) -> SharedRoom:
-        shared = SharedRoom(name, self._capacity, self._me)
+        shared = SharedRoom(name, self._capacity, self._me, self._hub.rulings)
         found = self._rooms.setdefault(shared.key, shared)
         if found is shared:
             self._commands.append(Watch(shared.key))

@@ -8,7 +8,8 @@ succeeds, so the record has one history, and whoever is in it has a place. A nod
   that joins here: the newer one wins;
 - takes the peers of a dead node out, the first living node of the record at once, any other along
   with its next write;
-- removes the record only together with the last peer in it;
+- removes the record only together with the last peer in it, and not while a ruling of an admin
+  holds;
 - has at most one request under way. A write that met another revision begins anew from what is
   there now: of several nodes that write at once one succeeds, so all of them get on.
 
@@ -42,6 +43,7 @@ from pica_server.cluster.messages import (
     room_key,
 )
 from pica_server.errors import ClusterMessageError
+from pica_server.room.rulings import Rulings
 
 RETRY_S: Final = 0.25
 """After a request that failed."""
@@ -49,8 +51,6 @@ REWRITE_S: Final = 6 * 3600.0
 """A record that nobody changes is written anew after that: one that nobody writes for four times as
 long is garbage of nodes that died, and the store clears it away."""
 _MAX_FAREWELLS: Final = 64
-MAX_BARRED: Final = 64
-"""Identities that are kept out of one room; one more lets the oldest in again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +142,7 @@ class Departed:
 
 @dataclass(frozen=True, slots=True)
 class Replaced:
-    """A peer of this node has joined again on another one."""
+    """A peer of this node has joined again on another one, or has been away in a full room."""
 
     peer_id: str
 
@@ -154,7 +154,12 @@ class Heard:
     node: str
 
 
-SharedRoomEvent = Admitted | Refused | Arrived | Changed | Departed | Replaced | Heard
+@dataclass(frozen=True, slots=True)
+class Ruled:
+    """An admin has ruled something on another node: it may be about peers of this one."""
+
+
+SharedRoomEvent = Ruled | Admitted | Refused | Arrived | Changed | Departed | Replaced | Heard
 
 
 class SharedRoom:
@@ -166,18 +171,18 @@ class SharedRoom:
         revision: Of the record that is known.
     """
 
-    def __init__(self, name: str, capacity: int, me: NodeId) -> None:
+    def __init__(self, name: str, capacity: int, me: NodeId, rulings: Rulings) -> None:
         self.name = name
         self.key = room_key(name)
         self.revision = 0
         self._capacity = capacity
         self._me = me.name
+        self._rulings = rulings
         self._own: dict[str, Member] = {}
         self._pending: dict[str, Member] = {}
         self._since_s: dict[str, float] = {}  # when who is pending came
         self._shown: dict[str, Member] = {}
         self._farewells: dict[str, str] = {}
-        self._bars: dict[str, None] = {}
         self._record: Record | None = None
         self._last_words: dict[str, str] = {}
         self._learned_s = 0.0
@@ -221,13 +226,14 @@ class SharedRoom:
             for track in member.peer.tracks
         )
 
-    def join(self, peer: Peer, identity: str, now: float) -> None:
+    def join(self, peer: Peer, now: float) -> None:
         """Ask for a place; ``Admitted`` or ``Refused`` follows, unless ``leave`` does."""
+        member = Member(self._me, peer)
         for places in (self._own, self._pending):
-            for peer_id in [p for p, m in places.items() if identity and m.identity == identity]:
+            for peer_id in [p for p, m in places.items() if m.is_same_person(member)]:
                 del places[peer_id]
                 self._events.append(Replaced(peer_id))
-        self._pending[peer.peer_id] = Member(self._me, peer, identity)
+        self._pending[peer.peer_id] = member
         self._since_s[peer.peer_id] = now
 
     def leave(self, peer_id: str, reason: str) -> None:
@@ -237,7 +243,6 @@ class SharedRoom:
             self._note_farewell(peer_id, reason)
         if not self._own:
             self._shown.clear()
-            self._bars.clear()
 
     def update(self, peer: Peer, *, is_away: bool, muted: tuple[int, ...]) -> None:
         """Note what is different about a peer of this node."""
@@ -245,12 +250,6 @@ class SharedRoom:
         if member is not None:
             member = replace(member, peer=peer, is_away=is_away, muted=muted)
             self._own[peer.peer_id] = member
-
-    def bar(self, identity: str) -> None:
-        """Keep an identity out of the room as long as it lasts."""
-        self._bars[identity] = None
-        if len(self._bars) > MAX_BARRED:
-            del self._bars[next(iter(self._bars))]
 
     def receive_record(self, data: bytes, revision: int, now: float) -> None:
         """Take news of the record; what is older than what is known changes nothing.
@@ -295,7 +294,7 @@ class SharedRoom:
                     self._farewells.pop(peer_id, None)
                 if revision > self.revision and not self._is_overtaken:
                     self._learn(written, revision, now)
-                    if not written.members:
+                    if _is_nothing(written):
                         self.doubt()
             case Conflict():
                 if not self._is_overtaken:
@@ -321,7 +320,7 @@ class SharedRoom:
             return
         wanted = self._wanted(self._record, liveness, now)
         if wanted is not None:
-            data = encode_record(wanted) if wanted.members else b""
+            data = b"" if _is_nothing(wanted) else encode_record(wanted)
             if len(data) <= MAX_RECORD_BYTES:
                 self._may_be_listed = True
                 self._begin(Write(self.key, self._ticket(), data, self.revision))
@@ -351,9 +350,11 @@ class SharedRoom:
         """Know a record from now on, and let those in who are in it."""
         self._record, self.revision, self._learned_s = record, revision, now
         self._last_words = dict(record.farewells)
-        mine = {m.peer.peer_id for m in record.members if m.node == self._me}
+        if self._rulings.learn(self.name, record.rulings):
+            self._events.append(Ruled())
+        mine = {m.peer.peer_id: m for m in record.members if m.node == self._me}
         self._may_be_listed = bool(mine)
-        admitted = [m for peer_id, m in self._pending.items() if peer_id in mine]
+        admitted = [mine[peer_id] for peer_id in self._pending if peer_id in mine]
         for member in admitted:
             del self._pending[member.peer.peer_id]
             self._own[member.peer.peer_id] = member
@@ -368,10 +369,10 @@ class SharedRoom:
             m.node for m in record.members if m.node != here and liveness.is_expired(m.node, now)
         }
         living = [m for m in record.members if m.node not in dead]
-        taken = {m.identity for m in living if m.node != here and m.identity}
+        others = [m for m in living if m.node != here]
         listed = {m.peer.peer_id for m in living if m.node == here}
         for peer_id, member in list(self._own.items()):
-            if member.identity in taken and peer_id not in listed:
+            if peer_id not in listed and any(map(member.is_same_person, others)):
                 del self._own[peer_id]
                 self._events.append(Replaced(peer_id))
         members = [
@@ -380,20 +381,38 @@ class SharedRoom:
             if m.node != here or m.peer.peer_id in self._own
         ]
         members += [m for peer_id, m in self._own.items() if peer_id not in listed]
-        barred = tuple(dict.fromkeys([*record.barred, *self._bars]))[-MAX_BARRED:]
         for member in self._pending.values():
-            if member.identity and member.identity in barred:
+            if self._rulings.holds(self.name, member.peer.identity):
                 continue
-            others = [m for m in members if not member.identity or m.identity != member.identity]
+            others = [m for m in members if not m.is_same_person(member)]
+            if len(others) >= self._capacity:
+                others = self._without_one_away(others)
             if len(others) < self._capacity:
-                members = [*others, member]
+                members = [*others, self._as_ordered(member)]
+        rulings = self._rulings.of(self.name)
         is_same = [m for m in members if m.node == here] == [m for m in living if m.node == here]
-        if is_same and barred == record.barred:
+        if is_same and rulings.items() <= record.rulings.items():
             # Others must see to what is left to do, unless this node is the first of all.
             is_old = now - self._learned_s >= REWRITE_S
             if not (dead or is_old) or (living and living[0].node != here):
                 return None
-        return Record(tuple(members), dict(self._farewells), here, barred)
+        return Record(tuple(members), dict(self._farewells), here, rulings)
+
+    def _without_one_away(self, members: list[Member]) -> list[Member]:
+        """Give up the place of one of this node who is away and has no identity, if there is one:
+        else whoever comes and drops connections keeps a room full of nobody."""
+        for member in members:
+            if member.is_away and member.node == self._me and not member.peer.identity:
+                del self._own[member.peer.peer_id]
+                self._events.append(Replaced(member.peer.peer_id))
+                return [other for other in members if other is not member]
+        return members
+
+    def _as_ordered(self, member: Member) -> Member:
+        """Return somebody who comes in, with those streams stopped that an admin's ruling stops."""
+        who, tracks = member.peer.identity, member.peer.tracks
+        muted = [t.stream for t in tracks if self._rulings.holds(self.name, who, t.kind)]
+        return replace(member, muted=tuple(muted))
 
     def _refuse(self, liveness: Liveness) -> None:
         """Refuse those for whom there is no place, once all who hold one have shown that they live:
@@ -402,7 +421,7 @@ class SharedRoom:
         nodes = {m.node for m in self._record.members if m.node != self._me}
         for peer_id, member in list(self._pending.items()):
             since_s = self._since_s[peer_id]
-            if member.identity and member.identity in self._record.barred:
+            if self._rulings.holds(self.name, member.peer.identity):
                 del self._pending[peer_id]
                 self._events.append(Refused(peer_id, is_barred=True))
             elif all(liveness.was_heard_since(node, since_s) for node in nodes):
@@ -448,10 +467,15 @@ class SharedRoom:
             if len(self._own) >= self._capacity:
                 self._events.append(Refused(peer_id))
                 continue
-            self._own[peer_id] = member
+            self._own[peer_id] = self._as_ordered(member)
             self._events.append(Admitted(member.peer))
 
     def _note_farewell(self, peer_id: str, reason: str) -> None:
         if len(self._farewells) >= _MAX_FAREWELLS:
             self._farewells.pop(next(iter(self._farewells)))
         self._farewells[peer_id] = reason
+
+
+def _is_nothing(record: Record) -> bool:
+    """Say whether a record need not be kept: nobody is in it, and nobody is to stay out."""
+    return not (record.members or record.rulings)

@@ -36,9 +36,17 @@ _WRONG_REVISION: Final = (10071, 10164)
 
 
 class ClusterStore:
-    """Leases and records."""
+    """Leases and records.
 
-    def __init__(self, stream: JetStreamContext, nodes: KeyValue, rooms: KeyValue) -> None:
+    Attributes:
+        is_lost: Whether it seems to be gone, or to have been made anew, since it was opened.
+    """
+
+    def __init__(
+        self, stream: JetStreamContext, nodes: KeyValue, rooms: KeyValue, made: str
+    ) -> None:
+        self.is_lost = False
+        self._made = made
         self._stream = stream
         self._nodes = nodes
         self._rooms = rooms
@@ -61,15 +69,31 @@ class ClusterStore:
                 return await self._nodes.update(str(slot), name.encode(), last=revision)
             except nats.js.errors.KeyWrongLastSequenceError:
                 pass
+            except nats.js.errors.NoStreamResponseError:
+                self.is_lost = True
+                raise
             try:
                 entry = await self._nodes.get(str(slot))
             except nats.js.errors.KeyNotFoundError as error:
                 revision = 0 if error.entry is None else error.entry.revision or 0
+                self.is_lost = self.is_lost or error.entry is None
                 continue
             if entry.value != name.encode():
                 return None
             revision = entry.revision or 0  # an answer was lost
         return None
+
+    async def check(self) -> None:
+        """See whether the records are still those that were opened: news of a store that another
+        node has made since looks old here, as it counts from one.
+
+        Raises:
+            nats.errors.Error: Nobody knows.
+        """
+        try:
+            self.is_lost = self.is_lost or await _made_when(self._stream) != self._made
+        except nats.js.errors.NotFoundError:
+            self.is_lost = True
 
     async def give_up(self, slot: int, revision: int) -> None:
         """Free a slot in good order; that it fails does no harm."""
@@ -100,6 +124,9 @@ class ClusterStore:
             return Conflict()
         except nats.js.errors.APIError as error:
             return Conflict() if error.err_code in _WRONG_REVISION else Failed()
+        except nats.js.errors.NoStreamResponseError:
+            self.is_lost = True
+            return Failed()
         except (nats.errors.Error, TimeoutError, OSError):
             return Failed()
 
@@ -128,7 +155,11 @@ async def open_store(client: Client, timeout_s: float) -> ClusterStore:
     num_replicas = 3 if len(client.servers) >= 3 else 1
     nodes = await _open(stream, NODES, "pica.beat.>", SLOT_KEPT_S, num_replicas)
     rooms = await _open(stream, ROOMS, "pica.record.>", 4 * REWRITE_S, num_replicas)
-    return ClusterStore(stream, nodes, rooms)
+    return ClusterStore(stream, nodes, rooms, await _made_when(stream))
+
+
+async def _made_when(stream: JetStreamContext) -> str:
+    return str((await stream.stream_info(f"KV_{ROOMS}")).created)
 
 
 async def _open(

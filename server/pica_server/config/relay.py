@@ -27,8 +27,9 @@ class LimitsConfig:
     """Frames and control messages a second of one client, on average; 4008 above it."""
     bytes_per_s: Annotated[float, Range(1024, 1e12)] = 131_072.0
     """Bytes a second of one client, on average; 4008 above it."""
-    burst_s: Annotated[float, Range(0.1, 600)] = 1.0
-    """So many seconds' worth may come at once, as after a stall of the network."""
+    burst_s: Annotated[float, Range(0.1, 600)] = 15.0
+    """So many seconds' worth may come at once, as after a pause of the relay or of a proxy, from a
+    client that has been there for so long; one second's worth from who has just come."""
     joins_per_s: Annotated[float, Range(0.1, 1e9)] = 50.0
     """Joins a second of everybody together, on average; 4009 above it."""
     joins_burst: Annotated[float, Range(1, 1e9)] = 200.0
@@ -77,12 +78,15 @@ class RelayConfig:
     """Settings of one relay."""
 
     host: str = "127.0.0.1"
-    """Address to listen on. Without keys it must be this machine's own, see ``insecure``."""
+    """Address to listen on. Without keys it must be this machine's own, see `insecure`."""
     port: Annotated[int, Range(0, 65_535)] = 8765
     """TCP port; 0 takes a free one."""
     keys: Path | None = None
-    """File of the keys that join tokens are signed with, see ``pica token``. With it nobody joins
+    """File of the keys that join tokens are signed with, see `pica token`. With it nobody joins
     without a token."""
+    max_token_s: Annotated[float, Range(0, 1e9)] = 0.0
+    """The longest time that a token may hold, in seconds from its beginning to its end, to be taken
+    here; 0 takes any."""
     insecure: bool = False
     """Without keys, listen beyond this machine although anybody who reaches the port may join any
     room."""
@@ -93,7 +97,8 @@ class RelayConfig:
     """File with the private key of the certificate."""
     trusted_proxies: tuple[str, ...] = ()
     """Addresses or networks of proxies in front of this relay, as 10.0.0.0/8. What they say in
-    X-Forwarded-For is used for the limits of one address, and for nothing else."""
+    X-Forwarded-For is used for the limits of one address, and for nothing else; and they may ask a
+    relay that listens on this machine alone by any name."""
     origins: tuple[str, ...] = ()
     """Web pages that may connect, as https://HOST: a browser says where a page comes from. Programs
     say nothing, and may."""
@@ -102,7 +107,7 @@ class RelayConfig:
     metrics_to: tuple[str, ...] = ()
     """Addresses or networks that /metrics is answered to besides this machine, as 10.0.0.0/8."""
     admin_port: Annotated[int | None, Range(0, 65_535)] = None
-    """TCP port for looking at rooms and managing them over HTTP, see ``pica room``; 0 takes a free
+    """TCP port for looking at rooms and managing them over HTTP, see `pica room`; 0 takes a free
     one. With keys it wants an admin's token, else it answers this machine only."""
     admin_host: str = "127.0.0.1"
     """Address to listen on for that. Speaks TLS if the relay does."""
@@ -135,11 +140,15 @@ class RelayConfig:
     send_buffer_bytes: Annotated[int, Range(2048, 16_777_216)] = 16_384
     """Bytes of one connection that the kernel may hold; what waits there is stale and cannot be
     replaced by newer frames. The kernel may round it up."""
+    receive_buffer_bytes: Annotated[int, Range(2048, 16_777_216)] = 4096
+    """Bytes of one client that the kernel may hold for the relay; when it is full, clients thin
+    what they send. What one client may have under way on a long line is no more, either. The kernel
+    may round it up."""
     max_control_bytes: Annotated[int, Range(65_536, 16_777_216)] = 262_144
     """Bytes of control messages that may wait for one peer before it is closed."""
     without: tuple[str, ...] = ()
-    """Parts of the fast path to leave out, ``short-read``, ``direct-write``
-    and ``flow``: for ``pica bench relay --ablate``."""
+    """Parts of the fast path to leave out, `short-read`, `direct-write`
+    and `flow`: for `pica bench relay --ablate`."""
     resume_grace_s: Annotated[float, Range(0, 600)] = 10.0
     """Seconds for which the place of a peer is kept whose connection broke; 0 keeps none."""
     drain_s: Annotated[float, Range(0, 3600)] = 20.0
@@ -183,14 +192,14 @@ class RelayConfig:
         for origin in self.origins:
             if not _ORIGIN.fullmatch(origin):
                 raise ConfigurationError(f"--origins {origin} is no origin: write https://HOST")
-        if self.admin_port is not None and self.keys is None and not _is_loopback(self.admin_host):
+        if self.admin_port is not None and self.keys is None and not is_loopback(self.admin_host):
             raise ConfigurationError(
                 f"--admin-host {self.admin_host} can be reached from other machines and this relay "
                 "has no tokens: name a key file with --keys, or keep --admin-host 127.0.0.1"
             )
         if self.keys is not None and self.insecure:
             raise ConfigurationError("--insecure lets anybody in: leave it out, or --keys")
-        if self.keys is None and not self.insecure and not _is_loopback(self.host):
+        if self.keys is None and not self.insecure and not is_loopback(self.host):
             raise ConfigurationError(
                 f"--host {self.host} can be reached from other machines and this relay has no "
                 "tokens: name a key file with --keys (`pica token --new-key` makes one), keep "
@@ -205,7 +214,8 @@ def _is_http_url(text: str) -> bool:
         return False
 
 
-def _is_loopback(host: str) -> bool:
+def is_loopback(host: str) -> bool:
+    """Say whether an address to listen on is one that only this machine reaches."""
     if host == "localhost":
         return True
     try:

@@ -10,17 +10,15 @@ MOST_REMEMBERED: Final = 4096
 
 
 class TokenBucket:
-    """Lets through ``rate`` a second on average and ``burst`` at once.
-
-    It starts full.
-    """
+    """Lets through ``rate`` a second on average and ``burst`` at once."""
 
     __slots__ = ("_burst", "_filled_s", "_level", "_rate")
 
-    def __init__(self, rate: float, burst: float, now: float) -> None:
+    def __init__(self, rate: float, burst: float, now: float, level: float | None = None) -> None:
+        """Begin with ``level`` in it, but no more than ``burst``; full by default."""
         self._rate = rate
         self._burst = burst
-        self._level = burst
+        self._level = burst if level is None else min(level, burst)
         self._filled_s = now
 
     def take(self, now: float, amount: float = 1.0) -> bool:

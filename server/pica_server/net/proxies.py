@@ -1,4 +1,4 @@
-"""Whose connection it is behind a proxy (``X-Forwarded-For``). Pure.
+"""Whose request it is, and for whom, as its headers tell: what proxies add, and ``Host``. Pure.
 
 Each proxy adds the address that it was called from at the end of the header. So it is read from the
 end, as far as those who wrote it are trusted; what stands before that is anybody's word. The answer
@@ -7,9 +7,13 @@ is used to count connections of one address, and for nothing else.
 
 import ipaddress
 from collections.abc import Sequence
+from typing import Final
+from urllib.parse import urlsplit
 
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 _Address = ipaddress.IPv4Address | ipaddress.IPv6Address
+PROXY_HEADERS: Final = ("X-Forwarded-For", "Forwarded", "X-Real-IP", "Via")
+"""Each tells that somebody asks for another one (RFC 7239; the others are custom)."""
 _MOST_HOPS = 64
 """Looked at in one header; nobody has as many proxies (chosen)."""
 
@@ -45,6 +49,15 @@ def is_in(host: str, networks: Sequence[Network]) -> bool:
     """Say whether an address is in one of the networks."""
     address = _address(host)
     return address is not None and any(address in network for network in networks)
+
+
+def names_this_machine(host: str) -> bool:
+    """Say whether a ``Host`` header is one that no stranger's name server can have made."""
+    try:
+        name = urlsplit(f"//{host}").hostname or ""
+        return name == "localhost" or ipaddress.ip_address(name).is_loopback
+    except ValueError:
+        return False
 
 
 def _address(text: str) -> _Address | None:

@@ -61,8 +61,8 @@ class Pump:
         self._wakers: dict[Connection, _Waker] = {}
         self._timer: asyncio.TimerHandle | None = None
         self._timer_s: float | None = None
-        # What was received in this turn of the loop, and when; the hub gets it soon.
-        self._inbox: list[tuple[Connection, bytes, float]] = []
+        # What was received in this turn of the loop from whom, and when; the hub gets it soon.
+        self._inbox: dict[Connection, list[tuple[bytes, float]]] = {}
         # Who sent so much of it that no more is read of them for now; as many as connections.
         self._unread: dict[Connection, asyncio.Transport] = {}
         self._loop_time: Callable[[], float] = time.monotonic
@@ -137,7 +137,13 @@ class Pump:
 
     def _on_message(self, connection: Connection, data: bytes) -> None:
         """Keep a message that came the short way until all sockets have been read in this turn."""
-        self._inbox.append((connection, data, self._loop_time()))
+        now = self._loop_time()
+        waiting = self._inbox.get(connection)
+        if waiting is not None:
+            waiting.append((data, now))
+            return
+        if not self._hub.drop_late(connection, data, now):
+            self._inbox[connection] = [(data, now)]
         self.after_turn_soon()
 
     def after_turn_soon(self) -> None:
@@ -155,16 +161,10 @@ class Pump:
         for the next turn with the rest, and is not read meanwhile: a flood costs its own peer time.
         """
         self._soon = None
-        inbox, self._inbox = self._inbox, []
-        for _ in range(_MOST_AT_ONCE):
-            fed: set[Connection] = set()
-            later: list[tuple[Connection, bytes, float]] = []
-            for item in inbox:
-                connection, data, now = item
-                if connection in fed:
-                    later.append(item)
-                    continue
-                fed.add(connection)
+        inbox, self._inbox = self._inbox, {}
+        for place in range(_MOST_AT_ONCE):
+            for connection, messages in inbox.items():
+                data, now = messages[place]
                 try:
                     self._hub.receive(connection, data, now)
                 except Exception:  # a fault of ours; it must not cost anybody else anything
@@ -172,18 +172,17 @@ class Pump:
                     self._hub.close(connection, CloseCode.INTERNAL_ERROR, "relay fault", now)
             # Also when nothing has come: the cluster may have asked for this turn.
             self.after_events()
-            inbox = later
+            inbox = {each: some for each, some in inbox.items() if len(some) > place + 1}
             if not inbox:
                 break
         if inbox or self._unread:
-            self._read_later(inbox)
+            self._read_later({each: some[_MOST_AT_ONCE:] for each, some in inbox.items()})
 
-    def _read_later(self, rest: list[tuple[Connection, bytes, float]]) -> None:
+    def _read_later(self, rest: dict[Connection, list[tuple[bytes, float]]]) -> None:
         """Keep what is left of a turn for the next one, and read no more of those who sent it."""
-        waiting = {connection for connection, _, _ in rest}
-        for connection in [each for each in self._unread if each not in waiting]:
+        for connection in [each for each in self._unread if each not in rest]:
             self._unread.pop(connection).resume_reading()
-        for connection in waiting:
+        for connection in rest:
             waker = self._wakers.get(connection)
             if waker is not None and connection not in self._unread:
                 transport = self._unread[connection] = waker.websocket.transport

@@ -19,8 +19,10 @@ It relies on details of the library that its documentation does not promise: ``p
 """
 
 import asyncio
+import socket
 import ssl
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any, Final
 
 from websockets.asyncio.server import ServerConnection
@@ -35,8 +37,16 @@ except ImportError:  # the library was installed without its C extension
     from websockets.utils import apply_mask
 
 from pica_protocol.errors import CloseCode
+from pica_protocol.tls_buffer import bound_tls_buffer
 from pica_server.net.limits import SocketGuard, TokenBucket, address_group
-from pica_server.net.proxies import Network, client_of, is_in
+from pica_server.net.proxies import (
+    PROXY_HEADERS,
+    Network,
+    client_of,
+    is_in,
+    names_this_machine,
+)
+from pica_server.ops.descriptors import Descriptors
 from pica_server.ops.stats import RelayStats
 
 _WHOLE_BINARY: Final = 0x82
@@ -55,17 +65,15 @@ EXTRA_FRAMES_BURST: Final = 100.0
 """Pings, pongs and fragments, which no other limit sees (chosen: a ping a second is usual)."""
 
 
-def bound_tls_buffer(transport: asyncio.BaseTransport) -> bool:
-    """Let TLS, if there is any, write no further ahead than one message; return whether there is.
+def bound_receive_buffer(sock: socket.socket | None, num_bytes: int) -> None:
+    """Bound what the kernel holds for us of a connection, or of those that a listener will accept.
 
-    The limits of a TLS transport hold for what is not encrypted yet; the plain transport under it
-    takes 64 KiB more, which is seconds of a slow reader's time. The standard library has no public
-    way to it; a test notices when this one ends.
+    Of a listener: a window that is made smaller after it was offered loses what comes into it, and
+    senders find out by a timer that doubles.
     """
-    plain = getattr(getattr(transport, "_ssl_protocol", None), "_transport", None)
-    if plain is not None:
-        plain.set_write_buffer_limits(high=0)
-    return plain is not None
+    if sock is not None and sock.family in (socket.AF_INET, socket.AF_INET6):
+        with suppress(OSError):  # the peer may be gone already
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, num_bytes)
 
 
 class _GoneTransport(asyncio.Transport):
@@ -102,11 +110,14 @@ class RelaySocket(ServerConnection):
     Attributes:
         guard: Counts the sockets.
         stats: Where refused ones are noted.
+        descriptors: Says whether there are enough; None: nobody looks.
         silent: Those of the relay that are admitted and have not asked for anything yet; it keeps
             itself in there.
         proxies: Whose word counts for who is behind them.
         address: Whose it is, see `limits.address_group`.
-        is_local: Whether it comes from this machine, and not through a proxy.
+        is_local: Whether it comes from this machine, not through a proxy, and asks for this machine
+            by a name that no stranger's name server can have made.
+        is_misnamed: Whether it asks for another host than this machine, and no proxy of ours does.
         direct_from: The address that it comes from; empty: through a proxy.
         tls: With what it speaks TLS, or None.
         handshake_timeout_s: Until when it must be a websocket, or be taken for a download. Not the
@@ -115,10 +126,11 @@ class RelaySocket(ServerConnection):
 
     guard: SocketGuard
     stats: RelayStats
+    descriptors: Descriptors | None = None
     silent: "set[RelaySocket]"
     proxies: Sequence[Network] = ()
     address = ""
-    is_local = False
+    is_local = is_misnamed = False
     direct_from = ""
     _counted_as = ""
     handshake_timeout_s: float
@@ -144,7 +156,10 @@ class RelaySocket(ServerConnection):
         # Of whom a proxy speaks is not known yet; all the proxy's sockets are not one client's.
         self._counted_as = "" if is_in(peer, self.proxies) else address_group(peer)
         self.address = self._counted_as
-        self._is_admitted = self.guard.admit(self._counted_as, self.loop.time())
+        sock, now = transport.get_extra_info("socket"), self.loop.time()
+        descriptors = self.descriptors
+        has_room = not (sock and descriptors) or descriptors.has_room_for(sock.fileno(), now)
+        self._is_admitted = has_room and self.guard.admit(self._counted_as, now)
         if self._is_admitted:
             self.silent.add(self)
         if self.tls is None or not self._is_admitted:
@@ -234,12 +249,18 @@ class RelaySocket(ServerConnection):
     def note_request(self, request: Request) -> None:
         """Take note of what is asked for, and of who is behind a proxy."""
         self.silent.discard(self)
-        headers = request.headers.get_all("X-Forwarded-For")
-        if headers:
-            peer, self.direct_from = self.direct_from, ""
+        peer, headers = self.direct_from, request.headers
+        is_ours = is_in(peer, self.proxies)
+        # A web page whose name was made to point here asks from this machine, too.
+        names_us = names_this_machine("".join(headers.get_all("Host")))
+        self.is_local = self.is_local and names_us
+        self.is_misnamed = not (names_us or is_ours)
+        if any(name in headers for name in PROXY_HEADERS):
+            self.direct_from = ""
             self.is_local = False  # somebody else asks through a proxy on this machine
-            if is_in(peer, self.proxies):
-                self.address = address_group(client_of(peer, headers, self.proxies))
+            hops = headers.get_all("X-Forwarded-For")
+            if is_ours and hops:
+                self.address = address_group(client_of(peer, hops, self.proxies))
 
     def note_opened(self) -> None:
         """Take note that this is a websocket now, or a download."""

@@ -6,16 +6,21 @@ what others have written: of an error only its type and where it happened is log
 libraries only that they said something. The JSON formatter is six lines; a library's would have
 to be told to leave all of this out.
 
-Strangers cause most lines, so there is a limit to how many a second they can cause.
+Strangers cause most lines, so there is a limit to how many a second they can cause. A thread writes
+them: whoever reads the log may stop reading, and that stops nothing but the log.
 """
 
 import json
 import logging
+import os
+import queue
 import traceback
+from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
+from threading import Thread
 from typing import Any, Final, Literal, TextIO
 
 from pica_server.net.limits import TokenBucket
@@ -28,6 +33,10 @@ LINES_PER_S: Final = 20.0
 LINES_AT_ONCE: Final = 200.0
 """Lines below a warning, and of libraries; those left out are counted in the next one (chosen: 2 kB
 a second)."""
+MOST_WAITING: Final = 1000
+"""Lines that may wait to be written; one more is dropped (chosen: 200 kB)."""
+LAST_WORDS_S: Final = 1.0
+"""How long the end of the process may wait until they are."""
 MOST_FRAMES: Final = 12
 """Places of a traceback that are logged, from its end."""
 
@@ -37,10 +46,19 @@ _KNOWN = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "ta
 @contextmanager
 def logging_to(
     stream: TextIO, style: Style, level: Level, clock: Callable[[], float]
-) -> Iterator[None]:
-    """Send all logs of the process from a level on to a stream for a while; the clock, in seconds,
-    is for the limit of lines."""
-    handler = logging.StreamHandler(stream)
+) -> Iterator[Counter[str]]:
+    """Send all logs of the process from a level on to a stream for a while.
+
+    Args:
+        stream: Where to; nobody waits for it.
+        style: Of the lines.
+        level: The least that is logged.
+        clock: Seconds, for the limit of lines.
+
+    Yields:
+        How many lines were ``taken`` to be written, and ``dropped`` as too many waited.
+    """
+    handler = _Writer(stream)
     handler.setFormatter(JsonFormatter() if style == "json" else TextFormatter())
     least = logging.getLevelNamesMapping()[level.upper()]
     handler.addFilter(LineLimit(clock, least))
@@ -49,10 +67,62 @@ def logging_to(
     root.addHandler(handler)
     ours.setLevel(min(least, logging.INFO))
     try:
-        yield
+        yield handler.counts
     finally:
         ours.setLevel(before)
         root.removeHandler(handler)
+        handler.close()
+
+
+class _Writer(logging.Handler):
+    """Hands lines to a thread that writes them; drops those that find the queue full, and says in
+    the next line that gets in how many those were."""
+
+    def __init__(self, stream: TextIO) -> None:
+        super().__init__()
+        self.counts: Counter[str] = Counter()
+        self._stream = stream
+        self._num_unsaid = 0
+        self._lines: queue.Queue[str | None] = queue.Queue(MOST_WAITING)
+        # A daemon: one that is stuck in writing must not keep the process.
+        self._thread = Thread(target=self._write_all, name="log", daemon=True)
+        self._thread.start()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Take a line."""
+        if self._num_unsaid:
+            record.dropped = self._num_unsaid
+        try:
+            self._lines.put_nowait(self.format(record) + "\n")
+        except queue.Full:
+            self._num_unsaid += 1
+            self.counts["dropped"] += 1
+        else:
+            self._num_unsaid = 0
+            self.counts["taken"] += 1
+
+    def close(self) -> None:
+        """Wait a moment until all is written."""
+        with suppress(queue.Full):
+            self._lines.put_nowait(None)
+            self._thread.join(LAST_WORDS_S)
+        super().close()
+
+    def _write_all(self) -> None:
+        while (line := self._lines.get()) is not None:
+            with suppress(OSError, ValueError):  # nobody reads it any more, or the disk is full
+                self._write(line)
+
+    def _write(self, line: str) -> None:
+        try:
+            # Not through the stream: its lock, held by a write that is stuck, ends Python badly.
+            number = self._stream.fileno()
+        except OSError:  # it is in memory
+            self._stream.write(line)
+            return
+        data = line.encode()
+        while data:
+            data = data[os.write(number, data) :]
 
 
 class LineLimit(logging.Filter):

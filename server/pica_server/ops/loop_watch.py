@@ -3,8 +3,8 @@
 from collections import deque
 from typing import Final
 
-PERIOD_S: Final = 0.25
-"""Between two looks (chosen: eight frames of one face)."""
+PERIOD_S: Final = 0.05
+"""Between two looks (chosen: half of what is late, see `room.brake`)."""
 REMEMBERED_S: Final = 10.0
 """How long a stall counts (chosen: a health check each ten seconds sees every stall)."""
 WORST_S: Final = 1.0

@@ -49,6 +49,7 @@ _LABELLED_COUNTERS: Final = (
     ("webhooks", "webhooks", "outcome", "Events for the webhook."),
     ("limits_hit", "limits_hit", "limit", "How often a limit was reached."),
     ("store", "store", "what", "What the avatar store did, times or bytes."),
+    ("log_lines", "log", "outcome", "Lines of the log."),
     ("closed", "closed", "code", "Connections ended."),
 )
 """Name, field of `RelayStats`, label, explanation."""

@@ -63,7 +63,8 @@ class RelayStats:
     """Frames that a receiver did not get. As it reads slowly: ``replaced`` by a newer keyframe;
     ``upper_replaced``, one too many of an upper layer; ``layer_thinned``, it refers to one that was
     dropped, or the layer has not begun yet; ``base_cut``, nothing goes before the next keyframe.
-    Of ordered streams: ``expired`` at the deadline, ``overflow``, too many wait. Besides:
+    Of ordered streams: ``expired`` at the deadline, ``overflow``, too many wait. As the relay has
+    too much to do: ``late``. Besides:
     ``before_keyframe``, the receiver has none yet; ``departed`` with either end; ``muted``."""
     resumes: Counter[str] = field(default_factory=Counter)
     """Peers who lost their connection and may come back: ``away``. Those who tried: ``resumed``;
@@ -83,7 +84,8 @@ class RelayStats:
     the room (``nobody``), or reads too slowly (``backlog``)."""
     limits_hit: Counter[str] = field(default_factory=Counter)
     """How often a limit was reached: ``messages``, ``bytes`` or ``metadata`` updates of a client,
-    ``joins``, ``connections`` in all, ``address``, ``room``, ``control`` left unread;
+    ``joins``, ``connections`` in all, ``address``, ``room``, ``control`` left unread; ``late``,
+    joins while the relay has too much to do; ``descriptors``, sockets for which there was none;
     ``admission``, a join that its token did not allow; ``sockets`` that were cut at once, a
     ``request`` that grew too long before it was a websocket; ``extra_frames``, pings and
     fragments."""
@@ -97,6 +99,9 @@ class RelayStats:
     there were too many, ``download_bytes``; ``uploads_done``, of which ``uploads_known`` were there
     already and ``uploads_kept`` are new, ``uploads_refused``, ``uploads_cut`` by their sender,
     ``upload_bytes``; ``faults`` of its place."""
+    log: Counter[str] = field(default_factory=Counter)
+    """Lines of the log that were ``taken`` to be written; ``dropped``, as too many waited because
+    nobody reads them."""
     reported_lost: int = 0
     """Frames that receivers reported missing."""
     reported_concealed: int = 0
@@ -104,7 +109,8 @@ class RelayStats:
     cluster: Counter[str] = field(default_factory=Counter)
     """What happened between this node and its cluster: ``frames_in``, ``frames_out``,
     ``media_out`` messages; answers of the store, ``found written conflict failed``; the node
-    became ``clustered``, ``uncertain``, ``local``, was ``reconnected``, ``restarted``;
+    became ``clustered``, ``uncertain``, ``local``, was ``reconnected``, ``restarted``; the store
+    was ``reopened``;
     ``media_lost``, ``overrun``: NATS dropped something; ``unreadable`` messages."""
     cluster_dropped: Counter[str] = field(default_factory=Counter)
     """Frames that did not go to another node because NATS takes too little, as ``dropped``."""

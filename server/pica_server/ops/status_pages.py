@@ -16,6 +16,7 @@ class Page(NamedTuple):
     status: HTTPStatus
     text: str
     content_type: str = "text/plain; charset=utf-8"
+    retry_after_s: float | None = None
 
 
 class StatusPages:
@@ -44,6 +45,9 @@ class StatusPages:
             case "/readyz":
                 if self._hub.is_draining:
                     return _verdict("draining")
+                if self._hub.brake.level:
+                    page = _verdict("late, nobody joins anew and upper layers are dropped")
+                    return page._replace(retry_after_s=self._hub.brake.retry_after_s)
                 is_full = self._hub.num_connections >= self._config.max_connections
                 return _verdict("full" if is_full else "", self._cluster_trouble)
             case "/metrics" if is_local or self._config.open_metrics:
@@ -78,6 +82,10 @@ class StatusPages:
                 "waiting_control_bytes": (
                     "Bytes of control messages that wait for receivers.",
                     hub.num_waiting_control_bytes,
+                ),
+                "brake_level": (
+                    "0 all is forwarded, 1 layers 0 and 1, 2 layer 0, 3 keyframes.",
+                    hub.brake.level,
                 ),
                 "loop_busy_ratio": ("How much of the time the event loop works.", hub.busy_ratio),
                 "loop_lateness_seconds": (

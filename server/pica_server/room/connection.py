@@ -26,6 +26,7 @@ class Connection:
         "address",
         "bytes_in",
         "has_joined",
+        "is_crowded",
         "is_resumable",
         "messages_in",
         "outbox",
@@ -47,9 +48,17 @@ class Connection:
         address: str,
         now: float,
     ) -> None:
-        burst_s = limits.burst_s
-        self.messages_in = TokenBucket(limits.messages_per_s, limits.messages_per_s * burst_s, now)
-        self.bytes_in = TokenBucket(limits.bytes_per_s, limits.bytes_per_s * burst_s, now)
+        # What piled up while the relay or the way to it stood still was sent at a good rate: who
+        # has been here for so long may send that much at once. Who has just come has saved nothing.
+        messages_per_s, bytes_per_s, burst_s = (
+            limits.messages_per_s,
+            limits.bytes_per_s,
+            limits.burst_s,
+        )
+        self.messages_in = TokenBucket(
+            messages_per_s, messages_per_s * burst_s, now, messages_per_s
+        )
+        self.bytes_in = TokenBucket(bytes_per_s, bytes_per_s * burst_s, now, bytes_per_s)
         self.address = address
         self.has_joined = False
         self.serial = serial
@@ -58,6 +67,7 @@ class Connection:
         self.room: Room | None = None
         self.peer_id = f"p{serial}"
         self.sending_since: float | None = None
+        self.is_crowded = False  # one more than its address may have
         self.is_resumable = False
         self.updates = TokenBucket(UPDATES_PER_S, UPDATES_BURST, now)
         self.whispers = TokenBucket(WHISPERS_PER_S, WHISPER_BURST, now)

@@ -21,6 +21,7 @@ from pica_server.cluster.peers import ClusterPeers
 from pica_server.config.relay import RelayConfig
 from pica_server.errors import OutboxFullError
 from pica_server.ops.stats import RelayStats
+from pica_server.room.brake import Brake
 from pica_server.room.connection import Connection
 from pica_server.room.outbox import Outbox
 from pica_server.room.room import Room
@@ -45,6 +46,7 @@ class Connections:
             only.
         on_over: Told of every connection that is over, once or more, to clear up after it; it
             begins with ``wind_up``.
+        brake: What is given up as there is too much to do.
         is_draining: Whether everybody is being sent away, and nobody let in.
         cluster_peers: The other nodes of the cluster, or None.
         prefix: Begins the id of every peer; with a cluster it is different on each node.
@@ -57,6 +59,7 @@ class Connections:
         self.ready: dict[Connection, None] = {}
         self.timers: list[tuple[float, int, Connection]] = []
         self.on_over: Callable[[Connection, float], None] = _nothing_more
+        self.brake = Brake()
         self.is_draining = False
         self.cluster_peers: ClusterPeers | None = None
         self.prefix = "p"
@@ -64,7 +67,10 @@ class Connections:
         self._by_address: Counter[str] = Counter()  # bounded by the number of connections
 
     def connect(self, now: float, address: str = "") -> Connection:
-        """Take a new websocket; it is closed at once when there are too many.
+        """Take a new websocket; it is closed at once when there are too many of everybody.
+
+        One too many of its address is closed when it joins, unless it comes back to a place: whose
+        that was may be dead without anybody having noticed.
 
         Args:
             now: The time.
@@ -80,14 +86,10 @@ class Connections:
         is_full = len(self.by_peer) >= config.max_connections
         self.by_peer[connection.peer_id] = connection
         self._push_timer(connection, now)
-        is_crowded = bool(address) and self._by_address[address] >= limits.connections_per_address
         if address:
             self._by_address[address] += 1
-        if is_crowded:
-            self.stats.limits_hit["address"] += 1
-            reason = f"{limits.connections_per_address} connections from one address"
-            self.close(connection, CloseCode.TOO_MANY, reason, now)
-        elif self.is_draining:
+            connection.is_crowded = self._by_address[address] > limits.connections_per_address
+        if self.is_draining:
             self.send_elsewhere([connection], now)
         elif is_full:
             self.stats.limits_hit["connections"] += 1

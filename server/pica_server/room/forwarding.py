@@ -5,8 +5,11 @@ them.
 """
 
 from dataclasses import replace
+from typing import Final
 
 from pica_protocol.errors import CloseCode
+from pica_protocol.frames import FLAG_KEYFRAME, HEADER_BYTES, MEDIA_KIND
+from pica_protocol.limits import MAX_LAYER
 from pica_protocol.messages import KeyframeRequest, StreamMuted, Whisper
 from pica_protocol.session import Media
 from pica_protocol.stream_queue import Put
@@ -17,6 +20,9 @@ from pica_server.room.outbox import ArrivedFrame
 from pica_server.room.room import Room, Stream
 
 _WAITS, _DROPPED = Put.WAITS, Put.DROPPED  # an enumeration's own lookup is slow
+
+NOTHING_DECODABLE: Final = -1
+"""Stands for no layer as the highest that can be decoded: a keyframe must come first."""
 
 
 class Forwarding:
@@ -53,6 +59,7 @@ class Forwarding:
         needed: dict[tuple[int, Put], None] = {}
         connections, stats = self._connections, self._stats
         by_peer, ready = connections.by_peer, connections.ready
+        highest_layer = connections.brake.highest_layer
         for number, layer, flags, start, end in media.spans:
             stream = room.stream(number)
             assert stream is not None  # its publisher is in the room
@@ -61,6 +68,10 @@ class Forwarding:
                 stats.frames_in += 1
                 stats.frames_in_by_layer[layer] += 1
                 stats.dropped["muted"] += len(receivers)
+                continue
+            if (
+                layer > highest_layer or stream.decodable_layer < MAX_LAYER
+            ) and self._is_dropped_late(room, number, stream, layer, flags, now):
                 continue
             frame = ArrivedFrame(number, media.message[start:end], layer, flags, now)
             if layer == 0:
@@ -87,6 +98,41 @@ class Forwarding:
             stats.unwanted += len(room) - num_here - len(receivers)
         for number, fate in needed:
             self.ask_for_keyframe(room, number, fate.value, now)
+
+    def drop_late(self, connection: Connection, data: bytes | str, now: float) -> bool:
+        """Drop a message if it is one frame that the brake lets nobody have; return whether it is.
+
+        It was not looked at before, and costs little: that is the point.
+        """
+        room, size = connection.room, len(data)
+        if room is None or isinstance(data, str) or size <= HEADER_BYTES or data[0] != MEDIA_KIND:
+            return False
+        number, layer, flags = int.from_bytes(data[1:3], "big"), data[5], data[6]
+        is_alone = size == 1 + HEADER_BYTES + int.from_bytes(data[7:9], "big")
+        if not is_alone or layer > MAX_LAYER or not room.owns(connection.peer_id, number):
+            return False
+        stream = room.stream(number)
+        assert stream is not None  # it is theirs
+        return self._is_dropped_late(room, number, stream, layer, flags, now)
+
+    def _is_dropped_late(
+        self, room: Room, number: int, stream: Stream, layer: int, flags: int, now: float
+    ) -> bool:
+        """Say whether the brake drops a frame, or has dropped what it refers to; count it."""
+        is_keyframe = layer == 0 and bool(flags & FLAG_KEYFRAME)
+        highest_layer = min(self._connections.brake.highest_layer, stream.decodable_layer)
+        is_kept = is_keyframe or stream.is_muted or stream.deadline_s is not None
+        if is_kept or layer <= highest_layer:
+            stream.decodable_layer = MAX_LAYER
+            return False
+        stream.decodable_layer = min(layer or NOTHING_DECODABLE, stream.decodable_layer)
+        stats = self._stats
+        stats.frames_in += 1
+        stats.frames_in_by_layer[layer] += 1
+        stats.dropped["late"] += len(room.receivers(number, layer))
+        if layer == 0:
+            self.ask_for_keyframe(room, number, Put.BEHIND.value, now)
+        return True
 
     def want(self, connection: Connection, stream: int, layer: int | None, now: float) -> None:
         """Follow a receiver's layer subscription."""

@@ -14,6 +14,7 @@ A connection is over when its ``closed`` is set; what it still has to send ends 
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
+from typing import Final
 
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import Join, KeyframeRequest, Report, UpdateMetadata, Want, Whisper
@@ -23,6 +24,7 @@ from pica_server.cluster.peers import ClusterPeers
 from pica_server.config.relay import RelayConfig
 from pica_server.hooks.events import RoomEvent
 from pica_server.ops.stats import RelayStats
+from pica_server.room.brake import Brake
 from pica_server.room.connection import Connection
 from pica_server.room.connections import Connections
 from pica_server.room.drain import departures
@@ -32,6 +34,10 @@ from pica_server.room.moderation import Moderation
 from pica_server.room.outbox import OutboundMessage
 from pica_server.room.resume_tickets import ResumeTickets
 from pica_server.room.room import Room
+from pica_server.room.rulings import Rulings
+
+BUSY_PERIOD_S: Final = 0.25
+"""Time over which is counted how busy the event loop is (chosen)."""
 
 
 class Hub:
@@ -41,6 +47,7 @@ class Hub:
         stats: What it has done so far.
         forwarding: What goes from peer to peer.
         membership: Who is in which room.
+        rulings: What an admin has ruled that outlasts connections.
         moderation: What an admin may do.
     """
 
@@ -51,6 +58,7 @@ class Hub:
         *,
         new_secret: Callable[[], str] | None = None,
         notify: Callable[[RoomEvent], None] | None = None,
+        unix_time: Callable[[], float] = float,
     ) -> None:
         """Begin empty.
 
@@ -60,20 +68,26 @@ class Hub:
                 everything by default.
             new_secret: Makes secrets to come back with; without it no place is kept.
             notify: Told at once what happens in rooms; it must neither block nor raise.
+            unix_time: The clock that an admin's rulings end by, seconds since 1970; one that stands
+                still by default, so that they never do.
         """
         self.stats = RelayStats()
         grace_s = 0.0 if new_secret is None else config.resume_grace_s
         self._tickets = ResumeTickets(grace_s, new_secret or str)
         self._connections = Connections(config, self.stats)
         self.forwarding = Forwarding(self._connections)
+        self.rulings = Rulings(unix_time)
         self.membership = Membership(
             self._connections,
             self.forwarding,
             self._tickets,
+            self.rulings,
             admit or (lambda join: Admission()),
             notify or (lambda notice: None),
         )
-        self.moderation = Moderation(self._connections, self.membership, self.forwarding)
+        self.moderation = Moderation(
+            self._connections, self.membership, self.forwarding, self.rulings
+        )
         self._config = config
         self._ready, self._timers = self._connections.ready, self._connections.timers
         self._load = (0.0, 0.0)
@@ -139,19 +153,22 @@ class Hub:
         """How much of the time the event loop has worked lately, 0 to 1."""
         return self._busy_ratio
 
-    def note_load(self, processor_s: float, now: float) -> None:
-        """Note how much processor time the event loop has used until now, in seconds."""
-        before, self._load = self._load, (processor_s, now)
-        if now > before[1]:
-            self._busy_ratio = (processor_s - before[0]) / (now - before[1])
+    @property
+    def brake(self) -> Brake:
+        """What it gives up as it has too much to do."""
+        return self._connections.brake
+
+    def note_turn(self, late_s: float, processor_s: float, now: float) -> None:
+        """Note how late the event loop has just been, and what processor time it has used until
+        now, in seconds."""
+        before_s, since_s = self._load
+        if now - since_s >= BUSY_PERIOD_S:
+            self._load = (processor_s, now)
+            self._busy_ratio = (processor_s - before_s) / (now - since_s)
+        self.brake.note_turn(late_s, self._busy_ratio, now)
 
     def connect(self, now: float, address: str = "") -> Connection:
-        """Take a new websocket; it is closed at once when there are too many.
-
-        Args:
-            now: The time.
-            address: Whose it is, see ``limits.address_group``; empty is not limited.
-        """
+        """Take a new websocket, see `Connections.connect`."""
         return self._connections.connect(now, address)
 
     def receive(self, connection: Connection, data: bytes | str, now: float) -> None:
@@ -161,12 +178,24 @@ class Hub:
             self._connections.close_too_fast(connection, "bytes", now)
         elif not connection.messages_in.take(now):
             self._connections.close_too_fast(connection, "messages", now)
+        elif self.brake.level and self.forwarding.drop_late(connection, data, now):
+            return
         for event in connection.session.receive_data(data, now):
             if type(event) is Media:  # nearly always; it leaves the session nothing to say
                 self.forwarding.forward(connection, event, now)
                 return
             self._handle(connection, event, now)
         self._connections.flush(connection, now)
+
+    def drop_late(self, connection: Connection, data: bytes, now: float) -> bool:
+        """Drop a message as it comes if nobody is to get it because the relay is late; return
+        whether it is gone. Nothing of the same connection may wait."""
+        if not self.brake.level or not self.forwarding.drop_late(connection, data, now):
+            return False
+        self.stats.bytes_in += len(data)
+        if not connection.messages_in.take(now):
+            self._connections.close_too_fast(connection, "messages", now)
+        return True
 
     def disconnect(self, connection: Connection, code: int, reason: str, now: float) -> None:
         """Take note that a websocket has ended."""

@@ -12,6 +12,7 @@ from pica_protocol.errors import CloseCode
 from pica_protocol.messages import (
     Join,
     Joined,
+    Message,
     Peer,
     PeerAway,
     PeerBack,
@@ -32,6 +33,7 @@ from pica_server.room.connections import Connections
 from pica_server.room.forwarding import Forwarding
 from pica_server.room.resume_tickets import ResumeTickets
 from pica_server.room.room import Room
+from pica_server.room.rulings import Rulings
 
 
 class Membership:
@@ -46,6 +48,7 @@ class Membership:
         connections: Connections,
         forwarding: Forwarding,
         tickets: ResumeTickets,
+        rulings: Rulings,
         admit: Callable[[Join], Admission],
         notify: Callable[[RoomEvent], None],
     ) -> None:
@@ -55,12 +58,14 @@ class Membership:
             connections: Where everybody is connected.
             forwarding: Gives them their frames.
             tickets: The places that are kept.
+            rulings: What an admin has ruled.
             admit: Says what who joins may do, or raises `AdmissionError`.
             notify: Told at once what happens in rooms; it must neither block nor raise.
         """
         self._connections = connections
         self._forwarding = forwarding
         self._tickets = tickets
+        self._rulings = rulings
         self._admit = admit
         self._notify = notify
         self._stats = connections.stats
@@ -73,6 +78,11 @@ class Membership:
     def join(self, connection: Connection, join: Join, now: float) -> None:
         """Let somebody into a room, or close them."""
         limits = self._connections.config.limits
+        if connection.is_crowded and not self._tickets.opens_a_place(join.room, join.resume):
+            self._stats.limits_hit["address"] += 1
+            reason = f"{limits.connections_per_address} connections from one address"
+            self._connections.close(connection, CloseCode.TOO_MANY, reason, now)
+            return
         # First of all: who has no token must not use up the joins of those who have one.
         try:
             admission = self._admit(join)
@@ -90,15 +100,21 @@ class Membership:
         connection.is_resumable = join.resumable
         if join.resume and self._come_back(connection, join, admission, now):
             return
-        self._replace(join.room, admission.identity, now)
-        former = self.rooms.get(join.room)
-        if former is not None and former.is_barred(admission.identity):
+        room, brake = self.rooms.get(join.room), self._connections.brake
+        if brake.level and (room is None or room.peer_of(admission.identity) is None):
+            self._stats.limits_hit["late"] += 1
+            reason = f"the relay has too much to do, try again in {brake.retry_after_s:g} s"
+            self._connections.close(connection, CloseCode.BUSY, reason, now)
+            return
+        self._replace(connection, join, admission.identity, now)
+        if self._rulings.holds(join.room, admission.identity):
             self.refuse_barred(connection, now)
             return
         cluster_peers = self._connections.cluster_peers
         if cluster_peers is not None:
             cluster_peers.join(connection, join, admission, now)
             return
+        self._make_place(join.room, now)
         room = self._room(join.room)
         try:
             joined = room.join(
@@ -106,6 +122,7 @@ class Membership:
                 admission.name or join.name,
                 join.tracks,
                 identity=admission.identity,
+                is_name_assured=bool(admission.name),
                 may_subscribe=admission.may_subscribe,
                 metadata=join.metadata,
             )
@@ -119,9 +136,7 @@ class Membership:
     ) -> None:
         """Let somebody in for whom the nodes of the cluster have agreed on a place."""
         room = self._room(name)
-        joined = room.enter(
-            peer, identity=admission.identity, may_subscribe=admission.may_subscribe
-        )
+        joined = room.enter(peer, may_subscribe=admission.may_subscribe)
         self._enter(connection, room, joined, admission, now)
 
     def refuse(self, connection: Connection, name: str, now: float) -> None:
@@ -249,11 +264,19 @@ class Membership:
         if len(room) == 1:
             self._notify(RoomEvent(event="room_started", room=room.name))
         self.rooms[room.name] = room
+        peer = room.peer(connection.peer_id)
+        for track in peer.tracks:
+            stream = room.stream(track.stream)
+            assert stream is not None
+            stream.is_muted = self._rulings.holds(room.name, peer.identity, track.kind)
         self._stats.joins += 1
         self._note(room, connection.peer_id, "peer_joined")
         self._accept(connection, room, joined, now)
-        arrival = PeerJoined(peer=room.peer(connection.peer_id))
-        self._connections.tell_others(room, connection.peer_id, arrival, now)
+        news: list[Message] = [PeerJoined(peer=peer)]
+        muted = room.muted_of(peer.peer_id)
+        news += [StreamMuted(stream=number, is_muted=True) for number in muted]
+        for message in news:
+            self._connections.tell_others(room, peer.peer_id, message, now)
         if admission.may_subscribe:
             self._forwarding.catch_up(connection, room, now)
 
@@ -310,10 +333,27 @@ class Membership:
             if stream.is_muted:
                 self._connections.send(connection, StreamMuted(stream=number, is_muted=True), now)
 
-    def _replace(self, room_name: str, identity: str, now: float) -> None:
-        """Close who is here under an identity that joins again: the newer one wins."""
+    def _make_place(self, room_name: str, now: float) -> None:
+        """If a room is full, give up the place of who has been away longest in it and has no
+        identity: else whoever comes and drops connections keeps a room full of nobody."""
         room = self.rooms.get(room_name)
-        peer_id = None if room is None else room.peer_of(identity)
+        if room is not None and room.is_full:
+            nobodies = [p for p in self._away if p in room and not room.identity_of(p)]
+            for peer_id in nobodies[:1]:
+                self._tickets.forget(peer_id)
+                self.give_up(peer_id, "lost", now)
+
+    def _replace(self, connection: Connection, join: Join, identity: str, now: float) -> None:
+        """Close who is here under an identity that joins again: the newer one wins. Who has none is
+        known by what they say, and takes the place of nobody but who is away."""
+        room = self.rooms.get(join.room)
+        if room is None:
+            return
+        peer_id = room.peer_of(identity)
+        if not identity and not join.resume:
+            before = (lost for each in room.away_here if (lost := self._away[each]))
+            same = (lost.peer_id for lost in before if lost.address == connection.address)
+            peer_id = next((each for each in same if room.is_like(each, join)), None)
         if peer_id is not None:
             reason = "you have joined again from elsewhere"
             self.close_peer(peer_id, CloseCode.REPLACED, reason, now)

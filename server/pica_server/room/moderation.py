@@ -1,6 +1,7 @@
 """What an admin does to rooms: put peers out, close rooms, stop streams. Pure.
 
-What must be done on another node of the cluster is passed on to it.
+What must be done on another node of the cluster is passed on to it. What is to hold when its owner
+comes again is kept in `Rulings`.
 """
 
 from pica_protocol.errors import CloseCode
@@ -8,47 +9,77 @@ from pica_server.room.connections import Connections
 from pica_server.room.forwarding import Forwarding
 from pica_server.room.membership import Membership
 from pica_server.room.room import Room
-
-MAX_BARRED = 256
-"""Identities that a room remembers to keep out; drops the oldest (chosen)."""
+from pica_server.room.rulings import RULING_S, Rulings
 
 
 class Moderation:
     """The admin's hand in the rooms of one relay."""
 
     def __init__(
-        self, connections: Connections, membership: Membership, forwarding: Forwarding
+        self,
+        connections: Connections,
+        membership: Membership,
+        forwarding: Forwarding,
+        rulings: Rulings,
     ) -> None:
         self._connections = connections
         self._membership = membership
         self._forwarding = forwarding
+        self._rulings = rulings
 
-    def remove(self, room_name: str, peer_id: str, *, bar: bool, now: float) -> bool:
-        """Put a peer out of its room.
-
-        Args:
-            room_name: The room.
-            peer_id: The peer, who may be away.
-            bar: Also keep its identity out as long as the room lasts.
-            now: The time.
-
-        Returns:
-            Whether it was there, in a room that has peers on this node.
-        """
+    def remove(self, room_name: str, peer_id: str, *, now: float) -> bool:
+        """Put a peer out of its room, who may be away; return whether it was there, in a room that
+        has peers on this node."""
         room = self._membership.rooms.get(room_name)
         if room is None or peer_id not in room:
             return False
         if room.node_of(peer_id):
-            self._order(room, "bar" if bar else "remove", peer_id)
+            self._order(room, "remove", peer_id)
             return True
-        if bar:
-            identity = room.identity_of(peer_id)
-            room.bar(identity, MAX_BARRED)
-            if self._connections.cluster_peers is not None:
-                self._connections.cluster_peers.bar(room, identity)
         reason = "an admin has removed you"
         self._membership.close_peer(peer_id, CloseCode.REMOVED, reason, now)
         return True
+
+    def bar(
+        self,
+        room_name: str,
+        identity: str,
+        *,
+        is_barred: bool = True,
+        lasts_s: float = RULING_S,
+        now: float,
+    ) -> bool:
+        """Put an identity out of a room and keep it out, or let it come again.
+
+        Args:
+            room_name: The room, which may be empty.
+            identity: Who; nobody is barred by the empty one.
+            is_barred: Whether it is to stay out.
+            lasts_s: For how long, seconds.
+            now: The time.
+
+        Returns:
+            Whether it holds: there are identities only where there are tokens.
+        """
+        holds = self._rulings.give(room_name, identity, holds=is_barred, lasts_s=lasts_s)
+        if self._connections.cluster_peers is not None:
+            self._connections.cluster_peers.note_rulings(room_name)
+        self.enforce(room_name, now)
+        return holds
+
+    def enforce(self, room_name: str, now: float) -> None:
+        """Do to those who are on this node what rulings say, as when another node has ruled."""
+        room = self._membership.rooms.get(room_name)
+        for peer in () if room is None else room.peers_here:
+            assert room is not None
+            if peer.peer_id not in room:
+                continue  # putting one out may put out others, who read too slowly
+            if self._rulings.holds(room_name, peer.identity):
+                self.remove(room_name, peer.peer_id, now=now)
+                continue
+            for track in peer.tracks:
+                if self._rulings.holds(room_name, peer.identity, track.kind):
+                    self.mute(room_name, track.stream, is_muted=True, now=now)
 
     def close_room(self, room_name: str, now: float, *, everywhere: bool = True) -> int | None:
         """Put everybody out of a room, on all nodes or on this one alone; return how many were on
@@ -66,7 +97,10 @@ class Moderation:
         return num_peers
 
     def mute(self, room_name: str, number: int, *, is_muted: bool, now: float) -> bool:
-        """Stop a stream, or let it go on, and tell everybody; return whether it is there."""
+        """Stop a stream, or let it go on, and tell everybody; return whether it is there.
+
+        It stays so when its owner joins again, if they have an identity.
+        """
         room = self._membership.rooms.get(room_name)
         stream = None if room is None else room.stream(number)
         if room is None or stream is None:
@@ -76,6 +110,9 @@ class Moderation:
         if room.is_remote(number):
             self._order(room, "mute" if is_muted else "unmute", str(number))
             return True
+        peer = room.peer(stream.publisher)
+        kind = next(track.kind for track in peer.tracks if track.stream == number)
+        self._rulings.give(room_name, peer.identity, kind, holds=is_muted)
         self._forwarding.mute(room, number, stream, is_muted=is_muted, now=now)
         if self._connections.cluster_peers is not None:
             self._connections.cluster_peers.note_member(room, stream.publisher)

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 from pica_protocol.limits import MAX_LAYER, MAX_STREAM
-from pica_protocol.messages import Joined, Metadata, Peer, Track
+from pica_protocol.messages import Join, Joined, Metadata, Peer, Track
 from pica_protocol.stream_queue import MAX_CHAIN_BYTES, MAX_CHAIN_FRAMES
 from pica_server.cluster.media import NodeLink
 from pica_server.errors import RoomFullError
@@ -25,7 +25,6 @@ class _Member:
     peer: Peer
     highest_layer: dict[int, int] = field(default_factory=dict)
     """The highest wanted layer by stream; one that is missing is wanted up to ``default_layer``."""
-    identity: str = ""
     default_layer: int = MAX_LAYER
     is_away: bool = False
     """Its connection is lost, and it may come back."""
@@ -43,6 +42,9 @@ class Stream:
     """How long its frames may wait for a receiver if it is ordered; None: it is not."""
     is_muted: bool = False
     """An admin has stopped it."""
+    decodable_layer: int = MAX_LAYER
+    """Other frames than keyframes that are above it refer to one that the relay did not forward, as
+    it was late; see `Brake`. -1: all do."""
     chain: list[bytes] = field(default_factory=list)
     """The latest keyframe and, if ``is_whole``, all base frames since."""
     is_whole: bool = False
@@ -87,7 +89,6 @@ class Room:
         self._members: dict[str, _Member] = {}
         self._streams: dict[int, Stream] = {}
         self._last_stream = 0
-        self._barred: dict[str, None] = {}  # bounded by who adds to it
         self._num_remote = 0
         # Who gets the frames of a stream and layer: looked up for every frame, changed rarely.
         self._receivers: dict[tuple[int, int], list[str]] = {}
@@ -99,6 +100,11 @@ class Room:
 
     def __contains__(self, peer_id: str) -> bool:
         return peer_id in self._members
+
+    @property
+    def is_full(self) -> bool:
+        """Whether there is no place for one more here."""
+        return len(self) >= self._capacity
 
     @property
     def peers(self) -> tuple[Peer, ...]:
@@ -126,6 +132,7 @@ class Room:
         tracks: tuple[Track, ...],
         *,
         identity: str = "",
+        is_name_assured: bool = False,
         may_subscribe: bool = True,
         metadata: Metadata = (),
     ) -> Joined:
@@ -136,28 +143,35 @@ class Room:
             name: What the others are shown.
             tracks: What it publishes.
             identity: Who it is for sure, or empty.
+            is_name_assured: Whether the name is as sure.
             may_subscribe: Whether it gets anybody's frames.
             metadata: What it says of itself.
 
         Raises:
             RoomFullError: The room has no place left.
         """
-        if len(self) >= self._capacity:
+        if self.is_full:
             raise RoomFullError(f"room {self.name} is full: {self._capacity} peers")
         own = tuple(replace(track, stream=self._new_stream(peer_id, track)) for track in tracks)
-        peer = Peer(peer_id=peer_id, name=name, tracks=own, metadata=metadata)
-        return self.enter(peer, identity=identity, may_subscribe=may_subscribe)
+        peer = Peer(
+            peer_id=peer_id,
+            name=name,
+            tracks=own,
+            metadata=metadata,
+            identity=identity,
+            is_name_assured=is_name_assured,
+        )
+        return self.enter(peer, may_subscribe=may_subscribe)
 
-    def enter(self, peer: Peer, *, identity: str = "", may_subscribe: bool = True) -> Joined:
+    def enter(self, peer: Peer, *, may_subscribe: bool = True) -> Joined:
         """Let a peer in whose tracks have their streams, and return what to tell it."""
         present = self.peers
         self._receivers.clear()
-        self._members[peer.peer_id] = _Member(
-            peer, identity=identity, default_layer=MAX_LAYER if may_subscribe else _NOTHING
-        )
+        default_layer = MAX_LAYER if may_subscribe else _NOTHING
+        self._members[peer.peer_id] = _Member(peer, default_layer=default_layer)
         for track in peer.tracks:
             self._streams.setdefault(track.stream, Stream.of(peer.peer_id, track))
-        return Joined(room=self.name, peer_id=peer.peer_id, tracks=peer.tracks, peers=present)
+        return self._joined(peer, present)
 
     def arrive(self, peer: Peer, node: str) -> None:
         """Note a peer that is connected to another node."""
@@ -188,9 +202,15 @@ class Room:
     def is_place_of(self, peer_id: str, identity: str, tracks: tuple[Track, ...]) -> bool:
         """Say whether somebody who comes back with these tracks is who had this place."""
         member = self._members.get(peer_id)
-        if member is None or member.identity != identity:
+        if member is None or member.peer.identity != identity:
             return False
         return tuple(replace(track, stream=0) for track in member.peer.tracks) == tracks
+
+    def is_like(self, peer_id: str, join: Join) -> bool:
+        """Say whether a peer without an identity has the name and the tracks of somebody who joins:
+        who has crashed and begun anew, as far as can be told."""
+        name = self._members[peer_id].peer.name
+        return name == join.name and self.is_place_of(peer_id, "", join.tracks)
 
     def note_back(self, peer_id: str) -> None:
         """Note that a peer of another node has come back to its place there."""
@@ -216,8 +236,16 @@ class Room:
             stream.is_whole = False
             stream.asked_s = None
         others = tuple(peer for peer in self.peers if peer.peer_id != peer_id)
+        return self._joined(member.peer, others, resumed=True)
+
+    def _joined(self, peer: Peer, others: tuple[Peer, ...], *, resumed: bool = False) -> Joined:
         return Joined(
-            room=self.name, peer_id=peer_id, tracks=member.peer.tracks, peers=others, resumed=True
+            room=self.name,
+            peer_id=peer.peer_id,
+            tracks=peer.tracks,
+            peers=others,
+            resumed=resumed,
+            name=peer.name if peer.is_name_assured else "",
         )
 
     def update_metadata(self, peer_id: str, metadata: Metadata) -> bool:
@@ -238,26 +266,15 @@ class Room:
         """Those of them who were on this node."""
         return tuple(peer_id for peer_id in self.away if not self.node_of(peer_id))
 
-    def bar(self, identity: str, max_barred: int) -> None:
-        """Keep an identity out as long as the room lasts; drops the oldest above ``max_barred``."""
-        if identity:
-            self._barred[identity] = None
-            if len(self._barred) > max_barred:
-                del self._barred[next(iter(self._barred))]
-
-    def is_barred(self, identity: str) -> bool:
-        """Say whether an identity is kept out."""
-        return identity in self._barred
-
     def identity_of(self, peer_id: str) -> str:
         """Return who a peer is for sure, or empty."""
-        return self._members[peer_id].identity
+        return self._members[peer_id].peer.identity
 
     def peer_of(self, identity: str) -> str | None:
-        """Return the peer id of somebody who is here for sure, or None."""
-        for peer_id, member in self._members.items():
-            if identity and member.identity == identity:
-                return peer_id
+        """Return the peer id of somebody who is on this node for sure, or None."""
+        for peer in self.peers_here:
+            if identity and peer.identity == identity:
+                return peer.peer_id
         return None
 
     def peer(self, peer_id: str) -> Peer:

@@ -8,8 +8,6 @@ of nothing else.
 import functools
 import os
 import secrets
-import shutil
-import tempfile
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -21,6 +19,7 @@ from fsspec.implementations.local import LocalFileSystem
 
 from pica_protocol.store import is_avatar_id
 from pica_server.errors import StoreError
+from pica_server.store.own_folder import OwnFolder, clear_orphans
 
 SUFFIX: Final = ".pica"
 TEMPORARY: Final = "temporary"
@@ -65,7 +64,7 @@ class Backend:
         self._files: Any = LocalFileSystem()
         self._root = ""  # of a temporary store until its first file
         self._spool: Path | None = None
-        self._made: Path | None = None
+        self._made: OwnFolder | None = None
         if "://" in where:
             try:
                 # A cached listing would not know what another relay has put there.
@@ -85,6 +84,8 @@ class Backend:
         Raises:
             StoreError: They cannot, or there are more than ``limit``.
         """
+        if self._spool is None:
+            clear_orphans()
         if not self._root:
             return {}
         incoming = f"{self._root}/{INCOMING}"
@@ -117,8 +118,9 @@ class Backend:
     def spool(self) -> Path:
         """Return a path for a new local file that becomes one of ours, or is deleted."""
         if self._spool is None:
-            self._spool = self._made = Path(tempfile.mkdtemp(prefix="pica-avatars-"))
-            self._root = self._root or str(self._made)
+            self._made = OwnFolder()
+            self._spool = self._made.path
+            self._root = self._root or str(self._spool)
         return self._spool / f"{secrets.token_hex(16)}.part"
 
     @_in_os_terms
@@ -151,7 +153,7 @@ class Backend:
     def close(self) -> None:
         """Delete what was temporary."""
         if self._made is not None:
-            shutil.rmtree(self._made, ignore_errors=True)
+            self._made.remove()
 
     def _path(self, identity: str) -> str:
         if not is_avatar_id(identity):

@@ -38,5 +38,5 @@ class StoreConfig:
         check_ranges(self, "store.")
 
     def longest_s(self, size: int) -> float:
-        """How long a transfer of ``size`` bytes may take."""
+        """How long a transfer of `size` bytes may take."""
         return self.grace_s + size / self.slowest_bytes_per_s

@@ -15,12 +15,15 @@ from pica_protocol.limits import clipped_reason
 from pica_protocol.messages import Bye
 from pica_protocol.store import Offer, Ready, Stored, decode_chunk
 from pica_server.errors import AdmissionError, StoreError, StoreRefusalError, TooLateError
-from pica_server.net.socket import RelaySocket
+from pica_server.net.socket import RelaySocket, bound_receive_buffer
 from pica_server.store.pacing import Slots
 from pica_server.store.store import AvatarStore
 
 MOST_OFFERS: Final = 64
 """Websockets that have not offered anything yet (chosen: eight times the uploads)."""
+
+RECEIVE_BUFFER_BYTES: Final = 131_072
+"""Bytes of a file that the kernel may hold; those of a call are held to less (chosen)."""
 
 MayUpload = Callable[[str, str], None]
 """Takes a token and an avatar's id; raises `AdmissionError` if that must not be uploaded."""
@@ -63,6 +66,7 @@ class Uploads:
     async def serve(self, websocket: RelaySocket) -> None:
         """Take one file."""
         self._transfers.add(websocket)
+        bound_receive_buffer(websocket.transport.get_extra_info("socket"), RECEIVE_BUFFER_BYTES)
         try:
             code, reason = await self._take(websocket)
             outcome = "uploads_done" if code == CloseCode.NORMAL else "uploads_refused"

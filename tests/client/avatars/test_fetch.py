@@ -301,7 +301,7 @@ async def test_a_missing_avatar_comes_from_the_relay_and_then_from_the_disk(
         with fetcher(url, tmp_path) as fetching:
             assert fetching.has(toy.identity)
             assert fetching.get(toy.identity) is None
-            assert fetching.note(toy.identity).startswith("fetching avatar")
+            assert fetching.note(toy.identity).startswith("avatar is on its way")
             await until(lambda: fetching.get(toy.identity) is not None)
             assert fetching.note(toy.identity) == ""
             assert fetching.num_fetched == 1
@@ -317,7 +317,7 @@ async def test_an_avatar_that_its_sender_gives_later_comes_later(
     async with store_relay() as relay:
         with fetcher(relay.url, tmp_path) as fetching:
             fetching.get(toy.identity)
-            await until(lambda: "does not have this avatar yet" in fetching.note(toy.identity))
+            await until(lambda: "the relay does not have it yet" in fetching.note(toy.identity))
             await upload(relay, toy.data)
             await until(lambda: fetching.get(toy.identity) is not None)
 
@@ -342,7 +342,7 @@ async def test_what_comes_and_is_no_avatar_is_an_error_for_its_face(tmp_path: Pa
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"status": 501}, "is not on this machine, and the relay keeps no avatars; get its file"),
+        ({"status": 501}, "is missing: the relay keeps no avatars; get "),
         ({"data": b"another file"}, "the relay gave another file"),
     ],
 )
@@ -458,20 +458,16 @@ async def test_files_that_cannot_be_read_are_named(toy: AvatarFile, tmp_path: Pa
 @pytest.mark.asyncio
 async def test_a_giver_gives_to_each_relay_and_tells_once_what_went_wrong(toy: AvatarFile) -> None:
     said: list[str] = []
-    urls: list[str] = []
-    giver = AvatarGiver(push_of(toy.path), lambda: urls[-1], said.append)
+    giver = AvatarGiver(push_of(toy.path), said.append)
     async with store_relay() as one, store_relay("none") as other:
-        urls.append(one.url)
-        giver.begin()
-        giver.begin()  # is at it already
+        giver.begin(one.url)
+        giver.begin(one.url)  # is at it already
         await until(lambda: giver.outcome == "given")
         assert one.stats()["store"]["uploads_kept"] == 1
-        urls.append(other.url)
         for _ in range(2):
-            giver.begin()
+            giver.begin(other.url)
             await until(lambda: giver.outcome == "this relay keeps no avatars")
-        urls.append(one.url)
-        giver.begin()
+        giver.begin(one.url)
         await until(lambda: giver.outcome == "known")
     await giver.close()
     assert len(said) == 2
@@ -480,9 +476,9 @@ async def test_a_giver_gives_to_each_relay_and_tells_once_what_went_wrong(toy: A
 @pytest.mark.asyncio
 async def test_a_giver_that_is_told_to_come_later_does(toy: AvatarFile) -> None:
     async with store_relay(uploads=1, bytes_per_s=4e6) as relay:
-        givers = [AvatarGiver(push_of(toy.path), lambda: relay.url, print) for _ in range(3)]
+        givers = [AvatarGiver(push_of(toy.path), print) for _ in range(3)]
         for giver in givers:
-            giver.begin()
+            giver.begin(relay.url)
         await until(lambda: all(giver.outcome for giver in givers))
         assert {giver.outcome for giver in givers} <= {"given", "known"}
         for giver in givers:

@@ -140,7 +140,7 @@ def test_an_avatar_that_is_not_here_is_an_error_with_the_fix_and_no_face(call: C
     call.receive_event(frame(1, 0, 0), now=0.0)
     assert call.faces(0.1)[0].status == "waiting"
     assert call.without_avatar == 1
-    with pytest.raises(AvatarFileError, match=r"bbbbbbbb is not on this machine; .* --avatar"):
+    with pytest.raises(AvatarFileError, match=r"missing here: get bbbbbbbb .* --avatar"):
         call.avatar("b" * 64)
 
 
@@ -262,7 +262,8 @@ def test_a_damaged_file_is_an_error_each_time_without_keeping_the_last(tmp_path:
         library.load(identity)
     errors = []
     for _ in range(2):
-        with pytest.raises(AvatarFileError, match=r"damaged\.pica") as raised:
+        why = r"avatar file is refused: "
+        with pytest.raises(AvatarFileError, match=why) as raised:
             library.get(identity)
         errors.append(raised.value)
     assert errors[0] is not errors[1]
@@ -469,6 +470,12 @@ def test_a_peer_that_says_something_else_of_itself_keeps_its_seat_in_another_roo
     assert call.faces(1.1)[0].latent is not None
     call.receive_event(joined(peer("p1", "Eve", 7)), now=2.0)
     assert call.faces(2.1)[0].latent is None
+    for stream, other in enumerate((peer("p1", "Eve", 8), peer("p1", "Bob", 9)), 8):
+        call.receive_event(Joined(room="r", peer_id="me", peers=(other,), resumed=True), now=3.0)
+        call.receive_event(frame(stream, 0, 0), now=3.1)
+        assert [(face.name, face.latent is None) for face in call.faces(3.2)] == [
+            (other.name, False)
+        ]
 
 
 def test_a_face_says_why_it_stands_still(call: Call) -> None:
@@ -484,4 +491,5 @@ def test_a_face_says_why_it_stands_still(call: Call) -> None:
     ):
         call.receive_event(event, now=0.1)
         notes.append(call.faces(0.1)[0].note)
-    assert notes == ["connection lost", "", "muted by an admin", "", "", ""]
+    nothing = "no face yet"
+    assert notes == ["connection lost", nothing, "muted by an admin", nothing, nothing, nothing]

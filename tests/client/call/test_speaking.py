@@ -8,12 +8,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from pica_client.avatars.library import shipped_avatar_files
 from pica_client.call.speaking import DEAD_BAND, HOLD_S, JawReader, SpeakingMeter
 from pica_client.sources import open_source
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar, load_avatar
+from pica_core.avatar.shipped import shipped_avatar_files
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]
 

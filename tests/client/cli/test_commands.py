@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from helpers.toy import make_toy_avatar
-from pica_client.avatars import library as avatars
 from pica_client.cli.doctor import examine
 from pica_client.local_call.latency import FrameTimes, frame_times, latency_summary
 from pica_command.main import main
+from pica_core.avatar import shipped
 from pica_core.avatar.file import save_avatar
-from pica_core.errors import GraphicsError
 
 pytestmark = pytest.mark.unit
 
@@ -42,6 +39,14 @@ def avatar(tmp_path: Path) -> str:
             ["view", "--url", "ws://x", "--send", "performance:talk", "--own-avatar", "nobody"],
             "avatar 'nobody' is unknown",
         ),
+        (
+            ["view", "--headless", "--own-avatar", "sam"],
+            "own-avatar says how one's own face looks; to send one, add --send performance:talk",
+        ),
+        (
+            ["view", "--url", "ws://x", "--send", "none", "--own-avatar", "sam"],
+            "own-avatar says how one's own face looks",
+        ),
         (["view", "--size", "big"], "size is 'big'; write COLUMNSxROWS"),
         (["view", "--size", "9x9"], "size is 9x9; 16 to 8192"),
         (["view", "--avatar-folder", "nowhere"], "avatar folder nowhere is not there"),
@@ -51,6 +56,8 @@ def avatar(tmp_path: Path) -> str:
         (["view", "--playout-floor-ms", "nan"], "playout-floor-ms is nan; 0 to 200"),
         (["view", "--png", "nowhere/a.png"], "nowhere/a.png: cannot be written: No such folder"),
         (["view", "--record", "nowhere/a.mp4"], "nowhere/a.mp4: cannot be written"),
+        (["view", "--png", "x.jpg"], "x.jpg: would hold PNG all the same; name it x.png"),
+        (["view", "--record", "a.avi"], "a.avi: would hold MP4 all the same; name it a.mp4"),
         (["view", "--frame-log", "."], ".: cannot be written: Is a directory"),
         (["view", "--png-folder", __file__], "test_commands.py: cannot be made: File exists"),
         (["send", "--frame-log", "nowhere/a.json"], "nowhere/a.json: cannot be written"),
@@ -96,39 +103,15 @@ def test_a_truncated_avatar_is_named_with_the_fix(
 def test_a_build_without_avatars_says_so_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(avatars.resources, "files", lambda package: tmp_path)
+    monkeypatch.setattr(shipped.resources, "files", lambda package: tmp_path)
     assert main(["send"]) == 2
     assert capsys.readouterr().err == (
         "pica send: no avatar ships with this package; name one with --avatar FILE\n"
     )
-    findings = [finding.line for finding in examine(load_core_alone, has_display=lambda: False)]
-    assert "LACK  avatars: none ship with this build -> --avatar FILE" in findings
-
-
-def load_core_alone(name: str) -> Any:
-    """Import as on a machine with the sender's packages and a broken driver."""
-    if name == "pica_core.gl":
-        return BrokenGraphics
-    if name in ("numpy", "safetensors"):
-        return importlib.import_module(name)
-    raise ModuleNotFoundError(name=name)
-
-
-def test_the_doctor_names_the_fix_for_each_lack() -> None:
-    found = examine(load_core_alone, has_display=lambda: False)
-    findings = {finding.subject: finding for finding in found}
-    assert findings["extra send"].level == "good"
-    assert findings["extra view"].fix == "pip install 'pica-telepresence[view]'"
-    assert "moderngl" in findings["extra view"].detail
-    assert findings["OpenGL"].detail == "no context; install libegl1"
-    assert findings["display"].level == "lacking"
-    assert findings["extra train"].line.startswith("LACK  extra train: no torch -> pip install")
-
-
-class BrokenGraphics:
-    @staticmethod
-    def create_context() -> None:
-        raise GraphicsError("no context; install libegl1")
+    (finding,) = examine(has_display=lambda: False, wanted=["avatars"])
+    assert finding.line == (
+        "missing  avatars: none ship with this build; to mend it: --avatar FILE"
+    )
 
 
 def test_the_parts_of_a_frames_latency_add_up_to_its_whole() -> None:

@@ -14,6 +14,7 @@ pytest.importorskip("cryptography", reason="needs the extra seal")
 
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
+from pica_client.e2ee.description import describe
 from pica_client.e2ee.frames import derive_key, metadata_of, open_, seal
 from pica_client.e2ee.notes import (
     Note,
@@ -25,12 +26,14 @@ from pica_client.e2ee.notes import (
     fingerprint,
 )
 from pica_client.e2ee.secret import RoomSecret
+from pica_client.e2ee.status import SealStatus
 from pica_client.e2ee.suites import (
     AES_128_CTR_HMAC_SHA256_64,
     AES_128_GCM_SHA256_128,
     Suite,
 )
 from pica_protocol.frames import Frame
+from pica_protocol.messages import Track
 
 pytestmark = pytest.mark.unit
 
@@ -49,12 +52,17 @@ SEALED = {
     AES_128_GCM_SHA256_128: "19012c1beedb2459b08c5cd89641a731bd42580d65cec435f0",
     AES_128_CTR_HMAC_SHA256_64: "19012c334c05363f31c7e123519e493a1b",
 }
+DESCRIPTION = describe(
+    "lobby", "Ada", (Track(kind="face", stream=1, avatar="0f" * 32), Track(kind="wave", stream=2))
+)
 SECRET = RoomSecret(bytes(range(32)))
 NOTE = (
-    "01030004a4e09292b651c278b9772c569f5fa9bb13d906b46ab68c9df9dc2b4409f8a209cfa570c6"
-    "53bd212b00000002000000090a07cecfaabc4a94da274ac0f3f3d9eac04ddbb5d8c1b5d0bc59949a"
-    "4b9b6f6f8486305cafed4b74880d418eeb5cec2a"
+    "02030004a4e09292b651c278b9772c569f5fa9bb13d906b46ab68c9df9dc2b4409f8a209cfa570c6"
+    "53bd212b00000002000000090000012c92cb2f0b4a1c4359c6063ee22cd889267f038339d932bed2"
+    "c1185c25ae49ffb480dd866156072aac7708c2db9052f95b0c8adea5ee182e21d3a08de21d9f5ae2"
+    "76256ec3ca4eba173bf41daf9bd1d602"
 )
+CODE = "97513 30510 50857 93817 52284 62141"
 
 
 def spaced(data: str) -> str:
@@ -81,10 +89,12 @@ def test_a_note_is_written_as_the_page_shows() -> None:
     wrap, _ = agree(ada, ada_key, ben_key, keys.pair_salt)
     note = Note(
         public_key=ada_key,
+        description=DESCRIPTION,
         echo=fingerprint(ben_key),
         acknowledged=2,
         wants_answer=True,
         generation=GENERATION,
+        first=300,
         suite=AES_128_GCM_SHA256_128.number,
         wrapped_key=wrap.wrap(BASE_KEY, GENERATION, AES_128_GCM_SHA256_128.number),
     )
@@ -93,3 +103,16 @@ def test_a_note_is_written_as_the_page_shows() -> None:
     _, unwrap = agree(ben, ben_key, ada_key, keys.pair_salt)
     assert unwrap.unwrap(note.wrapped_key, GENERATION, note.suite) == BASE_KEY
     assert spaced(NOTE) in PAGE.read_text()
+
+
+def test_the_code_is_made_as_the_page_shows() -> None:
+    ada, ben = (
+        X25519PrivateKey.from_private_bytes(bytes([i] * 32)).public_key().public_bytes_raw()
+        for i in (1, 2)
+    )
+    members = ((ada, DESCRIPTION), (ben, describe("lobby", "Ben", ())))
+    assert SealStatus(room="lobby", members=members).code == CODE
+    assert SealStatus(room="lobby", members=members[::-1]).code == CODE
+    assert SealStatus(room="lobby", members=members[:1]).code == ""
+    assert CODE in PAGE.read_text()
+    assert spaced(DESCRIPTION.hex()) in PAGE.read_text()

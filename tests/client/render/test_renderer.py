@@ -18,16 +18,14 @@ from helpers.toy import make_toy_avatar
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.errors import OptionError, ShaderError
 from pica_client.render.gpu_program import build_program
-from pica_client.render.overlay import OverlayItem
 from pica_client.render.renderer import Renderer, RenderOptions
+from pica_client.render.room import Room
 from pica_client.render.scene import (
     Placement,
-    ViewState,
-    arrange_seats,
     head_matrix,
-    view_camera,
     view_direction,
 )
+from pica_client.render.seats import ViewState, plan_camera, plan_seats
 from pica_client.render.shader_source import compose
 from pica_client.render.shader_weights import siren_source
 from pica_core.avatar.file import Avatar
@@ -266,30 +264,15 @@ def test_edge_smoothing_changes_edges_and_leaves_the_rest(context: moderngl.Cont
     assert changed.mean() < 0.2
 
 
-def test_an_overlay_is_drawn_over_heads_and_keeps_to_the_screen(context: moderngl.Context) -> None:
-    renderer = renderer_with(context, TOY)
-    renderer.draw([still("p0")], camera_at(0, 0, 0.9))
-    before = renderer.read_image()
-    far_out = OverlayItem(key="a", lines=(("Ada", ""),), x_px=1e4, y_px=-50.0, size_px=14)
-    stats = renderer.draw([still("p0")], camera_at(0, 0, 0.9), [far_out])
-    changed = (renderer.read_image() != before).any(axis=-1)
-    rows, columns = np.nonzero(changed)
-    assert rows.min() == 0
-    assert columns.max() == SIZE[0] - 1
-    assert changed.sum() < 0.1 * changed.size
-    assert stats.num_draw_calls == 3
-
-
 def test_after_the_first_frame_no_gpu_object_is_made(context: moderngl.Context) -> None:
     renderer = renderer_with(context, TOY, options=RenderOptions())
-    label = OverlayItem(key="a", lines=(("Ada", ""),), x_px=80, y_px=100)
     maps = some_maps(TOY)
 
-    renderer.draw([still("p0")], camera_at(0, 0, 0.9), [label])
+    renderer.draw([still("p0")], camera_at(0, 0, 0.9))
     before = gpu_objects()
     for step in range(20):
         renderer.update_maps("p0", *maps)
-        renderer.draw([still("p0", 0.001 * step, 0, 0)], camera_at(0, 0, 0.9), [label])
+        renderer.draw([still("p0", 0.001 * step, 0, 0)], camera_at(0, 0, 0.9))
     assert gpu_objects() == before
 
 
@@ -314,8 +297,7 @@ def test_weights_in_a_block_let_avatars_of_a_spec_share_a_program(
 
 def test_a_window_shows_what_is_read_without_one(context: moderngl.Context) -> None:
     renderer = renderer_with(context, TOY, options=RenderOptions())
-    label = OverlayItem(key="a", lines=(("Ada", ""),), x_px=80, y_px=100)
-    renderer.draw([still("p0")], camera_at(0, 0, 0.9), [label])
+    renderer.draw([still("p0")], camera_at(0, 0, 0.9))
     window = context.simple_framebuffer(SIZE)
     renderer.present(window)
     shown = np.frombuffer(window.read(), np.uint8).reshape(SIZE[1], SIZE[0], 3)[::-1]
@@ -356,7 +338,7 @@ def test_a_shader_that_the_driver_refuses_is_named(context: moderngl.Context) ->
         ("rect.vert", "near_edges.frag"),
         ("rect.vert", "smooth_edges.frag"),
         ("rect.vert", "background.frag"),
-        ("rect.vert", "overlay.frag"),
+        ("shapes.vert", "shapes.frag"),
     ],
 )
 def test_the_browsers_dialect_compiles(
@@ -382,17 +364,23 @@ def test_five_seats_look_as_they_did(
     context: moderngl.Context, request: pytest.FixtureRequest, tmp_path: Path
 ) -> None:
     size = (320, 180)
-    renderer = renderer_with(context, TOY, SISTER, TOY, SISTER, options=RenderOptions(), size=size)
+    renderer = renderer_with(
+        context, TOY, SISTER, TOY, SISTER, options=RenderOptions(fade_busts=True), size=size
+    )
     renderer.add_placeholder("p4")
-    camera = view_camera(ViewState(), 5, *size)
+    plan = plan_seats("arc", 5, 16 / 9)
+    camera = plan_camera(plan, ViewState(), *size)
     placements = []
-    for index, seat in enumerate(arrange_seats(5)):
+    for index, seat in enumerate(plan.seats):
         matrix = head_matrix(seat, [0.1 * index - 0.2, 0.2 - 0.1 * index, 0.0], [0, 0, 0])
         placements.append(
             Placement(slot=f"p{index}", world_from_head=matrix, fade=0.7 * (index == 3))
         )
         assert view_direction(matrix, camera.centre_m).shape == (3,)
-    renderer.draw(placements, camera)
+    seats = tuple(
+        (float(x), float(y), float(z)) for x, y, z in (seat[:3, 3] for seat in plan.seats)
+    )
+    renderer.draw(placements, camera, room=Room(seats_m=seats, speaking=(0, 0, 1, 0, 0)))
     image = renderer.read_image()
     golden = GOLDEN / "five_seats.png"
     if request.config.getoption("--regenerate-golden"):

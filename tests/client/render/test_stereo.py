@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pica_client.render.seats import LAYOUTS, Layout, ViewState, plan_camera, plan_seats
-from pica_client.render.stereo import side_by_side, stereo_cameras
-from pica_client.ui.text_raster import OverlayItem, item_rect_px
+from pica_client.render.stereo import stereo_cameras
 from pica_core.camera import Camera
 
 pytestmark = pytest.mark.unit
@@ -71,20 +70,3 @@ def test_eyes_of_no_person_are_refused(distance_m: float) -> None:
         stereo_cameras(camera, distance_m, 1.0)
     with pytest.raises(ValueError, match="screen distance"):
         stereo_cameras(camera, 0.06, 0.0)
-
-
-def test_each_text_stays_in_the_half_of_its_eye() -> None:
-    items = [
-        OverlayItem(key="name:a", lines=(("Ada Lovelace",),), x_px=638, y_px=300),
-        OverlayItem(key="name:b", lines=(("Ben",),), x_px=-4, y_px=300),
-        OverlayItem(
-            key="help", lines=(("a", "b"),), x_px=640, y_px=5, style="panel", is_right_aligned=True
-        ),
-    ]
-    placed = side_by_side(items, items, EYE)
-    assert len({item.key for item in placed}) == 6
-    for index, item in enumerate(placed):
-        left, _, right, _ = item_rect_px(item, (2 * EYE[0], EYE[1]))
-        low = 0 if index < 3 else EYE[0]
-        assert low - 1 <= left
-        assert right <= low + EYE[0] + 1

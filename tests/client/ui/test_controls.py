@@ -9,19 +9,26 @@ from hypothesis import strategies as st
 from pica_client.render.seats import LAYOUTS, ViewState
 from pica_client.ui.controls import (
     BINDINGS,
-    CloseWanted,
+    CHANGES,
+    ChooseLayout,
     Controls,
     ControlState,
+    CopyText,
+    Order,
+    Pin,
+    help_lines,
+)
+from pica_client.ui.events import (
+    CloseWanted,
     InputEvent,
     KeyPressed,
     MouseMoved,
     MousePressed,
     MouseReleased,
-    Order,
     Scrolled,
     TextTyped,
-    help_lines,
 )
+from pica_client.ui.settings import Settings
 from pica_client.ui.window import KEY_NAMES
 
 pytestmark = pytest.mark.unit
@@ -56,9 +63,20 @@ def test_the_window_knows_every_key_that_means_something() -> None:
     assert {str(number) for number in range(10)} <= known
 
 
-def test_every_binding_does_something() -> None:
-    for binding in BINDINGS:
-        assert (binding.change is None) != (binding.order is None), binding.keys
+def test_every_order_is_given_by_a_key_or_by_a_button_or_explains_one() -> None:
+    by_key = {binding.order for binding in BINDINGS}
+    by_button = {Order.STAY, Order.LEAVE, Order.DISMISS_HINT}
+    assert set(Order) - by_key == by_button | {Order.EXPLAIN_NO_FACE}
+
+
+def test_a_button_gives_the_orders_of_keys_and_some_that_name_somebody() -> None:
+    controls = Controls()
+    controls.obey(Pin("ada"))
+    controls.obey(ChooseLayout("grid"))
+    controls.obey(CopyText("pica://relay"))
+    assert (controls.state.pinned, controls.state.layout) == ("ada", "grid")
+    assert controls.take_orders() == [CopyText("pica://relay")]
+    assert all(order not in CHANGES for order in (Order.SCREENSHOT, Order.TOGGLE_RECORDING))
 
 
 def test_the_help_shows_every_titled_key_with_its_title() -> None:
@@ -73,10 +91,12 @@ def test_a_key_of_the_help_does_what_the_help_says() -> None:
     press(controls, "S")
     assert controls.state.show_statistics
     press(controls, "H")
-    assert controls.state.show_help
-    press(controls, "S", "H")
+    assert controls.state.side == "help"
+    press(controls, "U")
+    assert controls.state.side == "participants"
+    press(controls, "S", "U")
     assert not controls.state.show_statistics
-    assert not controls.state.show_help
+    assert controls.state.side == "none"
 
 
 def test_layouts_follow_each_other_and_come_round() -> None:
@@ -90,10 +110,23 @@ def test_layouts_follow_each_other_and_come_round() -> None:
 
 
 @pytest.mark.parametrize("key", ["Q", "Escape"])
-def test_leaving_is_a_key(key: str) -> None:
+def test_leaving_by_key_is_asked_once_and_enter_leaves(key: str) -> None:
     controls = Controls()
     press(controls, key)
+    assert controls.state.asks_to_leave
+    assert not controls.state.wants_close
+    press(controls, "Enter")
     assert controls.state.wants_close
+
+
+def test_escape_closes_what_is_open_before_it_asks_and_takes_the_question_back() -> None:
+    controls = Controls()
+    press(controls, "H", "Escape")
+    assert (controls.state.side, controls.state.asks_to_leave) == ("none", False)
+    press(controls, "Escape", "Escape")
+    assert not controls.state.asks_to_leave
+    press(controls, "Enter")
+    assert not controls.state.wants_close
 
 
 def test_closing_the_window_is_leaving() -> None:
@@ -150,10 +183,12 @@ def test_the_wheel_comes_closer_and_reset_undoes_all() -> None:
     assert controls.state.pinned is None
 
 
-def test_a_pin_ends_with_its_peer() -> None:
+def test_a_pin_follows_its_person_and_ends_when_nobody_is_expected() -> None:
     controls = Controls()
     press(controls, "1")
-    controls.forget_absent(("ben",))
+    controls.follow_pin({"ada": "ada again"}.get)
+    assert controls.state.pinned == "ada again"
+    controls.follow_pin({"ben": "ben"}.get)
     assert controls.state.pinned is None
 
 
@@ -216,3 +251,19 @@ def test_whatever_is_typed_and_clicked_the_view_stays_a_view(happened: list[Inpu
     assert abs(view.pitch) <= 1.4
     assert 0.25 <= view.zoom <= 12
     assert controls.state.pinned in (None, *PEERS)
+
+
+@pytest.mark.parametrize("key", ["M", "F"])
+def test_who_shows_no_face_is_told_what_to_do_for_one(key: str) -> None:
+    controls = Controls(ControlState())
+    controls.receive(KeyPressed(key))
+    assert controls.state.own_face == "none"
+    assert controls.take_orders() == [Order.EXPLAIN_NO_FACE]
+
+
+def test_settings_are_an_order_that_replaces_them() -> None:
+    controls = Controls(ControlState())
+    controls.obey(Settings(mode="light"))
+    controls.obey(Order.DISMISS_HINT)
+    assert controls.state.settings.mode == "light"
+    assert not controls.state.shows_hint

@@ -16,6 +16,7 @@ from pica_client.ui.preferences import (
     PreferencesFile,
     without_secrets,
 )
+from pica_client.ui.settings import Settings
 
 pytestmark = pytest.mark.unit
 
@@ -27,6 +28,8 @@ KEPT = Preferences(
     room="standup",
     name="Ada",
     keep_in="/home/ada/calls",
+    settings=Settings(mode="light", scale=1.25, shows_self=False, detail=0.5),
+    has_seen_hint=True,
 )
 
 
@@ -64,6 +67,10 @@ def test_before_the_first_call_there_are_defaults_and_no_warning(kept: Kept) -> 
         '{"window_size": "big"}',
         '{"window_size": [1280.5, 720]}',
         '{"show_statistics": 1}',
+        '{"settings": 5}',
+        '{"settings": {"mode": "grey"}}',
+        '{"settings": {"detail": true}}',
+        '{"has_seen_hint": "yes"}',
         '{"url": 7}',
         '{"name": "a\\u0000b"}',
         "[" * 20_000,

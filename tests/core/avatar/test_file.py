@@ -25,7 +25,9 @@ from pica_core.avatar.file import (
     save_avatar,
     spec_tensor_shapes,
 )
+from pica_core.avatar.manifest import MAX_DECODE_MULTIPLY_ADDS, MAX_PIXEL_MULTIPLY_ADDS
 from pica_core.avatar.spec import BLOCKS, AvatarSpec
+from pica_core.avatar.variants import VARIANTS, pixel_codec_cost
 from pica_core.errors import AvatarFileError
 
 pytestmark = pytest.mark.unit
@@ -223,6 +225,33 @@ def test_a_spec_with_hostile_sizes_is_refused(toy_bytes: bytes, field: str, valu
     changed = with_manifest(toy_bytes, lambda manifest: manifest["spec"].update({field: value}))
     with pytest.raises(AvatarFileError, match=r"manifest\.spec"):
         load_avatar(changed)
+
+
+@pytest.mark.parametrize(
+    ("spec", "complaint"),
+    [
+        ({"block": "H2", "hidden_channels": [64] * 4}, r"2,801,479,680 multiply-adds a decode"),
+        ({"map_size": 1024, "hidden_channels": [1] * 6}, r"1,024 rows of a map"),
+        ({"pixel_channels": [64, 64, 3]}, r"multiply-adds a pixel; 1,024 are allowed"),
+    ],
+)
+def test_an_avatar_that_is_too_dear_to_draw_is_refused(
+    toy_bytes: bytes, spec: dict[str, Any], complaint: str
+) -> None:
+    changed = with_manifest(toy_bytes, lambda manifest: manifest["spec"].update(spec))
+    with pytest.raises(AvatarFileError, match=complaint):
+        load_avatar(changed)
+
+
+def test_what_people_draw_is_far_from_too_dear() -> None:
+    specs = [AvatarSpec(block=block) for block in BLOCKS]
+    specs += [AvatarSpec(encoding=row.encoding) for row in VARIANTS.values()]
+    for spec in specs:
+        cost = pixel_codec_cost(spec)
+        is_light = spec.block in ("C", "G")  # as all that ship
+        margin = 7 if is_light else 2
+        assert margin * cost.per_object_multiply_adds < MAX_DECODE_MULTIPLY_ADDS
+        assert 1.8 * cost.per_pixel_multiply_adds < MAX_PIXEL_MULTIPLY_ADDS
 
 
 def test_a_spec_that_disagrees_with_the_tensors_is_refused(toy_bytes: bytes) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -248,3 +251,11 @@ def test_many_renders_of_changing_size_leave_no_memory_behind() -> None:
         grown = resident_bytes() - before
 
     assert grown < 8 << 20  # a kept framebuffer of one batch would make 50 MB
+
+
+def test_triton_is_loaded_before_a_driver_can_be(tmp_path: Path) -> None:
+    # After Mesa's LLVM it ends the process; the wheel of torch that tests install has none of it.
+    (tmp_path / "triton.py").write_text("")
+    program = "import sys, pica_core.train.rasterise; assert 'triton' in sys.modules"
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", program], env=environment, check=True)

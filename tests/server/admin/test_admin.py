@@ -12,6 +12,7 @@ from pica_protocol.errors import CloseCode
 from pica_protocol.messages import Join
 from pica_server.admin.admin import Admin
 from pica_server.auth.tokens import Admission, KeyRing, admin_scope, admit, mint
+from pica_server.config.relay import RelayConfig
 from pica_server.errors import AdmissionError
 from pica_server.room.hub import Hub
 
@@ -94,10 +95,32 @@ def test_a_peer_is_removed_and_a_room_closed() -> None:
     assert ask("GET", "/v1/rooms") == (200, {"rooms": []})
 
 
+def test_an_identity_is_barred_for_a_time_whether_it_is_there_or_not_and_let_in_again() -> None:
+    hub = Hub(RelayConfig(), lambda join: Admission(identity=join.token))
+    ask = asking(hub)
+    ada = Member(hub, "Ada", token="ada")
+    status, answer = ask("DELETE", f"/v1/rooms/lobby/peers/{ada.peer_id}?bar=true&for_s=60")
+    assert (status, answer["barred"]) == (200, True)
+    assert ada.closed_code == CloseCode.REMOVED
+    bars = "/v1/rooms/lobby/bars/ada"
+    for method, is_barred in (("PUT", True), ("DELETE", False)):
+        assert ask(method, bars) == (
+            200,
+            {"room": "lobby", "identity": "ada", "barred": is_barred},
+        )
+        code = CloseCode.FORBIDDEN if is_barred else None
+        assert Member(hub, "Ada", token="ada").closed_code == code
+    for for_s in ("0", "2592001", "nan", "soon"):
+        status, answer = ask("PUT", f"{bars}?for_s={for_s}")
+        assert status == 400
+        assert answer["error"].startswith("for_s must be 1 to 2592000 seconds, got")
+
+
 @pytest.mark.parametrize(
     ("method", "path", "status"),
     [
         ("GET", "/", 404),
+        ("GET", "/v1/rooms/lobby/bars/ada", 405),
         ("GET", "/v1", 404),
         ("GET", "/v1/rooms/nowhere", 404),
         ("DELETE", "/v1/rooms/lobby/peers/p99", 404),

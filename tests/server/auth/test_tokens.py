@@ -1,6 +1,7 @@
 import base64
 import contextlib
 import json
+import os
 from pathlib import Path
 
 import jwt
@@ -9,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pica_protocol.errors import CloseCode
+from pica_protocol.invite import Invite, parse_link
 from pica_protocol.messages import Join, Track
 from pica_server.auth.tokens import ANY_AVATAR, AUDIENCE, Admission, KeyRing, admit, load_keys, mint
 from pica_server.cli.token import TokenOptions, token
@@ -203,6 +205,40 @@ def test_the_command_makes_keys_and_mints_with_the_newest(
     assert admission == Admission(identity="ada", avatars=(ANY_AVATAR,))
 
 
+def test_a_key_is_added_to_a_file_whose_last_line_has_no_end(tmp_path: Path) -> None:
+    path = tmp_path / "keys"
+    path.write_text(KeyRing.new_line() + "# an editor was here")
+    first = token(TokenOptions(keys=path, new_key=True))["key_id"]
+    path.write_text(path.read_text().rstrip())
+    second = token(TokenOptions(keys=path, new_key=True))["key_id"]
+    keys = load_keys(path)
+    assert keys.newest == second
+    assert keys.secret(first) is not None
+
+
+@pytest.mark.skipif(os.name != "posix", reason="files have no such modes")
+def test_a_key_file_that_anybody_may_write_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "keys"
+    token(TokenOptions(keys=path, new_key=True))
+    path.chmod(0o602)
+    with pytest.raises(KeyFileError, match=r"--keys .*: anybody can write keys into it"):
+        load_keys(path)
+    path.chmod(0o644)
+    assert load_keys(path)
+
+
+def test_a_token_that_holds_for_longer_than_the_relay_takes_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "keys"
+    path.write_text(KeyRing.new_line())
+    keys = load_keys(path, max_token_s=3600)
+    for lasts_s, complaint in ((3600, None), (3601, "holds for longer than 3600 s")):
+        minted = mint(keys, "lobby", ADA, now=NOW, lasts_s=lasts_s, starts_s=0)
+        expected = pytest.raises(AdmissionError, match=complaint) if complaint else None
+        with expected or contextlib.nullcontext():
+            # Also when it would end soon: what was given for a year is not taken on its last day.
+            admit(keys, join(minted), now=NOW + lasts_s - 1)
+
+
 @pytest.mark.parametrize(
     ("field", "value", "complaint"),
     [
@@ -231,3 +267,18 @@ def test_the_largest_token_fits_a_join() -> None:
     admission = Admission(identity="i" * 64, name="\U0001f642" * 16, avatars=avatars)
     token = mint(KEYS, "r" * 64, admission, now=NOW, lasts_s=60, starts_s=0)
     assert admit(KEYS, join(token, room="r" * 64, avatar=None), now=NOW) == admission
+
+
+def test_an_invite_link_holds_relay_room_and_token(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "keys"
+    token(TokenOptions(keys=path, new_key=True))
+    options = TokenOptions(keys=path, room="r", identity="ada", link="wss://relay.example")
+    result = token(options)
+    assert capsys.readouterr().out.strip() == result["link"]
+    assert parse_link(result["link"]) == Invite(
+        url="wss://relay.example", room="r", token=result["token"]
+    )
+    with pytest.raises(ConfigurationError, match="--link: url 'http://x' is no relay address"):
+        token(TokenOptions(keys=path, room="r", identity="ada", link="http://x"))

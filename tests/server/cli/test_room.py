@@ -9,14 +9,18 @@ import pytest
 
 from pica_server.cli.room import (
     AdminOptions,
+    BarOptions,
     MuteOptions,
     RemoveOptions,
     RoomOptions,
+    UnbarOptions,
+    room_bar,
     room_close,
     room_inspect,
     room_list,
     room_mute,
     room_remove,
+    room_unbar,
     room_unmute,
 )
 from pica_server.cli.token import TokenOptions, token
@@ -60,11 +64,13 @@ def test_rooms_are_listed_inspected_muted_and_closed_from_the_command_line(
             room_remove(RemoveOptions(url=url, room="lobby", peer="p 99/x"))
         with pytest.raises(AdminRequestError, match="no such room"):
             room_close(RoomOptions(url=url, room="../v1/rooms"))
-        room_remove(RemoveOptions(url=url, room="lobby", peer=peer, bar=True))
+        assert not room_remove(RemoveOptions(url=url, room="lobby", peer=peer, bar=True))["barred"]
         return room_list(AdminOptions(url=url))
 
     assert with_relay(LOCAL, act) == {"rooms": []}
-    assert "lobby: 1 peers, 1 streams" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "lobby: 1 peers, 1 streams" in told
+    assert "nothing keeps them from coming again" in told
 
 
 def test_with_keys_the_command_shows_a_token_from_a_file(
@@ -83,6 +89,14 @@ def test_with_keys_the_command_shows_a_token_from_a_file(
         return room_inspect(RoomOptions(url=url, room="lobby", token_file=file))
 
     assert with_relay(config, act, joining)["peers"][0]["identity"] == "ada"
+
+    def keep_out(url: str, peer: str) -> dict[str, Any]:
+        options = {"url": url, "room": "lobby", "token_file": file}
+        assert room_remove(RemoveOptions(**options, peer=peer, bar=True, for_s=60))["barred"]
+        assert room_bar(BarOptions(**options, identity="bob"))["barred"]
+        return room_unbar(UnbarOptions(**options, identity="bob"))
+
+    assert not with_relay(config, keep_out, joining)["barred"]
     assert minted not in capsys.readouterr().err
 
 

@@ -212,7 +212,7 @@ def test_an_admin_mutes_removes_and_closes_from_any_node() -> None:
     ada.send_frame(b"y", 0.0)
     nodes.pump(0.0)
     assert [frame.payload for frame in told(bob, Frame)] == [b"y"]
-    assert nodes.hubs[0].moderation.remove("lobby", cleo.peer_id, bar=True, now=0.0)
+    assert nodes.hubs[0].moderation.bar("lobby", "Cleo", now=0.0)
     nodes.pump(0.0)
     assert cleo.closed_code == CloseCode.REMOVED
     for slot in (0, 1):
@@ -220,7 +220,48 @@ def test_an_admin_mutes_removes_and_closes_from_any_node() -> None:
     assert nodes.hubs[0].moderation.close_room("lobby", 0.0) == 1
     nodes.pump(0.0)
     assert (ada.closed_code, bob.closed_code) == (CloseCode.ROOM_CLOSED, CloseCode.ROOM_CLOSED)
-    assert nodes.join(1, "Cleo").closed_code is None, "a bar lasts as long as the room"
+    for slot in (0, 1):
+        assert nodes.join(slot, "Cleo").closed_code == CloseCode.FORBIDDEN, "it outlives the room"
+
+
+def test_mutes_and_bars_hold_on_a_node_that_comes_to_a_room_after_they_were_given() -> None:
+    nodes = Nodes(3, with_identities=True)
+    ada, bob = nodes.join(0, "Ada"), nodes.join(1, "Bob")
+    nodes.hubs[1].moderation.mute("lobby", ada.stream, is_muted=True, now=0.0)
+    nodes.hubs[1].moderation.bar("lobby", "Eve", now=0.0)
+    nodes.pump(0.0)
+    bob.listen(now=0.0)
+    again = nodes.join(2, "Ada", 1.0)
+    assert ada.closed_code == CloseCode.REPLACED
+    assert again.session.muted == {again.stream}
+    assert told(bob, StreamMuted, 1.0) == [StreamMuted(stream=again.stream, is_muted=True)]
+    assert nodes.join(2, "Eve", 1.0).closed_code == CloseCode.FORBIDDEN
+    for member in (again, bob):
+        member.hub.disconnect(member.connection, 1000, "", 2.0)
+    nodes.pump(2.0)
+    assert [node.num_rooms for node in nodes.nodes] == [0, 0, 0]
+    assert nodes.join(0, "Ada", 3.0).session.muted, "the room was empty for a while"
+    assert nodes.join(0, "Eve", 3.0).closed_code == CloseCode.FORBIDDEN
+
+
+def test_in_a_full_room_a_newcomer_gets_the_place_of_who_is_away_on_its_node() -> None:
+    nodes = Nodes(2, capacity=2)
+    ada, bob = nodes.join(0, "Ada", resumable=True), nodes.join(1, "Bob", resumable=True)
+    ada.lose_connection(now=1.0)
+    nodes.pump(1.0)
+    assert nodes.join(0, "Cyd", 2.0).closed_code is None
+    news = [type(each) for each in bob.listen(2.0)]
+    assert news[-2:] == [PeerLeft, PeerJoined]
+
+
+def test_who_is_barred_while_they_move_to_another_node_is_put_out_there() -> None:
+    nodes = Nodes(2, with_identities=True)
+    nodes.join(0, "Ada")
+    cleo = nodes.join(1, "Cleo")
+    nodes.hubs[0].rulings.give("lobby", "Cleo", holds=True)  # as if it met a write of the other
+    nodes.nodes[0].note_rulings("lobby")
+    nodes.pump(0.0)
+    assert cleo.closed_code == CloseCode.REMOVED
 
 
 def test_a_node_that_falls_silent_is_gone_after_its_lease_and_back_when_it_speaks() -> None:

@@ -27,6 +27,7 @@ from pica_server.cluster.room import (
     Write,
     Written,
 )
+from pica_server.room.rulings import Rulings
 
 pytestmark = pytest.mark.unit
 
@@ -104,11 +105,12 @@ class Node:
 
 def node(slot: int, capacity: int = 3) -> Node:
     me = NodeId(slot, "a1")
-    return Node(me.name, SharedRoom("lobby", capacity, me), Liveness(0.0))
+    return Node(me.name, SharedRoom("lobby", capacity, me, Rulings(float)), Liveness(0.0))
 
 
-def somebody(peer_id: str) -> Peer:
-    return Peer(peer_id=peer_id, name="Ada", tracks=(Track(kind="face", stream=7),))
+def somebody(peer_id: str, identity: str = "") -> Peer:
+    tracks = (Track(kind="face", stream=7),)
+    return Peer(peer_id=peer_id, name="Ada", tracks=tracks, identity=identity)
 
 
 def settle(store: Store, *nodes: Node, now: float = 0.0) -> None:
@@ -135,8 +137,8 @@ def settle(store: Store, *nodes: Node, now: float = 0.0) -> None:
 
 def test_peers_of_two_nodes_see_each_other_come_and_go_with_the_reason() -> None:
     store, first, second = Store(), node(1), node(2)
-    first.room.join(somebody("ada"), "", 0.0)
-    second.room.join(somebody("bob"), "", 0.0)
+    first.room.join(somebody("ada"), 0.0)
+    second.room.join(somebody("bob"), 0.0)
     settle(store, first, second)
     assert (first.here, first.others) == ({"ada"}, {"bob"})
     assert (second.here, second.others) == ({"bob"}, {"ada"})
@@ -148,8 +150,8 @@ def test_peers_of_two_nodes_see_each_other_come_and_go_with_the_reason() -> None
 
 def test_of_two_nodes_that_take_the_last_place_at_once_one_gets_it() -> None:
     store, first, second = Store(), node(1, capacity=1), node(2, capacity=1)
-    first.room.join(somebody("ada"), "", 0.0)
-    second.room.join(somebody("bob"), "", 0.0)
+    first.room.join(somebody("ada"), 0.0)
+    second.room.join(somebody("bob"), 0.0)
     reads = [each.advance(0.0) for each in (first, second)]
     for each, read in zip((first, second), reads, strict=True):
         assert read is not None
@@ -166,8 +168,8 @@ def test_of_two_nodes_that_take_the_last_place_at_once_one_gets_it() -> None:
 
 def test_a_node_that_empties_its_part_of_a_room_takes_nobody_else_out_of_it() -> None:
     store, first, second = Store(), node(1), node(2)
-    first.room.join(somebody("ada"), "", 0.0)
-    second.room.join(somebody("bob"), "", 0.0)
+    first.room.join(somebody("ada"), 0.0)
+    second.room.join(somebody("bob"), 0.0)
     settle(store, first, second)
     first.leave("ada")
     settle(store, first, second)
@@ -181,9 +183,9 @@ def test_a_node_that_empties_its_part_of_a_room_takes_nobody_else_out_of_it() ->
 
 def test_who_joins_elsewhere_under_the_same_identity_replaces_themselves() -> None:
     store, first, second = Store(), node(1, capacity=1), node(2, capacity=1)
-    first.room.join(somebody("old"), "ada", 0.0)
+    first.room.join(somebody("old", "ada"), 0.0)
     settle(store, first, second)
-    second.room.join(somebody("new"), "ada", 0.0)
+    second.room.join(somebody("new", "ada"), 0.0)
     settle(store, first, second)
     assert (first.here, second.here) == (set(), {"new"})
     assert store.peers == ["new"]
@@ -191,8 +193,8 @@ def test_who_joins_elsewhere_under_the_same_identity_replaces_themselves() -> No
 
 def test_the_peers_of_a_dead_node_are_gone_when_its_lease_is_over() -> None:
     store, first, second = Store(), node(1, capacity=2), node(2, capacity=2)
-    first.room.join(somebody("ada"), "", 0.0)
-    second.room.join(somebody("bob"), "", 0.0)
+    first.room.join(somebody("ada"), 0.0)
+    second.room.join(somebody("bob"), 0.0)
     settle(store, first, second)
     first.liveness.receive_beat("2-a1", 1.0)
     for beat in range(8):
@@ -206,10 +208,10 @@ def test_the_peers_of_a_dead_node_are_gone_when_its_lease_is_over() -> None:
 
 def test_a_join_waits_while_a_node_that_may_be_dead_holds_the_last_place() -> None:
     store, first, second = Store(), node(1, capacity=2), node(2, capacity=2)
-    first.room.join(somebody("ada"), "", 0.0)
-    second.room.join(somebody("bob"), "", 0.0)
+    first.room.join(somebody("ada"), 0.0)
+    second.room.join(somebody("bob"), 0.0)
     settle(store, first, second)
-    first.room.join(somebody("bob-again"), "", 0.5)
+    first.room.join(somebody("bob-again"), 0.5)
     settle(store, first, now=2.0)
     assert first.refused == set()
     settle(store, first, now=LEASE_S + 0.01)
@@ -218,21 +220,21 @@ def test_a_join_waits_while_a_node_that_may_be_dead_holds_the_last_place() -> No
 
 def test_a_join_that_finds_the_room_full_of_the_living_is_refused_at_once() -> None:
     store, first, second = Store(), node(1, capacity=1), node(2, capacity=1)
-    first.room.join(somebody("ada"), "", 0.0)
+    first.room.join(somebody("ada"), 0.0)
     settle(store, first, second)
-    second.room.join(somebody("bob"), "", 0.0)
+    second.room.join(somebody("bob"), 0.0)
     settle(store, first, second)
     assert second.refused == {"bob"}
 
 
 def test_alone_a_node_decides_by_who_is_here_and_shows_nobody_else() -> None:
     store, first, second = Store(), node(1, capacity=2), node(2, capacity=2)
-    first.room.join(somebody("ada"), "", 0.0)
-    second.room.join(somebody("bob"), "", 0.0)
+    first.room.join(somebody("ada"), 0.0)
+    second.room.join(somebody("bob"), 0.0)
     settle(store, first, second)
     first.standing = Standing.LOCAL
-    first.room.join(somebody("cleo"), "", 0.0)
-    first.room.join(somebody("dan"), "", 0.0)
+    first.room.join(somebody("cleo"), 0.0)
+    first.room.join(somebody("dan"), 0.0)
     assert first.advance(9.0) is None
     assert (first.here, first.others) == ({"ada", "cleo"}, set())
     assert first.refused == {"dan"}
@@ -242,35 +244,35 @@ def test_when_two_halves_meet_again_everybody_stays_and_nobody_comes_before_enou
     None
 ):
     store, first, second = Store(), node(1, capacity=2), node(2, capacity=2)
-    first.room.join(somebody("ada"), "", 0.0)
-    second.room.join(somebody("bob"), "", 0.0)
+    first.room.join(somebody("ada"), 0.0)
+    second.room.join(somebody("bob"), 0.0)
     settle(store, first, second)
     first.standing = Standing.LOCAL
-    first.room.join(somebody("cleo"), "", 0.0)
+    first.room.join(somebody("cleo"), 0.0)
     first.advance(9.0)
     second.liveness.forget("1-a1")
-    second.room.join(somebody("dan"), "", 0.0)
+    second.room.join(somebody("dan"), 0.0)
     settle(store, second)
     assert store.peers == ["bob", "dan"]
     first.standing = Standing.CLUSTERED
     settle(store, first, second, now=0.0)
     assert first.here | first.others == second.here | second.others == {"ada", "bob", "cleo", "dan"}
     for leaver in ("ada", "cleo"):
-        second.room.join(somebody("eve"), "", 0.0)
+        second.room.join(somebody("eve"), 0.0)
         settle(store, first, second)
         assert second.refused == {"eve"}
         first.leave(leaver)
         settle(store, first, second)
     second.refused.clear()
     second.leave("dan")
-    second.room.join(somebody("fay"), "", 0.0)
+    second.room.join(somebody("fay"), 0.0)
     settle(store, first, second)
     assert second.here == {"bob", "fay"}
 
 
 def test_a_write_of_which_nobody_heard_again_is_not_made_twice() -> None:
     store, first = Store(), node(1)
-    first.room.join(somebody("ada"), "", 0.0)
+    first.room.join(somebody("ada"), 0.0)
     read = first.advance(0.0)
     assert read is not None
     first.room.receive_answer(read.ticket, store.do(read), 0.0)
@@ -286,7 +288,7 @@ def test_a_write_of_which_nobody_heard_again_is_not_made_twice() -> None:
 
 def test_who_hangs_up_while_the_answer_is_under_way_leaves_nothing_behind() -> None:
     store, first = Store(), node(1)
-    first.room.join(somebody("ada"), "", 0.0)
+    first.room.join(somebody("ada"), 0.0)
     read = first.advance(0.0)
     assert read is not None
     first.room.receive_answer(read.ticket, store.do(read), 0.0)
@@ -303,7 +305,7 @@ def test_who_hangs_up_while_the_answer_is_under_way_leaves_nothing_behind() -> N
 
 def test_a_node_that_lost_its_standing_remembers_what_it_may_have_left_in_the_record() -> None:
     store, first = Store(), node(1)
-    first.room.join(somebody("ada"), "", 0.0)
+    first.room.join(somebody("ada"), 0.0)
     settle(store, first)
     first.standing = Standing.LOCAL
     first.advance(9.0)
@@ -352,7 +354,7 @@ def test_whatever_the_order_of_answers_no_room_takes_more_than_it_may_and_all_ag
         if what == "j":
             num_peers += 1
             identity = ["", "", "", "x", "y", "z"][which]
-            here.room.join(somebody(f"p{num_peers}"), identity, 0.0)
+            here.room.join(somebody(f"p{num_peers}", identity), 0.0)
         elif what == "l" and here.here:
             here.leave(sorted(here.here)[which % len(here.here)])
         elif what == "a":

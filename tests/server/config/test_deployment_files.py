@@ -1,8 +1,7 @@
 """What can be checked of the container and cluster files without an engine or a cluster.
 
-Not checked here: that the images build, that the tags of other people's images exist, and that a
-cluster accepts the manifests. ``scripts/check_deployment.py`` starts what the relay's image would
-start, from a wheel in an environment of its own.
+Not checked here: that the tags of other people's images exist, and that a cluster accepts the
+manifests. ``scripts/check_images.py`` builds the images and starts what they start.
 """
 
 import json
@@ -17,9 +16,9 @@ import tyro
 import yaml
 
 from helpers.paths import ROOT
-from pica_server.cli.relay import ENVIRONMENT_PREFIX, RelayOptions
+from helpers.relay_options import read_relay_options
+from pica_command.errors import UsageError
 from pica_server.config.relay import RelayConfig
-from pica_server.config.settings import read_options
 from pica_server.ops.loop_watch import LoopWatch
 from pica_server.ops.status_pages import StatusPages
 from pica_server.room.hub import Hub
@@ -50,12 +49,7 @@ def instructions(path: Path) -> list[tuple[str, str]]:
 
 def relay_options(words: list[str], environment: dict[str, str]) -> RelayConfig:
     """Read a relay's settings as the command does; unknown ones and bad values raise."""
-
-    def parse(defaults: RelayOptions) -> RelayOptions:
-        return tyro.cli(RelayOptions, args=words, default=defaults)
-
-    options, _ = read_options(RelayOptions, parse, words, environment, prefix=ENVIRONMENT_PREFIX)
-    return options.config
+    return read_relay_options(words, environment).config
 
 
 def image_environment() -> dict[str, str]:
@@ -64,7 +58,7 @@ def image_environment() -> dict[str, str]:
         arguments for name, arguments in instructions(DOCKER / "relay.Dockerfile") if name == "ENV"
     )
     pairs = dict(word.split("=", 1) for word in shlex.split(words))
-    return {name: value for name, value in pairs.items() if name.startswith(ENVIRONMENT_PREFIX)}
+    return {name: value for name, value in pairs.items() if name.startswith("PICA_RELAY_")}
 
 
 @pytest.mark.parametrize("path", DOCKERFILES, ids=lambda path: path.name)
@@ -130,7 +124,7 @@ class TestDockerfiles:
 
 
 def test_the_relays_image_refuses_to_be_open_by_mistake() -> None:
-    with pytest.raises(ValueError, match="this relay has no tokens"):
+    with pytest.raises(UsageError, match="this relay has no tokens"):
         relay_options([], image_environment())
     config = relay_options([], {**image_environment(), "PICA_RELAY_KEYS": "/run/secrets/keys"})
     assert (config.host, config.port) == ("0.0.0.0", 8765)

@@ -7,6 +7,8 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
 
 from pica_protocol import SUBPROTOCOL
+from pica_protocol.client_session import ClientSession
+from pica_protocol.session import State
 from pica_server.config.relay import LimitsConfig, RelayConfig
 from pica_server.errors import ConfigurationError
 from pica_server.net.proxies import client_of, networks
@@ -52,17 +54,25 @@ def test_what_is_no_network_is_refused(name: str) -> None:
         RelayConfig(metrics_to=(name,))
 
 
-async def metrics_status(host: str, forwarded: str = "") -> int:
-    """Ask for the numbers from an address, and return the status of the answer."""
+async def http_status(
+    host: str, header: str = "", *, path: str = "/metrics", asked: str = "127.0.0.1:8765"
+) -> int:
+    """Ask for a page from an address, and return the status of the answer.
+
+    Args:
+        host: Who asks.
+        header: One more line of the request.
+        path: What for.
+        asked: Of which host.
+    """
     loop = asyncio.get_running_loop()
     answer: asyncio.Future[bytes] = loop.create_future()
 
     class Asker(asyncio.Protocol):
         def connection_made(self, transport: asyncio.BaseTransport) -> None:
-            header = f"X-Forwarded-For: {forwarded}\r\n" if forwarded else ""
-            request = f"GET /metrics HTTP/1.1\r\nHost: relay\r\n{header}\r\n"
+            lines = [f"GET {path} HTTP/1.1", f"Host: {asked}", *filter(None, [header]), "", ""]
             assert isinstance(transport, asyncio.WriteTransport)
-            transport.write(request.encode())
+            transport.write("\r\n".join(lines).encode())
 
         def data_received(self, data: bytes) -> None:
             if not answer.done():
@@ -77,15 +87,48 @@ async def metrics_status(host: str, forwarded: str = "") -> int:
 @in_virtual_time
 async def test_numbers_go_to_the_networks_that_are_named_but_not_through_a_proxy() -> None:
     async with Relay(RelayConfig(metrics_to=("192.0.2.0/24",))):
-        assert await metrics_status("192.0.2.9") == 200
-        assert await metrics_status("127.0.0.1") == 200
-        assert await metrics_status("198.51.100.1") == 403
-        assert await metrics_status("192.0.2.9", forwarded="198.51.100.1") == 403
-        assert await metrics_status("127.0.0.1", forwarded="127.0.0.1") == 403
+        assert await http_status("192.0.2.9") == 200
+        assert await http_status("127.0.0.1") == 200
+        assert await http_status("198.51.100.1") == 403
+        for header in ("X-Forwarded-For: 127.0.0.1", "Forwarded: for=127.0.0.1", "Via: 1.1 edge"):
+            assert await http_status("192.0.2.9", header) == 403
+            assert await http_status("127.0.0.1", header) == 403
+        assert await http_status("127.0.0.1", "x-real-ip: 198.51.100.1") == 403
+
+
+REBOUND = "evil.example:8765"
+"""A name that somebody has made to point at whoever looks at their page."""
+
+
+@in_virtual_time
+async def test_no_page_whose_name_was_made_to_point_here_reads_what_is_for_this_machine() -> None:
+    pages = ("/metrics", "/healthz", "/readyz", "/avatars/" + 64 * "0")
+    async with Relay(RelayConfig(avatar_store="none")):
+        for path in pages:
+            for asked in ("127.0.0.1:8765", "localhost", "[::1]:8765"):
+                assert await http_status("127.0.0.1", path=path, asked=asked) in (200, 501)
+            for asked in (REBOUND, "127.0.0.1.evil.example", "localhost@evil.example", "[", ""):
+                header = "X-Forwarded-For: 127.0.0.1"  # a page may add this to its request
+                assert await http_status("127.0.0.1", path=path, asked=asked) in (400, 403)
+                assert await http_status("127.0.0.1", header, path=path, asked=asked) in (400, 403)
+    async with Relay(RelayConfig(avatar_store="none", trusted_proxies=("127.0.0.1",))):
+        header = "X-Forwarded-For: 192.0.2.9"
+        found = [await http_status("127.0.0.1", header, path=p, asked=REBOUND) for p in pages]
+        assert found == [403, 200, 200, 501], "a proxy of ours may ask for what it likes"
+
+
+def test_a_relay_for_others_tells_them_that_it_lives_and_a_page_on_its_machine_no_numbers() -> None:
+    @in_virtual_time
+    async def call() -> None:
+        async with Relay(RelayConfig(host="0.0.0.0", insecure=True)):
+            for path, status in (("/metrics", 403), ("/healthz", 200)):
+                assert await http_status("127.0.0.1", path=path, asked=REBOUND) == status
+
+    call()
 
 
 async def close_code(forwarded: str | None) -> int | None:
-    """Connect through a proxy that says so, and return how the relay ends it within a second."""
+    """Join through a proxy that says so, and return how the relay ends it; None: we are in."""
     headers = {} if forwarded is None else {"X-Forwarded-For": forwarded}
     async with connect(
         "ws://127.0.0.1:8765",
@@ -94,20 +137,23 @@ async def close_code(forwarded: str | None) -> int | None:
         compression=None,
         additional_headers=headers,
     ) as websocket:
-        try:
-            await websocket.recv()
-            await websocket.recv()
-        except ConnectionClosed:
-            pass
-        return websocket.close_code
+        session = ClientSession(room="lobby", name="Ada", now=0.0)
+        for data in session.messages_to_send(now=0.0):
+            await websocket.send(data)
+        while session.state is not State.JOINED:
+            try:
+                session.receive_data(await websocket.recv(), now=0.0)
+            except ConnectionClosed:
+                return websocket.close_code
+        return None
 
 
 def test_limits_of_an_address_are_those_of_the_client_behind_a_trusted_proxy() -> None:
     limits = LimitsConfig(connections_per_address=1)
 
     @in_virtual_time
-    async def call(proxies: tuple[str, ...], expected: list[int]) -> None:
-        config = RelayConfig(limits=limits, trusted_proxies=proxies, handshake_timeout_s=1)
+    async def call(proxies: tuple[str, ...], expected: list[int | None]) -> None:
+        config = RelayConfig(limits=limits, trusted_proxies=proxies)
         async with Relay(config) as relay:
             hub = relay.hub
             held = hub.connect(0.0, "203.0.113.9")
@@ -115,5 +161,5 @@ def test_limits_of_an_address_are_those_of_the_client_behind_a_trusted_proxy() -
             assert codes == expected
             hub.disconnect(held, 1006, "", 0.0)
 
-    call((), [4003, 4003])  # everybody is this machine, which has no limit
-    call(("127.0.0.1",), [4010, 4003])
+    call((), [None, None])  # everybody is this machine, which has no limit
+    call(("127.0.0.1",), [4010, None])

@@ -12,8 +12,7 @@ PAGE = (ROOT / "docs" / "security.md").read_text()
 NAMED = sorted(set(re.findall(r"`(test_[a-z0-9_]+)`", PAGE)))
 DEFINED = {
     name
-    for folder in ("server", "protocol", "call")
-    for path in (ROOT / "tests" / folder).rglob("test_*.py")
+    for path in (ROOT / "tests").rglob("test_*.py")
     for name in re.findall(r"^(?:async )?def (test_[a-z0-9_]+)", path.read_text(), re.MULTILINE)
 }
 

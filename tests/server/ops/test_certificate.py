@@ -21,9 +21,9 @@ from pica_client.transport.connect import open_websocket
 from pica_client.transport.link import Link
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, Track
+from pica_protocol.tls_buffer import bound_tls_buffer
 from pica_server.config.relay import LimitsConfig, RelayConfig
 from pica_server.errors import ConfigurationError
-from pica_server.net.socket import bound_tls_buffer
 from pica_server.ops.certificate import Certificate
 from pica_server.relay import Relay
 
@@ -267,7 +267,7 @@ def page_asked_for_with_the_last_of_the_handshake(port: int) -> bytes:
             except ssl.SSLWantReadError:
                 plain.sendall(outgoing.read())
                 incoming.write(plain.recv(65_536))
-        tls.write(b"GET /healthz HTTP/1.1\r\nHost: relay\r\n\r\n")
+        tls.write(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
         plain.sendall(outgoing.read())
         while data := plain.recv(65_536):
             incoming.write(data)

@@ -6,8 +6,10 @@ import json
 import logging
 import re
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 from contextlib import suppress
 from dataclasses import replace
@@ -21,7 +23,7 @@ from pica_protocol import SUBPROTOCOL
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Whisper
 from pica_server.auth.tokens import Admission, KeyRing, load_keys, mint
-from pica_server.ops.log import LINES_AT_ONCE, Level, Style, logging_to, say
+from pica_server.ops.log import LINES_AT_ONCE, MOST_WAITING, Level, Style, logging_to, say
 from simnet.peers import FACE, peer_in_room
 
 pytestmark = pytest.mark.realtime
@@ -212,3 +214,62 @@ def test_nobody_can_be_found_in_the_log_of_a_relay(style: Style, tmp_path: Path)
     if style == "json":
         events = [json.loads(line) for line in log.splitlines()]
         assert all({"time", "level", "event"} <= set(event) for event in events)
+
+
+def test_nobody_who_reads_the_log_stops_nothing_but_the_log(tmp_path: Path) -> None:
+    """Its standard error is a little buffer; a flood of lines fills it, and then comes SIGTERM."""
+
+    async def call(url: str) -> None:
+        async with peer_in_room(url, NAME) as ada, peer_in_room(url, OTHER_NAME) as bob:
+            for _ in range(int(LINES_AT_ONCE)):
+                async with connect(url, subprotocols=[SUBPROTOCOL], proxy=None) as websocket:
+                    websocket.transport.abort()
+            await ada.send_frame(PAYLOAD)
+            assert (await bob.until(Frame)).payload == PAYLOAD
+
+    ready = tmp_path / "url"
+    arguments = f"--port 0 --json --log-level debug --ready-file {ready} --drain-s 1"
+    unread, stderr = socket.socketpair()
+    stderr.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 2048)
+    with unread, stderr:
+        relay = subprocess.Popen(
+            [sys.executable, "-m", "pica_command", "relay", *arguments.split()],
+            stdout=subprocess.PIPE,
+            stderr=stderr,
+            text=True,
+        )
+        try:
+            while not ready.exists():
+                time.sleep(0.02)
+            asyncio.run(asyncio.wait_for(call(ready.read_text().strip()), 60))
+            relay.send_signal(signal.SIGTERM)
+            said, _ = relay.communicate(timeout=10)
+        finally:
+            relay.kill()
+            relay.communicate()
+        assert relay.returncode == 0
+    assert json.loads(said)["log"]["taken"] >= LINES_AT_ONCE
+
+
+def test_lines_that_were_dropped_are_told_of_when_it_flows_again() -> None:
+    class Stuck(io.StringIO):
+        is_stuck, flows = threading.Event(), threading.Event()
+
+        def write(self, text: str) -> int:
+            self.is_stuck.set()
+            self.flows.wait()
+            return super().write(text)
+
+    stream = Stuck()
+    with logging_to(stream, "json", "info", lambda: 0.0) as counts:
+        OURS.warning("stuck")
+        stream.is_stuck.wait()
+        for _ in range(MOST_WAITING + 10):
+            OURS.warning("waits")
+        stream.flows.set()
+        while len(stream.getvalue().splitlines()) <= MOST_WAITING:
+            time.sleep(0.001)
+        OURS.warning("flows")
+    assert counts == {"taken": MOST_WAITING + 2, "dropped": 10}
+    last = json.loads(stream.getvalue().splitlines()[-1])
+    assert (last["event"], last["dropped"]) == ("flows", 10)

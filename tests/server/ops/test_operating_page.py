@@ -9,11 +9,13 @@ import pytest
 import tyro
 
 from helpers.paths import ROOT
+from helpers.relay_options import read_relay_options
+from pica_client.cli.view import ViewOptions
+from pica_command.settings import settings_of
 from pica_protocol.errors import CloseCode
-from pica_server.cli.relay import ENVIRONMENT_PREFIX, RelayOptions
+from pica_server.cli.relay import RelayOptions
 from pica_server.cli.token import TokenOptions
 from pica_server.config.relay import LimitsConfig
-from pica_server.config.settings import read_options, settings_of
 
 pytestmark = pytest.mark.unit
 
@@ -27,13 +29,6 @@ COMMANDS = [
 SETTINGS = {setting.flag: setting for setting in settings_of(RelayOptions)}
 
 
-def read_relay_options(words: list[str], environment: dict[str, str]) -> RelayOptions:
-    def parse(defaults: RelayOptions) -> RelayOptions:
-        return tyro.cli(RelayOptions, args=words, default=defaults)
-
-    return read_options(RelayOptions, parse, words, environment, prefix=ENVIRONMENT_PREFIX)[0]
-
-
 @pytest.mark.parametrize("line", COMMANDS)
 def test_every_command_has_options_that_exist(
     line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -42,7 +37,7 @@ def test_every_command_has_options_that_exist(
     (tmp_path / "relay.toml").write_text("room_capacity = 8\n")
     _, command, *words = shlex.split(line.partition(" > ")[0])
     if command == "relay":
-        read_relay_options(words, {})
+        read_relay_options([word for word in words if word != "--print-config"], {})
     else:
         assert command == "token"
         tyro.cli(TokenOptions, args=words)
@@ -62,7 +57,13 @@ def test_every_limit_stands_on_the_page_with_its_default() -> None:
 
 
 def test_every_flag_on_the_page_exists() -> None:
-    known = {*SETTINGS, "--config", "--print-config", "--json", "--token-file", "--ca-file"}
+    known = {
+        *SETTINGS,
+        "--config",
+        "--print-config",
+        "--json",
+        *(setting.flag for setting in settings_of(ViewOptions)),
+    }
     known |= {f"--{field.name.replace('_', '-')}" for field in fields(TokenOptions)}
     spoken = re.findall(r"`(--[a-z.-]+)", PAGE)
     assert spoken

@@ -3,6 +3,7 @@ from http import HTTPStatus
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
+from helpers.members import Member
 from pica_server.config.relay import LimitsConfig, RelayConfig
 from pica_server.ops.loop_watch import LoopWatch
 from pica_server.ops.metrics import BOUNDS_S, metrics_text
@@ -76,7 +77,7 @@ def test_other_paths_are_for_websockets() -> None:
 def test_every_line_of_the_numbers_is_one_that_prometheus_reads() -> None:
     answers, hub, _ = pages(RelayConfig(limits=LimitsConfig(connections_per_address=1)))
     for _ in range(2):
-        hub.connect(now=0.0, address="192.0.2.1")
+        Member(hub, "Ada", address="192.0.2.1")
     hub.stats.dropped["upper_replaced"] += 3
     hub.stats.frames_in_by_layer[2] += 1_234_567
     page = answers.answer("/metrics", is_local=True, now=0.0)

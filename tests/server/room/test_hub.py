@@ -3,6 +3,7 @@
 import pytest
 
 from helpers.members import Member, hub_with
+from pica_protocol.client_session import Ticket
 from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import (
@@ -152,6 +153,17 @@ def test_a_publisher_above_its_rate_is_closed_and_one_below_it_is_not() -> None:
     assert hub.stats.limits_hit == {"messages": 1}
 
 
+def test_what_piled_up_on_the_way_is_no_flood_and_who_has_just_come_saved_nothing_up() -> None:
+    hub = hub_of_limits(messages_per_s=60, burst_s=10)
+    ada, new = Member(hub, "Ada"), Member(hub, "New", now=20.0)
+    for i in range(300):  # of ten seconds
+        ada.send_frame(b"x", now=20.0 + i / 1e5)
+        if closed_code(new) is None:
+            new.send_frame(b"x", now=20.0 + i / 1e5)
+    assert closed_code(ada) is None
+    assert closed_code(new) == CloseCode.TOO_FAST
+
+
 def test_frames_are_counted_one_by_one_however_many_share_a_message() -> None:
     hub = hub_of_limits(messages_per_s=10, burst_s=1)
     ada = Member(hub, "Ada")
@@ -202,6 +214,22 @@ def test_one_address_has_a_limit_of_its_own_and_gets_its_places_back() -> None:
     assert closed_code(Member(hub, "here")) is None
     hub.disconnect(members[0].connection, 1006, "", now=1.0)
     assert closed_code(Member(hub, "next", address="192.0.2.1")) is None
+
+
+def test_a_ghost_does_not_keep_who_comes_back_out_of_a_crowded_address() -> None:
+    config = RelayConfig(limits=LimitsConfig(connections_per_address=1))
+    hub, _ = hub_with(config=config)
+    ghost = Member(hub, "Ada", address="192.0.2.1", resumable=True)
+    guess = Ticket(secret="guess", next_sequences=(0,))
+    stranger = Member(hub, "Eve", address="192.0.2.1", now=1.0, resumable=True, ticket=guess)
+    assert closed_code(stranger) == CloseCode.TOO_MANY
+    ticket = ghost.session.ticket
+    back = Member(hub, "Ada", address="192.0.2.1", now=2.0, resumable=True, ticket=ticket)
+    assert closed_code(back) is None
+    assert back.peer_id == ghost.peer_id
+    assert closed_code(ghost) == CloseCode.REPLACED
+    assert hub.stats.limits_hit == {"address": 1}
+    assert closed_code(Member(hub, "third", address="192.0.2.1")) == CloseCode.TOO_MANY
 
 
 def test_an_empty_room_is_forgotten() -> None:

@@ -10,6 +10,7 @@ from pica_server.auth.tokens import Admission
 from pica_server.config.relay import RelayConfig
 from pica_server.hooks.events import RoomEvent
 from pica_server.room.hub import Hub
+from pica_server.room.rulings import RULING_S
 
 pytestmark = pytest.mark.unit
 
@@ -81,7 +82,7 @@ def test_a_voice_that_was_muted_goes_on_at_once_and_is_asked_for_no_keyframe() -
 
 def test_a_removed_peer_is_told_and_gone_and_cannot_come_back_to_its_place() -> None:
     hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True)
-    assert hub.moderation.remove("lobby", ada.peer_id, bar=False, now=1.0)
+    assert hub.moderation.remove("lobby", ada.peer_id, now=1.0)
     assert ada.closed_code == CloseCode.REMOVED
     assert bob.listen(now=1.0) == [PeerLeft(peer_id=ada.peer_id, reason="removed")]
     again = Member(hub, "Ada", now=2.0, ticket=ada.session.ticket)
@@ -91,25 +92,86 @@ def test_a_removed_peer_is_told_and_gone_and_cannot_come_back_to_its_place() -> 
 def test_a_peer_that_is_away_can_be_removed() -> None:
     hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True)
     ticket = ada.lose_connection(now=1.0)
-    assert hub.moderation.remove("lobby", ada.peer_id, bar=False, now=2.0)
+    assert hub.moderation.remove("lobby", ada.peer_id, now=2.0)
     bob.listen(now=2.0)
     assert list(bob.session.peers) == []
     assert Member(hub, "Ada", now=3.0, ticket=ticket).peer_id != ada.peer_id
     hub.handle_timer(now=20.0)
 
 
-def test_an_identity_that_is_barred_stays_out_as_long_as_the_room_lasts() -> None:
-    hub = Hub(
+class Clock:
+    """Seconds since 1970, as the hub's rulings see them."""
+
+    now_s = 1_800_000_000.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def hub_of_identities(clock: Clock) -> Hub:
+    """Tokens are the identities themselves."""
+    return Hub(
         RelayConfig(),
         lambda join: Admission(identity=join.token),
         new_secret=counting_secrets(),
+        unix_time=clock,
     )
-    ada, bob = Member(hub, "Ada", token="ada"), Member(hub, "Bob", token="bob")
-    hub.moderation.remove("lobby", ada.peer_id, bar=True, now=1.0)
+
+
+def test_a_mute_outlives_its_owners_rejoin_and_everybody_is_told() -> None:
+    hub = hub_of_identities(Clock())
+    ada = Member(hub, "Ada", token="ada", tracks=(FACE, VOICE))
+    bob = Member(hub, "Bob", token="bob")
+    hub.moderation.mute("lobby", ada.stream, is_muted=True, now=1.0)
+    hub.disconnect(ada.connection, 1000, "", now=2.0)
+    bob.listen(now=2.0)
+    again = Member(hub, "Ada", token="ada", tracks=(FACE, VOICE), now=3.0)
+    assert again.session.muted == {again.stream}, "her face is off, her voice is not"
+    assert bob.listen(now=3.0)[1:] == [StreamMuted(stream=again.stream, is_muted=True)]
+    hub.receive(again.connection, b"\x02\x00\x04" + bytes(3) + b"\x01" + bytes(10), now=3.1)
+    assert payloads(bob, now=3.1) == []
+    assert Member(hub, "Ada", token="ada", room="elsewhere", now=4.0).session.muted == set()
+    hub.moderation.mute("lobby", again.stream, is_muted=False, now=5.0)
+    hub.disconnect(again.connection, 1000, "", now=6.0)
+    assert Member(hub, "Ada", token="ada", now=7.0).session.muted == set()
+
+
+def test_a_mute_ends_after_a_day_and_not_with_the_room() -> None:
+    clock = Clock()
+    hub = hub_of_identities(clock)
+    ada = Member(hub, "Ada", token="ada")
+    hub.moderation.mute("lobby", ada.stream, is_muted=True, now=1.0)
+    hub.disconnect(ada.connection, 1000, "", now=2.0)
+    assert hub.num_rooms == 0
+    clock.now_s += RULING_S - 2
+    assert Member(hub, "Ada", token="ada", now=3.0).session.muted
+    clock.now_s += 3
+    assert not Member(hub, "Ada", token="ada", now=4.0).session.muted
+
+
+def test_an_identity_that_is_barred_stays_out_for_its_time_and_not_only_while_the_room_lasts() -> (
+    None
+):
+    clock = Clock()
+    hub = hub_of_identities(clock)
+    ada = Member(hub, "Ada", token="ada")
+    assert hub.moderation.bar("lobby", "ada", lasts_s=60, now=1.0)
+    assert ada.closed_code == CloseCode.REMOVED
     assert Member(hub, "Ada", token="ada", now=2.0).closed_code == CloseCode.FORBIDDEN
     assert Member(hub, "Ada", token="ada", room="elsewhere", now=2.0).closed_code is None
-    hub.disconnect(bob.connection, 1000, "", now=3.0)
+    clock.now_s += 59
+    assert Member(hub, "Ada", token="ada", now=3.0).closed_code == CloseCode.FORBIDDEN
+    clock.now_s += 1
     assert Member(hub, "Ada", token="ada", now=4.0).closed_code is None
+
+
+def test_a_bar_may_be_lifted_and_who_has_no_identity_cannot_be_barred() -> None:
+    hub = hub_of_identities(Clock())
+    assert hub.moderation.bar("lobby", "ada", now=1.0)
+    assert Member(hub, "Ada", token="ada", now=1.0).closed_code == CloseCode.FORBIDDEN
+    assert hub.moderation.bar("lobby", "ada", is_barred=False, now=2.0)
+    assert Member(hub, "Ada", token="ada", now=2.0).closed_code is None
+    assert not hub.moderation.bar("lobby", "", now=3.0)
 
 
 def test_a_closed_room_is_empty_and_its_peers_know_why() -> None:
@@ -127,8 +189,8 @@ def test_what_is_not_there_cannot_be_muted_removed_or_closed() -> None:
     hub, (ada,) = hub_with("Ada")
     assert not hub.moderation.mute("lobby", 99, is_muted=True, now=1.0)
     assert not hub.moderation.mute("nowhere", 1, is_muted=True, now=1.0)
-    assert not hub.moderation.remove("lobby", "p99", bar=True, now=1.0)
-    assert not hub.moderation.remove("nowhere", ada.peer_id, bar=True, now=1.0)
+    assert not hub.moderation.remove("lobby", "p99", now=1.0)
+    assert not hub.moderation.remove("nowhere", ada.peer_id, now=1.0)
     assert hub.moderation.close_room("nowhere", now=1.0) is None
 
 
@@ -136,7 +198,7 @@ def test_whoever_keeps_books_hears_who_came_and_went_but_not_who_was_away() -> N
     notices: list[RoomEvent] = []
     hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True, notify=notices.append)
     Member(hub, "Ada", now=2.0, ticket=ada.lose_connection(now=1.0))
-    hub.moderation.remove("lobby", ada.peer_id, bar=False, now=3.0)
+    hub.moderation.remove("lobby", ada.peer_id, now=3.0)
     hub.disconnect(bob.connection, 1006, "", now=4.0)
     hub.handle_timer(now=20.0)
     assert [(n.event, n.name, n.reason) for n in notices] == [

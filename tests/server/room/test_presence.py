@@ -8,8 +8,10 @@ from helpers.members import FACE, VOICE, Member, counting_secrets, hub_with
 from pica_protocol.client_session import Ticket
 from pica_protocol.errors import CloseCode
 from pica_protocol.frames import Frame
+from pica_protocol.limits import check_name
 from pica_protocol.messages import (
     Bye,
+    Join,
     Joined,
     Message,
     PeerAway,
@@ -53,6 +55,18 @@ def test_who_comes_back_in_time_has_its_old_id_and_streams_and_nobody_saw_it_lea
     assert hub.stats.resumes == {"away": 1, "resumed": 1}
     hub.handle_timer(now=30.0)
     assert bob.listen(now=30.0) == []
+
+
+def test_who_crashed_and_begins_anew_does_not_stand_beside_their_old_face() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True)
+    ada.lose_connection(now=1.0)
+    other = Member(hub, "Ada", now=1.4, tracks=(FACE, VOICE))
+    assert {p.name for p in other.session.peers.values()} == {"Ada", "Bob"}
+    again = Member(hub, "Ada", now=1.5)
+    assert {p.peer_id for p in again.session.peers.values()} == {other.peer_id, bob.peer_id}
+    assert ada.peer_id in {e.peer_id for e in bob.listen(now=1.5) if isinstance(e, PeerLeft)}
+    third = Member(hub, "Ada", now=1.6)  # nobody is away now: another person of that name
+    assert again.peer_id in third.session.peers
 
 
 def test_frames_flow_both_ways_after_coming_back() -> None:
@@ -141,11 +155,37 @@ def test_who_did_not_say_that_it_comes_back_is_gone_at_once() -> None:
     assert bob.listen(now=1.0) == [PeerLeft(peer_id=ada.peer_id, reason="lost")]
 
 
-def test_a_place_that_is_kept_counts_for_the_capacity() -> None:
-    hub, (ada, _bob) = hub_with("Ada", "Bob", config=RelayConfig(room_capacity=2), resumable=True)
+def test_a_place_that_is_kept_for_an_identity_counts_for_the_capacity() -> None:
+    hub = hub_of_identities(RelayConfig(room_capacity=2))
+    ada = Member(hub, "Ada", token="ada", resumable=True)
+    Member(hub, "Bob", token="bob", resumable=True)
     ticket = ada.lose_connection(now=1.0)
-    assert Member(hub, "Cyd", now=2.0).closed_code == CloseCode.ROOM_FULL
-    assert come_back(hub, ticket, now=3.0).peer_id == ada.peer_id
+    assert Member(hub, "Cyd", token="cyd", now=2.0).closed_code == CloseCode.ROOM_FULL
+    again = Member(hub, "Ada", token="ada", now=3.0, resumable=True, ticket=ticket)
+    assert again.peer_id == ada.peer_id
+
+
+def test_newcomers_take_the_places_of_those_who_are_away_and_have_no_identity() -> None:
+    hub, (ada, bob, cyd) = hub_with(
+        "Ada", "Bob", "Cyd", config=RelayConfig(room_capacity=3), resumable=True
+    )
+    tickets = [bob.lose_connection(now=1.0), ada.lose_connection(now=2.0)]
+    cyd.listen(now=2.0)
+    assert Member(hub, "Dot", now=3.0).closed_code is None
+    assert cyd.listen(now=3.0)[0] == PeerLeft(peer_id=bob.peer_id, reason="lost")
+    assert Member(hub, "Eve", now=4.0).closed_code is None
+    assert cyd.listen(now=4.0)[0] == PeerLeft(peer_id=ada.peer_id, reason="lost")
+    assert Member(hub, "Fay", now=5.0).closed_code == CloseCode.ROOM_FULL
+    for ticket in tickets:
+        assert Member(hub, "Ada", now=6.0, ticket=ticket).closed_code == CloseCode.ROOM_FULL
+    hub.handle_timer(now=30.0)
+
+
+def test_a_room_that_is_full_of_nobody_begins_anew_with_whoever_comes() -> None:
+    hub, (ada,) = hub_with("Ada", config=RelayConfig(room_capacity=1), resumable=True)
+    ada.lose_connection(now=1.0)
+    assert Member(hub, "Bob", now=2.0).closed_code is None
+    assert [len(room) for room in hub.rooms] == [1]
 
 
 def test_a_newcomer_learns_who_is_away() -> None:
@@ -171,10 +211,10 @@ def test_nobody_comes_back_into_another_room_or_with_other_tracks() -> None:
     assert hub.stats.resumes == {"away": 1, "unknown": 2, "unfit": 1}
 
 
-def hub_of_identities() -> Hub:
+def hub_of_identities(config: RelayConfig | None = None) -> Hub:
     """Tokens are the identities themselves."""
     return Hub(
-        RelayConfig(),
+        config or RelayConfig(),
         lambda join: Admission(identity=join.token),
         new_secret=counting_secrets(),
     )
@@ -214,6 +254,28 @@ def test_of_two_with_one_identity_the_newer_stays_and_the_older_is_told() -> Non
     assert new.session.state is State.JOINED
     assert Member(hub, "Ada", token="ada", room="elsewhere").closed_code is None
     assert new.closed_code is None
+
+
+def test_the_others_learn_who_somebody_is_and_whether_their_name_is_assured() -> None:
+    hub = Hub(RelayConfig(), lambda join: Admission(identity=join.token, name=join.token[3:]))
+    bob = Member(hub, "Bob", token="b-1")
+    ada = Member(hub, "Mallory", token="a-1Ada")
+    (arrival,) = bob.listen(now=0.0)
+    assert isinstance(arrival, PeerJoined)
+    seen = arrival.peer
+    assert (seen.name, seen.identity, seen.is_name_assured) == ("Ada", "a-1Ada", True)
+    assert (ada.session.name, bob.session.name) == ("Ada", "Bob")
+    (seen,) = ada.session.peers.values()
+    assert (seen.name, seen.identity, seen.is_name_assured) == ("Bob", "b-1", False)
+
+
+def test_nobody_comes_in_under_a_name_that_draws_nothing() -> None:
+    for name in (" ", "\u3164", "\u0301", "\u2800 \ufe0f"):
+        with pytest.raises(ValueError, match=r"join\.name must"):
+            Join(room="lobby", name=name)
+        with pytest.raises(ValueError, match="name must"):
+            check_name("name", name)
+    assert Join(room="lobby", name="e\u0301").name == "e\u0301"
 
 
 def test_nobody_is_kept_while_a_relay_drains() -> None:

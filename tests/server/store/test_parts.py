@@ -10,8 +10,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from pica_client.avatars.library import shipped_avatar_files
 from pica_core.avatar import file as avatar_file
+from pica_core.avatar.shipped import shipped_avatar_files
 from pica_server.errors import BusyError, ConfigurationError, UnfitFileError
 from pica_server.store import check as store_check
 from pica_server.store.check import StructureCheck

@@ -2,7 +2,9 @@
 
 import asyncio
 import os
+import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -17,7 +19,7 @@ from helpers.store_peers import (
     talk,
     upload,
 )
-from pica_client.avatars.library import shipped_avatar_files
+from pica_core.avatar.shipped import shipped_avatar_files
 from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
 from pica_protocol.store import Offer
@@ -25,12 +27,44 @@ from pica_server.auth.tokens import Admission, KeyRing, mint
 from pica_server.config.relay import RelayConfig
 from pica_server.errors import ConfigurationError, StoreError
 from pica_server.relay import Relay
-from pica_server.store import backends
 from pica_server.store.backends import Backend
 from pica_server.store.config import StoreConfig
 from pica_server.store.store import AvatarStore
 
 pytestmark = pytest.mark.call
+
+KEEP_A_FILE = """
+import os, signal, sys
+from pica_server.store.own_folder import OwnFolder
+folder = OwnFolder()
+(folder.path / "an avatar").write_bytes(b"a face")
+print(folder.path, flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no such locks")
+def test_what_a_killed_relay_leaves_is_cleared_by_the_next_and_nothing_of_one_that_lives(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    foreign = tmp_path / "pica-avatars-without-a-lock"
+    foreign.mkdir()
+    command = [sys.executable, "-c", KEEP_A_FILE]
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment, text=True
+    ) as relay:
+        assert relay.stdout is not None
+        left = Path(relay.stdout.readline().strip())
+        assert Backend("temporary").prepare(1) == {}
+        assert (left / "an avatar").is_file(), "its relay lives"
+        relay.kill()
+        relay.wait()
+    assert (left / "an avatar").is_file()
+    assert Backend("temporary").prepare(1) == {}
+    assert list(tmp_path.iterdir()) == [foreign]
+
 
 FILE = fake_avatar()
 ID = id_of(FILE)
@@ -64,7 +98,7 @@ async def test_what_one_gives_another_gets_byte_for_byte(tmp_path: Path) -> None
 async def test_a_store_in_a_folder_outlives_its_relay_and_a_temporary_one_does_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(backends.tempfile, "tempdir", str(tmp_path / "tmp"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
     (tmp_path / "tmp").mkdir()
     for where, is_there in ((tmp_path / "store", True), ("temporary", False)):
         async with store_relay(where) as relay:

@@ -193,7 +193,7 @@ async def test_a_reader_that_stops_is_cut_and_its_place_is_free_again(tmp_path: 
         await upload(relay, large)
         host, _, port = relay.url.removeprefix("ws://").rpartition(":")
         _, writer = await asyncio.open_connection(host, int(port), limit=1024)
-        writer.write(f"GET /avatars/{id_of(large)} HTTP/1.1\r\nHost: x\r\n\r\n".encode())
+        writer.write(f"GET /avatars/{id_of(large)} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
         await until_counted(relay, "downloads")
         busy = await ask(relay, f"/avatars/{id_of(large)}")
         assert (busy.status, busy.headers["retry-after"]) == (503, "1")

@@ -13,6 +13,8 @@ What the figures are:
 - ``relay_forward_ms``: the relay's own, from receipt to the socket's taking it, as the upper bounds
   of its histogram's buckets.
 - ``dropped``: frames that the relay says it dropped, or, if it says nothing, that did not arrive.
+- ``late``: how many of those as it had too much to do; ``brake_level``: how hard it braked at the
+  end.
 - ``relay_cpu_s_per_1000``: processor time of the relay's process for 1,000 delivered frames; what
   the kernel does for it elsewhere is not in it.
 - ``bytes_per_connection``: growth of the relay's resident memory by this many peers in their rooms;
@@ -246,6 +248,7 @@ class Load:
         after = relay_metrics(target.url) if target.has_metrics else {}
         answers = [swarm.answer(DRAIN_S + PATIENCE_S) for swarm in self._swarms]
         metrics = {name: value - before.get(name, 0.0) for name, value in after.items()}
+        metrics["pica_brake_level"] = after.get("pica_brake_level", 0.0)  # as it is, no difference
         cpu = None
         if cpu_before is not None and cpu_after is not None:
             cpu = (cpu_after - cpu_before) / (at_after - at_before)
@@ -301,6 +304,8 @@ class Load:
             "forward_ms": forward_ms,
             "relay_forward_ms": relay_percentiles(metrics),
             "dropped": round(summed(metrics, "pica_frames_dropped_total")) if metrics else missing,
+            "late": round(metrics.get('pica_frames_dropped_total{reason="late"}', 0.0)),
+            "brake_level": round(metrics.get("pica_brake_level", 0.0)),
             "missing": missing,
             "blocked": total["blocked"],
             "relay_cpu_s_per_1000": None

@@ -24,6 +24,7 @@ from websockets.uri import parse_uri
 
 from pica_client.bench.relay.traffic import Traffic
 from pica_client.errors import RelayUnreachableError
+from pica_client.transport.connect import MAX_UNSENT_BYTES
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.client_session import ClientSession
 from pica_protocol.frames import HEADER_BYTES, MEDIA_KIND
@@ -241,5 +242,7 @@ def _connect(url: str) -> socket.socket:
             f"nobody answers at {url}: {error.strerror or error}; start one with: pica relay"
         ) from error
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    if hasattr(socket, "TCP_NOTSENT_LOWAT"):  # as a client does: what waits there is stale
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, MAX_UNSENT_BYTES)
     sock.setblocking(False)
     return sock

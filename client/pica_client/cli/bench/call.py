@@ -43,7 +43,7 @@ class NetworkOptions:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BenchCallOptions:
-    """Options of ``pica bench call``."""
+    """Options of `pica bench call`."""
 
     call: OmitArgPrefixes[LocalCallConfig]
     seconds: float = 20.0

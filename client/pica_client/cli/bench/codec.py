@@ -14,7 +14,7 @@ def bench_codec(options: AvatarBenchOptions[CodecConfig]) -> dict[str, Any]:
     trained dictionary.
     """
     if options.config.sheet is not None:
-        check_writable(options.config.sheet)
+        check_writable(options.config.sheet, ".png")
     result = run_codec_bench(options.config, options.load())
     for row in result["rows"]:
         loss = row["psnr_loss_db"]

@@ -14,7 +14,7 @@ from pica_client.output import say
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BenchModelsOptions:
-    """Options of ``pica bench models``."""
+    """Options of `pica bench models`."""
 
     files: Positional[tuple[str, ...]]
     """What `pica export` wrote, or folders of it. A baseline's file does not say whom it shows;

@@ -9,7 +9,7 @@ from pica_client.signals import terminate_as_interrupt
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BenchRelayOptions:
-    """Options of ``pica bench relay``."""
+    """Options of `pica bench relay`."""
 
     rooms: int = 20
     """Number of rooms."""

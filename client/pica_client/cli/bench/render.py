@@ -8,7 +8,7 @@ from pica_client.output import say
 
 
 def bench_render(options: AvatarBenchOptions[RenderBenchConfig]) -> dict[str, Any]:
-    """Measure what drawing a head costs, near and far, at every level, beside a textured baseline.
+    """Measure what drawing a head costs: near and far, each level, and a textured baseline.
 
     Set LP_NUM_THREADS to say how many threads software GL takes.
     """

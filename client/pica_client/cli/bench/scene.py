@@ -12,7 +12,7 @@ from pica_client.output import check_writable, say
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BenchSceneOptions:
-    """Options of ``pica bench scene``."""
+    """Options of `pica bench scene`."""
 
     avatar: str | None = None
     """Names of shipped avatars or .pica files, separated by commas, dealt in turn; by default all
@@ -21,13 +21,13 @@ class BenchSceneOptions:
 
 
 def bench_scene(options: BenchSceneOptions) -> dict[str, Any]:
-    """Measure what a scene of talking heads costs, and the error that the scheduler leaves.
+    """Measure a scene of talking heads: its cost, and the error that the scheduler leaves.
 
     Set LP_NUM_THREADS to say how many threads software GL takes.
     """
     config = options.config
     if config.sheet is not None:
-        check_writable(config.sheet)
+        check_writable(config.sheet, ".png")
     result = run_scene_bench(config, load_bench_avatars(options.avatar))
     for row in result["rows"]:
         budget = "" if row["budget_ms"] is None else f"of {row['budget_ms']:g}"

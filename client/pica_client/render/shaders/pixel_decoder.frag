@@ -6,12 +6,12 @@ uniform sampler2D visible_uv;
 uniform sampler2D expression_map;
 uniform float slot;
 uniform float mark; // whose the pixel is, for the passes after this one
-uniform vec4 tint; // colour to fade to, and how far
 
 layout(location = 0) out vec4 colour;
 
 #include "owner.glsl"
 #include "mark.glsl"
+#include "bust.glsl"
 #include "axis_table.glsl"
 #include "footprint.glsl"
 #include SIREN // vec4 encode_xyz(vec3 xyz_m), vec3 decode_pixel(vec4 p0, vec4 p1, vec4 p2, vec4 p3)
@@ -26,5 +26,5 @@ void main() {
     vec2 uv = texelFetch(visible_uv, pixel, 0).xy;
     vec4 expression = textureLod(expression_map, uv, 0.0);
     vec3 rgb = colour_pixel(expression, surface.xyz, uv, unpack_footprint(surface.w));
-    colour = vec4(mix(clamp(rgb, 0.0, 1.0), tint.rgb, tint.a), mark_of(mark));
+    colour = vec4(before_room(clamp(rgb, 0.0, 1.0), surface.xyz), mark_of(mark));
 }

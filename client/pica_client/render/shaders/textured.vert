@@ -8,10 +8,12 @@ uniform vec3 low_m;
 uniform vec3 high_m;
 
 out vec2 surface_uv;
+out vec3 surface_xyz_m;
 
 #include "bounded.glsl"
 
 void main() {
     surface_uv = vertex_uv;
-    gl_Position = clip_from_head * vec4(bounded(vertex_xyz_m, low_m, high_m), 1.0);
+    surface_xyz_m = bounded(vertex_xyz_m, low_m, high_m);
+    gl_Position = clip_from_head * vec4(surface_xyz_m, 1.0);
 }

@@ -26,9 +26,7 @@ Layout source: the published description of the Multiface dataset (Wuu et al. 20
 
 import json
 import logging
-import os
 from collections.abc import Iterable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +34,7 @@ import numpy as np
 
 from pica_core.camera import Camera
 from pica_core.errors import CaptureError
+from pica_core.files import replacing
 
 log = logging.getLogger(__name__)
 
@@ -84,16 +83,12 @@ def texture_path(size: int, segment: str, frame: str) -> Path:
 
 
 def write_aside(path: Path, data: bytes) -> None:
-    """Write a file under another name and rename it, so that a half-written file never has the
-    real name."""
-    aside = path.with_name(path.name + ".part")
+    """Write a file, whole or not at all, and the folder that it is in."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        aside.write_bytes(data)
-        os.replace(aside, path)
+        with replacing(path) as unfinished:
+            unfinished.write_bytes(data)
     except OSError as error:
-        with suppress(OSError):
-            aside.unlink()
         raise CaptureError(f"{path}: cannot write ({error.strerror or error})") from error
 
 

@@ -9,6 +9,7 @@ import torch
 import tyro
 
 from pica_core.avatar.file import avatar_id, load_avatar, save_avatar
+from pica_core.avatar.shipped import avatar_file
 from pica_core.errors import TrainingOptionError, check_ranges
 from pica_core.train.lod.levels import LevelOptions, LevelReport, add_levels
 
@@ -18,7 +19,7 @@ class AvatarLevelsOptions:
     """Options of `pica avatar levels`."""
 
     file: tyro.conf.Positional[Path]
-    """Avatar file (.pica) of any origin; neither its capture nor its run is needed."""
+    """Name of a shipped avatar, or a .pica file; neither its capture nor its run is needed."""
     out: Path
     """The avatar file to write; may be the same."""
     levels: LevelOptions = field(default_factory=LevelOptions)
@@ -31,12 +32,13 @@ class AvatarLevelsOptions:
 
 def avatar_levels(options: AvatarLevelsOptions) -> dict[str, Any]:
     """Fit early exits and coarser meshes to an avatar; its full model stays as it is."""
-    avatar = load_avatar(options.file)
+    file = avatar_file(options.file)
+    avatar = load_avatar(file)
     torch.set_num_threads(options.threads)
     levelled, reports = add_levels(
         avatar, options.levels, lambda text: print(text, file=sys.stderr)
     )
-    save_avatar(options.out, levelled, like=options.file)
+    save_avatar(options.out, levelled, like=file)
     for report in reports:
         print(describe(report), file=sys.stderr)
     size = options.out.stat().st_size

@@ -1,0 +1,258 @@
+"""Who is in the room, in the order in which they came, and what of their coming is news. Pure.
+
+Everybody who can see the others is here, whether they publish a face or only watch.
+
+A place belongs to a person, and not to a peer id: when the relay starts again, ids are dealt anew
+while everybody comes back in the order of their patience. Who has the name and the avatar of
+somebody who was there a moment ago gets that one's place, so nobody swaps chairs.
+
+    receive_event(event, now)    what came of the link
+    handle_timer(now)            at any time, as twice a second
+    take_news()                  what happened since the last call
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Final, Literal, NamedTuple
+
+from pica_client.publish.face_track import (
+    FACE_KEY,
+    FACE_TRACK,
+    RECORDS_KEY,
+    RECORDS_YES,
+    FaceMode,
+)
+from pica_protocol.messages import (
+    Joined,
+    Peer,
+    PeerAway,
+    PeerBack,
+    PeerJoined,
+    PeerLeft,
+    PeerUpdated,
+    Whisper,
+)
+from pica_protocol.session import ClientEvent, Closed
+
+AWAY_IS_NEWS_AFTER_S: Final = 2.0
+"""A connection that comes back sooner is not worth a word."""
+PLACE_IS_KEPT_S: Final = 15.0
+"""How long somebody who was there before the relay started again is waited for (chosen: twice the
+longest pause between two tries of a client)."""
+MAX_NEWS: Final = 64
+"""News that nobody takes: the oldest are dropped."""
+
+SECRET_NEEDED: Final = "encrypted: the room's secret is needed"
+"""Why nothing is to be seen of who encrypts when we do not."""
+
+_FACE_MODES: dict[str, FaceMode] = {"frozen": "frozen", "muted": "muted"}
+
+NewsKind = Literal["joined", "left", "away", "back", "records", "records no more"]
+
+
+@dataclass(frozen=True, slots=True)
+class News:
+    """Something that happened to somebody else."""
+
+    kind: NewsKind
+    name: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Member:
+    """Somebody else in the room."""
+
+    peer: Peer
+    place: int
+    """Rises with the order of coming; nobody's changes while they are here."""
+    namesake: int = 1
+    """Counts those of one name, from 1; kept when others of that name go."""
+    is_away: bool = False
+    """Whether the connection is lost and may come back."""
+    has_whispered: bool = False
+    """Whether it has sent us a key that we can do nothing with: it encrypts, and we do not."""
+
+    @property
+    def title(self) -> str:
+        """The name, with a number behind it when somebody else had it before."""
+        return self.peer.name if self.namesake == 1 else f"{self.peer.name} ({self.namesake})"
+
+    @property
+    def is_watching(self) -> bool:
+        """Whether there is no face to be expected."""
+        return all(track.kind != FACE_TRACK for track in self.peer.tracks)
+
+    @property
+    def face(self) -> FaceMode:
+        """What becomes of the face, as far as its owner says."""
+        return _FACE_MODES.get(dict(self.peer.metadata).get(FACE_KEY, ""), "sent")
+
+    @property
+    def is_recording(self) -> bool:
+        """Whether this one says to keep what is seen."""
+        return dict(self.peer.metadata).get(RECORDS_KEY) == RECORDS_YES
+
+
+class RoomState(NamedTuple):
+    """Who is in the room, and since when we are."""
+
+    own_name: str
+    """What the others are shown as our name."""
+    members: tuple[Member, ...]
+    """Everybody else, in the order of coming."""
+    notes: Mapping[str, str]
+    """Why a face is not to be seen, or not as it should be, by peer id; empty: nothing is wrong."""
+    verified: frozenset[str]
+    """Who has proven to know the room's secret, by peer id; nobody where we do not encrypt."""
+    news: tuple[News, ...]
+    """What happened since this was asked for the last time."""
+    duration_s: float
+    """Since we came in for the first time."""
+    away_s: float | None
+    """Since when the relay does not have us; None while it does."""
+
+
+@dataclass(slots=True)
+class _Missing:
+    """Somebody who was there before we joined anew, and has not come back yet."""
+
+    member: Member
+    until_s: float
+
+
+@dataclass(slots=True)
+class Roster:
+    """Keeps the list.
+
+    Attributes:
+        own_name: What we are called; empty: unknown.
+        joined_s: When we came in for the first time; None before.
+        lost_s: Since when the relay does not have us; None while it does.
+    """
+
+    own_name: str = ""
+    joined_s: float | None = None
+    lost_s: float | None = None
+    _members: dict[str, Member] = field(default_factory=dict)
+    _missing: list[_Missing] = field(default_factory=list)
+    _away_s: dict[str, float] = field(default_factory=dict)
+    """Since when, of those whose being away is no news yet."""
+    _news: list[News] = field(default_factory=list)
+    _next_place: int = 0
+
+    @property
+    def members(self) -> list[Member]:
+        """Everybody else, in the order of coming."""
+        return sorted(self._members.values(), key=lambda member: member.place)
+
+    def place(self, peer_id: str) -> int:
+        """The place of somebody who is here."""
+        return self._members[peer_id].place
+
+    def title(self, peer_id: str) -> str:
+        """See `Member.title`, of somebody who is here."""
+        return self._members[peer_id].title
+
+    def has_whispered(self, peer_id: str) -> bool:
+        """See `Member.has_whispered`, of somebody who is here."""
+        return self._members[peer_id].has_whispered
+
+    def receive_event(self, event: ClientEvent, now: float) -> None:
+        """Take an event of the link's session at `now`, seconds."""
+        match event:
+            case Joined():
+                self._receive_joined(event, now)
+            case PeerJoined(peer=peer):
+                self._add(peer, is_news=True)
+            case PeerLeft(peer_id=peer_id) if peer_id in self._members:
+                self._away_s.pop(peer_id, None)
+                self._tell("left", self._members.pop(peer_id))
+            case PeerAway(peer_id=peer_id) if peer_id in self._members:
+                self._members[peer_id] = replace(self._members[peer_id], is_away=True)
+                self._away_s[peer_id] = now
+            case PeerBack(peer_id=peer_id) if peer_id in self._members:
+                self._receive_back(peer_id)
+            case PeerUpdated(peer_id=peer_id, metadata=metadata) if peer_id in self._members:
+                member = self._members[peer_id]
+                self._update(member, replace(member.peer, metadata=metadata))
+            case Whisper(peer_id=peer_id) if peer_id in self._members:
+                self._members[peer_id] = replace(self._members[peer_id], has_whispered=True)
+            case Closed():
+                self.lost_s = now
+            case _:
+                pass
+
+    def handle_timer(self, now: float) -> None:
+        """Note what has lasted long enough to be news."""
+        for peer_id, away_s in list(self._away_s.items()):
+            if now - away_s >= AWAY_IS_NEWS_AFTER_S:
+                del self._away_s[peer_id]
+                self._tell("away", self._members[peer_id])
+        for missing in self._missing:
+            if now >= missing.until_s:
+                self._tell("left", missing.member)
+        self._missing = [missing for missing in self._missing if now < missing.until_s]
+
+    def take_news(self) -> list[News]:
+        """What happened since the last call, in order."""
+        news, self._news = self._news, []
+        return news
+
+    def _receive_joined(self, event: Joined, now: float) -> None:
+        is_first = self.joined_s is None
+        self.own_name = event.name or self.own_name
+        self.joined_s = now if is_first else self.joined_s
+        self.lost_s = None
+        before, self._members = self._members, {}
+        self._away_s.clear()
+        if event.resumed:  # ids mean whom they meant
+            for peer in event.peers:
+                if peer.peer_id in before:
+                    self._update(replace(before.pop(peer.peer_id), is_away=False), peer)
+            for member in before.values():
+                self._tell("left", member)
+        else:
+            until_s = now + PLACE_IS_KEPT_S
+            self._missing += [_Missing(member, until_s) for member in before.values()]
+        for peer in event.peers:
+            if peer.peer_id not in self._members:
+                self._add(peer, is_news=not is_first)
+
+    def _receive_back(self, peer_id: str) -> None:
+        self._members[peer_id] = replace(self._members[peer_id], is_away=False)
+        if self._away_s.pop(peer_id, None) is None:
+            self._tell("back", self._members[peer_id])
+
+    def _update(self, before: Member, peer: Peer) -> None:
+        """Take what a member says of itself by now."""
+        after = self._members[peer.peer_id] = replace(before, peer=peer)
+        if after.is_recording != before.is_recording:
+            self._tell("records" if after.is_recording else "records no more", after)
+
+    def _add(self, peer: Peer, *, is_news: bool) -> None:
+        if peer.peer_id in self._members:
+            return
+        found = next((each for each in self._missing if _who(each.member.peer) == _who(peer)), None)
+        if found is not None:
+            self._missing.remove(found)
+            self._update(replace(found.member, is_away=False), peer)
+            return
+        taken = {each.namesake for each in self._members.values() if each.peer.name == peer.name}
+        if peer.name == self.own_name:
+            taken.add(1)
+        namesake = min(set(range(1, len(taken) + 2)) - taken)
+        member = Member(peer=peer, place=self._next_place, namesake=namesake)
+        self._next_place += 1
+        self._members[peer.peer_id] = member
+        if is_news:
+            self._tell("joined", member)
+        if member.is_recording:
+            self._tell("records", member)
+
+    def _tell(self, kind: NewsKind, member: Member) -> None:
+        self._news = [*self._news, News(kind, member.title)][-MAX_NEWS:]
+
+
+def _who(peer: Peer) -> tuple[str, tuple[tuple[str, str], ...]]:
+    """What of a peer stays the same when a relay deals new ids and streams."""
+    return peer.name, tuple((track.kind, track.avatar) for track in peer.tracks)

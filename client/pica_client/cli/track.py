@@ -1,0 +1,169 @@
+"""`pica track` and `pica calibrate`: what a tracker sends, and whose face it is."""
+
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from tyro.conf import Positional
+
+from pica_client.errors import OptionError, SourceError
+from pica_client.output import check_writable, say
+from pica_client.sources.live.calibration import calibrate as calibration_of_samples
+from pica_client.sources.live.opening import LIVE_HELP, LIVE_KINDS, open_live
+from pica_client.sources.live.report import TrackReport
+from pica_client.sources.live.sample import TrackerSample
+from pica_client.sources.live.take import TakeRecorder
+from pica_client.sources.live.udp import SampleTap, UdpTracker
+from pica_client.sources.registry import calibrations, split_source
+from pica_core.avatar.arkit import ARKIT_NAMES
+from pica_core.types import FloatArray
+
+REDRAW_S = 0.1
+BAR_CELLS = 20
+SHOWN_SHAPES = 16
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TrackOptions:
+    """Options of `pica track`."""
+
+    source: Positional[str]
+    """livelink[:PORT][/SUBJECT], vmc[:PORT], ifacialmocap:PHONE_IP or facemotion3d:PHONE_IP."""
+    seconds: float = 10.0
+    """How long to listen; 0 is until Ctrl-C."""
+    record: Path | None = None
+    """Keep what came as a take, which take:FILE plays again."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CalibrateOptions:
+    """Options of `pica calibrate`."""
+
+    source: Positional[str]
+    """The tracker, as for pica track."""
+    name: str
+    """Whose face it is: the name that you join calls with."""
+    seconds: float = 2.0
+    """How long to look at the face at rest."""
+    eyes_closed: float = 2.0
+    """How long to look at closed eyes after that; 0 leaves it out."""
+    wait: float = 30.0
+    """How long to wait for the first face, seconds."""
+
+
+def track(options: TrackOptions) -> dict[str, Any]:
+    """Show what a tracker sends: rate, gaps, shapes, head, and what would mend it."""
+    if options.record is not None:
+        check_writable(options.record)
+    report, recorder = TrackReport(options.source), TakeRecorder()
+
+    def tap(sample: TrackerSample, arrived_s: float, process_s: float) -> None:
+        report(sample, arrived_s, process_s)
+        if options.record is not None:
+            recorder(sample, arrived_s, process_s)
+
+    console = Console(stderr=True)
+    with closing(_open(options.source, tap)) as source, ExitStack() as stack:
+        say(f"listening for {options.source}; Ctrl-C ends")
+        live = None
+        if console.is_terminal:
+            live = stack.enter_context(Live(console=console, auto_refresh=False, transient=True))
+        try:
+            end_s = time.monotonic() + (options.seconds or float("inf"))
+            while time.monotonic() < end_s:
+                time.sleep(REDRAW_S)
+                if live is not None:
+                    live.update(_bars(report, source.trouble), refresh=True)
+        except KeyboardInterrupt:
+            pass
+        trouble = source.trouble
+    result = report.to_json(trouble, source.refused, source.subjects)
+    if options.record is not None:
+        recorder.save(options.record)
+    say(f"{result['frames']} samples, {result['fps'] or 0:g} a second")
+    for hint in result["hints"]:
+        say(f"- {hint}")
+    return result
+
+
+def calibrate(options: CalibrateOptions) -> dict[str, Any]:
+    """Learn your face at rest, and your closed eyes, for a tracker.
+
+    `pica send` and `pica view` use it whenever you join under the same name with that tracker.
+    """
+    if not options.seconds > 0:
+        raise OptionError(f"seconds is {options.seconds:g}; above 0 is needed")
+    samples: list[FloatArray] = []
+
+    def tap(sample: TrackerSample, arrived_s: float, process_s: float) -> None:
+        if sample.has_face:
+            samples.append(sample.arkit)
+
+    def gather(seconds: float) -> list[FloatArray]:
+        samples.clear()
+        time.sleep(seconds)
+        return list(samples)
+
+    with closing(_open(options.source, tap)) as source:
+        say("look ahead, relaxed, with open eyes")
+        _wait_for(lambda: bool(samples), options.wait, source)
+        at_rest = gather(options.seconds)
+        closed: list[FloatArray] = []
+        if options.eyes_closed:
+            say("now close both eyes")
+            time.sleep(1.0)
+            closed = gather(options.eyes_closed)
+            say("open them again")
+    calibration = calibration_of_samples(at_rest, closed)
+    kind, _ = split_source(options.source)
+    path = calibrations().save(options.name, kind, calibration)
+    taken = {
+        name: round(value, 3)
+        for name, value in zip(ARKIT_NAMES, calibration.neutral, strict=True)
+        if value > 0.02 and not name.startswith(("eyeBlink", "eyeLook"))
+    }
+    say(f"{len(at_rest)} samples; stored in {path}")
+    return {
+        "path": str(path),
+        "samples": len(at_rest),
+        "neutral": taken,
+        "lid_open": list(calibration.lid_open),
+        "lid_closed": list(calibration.lid_closed),
+    }
+
+
+def _open(text: str, tap: SampleTap) -> UdpTracker:
+    kind, rest = split_source(text)
+    if kind not in LIVE_KINDS:
+        raise SourceError(f"source {text!r} is no tracker; write {LIVE_HELP}")
+    return open_live(kind, rest, tap=tap)
+
+
+def _wait_for(is_there: Callable[[], bool], seconds: float, source: UdpTracker) -> None:
+    end_s = time.monotonic() + seconds
+    while not is_there():
+        if time.monotonic() > end_s:
+            raise SourceError(source.trouble or "the tracker sees no face")
+        time.sleep(REDRAW_S)
+
+
+def _bars(report: TrackReport, trouble: str) -> Table:
+    """The shapes that are highest now, as bars."""
+    title = trouble or f"{report.frames} samples"
+    table = Table(title=title, show_header=False, box=None)
+    if report.last is not None and report.last.has_face:
+        values = {
+            name: float(value)
+            for name, value in zip(ARKIT_NAMES, report.last.arkit, strict=True)
+            if value == value  # not sent: NaN
+        }
+        for name in sorted(values, key=lambda each: -values[each])[:SHOWN_SHAPES]:
+            cells = round(min(max(values[name], 0.0), 1.0) * BAR_CELLS)
+            table.add_row(name, "█" * cells + "·" * (BAR_CELLS - cells), f"{values[name]:.2f}")
+    return table

@@ -1,0 +1,151 @@
+"""Whose face it is: what one person's tracker says at rest, and with closed eyes.
+
+A tracker gives most people a little smile or squint at rest. What it says then is taken as zero,
+and the rest of the range is stretched so that the end stays at 1. Lids have two levels of their
+own, open and closed: a neutral that is taken away would keep them from closing. Gaze stays as it
+is.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from pica_client.errors import SourceError
+from pica_client.sources.live.smoothing import BLINKS, GAZE
+from pica_client.user_folders import make_private
+from pica_core.avatar.arkit import NUM_ARKIT
+from pica_core.files import replacing
+from pica_core.types import FloatArray
+
+MAX_NEUTRAL: Final = 0.6
+"""Highest neutral taken away (chosen): beyond it the rest of the range would be noise."""
+MIN_LID_RANGE: Final = 0.2
+"""Least difference between open and closed lids; less is no closed eye."""
+MAX_GAIN: Final = 2.0
+"""More would make cross-talk of the tracker into a movement."""
+_LIDS = list(BLINKS)
+_KEPT = GAZE.copy()
+_KEPT[_LIDS] = True
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Calibration:
+    """One person's face before one tracker.
+
+    Raises:
+        SourceError: A value that cannot be; names it.
+    """
+
+    neutral: tuple[float, ...] = (0.0,) * NUM_ARKIT
+    """What the tracker says at rest, in `ARKIT_NAMES` order."""
+    lid_open: tuple[float, float] = (0.0, 0.0)
+    """eyeBlinkLeft and eyeBlinkRight with open eyes."""
+    lid_closed: tuple[float, float] = (1.0, 1.0)
+    """The same with closed eyes."""
+    gain: float = 1.0
+    """What all shapes but lids and gaze are multiplied by, 1 to 2."""
+
+    def __post_init__(self) -> None:
+        numbers = np.array([*self.neutral, *self.lid_open, *self.lid_closed, self.gain])
+        if len(self.neutral) != NUM_ARKIT or len(numbers) != NUM_ARKIT + 5:
+            raise SourceError(f"a calibration has {NUM_ARKIT} neutral values and two of each lid")
+        if not (np.abs(numbers) <= MAX_GAIN).all() or self.gain < 1:
+            raise SourceError(
+                f"a calibration holds a value beyond ±{MAX_GAIN:g}, or a gain below 1"
+            )
+        if np.min(np.subtract(self.lid_closed, self.lid_open)) < MIN_LID_RANGE:
+            raise SourceError("closed and open lids of a calibration are too near to each other")
+
+    def apply(self, arkit: FloatArray) -> FloatArray:
+        """Give the face as the same person before a perfect tracker would.
+
+        Args:
+            arkit: Values of the tracker, finite. float32 ``[52]``.
+        """
+        neutral = np.clip(np.array(self.neutral, np.float32), 0, MAX_NEUTRAL)
+        neutral[_KEPT] = 0
+        moved = (arkit - neutral) / (1 - neutral) * np.where(_KEPT, 1, self.gain)
+        calibrated = np.where(neutral > 0, np.maximum(moved, 0), moved).astype(np.float32)
+        opened, closed = np.array(self.lid_open), np.array(self.lid_closed)
+        calibrated[_LIDS] = np.clip((arkit[_LIDS] - opened) / (closed - opened), 0, 1)
+        return np.minimum(calibrated, np.maximum(arkit, 1)) if self.gain > 1 else calibrated
+
+
+def calibrate(at_rest: Sequence[FloatArray], eyes_closed: Sequence[FloatArray]) -> Calibration:
+    """Make a calibration of what was seen.
+
+    Args:
+        at_rest: Samples of a relaxed face that looks ahead. Each float32 ``[52]``.
+        eyes_closed: Samples with closed eyes; none keeps the usual level.
+
+    Raises:
+        SourceError: No sample, or the eyes were not closed.
+    """
+    if not at_rest:
+        raise SourceError("no face was seen; let the tracker see you and try again")
+    neutral = np.median(at_rest, axis=0)
+    lid_closed = (1.0, 1.0)
+    if eyes_closed:
+        seen = np.median([sample[_LIDS] for sample in eyes_closed], axis=0)
+        if np.min(seen - neutral[_LIDS]) < MIN_LID_RANGE:
+            raise SourceError("the eyes did not close; try again, or leave --eyes-closed out")
+        lid_closed = (float(seen[0]), float(seen[1]))
+    lid_open = neutral[_LIDS]
+    return Calibration(
+        neutral=tuple(float(value) for value in neutral),
+        lid_open=(float(lid_open[0]), float(lid_open[1])),
+        lid_closed=lid_closed,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationStore:
+    """The calibrations of this machine's people, one file for a person and a kind of source.
+
+    Attributes:
+        folder: Where they are; it need not be there yet.
+    """
+
+    folder: Path = field()
+
+    def load(self, person: str, kind: str) -> Calibration | None:
+        """What was stored, or None.
+
+        Raises:
+            SourceError: The file is no calibration; says how to make it anew.
+        """
+        path = self._path(person, kind)
+        try:
+            values: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+            gain = values.pop("gain")
+            return Calibration(gain=gain, **{name: tuple(each) for name, each in values.items()})
+        except FileNotFoundError:
+            return None
+        except (OSError, LookupError, ValueError, TypeError, AttributeError, SourceError) as error:
+            raise SourceError(
+                f"{path}: is no calibration ({error}); `pica calibrate {kind}` makes it anew"
+            ) from error
+
+    def save(self, person: str, kind: str, calibration: Calibration) -> Path:
+        """Store it, readable for its owner alone, and return where.
+
+        Raises:
+            SourceError: The system says no.
+        """
+        path = self._path(person, kind)
+        try:
+            make_private(path.parent)
+            with replacing(path) as unfinished:
+                unfinished.touch(mode=0o600)
+                unfinished.write_text(json.dumps(asdict(calibration)), encoding="utf-8")
+        except OSError as error:
+            raise SourceError(f"{path}: cannot be written: {error.strerror}") from error
+        return path
+
+    def _path(self, person: str, kind: str) -> Path:
+        name = "".join(each if each.isalnum() else "_" for each in person) or "_"
+        return self.folder / f"{name}.{kind}.json"

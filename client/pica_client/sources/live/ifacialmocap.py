@@ -1,0 +1,92 @@
+"""iFacialMocap and Facemotion3d: lines of text over UDP, asked for by a message to the phone.
+
+    mouthSmile_R-0|...|eyeBlink_L-7|...|=head#rx,ry,rz,px,py,pz|rightEye#x,y,z|leftEye#x,y,z|
+
+Values are whole numbers of 0 to 100, with ``-`` or ``&`` before them; sides are ``_L`` and ``_R``,
+or ``Left`` and ``Right``; angles are degrees. The phone's request is sent again when it falls
+silent. Of the head only the rotation is used: pitch about +x, yaw about +y, roll about +z, which
+could not be held against the apps themselves.
+"""
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from pica_client.playout.rotation import rotation_vector_from_yaw_pitch_roll
+from pica_client.sources.live.sample import (
+    VALUE_LIMIT,
+    PacketError,
+    TrackerSample,
+    arkit_from_names,
+)
+from pica_core.types import FloatArray
+
+MAX_BYTES: Final = 8192
+"""Longest line (chosen: the apps send about 1.5 kB)."""
+_ITEM: Final = re.compile(r"(\w+)[&-](-?\d+(?:\.\d+)?)")
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What makes a phone send, and where to."""
+
+    port: int
+    """The phone's port, and ours."""
+    words: bytes
+    """What the phone waits for."""
+
+
+IFACIALMOCAP: Final = Request(49983, b"iFacialMocap_sahuasouryya9218sauhuiayeta91555dy3719")
+FACEMOTION3D: Final = Request(49993, b"FACEMOTION3D_OtherStreaming")
+
+
+def decode(packet: bytes) -> TrackerSample:
+    """Read one datagram.
+
+    Raises:
+        PacketError: It is of another form.
+    """
+    if len(packet) > MAX_BYTES:
+        raise PacketError("too long for a line of iFacialMocap")
+    try:
+        text = packet.decode("ascii")
+    except UnicodeDecodeError as error:
+        raise PacketError("not a line of iFacialMocap") from error
+    shapes, equals, bones = text.partition("=")
+    values = {}
+    for item in filter(None, shapes.split("|")):
+        found = _ITEM.fullmatch(item)
+        if found is not None and not found[1].startswith("FM_"):
+            value = float(found[2]) / 100
+            if abs(value) > VALUE_LIMIT:
+                raise PacketError(f"{found[1]} lies outside of ±{VALUE_LIMIT * 100:g}")
+            values[_arkit_name(found[1])] = value
+    arkit = arkit_from_names(values)
+    if not equals or np.isnan(arkit).all():
+        raise PacketError("not a line of iFacialMocap")
+    return TrackerSample(arkit=arkit, rotation=_head(bones))
+
+
+def _arkit_name(name: str) -> str:
+    sides = {"_L": "Left", "_R": "Right"}
+    return name[:-2] + sides[name[-2:]] if name[-2:] in sides else name
+
+
+def _head(bones: str) -> FloatArray:
+    for bone in bones.split("|"):
+        name, _, numbers = bone.partition("#")
+        if name == "head":
+            try:
+                pitch, yaw, roll = (math.radians(float(each)) for each in numbers.split(",")[:3])
+            except ValueError as error:
+                raise PacketError("a head without angles") from error
+            if not all(abs(angle) <= 2 * math.pi for angle in (pitch, yaw, roll)):
+                raise PacketError("a head that turns too far")
+            turned: FloatArray = rotation_vector_from_yaw_pitch_roll(
+                np.array([[yaw, pitch, roll]])
+            )[0]
+            return turned
+    return np.zeros(3, np.float32)

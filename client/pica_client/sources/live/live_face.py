@@ -1,0 +1,176 @@
+"""From samples that arrive when they arrive to a face at any moment. Pure: `now` is an argument.
+
+A sample is placed on our clock by the tracker's own time, plus the least way it has taken of late;
+what the network adds to that is jitter. The face is shown so much later than it was seen that the
+next sample is usually there, and interpolated between two. When the samples end, or the tracker
+says that it sees nobody, the face holds, eases to rest, and then there is none; it comes back
+without a snap.
+"""
+
+from bisect import bisect_right
+from collections import deque
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from pica_client.playout.rotation import blend_rotations
+from pica_client.sources.live.calibration import Calibration
+from pica_client.sources.live.sample import TrackerSample
+from pica_client.sources.live.smoothing import Smoother
+from pica_core.avatar.arkit import NUM_ARKIT, ExpressionFrame
+from pica_core.types import FloatArray
+
+HOLD_S: Final = 0.2
+"""How long a face that is lost stands still: most losses are shorter."""
+EASE_S: Final = 0.4
+"""How long it then takes to come to rest, and later to come back."""
+MAX_DELAY_S: Final = 0.08
+"""Longest wait for a sample that is late; beyond it the face stands still for a moment."""
+CLOCK_JUMP_S: Final = 1.0
+"""A tracker's clock that is this far off has been set anew."""
+KEPT_SAMPLES: Final = 64
+USUAL_SHARE: Final = 0.9
+"""Share of the samples that is waited for."""
+
+
+@dataclass(slots=True)
+class LiveCounters:
+    """What became of the samples."""
+
+    samples: int = 0
+    faceless: int = 0
+    out_of_order: int = 0
+    clock_jumps: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Pose:
+    arkit: FloatArray
+    rotation: FloatArray
+
+    def towards(self, other: "_Pose", weight: float) -> "_Pose":
+        mixed = self.arkit + np.float32(weight) * (other.arkit - self.arkit)
+        return _Pose(mixed, blend_rotations(self.rotation, other.rotation, weight))
+
+
+_REST = _Pose(np.zeros(NUM_ARKIT, np.float32), np.zeros(3, np.float32))
+
+
+class LiveFace:
+    """One person's face, fed by a tracker.
+
+    Attributes:
+        counters: What became of the samples.
+        calibration: What is done to each sample; may be replaced at any time.
+    """
+
+    def __init__(self, calibration: Calibration | None = None) -> None:
+        self.counters = LiveCounters()
+        self.calibration = calibration or Calibration()
+        self._smoother = Smoother()
+        self._times_s: deque[float] = deque(maxlen=KEPT_SAMPLES)
+        self._poses: deque[_Pose] = deque(maxlen=KEPT_SAMPLES)
+        self._ways_s: deque[float] = deque(maxlen=4 * KEPT_SAMPLES)
+        self._waits_s: deque[float] = deque(maxlen=KEPT_SAMPLES)
+        self._lost_s: float | None = None
+        self._returned_s: float | None = None
+        self._shown = _REST
+        self._left = _REST
+        self._shown_s = -np.inf
+
+    def push(self, sample: TrackerSample, arrived_s: float) -> None:
+        """Take a sample.
+
+        Args:
+            sample: What the tracker says.
+            arrived_s: When, on our clock.
+        """
+        seen_s = self._on_our_clock(sample.tracker_s, arrived_s)
+        if self._times_s and seen_s <= self._times_s[-1]:
+            self.counters.out_of_order += 1
+            return
+        self.counters.samples += 1
+        if not sample.has_face:
+            self.counters.faceless += 1
+            self._lost_s = seen_s if self._lost_s is None else self._lost_s
+            return
+        gap_s = seen_s - self._times_s[-1] if self._times_s else np.inf
+        if gap_s > HOLD_S or self._lost_s is not None:
+            self._smoother.reset()
+            self._returned_s = seen_s
+        self._lost_s = None
+        arkit = self.calibration.apply(np.nan_to_num(sample.arkit, nan=0.0))
+        step_s = min(gap_s, HOLD_S)
+        self._poses.append(_Pose(*self._smoother.smooth(arkit, sample.rotation, step_s)))
+        self._times_s.append(seen_s)
+        # Shown by the time that the next one is there, a moment has waited for so long.
+        self._waits_s.append(min(arrived_s - seen_s + gap_s, MAX_DELAY_S))
+
+    @property
+    def delay_s(self) -> float:
+        """How much later than it was seen a face is shown, smoothing apart."""
+        return float(np.quantile(self._waits_s, USUAL_SHARE)) if self._waits_s else 0.0
+
+    def face_at(self, now: float) -> ExpressionFrame:
+        """The face to show.
+
+        Args:
+            now: On our clock, seconds; rising from call to call.
+
+        Returns:
+            The face; `captured_us` is when it was seen on our clock, which is in the past.
+        """
+        shown_s = max(now - self.delay_s, self._shown_s)
+        self._shown_s = shown_s
+        pose = self._pose_at(shown_s)
+        if pose is not None:
+            self._shown = pose
+        return ExpressionFrame(
+            captured_us=round(shown_s * 1e6),
+            arkit=self._shown.arkit,
+            rotation=self._shown.rotation,
+            has_face=pose is not None,
+        )
+
+    def _pose_at(self, time_s: float) -> _Pose | None:
+        after = bisect_right(self._times_s, time_s)
+        if not self._times_s or after == 0:
+            return self._shown if self._times_s else None
+        if after < len(self._times_s):
+            begin_s, end_s = self._times_s[after - 1], self._times_s[after]
+            weight = (time_s - begin_s) / (end_s - begin_s)
+            pose = self._poses[after - 1].towards(self._poses[after], weight)
+        else:
+            pose = self._poses[-1]
+        last_s = self._times_s[-1] if self._lost_s is None else min(self._lost_s, time_s)
+        lost_for_s = time_s - last_s - HOLD_S
+        if lost_for_s > EASE_S:
+            self._left = _REST
+            return None
+        if lost_for_s > 0:
+            pose = pose.towards(_REST, _eased(lost_for_s / EASE_S))
+            self._left = pose
+            return pose
+        if self._returned_s is not None:
+            since_s = time_s - self._returned_s
+            if since_s < EASE_S:
+                return self._left.towards(pose, _eased(max(since_s, 0.0) / EASE_S))
+            self._returned_s = None
+        self._left = pose
+        return pose
+
+    def _on_our_clock(self, tracker_s: float | None, arrived_s: float) -> float:
+        if tracker_s is None:
+            return arrived_s
+        way_s = arrived_s - tracker_s
+        if self._ways_s and abs(way_s - min(self._ways_s)) > CLOCK_JUMP_S:
+            self.counters.clock_jumps += 1
+            self._ways_s.clear()
+        self._ways_s.append(way_s)
+        return tracker_s + min(self._ways_s)
+
+
+def _eased(share: float) -> float:
+    """A smooth way from 0 to 1."""
+    return share * share * (3 - 2 * share)

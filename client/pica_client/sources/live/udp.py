@@ -1,0 +1,187 @@
+"""A tracker that sends datagrams: the socket, and the thread that reads it."""
+
+import socket
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+from pica_client.errors import SourceError
+from pica_client.sources.live.ifacialmocap import Request
+from pica_client.sources.live.live_face import LiveFace
+from pica_client.sources.live.sample import PacketError, TrackerSample
+from pica_core.avatar.arkit import ExpressionFrame
+
+READ_BYTES: Final = 65_535
+POLL_S: Final = 0.2
+"""How often the thread looks whether it should end, while nothing comes."""
+SILENT_S: Final = 3.0
+"""After this long without a datagram the user is told where the tracker must send to, and a phone
+that was asked is asked again."""
+MAX_SUBJECTS: Final = 8
+"""Faces told apart on one port."""
+
+Decode = Callable[[bytes], Sequence[TrackerSample]]
+"""Reads one datagram; raises `PacketError`."""
+
+
+SampleTap = Callable[[TrackerSample, float, float], None]
+"""Sees a sample, when it arrived on this machine's monotonic clock, and how long it took to be
+a face, seconds; called by the thread that reads."""
+
+
+@dataclass(frozen=True, slots=True)
+class UdpOptions:
+    """Where a tracker sends to.
+
+    Attributes:
+        kind: The source's name, as the user writes it.
+        port: Ours; 0 takes a free one.
+        subject: Whose face to take; empty takes the first that comes.
+        phone: Address of a phone that sends only when asked; empty for who sends by itself.
+        request: How it is asked.
+        host: Address of ours to listen at.
+    """
+
+    kind: str
+    port: int
+    subject: str = ""
+    phone: str = ""
+    request: Request | None = None
+    host: str = "0.0.0.0"
+
+
+class UdpTracker:
+    """A live source on a UDP port; it listens from its making to `close`.
+
+    Attributes:
+        face: What the samples become.
+        refused: How many datagrams were not the tracker's, by reason.
+        subjects: How many samples each subject has sent.
+    """
+
+    def __init__(
+        self,
+        options: UdpOptions,
+        decode: Decode,
+        face: LiveFace | None = None,
+        tap: SampleTap | None = None,
+    ) -> None:
+        """Listen.
+
+        Raises:
+            SourceError: The port is in use, or is not ours to take.
+        """
+        self.face = face or LiveFace()
+        self.refused: Counter[str] = Counter()
+        self.subjects: Counter[str] = Counter()
+        self._options = options
+        self._decode = decode
+        self._tap = tap
+        self._begin_s: float | None = None
+        self._heard_s = time.monotonic()
+        self._has_heard = False
+        self._closing = threading.Event()
+        self._lock = threading.Lock()
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.bind((options.host, options.port))
+        except OSError as error:
+            self._socket.close()
+            raise SourceError(
+                f"{options.kind}: UDP port {options.port}: {error.strerror}; end the program that "
+                f"has it, or name another one: {options.kind}:PORT"
+            ) from error
+        self._socket.settimeout(POLL_S)
+        self._thread = threading.Thread(target=self._read, name=options.kind, daemon=True)
+        self._thread.start()
+
+    @property
+    def port(self) -> int:
+        """The port that the tracker must send to."""
+        port: int = self._socket.getsockname()[1]
+        return port
+
+    def frame_at(self, time_s: float) -> ExpressionFrame:
+        """The face of now; see `Source.frame_at`."""
+        now = time.monotonic()
+        with self._lock:
+            frame = self.face.face_at(now)
+        if self._begin_s is None:
+            self._begin_s = now - time_s
+        return replace(frame, captured_us=frame.captured_us - round(self._begin_s * 1e6))
+
+    @property
+    def trouble(self) -> str:
+        """Why there is no face, in one line for its user; empty while there is one."""
+        options = self._options
+        if time.monotonic() - self._heard_s < SILENT_S:
+            return ""
+        if options.phone:
+            return f"{options.kind}: {options.phone} does not answer; is the app open there?"
+        if self.refused and not self._has_heard:
+            reason, _ = self.refused.most_common(1)[0]
+            return f"{options.kind}: datagrams come, but: {reason}"
+        silent = "no more datagrams" if self._has_heard else "no datagram yet"
+        return (
+            f"{options.kind}: {silent}; the tracker must send to {own_address()}, port {self.port}"
+        )
+
+    def close(self) -> None:
+        """Stop listening, and free the port."""
+        self._closing.set()
+        self._thread.join()
+        self._socket.close()
+
+    def _read(self) -> None:
+        asked_s = -SILENT_S
+        while not self._closing.is_set():
+            now = time.monotonic()
+            if self._options.request is not None and now - max(asked_s, self._heard_s) > SILENT_S:
+                self._ask()
+                asked_s = now
+            try:
+                packet, (address, _) = self._socket.recvfrom(READ_BYTES)
+            except OSError:  # the wait is over; or somebody's port is closed, as Windows tells
+                continue
+            if not self._options.phone or address == self._options.phone:
+                self._take(packet, time.monotonic())
+
+    def _ask(self) -> None:
+        assert self._options.request is not None
+        try:
+            self._socket.sendto(
+                self._options.request.words, (self._options.phone, self._options.request.port)
+            )
+        except OSError as error:
+            self.refused[f"the phone cannot be reached: {error.strerror}"] += 1
+
+    def _take(self, packet: bytes, arrived_s: float) -> None:
+        try:
+            samples = self._decode(packet)
+        except PacketError as error:
+            self.refused[str(error)] += 1
+            return
+        for sample in samples:
+            if len(self.subjects) < MAX_SUBJECTS or sample.subject in self.subjects:
+                self.subjects[sample.subject] += 1
+            if sample.subject != (self._options.subject or next(iter(self.subjects))):
+                continue
+            self._heard_s, self._has_heard = arrived_s, True
+            with self._lock:
+                self.face.push(sample, arrived_s)
+            if self._tap is not None:
+                self._tap(sample, arrived_s, time.monotonic() - arrived_s)
+
+
+def own_address() -> str:
+    """The address of this machine that others in its network most likely reach. Sends nothing."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))  # only picks a route; no datagram leaves
+            address: str = probe.getsockname()[0]
+        except OSError:
+            return "127.0.0.1"
+    return address

@@ -1,0 +1,74 @@
+"""All that the panels of a call may show, as one read-only value a frame. Pure.
+
+A panel is a function of a `CallView` and the picture's metrics; it draws with the widgets of
+`surface` and returns what the user asked for:
+
+    def leave_question(view: CallView, metrics: Metrics) -> list[UserOrder]:
+        ...
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from pica_client.call.connection_quality import Quality
+from pica_client.call.faces import FaceStatus
+from pica_client.call.status import AvatarFigures, CallStatus, PeerStatus
+from pica_client.render.scene import Rect
+from pica_client.ui.controls import ControlState, UserOrder
+from pica_client.ui.notice_board import Notice
+from pica_client.ui.surface.theme import Metrics
+
+STATUS_NOTE: dict[FaceStatus, str] = {"away": "away"}
+"""What stands under a name; of the others the call itself says what is wrong."""
+POOR_NOTE = "poor connection"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PersonView:
+    """All that is shown of one participant."""
+
+    peer_id: str
+    name: str
+    status: FaceStatus = "live"
+    note: str = ""
+    """What is wrong with the stream or the avatar, for people."""
+    is_speaking: bool = False
+    quality: Quality = "unknown"
+    is_pinned: bool = False
+    label_px: Rect | None = None
+    """The part of the picture that the name may fill, from its upper edge on; None for nowhere."""
+    figures: AvatarFigures | None = None
+    stream: PeerStatus = field(default_factory=PeerStatus)
+    draw_ms: float | None = None
+    """This head's share of the drawing time."""
+
+    @property
+    def remark(self) -> str:
+        """What stands under the name; empty when all is well."""
+        poor = POOR_NOTE if self.quality == "poor" else ""
+        return self.note or STATUS_NOTE.get(self.status, "") or poor
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CallView:
+    """One frame of a call."""
+
+    now: float
+    state: ControlState
+    people: tuple[PersonView, ...] = ()
+    """Everybody who is there, in the order of their seats."""
+    status: CallStatus = field(default_factory=CallStatus)
+    notices: tuple[Notice, ...] = ()
+    """What was just done, and what just happened, the oldest first."""
+    is_recording: bool = False
+    shows_bar: bool = True
+    """Whether the control bar is to be seen: the pointer moved a moment ago."""
+    has_pointer: bool = True
+    """Whether there is somebody to steer: a window."""
+    self_texture: int | None = None
+    """The picture of one's own face, by the painter's number; None while there is none."""
+    figures: tuple[tuple[str, str], ...] = ()
+    """Figures of the whole call, name and value."""
+
+
+Panel = Callable[[CallView, Metrics], list[UserOrder]]

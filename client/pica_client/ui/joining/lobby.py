@@ -1,0 +1,122 @@
+"""Before the call: the form in a window, and what stands there while one waits for the room."""
+
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Any, Self
+
+import moderngl
+
+from pica_client.avatars.library import AvatarLibrary
+from pica_client.avatars.own_avatar import avatar_by_name
+from pica_client.render.renderer import Renderer, RenderOptions
+from pica_client.render.seats import ViewState, plan_camera, plan_seats
+from pica_client.ui.events import CloseWanted
+from pica_client.ui.joining.form import JoinForm, JoinOrder
+from pica_client.ui.joining.portraits import Portraits
+from pica_client.ui.panels.join import JoinView, connecting_panel, join_panel
+from pica_client.ui.surface.painter import Painter
+from pica_client.ui.surface.surface import Surface
+from pica_client.ui.surface.theme import Metrics
+from pica_client.ui.window import Window
+from pica_core.camera import Camera
+
+PERIOD_S = 1 / 30
+
+
+class Lobby:
+    """An empty room in a window.
+
+    Args:
+        window: Stays open; its context is as it was afterwards.
+        library: The avatars to choose from.
+
+    Raises:
+        ShaderError: The driver refuses our shaders.
+    """
+
+    def __init__(self, window: Window, library: AvatarLibrary) -> None:
+        self._window = window
+        self._library = library
+        self._wants_close = False
+        with ExitStack() as stack:
+            stack.callback(window.context.gc)
+            self._renderer = Renderer(window.context, window.size_px, RenderOptions())
+            scale = window.content_scale
+            self._surface = Surface(window.size_px, content_scale=scale, clipboard=window)
+            stack.callback(self._surface.close)
+            self._painter = Painter(window.context, self._surface)
+            self._portraits = Portraits(library)
+            stack.callback(self._portraits.close)
+            self._textures: dict[str, int] = {}
+            self._resources = stack.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give back what is on the GPU."""
+        self._resources.close()
+
+    def ask(self, form: JoinForm) -> bool:
+        """Show the form until the user wants to join, True, or to leave."""
+        while form.outcome == "asking":
+            for order in self._frame(lambda metrics: join_panel(self._view(form), metrics)):
+                form.obey(order)
+            if self._wants_close:
+                form.obey(JoinOrder.LEAVE)
+        return form.outcome == "join"
+
+    def wait(self, what: str, is_over: Callable[[], bool]) -> bool:
+        """Say what is being waited for until it is over, True, or until the user does not want to
+        wait any longer."""
+        while not is_over():
+            if not self.show_waiting(what):
+                return False
+        return True
+
+    def show_waiting(self, what: str) -> bool:
+        """Draw one frame that says what is being waited for; False once the user gives up."""
+        is_cancelled = self._frame(
+            lambda metrics: connecting_panel(what, metrics, time.monotonic())
+        )
+        return not (is_cancelled or self._wants_close)
+
+    def _view(self, form: JoinForm) -> JoinView:
+        for name, image in self._portraits.take().items():
+            if name not in self._textures:
+                self._textures[name] = self._painter.register(image)
+        names = self._library.names
+        return JoinView(
+            fields=form.fields,
+            trouble=form.trouble,
+            portraits={name: self._textures.get(name) for name in names},
+            default_avatar=avatar_by_name(form.fields.name, names) if names else "",
+        )
+
+    def _frame(self, show: Callable[[Metrics], Any]) -> Any:
+        """Draw a frame of panels over the empty room; gives what they order."""
+        now, window, surface = time.monotonic(), self._window, self._surface
+        self._renderer.resize(window.size_px)
+        surface.resize(window.size_px, window.content_scale)
+        for event in window.poll():
+            surface.receive(event)
+            self._wants_close |= isinstance(event, CloseWanted)
+        with surface.frame(now):
+            found = show(surface.metrics)
+        self._renderer.draw([], empty_room())
+        window.show(self._show)
+        time.sleep(max(PERIOD_S - (time.monotonic() - now), 0.0))
+        return found
+
+    def _show(self, screen: moderngl.Framebuffer) -> None:
+        self._renderer.present(screen)
+        self._painter.paint(screen)
+
+
+def empty_room() -> Camera:
+    """A camera for a picture without people."""
+    return plan_camera(plan_seats("line", 0, 1.0), ViewState(), 16, 16)

@@ -1,0 +1,144 @@
+"""The list of everybody in the room, with a menu for each person, and the code to compare."""
+
+from collections.abc import Collection
+from typing import Final
+
+from imgui_bundle import imgui
+
+from pica_client.call.participants import Participant, duration_text
+from pica_client.ui.call_view import CallView
+from pica_client.ui.controls import CopyText, Order, Pin, UserOrder
+from pica_client.ui.panels.side import side_panel
+from pica_client.ui.surface import icons
+from pica_client.ui.surface.fonts import TEXT_PT
+from pica_client.ui.surface.theme import Metrics, Tone
+from pica_client.ui.surface.widgets import (
+    action_button,
+    hint,
+    icon_button,
+    ink,
+    note,
+    shortened,
+    text_size,
+    type_size,
+)
+
+CODE_PT: Final = 19.0
+MENU_PT: Final = 24.0
+Sign = tuple[str, Tone, str]
+"""An icon, its tone, and what it means."""
+
+
+def participants_panel(view: CallView, metrics: Metrics) -> list[UserOrder]:
+    """Who is here, oneself first, then in order of coming."""
+    orders: list[UserOrder] = []
+    if view.state.side != "participants":
+        return orders
+    status = view.status
+    speaking = {person.peer_id for person in view.people if person.is_speaking}
+    with side_panel("Participants", metrics, orders):
+        many = f"{len(status.participants)} in {status.room}, {duration_text(status.duration_s)}"
+        note(many, metrics)
+        for person in status.participants:
+            orders += _row(person, view, metrics, speaking)
+        imgui.separator()
+        _encryption(view, metrics)
+        imgui.separator()
+        note("To invite somebody, send them this link.", metrics)
+        note(status.invitation, metrics, tone="accent")
+        if action_button(f"{icons.COPY}  Copy the invitation", metrics):
+            orders.append(CopyText(status.invitation, "Invitation copied"))
+    return orders
+
+
+def signs_of(person: Participant, *, is_encrypted: bool) -> list[Sign]:
+    """What is shown beside a name, each with its meaning for who points at it."""
+    signs: list[Sign] = []
+    if person.is_recording:
+        signs.append((icons.RECORD, "alert", "Keeps what is seen here"))
+    if person.face == "muted":
+        signs.append((icons.FACE_OFF, "plain", "Face is off"))
+    if person.face == "frozen":
+        signs.append((icons.FREEZE, "plain", "Face is frozen"))
+    if person.is_watching:
+        signs.append((icons.WATCHING, "plain", "Watches, and shows no face"))
+    if person.is_verified:
+        signs.append((icons.LOCK, "good", "Encrypts, and knows the room's secret"))
+    elif is_encrypted and not person.is_self:
+        signs.append((icons.WARNING, "warning", "Not verified"))
+    if person.is_assured:
+        signs.append((icons.CHECK, "accent", "The relay vouches for this name"))
+    return signs
+
+
+def _row(
+    person: Participant, view: CallView, metrics: Metrics, speaking: Collection[str]
+) -> list[UserOrder]:
+    """One person: a dot while they speak, the name with its signs, a menu, and what is to say."""
+    px, palette, orders = metrics.px, metrics.palette, list[UserOrder]()
+    left, top = imgui.get_cursor_pos()
+    width, indent = imgui.get_content_region_avail().x, px(20)
+    signs = signs_of(person, is_encrypted=view.status.is_encrypted)
+    signs_px = sum(text_size(icon, TEXT_PT)[0] + px(6) for icon, _, _ in signs)
+    name = f"{person.name} (you)" if person.is_self else person.name
+    if person.peer_id in speaking:
+        place = imgui.get_cursor_screen_pos()
+        centre = (place.x + px(7), place.y + text_size("A", TEXT_PT)[1] / 2)
+        imgui.get_window_draw_list().add_circle_filled(centre, px(5), ink(palette.good))
+    imgui.set_cursor_pos((left + indent, top))
+    imgui.begin_group()
+    imgui.push_style_var(imgui.StyleVar_.item_spacing, (px(6), px(2)))
+    room = width - indent - signs_px - px(MENU_PT + 8)
+    imgui.text_unformatted(shortened(name, room, TEXT_PT))
+    for icon, tone, meaning in signs:
+        imgui.same_line()
+        imgui.push_style_color(imgui.Col_.text, palette.tone(tone))
+        imgui.text_unformatted(icon)
+        imgui.pop_style_color()
+        hint(meaning)
+    remarks: list[tuple[str, Tone]] = [(person.warning, "warning"), (person.line, "plain")]
+    for text, tone in remarks:
+        if text:
+            note(text, metrics, tone=tone, wrap_px=width - indent - px(MENU_PT + 8))
+    imgui.pop_style_var()
+    imgui.end_group()
+    after = imgui.get_cursor_pos()
+    if not person.is_self:
+        imgui.set_cursor_pos((left + width - px(MENU_PT), top - px(3)))
+        if icon_button(icons.MORE, f"More on {person.name}", metrics, size_pt=MENU_PT):
+            imgui.open_popup(f"menu {person.peer_id}")
+        orders += _menu(person, view)
+    imgui.set_cursor_pos((left, max(after.y, top + px(MENU_PT))))
+    imgui.dummy((0, 0))
+    return orders
+
+
+def _menu(person: Participant, view: CallView) -> list[UserOrder]:
+    orders: list[UserOrder] = []
+    if imgui.begin_popup(f"menu {person.peer_id}"):
+        pin = "Unpin" if view.state.pinned == person.peer_id else "Pin"
+        if not person.is_watching and imgui.menu_item_simple(f"{icons.PIN}  {pin}"):
+            orders.append(Pin(person.peer_id))
+        if imgui.menu_item_simple(f"{icons.CHART}  Statistics"):
+            orders.append(Order.STATISTICS)
+        if imgui.menu_item_simple(f"{icons.RESET}  Reset the view"):
+            orders.append(Order.RESET_VIEW)
+        imgui.end_popup()
+    return orders
+
+
+def _encryption(view: CallView, metrics: Metrics) -> None:
+    """How the encryption stands, with the code in a form that one can read aloud."""
+    status = view.status
+    if not status.is_encrypted:
+        note("Not encrypted end to end: who runs the relay can read the faces.", metrics)
+        return
+    if not status.code:
+        note("Encrypted end to end. Nobody else here is verified yet.", metrics)
+        return
+    note("Encrypted end to end. Everybody must read the same code:", metrics)
+    groups = status.code.split()
+    with type_size(CODE_PT, is_bold=True):
+        for begin in range(0, len(groups), 3):
+            imgui.text_unformatted("   ".join(groups[begin : begin + 3]))
+    note("If somebody reads another one, the relay shows you different people.", metrics)

@@ -1,0 +1,69 @@
+"""The settings of a call."""
+
+from dataclasses import replace
+
+from imgui_bundle import imgui
+
+from pica_client.ui.call_view import CallView
+from pica_client.ui.controls import LAYOUT_TITLES, ChooseLayout, Order, UserOrder
+from pica_client.ui.panels.side import side_panel
+from pica_client.ui.settings import MIN_DETAIL, SCALES, Settings
+from pica_client.ui.surface.theme import Metrics
+from pica_client.ui.surface.widgets import note
+
+
+def settings_panel(view: CallView, metrics: Metrics) -> list[UserOrder]:
+    """How people sit, what is shown, how the surface looks, and what a picture may cost."""
+    orders: list[UserOrder] = []
+    state = view.state
+    if state.side != "settings":
+        return orders
+    settings = state.settings
+    with side_panel("Settings", metrics, orders):
+        note("People sit", metrics)
+        for number, (layout, title) in enumerate(LAYOUT_TITLES.items()):
+            if number % 2:
+                imgui.same_line(metrics.px(130))
+            if imgui.radio_button(title, layout == state.layout):
+                orders.append(ChooseLayout(layout))
+        imgui.separator()
+        note("Shown", metrics)
+        has_changed, _ = imgui.checkbox("Statistics", state.show_statistics)
+        if has_changed:
+            orders.append(Order.STATISTICS)
+        if state.own_face != "none":
+            _, shows_self = imgui.checkbox("My own face", settings.shows_self)
+            settings = replace(settings, shows_self=shows_self)
+        imgui.separator()
+        settings = _look(settings, metrics)
+        imgui.separator()
+        note("Detail. Less leaves more of this machine to others.", metrics)
+        imgui.set_next_item_width(-1)
+        percent = round(100 * settings.detail)
+        has_changed, percent = imgui.slider_int(
+            "##detail", percent, round(100 * MIN_DETAIL), 100, "%d %%"
+        )
+        if has_changed:
+            least = 100 * MIN_DETAIL
+            settings = replace(settings, detail=min(max(percent, least), 100) / 100)
+        imgui.separator()
+        note("Name, avatar and face source are chosen in the form that leads here.", metrics)
+    if settings != state.settings:
+        orders.append(settings)
+    return orders
+
+
+def _look(settings: Settings, metrics: Metrics) -> Settings:
+    note("Colours", metrics)
+    for number, mode in enumerate(("dark", "light")):
+        if number:
+            imgui.same_line(metrics.px(130))
+        if imgui.radio_button(mode.title(), mode == settings.mode):
+            settings = replace(settings, mode=mode)  # type: ignore[arg-type]
+    note("Size of type and buttons", metrics)
+    for number, scale in enumerate(SCALES):
+        if number % 2:
+            imgui.same_line(metrics.px(130))
+        if imgui.radio_button(f"{scale:.0%}", scale == settings.scale):
+            settings = replace(settings, scale=scale)
+    return settings

@@ -1,0 +1,63 @@
+"""The panel at the right: its frame, which all that stands in it shares, and the help."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from imgui_bundle import imgui
+
+from pica_client.ui.call_view import CallView
+from pica_client.ui.controls import Order, UserOrder, help_lines
+from pica_client.ui.panels.control_bar import BAR_PT, EDGE_PT
+from pica_client.ui.surface import icons
+from pica_client.ui.surface.theme import PADDING_PT, Metrics
+from pica_client.ui.surface.widgets import card, icon_button, note, title
+
+WIDTH_PT = 300.0
+CLOSE_PT = 28.0
+
+
+@contextmanager
+def side_panel(name: str, metrics: Metrics, orders: list[UserOrder]) -> Iterator[None]:
+    """The frame: a title, a button that closes it, and room that scrolls."""
+    edge, (columns, rows) = metrics.px(EDGE_PT), metrics.size
+    width = columns - 2 * edge if metrics.is_compact else metrics.px(WIDTH_PT)
+    height = rows - edge * 3 - metrics.px(BAR_PT)
+    with card(name, (columns - edge - width, edge), metrics, size=(width, height)):
+        title(name)
+        imgui.same_line(imgui.get_window_width() - metrics.px(CLOSE_PT + PADDING_PT))
+        if icon_button(icons.CLOSE, "Close", metrics, keys="Esc", size_pt=CLOSE_PT):
+            orders.append(Order.CLOSE)
+        imgui.begin_child(f"{name} content")
+        yield
+        imgui.end_child()
+
+
+def side_share(view: CallView, metrics: Metrics) -> float:
+    """The part of the picture's width that the panel takes from the people."""
+    if view.state.side == "none" or metrics.is_compact:
+        return 0.0
+    return (metrics.px(WIDTH_PT) + 2 * metrics.px(EDGE_PT)) / metrics.size[0]
+
+
+def help_panel(view: CallView, metrics: Metrics) -> list[UserOrder]:
+    """What keys and mouse do."""
+    orders: list[UserOrder] = []
+    if view.state.side != "help":
+        return orders
+    with side_panel("Help", metrics, orders), _two_columns():
+        for keys, meaning in help_lines(view.state.own_face):
+            imgui.table_next_row()
+            imgui.table_next_column()
+            imgui.text_unformatted(keys)
+            imgui.table_next_column()
+            note(meaning, metrics)
+    return orders
+
+
+@contextmanager
+def _two_columns() -> Iterator[None]:
+    if imgui.begin_table("columns", 2):
+        imgui.table_setup_column("first", imgui.TableColumnFlags_.width_fixed)
+        imgui.table_setup_column("second", imgui.TableColumnFlags_.width_stretch)
+        yield
+        imgui.end_table()

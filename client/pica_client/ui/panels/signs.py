@@ -1,0 +1,111 @@
+"""Signs on the picture: how the call stands, at the upper edge, and one's own state, below."""
+
+from imgui_bundle import imgui
+
+from pica_client.call.participants import duration_text, joined_names, recorders
+from pica_client.ui.call_view import CallView
+from pica_client.ui.controls import OwnFace, UserOrder
+from pica_client.ui.surface import icons
+from pica_client.ui.surface.fonts import TEXT_PT
+from pica_client.ui.surface.theme import Metrics, Tone
+from pica_client.ui.surface.widgets import ink, shortened, text_size
+
+BANNER_AFTER_S = 1.0
+"""A connection that comes back sooner is not worth a word."""
+OWN_SIGNS: dict[OwnFace, tuple[str, Tone]] = {
+    "sent": ("Your face is sent", "good"),
+    "frozen": ("Your face is frozen", "warning"),
+    "muted": ("Your face is not sent", "alert"),
+}
+
+
+def banner(view: CallView) -> tuple[str, Tone] | None:
+    """What the user should see: what is wrong with the connection or the own face. At most one."""
+    status = view.status
+    if not status.is_connected and status.away_s >= BANNER_AFTER_S:
+        return f"Connection lost – coming back … {status.away_s:.0f} s", "alert"
+    if status.is_muted_by_admin and view.state.own_face != "none":
+        return "An admin has muted your face", "warning"
+    if status.own_trouble:
+        return status.own_trouble, "warning"
+    if status.own_quality == "poor":
+        return "Your connection is poor", "warning"
+    return None
+
+
+def own_sign(view: CallView) -> tuple[str, Tone] | None:
+    """What becomes of the user's own face; None while there is none to send."""
+    state = view.state.own_face if view.status.is_connected else "muted"
+    return None if view.state.own_face == "none" else OWN_SIGNS[state]
+
+
+def call_signs(view: CallView) -> list[tuple[str, Tone]]:
+    """Where one is and for how long, whether faces are encrypted, and who keeps what is seen."""
+    status = view.status
+    if not status.room:
+        return []
+    lock = f"{icons.LOCK}  " if status.is_encrypted else ""
+    where = f"{lock}{status.room}   {duration_text(status.duration_s)}"
+    found: list[tuple[str, Tone]] = [(where, "good" if status.is_connected else "alert")]
+    names = recorders(each for each in status.participants if not each.is_self)
+    if names:
+        verb = "records" if len(names) == 1 else "record"
+        found.append((f"{joined_names(names)} {verb}", "alert"))
+    return found
+
+
+def call_signs_pt(view: CallView) -> float:
+    """How much of the upper edge they take, points."""
+    return 36.0 * len(call_signs(view))
+
+
+def signs_share(view: CallView, metrics: Metrics) -> float:
+    """The part of the picture's height that the signs at the upper left take from the people."""
+    return 0.0 if metrics.is_compact else metrics.px(call_signs_pt(view)) / metrics.size[1]
+
+
+def signs(view: CallView, metrics: Metrics) -> list[UserOrder]:
+    """Write the signs on the picture."""
+    columns, rows = metrics.size
+    edge = metrics.px(12)
+    found = banner(view)
+    lines = [found] if found is not None else []
+    lines += [(notice.text, notice.tone) for notice in view.notices]
+    top = edge
+    for text, tone in call_signs(view):
+        top += _sign(text, tone, (edge, top), (0.0, 0.0), metrics) + metrics.px(6)
+    # Where both do not fit side by side, news stand below what is always there.
+    top = top if metrics.is_compact else edge
+    for text, tone in lines:
+        top += _sign(text, tone, (columns / 2, top), (0.5, 0.0), metrics) + metrics.px(6)
+    if metrics.is_compact and view.shows_bar:
+        return []  # the bar stands there, and its buttons say the same
+    own = own_sign(view)
+    if own is not None:
+        _sign(*own, (edge, rows - edge), (0.0, 1.0), metrics)
+    if view.is_recording:
+        _sign("Recording", "alert", (columns - edge, rows - edge), (1.0, 1.0), metrics)
+    return []
+
+
+def _sign(
+    text: str,
+    tone: Tone,
+    place: tuple[float, float],
+    pivot: tuple[float, float],
+    metrics: Metrics,
+) -> float:
+    """A pill with a dot and a text, its pivot (0 to 1 of its size) at a place; gives its height,
+    pixels."""
+    shapes, palette, px = imgui.get_background_draw_list(), metrics.palette, metrics.px
+    dot, pad = px(5), px(12)
+    text = shortened(text, metrics.size[0] - 4 * pad - 4 * dot, TEXT_PT)
+    width, height = text_size(text, TEXT_PT)
+    size = (width + 2 * pad + 3 * dot, height + px(12))
+    left, top = place[0] - pivot[0] * size[0], place[1] - pivot[1] * size[1]
+    shapes.add_rect_filled(
+        (left, top), (left + size[0], top + size[1]), ink(palette.plate), size[1] / 2
+    )
+    shapes.add_circle_filled((left + pad + dot, top + size[1] / 2), dot, ink(palette.tone(tone)))
+    shapes.add_text((left + pad + 3 * dot, top + px(6)), ink(palette.ink), text)
+    return size[1]

@@ -1,0 +1,75 @@
+"""What stands before the picture when it is new or empty: who is waited for, and a first hint."""
+
+from imgui_bundle import imgui
+
+from pica_client.ui.call_view import CallView
+from pica_client.ui.controls import CopyText, Order, UserOrder
+from pica_client.ui.panels.control_bar import BAR_PT, EDGE_PT
+from pica_client.ui.surface import icons
+from pica_client.ui.surface.theme import Metrics
+from pica_client.ui.surface.widgets import action_button, card, note, title
+
+WAITING_PT = 380.0
+HINT_PT = 140.0
+
+
+def waiting_page(view: CallView, metrics: Metrics) -> list[UserOrder]:
+    """While nobody with a face is here: where one is, who watches, and a line to invite others."""
+    status = view.status
+    is_asked = view.state.asks_to_leave or (metrics.is_compact and view.state.side != "none")
+    if view.people or not status.room or not status.is_connected or is_asked:
+        return []
+    orders: list[UserOrder] = []
+    columns, rows = metrics.size
+    edge = metrics.px(EDGE_PT)
+    width = min(metrics.px(WAITING_PT), columns - 2 * edge)
+    imgui.set_next_window_size_constraints((width, 0), (width, rows - 2 * edge))
+    with card("waiting", (columns / 2, 0.42 * rows), metrics, pivot=(0.5, 0.5), scrolls=True):
+        title("Waiting for others")
+        watching = len(status.participants) - 1
+        note(f"You are in the room {status.room}.", metrics)
+        if watching > 0:
+            who = "One person watches." if watching == 1 else f"{watching} people watch."
+            note(f"{who} Nobody else shows a face.", metrics)
+        if view.has_pointer:
+            note("To invite somebody, send them this link.", metrics)
+            note(status.invitation, metrics, tone="accent")
+            if action_button(f"{icons.COPY}  Copy the invitation", metrics, tone="accent"):
+                orders.append(CopyText(status.invitation, "Invitation copied"))
+        else:
+            note(status.invitation, metrics, tone="accent")
+    return orders
+
+
+def hint_share(view: CallView, metrics: Metrics) -> float:
+    """The part of the picture's height that the hint takes from the people."""
+    if not _shows_hint(view) or metrics.is_compact:
+        return 0.0
+    return metrics.px(HINT_PT) / metrics.size[1]
+
+
+def _shows_hint(view: CallView) -> bool:
+    return view.state.shows_hint and not view.state.asks_to_leave and view.state.side == "none"
+
+
+def first_hint(view: CallView, metrics: Metrics) -> list[UserOrder]:
+    """What one needs to know in the first call, until it is dismissed."""
+    if not _shows_hint(view):
+        return []
+    orders: list[UserOrder] = []
+    edge = metrics.px(EDGE_PT)
+    place = (metrics.size[0] / 2, metrics.size[1] - 2 * edge - metrics.px(BAR_PT))
+    width = min(metrics.px(420), metrics.size[0] - 2 * edge)
+    imgui.set_next_window_size_constraints((width, 0), (width, metrics.size[1] - 2 * edge))
+    with card("hint", place, metrics, pivot=(0.5, 1.0)):
+        lines = [
+            "Move the pointer to see the bar. H shows all keys.",
+            "Drag to look around, click somebody to see them large.",
+        ]
+        if view.state.own_face == "none":
+            lines.append("You show no face. Leave, and join with a face source, to be seen.")
+        for line in lines:
+            note(line, metrics)
+        if action_button("Got it", metrics):
+            orders.append(Order.DISMISS_HINT)
+    return orders

@@ -1,0 +1,171 @@
+"""What a `Surface` has set, drawn by moderngl into any framebuffer.
+
+ImGui's textures (its glyphs, which come as they are needed) are kept here; `register` adds a
+picture of ours. One painter for each surface, on the thread of the GL context.
+"""
+
+import ctypes
+
+import moderngl
+import numpy as np
+from imgui_bundle import imgui
+
+from pica_client.render.shader_source import compose
+from pica_client.ui.surface.surface import BACKGROUND, Surface
+from pica_core.gl import link_program
+from pica_core.types import Image
+
+FIRST_BUFFER_BYTES = 1 << 16
+Region = tuple[int, int, int, int]
+"""Left, bottom, width and height within a framebuffer, pixels."""
+
+
+class Painter:
+    """Draws one surface.
+
+    Args:
+        context: GL 3.3, current on this thread.
+        surface: Whose shapes.
+    """
+
+    def __init__(self, context: moderngl.Context, surface: Surface) -> None:
+        self._context = context
+        self._surface = surface
+        self._program = link_program(
+            context,
+            vertex=compose("shapes.vert").text,
+            fragment=compose("shapes.frag").text,
+        )
+        self._textures: dict[int, moderngl.Texture] = {}
+        self._adopted = 0
+        self._vertices = context.buffer(reserve=FIRST_BUFFER_BYTES, dynamic=True)
+        self._indices = context.buffer(reserve=FIRST_BUFFER_BYTES, dynamic=True)
+        self._shapes = self._make_shapes()
+
+    def register(self, image: Image) -> int:
+        """A picture to show in a panel, uint8 ``[H, W, 3]``; its number is for `ImTextureRef`."""
+        rows, columns = image.shape[:2]
+        texture = self._context.texture(
+            (columns, rows), 3, np.ascontiguousarray(image), alignment=1
+        )
+        texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
+        self._textures[texture.glo] = texture
+        return int(texture.glo)
+
+    def adopt(self, texture: moderngl.Texture) -> int:
+        """A picture of somebody else's to show in a panel, as long as it is this one; its number is
+        for `ImTextureRef`."""
+        self._textures.pop(self._adopted, None)
+        self._adopted = int(texture.glo)
+        self._textures[self._adopted] = texture
+        return self._adopted
+
+    def paint(
+        self,
+        target: moderngl.Framebuffer,
+        region: Region | None = None,
+        *,
+        background: bool = True,
+        windows: bool = True,
+    ) -> None:
+        """Blend the last frame over a framebuffer.
+
+        Args:
+            target: Where to.
+            region: The part of it that shows the surface; by default all.
+            background: Draw what is written on the picture.
+            windows: Draw what stands before it.
+        """
+        data = self._surface.draw_data()
+        self._update_textures(data)
+        context = self._context
+        left, bottom, width, height = region or (0, 0, *target.size)
+        columns, rows = data.display_size
+        target.use()
+        context.viewport = (left, bottom, width, height)
+        context.enable_only(moderngl.BLEND)
+        context.blend_func = moderngl.SRC_ALPHA, moderngl.ONE_MINUS_SRC_ALPHA
+        self._program["size"] = (columns, rows)
+        for shapes in data.cmd_lists:
+            if background if shapes._owner_name == BACKGROUND else windows:
+                self._paint_list(shapes, (left, bottom, rows))
+        context.scissor = None
+        context.disable(moderngl.BLEND)
+        context.viewport = (0, 0, *target.size)
+
+    def _paint_list(self, shapes: imgui.ImDrawList, place: tuple[int, int, float]) -> None:
+        vertices, indices = shapes.vtx_buffer, shapes.idx_buffer
+        self._write(
+            _memory(vertices.data_address(), vertices.size() * imgui.VERTEX_SIZE),
+            _memory(indices.data_address(), indices.size() * imgui.INDEX_SIZE),
+        )
+        left, bottom, rows = place
+        for command in shapes.cmd_buffer:
+            low_x, low_y, high_x, high_y = command.clip_rect
+            if high_x <= low_x or high_y <= low_y:
+                continue
+            self._context.scissor = (
+                left + max(int(low_x), 0),
+                bottom + max(int(rows - high_y), 0),
+                int(high_x) - max(int(low_x), 0),
+                int(high_y) - max(int(low_y), 0),
+            )
+            self._textures[command.tex_ref.get_tex_id()].use(0)
+            self._shapes.render(
+                moderngl.TRIANGLES, vertices=command.elem_count, first=command.idx_offset
+            )
+
+    def _write(self, vertices: memoryview, indices: memoryview) -> None:
+        """Bring a list to the GPU; buffers grow by doubling."""
+        is_new = False
+        for name, content in (("_vertices", vertices), ("_indices", indices)):
+            buffer: moderngl.Buffer = getattr(self, name)
+            if content.nbytes > buffer.size:
+                size = max(content.nbytes, 2 * buffer.size)
+                setattr(self, name, self._context.buffer(reserve=size, dynamic=True))
+                is_new = True
+        if is_new:
+            self._shapes = self._make_shapes()
+        self._vertices.orphan()
+        self._vertices.write(vertices)
+        self._indices.orphan()
+        self._indices.write(indices)
+
+    def _make_shapes(self) -> moderngl.VertexArray:
+        return self._context.vertex_array(
+            self._program,
+            [(self._vertices, "2f 2f 4f1", "place", "uv", "colour")],
+            index_buffer=self._indices,
+            index_element_size=imgui.INDEX_SIZE,
+        )
+
+    def _update_textures(self, data: imgui.ImDrawData) -> None:
+        """Do to our textures what ImGui wants done to its own."""
+        for wanted in data.textures:
+            if wanted.status == imgui.ImTextureStatus.want_create:
+                size = (wanted.width, wanted.height)
+                texture = self._context.texture(size, 4, wanted.get_pixels_array().tobytes())
+                # Glyphs stand on whole pixels, and software GL is faster without averaging.
+                texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+                texture.repeat_x = texture.repeat_y = False
+                self._textures[texture.glo] = texture
+                wanted.set_tex_id(texture.glo)
+            elif wanted.status == imgui.ImTextureStatus.want_updates:
+                texture = self._textures[wanted.tex_id]
+                pixels = wanted.get_pixels_array().reshape(wanted.height, wanted.width, 4)
+                for part in wanted.updates:
+                    x, y, width, height = part.x, part.y, part.w, part.h
+                    patch = np.ascontiguousarray(pixels[y : y + height, x : x + width])
+                    texture.write(patch, viewport=(x, y, width, height))
+            elif wanted.status == imgui.ImTextureStatus.want_destroy:
+                self._textures.pop(wanted.tex_id, None)
+                wanted.set_tex_id(0)
+                wanted.set_status(imgui.ImTextureStatus.destroyed)
+                continue
+            else:
+                continue
+            wanted.set_status(imgui.ImTextureStatus.ok)
+
+
+def _memory(address: int, size_bytes: int) -> memoryview:
+    return memoryview((ctypes.c_char * size_bytes).from_address(address)).cast("B")

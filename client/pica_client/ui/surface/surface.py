@@ -1,0 +1,199 @@
+"""Dear ImGui without a window: events in, a list of shapes out; `painter` brings them to the GPU.
+
+    surface = Surface((1280, 720))
+    surface.receive(MouseMoved(640, 700))
+    with surface.frame(now):
+        orders = control_bar(view, surface.metrics)
+    surface.claims(event)                  # whether it was for the surface, not for the scene
+
+Needs no GL, so panels are tested by feeding events and reading orders. Lengths are pixels of the
+picture; the metrics say how many of them a point has.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Protocol
+
+from imgui_bundle import imgui
+
+from pica_client.ui.events import (
+    InputEvent,
+    KeyPressed,
+    KeyReleased,
+    MouseMoved,
+    MousePressed,
+    MouseReleased,
+    Scrolled,
+    TextTyped,
+)
+from pica_client.ui.settings import Mode
+from pica_client.ui.surface.fonts import add_fonts
+from pica_client.ui.surface.theme import Metrics, apply_theme, metrics_for
+
+BACKGROUND = "##Background"
+"""ImGui's name of the list that is drawn below all windows."""
+DEFAULT_STEP_S = 1 / 30
+MAX_STEP_S = 0.25
+"""A frame that took longer than this is not made up for by animations."""
+KEYS = {
+    **{letter: getattr(imgui.Key, letter.lower()) for letter in "ABCDEFGHIJKLMNOPQRSTUVWXYZ"},
+    **{digit: getattr(imgui.Key, f"_{digit}") for digit in "0123456789"},
+    **{f"F{number}": getattr(imgui.Key, f"f{number}") for number in range(1, 13)},
+    "Escape": imgui.Key.escape,
+    "Enter": imgui.Key.enter,
+    "Tab": imgui.Key.tab,
+    "Space": imgui.Key.space,
+    "Backspace": imgui.Key.backspace,
+    "Delete": imgui.Key.delete,
+    "Home": imgui.Key.home,
+    "End": imgui.Key.end,
+    "Left": imgui.Key.left_arrow,
+    "Right": imgui.Key.right_arrow,
+    "Up": imgui.Key.up_arrow,
+    "Down": imgui.Key.down_arrow,
+}
+
+
+class Clipboard(Protocol):
+    """Where copied text is."""
+
+    def clipboard(self) -> str:
+        """The text in it; empty when there is none."""
+        ...
+
+    def copy(self, text: str) -> None:
+        """Put a text into it."""
+        ...
+
+
+class Surface:
+    """One ImGui context.
+
+    Args:
+        size: Columns and rows of the picture, pixels.
+        content_scale: Pixels a point of this display; 2 on most HiDPI ones.
+        mode: Dark or light.
+        clipboard: The system's, to copy from and to; by default one of its own.
+    """
+
+    def __init__(
+        self,
+        size: tuple[int, int],
+        *,
+        content_scale: float = 1.0,
+        mode: Mode = "dark",
+        clipboard: Clipboard | None = None,
+    ) -> None:
+        self._context = imgui.create_context()
+        self._is_open = True
+        self._use()  # a new context is current only where there was none
+        io = imgui.get_io()
+        io.set_ini_filename("")
+        io.backend_flags |= imgui.BackendFlags_.renderer_has_textures
+        io.config_input_text_cursor_blink = True
+        io.config_flags |= imgui.ConfigFlags_.nav_enable_keyboard
+        if clipboard is not None:
+            platform = imgui.get_platform_io()
+            platform.platform_get_clipboard_text_fn = lambda _context: clipboard.clipboard()
+            platform.platform_set_clipboard_text_fn = lambda _context, text: clipboard.copy(text)
+        add_fonts(io.fonts)
+        self._mode: Mode = mode
+        self._last_s: float | None = None
+        self.metrics = Metrics(size=(0, 0), scale=1.0)
+        self.resize(size, content_scale)
+
+    def close(self) -> None:
+        """Free the context; twice is harmless."""
+        if self._is_open:
+            self._is_open = False
+            imgui.destroy_context(self._context)
+
+    def resize(
+        self, size: tuple[int, int], content_scale: float = 1.0, mode: Mode | None = None
+    ) -> None:
+        """Draw for another picture from now on, and in another mode if one is given."""
+        self._mode = mode or self._mode
+        metrics = metrics_for(size, content_scale, self._mode)
+        if metrics != self.metrics:
+            self._use()
+            self.metrics = metrics
+            imgui.get_io().display_size = imgui.ImVec2(*size)
+            apply_theme(imgui.get_style(), metrics)
+
+    def receive(self, event: InputEvent) -> None:
+        """Take something that the user did."""
+        self._use()
+        io = imgui.get_io()
+        match event:
+            case MouseMoved(x_px=x, y_px=y):
+                io.add_mouse_pos_event(x, y)
+            case MousePressed(x_px=x, y_px=y, button=button):
+                io.add_mouse_pos_event(x, y)
+                io.add_mouse_button_event(button, True)
+            case MouseReleased(x_px=x, y_px=y, button=button):
+                io.add_mouse_pos_event(x, y)
+                io.add_mouse_button_event(button, False)
+            case Scrolled(steps=steps):
+                io.add_mouse_wheel_event(0.0, steps)
+            case TextTyped(text=text):
+                io.add_input_characters_utf8(text)
+            case KeyPressed(is_repeat=False) | KeyReleased():
+                is_down = isinstance(event, KeyPressed)
+                io.add_key_event(imgui.Key.mod_ctrl, event.has_control)
+                io.add_key_event(imgui.Key.mod_shift, event.has_shift)
+                if event.key in KEYS:
+                    io.add_key_event(KEYS[event.key], is_down)
+            case _:
+                pass
+
+    def begin(self, now: float) -> None:
+        """Begin a frame with all that was received. From here on `claims` speaks of it."""
+        self._use()
+        io = imgui.get_io()
+        step_s = DEFAULT_STEP_S if self._last_s is None else now - self._last_s
+        io.delta_time = min(max(step_s, 1e-4), MAX_STEP_S)
+        self._last_s = now
+        imgui.new_frame()
+
+    def end(self) -> None:
+        """Finish the frame: its shapes can be painted."""
+        self._use()
+        imgui.render()
+
+    @contextmanager
+    def frame(self, now: float) -> Iterator[None]:
+        """A whole frame; panels are called within."""
+        self.begin(now)
+        try:
+            yield
+        finally:
+            self.end()
+
+    def claims(self, event: InputEvent) -> bool:
+        """Whether an event belongs to the surface: the pointer is on it, or a field is typed in."""
+        self._use()
+        io = imgui.get_io()
+        match event:
+            case MouseMoved() | MousePressed() | MouseReleased() | Scrolled():
+                return self.wants_mouse
+            case TextTyped() | KeyReleased():
+                return True
+            case KeyPressed(key="Escape"):
+                return False
+            case KeyPressed():
+                return bool(io.want_text_input)
+        return False
+
+    @property
+    def wants_mouse(self) -> bool:
+        """Whether the pointer is on the surface, not on the scene."""
+        self._use()
+        return bool(imgui.get_io().want_capture_mouse)
+
+    def draw_data(self) -> imgui.ImDrawData:
+        """The shapes of the last frame."""
+        self._use()
+        return imgui.get_draw_data()
+
+    def _use(self) -> None:
+        imgui.set_current_context(self._context)

@@ -1,0 +1,181 @@
+"""One style for all of the surface: colours (dark and light), spacing and type sizes. Pure.
+
+Lengths are points; `Metrics.px` turns them into pixels of the picture. Type has three sizes:
+small (notes, figures), text, and title.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from imgui_bundle import imgui
+
+from pica_client.ui.settings import Mode
+from pica_client.ui.surface.fonts import TEXT_PT
+
+Tone = Literal["plain", "good", "warning", "alert", "accent"]
+Colour = tuple[float, float, float, float]
+
+SMALL_PT, TITLE_PT = 12.5, 21.0
+GAP_PT, PADDING_PT, ROUNDING_PT = 8.0, 16.0, 8.0
+BUTTON_PT = 42.0
+"""Height of a button of the control bar: what a finger or a hurried mouse hits."""
+REFERENCE_PT = (1280.0, 720.0)
+MIN_SCALE, MAX_SCALE = 0.8, 1.75
+COMPACT_PT = (560.0, 400.0)
+"""Below one of these a picture has no room for panels beside the people."""
+
+
+def _hex(value: str, alpha: float = 1.0) -> Colour:
+    red, green, blue = (int(value[at : at + 2], 16) / 255 for at in (0, 2, 4))
+    return red, green, blue, alpha
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Palette:
+    """Colours by what they are for, red, green, blue and alpha from 0 to 1."""
+
+    ink: Colour
+    faint: Colour
+    card: Colour
+    plate: Colour
+    """Under names and notices on the picture."""
+    field: Colour
+    field_hovered: Colour
+    line: Colour
+    accent: Colour
+    on_accent: Colour
+    good: Colour
+    warning: Colour
+    alert: Colour
+
+    def tone(self, tone: Tone) -> Colour:
+        """The colour of a tone."""
+        found: Colour = self.faint if tone == "plain" else getattr(self, tone)
+        return found
+
+
+PALETTES: dict[Mode, Palette] = {
+    "dark": Palette(
+        ink=_hex("f1f3f6"),
+        faint=_hex("a7b0bd"),
+        card=_hex("1a1d23", 0.97),
+        plate=_hex("101318", 0.78),
+        field=_hex("2b3039"),
+        field_hovered=_hex("3a414d"),
+        line=_hex("ffffff", 0.10),
+        accent=_hex("2f6fed"),
+        on_accent=_hex("ffffff"),
+        good=_hex("4cc38a"),
+        warning=_hex("f2b84b"),
+        alert=_hex("e5484d"),
+    ),
+    "light": Palette(
+        ink=_hex("1b1f26"),
+        faint=_hex("5b6472"),
+        card=_hex("fbfcfd", 0.98),
+        plate=_hex("ffffff", 0.86),
+        field=_hex("e9ecf1"),
+        field_hovered=_hex("dbe0e8"),
+        line=_hex("000000", 0.12),
+        accent=_hex("1f5fe0"),
+        on_accent=_hex("ffffff"),
+        good=_hex("1a8f57"),
+        warning=_hex("a86a00"),
+        alert=_hex("d0303a"),
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Metrics:
+    """How large things are on one picture."""
+
+    size: tuple[int, int]
+    """Columns and rows, pixels."""
+    scale: float
+    """Pixels a point."""
+    mode: Mode = "dark"
+
+    def px(self, points: float) -> float:
+        """So many points, in pixels."""
+        return round(points * self.scale)
+
+    @property
+    def palette(self) -> Palette:
+        """The colours in use."""
+        return PALETTES[self.mode]
+
+    @property
+    def is_compact(self) -> bool:
+        """Whether a panel takes the whole picture, for lack of room beside the people."""
+        return (
+            self.size[0] < COMPACT_PT[0] * self.scale or self.size[1] < COMPACT_PT[1] * self.scale
+        )
+
+
+def metrics_for(size: tuple[int, int], content_scale: float = 1.0, mode: Mode = "dark") -> Metrics:
+    """Metrics of a picture: the display's own scale, and a little more on large pictures.
+
+    Args:
+        size: Columns and rows, pixels.
+        content_scale: Pixels a point of this display.
+        mode: Dark or light.
+    """
+    points = min(size[0] / REFERENCE_PT[0], size[1] / REFERENCE_PT[1]) / content_scale
+    growth = min(max(math.sqrt(max(points, 1e-6)), MIN_SCALE), MAX_SCALE)
+    return Metrics(size=size, scale=content_scale * growth, mode=mode)
+
+
+def apply_theme(style: imgui.Style, metrics: Metrics) -> None:
+    """Make ImGui's style ours."""
+    px, palette = metrics.px, metrics.palette
+    style.font_size_base, style.font_scale_dpi = TEXT_PT, metrics.scale
+    for name in ("window", "child", "popup", "frame", "grab", "scrollbar", "selectable"):
+        setattr(style, f"{name}_rounding", px(ROUNDING_PT))
+    style.window_rounding = style.popup_rounding = px(1.5 * ROUNDING_PT)
+    style.window_border_size = style.popup_border_size = 1.0
+    style.frame_border_size = style.child_border_size = 0.0
+    style.window_padding = imgui.ImVec2(px(PADDING_PT), px(PADDING_PT))
+    style.frame_padding = imgui.ImVec2(px(12), px(8))
+    style.item_spacing = imgui.ImVec2(px(GAP_PT), px(GAP_PT))
+    style.item_inner_spacing = imgui.ImVec2(px(6), px(6))
+    style.cell_padding = imgui.ImVec2(px(8), px(3))
+    style.scrollbar_size, style.grab_min_size = px(10), px(14)
+    style.window_min_size = imgui.ImVec2(1, 1)
+    style.display_safe_area_padding = imgui.ImVec2(0, 0)
+    style.hover_delay_normal = 0.35
+    style.disabled_alpha = 0.45
+    colours: dict[str, Colour] = {
+        "text": palette.ink,
+        "text_disabled": palette.faint,
+        "window_bg": palette.card,
+        "popup_bg": palette.card,
+        "child_bg": (0, 0, 0, 0),
+        "border": palette.line,
+        "frame_bg": palette.field,
+        "frame_bg_hovered": palette.field_hovered,
+        "frame_bg_active": palette.field_hovered,
+        "button": palette.field,
+        "button_hovered": palette.field_hovered,
+        "button_active": palette.accent,
+        "header": palette.field,
+        "header_hovered": palette.field_hovered,
+        "header_active": palette.accent,
+        "check_mark": palette.accent,
+        "slider_grab": palette.accent,
+        "slider_grab_active": palette.accent,
+        "separator": palette.line,
+        "scrollbar_bg": (0, 0, 0, 0),
+        "scrollbar_grab": palette.field_hovered,
+        "table_row_bg_alt": (*palette.ink[:3], 0.03),
+        "table_border_light": palette.line,
+        "text_selected_bg": (*palette.accent[:3], 0.45),
+        "nav_cursor": palette.accent,
+        "modal_window_dim_bg": (0, 0, 0, 0.45),
+        "input_text_cursor": palette.ink,
+        "text_link": palette.accent,
+    }
+    members: Any = imgui.Col_
+    for name, colour in colours.items():
+        style.set_color_(getattr(members, name), imgui.ImVec4(*colour))

@@ -1,0 +1,194 @@
+"""The few things that panels are made of, in the project's style.
+
+with card("Settings", (x, y), metrics):
+    title("Settings", metrics)
+    if icon_button(icons.CLOSE, "Close", metrics, keys="Esc"):
+        ...
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from imgui_bundle import imgui
+
+from pica_client.ui.surface.text_order import as_drawn
+from pica_client.ui.surface.theme import (
+    BUTTON_PT,
+    SMALL_PT,
+    TITLE_PT,
+    Colour,
+    Metrics,
+    Tone,
+)
+
+FIXED = (
+    imgui.WindowFlags_.no_decoration
+    | imgui.WindowFlags_.no_move
+    | imgui.WindowFlags_.no_saved_settings
+    | imgui.WindowFlags_.no_focus_on_appearing
+    | imgui.WindowFlags_.no_nav
+)
+Place = tuple[float, float]
+
+
+@contextmanager
+def card(
+    name: str,
+    place: Place,
+    metrics: Metrics,
+    *,
+    pivot: Place = (0.0, 0.0),
+    size: Place | None = None,
+    scrolls: bool = False,
+    flags: int = FIXED,
+) -> Iterator[None]:
+    """A panel with its own background; without a size it is as large as what is in it.
+
+    Args:
+        name: Unique among panels.
+        place: Where its pivot is, pixels.
+        metrics: Of the picture.
+        pivot: The point of the card at that place, 0 to 1 of its size.
+        size: Pixels; a part that is 0 is as large as what is in it.
+        scrolls: Whether what is too high can be scrolled.
+        flags: ImGui's, where a panel wants others: without `no_nav` keys move through it.
+    """
+    imgui.set_next_window_pos(place, imgui.Cond_.always, pivot)
+    if size is None:
+        flags |= imgui.WindowFlags_.always_auto_resize
+    else:
+        imgui.set_next_window_size(size)
+    if scrolls:
+        flags &= ~imgui.WindowFlags_.no_scrollbar
+    imgui.begin(name, None, flags)
+    try:
+        yield
+    finally:
+        imgui.end()
+
+
+@contextmanager
+def type_size(points: float, *, is_bold: bool = False) -> Iterator[None]:
+    """Text of another size, in points."""
+    atlas_fonts = imgui.get_io().fonts.fonts
+    imgui.push_font(atlas_fonts[1] if is_bold else None, points)
+    try:
+        yield
+    finally:
+        imgui.pop_font()
+
+
+def title(text: str) -> None:
+    """The title of a panel."""
+    with type_size(TITLE_PT, is_bold=True):
+        imgui.text_unformatted(text)
+
+
+def note(text: str, metrics: Metrics, *, tone: Tone = "plain", wrap_px: float = 0.0) -> None:
+    """Small faint text; wrapped at the panel's edge, or at so many pixels."""
+    with type_size(SMALL_PT):
+        imgui.push_style_color(imgui.Col_.text, metrics.palette.tone(tone))
+        imgui.push_text_wrap_pos(imgui.get_cursor_pos_x() + wrap_px if wrap_px else 0.0)
+        imgui.text_unformatted(text)
+        imgui.pop_text_wrap_pos()
+        imgui.pop_style_color()
+
+
+def icon_button(
+    icon: str,
+    tooltip: str,
+    metrics: Metrics,
+    *,
+    keys: str = "",
+    is_on: bool = False,
+    tone: Tone = "plain",
+    size_pt: float = BUTTON_PT,
+) -> bool:
+    """A round button with an icon. Its tooltip names the key that does the same.
+
+    Args:
+        icon: Of `icons`.
+        tooltip: What it does; unique within its panel.
+        metrics: Of the picture.
+        keys: The keys that do it, too.
+        is_on: Drawn as switched on.
+        tone: "alert" for what ends or warns.
+        size_pt: Its diameter.
+    """
+    side = metrics.px(size_pt)
+    palette = metrics.palette
+    fill = palette.tone(tone) if tone != "plain" else palette.accent if is_on else palette.field
+    is_filled = tone != "plain" or is_on
+    with button_colours(fill, palette.on_accent if is_filled else palette.ink):
+        imgui.push_style_var(imgui.StyleVar_.frame_rounding, side / 2)
+        imgui.push_style_var(imgui.StyleVar_.frame_padding, (0, 0))
+        with type_size(0.42 * size_pt):
+            is_pressed = imgui.button(f"{icon}##{tooltip}", (side, side))
+        imgui.pop_style_var(2)
+    hint(f"{tooltip}   [{keys}]" if keys else tooltip)
+    return is_pressed
+
+
+def action_button(
+    label: str, metrics: Metrics, *, tone: Tone = "plain", width_px: float = 0.0
+) -> bool:
+    """A button with words; of the "accent" tone it is what the panel is for."""
+    palette = metrics.palette
+    fill = palette.field if tone == "plain" else palette.tone(tone)
+    with button_colours(fill, palette.ink if tone == "plain" else palette.on_accent):
+        return imgui.button(label, (width_px, metrics.px(38)))
+
+
+@contextmanager
+def button_colours(fill: Colour, ink: Colour) -> Iterator[None]:
+    """Buttons of another colour, a little lighter under the pointer."""
+    red, green, blue = (0.88 * part + 0.12 for part in fill[:3])
+    imgui.push_style_color(imgui.Col_.button, fill)
+    imgui.push_style_color(imgui.Col_.button_hovered, (red, green, blue, fill[3]))
+    imgui.push_style_color(imgui.Col_.button_active, fill)
+    imgui.push_style_color(imgui.Col_.text, ink)
+    try:
+        yield
+    finally:
+        imgui.pop_style_color(4)
+
+
+def hint(text: str) -> None:
+    """What is said of the last thing while the pointer rests on it."""
+    if imgui.is_item_hovered(
+        imgui.HoveredFlags_.for_tooltip | imgui.HoveredFlags_.allow_when_disabled
+    ):
+        low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
+        edge, _ = imgui.get_io().display_size
+        with type_size(SMALL_PT):
+            padding = imgui.get_style().window_padding.x
+            half = imgui.calc_text_size(text).x / 2 + padding
+            middle = min(max((low.x + high.x) / 2, half), edge - half)
+            imgui.set_next_window_pos((middle, low.y - padding), imgui.Cond_.always, (0.5, 1.0))
+            imgui.set_tooltip(text)
+
+
+def text_size(text: str, points: float, *, is_bold: bool = False) -> Place:
+    """Pixels that a line of text takes."""
+    with type_size(points, is_bold=is_bold):
+        found = imgui.calc_text_size(text)
+    return found.x, found.y
+
+
+def shortened(text: str, width_px: float, points: float) -> str:
+    """A text as it is drawn, no wider than so many pixels: its end is "…" if it must be."""
+    if text_size(text, points)[0] <= width_px:
+        return as_drawn(text)
+    low, high = 0, len(text)
+    while low < high:
+        middle = (low + high + 1) // 2
+        if text_size(text[:middle].rstrip() + "…", points)[0] <= width_px:
+            low = middle
+        else:
+            high = middle - 1
+    return as_drawn(text[:low].rstrip() + "…")
+
+
+def ink(colour: Colour, alpha: float = 1.0) -> int:
+    """A colour as draw lists take it."""
+    return imgui.get_color_u32((*colour[:3], colour[3] * alpha))

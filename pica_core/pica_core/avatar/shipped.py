@@ -1,0 +1,35 @@
+"""The avatars inside the package, and files by their names; needs no numpy."""
+
+from importlib import resources
+from pathlib import Path
+from typing import Final
+
+from pica_core.errors import AvatarFileError
+
+SUFFIX: Final = ".pica"
+
+
+def shipped_avatar_files() -> list[Path]:
+    """The avatar files inside the package, by name."""
+    folder = resources.files("pica_core") / "avatars"
+    if not folder.is_dir():
+        return []
+    files = [Path(str(item)) for item in folder.iterdir() if item.name.endswith(SUFFIX)]
+    return sorted(files)
+
+
+def avatar_file(named: Path) -> Path:
+    """The file that somebody means by a name: itself, or that of an avatar that ships.
+
+    Raises:
+        AvatarFileError: It is neither a file's name nor that of a shipped avatar.
+    """
+    if named.suffix == SUFFIX or named.exists():
+        return named.expanduser()
+    shipped = {path.stem: path for path in shipped_avatar_files()}
+    if str(named).lower() not in shipped:
+        known = ", ".join(shipped) or "none"
+        raise AvatarFileError(
+            f"avatar {str(named)!r} is unknown; shipped are: {known}; or give a {SUFFIX} file"
+        )
+    return shipped[str(named).lower()]

@@ -1,0 +1,52 @@
+"""Let people call each other on a relay that forges, replays, reorders, withholds and relabels.
+
+    python scripts/malicious_relay.py --runs 10000      some fifteen minutes
+    python scripts/malicious_relay.py --seed 1234 --runs 1     one run again
+
+Each run is a seed; what must not happen is listed in ``tests/malice/relay.py``. Prints
+what was tried as JSON, or the seeds that broke a promise, and then exits with 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "tests"))
+
+from malice.people import BrokenPromiseError  # noqa: E402
+from malice.relay import run  # noqa: E402
+
+
+def main() -> None:
+    """Read the command line, run, print the figures."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=int, default=10_000)
+    parser.add_argument("--seed", type=int, default=0, help="of the first run; the others count up")
+    options = parser.parse_args()
+    began_s = time.monotonic()
+    counts, broken = Counter[str](), list[str]()
+    done = 0
+    try:
+        for done in range(1, options.runs + 1):
+            try:
+                counts += run(options.seed + done - 1)
+            except BrokenPromiseError as error:
+                broken.append(str(error))
+                print(error, file=sys.stderr)
+            if done % 500 == 0:
+                print(f"{done} runs, {len(broken)} broken", file=sys.stderr)
+    except KeyboardInterrupt:
+        done -= 1
+    seconds = round(time.monotonic() - began_s, 1)
+    print(json.dumps({"runs": done, "broken": broken, "seconds": seconds, **counts}))
+    sys.exit(bool(broken))
+
+
+if __name__ == "__main__":
+    main()

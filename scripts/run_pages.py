@@ -1,0 +1,132 @@
+"""Run the commands of pages, as a reader would type them, in a new folder.
+
+    python scripts/run_pages.py README.md docs/quick-start.md
+    python scripts/run_pages.py docs/tutorial.md          # trains; half an hour on a slow machine
+
+Every ``sh`` block of a page is run in order, and a command that fails ends the run. A comment in
+front of a block changes that:
+
+    <!-- in the background -->       it runs until the next heading, and is then stopped by Ctrl-C
+    <!-- only read: REASON -->       its ``pica`` commands are only checked for options that exist
+
+Names of other machines are replaced by this one; see `HERE`. A rig for the tutorial lies ready.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+HERE = {"wss://relay.example": "ws://127.0.0.1:8765", "192.168.1.20": "127.0.0.1"}
+"""What stands for another machine on a page, and what is reached instead."""
+LONGEST_S = 3600
+BLOCK = re.compile(r"(?:<!-- ([^\n]*?) -->\n+)?```sh\n(.*?)```|^(#+) [^\n]*$", re.M | re.S)
+
+
+@dataclass(frozen=True)
+class Block:
+    """Some lines of a page, and how they are to be run; a heading has none."""
+
+    how: str
+    text: str
+
+    @property
+    def commands(self) -> list[list[str]]:
+        """The words of its `pica` commands."""
+        lines = self.text.replace("\\\n", " ").splitlines()
+        split = (shlex.split(line.partition(" > ")[0], comments=True) for line in lines)
+        return [words[1:] for words in split if words[:1] == ["pica"]]
+
+
+def blocks_of(page: str) -> Iterator[Block]:
+    """The blocks and headings of a page."""
+    for how, text, heading in BLOCK.findall(page):
+        if heading:
+            yield Block("heading", "")
+        elif how == "" or how == "in the background" or how.startswith("only read: "):
+            yield Block(how, text)
+        else:
+            raise ValueError(f"nobody knows how to run a block {how!r}")
+
+
+def check(words: list[str], folder: Path) -> None:
+    """Fail if a command does not exist or has no such options; it does nothing."""
+    run = ["pica", *words, *(["--print-config"] if "--help" not in words else [])]
+    done = subprocess.run(run, cwd=folder, env=environment(), capture_output=True, text=True)
+    if done.returncode:
+        sys.exit(f"pica {' '.join(words)}: {done.stderr}")
+
+
+def environment() -> dict[str, str]:
+    """Our `pica` first, no display, and nothing that the user has set for it."""
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("PICA_")}
+    kept.pop("DISPLAY", None)
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    return kept | {"PATH": path, "XDG_CONFIG_HOME": tempfile.gettempdir(), "PICA_PROFILE": "none"}
+
+
+def run_page(path: Path, folder: Path) -> None:
+    """Run one page in a folder."""
+    running: list[subprocess.Popen[bytes]] = []
+    try:
+        for block in blocks_of(path.read_text(encoding="utf-8")):
+            text = block.text
+            for there, here in HERE.items():
+                text = text.replace(there, here)
+            if block.how == "heading":
+                stop(running)
+            elif block.how.startswith("only read"):
+                for words in block.commands:
+                    check(words, folder)
+            elif block.how:
+                print(f"{path.name} &\n{text}", flush=True)
+                running.append(start(f"exec {text}", folder))
+                time.sleep(3)
+            else:
+                print(f"{path.name} $\n{text}", flush=True)
+                if code := start(f"set -e\n{text}", folder).wait(LONGEST_S):
+                    sys.exit(f"{path.name}: that ended with {code}")
+    finally:
+        stop(running)
+
+
+def start(text: str, folder: Path) -> subprocess.Popen[bytes]:
+    """Run some lines in a shell."""
+    return subprocess.Popen(["bash", "-c", text], cwd=folder, env=environment())
+
+
+def stop(running: list[subprocess.Popen[bytes]]) -> None:
+    """Press Ctrl-C in all of them; each must end well."""
+    while running:
+        process = running.pop()
+        process.send_signal(signal.SIGINT)
+        if code := process.wait(60):
+            sys.exit(f"what ran in the background ended with {code}")
+
+
+def main() -> None:
+    """Run the pages that are named."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("pages", nargs="+", type=Path)
+    sys.path.insert(0, str(ROOT / "tests"))
+    from helpers.rig_toy import toy_rig, write_glb
+
+    for page in parser.parse_args().pages:
+        with tempfile.TemporaryDirectory(prefix="pica-page-") as folder:
+            write_glb(Path(folder) / "head.glb", toy_rig())
+            run_page(page, Path(folder))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,82 @@
+"""What a relay gives up when it has more to do than it can: upper layers, and newcomers. Pure.
+
+Behind a loop that turns slowly everything grows old, and who reads slowly gets more at once, which
+makes the next turn slower still. So what is asked of the relay must shrink:
+
+    level    frames that are forwarded          who joins anew
+    0        all                                is let in
+    1        layers 0 and 1                     is told to come later
+    2        layer 0                            is told to come later
+    3        keyframes, asked for now and then  is told to come later
+
+The level rises by one with a late turn after one that was hardly later: a pause is no overload, and
+what gets better needs no more; to 3, which hurts, only when it was very late. It falls by one when
+nothing was late for a while; each time that proves too soon, the while doubles. A loop with time to
+spare need not wait as long.
+"""
+
+import math
+from typing import Final
+
+from pica_protocol.limits import MAX_LAYER
+
+LATE_S: Final = 0.1
+"""A turn of the event loop that takes longer is late (chosen: three frames of a face)."""
+BETTER: Final = 0.8
+"""A turn that is late by less than this part of the one before gets better (chosen)."""
+CALM_S: Final = 5.0
+LONGEST_CALM_S: Final = 60.0
+"""Without a late turn until the level falls: at first, and at most (chosen)."""
+SPARE_CALM_S: Final = 1.0
+SPARE_BUSY_RATIO: Final = 0.5
+"""The same while the loop works for less than this part of the time (chosen: layer 0 and 1 are half
+of a stream, so twice as much will fit)."""
+_HIGHEST_LAYERS: Final = (MAX_LAYER, 1, 0, -1)
+_LATE_ENOUGH_S: Final = (LATE_S, LATE_S, 5 * LATE_S)
+"""How late a turn must be for the step up from each level."""
+
+
+class Brake:
+    """How hard a relay brakes.
+
+    Attributes:
+        level: Of the table.
+        highest_layer: Of frames that are forwarded; -1: keyframes alone are.
+    """
+
+    def __init__(self) -> None:
+        self.level = 0
+        self.highest_layer = MAX_LAYER
+        self._late_s = 0.0
+        self._has_fallen = False
+        self._calm_s = CALM_S
+        self._late_at_s = float("-inf")
+        self._changed_s = float("-inf")
+
+    @property
+    def retry_after_s(self) -> float:
+        """When who is told to come later should."""
+        return self._calm_s
+
+    def note_turn(self, late_s: float, busy_ratio: float, now: float) -> None:
+        """Note how late the loop has just been, and how much of the time it works."""
+        before_s, self._late_s = self._late_s, late_s
+        if late_s >= LATE_S:
+            self._late_at_s = now
+            is_no_better = late_s >= BETTER * before_s and before_s >= LATE_S
+            late_enough_s = (*_LATE_ENOUGH_S, math.inf)[self.level]
+            if is_no_better and late_s >= late_enough_s:
+                if self._has_fallen and now - self._changed_s < self._calm_s:
+                    self._calm_s = min(2 * self._calm_s, LONGEST_CALM_S)
+                self._set(self.level + 1, now)
+            return
+        calm_s = SPARE_CALM_S if busy_ratio < SPARE_BUSY_RATIO else self._calm_s
+        if self.level and now - max(self._late_at_s, self._changed_s) >= calm_s:
+            self._set(self.level - 1, now)
+        elif not self.level and now - self._late_at_s >= LONGEST_CALM_S:
+            self._calm_s = CALM_S
+
+    def _set(self, level: int, now: float) -> None:
+        self._has_fallen = level < self.level
+        self.level, self._changed_s = level, now
+        self.highest_layer = _HIGHEST_LAYERS[level]

@@ -1,0 +1,101 @@
+"""How commands end: in the time they were given, with their report, whatever the user or the disk
+does."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from helpers.toy import make_toy_avatar
+from pica_client.local_call.processes import Children
+from pica_core.avatar.file import save_avatar
+
+pytestmark = pytest.mark.realtime
+
+NOBODY = "ws://127.0.0.1:9"
+FULL = Path("/dev/full")
+needs_full = pytest.mark.skipif(not FULL.exists(), reason="needs a disk that is always full")
+
+
+@pytest.fixture
+def relay_url() -> Iterator[str]:
+    with Children() as children:
+        yield children.start_relay()[1]
+
+
+@pytest.fixture
+def send_words(tmp_path: Path) -> list[str]:
+    path = tmp_path / "toy.pica"
+    save_avatar(path, make_toy_avatar())
+    return ["send", "--avatar", str(path), "--give-avatar", "no"]
+
+
+def pica(*words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "pica_command", *words, "--json"]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+
+
+def report_of(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
+    return dict(json.loads(done.stdout.splitlines()[-1]))
+
+
+def test_who_waits_for_a_relay_ends_when_the_time_is_over(send_words: list[str]) -> None:
+    for words in (send_words, ["view", "--headless"]):
+        done = pica(*words, "--url", NOBODY, "--wait", "--seconds", "1")
+        assert done.returncode == 2
+        assert "no relay answers at ws://127.0.0.1:9 (tried for 1 s: " in done.stderr
+
+
+@needs_full
+def test_a_full_disk_costs_a_sender_its_log_and_not_its_report(
+    relay_url: str, send_words: list[str]
+) -> None:
+    done = pica(*send_words, "--url", relay_url, "--seconds", "0.5", "--frame-log", str(FULL))
+    report = report_of(done)
+    assert done.returncode == 1
+    assert report["sent"] > 0
+    assert report["problems"] == ["/dev/full: cannot be written: No space left on device"]
+    assert done.stderr.count("No space left on device") == 1
+
+
+@needs_full
+def test_a_full_disk_costs_a_viewer_its_pictures_and_not_its_report(relay_url: str) -> None:
+    files = ["--png", str(FULL), "--record", str(FULL), "--frame-log", str(FULL)]
+    words = ["--url", relay_url, "--headless", "--size", "64x48", "--seconds", "1"]
+    done = pica("view", *words, *files)
+    report = report_of(done)
+    assert done.returncode == 1
+    assert report["frames_rendered"] > 0
+    assert report["ok"] is False
+    assert report["problems"] == 3 * ["/dev/full: cannot be written: No space left on device"]
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("kind", ["send", "view"])
+def test_a_second_interrupt_does_not_cost_the_report(
+    kind: str, relay_url: str, send_words: list[str]
+) -> None:
+    words = send_words if kind == "send" else ["view", "--headless", "--size", "64x48"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "pica_command", *words, "--url", relay_url, "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stderr is not None
+        process.stderr.readline()  # it is in the room
+        time.sleep(0.5)
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.02)  # signals of one kind that come together are one
+        process.send_signal(signal.SIGINT)
+        said, _ = process.communicate(timeout=60)
+    assert process.returncode == 0
+    assert "reconnects" in said.splitlines()[-1]

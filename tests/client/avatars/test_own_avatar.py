@@ -1,0 +1,75 @@
+"""Which avatar somebody wears who has named none, and who gives its file to the relay."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from helpers.toy import make_toy_avatar
+from pica_client.avatars.library import AvatarLibrary
+from pica_client.avatars.own_avatar import avatar_by_name, choose_own_avatar
+from pica_client.errors import AvatarLookupError
+from pica_client.local_call.local_call import NAMES
+from pica_client.transport.config import LinkConfig
+from pica_core.avatar.file import save_avatar
+from pica_core.avatar.shipped import shipped_avatar_files
+
+pytestmark = pytest.mark.unit
+
+SHIPPED = [path.stem for path in shipped_avatar_files()]
+
+
+@pytest.fixture
+def library() -> Iterator[AvatarLibrary]:
+    found = AvatarLibrary()
+    yield found
+    found.close()
+
+
+def test_the_people_of_the_examples_look_different_though_nobody_chose() -> None:
+    assert len({avatar_by_name(name, SHIPPED) for name in NAMES[:5]}) == len(SHIPPED) == 5
+
+
+def test_everybody_looks_the_same_in_each_call_however_the_name_is_typed() -> None:
+    for name, alike in (("Ada", " ada "), ("José", "Jose\u0301")):
+        assert avatar_by_name(name, SHIPPED) == avatar_by_name(alike, SHIPPED)
+
+
+def test_names_are_dealt_evenly() -> None:
+    worn = [avatar_by_name(f"Guest {number}", SHIPPED) for number in range(10, 100)]
+    assert min(worn.count(avatar) for avatar in SHIPPED) >= 10
+
+
+def test_without_any_avatar_the_remedy_is_named() -> None:
+    with pytest.raises(AvatarLookupError, match="--avatar FILE"):
+        avatar_by_name("Ada", [])
+
+
+@pytest.mark.parametrize(
+    ("ships", "is_encrypted", "give", "is_given"),
+    [
+        (True, False, "auto", False),
+        (False, False, "auto", True),
+        (False, True, "auto", False),
+        (False, True, "yes", True),
+        (True, False, "yes", True),
+        (False, False, "no", False),
+    ],
+)
+def test_the_relay_gets_a_file_that_others_lack_unless_it_could_look_at_it(
+    library: AvatarLibrary,
+    tmp_path: Path,
+    *,
+    ships: bool,
+    is_encrypted: bool,
+    give: str,
+    is_given: bool,
+) -> None:
+    own_file = tmp_path / "me.pica"
+    save_avatar(own_file, make_toy_avatar())
+    link = LinkConfig(name="Ada", secret_file=tmp_path / "secret" if is_encrypted else None)
+    own = choose_own_avatar(None if ships else str(own_file), link.name, library)
+    assert (own.path == own_file) is not ships
+    assert (own.giver(link, print, give) is not None) is is_given  # type: ignore[arg-type]

@@ -1,0 +1,159 @@
+"""How long a face stood still, of a person, over all their seats, and how it goes on afterwards."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from helpers.senders import LoadedAvatars
+from helpers.toy import make_toy_avatar
+from pica_client.call.call import Call
+from pica_client.publish.face_track import FACE_KEY
+from pica_core.codec.plain_stream import LatentProfile, encode_latent
+from pica_protocol.frames import Frame
+from pica_protocol.messages import (
+    Joined,
+    Peer,
+    PeerJoined,
+    PeerLeft,
+    PeerUpdated,
+    StreamMuted,
+    Track,
+)
+
+pytestmark = pytest.mark.unit
+
+TOY_ID = "1" * 64
+TOY = make_toy_avatar()
+PROFILE = LatentProfile.from_manifest(TOY.manifest)
+PAYLOAD = encode_latent(np.zeros((8, 8, 4)), np.zeros(3), np.zeros(3), PROFILE)
+
+
+def ada(peer_id: str, stream: int) -> Peer:
+    track = Track(kind="face", avatar=TOY_ID, stream=stream)
+    return Peer(peer_id=peer_id, name="Ada", tracks=(track,))
+
+
+@pytest.fixture
+def call() -> Call:
+    made = Call(LoadedAvatars({TOY_ID: TOY}))
+    made.receive_event(Joined(room="r", peer_id="me", peers=(ada("p1", 1),)), now=0.0)
+    return made
+
+
+def send_ada(call: Call, begin_s: float, end_s: float, stream: int = 1) -> None:
+    """Ada sends 30 frames a second, on a clock that is an hour ahead."""
+    for index in range(round(begin_s * 30), round(end_s * 30)):
+        send_frame(call, index, stream)
+
+
+def send_frame(call: Call, index: int, stream: int = 1, *, now: float | None = None) -> None:
+    captured_us = index * 1_000_000 // 30 + 3_600_000_000
+    sent = Frame(stream=stream, sequence=index, captured_us=captured_us, payload=PAYLOAD)
+    call.receive_event(sent, now=index / 30 if now is None else now)
+
+
+def longest_gap_s(call: Call, now: float) -> float:
+    (stats,) = call.stats(now)["peers"]
+    return round(float(stats["longest_gap_ms"]) / 1e3)
+
+
+def test_a_face_that_stands_still_now_counts(call: Call) -> None:
+    send_ada(call, 0, 2)
+    assert longest_gap_s(call, 25.0) == 23
+    call.begin_window(25.0)
+    assert longest_gap_s(call, 30.0) == 5
+
+
+def test_who_was_lost_and_comes_back_to_another_seat_is_one_person(call: Call) -> None:
+    call.begin_window(0.0)
+    send_ada(call, 0, 2)
+    call.receive_event(PeerLeft(peer_id="p1", reason="lost"), now=12.0)
+    assert longest_gap_s(call, 20.0) == 10  # then nobody looked at a face that stands
+    call.receive_event(PeerJoined(peer=ada("p2", 2)), now=25.0)
+    send_ada(call, 25, 27, stream=2)
+    (stats,) = call.stats(27.0)["peers"]
+    assert stats["received"] == 120
+    assert longest_gap_s(call, 27.0) == 23
+
+
+def test_a_person_is_one_over_a_relay_that_began_anew(call: Call) -> None:
+    send_ada(call, 0, 2)
+    call.receive_event(Joined(room="r", peer_id="me", peers=(ada("p7", 4),)), now=9.0)
+    send_ada(call, 9, 10, stream=4)
+    assert longest_gap_s(call, 10.0) == 7
+
+
+def test_who_left_on_purpose_and_comes_back_did_not_stand_still(call: Call) -> None:
+    send_ada(call, 0, 2)
+    call.receive_event(PeerLeft(peer_id="p1", reason="left"), now=2.0)
+    call.receive_event(PeerJoined(peer=ada("p2", 2)), now=25.0)
+    send_ada(call, 25, 27, stream=2)
+    assert longest_gap_s(call, 27.0) == 0
+
+
+def test_a_face_that_is_off_on_purpose_does_not_stand_still(call: Call) -> None:
+    send_ada(call, 0, 2)
+    call.receive_event(PeerUpdated(peer_id="p1", metadata=((FACE_KEY, "muted"),)), now=2.0)
+    send_frame(call, 60)  # it was on its way
+    assert longest_gap_s(call, 20.0) == 0
+    call.receive_event(PeerUpdated(peer_id="p1"), now=20.0)
+    assert longest_gap_s(call, 23.0) == 3
+    call.receive_event(StreamMuted(stream=1, is_muted=True), now=23.0)
+    assert longest_gap_s(call, 40.0) == 3
+
+
+def test_the_clocks_of_two_machines_differ_and_the_statistics_say_by_how_much(call: Call) -> None:
+    send_ada(call, 0, 2)
+    call.faces(2.0)
+    (stats,) = call.stats(2.0)["peers"]
+    assert stats["clock_offset_ms"] == pytest.approx(-3_600_000, abs=0.1)
+    assert stats["age_ms"] < 100
+
+
+def ages_s(call: Call, begin_s: float, end_s: float) -> list[float]:
+    """How old the face is, a hundred times a second, by the clock of who sends."""
+    moments = [begin_s + index / 100 for index in range(round((end_s - begin_s) * 100))]
+    return [now + 3600 - call.faces(now)[0].captured_us / 1e6 for now in moments]
+
+
+@pytest.mark.parametrize("backlog_s", [0.0, 0.05, 0.7])
+def test_after_a_thaw_the_face_is_that_of_now_and_nothing_old_is_played(
+    call: Call, backlog_s: float
+) -> None:
+    """Eight seconds of frames come at once, or as fast as they can be decoded."""
+    thaw_s, fresh_s = 10.0, 10.0 + backlog_s
+    send_ada(call, 0, 2)
+    ages_s(call, 1.9, 2.0)
+    waiting = range(60, round(fresh_s * 30))
+    seen = []
+    for place, index in enumerate(waiting):
+        now = thaw_s + backlog_s * place / len(waiting)
+        send_frame(call, index, now=now)
+        seen.append(call.faces(now)[0].captured_us / 1e6 - 3600)
+    assert max(seen[:-5]) < 2.0  # the face stands as it stood
+    for index in range(waiting.stop, waiting.stop + 60):
+        send_frame(call, index)
+        seen.append(call.faces(index / 30 + 0.001)[0].captured_us / 1e6 - 3600)
+        assert index / 30 - seen[-1] < 0.15 or index < waiting.stop + 4
+    (stats,) = call.stats(fresh_s + 2)["peers"]
+    assert (stats["lost"], stats["restarts"], stats["refused"]) == (0, 0, 0)
+    assert stats["playout_delay_ms"] == pytest.approx(33.3, abs=1)
+
+
+def test_a_way_that_has_become_longer_is_no_backlog(call: Call) -> None:
+    send_ada(call, 0, 2)
+    for index in range(60, 240):
+        send_frame(call, index, now=index / 30 + 1.5)
+        call.faces(index / 30 + 1.501)
+    assert [face.status for face in call.faces(9.51)] == ["live"]
+    assert min(ages_s(call, 9.5, 9.52)) < 1.7
+
+
+def test_a_backlog_without_a_fresh_frame_behind_it_is_shown_when_it_ends(call: Call) -> None:
+    send_ada(call, 0, 2)
+    call.faces(2.0)
+    for index in range(60, 90):
+        send_frame(call, index, now=10.0)
+    assert call.faces(10.05)[0].captured_us < 3602e6
+    assert call.faces(10.2)[0].captured_us == pytest.approx(3600e6 + 89e6 / 30, abs=1)

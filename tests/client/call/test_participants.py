@@ -1,0 +1,180 @@
+"""The list of people, what is said of them, and why a face is not to be seen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from helpers.senders import LoadedAvatars
+from helpers.toy import make_toy_avatar
+from pica_client.call.call import Call
+from pica_client.call.participants import (
+    Participant,
+    duration_text,
+    joined_names,
+    list_participants,
+    notices,
+    recorders,
+)
+from pica_client.call.roster import News
+from pica_core.codec.plain_stream import LatentProfile, encode_latent
+from pica_protocol.frames import Frame
+from pica_protocol.messages import (
+    Joined,
+    Peer,
+    PeerAway,
+    PeerJoined,
+    PeerLeft,
+    PeerUpdated,
+    StreamMuted,
+    Track,
+    Whisper,
+)
+
+pytestmark = pytest.mark.unit
+
+TOY_ID = "a" * 64
+OWN = Participant(peer_id="", name="Me", is_self=True)
+
+
+class AvatarOnItsWay(LoadedAvatars):
+    def note(self, identity: str) -> str:
+        return "avatar is on its way (42%)"
+
+
+def person(peer_id: str, name: str, stream: int) -> Peer:
+    return Peer(
+        peer_id=peer_id, name=name, tracks=(Track(kind="face", avatar=TOY_ID, stream=stream),)
+    )
+
+
+def call_with(*peers: Peer, avatars: LoadedAvatars | None = None) -> Call:
+    call = Call(avatars or LoadedAvatars({TOY_ID: make_toy_avatar()}))
+    call.set_own_name("Me")
+    call.receive_event(Joined(room="r", peer_id="me", peers=peers), now=0.0)
+    return call
+
+
+def listed(call: Call, now: float = 1.0) -> dict[str, Participant]:
+    return {each.name: each for each in list_participants(OWN, call.room(now), {"p1": "poor"})}
+
+
+def test_oneself_comes_first_then_the_others_in_order_of_coming_watchers_among_them() -> None:
+    call = call_with(person("p9", "Zoe", 1), Peer(peer_id="p1", name="Ada"))
+    call.receive_event(PeerJoined(peer=person("p2", "Ben", 2)), now=1.0)
+    assert list(listed(call)) == ["Me", "Zoe", "Ada", "Ben"]
+    assert [each.is_watching for each in listed(call).values()] == [False, False, True, False]
+
+
+def test_who_may_be_somebody_else_than_the_name_says_is_marked() -> None:
+    assured = replace(person("p1", "Ada", 1), is_name_assured=True, identity="ada")
+    people = listed(call_with(assured, person("p2", "Ada", 2), person("p3", "ＭＥ", 3)))
+    assert people["Ada"].is_assured
+    assert people["Ada"].warning == ""
+    assert people["Ada (2)"].warning == "not the assured Ada"
+    assert people["ＭＥ"].warning == "looks like your name"
+
+
+def test_a_token_may_give_us_another_name() -> None:
+    call = call_with()
+    call.receive_event(Joined(room="r", peer_id="me", name="Dr. Me"), now=1.0)
+    assert call.room(1.0).own_name == "Dr. Me"
+
+
+def test_people_of_one_name_are_told_apart_and_keep_their_numbers() -> None:
+    call = call_with(person("p1", "Ada", 1), person("p2", "Ada", 2), person("p3", "Me", 3))
+    assert list(listed(call)) == ["Me", "Ada", "Ada (2)", "Me (2)"]
+    call.receive_event(PeerLeft(peer_id="p1"), now=1.0)
+    assert list(listed(call)) == ["Me", "Ada (2)", "Me (2)"]
+    call.receive_event(PeerJoined(peer=person("p4", "Ada", 4)), now=2.0)
+    assert list(listed(call)) == ["Me", "Ada (2)", "Me (2)", "Ada"]
+
+
+@pytest.mark.parametrize(
+    ("event", "line"),
+    [
+        (None, "no face yet"),
+        (PeerUpdated(peer_id="p1", metadata=(("face", "muted"),)), "face is off"),
+        (PeerUpdated(peer_id="p1", metadata=(("face", "frozen"),)), "face is frozen"),
+        (PeerUpdated(peer_id="p1", metadata=(("face", "odd"),)), "no face yet"),
+        (PeerAway(peer_id="p1"), "connection lost"),
+        (StreamMuted(stream=1, is_muted=True), "muted by an admin"),
+        (Whisper(peer_id="p1", data=b"a key"), "encrypted: the room's secret is needed"),
+    ],
+)
+def test_there_is_a_reason_for_a_face_that_is_not_to_be_seen(event: object, line: str) -> None:
+    call = call_with(person("p1", "Ada", 1))
+    if event is not None:
+        call.receive_event(event, now=0.5)  # type: ignore[arg-type]
+    assert listed(call)["Ada"].line == line
+    assert call.faces(1.0)[0].note == line  # under the face as in the list
+
+
+def test_an_avatar_on_its_way_is_a_reason() -> None:
+    call = call_with(person("p1", "Ada", 1), avatars=AvatarOnItsWay({}))
+    assert listed(call)["Ada"].line == "avatar is on its way (42%)"
+
+
+def test_a_watcher_is_said_to_watch_and_a_poor_connection_is_told_last() -> None:
+    ada = Participant(peer_id="p1", name="Ada", is_watching=True)
+    assert ada.line == "watching"
+    assert replace(ada, note="connection lost").line == "connection lost"
+    assert replace(ada, is_watching=False, quality="poor").line == "poor connection"
+    assert replace(ada, is_watching=False, quality="fair").line == ""
+
+
+def test_who_records_is_named_oneself_too() -> None:
+    call = call_with(person("p1", "Ada", 1), Peer(peer_id="p2", name="Ben"))
+    call.receive_event(PeerUpdated(peer_id="p2", metadata=(("records", "yes"),)), now=1.0)
+    people = list(listed(call).values())
+    assert recorders(people) == ["Ben"]
+    assert recorders([replace(people[0], is_recording=True), *people[1:]]) == ["You", "Ben"]
+
+
+def test_what_happened_to_several_is_one_line() -> None:
+    news = [News("joined", name) for name in ("Ada", "Ben", "Cho", "Dee")]
+    news += [News("left", "Eve"), News("records", "Ada"), News("records", "Ben")]
+    assert notices(news) == [
+        ("Ada, Ben and 2 others joined", "plain"),
+        ("Eve left", "plain"),
+        ("Ada and Ben record the call", "alert"),
+    ]
+    assert notices([News("records", "Ada")]) == [("Ada records the call", "alert")]
+    assert notices([]) == []
+
+
+@pytest.mark.parametrize(
+    ("names", "text"),
+    [
+        (["Ada"], "Ada"),
+        (["Ada", "Ben"], "Ada and Ben"),
+        (["Ada", "Ben", "Cho"], "Ada, Ben and Cho"),
+        (list("abcdef"), "a, b and 4 others"),
+    ],
+)
+def test_names_are_joined_as_one_reads_them_out(names: list[str], text: str) -> None:
+    assert joined_names(names) == text
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(0, "0:00"), (247.9, "4:07"), (3723, "1:02:03"), (-1, "0:00")]
+)
+def test_how_long_a_call_has_lasted_reads_like_a_clock(seconds: float, text: str) -> None:
+    assert duration_text(seconds) == text
+
+
+def test_what_is_encrypted_is_not_drawn_without_the_secret() -> None:
+    avatar = make_toy_avatar()
+    call = call_with(person("p1", "Ada", 1))
+    profile = LatentProfile.from_manifest(avatar.manifest)
+    # Ciphertext that happens to be a latent: one in some seconds of frames is.
+    payload = encode_latent(np.ones((8, 8, 4)), np.zeros(3), np.zeros(3), profile)
+    call.receive_event(Frame(stream=1, sequence=0, captured_us=0, payload=payload), now=1.0)
+    assert call.faces(1.2)[0].latent is not None
+    call.receive_event(Whisper(peer_id="p1", data=b"a note about keys"), now=1.3)
+    call.receive_event(Frame(stream=1, sequence=1, captured_us=40_000, payload=payload), now=1.4)
+    (face,) = call.faces(1.5)
+    assert (face.latent, face.note) == (None, "encrypted: the room's secret is needed")
+    assert call.stats(2.0)["peers"][0]["received"] == 1

@@ -1,0 +1,158 @@
+"""Who is in the room and in which order, whatever becomes of the connection, and what is news."""
+
+from __future__ import annotations
+
+import pytest
+
+from pica_client.call.roster import PLACE_IS_KEPT_S, Roster
+from pica_protocol.messages import (
+    Joined,
+    Peer,
+    PeerAway,
+    PeerBack,
+    PeerJoined,
+    PeerLeft,
+    PeerUpdated,
+    Track,
+)
+from pica_protocol.session import Closed
+
+pytestmark = pytest.mark.unit
+
+CLOSED = Closed(code=1006, reason="", is_remote=True)
+RECORDS = (("records", "yes"),)
+
+
+def person(peer_id: str, name: str, *, stream: int = 1, avatar: str = "a" * 64) -> Peer:
+    track = Track(kind="face", avatar=avatar, stream=stream)
+    return Peer(peer_id=peer_id, name=name, tracks=(track,))
+
+
+def watcher(peer_id: str, name: str) -> Peer:
+    return Peer(peer_id=peer_id, name=name)
+
+
+def joined(*peers: Peer, resumed: bool = False) -> Joined:
+    return Joined(room="r", peer_id="me", peers=peers, resumed=resumed)
+
+
+def names(roster: Roster) -> list[str]:
+    return [member.peer.name for member in roster.members]
+
+
+def news(roster: Roster) -> list[tuple[str, str]]:
+    return [(each.kind, each.name) for each in roster.take_news()]
+
+
+@pytest.fixture
+def roster() -> Roster:
+    """We come into a room with Ada, who shows a face, and Ben, who watches."""
+    roster = Roster()
+    roster.receive_event(joined(person("p1", "Ada"), watcher("p2", "Ben")), now=10.0)
+    return roster
+
+
+def test_those_who_only_watch_are_in_the_list(roster: Roster) -> None:
+    assert [(each.peer.name, each.is_watching) for each in roster.members] == [
+        ("Ada", False),
+        ("Ben", True),
+    ]
+
+
+def test_who_was_there_before_us_is_no_news_and_who_comes_and_goes_is(roster: Roster) -> None:
+    assert news(roster) == []
+    roster.receive_event(PeerJoined(peer=person("p3", "Cho")), now=11.0)
+    roster.receive_event(PeerLeft(peer_id="p1"), now=12.0)
+    assert names(roster) == ["Ben", "Cho"]
+    assert news(roster) == [("joined", "Cho"), ("left", "Ada")]
+    assert news(roster) == []
+
+
+def test_a_connection_that_is_soon_back_is_not_worth_a_word(roster: Roster) -> None:
+    roster.receive_event(PeerAway(peer_id="p1"), now=11.0)
+    roster.handle_timer(12.0)
+    assert roster.members[0].is_away
+    roster.receive_event(PeerBack(peer_id="p1"), now=12.5)
+    roster.handle_timer(20.0)
+    assert news(roster) == []
+    assert not roster.members[0].is_away
+
+
+def test_who_is_away_for_longer_is_said_to_be_and_to_be_back(roster: Roster) -> None:
+    roster.receive_event(PeerAway(peer_id="p1"), now=11.0)
+    roster.handle_timer(13.0)
+    roster.handle_timer(14.0)
+    roster.receive_event(PeerBack(peer_id="p1"), now=15.0)
+    assert news(roster) == [("away", "Ada"), ("back", "Ada")]
+
+
+def test_nobody_swaps_places_when_a_relay_that_starts_again_deals_new_ids(roster: Roster) -> None:
+    roster.receive_event(PeerJoined(peer=person("p3", "Cho")), now=11.0)
+    news(roster)
+    roster.receive_event(CLOSED, now=20.0)
+    roster.receive_event(joined(person("p1", "Cho", stream=1)), now=21.0)
+    roster.receive_event(PeerJoined(peer=person("p3", "Ada", stream=9)), now=22.0)
+    roster.receive_event(PeerJoined(peer=person("p4", "Dee")), now=22.0)
+    roster.receive_event(PeerJoined(peer=watcher("p5", "Ben")), now=23.0)
+    assert names(roster) == ["Ada", "Ben", "Cho", "Dee"]
+    roster.handle_timer(99.0)
+    assert news(roster) == [("joined", "Dee")]
+
+
+def test_who_does_not_come_back_after_a_while_has_left(roster: Roster) -> None:
+    roster.receive_event(CLOSED, now=20.0)
+    roster.receive_event(joined(person("p1", "Ada")), now=21.0)
+    roster.handle_timer(21.0 + PLACE_IS_KEPT_S - 0.1)
+    assert news(roster) == []
+    roster.handle_timer(21.0 + PLACE_IS_KEPT_S)
+    assert news(roster) == [("left", "Ben")]
+
+
+def test_two_of_one_name_and_avatar_have_a_place_each_after_a_restart() -> None:
+    roster = Roster()
+    roster.receive_event(joined(person("p1", "Ada"), person("p2", "Ada", stream=2)), now=0.0)
+    roster.receive_event(CLOSED, now=1.0)
+    roster.receive_event(joined(), now=2.0)
+    roster.receive_event(PeerJoined(peer=person("p7", "Ada", stream=3)), now=3.0)
+    roster.receive_event(PeerJoined(peer=person("p8", "Ada", stream=4)), now=3.0)
+    assert len({member.place for member in roster.members}) == 2
+    assert news(roster) == []
+
+
+def test_back_in_the_old_place_ids_mean_whom_they_meant(roster: Roster) -> None:
+    roster.receive_event(CLOSED, now=20.0)
+    assert roster.lost_s == 20.0
+    roster.receive_event(joined(person("p3", "Cho"), person("p1", "Ada"), resumed=True), now=22.0)
+    assert roster.lost_s is None
+    assert roster.joined_s == 10.0
+    assert names(roster) == ["Ada", "Cho"]
+    assert news(roster) == [("left", "Ben"), ("joined", "Cho")]
+
+
+def test_who_records_is_said_at_once_and_to_who_comes_later() -> None:
+    roster = Roster()
+    ben = Peer(peer_id="p2", name="Ben", metadata=RECORDS)
+    roster.receive_event(joined(person("p1", "Ada"), ben), now=0.0)
+    assert news(roster) == [("records", "Ben")]
+    assert [member.is_recording for member in roster.members] == [False, True]
+    roster.receive_event(PeerUpdated(peer_id="p1", metadata=RECORDS), now=1.0)
+    roster.receive_event(PeerUpdated(peer_id="p1", metadata=RECORDS), now=2.0)
+    roster.receive_event(PeerUpdated(peer_id="p2"), now=3.0)
+    assert news(roster) == [("records", "Ada"), ("records no more", "Ben")]
+
+
+def test_what_nobody_takes_does_not_pile_up(roster: Roster) -> None:
+    for index in range(500):
+        peer_id = f"x{index}"
+        roster.receive_event(PeerJoined(peer=watcher(peer_id, "Eve")), now=11.0)
+        roster.receive_event(PeerLeft(peer_id=peer_id), now=11.0)
+    assert len(news(roster)) == 64
+
+
+def test_what_comes_of_peers_who_are_not_here_is_ignored(roster: Roster) -> None:
+    for event in (PeerLeft(peer_id="x"), PeerAway(peer_id="x"), PeerBack(peer_id="x")):
+        roster.receive_event(event, now=11.0)
+    roster.receive_event(PeerUpdated(peer_id="x", metadata=RECORDS), now=11.0)
+    roster.handle_timer(99.0)
+    assert names(roster) == ["Ada", "Ben"]
+    assert news(roster) == []

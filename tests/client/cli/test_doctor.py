@@ -1,0 +1,128 @@
+"""What the doctor says of a bare machine, and what a command says whose extra is missing."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+
+from pica_client.cli.doctor import NEEDS, examine
+from pica_command.catalogue import commands
+from pica_command.extras import install_line, modules_by_extra
+from pica_command.main import main
+from pica_core.errors import GraphicsError
+
+pytestmark = [pytest.mark.unit, pytest.mark.slow]
+
+EXTRAS = {name for name, modules in modules_by_extra().items() if modules} - {"all"}
+
+BASE_INSTALL = """
+import importlib.abc, json, sys
+blocked = set(sys.argv[1].split(","))
+
+class Missing(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in blocked:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Missing())
+from pica_command.main import main
+for words in json.loads(sys.argv[2]):
+    print("status", main(words), flush=True)
+"""
+
+
+def run_on_the_base_install(*commands: list[str]) -> tuple[list[str], str]:
+    """Run commands where no module of any extra can be imported."""
+    blocked = {module for modules in modules_by_extra().values() for module in modules}
+    assert {"numpy", "moderngl", "torch", "av", "cryptography", "nats"} <= blocked
+    done = subprocess.run(
+        [sys.executable, "-c", BASE_INSTALL, ",".join(blocked), json.dumps(commands)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return done.stdout.splitlines(), done.stderr
+
+
+def test_the_doctor_runs_on_the_base_install_and_names_every_extra() -> None:
+    out, said = run_on_the_base_install(["doctor"], ["doctor", "view"], ["doctor", "relay"])
+    assert out == ["status 0", "status 1", "status 0"]
+    for extra in EXTRAS:
+        assert f"missing  extra {extra}: no " in said
+        assert f"; to mend it: {install_line(extra)}\n" in said
+    assert "missing  OpenGL: moderngl is not installed" in said
+    assert "ready    avatars: ines, karim, mei, olav, sam" in said
+    assert "pica view cannot work here: extra view, OpenGL, ONNX Runtime" in said
+    assert "pica relay can work here" in said
+
+
+def test_on_the_base_install_every_command_names_the_extra_that_it_needs() -> None:
+    needy = [name for name, entry in commands().items() if entry.extras]
+    assert {"view", "send", "demo", "train", "bench.call"} <= set(needy)
+    out, said = run_on_the_base_install(*(name.split(".") for name in needy))
+    lines = said.splitlines()
+    assert dict(zip(needy, out, strict=True)) == dict.fromkeys(needy, "status 2")
+    for name, line in zip(needy, lines, strict=True):
+        extra = commands()[name].extras[0].split(",")[0]
+        assert line.startswith(f"pica {name.replace('.', ' ')}: needs ")
+        assert line.endswith(f"; install it with: {install_line(extra)}")
+
+
+def test_every_module_of_an_extra_is_called_as_we_think() -> None:
+    for module in {module for modules in modules_by_extra().values() for module in modules}:
+        assert importlib.util.find_spec(module) is not None, module
+
+
+def test_every_extra_of_a_command_exists_and_every_need_is_of_a_command() -> None:
+    names = {name.replace(".", " ") for name in commands()}
+    families = {name.partition(" ")[0] for name in names}
+    assert set(NEEDS) <= names | families
+    for entry in commands().values():
+        assert {extra.strip() for extra in entry.extras} <= EXTRAS
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "verdict"),
+    [
+        (["doctor", "send"], 0, "pica send can work here"),
+        (["doctor", "bench"], 0, "pica bench can work here"),
+        (["doctor", "capture", "rgi"], 2, "did you mean `pica doctor capture rig`?"),
+    ],
+)
+def test_the_doctor_says_whether_a_command_can_work(
+    words: list[str], status: int, verdict: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == status
+    assert verdict in capsys.readouterr().err
+
+
+def load_core_alone(name: str) -> Any:
+    """Import as on a machine with the sender's packages and a broken driver."""
+    if name == "pica_core.gl":
+        return BrokenGraphics
+    if name in ("numpy", "pythonosc", "safetensors"):
+        return importlib.import_module(name)
+    raise ModuleNotFoundError(name=name)
+
+
+class BrokenGraphics:
+    @staticmethod
+    def create_context() -> None:
+        raise GraphicsError("no context; install libegl1")
+
+
+def test_the_doctor_names_the_fix_for_each_lack() -> None:
+    found = examine(load_core_alone, has_display=lambda: False)
+    findings = {finding.subject: finding for finding in found}
+    assert findings["extra send"].level == "ready"
+    assert findings["extra view"].fix == install_line("view")
+    assert "moderngl" in findings["extra view"].detail
+    assert findings["OpenGL"].detail == "no context; install libegl1"
+    assert findings["display"].level == "missing"
+    assert findings["CUDA"].fix == install_line("train")
+    assert findings["video"].line.startswith("missing  video: no recordings to MP4; to mend it: ")

@@ -1,0 +1,97 @@
+"""On a full disk nothing half-written is left, and what was there before is whole."""
+
+from __future__ import annotations
+
+import resource
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.toy import make_toy_avatar
+from pica_client.e2ee.errors import SecretFileError
+from pica_client.e2ee.secret import RoomSecret, load_secret, save_secret
+from pica_client.errors import OptionError
+from pica_client.output import writing_whole
+from pica_client.render.recorder import save_png
+from pica_core.avatar.file import load_avatar, save_avatar
+from pica_core.errors import AvatarFileError
+from pica_server.auth.tokens import load_keys
+from pica_server.cli.token import TokenOptions, token
+from pica_server.errors import KeyFileError
+
+pytestmark = pytest.mark.unit
+
+
+@contextmanager
+def room_for(num_bytes: int) -> Iterator[None]:
+    """Let no file grow beyond so many bytes."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (num_bytes, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def write_picture(path: Path) -> None:
+    save_png(path, np.random.default_rng(1).integers(0, 255, (64, 64, 3), np.uint8))
+
+
+def write_log(path: Path) -> None:
+    with writing_whole(path) as unfinished:
+        unfinished.write_text("x" * 5000)
+
+
+@pytest.mark.parametrize(
+    ("write", "refusal"),
+    [
+        (write_picture, OptionError),
+        (write_log, OptionError),
+        (lambda path: save_avatar(path, make_toy_avatar()), AvatarFileError),
+    ],
+)
+def test_what_was_there_stays_whole(
+    tmp_path: Path, write: Callable[[Path], None], refusal: type[Exception]
+) -> None:
+    path = tmp_path / "file"
+    write(path)
+    before = path.read_bytes()
+    with room_for(1000), pytest.raises(refusal, match="file: cannot be written: File too large"):
+        write(path)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+    path.unlink()
+    with room_for(1000), pytest.raises(refusal):
+        write(path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_avatar_measured_into_its_own_file_is_read_again(tmp_path: Path) -> None:
+    save_avatar(tmp_path / "a.pica", make_toy_avatar())
+    save_avatar(tmp_path / "a.pica", load_avatar(tmp_path / "a.pica"))
+    assert load_avatar(tmp_path / "a.pica").manifest.name
+
+
+def test_half_a_secret_does_not_stand_in_the_way_of_the_next_try(tmp_path: Path) -> None:
+    path = tmp_path / "room.secret"
+    with room_for(20), pytest.raises(SecretFileError, match="cannot be written: File too large"):
+        save_secret(path, RoomSecret.new())
+    save_secret(path, RoomSecret.new())
+    load_secret(path)
+
+
+def test_half_a_key_does_not_spoil_the_key_file(tmp_path: Path) -> None:
+    path = tmp_path / "keys"
+    options = TokenOptions(keys=path, new_key=True)
+    with room_for(20), pytest.raises(KeyFileError):
+        token(options)
+    assert not path.exists()
+    token(options)
+    first = path.read_bytes()
+    with room_for(len(first) + 10), pytest.raises(KeyFileError):
+        token(options)
+    assert path.read_bytes() == first
+    load_keys(path)

@@ -1,0 +1,367 @@
+"""What a relay without the secret tries: forged comings and goings, other labels, mirrors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+pytest.importorskip("cryptography", reason="needs the extra seal")
+
+from helpers.sealed_room import DELAY_S, Room
+from pica_client.e2ee.keys import FIRST_WAIT_S, SILENT_S, YOUNG_KEY_S
+from pica_client.e2ee.notes import NOTE_BYTES
+from pica_client.e2ee.secret import RoomSecret
+from pica_client.e2ee.status import SealState
+from pica_client.transport.frame_guard import shown_name
+from pica_protocol.frames import Frame
+from pica_protocol.messages import (
+    Peer,
+    PeerBack,
+    PeerJoined,
+    PeerLeft,
+    Track,
+    Whisper,
+)
+from pica_protocol.session import ClientEvent, Closed
+
+pytestmark = pytest.mark.unit
+
+
+def settled_room(*names: str) -> Room:
+    room = Room()
+    for name in names:
+        room.join(name)
+    room.run(3)
+    return room
+
+
+def tell(room: Room, name: str, *events: ClientEvent) -> None:
+    """The relay says something to one member alone."""
+    member = room.members[name]
+    for event in events:
+        member.take(member.guard.receive_event(event, room.now))
+
+
+def state(room: Room, name: str, of: str) -> SealState:
+    return room.members[name].guard.status.peers[of].state
+
+
+def come_again(room: Room, name: str, forged: str) -> None:
+    """Pretend to one member that another one came back, or left and came."""
+    peer = room.members["ben"].peer
+    told = {"peer_back": (PeerBack(peer_id="ben"),)}.get(
+        forged, (PeerLeft(peer_id="ben"), PeerJoined(peer=peer))
+    )
+    tell(room, name, *told)
+
+
+@pytest.mark.parametrize("forged", ["peer_back", "peer_left and peer_joined"])
+def test_no_frame_opens_again_after_a_forged_return(forged: str) -> None:
+    room = settled_room("ada", "ben")
+    shown = [room.send("ben", bytes([number])) for number in range(5)]
+    held_back = room.seal("ben", b"held back")
+    notes = [whispered for whispered in room.whispers if whispered[:2] == ("ben", "ada")]
+    come_again(room, "ada", forged)
+    for whispered in notes:
+        room.deliver(*whispered)
+        assert not any(room.show("ada", frame) for frame in [*shown, held_back])
+    room.run(1)
+    for whispered in notes:
+        room.deliver(*whispered)
+    assert not any(room.show("ada", frame) for frame in [*shown, held_back])
+
+
+def test_who_left_before_we_knew_their_key_is_not_shown_when_their_notes_are_let_through() -> None:
+    room = Room(fate=lambda whispered: int(whispered[:2] != ("ben", "ada")))
+    for name in ("ada", "ben"):
+        room.join(name)
+    room.run(3)  # ben has heard ada; what he says is held back
+    held_back = room.seal("ben", b"held back")
+    gone = room.leave("ben").peer
+    tell(room, "ada", PeerJoined(peer=gone))
+    for _ in range(2):
+        for sender, receiver, data in list(room.whispers):
+            if (sender, receiver) == ("ben", "ada"):
+                tell(room, "ada", Whisper(peer_id=sender, data=data))
+        room.run(1)
+    assert not room.show("ada", held_back)
+    assert room.members["ada"].guard.members == frozenset()
+
+
+@pytest.mark.parametrize("forged", ["peer_back", "peer_left and peer_joined"])
+def test_a_forged_return_costs_one_change_of_keys_and_heals(forged: str) -> None:
+    room = settled_room("ada", "ben", "cho")
+    room.run(YOUNG_KEY_S)
+    come_again(room, "ada", forged)
+    changes = room.members["ben"].guard.stats()["key_changes"]
+    room.run(FIRST_WAIT_S + 4 * DELAY_S)
+    assert room.members["ben"].guard.stats()["key_changes"] == changes + 1
+    assert state(room, "ada", "ben") is SealState.VERIFIED
+    for sender in ("ada", "ben", "cho"):
+        frame = room.send(sender)
+        assert all(
+            room.members[name].frames[-1].stream == frame.stream for name in room.others(sender)
+        )
+
+
+def test_a_frame_does_not_open_on_two_connections_of_its_receiver() -> None:
+    room = settled_room("ada", "ben")
+    room.leave("ben")
+    ben = room.join("ben")
+    room.run(4 * DELAY_S)
+    shown = room.send("ada", b"once")
+    assert ben.frames[-1].payload == b"once"
+    # The connection breaks, and ada is not told: her key is younger than a second.
+    tell(room, "ben", Closed(code=1006, reason="", is_remote=True))
+    tell(room, "ben", replace(ben.joined, peers=(room.members["ada"].peer,)))
+    room.run(4 * DELAY_S)
+    assert not room.show("ben", shown)
+    room.send("ada", b"and on")
+    assert ben.frames[-1].payload == b"and on"
+
+
+def test_a_key_given_on_another_id_of_one_receiver_opens_from_its_next_frame_only() -> None:
+    room = Room()
+    room.join("ada")
+    room.join("ben")
+    room.run(4 * DELAY_S)
+    shown = room.send("ada", b"once")
+    ben = room.members.pop("ben")  # reconnects, and ada is not told that he left
+    again = room.join("ben2", guard=ben.guard)
+    room.run(4 * DELAY_S)
+    assert room.members["ada"].guard.stats()["key_changes"] == 1
+    assert not room.show("ben2", shown)
+    room.send("ada", b"and on")
+    assert again.frames[-1].payload == b"and on"
+
+
+LABELS = {
+    "name": lambda peer: replace(peer, name="Bob"),
+    "avatar": lambda peer: with_track(peer, avatar="ab" * 32),
+    "kind": lambda peer: with_track(peer, kind="voice"),
+    "profile": lambda peer: with_track(peer, profile="cd" * 32),
+    "policy": lambda peer: with_track(peer, policy="ordered", deadline_ms=200),
+    "stream": lambda peer: with_track(peer, stream=99),
+    "no track": lambda peer: replace(peer, tracks=()),
+}
+
+
+def with_track(peer: Peer, **changed: object) -> Peer:
+    return replace(peer, tracks=(replace(peer.tracks[0], **changed),))
+
+
+@pytest.mark.parametrize("label", LABELS)
+def test_who_is_relabelled_is_not_opened_and_said_to_be(label: str) -> None:
+    room = settled_room("ada", "ben")
+    truth = room.members["ben"].peer
+    tell(room, "ada", PeerLeft(peer_id="ben"), PeerJoined(peer=LABELS[label](truth)))
+    room.run(10)
+    frame = room.seal("ben")
+    for stream in (truth.tracks[0].stream, 99):
+        assert not room.show("ada", replace(frame, stream=stream))
+    assert state(room, "ada", "ben") is SealState.RELABELLED
+    assert "another name, avatar" in room.members["ada"].guard.status.peers["ben"].reason
+    tell(room, "ada", PeerLeft(peer_id="ben"), PeerJoined(peer=truth))
+    room.run(10)
+    room.send("ben", b"ben again")
+    assert room.members["ada"].frames[-1].payload == b"ben again"
+
+
+def test_two_who_changed_places_are_not_opened() -> None:
+    room = settled_room("ada", "ben", "cho")
+    ben, cho = (room.members[name].peer for name in ("ben", "cho"))
+    swapped = (
+        replace(ben, name="cho", tracks=cho.tracks),
+        replace(cho, name="ben", tracks=ben.tracks),
+    )
+    ada = room.members["ada"]
+    tell(
+        room,
+        "ada",
+        Closed(code=1006, reason="", is_remote=True),
+        replace(ada.joined, peers=swapped),
+    )
+    room.run(10)
+    room.send("ben")
+    room.send("cho")
+    assert ada.frames == []
+    assert {state(room, "ada", name) for name in ("ben", "cho")} == {SealState.RELABELLED}
+
+
+def test_keys_are_bound_to_the_room_that_was_asked_for() -> None:
+    room = settled_room("ada")
+    ben = room.join("ben", asks_for="another room")  # and the relay puts him into this one
+    room.run(10)
+    room.send("ada")
+    room.send("ben")
+    assert ben.frames == room.members["ada"].frames == []
+    assert state(room, "ada", "ben") is SealState.SECRET_DIFFERS
+
+
+def test_ones_own_face_does_not_come_back_as_somebody_elses() -> None:
+    room = settled_room("ada", "ben")
+    ada = room.members["ada"]
+    mirror = replace(ada.peer, peer_id="mirror")
+    tell(room, "ada", PeerJoined(peer=mirror))
+    for _ in range(3):  # whatever she says to it is told to her as its answer, from either id
+        for _, data in ada.guard.messages_to_send(room.now):
+            for peer_id in ("mirror", "ben", "ada"):
+                tell(room, "ada", Whisper(peer_id=peer_id, data=data))
+        room.run(0.5)
+    assert not room.show("ada", room.seal("ada"))
+    assert "mirror" not in ada.guard.members
+    assert state(room, "ada", "mirror") is not SealState.VERIFIED
+
+
+def test_the_same_id_as_ours_gets_nothing_out_of_a_mirror() -> None:
+    room = settled_room("ada")
+    ada = room.members["ada"]
+    tell(room, "ada", PeerJoined(peer=ada.peer))  # a session refuses it; keys do too
+    for _ in range(3):
+        room.run(1)
+        for _, data in ada.guard.messages_to_send(room.now):
+            tell(room, "ada", Whisper(peer_id="ada", data=data))
+    assert ada.guard.members == frozenset()
+    assert not room.show("ada", room.seal("ada"))
+
+
+@pytest.mark.parametrize("is_present", [True, False], ids=["in this call", "of an earlier call"])
+def test_replayed_notes_make_no_ghost_of_a_member(is_present: bool) -> None:
+    room = settled_room("ada", "ben")
+    ada, gone = room.members["ada"], room.leave("ben").peer
+    if not is_present:
+        tell(room, "ada", Closed(code=1006, reason="", is_remote=True), ada.joined)
+    tell(room, "ada", PeerJoined(peer=gone))
+    for sender, receiver, data in list(room.whispers):
+        if (sender, receiver) == ("ben", "ada"):
+            tell(room, "ada", Whisper(peer_id=sender, data=data))
+            assert ada.guard.members == frozenset()
+    room.run(10)
+    assert ada.guard.members == frozenset()
+
+
+def test_whoever_can_read_us_is_in_the_code_and_counts_when_it_has_shown_itself() -> None:
+    room = settled_room("ada", "ben")
+    before = room.members["ada"].guard.status.code
+    room.fate = lambda whispered: whispered[0] != "mallory" or len(whispered[2]) == min(NOTE_BYTES)
+    room.join("mallory")  # has the secret, takes keys, and says nothing more
+    room.run(3)
+    ada = room.members["ada"].guard
+    assert ada.members == {"ben"}
+    assert ada.status.code not in (before, "")
+    assert ada.status.code == room.members["ben"].guard.status.code
+
+
+def test_everybody_has_the_same_code_and_another_one_when_somebody_is_inserted() -> None:
+    room = settled_room("ada", "ben", "cho")
+    codes = {member.guard.status.code for member in room.members.values()}
+    assert len(codes) == 1
+    (before,) = codes
+    assert [len(group) for group in before.split()] == [5] * 6
+    assert before.replace(" ", "").isdecimal()
+    room.join("mallory")  # has the secret
+    room.run(3)
+    codes = {member.guard.status.code for member in room.members.values()}
+    assert len(codes) == 1
+    assert before not in codes
+    room.leave("mallory")
+    assert room.members["ada"].guard.status.code == before
+
+
+def test_who_stands_between_two_gives_them_two_codes() -> None:
+    """Mallory has the secret, and the relay shows her to each of two as the other."""
+    left, right = Room(), Room()
+    for room, honest, posed in ((left, "ada", "ben"), (right, "ben", "ada")):
+        room.join(honest)
+        room.join(posed)
+        room.run(3)
+        assert state(room, honest, posed) is SealState.VERIFIED
+    assert left.members["ada"].guard.status.code != right.members["ben"].guard.status.code
+
+
+def test_who_is_relabelled_is_no_member_and_changes_the_code() -> None:
+    room = settled_room("ada", "ben", "cho")
+    before = room.members["ada"].guard.status.code
+    other = replace(room.members["ben"].peer, name="Bob")
+    tell(room, "ada", PeerLeft(peer_id="ben"), PeerJoined(peer=other))
+    room.run(10)
+    assert room.members["ada"].guard.members == {"cho"}
+    assert room.members["ada"].guard.status.code not in (before, "")
+
+
+def test_why_somebody_is_not_opened_is_said() -> None:
+    room = settled_room("ada", "ben")
+    room.join("eve", secret=RoomSecret(bytes(32)))
+    plain = Peer(peer_id="plain", name="P", tracks=(Track(kind="face", stream=50),))
+    old = Peer(peer_id="old", name="O", tracks=(Track(kind="face", stream=51),))
+    tell(room, "ada", PeerJoined(peer=plain), PeerJoined(peer=old))
+    tell(room, "ada", Whisper(peer_id="old", data=b"\1" + bytes(67)))
+    assert state(room, "ada", "plain") is SealState.WAITING
+    room.run(2 * SILENT_S)
+    for stream in (50, 51):
+        assert not room.show(
+            "ada", Frame(stream=stream, sequence=0, captured_us=0, payload=b"a plain face")
+        )
+    said = room.members["ada"].guard.stats()["peers"]
+    assert {who: told["state"] for who, told in said.items()} == {
+        "ben": "verified",
+        "eve": "secret differs",
+        "plain": "plain",
+        "old": "other version",
+    }
+    assert "install the same version" in said["old"]["reason"]
+    assert "compare the secret files" in said["eve"]["reason"]
+
+
+def test_made_up_notes_cost_a_verified_member_nothing() -> None:
+    room = settled_room("ada", "ben")
+    for data in (b"", b"\1" + bytes(67), bytes(min(NOTE_BYTES)), b"\2" + bytes(103)):
+        tell(room, "ada", Whisper(peer_id="ben", data=data))
+        assert state(room, "ada", "ben") is SealState.VERIFIED
+
+
+def test_when_too_many_have_left_our_own_key_changes_and_nobody_is_lost(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("pica_client.e2ee.keys.MAX_FLOORS", 3)
+    room = settled_room("ada", "ben")
+    first = {key for key, _ in room.members["ada"].guard.status.members}
+    for number in range(5):
+        room.join(f"guest{number}")
+        room.run(3)
+        room.leave(f"guest{number}")
+        room.run(3)
+        for sender in ("ada", "ben"):
+            frame = room.send(sender)
+            (other,) = room.others(sender)
+            assert room.members[other].frames[-1].stream == frame.stream
+    assert first.isdisjoint(key for key, _ in room.members["ada"].guard.status.members)
+
+
+def test_a_voice_beside_the_face_is_opened_and_is_asked_for_no_keyframe() -> None:
+    room = Room()
+    voice = Track(kind="voice", policy="ordered", deadline_ms=200, stream=77)
+    ada = room.join("ada", more_tracks=(voice,))
+    room.join("ben")
+    room.run(3)
+    assert ada.keyframe_requests == 1
+    plain = Frame(stream=77, sequence=0, captured_us=0, payload=b"opus")
+    assert room.show("ben", replace(plain, payload=ada.guard.seal(plain)))
+    assert room.members["ben"].frames[-1].payload == b"opus"
+
+
+@pytest.mark.parametrize(
+    ("token", "name"),
+    [
+        ("", "guest"),
+        ("h.eyJuYW1lIjoiQWRhIn0.s", "Ada"),
+        ("h.e30.s", "guest"),
+        ("h.eyJuYW1lIjo1fQ.s", "guest"),
+        ("h.W10.s", "guest"),
+        ("h.-.s", "guest"),
+        ("h", "guest"),
+    ],
+)
+def test_the_name_of_a_join_token_is_the_one_that_is_shown(token: str, name: str) -> None:
+    assert shown_name("guest", token) == name

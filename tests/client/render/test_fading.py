@@ -1,0 +1,202 @@
+"""Busts pass softly into the room; the room is drawn anew only when it looks different."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import moderngl
+import numpy as np
+import pytest
+
+from helpers.toy import make_toy_avatar
+from pica_client.avatars.library import shipped_avatar_files
+from pica_client.decode.decoder import OnnxDecoder
+from pica_client.decode.request import DecodedMaps
+from pica_client.render.gpu_avatar import PLACEHOLDER_PROFILE_M, placeholder_map
+from pica_client.render.gpu_textured import TexturedMesh
+from pica_client.render.renderer import Renderer, RenderOptions
+from pica_client.render.room import Room
+from pica_client.render.scene import Placement
+from pica_client.render.stereo import stereo_cameras
+from pica_core.avatar.bust import CHIN_M, LOWEST_M, WHOLE_M, bust_of, fade_heights_m
+from pica_core.avatar.expression_encoder import ExpressionEncoder
+from pica_core.avatar.file import Avatar, load_avatar
+from pica_core.camera import Camera, look_at
+from pica_core.gl import create_context
+from pica_core.types import Image
+
+pytestmark = pytest.mark.render
+
+SIZE = (160, 200)
+SHARP = RenderOptions(smooth_edges=False)
+FADING = RenderOptions(smooth_edges=False, fade_busts=True)
+REST = Placement(slot="p", world_from_head=np.eye(4, dtype=np.float32))
+ROOM = Room(seats_m=((0.0, 0.0, 0.0),), speaking=(0.0,))
+
+
+def camera_at(yaw: float = 0.0, size: tuple[int, int] = SIZE) -> Camera:
+    return look_at(
+        name="viewer",
+        centre_m=np.array([1.2 * np.sin(yaw), -0.06, 1.2 * np.cos(yaw)]),
+        target_m=np.array([0, -0.06, 0]),
+        vertical_fov=0.42,
+        width=size[0],
+        height=size[1],
+    )
+
+
+@pytest.fixture
+def context() -> Iterator[moderngl.Context]:
+    context = create_context()
+    yield context
+    context.release()
+
+
+@pytest.fixture(scope="module")
+def person() -> tuple[Avatar, DecodedMaps]:
+    avatar = load_avatar(shipped_avatar_files()[-1])
+    latent = ExpressionEncoder(avatar).encode(np.zeros(52, np.float32))
+    return avatar, OnnxDecoder(avatar).decode(latent, np.array([0, 0, 1], np.float32), 64)
+
+
+def with_person(
+    context: moderngl.Context, person: tuple[Avatar, DecodedMaps], options: RenderOptions
+) -> Renderer:
+    renderer = Renderer(context, SIZE, options)
+    renderer.add_avatar("p", person[0])
+    renderer.update_maps("p", person[1].position_map, person[1].expression_map)
+    return renderer
+
+
+def picture(renderer: Renderer, *placements: Placement, camera: Camera | None = None) -> Image:
+    renderer.draw(placements, camera or camera_at(), room=ROOM)
+    return renderer.read_image()
+
+
+def assert_fades(shown: Image, whole: Image, room: Image, covered: np.ndarray) -> None:
+    """Above the chest nothing has changed; below, row by row, less and less is left of the bust."""
+    middle = slice(SIZE[0] // 2 - 15, SIZE[0] // 2 + 15)
+    np.testing.assert_array_equal(shown[:120, middle], whole[:120, middle])
+    left, all_of_it = (
+        np.abs(image[:, middle].astype(int) - room[:, middle]).mean(axis=(1, 2))
+        for image in (shown, whole)
+    )
+    rows = [row for row in range(120, SIZE[1]) if covered[row, middle].all() and all_of_it[row] > 8]
+    shares = left[rows] / all_of_it[rows]
+    assert len(rows) > 20
+    assert shares[0] > 0.95
+    assert shares[-1] < 0.05
+    assert (np.diff(shares) < 0.03).all()
+    assert np.abs(np.diff(shares)).max() < 0.25  # no edge
+
+
+def test_a_bust_is_whole_at_the_face_and_gone_at_its_lower_border(
+    context: moderngl.Context, person: tuple[Avatar, DecodedMaps]
+) -> None:
+    plain = with_person(context, person, SHARP)
+    whole = picture(plain, REST)
+    covered = plain.read_surface()[2] >= 0
+    room = picture(plain)
+    assert_fades(picture(with_person(context, person, FADING), REST), whole, room, covered)
+
+
+def test_a_textured_head_fades_as_a_decoded_one(context: moderngl.Context) -> None:
+    low, high = -0.27, 0.14
+    corners = np.array([[-0.1, low, 0], [0.1, low, 0], [0.1, high, 0], [-0.1, high, 0]], np.float32)
+    mesh = TexturedMesh(
+        vertex_uv=np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32),
+        faces=np.array([[0, 1, 2], [0, 2, 3]], np.int32),
+        low_m=(-0.2, low, -0.1),
+        high_m=(0.2, high, 0.1),
+        texture_size=8,
+    )
+    pictures = []
+    for options in (FADING, SHARP):
+        renderer = Renderer(context, SIZE, options)
+        renderer.add_textured("p", mesh)
+        renderer.update_textured("p", corners, np.ones((8, 8, 3), np.float32))
+        pictures.append(picture(renderer, REST))
+    room = picture(renderer)
+    covered = (pictures[1] != room).any(axis=2)
+    assert_fades(pictures[0], pictures[1], room, covered)
+
+
+def test_both_eyes_see_the_fade_and_the_room(
+    context: moderngl.Context, person: tuple[Avatar, DecodedMaps]
+) -> None:
+    renderer = Renderer(context, (2 * SIZE[0], SIZE[1]), FADING)
+    renderer.add_avatar("p", person[0])
+    renderer.update_maps("p", person[1].position_map, person[1].expression_map)
+    eyes = stereo_cameras(camera_at(), 0.0, 1.2)
+    renderer.draw_stereo([REST], eyes, room=ROOM)
+    both = renderer.read_image().astype(int)
+    left, right = both[:, : SIZE[0]], both[:, SIZE[0] :]
+    assert np.abs(left - right).max() <= 2  # but for the noise against banding
+    alone = picture(with_person(context, person, FADING), REST)
+    assert np.abs(left - alone).max() <= 2
+
+
+def test_a_room_is_drawn_anew_only_when_it_looks_different(context: moderngl.Context) -> None:
+    renderer = Renderer(context, SIZE, SHARP)
+    first = picture(renderer)
+    np.testing.assert_array_equal(picture(renderer), first)
+    turned = picture(renderer, camera=camera_at(0.4))
+    assert (turned != first).any()
+    np.testing.assert_array_equal(picture(renderer), first)
+    renderer.draw([], camera_at(), room=Room(seats_m=ROOM.seats_m, speaking=(1.0,)))
+    ring = renderer.read_image().astype(int) - first
+    assert ring[..., 1].max() > 20  # a green ring
+    assert ring[..., 1].max() > ring[..., 0].max()
+
+
+def test_an_empty_room_is_the_same_from_everywhere(context: moderngl.Context) -> None:
+    renderer = Renderer(context, SIZE, SHARP)
+    renderer.draw([], camera_at())
+    still = renderer.read_image()
+    renderer.draw([], camera_at(0.7))
+    np.testing.assert_array_equal(renderer.read_image(), still)
+
+
+def test_the_stand_in_is_a_bust_that_is_lit_from_above(context: moderngl.Context) -> None:
+    renderer = Renderer(context, SIZE, FADING)
+    renderer.add_placeholder("p")
+    shown = picture(renderer, REST).astype(int)
+    column = shown[:, SIZE[0] // 2].sum(axis=1)
+    room = picture(renderer).astype(int)
+    covered = np.abs(shown - room).max(axis=2) > 6
+    width = covered.sum(axis=1)
+    neck = width[110:130].min()
+    assert neck < 0.8 * width[60:90].max()
+    assert width[130:160].max() > 1.6 * width[60:90].max()  # shoulders
+    assert column[35] > column[105]  # crown, under the chin
+
+
+def test_the_stand_in_is_as_broad_as_people_and_closed() -> None:
+    bust = placeholder_map()
+    assert bust[..., 0].max() == pytest.approx(
+        max(row[1] for row in PLACEHOLDER_PROFILE_M), abs=2e-3
+    )
+    np.testing.assert_allclose(bust[:, 0], bust[:, -1], atol=1e-6)
+    np.testing.assert_allclose(bust[0], np.tile(bust[0, :1], (len(bust), 1)), atol=1e-6)
+
+
+def test_the_extent_of_the_shipped_people_is_that_of_their_shoulders() -> None:
+    for file in shipped_avatar_files():
+        bust = bust_of(load_avatar(file))
+        assert 0.3 < bust.width_m < 0.4
+        assert -0.3 < bust.lower_m < -0.2
+
+
+def test_a_mesh_that_is_no_number_has_an_extent() -> None:
+    avatar = make_toy_avatar()
+    mean = np.full_like(avatar.tensors["geometry.mean"], np.nan)
+    bust = bust_of(Avatar(avatar.manifest, {**avatar.tensors, "geometry.mean": mean}))
+    assert (bust.width_m, bust.lower_m) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("lower_m", [-5.0, -0.27, -0.15, -0.1, 0.0])
+def test_no_bust_is_so_short_that_the_face_fades(lower_m: float) -> None:
+    gone, whole = fade_heights_m(lower_m)
+    assert max(lower_m, LOWEST_M) <= gone < whole
+    assert whole <= max(CHIN_M, gone + 0.01)
+    assert WHOLE_M[1] < gone

@@ -1,0 +1,170 @@
+"""Each tracker's protocol against datagrams that were built from its specification."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import numpy as np
+import pytest
+
+from helpers import tracker_packets
+from pica_client.sources.live import ifacialmocap, livelink
+from pica_client.sources.live.opening import LIVE_KINDS, decoder_of
+from pica_client.sources.live.sample import PacketError
+from pica_client.sources.live.vmc import VmcDecoder
+from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
+
+pytestmark = pytest.mark.unit
+
+MANY = {name: 0.01 * (index + 1) for index, name in enumerate(tracker_packets.LIVE_LINK_ORDER[:52])}
+
+
+def test_live_link_gives_every_shape_its_own_value() -> None:
+    sample = livelink.decode(tracker_packets.live_link(MANY, frame=90, sub_frame=0.5))
+
+    for name, value in MANY.items():
+        assert sample.arkit[ARKIT_INDEX[name[0].lower() + name[1:]]] == pytest.approx(value)
+    assert sample.has_face
+    assert sample.subject == "iPhone"
+    assert sample.tracker_s == pytest.approx(90.5 / 60)
+
+
+@pytest.mark.parametrize(("angle", "axis"), [("HeadPitch", 0), ("HeadYaw", 1), ("HeadRoll", 2)])
+def test_a_head_of_live_link_turns_about_one_axis(angle: str, axis: int) -> None:
+    rotation = livelink.decode(tracker_packets.live_link({angle: -0.3})).rotation
+    wanted = np.zeros(3)
+    wanted[axis] = -0.3
+    np.testing.assert_allclose(rotation, wanted, atol=1e-6)
+
+
+def test_live_link_without_values_is_no_face() -> None:
+    sample = livelink.decode(tracker_packets.live_link(None, frame=3))
+    assert not sample.has_face
+    assert sample.tracker_s == pytest.approx(3 / 60)
+
+
+def test_the_apps_other_mode_is_refused_with_what_to_do() -> None:
+    with pytest.raises(PacketError, match=r"switch it to Live Link \(ARKit\)"):
+        livelink.decode(bytes(584))
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, 4.5])
+def test_a_value_that_is_no_face_is_refused(value: float) -> None:
+    with pytest.raises(PacketError, match="outside of"):
+        livelink.decode(tracker_packets.live_link({"JawOpen": value}))
+
+
+def test_vmc_takes_perfect_sync_in_any_case_and_holds_it_until_it_is_applied() -> None:
+    decoder = VmcDecoder()
+    assert decoder.decode(tracker_packets.osc("/VMC/Ext/Blend/Val", "JawOpen", 0.4)) == []
+    assert decoder.decode(tracker_packets.osc("/VMC/Ext/Blend/Val", "EYEBLINKLEFT", 0.9)) == []
+    (sample,) = decoder.decode(tracker_packets.osc("/VMC/Ext/Blend/Apply"))
+
+    assert sample.arkit[ARKIT_INDEX["jawOpen"]] == pytest.approx(0.4)
+    assert sample.arkit[ARKIT_INDEX["eyeBlinkLeft"]] == pytest.approx(0.9)
+    assert np.isnan(sample.arkit[ARKIT_INDEX["tongueOut"]])
+    (again,) = decoder.decode(tracker_packets.vmc({"jawOpen": 0.1}, seconds=7.25))
+    assert again.tracker_s == 7.25
+    assert again.arkit[ARKIT_INDEX["eyeBlinkLeft"]] == pytest.approx(0.9)
+
+
+def test_a_plain_vrm_model_moves_mouth_lids_and_mood() -> None:
+    (sample,) = VmcDecoder().decode(
+        tracker_packets.vmc({"A": 1.0, "Blink_L": 1.0, "Joy": 0.5, "Extra": 1.0})
+    )
+    seen = {name: float(sample.arkit[ARKIT_INDEX[name]]) for name in ARKIT_NAMES}
+    assert seen["jawOpen"] == pytest.approx(0.7)
+    assert seen["eyeBlinkLeft"] == 1.0
+    assert math.isnan(seen["eyeBlinkRight"])
+    assert seen["mouthSmileLeft"] == pytest.approx(0.45)
+
+
+def test_unitys_head_turned_to_the_subjects_left_turns_left_here() -> None:
+    # In Unity, which is left-handed with y up, a turn of +30 degrees about y takes the nose, +z,
+    # to +x. +x is the subject's right there, and -x here.
+    half = math.radians(15)
+    (sample,) = VmcDecoder().decode(
+        tracker_packets.vmc(
+            {"jawOpen": 0.0},
+            bones={
+                "Neck": (0.0, 0.0, 0.0, 1.0),
+                "Head": (0.0, math.sin(half), 0.0, math.cos(half)),
+            },
+        )
+    )
+    np.testing.assert_allclose(sample.rotation, [0, -math.radians(30), 0], atol=1e-6)
+
+
+def test_neck_and_head_turn_together() -> None:
+    half = math.radians(5)
+    nod = (math.sin(half), 0.0, 0.0, math.cos(half))
+    (sample,) = VmcDecoder().decode(
+        tracker_packets.vmc({"jawOpen": 0.0}, bones={"Neck": nod, "Head": nod})
+    )
+    # About x the hand of the axes does not matter.
+    np.testing.assert_allclose(sample.rotation, [math.radians(20), 0, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize("separator", ["-", "&"])
+def test_ifacialmocap_gives_hundredths_and_degrees(separator: str) -> None:
+    line = tracker_packets.ifacialmocap(
+        {"mouthSmile_R": 25, "eyeBlink_L": 100, "jawOpen": 7, "FM_other": 50},
+        head=(10, -20, 0, 0, 0, 0),
+        separator=separator,
+    )
+    sample = ifacialmocap.decode(line)
+    assert sample.arkit[ARKIT_INDEX["mouthSmileRight"]] == pytest.approx(0.25)
+    assert sample.arkit[ARKIT_INDEX["eyeBlinkLeft"]] == 1
+    assert sample.arkit[ARKIT_INDEX["jawOpen"]] == pytest.approx(0.07)
+    assert np.linalg.norm(sample.rotation) == pytest.approx(math.radians(22.3), rel=0.01)
+    assert sample.rotation[1] < 0 < sample.rotation[0]
+
+
+def test_facemotion3d_has_whole_names() -> None:
+    sample = ifacialmocap.decode(
+        tracker_packets.ifacialmocap({"mouthSmileRight": 25}, separator="&")
+    )
+    assert sample.arkit[ARKIT_INDEX["mouthSmileRight"]] == pytest.approx(0.25)
+
+
+def test_damaged_datagrams_fill_no_log(caplog: pytest.LogCaptureFixture) -> None:
+    decode = decoder_of("vmc")
+    for packet in (b"", b"no osc", b"#bundle\0" + bytes(9)):
+        with pytest.raises(PacketError):
+            decode(packet)
+    assert caplog.text == ""
+
+
+def good_packets() -> list[bytes]:
+    return [
+        tracker_packets.live_link(MANY, frame=5),
+        tracker_packets.live_link(None),
+        tracker_packets.vmc(MANY, seconds=1.0, bones={"Head": (0.0, 0.0, 0.0, 1.0)}),
+        tracker_packets.osc("/VMC/Ext/Blend/Apply", 1, "extra"),
+        tracker_packets.ifacialmocap({"jawOpen": 3}),
+        bytes(584),
+    ]
+
+
+@pytest.mark.parametrize("kind", LIVE_KINDS)
+@pytest.mark.parametrize("seed", range(4))
+def test_damaged_datagrams_are_refused_and_nothing_else(kind: str, seed: int) -> None:
+    rng = random.Random(f"{kind} {seed}")
+    decode, packets = decoder_of(kind), good_packets()
+    for _ in range(1_000):  # 100,000 of each kind by hand: no other exception
+        packet = bytearray(rng.choice(packets))
+        for _ in range(rng.randint(0, 6)):
+            packet[rng.randrange(len(packet))] = rng.randrange(256)
+        if rng.random() < 0.4:
+            packet = packet[: rng.randrange(len(packet) + 1)]
+        elif rng.random() < 0.2:
+            packet += rng.randbytes(rng.randint(1, 64))
+        try:
+            samples = decode(bytes(packet))
+        except PacketError:
+            continue
+        for sample in samples:
+            known = sample.arkit[~np.isnan(sample.arkit)]
+            assert np.isfinite(known).all()
+            assert np.isfinite(sample.rotation).all()

@@ -1,0 +1,212 @@
+"""Live sources on real sockets of this machine, and takes of what they sent."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers import tracker_packets
+from pica_client.errors import SourceError
+from pica_client.sources import LiveSource, open_source
+from pica_client.sources.live.calibration import Calibration, CalibrationStore, calibrate
+from pica_client.sources.live.opening import decoder_of, open_live, parse_live
+from pica_client.sources.live.report import TrackReport
+from pica_client.sources.live.sample import TrackerSample
+from pica_client.sources.live.take import TakeRecorder, load_take
+from pica_client.sources.live.udp import UdpOptions, UdpTracker
+from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
+
+pytestmark = pytest.mark.unit
+
+JAW = ARKIT_INDEX["jawOpen"]
+
+
+@pytest.fixture
+def phone() -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
+        own.bind(("127.0.0.1", 0))
+        own.settimeout(5)
+        yield own
+
+
+def until(holds: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 10
+    while not holds():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def stream(phone: socket.socket, tracker: UdpTracker, jaw: float, subject: str = "me") -> None:
+    """Send samples until the face shows the jaw."""
+    frame = 0
+
+    def shows() -> bool:
+        nonlocal frame
+        frame += 1
+        packet = tracker_packets.live_link({"JawOpen": jaw}, frame=frame, subject=subject)
+        phone.sendto(packet, ("127.0.0.1", tracker.port))
+        time.sleep(1 / 60)
+        face = tracker.frame_at(time.monotonic())
+        return face.has_face and abs(float(face.arkit[JAW]) - jaw) < 0.02
+
+    until(shows)
+
+
+def test_a_face_comes_through_a_socket_and_is_a_little_old(phone: socket.socket) -> None:
+    with closing(open_live("livelink", "127.0.0.1:0")) as tracker:
+        assert isinstance(tracker, LiveSource)
+        stream(phone, tracker, 0.7)
+        time_s = 12.0
+        face = tracker.frame_at(time_s)
+        later = tracker.frame_at(time_s + 0.01)
+        assert later.captured_us >= face.captured_us
+        assert tracker.trouble == ""
+
+
+def test_the_first_subject_is_taken_unless_one_is_named(phone: socket.socket) -> None:
+    with closing(open_live("livelink", "127.0.0.1:0/Ben")) as tracker:
+        stream(phone, tracker, 0.5, subject="Ben")
+        phone.sendto(
+            tracker_packets.live_link({"JawOpen": 1.0}, frame=9_999, subject="Ada"),
+            ("127.0.0.1", tracker.port),
+        )
+        until(lambda: tracker.subjects["Ada"] == 1)
+        assert tracker.face.counters.samples == tracker.subjects["Ben"]
+
+
+def test_a_phone_is_asked_and_others_are_not_heard(phone: socket.socket) -> None:
+    options = parse_live("ifacialmocap", "127.0.0.2")
+    assert options.request is not None
+    here = UdpOptions("ifacialmocap", 0, phone="127.0.0.1", host="127.0.0.1")
+    with closing(UdpTracker(here, decoder_of("ifacialmocap"))) as tracker:
+        line = tracker_packets.ifacialmocap({"jawOpen": 60})
+        phone.sendto(line, ("127.0.0.1", tracker.port))
+        until(lambda: tracker.face.counters.samples == 1)
+    assert options.phone == "127.0.0.2"
+    assert options.port == options.request.port == 49983
+
+
+def test_a_port_that_is_taken_is_said_with_the_way_out() -> None:
+    with closing(open_live("livelink", "127.0.0.1:0")) as first:
+        port = first.port
+        with pytest.raises(SourceError, match=rf"UDP port {port}: .*livelink:PORT"):
+            open_live("livelink", f"127.0.0.1:{port}")
+
+
+def test_a_silent_tracker_says_where_it_must_send_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pica_client.sources.live.udp.SILENT_S", 0.0)
+    with closing(open_live("vmc", "127.0.0.1:0")) as tracker:
+        assert f"port {tracker.port}" in tracker.trouble
+        assert "must send to" in tracker.trouble
+
+
+def test_a_tracker_in_the_wrong_mode_is_told_so(
+    phone: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with closing(open_live("livelink", "127.0.0.1:0")) as tracker:
+        phone.sendto(bytes(584), ("127.0.0.1", tracker.port))
+        until(lambda: bool(tracker.refused))
+        monkeypatch.setattr("pica_client.sources.live.udp.SILENT_S", 0.0)
+        assert "switch it to Live Link (ARKit)" in tracker.trouble
+
+
+@pytest.mark.parametrize(
+    "text", ["livelink:x", "livelink:70000", "vmc:nohost:1", "ifacialmocap", "facemotion3d:phone"]
+)
+def test_a_tracker_that_cannot_be_is_one_line(text: str) -> None:
+    with pytest.raises(SourceError, match=text.partition(":")[0]):
+        open_source(text)
+
+
+def samples() -> list[tuple[float, TrackerSample]]:
+    made = []
+    for index in range(90):
+        arkit = np.full(NUM_ARKIT, np.nan, np.float32)
+        arkit[JAW] = 0.5 + 0.5 * np.sin(index / 10)
+        made.append(
+            (
+                100 + index / 30,
+                TrackerSample(tracker_s=index / 30, arkit=arkit, has_face=index < 80),
+            )
+        )
+    return made
+
+
+def test_a_take_plays_what_came_and_the_same_each_time(tmp_path: Path) -> None:
+    path = tmp_path / "take"
+    recorder = TakeRecorder()
+    for arrived_s, sample in samples():
+        recorder(sample, arrived_s, 0.0)
+    recorder.save(path)
+
+    take = load_take(path)
+    assert len(take.arrived_s) == 90
+    assert np.isnan(take.arkit[0]).sum() == NUM_ARKIT - 1
+    first, second = open_source(f"take:{path}"), open_source(f"take:{path}@0.5")
+    jaws = [float(first.frame_at(tick / 30).arkit[JAW]) for tick in range(300)]
+    again = [float(second.frame_at(tick / 30 - 0.5).arkit[JAW]) for tick in range(300)]
+    assert max(jaws) > 0.9
+    np.testing.assert_allclose(again, jaws, atol=1e-6)
+
+
+@pytest.mark.parametrize("content", [b"", b"no archive", b"PK\x03\x04 cut"])
+def test_what_is_no_take_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "bad"
+    path.write_bytes(content)
+    with pytest.raises(SourceError, match="bad"):
+        load_take(path)
+
+
+def test_a_report_counts_what_came_and_says_what_would_mend_it() -> None:
+    report = TrackReport("livelink")
+    for arrived_s, sample in samples():
+        report(sample, arrived_s, 0.001)
+    result = report.to_json("", Counter(), Counter())
+    assert result["frames"] == 90
+    assert result["fps"] == pytest.approx(30, abs=0.1)
+    assert result["gap_ms"]["p50"] == pytest.approx(1000 / 30, abs=0.1)
+    assert result["no_face_ratio"] == pytest.approx(10 / 90, abs=1e-3)
+    assert list(result["shapes"]) == ["jawOpen"]
+    hints = " ".join(result["hints"])
+    assert "often sees no face" in hints
+    assert "not sent" in hints
+    assert "Stream Head Rotation" in hints
+
+
+def test_a_calibration_is_made_kept_and_found_again(tmp_path: Path) -> None:
+    rest = np.zeros(NUM_ARKIT, np.float32)
+    rest[ARKIT_INDEX["mouthSmileLeft"]] = 0.2
+    closed = rest.copy()
+    closed[[ARKIT_INDEX["eyeBlinkLeft"], ARKIT_INDEX["eyeBlinkRight"]]] = 0.7
+    made = calibrate([rest] * 5, [closed] * 5)
+    store = CalibrationStore(tmp_path / "calibrations")
+    path = store.save("Ada B.", "livelink", made)
+    assert store.load("Ada B.", "livelink") == made
+    assert store.load("Ada B.", "vmc") is None
+    assert path.stat().st_mode & 0o077 == 0
+    assert made.lid_closed == pytest.approx((0.7, 0.7))
+    path.write_text('{"gain": 1.0, "neutral": [0.5]}')
+    with pytest.raises(SourceError, match="pica calibrate livelink"):
+        store.load("Ada B.", "livelink")
+
+
+def test_eyes_that_did_not_close_are_said() -> None:
+    rest = np.zeros(NUM_ARKIT, np.float32)
+    with pytest.raises(SourceError, match="did not close"):
+        calibrate([rest], [rest])
+    with pytest.raises(SourceError, match="no face"):
+        calibrate([], [])
+
+
+def test_a_calibration_out_of_range_is_refused() -> None:
+    with pytest.raises(SourceError, match="gain"):
+        Calibration(gain=5.0)
+    with pytest.raises(SourceError, match="too near"):
+        Calibration(lid_closed=(0.1, 0.1))

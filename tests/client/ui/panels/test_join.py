@@ -1,0 +1,106 @@
+"""The form and the waiting card, clicked and typed on without a window."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+
+from helpers.hand import Hand, open_hand
+from pica_client.errors import RelayRefusedError
+from pica_client.ui.joining.form import Fields, JoinForm, JoinOrder
+from pica_client.ui.panels.join import JoinView, connecting_panel, join_panel
+from pica_client.ui.surface.theme import Metrics
+
+pytestmark = pytest.mark.unit
+
+FILLED = Fields(url="ws://127.0.0.1:8765", room="lobby", name="Ada", source="performance:talk")
+SIZES = [((320, 240), 1.0), ((1280, 720), 1.0), ((2560, 1440), 1.0), ((2560, 1440), 2.0)]
+
+
+class Shown:
+    """A form on a surface, which obeys what is ordered of it."""
+
+    def __init__(self, fields: Fields) -> None:
+        self.form = JoinForm(fields)
+
+    def __call__(self, metrics: Metrics) -> list[Fields | JoinOrder]:
+        view = JoinView(
+            fields=self.form.fields,
+            trouble=self.form.trouble,
+            portraits=dict.fromkeys(["ines", "sam"]),
+            default_avatar="ines",
+        )
+        orders = join_panel(view, metrics)
+        for order in orders:
+            self.form.obey(order)
+        return orders
+
+
+@pytest.fixture
+def hand() -> Iterator[Hand]:
+    with open_hand() as found:
+        yield found
+
+
+def test_the_form_is_filled_and_joined_by_mouse_and_keys(hand: Hand) -> None:
+    shown = Shown(replace(FILLED, name=""))
+    hand.click("##name", shown)
+    hand.type("Grace", shown)
+    hand.click("avatar sam", shown)
+    assert shown.form.fields == replace(FILLED, name="Grace", avatar="sam")
+    assert hand.click("Join", shown) == [JoinOrder.JOIN]
+    assert shown.form.outcome == "join"
+
+
+def test_the_avatar_that_goes_by_the_name_is_had_by_a_second_click(hand: Hand) -> None:
+    shown = Shown(replace(FILLED, avatar="sam"))
+    hand.click("avatar sam", shown)
+    assert shown.form.fields.avatar == ""
+
+
+def test_one_who_only_watches_says_so_in_the_list_of_faces(hand: Hand) -> None:
+    shown = Shown(FILLED)
+    hand.click("##source", shown)
+    hand.click("Watch only", shown)
+    assert shown.form.fields.source == ""
+
+
+@pytest.mark.parametrize(("key", "outcome"), [("Enter", "join"), ("Escape", "leave")])
+def test_the_form_is_answered_by_a_key(hand: Hand, key: str, outcome: str) -> None:
+    shown = Shown(FILLED)
+    hand.frame(shown)
+    hand.press(key, shown)
+    assert shown.form.outcome == outcome
+
+
+@pytest.mark.parametrize(("size", "scale"), SIZES)
+def test_the_form_keeps_to_the_window_also_with_an_error(
+    size: tuple[int, int], scale: float
+) -> None:
+    shown = Shown(FILLED)
+    shown.form.refuse(RelayRefusedError("ws://x: no (code 4011)", code=4011))
+    with open_hand(size, scale) as hand:
+        for _ in range(4):
+            hand.frame(shown)
+        fields = [rect for label, rect in hand.places.items() if label.startswith("##")]
+    assert fields
+    for left, _, right, _ in fields:
+        assert 0 <= left < right <= size[0]
+
+
+@pytest.mark.parametrize("way", ["button", "key"])
+def test_waiting_can_be_given_up(hand: Hand, way: str) -> None:
+    given_up: list[bool] = []
+
+    def show(metrics: Metrics) -> list[bool]:
+        given_up.append(connecting_panel("Connecting …", metrics, 1.0))
+        return []
+
+    if way == "button":
+        hand.click("Cancel", show)
+    else:
+        hand.frame(show)
+        hand.press("Escape", show)
+    assert given_up.count(True) == 1

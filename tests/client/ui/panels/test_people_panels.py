@@ -1,0 +1,232 @@
+"""The panels about people: the list with its menus, the page while waiting, the settings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+
+from helpers.hand import Hand, open_hand
+from pica_client.call.participants import Participant
+from pica_client.call.status import CallStatus
+from pica_client.ui.call_view import CallView, Panel, PersonView
+from pica_client.ui.controls import ChooseLayout, ControlState, CopyText, Order, Pin
+from pica_client.ui.notice_board import Notice
+from pica_client.ui.panels.participants import participants_panel, signs_of
+from pica_client.ui.panels.self_view import self_view, self_view_px
+from pica_client.ui.panels.settings import settings_panel
+from pica_client.ui.panels.signs import call_signs, signs
+from pica_client.ui.panels.statistics import statistics
+from pica_client.ui.panels.waiting import first_hint, waiting_page
+from pica_client.ui.settings import Settings
+from pica_client.ui.surface import icons
+from pica_client.ui.surface.theme import metrics_for
+
+pytestmark = pytest.mark.unit
+
+INVITATION = "pica://relay.example/standup"
+ME = Participant(peer_id="", name="Me", is_self=True)
+ADA = Participant(peer_id="p1", name="Ada")
+BEN = Participant(peer_id="p2", name="Ben", is_watching=True, is_recording=True)
+STATUS = CallStatus(
+    participants=(ME, ADA, BEN), room="standup", invitation=INVITATION, duration_s=247.0
+)
+VIEW = CallView(
+    now=1.0,
+    state=ControlState(own_face="sent", side="participants"),
+    people=(PersonView(peer_id="p1", name="Ada", is_speaking=True),),
+    status=STATUS,
+)
+SETTINGS = replace(VIEW, state=ControlState(own_face="sent", side="settings"))
+ALONE = CallView(now=1.0, state=ControlState(), status=replace(STATUS, participants=(ME,)))
+
+
+@pytest.fixture
+def hand() -> Iterator[Hand]:
+    with open_hand() as found:
+        yield found
+
+
+def texts(hand: Hand, panel: Panel, view: CallView) -> str:
+    """All that a panel writes."""
+    written: list[str] = []
+    with pytest.MonkeyPatch.context() as patch:
+        for module in ("widgets", "participants"):
+            place = "surface" if module == "widgets" else "panels"
+            name = f"pica_client.ui.{place}.{module}.imgui.text_unformatted"
+            patch.setattr(name, written.append)
+        hand.frame(lambda metrics: panel(view, metrics))
+    return "\n".join(written)
+
+
+@pytest.mark.parametrize(
+    ("item", "order"),
+    [
+        ("Pin", Pin("p1")),
+        ("Statistics", Order.STATISTICS),
+        ("Reset the view", Order.RESET_VIEW),
+    ],
+)
+def test_the_menu_of_a_person_pins_shows_statistics_and_resets_the_view(
+    hand: Hand, item: str, order: object
+) -> None:
+    assert hand.click("More on Ada", lambda metrics: participants_panel(VIEW, metrics)) == []
+    assert hand.click(item, lambda metrics: participants_panel(VIEW, metrics)) == [order]
+
+
+def test_who_watches_cannot_be_pinned_and_oneself_has_no_menu(hand: Hand) -> None:
+    hand.click("More on Ben", lambda metrics: participants_panel(VIEW, metrics))
+    assert not any("Pin" in label for label in hand.places)
+    assert any("Statistics" in label for label in hand.places)
+    assert not any("More on Me" in label for label in hand.places)
+
+
+def test_everybody_is_listed_with_what_is_said_of_them(hand: Hand) -> None:
+    warned = replace(ADA, warning="looks like your name", note="face is off")
+    status = replace(STATUS, participants=(ME, warned, BEN))
+    said = texts(hand, participants_panel, replace(VIEW, status=status))
+    for text in ("3 in standup, 4:07", "Me (you)", "Ada", "looks like your name", "face is off"):
+        assert text in said
+    assert "watching" in said
+    assert "Not encrypted end to end" in said
+    assert INVITATION in said
+
+
+def test_the_code_to_read_aloud_stands_in_groups(hand: Hand) -> None:
+    code = "12345 23456 34567 45678 56789 67890"
+    status = replace(STATUS, is_encrypted=True, code=code)
+    said = texts(hand, participants_panel, replace(VIEW, status=status)).splitlines()
+    assert "12345   23456   34567" in said
+    assert "45678   56789   67890" in said
+    waiting = replace(VIEW, status=replace(STATUS, is_encrypted=True))
+    assert "Nobody else here is verified yet" in texts(hand, participants_panel, waiting)
+
+
+def test_signs_beside_a_name_have_a_meaning() -> None:
+    assert [icon for icon, _, _ in signs_of(BEN, is_encrypted=False)] == [
+        icons.RECORD,
+        icons.WATCHING,
+    ]
+    odd = replace(ADA, face="muted", is_assured=True)
+    assert [icon for icon, _, _ in signs_of(odd, is_encrypted=True)] == [
+        icons.FACE_OFF,
+        icons.WARNING,
+        icons.CHECK,
+    ]
+    verified = signs_of(replace(ADA, is_verified=True), is_encrypted=True)
+    assert [icon for icon, _, _ in verified] == [icons.LOCK]
+    assert signs_of(ME, is_encrypted=True) == []
+
+
+@pytest.mark.parametrize(
+    ("panel", "view"), [(participants_panel, VIEW), (waiting_page, ALONE)], ids=["list", "page"]
+)
+def test_the_invitation_can_be_copied(hand: Hand, panel: Panel, view: CallView) -> None:
+    for _ in range(3):
+        hand.frame(lambda metrics: panel(view, metrics))
+    (order,) = hand.click("Copy the invitation", lambda metrics: panel(view, metrics))
+    assert order == CopyText(INVITATION, "Invitation copied")
+
+
+def test_who_is_alone_reads_where_and_who_only_watches(hand: Hand) -> None:
+    said = texts(hand, waiting_page, ALONE)
+    assert "Waiting for others" in said
+    assert "You are in the room standup." in said
+    assert "watch" not in said
+    watched = replace(ALONE, status=replace(STATUS, participants=(ME, BEN)))
+    assert "One person watches. Nobody else shows a face." in texts(hand, waiting_page, watched)
+
+
+@pytest.mark.parametrize(
+    "view",
+    [
+        replace(ALONE, people=VIEW.people),
+        replace(ALONE, status=CallStatus()),
+        replace(ALONE, status=replace(STATUS, is_connected=False)),
+        replace(ALONE, state=ControlState(asks_to_leave=True)),
+    ],
+    ids=["not alone", "no call", "connection lost", "leaving"],
+)
+def test_the_page_of_who_waits_is_away_when_it_has_nothing_to_say(
+    hand: Hand, view: CallView
+) -> None:
+    assert texts(hand, waiting_page, view) == ""
+
+
+def test_each_setting_is_one_click(hand: Hand) -> None:
+    def show(metrics: object) -> list[object]:
+        return settings_panel(SETTINGS, metrics)  # type: ignore[arg-type, return-value]
+
+    given = Settings()
+    assert hand.click("Grid", show) == [ChooseLayout("grid")]
+    assert hand.click("Statistics", show) == [Order.STATISTICS]
+    assert hand.click("My own face", show) == [replace(given, shows_self=False)]
+    assert hand.click("Light", show) == [replace(given, mode="light")]
+    assert hand.click("125%", show) == [replace(given, scale=1.25)]
+    (order, *_) = hand.click("##detail", show)
+    assert isinstance(order, Settings)
+    assert order.detail == pytest.approx(0.55, abs=0.1)  # the middle of 10 to 100 %
+
+
+def test_who_sends_no_face_is_not_asked_whether_to_show_it(hand: Hand) -> None:
+    watching = replace(SETTINGS, state=ControlState(side="settings"))
+    hand.frame(lambda metrics: settings_panel(watching, metrics))
+    assert "My own face" not in hand.places
+
+
+def test_the_first_hint_is_dismissed_by_a_button(hand: Hand) -> None:
+    view = replace(ALONE, state=ControlState(shows_hint=True))
+    assert hand.click("Got it", lambda metrics: first_hint(view, metrics)) == [Order.DISMISS_HINT]
+    assert "join with a face source" in texts(hand, first_hint, view)
+    sending = replace(view, state=ControlState(shows_hint=True, own_face="sent"))
+    assert "join with a face source" not in texts(hand, first_hint, sending)
+    assert texts(hand, first_hint, ALONE) == ""
+
+
+def test_where_one_is_and_who_records_stands_on_the_picture() -> None:
+    assert call_signs(replace(VIEW, status=CallStatus())) == []
+    assert call_signs(VIEW) == [("standup   4:07", "good"), ("Ben records", "alert")]
+    both = (replace(ME, is_recording=True), replace(ADA, is_recording=True), BEN)
+    lost = replace(STATUS, participants=both, is_connected=False, is_encrypted=True)
+    assert call_signs(replace(VIEW, status=lost)) == [
+        (f"{icons.LOCK}  standup   4:07", "alert"),
+        ("Ada and Ben record", "alert"),
+    ]
+
+
+@pytest.mark.parametrize("size", [(320, 240), (640, 360), (1280, 720), (3840, 2160)])
+def test_panels_about_people_keep_to_the_picture(size: tuple[int, int]) -> None:
+    many = tuple(replace(ADA, peer_id=f"p{n}", name="W" * 64, note="x" * 80) for n in range(63))
+    view = replace(
+        VIEW,
+        status=replace(STATUS, participants=(ME, *many), code="12345 " * 6, is_encrypted=True),
+        notices=tuple(Notice("n" * 200, "alert") for _ in range(3)),
+    )
+    with open_hand(size) as hand:
+        for panel in (participants_panel, signs, settings_panel, waiting_page, self_view):
+            for _ in range(2):
+                hand.frame(lambda metrics, panel=panel: panel(view, metrics))  # type: ignore[misc]
+                assert all(right <= size[0] for _, _, right, _ in hand.places.values())
+
+
+def test_ones_own_face_is_shown_where_there_is_room(hand: Hand) -> None:
+    assert self_view_px(metrics_for((320, 240))) == 0
+    assert self_view_px(metrics_for((1280, 720))) > 80
+    for own_face in ("sent", "frozen", "muted"):
+        state = ControlState(own_face=own_face)  # type: ignore[arg-type]
+        shown = replace(VIEW, state=state, self_texture=1)
+        assert hand.frame(lambda metrics, shown=shown: self_view(shown, metrics)) == []  # type: ignore[misc]
+
+
+def test_the_statistics_begin_below_the_signs_of_the_call(hand: Hand) -> None:
+    from imgui_bundle import imgui
+
+    state = ControlState(show_statistics=True)
+    tops = []
+    for participants in ((ME, ADA), (ME, ADA, BEN)):
+        view = replace(VIEW, state=state, status=replace(STATUS, participants=participants))
+        hand.frame(lambda metrics, view=view: statistics(view, metrics))  # type: ignore[misc]
+        window = imgui.internal.find_window_by_name("statistics")
+        tops.append(window.pos.y)
+    assert tops[1] > tops[0] > 36

@@ -1,0 +1,109 @@
+"""All that reads bytes of strangers, as functions of bytes: for what finds its way by coverage.
+
+Each accepts its bytes or refuses them with a documented error; what else it raises is a find.
+`scripts/fuzz_coverage.py` drives them, and what it finds belongs into `seeds/TARGET`, which every
+run of the tests goes through. A media message is a bundle of frames. What lies behind a code that
+nobody can forge (a seal, a note) is read as far as the code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from fuzzing.targets import expect
+from helpers.stream_toy import toy_profile
+from pica_client.e2ee.errors import NoteError, OpenError
+from pica_client.e2ee.frames import decode_header, derive_key, metadata_of, open_
+from pica_client.e2ee.notes import RoomKeys, Way, decode_note
+from pica_client.e2ee.secret import RoomSecret
+from pica_client.e2ee.suites import SUITES
+from pica_core.avatar.file import load_avatar
+from pica_core.codec.latent_decoder import LatentDecoder
+from pica_core.codec.latent_sample import ReceivedFrame
+from pica_core.errors import AvatarFileError, LatentError
+from pica_protocol.codec import decode_message, decode_store_message, encode_message
+from pica_protocol.errors import RemoteProtocolError
+from pica_protocol.frames import Frame, decode_media, encode_frame, media_message, scan_frames
+
+SEEDS: Final = Path(__file__).parent / "seeds"
+WAY: Final = Way("p1", "p2")
+NOTE_KEY: Final = RoomKeys.of(RoomSecret(bytes(range(32))), "lobby").note_key
+METADATA: Final = metadata_of(Frame(stream=1, sequence=2, captured_us=3, payload=b""))
+
+
+def message(data: bytes) -> None:
+    """Read a control message; what was read says the same when it is written and read again."""
+    with suppress(RemoteProtocolError):
+        found = decode_message(data)
+        expect(decode_message(encode_message(found)) == found, "not what was read:", found)
+    with suppress(RemoteProtocolError):
+        decode_store_message(data)
+
+
+def media(data: bytes) -> None:
+    """Read a bundle of frames, as a receiver and as the relay do: they must agree."""
+    try:
+        frames = decode_media(data)
+    except RemoteProtocolError:
+        with suppress(RemoteProtocolError):
+            expect(not scan_frames(data), "the relay forwards what nobody reads")
+        return
+    spans = scan_frames(data)
+    expect([s.stream for s in spans] == [f.stream for f in frames], "frames of other streams")
+    written = media_message(map(encode_frame, frames))
+    expect(decode_media(written) == frames, "not what was read:", frames)
+
+
+def sealed(data: bytes) -> None:
+    """Read a sealed payload under each suite."""
+    for suite in SUITES.values():
+        with suppress(OpenError):
+            decode_header(data)
+            open_(data, METADATA, derive_key(bytes(16), 7, suite))
+
+
+def note(data: bytes) -> None:
+    """Read a note about keys."""
+    with suppress(NoteError):
+        decode_note(data, NOTE_KEY, WAY)
+
+
+def avatar_file(data: bytes) -> None:
+    """Read an avatar file with all of its checks."""
+    with suppress(AvatarFileError):
+        load_avatar(data)
+
+
+def bitstream(data: bytes) -> None:
+    """Read a stream of latents: a byte of layer and flag, one of length, the payload, and so on."""
+    decoder = LatentDecoder(toy_profile())
+    at = number = 0
+    while at + 2 <= len(data) and number < 64:
+        head, size = data[at : at + 2]
+        payload, at = data[at + 2 : at + 2 + size], at + 2 + size
+        with suppress(LatentError):
+            decoder.receive(
+                ReceivedFrame(
+                    number=number,
+                    captured_us=0,
+                    layer=head & 7,
+                    is_keyframe=bool(head & 8),
+                    payload=payload,
+                )
+            )
+        number += 1
+    expect(decoder.num_kept < 600, "frames without end are kept")
+
+
+TARGETS: Final[Mapping[str, Callable[[bytes], None]]] = {
+    each.__name__: each for each in (message, media, sealed, note, avatar_file, bitstream)
+}
+
+
+def seeds(name: str) -> Iterator[tuple[str, bytes]]:
+    """Return the seeds of a target, by file."""
+    for path in sorted((SEEDS / name).iterdir()):
+        yield path.name, path.read_bytes()

@@ -1,0 +1,92 @@
+"""A relay, or the way to it, that stands still for a while: it costs nobody their place."""
+
+import asyncio
+import os
+import select
+import signal
+import socket
+from collections.abc import Iterator
+
+import pytest
+
+from pica_protocol.session import Closed
+from pica_server.config.relay import RelayConfig
+from pica_server.relay import Relay
+from simnet.clock import current_network, in_virtual_time
+from simnet.cluster import Node, start_relay
+from simnet.peers import now, peer_in_room
+
+pytestmark = pytest.mark.realtime
+
+if os.name == "nt":
+    pytest.skip("stops the relay with Unix signals", allow_module_level=True)
+
+
+@in_virtual_time
+async def test_a_proxy_that_stalls_expels_nobody_whatever_their_rate() -> None:
+    async with (
+        Relay(RelayConfig()),
+        peer_in_room("ws://train:8765", "Ada") as ada,
+        peer_in_room("ws://train:8765", "Bob") as bob,
+        peer_in_room("ws://relay:8765", "Cleo", tracks=()) as cleo,
+    ):
+        sending = [
+            asyncio.create_task(peer.publish(num_frames=round(25 * fps), fps=fps))
+            for peer, fps in ((ada, 30), (bob, 120))
+        ]
+        await asyncio.sleep(5.0)
+        current_network().stall("train", 11.5)
+        await asyncio.gather(*sending)
+        await asyncio.sleep(0.1)
+        assert not ada.told(Closed)
+        assert not bob.told(Closed)
+        assert max(now() - at for at, _ in cleo.arrivals[-2:]) < 0.2
+        assert cleo.delays_s[-1] < 0.01
+
+
+@pytest.fixture
+def relay() -> Iterator[Node]:
+    process = start_relay("--port", "0", "--limits.messages-per-s", "40")
+    assert process.stderr is not None
+    node = Node(process, process.stderr.readline().split()[-1])
+    yield node
+    process.send_signal(signal.SIGCONT)
+    process.kill()
+    process.communicate()
+
+
+def test_a_relay_that_was_stopped_expels_nobody_for_what_came_meanwhile(relay: Node) -> None:
+    """Of 40 messages a second that each may send, 30 a second pile up for three seconds."""
+
+    async def call() -> None:
+        async with peer_in_room(relay.url, "Ada") as ada, peer_in_room(relay.url, "Bob") as bob:
+            sending = asyncio.create_task(ada.publish(num_frames=150, fps=30))
+            await asyncio.sleep(0.5)
+            relay.freeze()
+            await asyncio.sleep(3.0)
+            relay.thaw()
+            await sending
+            await asyncio.sleep(0.5)
+            assert not ada.told(Closed)
+            assert len(bob.arrivals) == 150
+
+    asyncio.run(call())
+
+
+def test_the_kernel_holds_little_for_a_relay_that_does_not_read(relay: Node) -> None:
+    """So who sends feels it, and thins its own stream."""
+
+    async def call() -> int:
+        async with peer_in_room(relay.url, "Ada") as ada:
+            sock = ada.websocket.transport.get_extra_info("socket")
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, 2048)
+            relay.freeze()
+            num_bytes = 0
+            with socket.socket(fileno=os.dup(sock.fileno())) as own:
+                while select.select([], [own], [], 0.5)[1]:
+                    num_bytes += own.send(bytes(50))
+                    await asyncio.sleep(0.0002)
+            ada.websocket.transport.abort()
+            return num_bytes
+
+    assert asyncio.run(call()) < 32_768
