@@ -1,0 +1,92 @@
+"""Where a driven face is wrong: parts that poke out, and lids and lips that are not where they
+should be.
+
+A mean over all pixels hides what people see first, an eyeball that shows through a closed lid.
+These figures compare a face with its truth, both posed by the same values:
+
+    poke_ratio         share of the head's pixels that show another part than the truth does
+                       anywhere near: teeth through a lip, an eyeball through a lid, skin over an
+                       open eye. Silhouettes do not count, the error of the picture has them.
+    region_errors_mm   mean distance of a region's vertices from where they should be
+
+Pictures of parts are masks as captures hold them: 0 where no head is, else the part's index in
+`PARTS` + 1.
+"""
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from pica_core.types import BoolArray, ByteArray, FloatArray
+
+PARTS: Final = ("skin", "eye", "teeth", "tongue", "mouth_bag", "collar", "hair")
+"""Parts of a head that can poke through each other; masks of captures use the same order."""
+REACH_PX: Final = 1
+"""How far an edge may be off before it counts, pixels: who owns a pixel at an edge is chance."""
+_REGIONS: Final = {
+    "mouth_interior": "mouth_bag",  # teeth and tongue are of it, and named after it
+    "teeth": "teeth",
+    "tongue": "tongue",
+    "eyeballs": "eye",
+    "collar": "collar",
+    "hair": "hair",
+}
+
+
+def vertex_parts(regions: Mapping[str, BoolArray], num_vertices: int) -> ByteArray:
+    """The part of each vertex, as the pixels of a mask say it: index in `PARTS` + 1.
+
+    A triangle is of its last corner's part.
+
+    Args:
+        regions: Named vertex sets of a topology, bool ``[V]`` each; those that are absent are not
+            told from skin.
+        num_vertices: V.
+    """
+    parts = np.full(num_vertices, PARTS.index("skin") + 1, np.uint8)
+    for region, part in _REGIONS.items():
+        if region in regions:
+            parts[regions[region]] = PARTS.index(part) + 1
+    return parts
+
+
+def poking(shown: ByteArray, truth: ByteArray, reach_px: int = REACH_PX) -> BoolArray:
+    """Pixels that show a part which the truth has nowhere within `reach_px`.
+
+    Args:
+        shown: Parts that were drawn, 0 where no head is. uint8 ``[H, W]``.
+        truth: Parts as they should be. uint8 ``[H, W]``.
+        reach_px: How far edges may be off, both ways.
+
+    Returns:
+        bool ``[H, W]``; False where only one of the two shows a head.
+    """
+    side = 2 * reach_px + 1
+    around = sliding_window_view(np.pad(truth, reach_px), (side, side))
+    elsewhere = (around != shown[..., None, None]).all(axis=(-2, -1))
+    found: BoolArray = elsewhere & (shown > 0) & (truth > 0)
+    return found
+
+
+def poke_ratio(shown: ByteArray, truth: ByteArray, reach_px: int = REACH_PX) -> float:
+    """Pixels that poke out as a share of those on which the truth shows a head; 0 if none does."""
+    return float(poking(shown, truth, reach_px).sum() / max(np.count_nonzero(truth), 1))
+
+
+def region_errors_mm(
+    vertices_m: FloatArray, truth_m: FloatArray, regions: Mapping[str, BoolArray]
+) -> dict[str, float]:
+    """Mean distance of vertices from the truth, by region; regions without a vertex are left out.
+
+    Args:
+        vertices_m: Vertices of any mesh, metres. float32 ``[V, 3]``.
+        truth_m: Where they should be; for a coarser mesh the same vertices of the fine one.
+        regions: Masks of them, bool ``[V]`` each.
+
+    Returns:
+        Millimetres by the name of the region.
+    """
+    distance_mm = 1000 * np.linalg.norm(vertices_m.astype(np.float64) - truth_m, axis=1)
+    return {name: float(distance_mm[mask].mean()) for name, mask in regions.items() if mask.any()}
