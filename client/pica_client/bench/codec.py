@@ -264,7 +264,7 @@ def _coders(profile: StreamProfile, avatar: Avatar, config: CodecConfig) -> dict
 
     def stream(quality: int, highest_layer: int, rate_bps: int | None = None) -> Coder:
         config = StreamConfig(fps=FPS, quality=quality, target_bps=rate_bps)
-        return partial(_code_stream, profile, config, highest_layer)
+        return partial(code_stream, profile, config, highest_layer)
 
     coders = {f"quality-{q}": stream(q, 2) for q in range(profile.num_qualities)}
     if config.thinned_quality < profile.num_qualities:
@@ -290,7 +290,7 @@ def _coders(profile: StreamProfile, avatar: Avatar, config: CodecConfig) -> dict
     return coders
 
 
-def _code_stream(
+def code_stream(
     profile: StreamProfile, config: StreamConfig, highest_layer: int, take: Take
 ) -> Coded:
     """Our stream, thinned to some layers."""

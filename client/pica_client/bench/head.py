@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.errors import OptionError
-from pica_client.render.drawing import Drawing, HeadRenderer, drawn_mse
+from pica_client.render.drawing import HEAD, Drawing, HeadRenderer, drawn_mse
 from pica_client.render.gpu_textured import TexturedMesh
 from pica_client.render.scene import head_matrix, view_direction
 from pica_client.sources.performances import make_performance
@@ -22,7 +22,7 @@ from pica_core.capture.stage.dome import EVALUATION_VIEWS, dome_cameras
 from pica_core.codec.latent_sample import LatentSample
 from pica_core.errors import ShapeError
 from pica_core.gl import create_context
-from pica_core.types import FloatArray
+from pica_core.types import BoolArray, FloatArray, Image
 
 FIELD_OF_VIEW = math.radians(50)
 """Opening of the camera both ways, radians (chosen: `bench.render` says why)."""
@@ -117,6 +117,22 @@ def textured_mesh(baseline: BaselineAvatar) -> TexturedMesh:
     )
 
 
+class Surface(NamedTuple):
+    """A face from one view, and what lies under its pixels.
+
+    Attributes:
+        image: uint8 ``[H, W, 3]``.
+        covered: Where the head is. bool ``[H, W]``.
+        uv: Texture coordinates of what a pixel shows, float32 ``[H, W, 2]``.
+        position_map: What was decoded, float32 ``[R, S, 3]``.
+    """
+
+    image: Image
+    covered: BoolArray
+    uv: FloatArray
+    position_map: FloatArray
+
+
 class FaceRenderer:
     """Draws the latents of one avatar from views of the stage, through the real decoder and
     renderer; belongs to one thread.
@@ -165,6 +181,14 @@ class FaceRenderer:
     def draw_sample(self, sample: LatentSample) -> Drawing:
         """Draw a face at the pose that came with it."""
         return self.draw(sample.latent, sample.rotation, sample.translation_m)
+
+    def surfaces(self, latent: FloatArray, level: int) -> Iterator[Surface]:
+        """Draw a face at rest of a level from every view, and say what each pixel shows."""
+        for camera in self._cameras:
+            maps = self._decoder.decode(latent, view_direction(HEAD, camera.centre_m), level)
+            drawing = self._renderer.draw(maps, camera)
+            assert maps.position_map is not None  # both maps were asked for
+            yield Surface(*drawing, self._renderer.read_uv(), maps.position_map)
 
     def largest_step_mse(self, samples: Sequence[LatentSample], points: FloatArray) -> float:
         """MSE between the drawings of the two successive samples whose points differ most.

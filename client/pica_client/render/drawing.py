@@ -72,6 +72,10 @@ class HeadRenderer:
         """What was drawn last."""
         return read_drawing(self._renderer)
 
+    def read_uv(self) -> FloatArray:
+        """Texture coordinates of what the pixels of the last drawing show. ``[H, W, 2]``."""
+        return self._renderer.read_surface()[1]
+
 
 def read_drawing(renderer: Renderer) -> Drawing:
     """What a renderer drew last."""

@@ -1,0 +1,297 @@
+"""Avatars under live drive, against the head itself at the same values.
+
+The truth is a built-in head, or a rig, posed by what a source does. The avatar is driven by the
+same values through each step of a live call (`bench.driven`) and shown at each level of detail.
+
+    mse         over the pixels that the avatar covers, 0-255, mean over moments and views
+    p95_mse     95th percentile of single pictures
+    lid_mm      mean distance of the lids' vertices from the truth
+    lip_mm      the same of the lips
+    poke_ratio  share of the head's pixels that show another part than the truth within a pixel
+                (`reference.face_errors`)
+
+What it does not show: people. The truth is synthetic, a tracker's own mistakes are none of it but
+in the stage ``webcam``, and delay is no error here.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from PIL import Image as Pillow
+from PIL import ImageDraw
+
+from pica_client.bench.codec import FPS
+from pica_client.bench.difference_sheet import AMPLIFIED
+from pica_client.bench.driven import STAGES, shown_latents, stage_values, values_of
+from pica_client.bench.harness import check_ranges
+from pica_client.bench.head import FaceRenderer, evaluation_cameras
+from pica_client.bench.option_types import Words
+from pica_client.errors import OptionError
+from pica_client.output import make_folder, say, writing
+from pica_client.render.drawing import masked_mse
+from pica_client.sources import open_source
+from pica_client.stats import describe_machine
+from pica_core.avatar.file import Avatar
+from pica_core.capture.dataset.files import Topology
+from pica_core.capture.procedural.identity import IDENTITIES
+from pica_core.capture.procedural.subject import ProceduralSubject
+from pica_core.capture.rig.subject import RigSubject
+from pica_core.capture.stage.subject import Subject
+from pica_core.capture.triangles import signed_areas, spread_samples
+from pica_core.reference.face_errors import poking, region_errors_mm, vertex_parts
+from pica_core.reference.mesh import sample_vertices
+from pica_core.types import ByteArray, FloatArray, Image
+
+VIEWS = ("front", "left")
+REGIONS = ("lids", "lips")
+PART_MAP_SIZE = 1024
+SAMPLES_PER_TEXEL = 3
+GROWN_TEXELS = 16
+"""How far charts of the map of parts bleed: a coarse mesh reaches a little beyond them."""
+SAME_UV = 1e-3
+"""How far texture coordinates of avatar and truth may lie apart."""
+POKE_COLOUR = (255, 0, 255)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DriveBenchConfig:
+    """What to measure."""
+
+    sources: Words = ("performance:talk", "performance:listen", "performance:range_of_motion")
+    """What the person does, separated by commas; csv:FILE or take:FILE for recordings."""
+    stages: Words = STAGES
+    """Which of driver, codec, live, offset and calibrated."""
+    rig: Path | None = None
+    """The rig that the avatar was made of; without it the built-in head of its identity."""
+    seconds: float = 20.0
+    """Length of each source."""
+    moments: int = 24
+    """Moments of each source that are drawn."""
+    image_size: int = 320
+    """Rows and columns of each picture, pixels."""
+    worst: Path | None = None
+    """Folder for pictures of the worst moments: truth, avatar, and their difference, in magenta
+    where something pokes out."""
+    num_worst: int = 4
+    """How many worst moments of each source and level."""
+
+    def __post_init__(self) -> None:
+        check_ranges(
+            self, seconds=(1, 600), moments=(1, 2000), image_size=(64, 1024), num_worst=(1, 32)
+        )
+        if unknown := sorted(set(self.stages) - set(STAGES)):
+            raise OptionError(f"stage {unknown[0]!r} is unknown; known are {', '.join(STAGES)}")
+
+
+class _Truth(NamedTuple):
+    """The head itself at one moment.
+
+    Attributes:
+        images: From each view, uint8 ``[views, H, W, 3]``.
+        parts: As masks of captures, uint8 ``[views, H, W]``.
+        vertices_m: float32 ``[V, 3]``.
+    """
+
+    images: Image
+    parts: ByteArray
+    vertices_m: FloatArray
+
+
+class _Shown(NamedTuple):
+    """One moment as an avatar shows it: errors by view, and truth, avatar and difference of the
+    worst view, ``[H, 3 W, 3]``."""
+
+    mse: list[float]
+    poke_ratio: list[float]
+    region_mm: dict[str, float]
+    picture: Image
+
+
+def run_drive_bench(config: DriveBenchConfig, avatars: Sequence[Avatar]) -> dict[str, Any]:
+    """Measure avatars, one after the other.
+
+    Raises:
+        OptionError: An avatar whose head nobody can draw.
+        SourceError: A source that cannot be opened.
+        GraphicsError: No GL context.
+    """
+    if config.worst is not None:
+        make_folder(config.worst)
+    rows: list[dict[str, Any]] = []
+    for avatar in avatars:
+        rows += _measure(config, avatar)
+    return {
+        "rows": rows,
+        "seconds": config.seconds,
+        "moments": config.moments,
+        "image_size": config.image_size,
+        "views": list(VIEWS),
+        "machine": describe_machine(),
+    }
+
+
+def _measure(config: DriveBenchConfig, avatar: Avatar) -> list[dict[str, Any]]:
+    """The rows of one avatar."""
+    subject = _subject(config, avatar)
+    num_frames = round(config.seconds * FPS)
+    moments = np.unique(np.linspace(FPS / 2, num_frames - 1, config.moments).astype(int)).tolist()
+    name = avatar.manifest.name
+    truth = {}
+    try:
+        for source in config.sources:
+            say(f"{name}: {source}: the head itself")
+            arkit = values_of(open_source(source), num_frames)
+            truth[source] = [_draw_truth(subject, arkit[each], config) for each in moments]
+    finally:
+        subject.release()  # one GL context at a time on this thread
+    rows = []
+    with FaceRenderer(avatar, size_px=config.image_size, views=VIEWS) as renderer:
+        compare = _Comparison(avatar, subject.topology, renderer)
+        for source in config.sources:
+            for stage in config.stages:
+                say(f"{name}: {source}: {stage}")
+                values = stage_values(stage, open_source(source), num_frames)
+                latents = shown_latents(avatar, values, coded=stage != "driver")
+                for level in avatar.levels:
+                    shown = [
+                        compare(latents[moment], level, true)
+                        for moment, true in zip(moments, truth[source], strict=True)
+                    ]
+                    about = {"avatar": name, "source": source, "stage": stage, "level": level}
+                    rows.append(about | _row(shown))
+                    if config.worst is not None:
+                        _write_worst(config.worst, about, shown, moments, config.num_worst)
+    return rows
+
+
+def _subject(config: DriveBenchConfig, avatar: Avatar) -> Subject:
+    """Who can draw the truth.
+
+    Raises:
+        OptionError: Nobody, or somebody with another mesh than the avatar's.
+    """
+    identity = avatar.manifest.identity
+    subject: Subject
+    if config.rig is not None:
+        subject = RigSubject(config.rig)
+    elif identity in IDENTITIES:
+        subject = ProceduralSubject(identity)
+    else:
+        raise OptionError(f"avatar {identity!r} is of no built-in head; name its rig with --rig")
+    uv, wanted = avatar.tensors["mesh.vertex_uv"], subject.topology.vertex_uv
+    if uv.shape != wanted.shape or np.abs(uv - wanted).max() > SAME_UV:
+        raise OptionError(f"avatar {identity!r} has another mesh than {subject.name!r}")
+    return subject
+
+
+def _draw_truth(subject: Subject, arkit: FloatArray, config: DriveBenchConfig) -> _Truth:
+    vertices_m = subject.pose(arkit)
+    views = [subject.draw(camera) for camera in evaluation_cameras(VIEWS, config.image_size)]
+    return _Truth(
+        np.stack([view.image for view in views]),
+        np.stack([view.mask for view in views]),
+        vertices_m,
+    )
+
+
+class _Comparison:
+    """Shows latents of one avatar beside the truth."""
+
+    def __init__(self, avatar: Avatar, topology: Topology, renderer: FaceRenderer) -> None:
+        self._avatar, self._renderer = avatar, renderer
+        self._parts = part_map(topology)
+        self._used = {
+            level: np.unique(avatar.level_faces(level)) for level in avatar.levels[:-1]
+        } | {avatar.levels[-1]: np.arange(len(topology.vertex_uv))}
+        self._regions = {name: topology.regions[name] for name in REGIONS}
+
+    def __call__(self, latent: FloatArray, level: int, truth: _Truth) -> _Shown:
+        """One moment at a level."""
+        surfaces = list(self._renderer.surfaces(latent, level))
+        errors, pokes, pictures = [], [], []
+        for surface, image, parts in zip(surfaces, truth.images, truth.parts, strict=True):
+            shown = np.where(surface.covered, read_parts(self._parts, surface.uv), 0)
+            where = poking(shown.astype(np.uint8), parts)
+            pokes.append(float(where.sum() / max(np.count_nonzero(parts), 1)))
+            errors.append(masked_mse(image, surface.image, surface.covered))
+            laid = np.where(surface.covered[..., None], surface.image, image)
+            apart = np.minimum(AMPLIFIED * np.abs(laid.astype(np.int16) - image), 255)
+            marked = np.where(where[..., None], POKE_COLOUR, apart).astype(np.uint8)
+            pictures.append(np.hstack([image, laid, marked]))
+        region_mm = self._region_errors(surfaces[0].position_map, level, truth.vertices_m)
+        return _Shown(errors, pokes, region_mm, pictures[int(np.argmax(errors))])
+
+    def _region_errors(
+        self, position_map: FloatArray, level: int, truth_m: FloatArray
+    ) -> dict[str, float]:
+        used = self._used[level]
+        if level == self._avatar.levels[-1]:
+            vertices_m = sample_vertices(position_map, self._avatar.tensors["mesh.vertex_uv"])
+        else:
+            vertices_m = position_map.reshape(-1, 3)[: len(used)]
+        regions = {name: mask[used] for name, mask in self._regions.items()}
+        return region_errors_mm(vertices_m, truth_m[used], regions)
+
+
+def part_map(topology: Topology, size: int = PART_MAP_SIZE) -> ByteArray:
+    """The part of each place of a UV layout, as `vertex_parts` numbers them. uint8 ``[S, S]``."""
+    uv, faces = topology.vertex_uv * size, topology.faces
+    parts = vertex_parts(topology.regions, len(uv))[faces[:, 2]]
+    count = np.ceil(SAMPLES_PER_TEXEL * np.abs(signed_areas(uv, faces))).astype(np.int64) + 1
+    which, u, v = spread_samples(count)
+    corners = uv[faces[which]]
+    at = (1 - u - v)[:, None] * corners[:, 0] + u[:, None] * corners[:, 1]
+    at += v[:, None] * corners[:, 2]
+    columns, rows = np.clip(at.astype(np.int64), 0, size - 1).T
+    found = np.zeros((size, size), np.uint8)
+    found[rows, columns] = parts[which]
+    for _ in range(GROWN_TEXELS):
+        around = np.pad(found, 1)
+        for beside in (around[:-2, 1:-1], around[2:, 1:-1], around[1:-1, :-2], around[1:-1, 2:]):
+            found = np.where(found == 0, beside, found)
+    return found
+
+
+def read_parts(parts: ByteArray, uv: FloatArray) -> ByteArray:
+    """The parts at texture coordinates ``[..., 2]``, by the nearest texel."""
+    size = len(parts)
+    place = np.clip((uv * size).astype(np.int64), 0, size - 1)
+    return parts[place[..., 1], place[..., 0]]
+
+
+def _row(shown: Sequence[_Shown]) -> dict[str, Any]:
+    mse = np.concatenate([each.mse for each in shown])
+    pokes = np.concatenate([each.poke_ratio for each in shown])
+    mm = {name: np.mean([each.region_mm[name] for each in shown]) for name in REGIONS}
+    return {
+        "mse": round(float(mse.mean()), 3),
+        "p95_mse": round(float(np.percentile(mse, 95)), 3),
+        "lid_mm": round(float(mm["lids"]), 4),
+        "lip_mm": round(float(mm["lips"]), 4),
+        "poke_ratio": round(float(pokes.mean()), 6),
+        "p95_poke_ratio": round(float(np.percentile(pokes, 95)), 6),
+    }
+
+
+def _write_worst(
+    folder: Path,
+    about: dict[str, Any],
+    shown: Sequence[_Shown],
+    moments: Sequence[int],
+    count: int,
+) -> None:
+    """A sheet of the moments of the largest errors, the worst first."""
+    worst = np.argsort([-max(each.mse) for each in shown])[:count]
+    height = shown[0].picture.shape[0]
+    sheet = Pillow.fromarray(np.vstack([shown[index].picture for index in worst]))
+    pen = ImageDraw.Draw(sheet)
+    for row, index in enumerate(worst):
+        mse, poke = max(shown[index].mse), max(shown[index].poke_ratio)
+        words = f"{moments[index] / FPS:.2f} s  MSE {mse:.1f}  poke {poke:.3%}"
+        pen.text((4, row * height + 2), words, fill=(255, 255, 255))
+    name = "-".join(Path(f"{value}").stem.replace(":", "-") for value in about.values())
+    with writing(folder / f"{name}.png"):
+        sheet.save(folder / f"{name}.png")

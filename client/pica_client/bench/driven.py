@@ -1,0 +1,147 @@
+"""What a sender makes of a face on its way: values, as each step of a live call leaves them.
+
+    driver        the values as they are, to the expression encoder
+    codec         the same, through the latent stream at its usual quality
+    live          the values as a tracker sends them 60 times a second, through smoothing and
+                  resampling, then the stream
+    offset        the same of a person whose squint and smile are `OFFSET` at rest and whose lids
+                  go from `LIDS[0]` to `LIDS[1]`
+    calibrated    the same person after `pica calibrate`
+
+A live face is looked at for the moment at which it was seen, so what is left is what smoothing does
+to it; how much later it is shown is no error here. The tracker itself is perfect but for the
+offset, which is added to what the face does.
+"""
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from pica_client.bench.codec import FPS, Take, code_stream
+from pica_client.sources import Source
+from pica_client.sources.live.calibration import Calibration, calibrate
+from pica_client.sources.live.live_face import LiveFace
+from pica_client.sources.live.sample import TrackerSample
+from pica_client.sources.live.smoothing import BLINKS
+from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
+from pica_core.avatar.expression_encoder import ExpressionEncoder
+from pica_core.avatar.file import Avatar
+from pica_core.codec.latent_sample import LatentSample
+from pica_core.codec.latent_stream import StreamConfig
+from pica_core.errors import ProfileError
+from pica_core.types import FloatArray
+
+TRACKER_FPS: Final = 60
+ARRIVES_AFTER_S: Final = (0.004, 0.012)
+"""Shortest and longest way of a sample to us, seconds, in turn."""
+OFFSET: Final = 0.2
+"""What squint and smile of the offset person are at rest."""
+LIDS: Final = (0.1, 0.8)
+"""Blink of the offset person with open and with closed eyes."""
+_OFFSET_SHAPES: Final = [
+    ARKIT_INDEX[f"{name}{side}"]
+    for name in ("eyeSquint", "mouthSmile")
+    for side in ("Left", "Right")
+]
+Person = Callable[[FloatArray], FloatArray]
+"""What a tracker says of a face ``[52]``."""
+
+
+def as_offset_person(arkit: FloatArray) -> FloatArray:
+    """What a tracker says of the offset person. float32 ``[52]`` both."""
+    said = arkit.copy()
+    said[_OFFSET_SHAPES] = np.minimum(said[_OFFSET_SHAPES] + OFFSET, 1.0)
+    said[list(BLINKS)] = LIDS[0] + (LIDS[1] - LIDS[0]) * said[list(BLINKS)]
+    return said
+
+
+def offset_calibration() -> Calibration:
+    """What `pica calibrate` learns of the offset person."""
+    rest, closed = np.zeros((2, NUM_ARKIT), np.float32)
+    closed[list(BLINKS)] = 1.0
+    return calibrate([as_offset_person(rest)], [as_offset_person(closed)])
+
+
+def live_values(
+    source: Source, num_frames: int, person: Person, calibration: Calibration | None
+) -> FloatArray:
+    """The face of a source as a live sender has it, for the moments of `FPS`.
+
+    Args:
+        source: What the person does.
+        num_frames: How many frames.
+        person: What the tracker makes of it.
+        calibration: What is known of the person.
+
+    Returns:
+        float32 ``[T, 52]``; row t is the face as it was seen at t / `FPS` seconds.
+    """
+    face, pushed = LiveFace(calibration), 0
+    values = []
+    for number in range(num_frames):
+        # Asked at the moment at which the face of this frame's time is shown.
+        while True:
+            now = number / FPS + face.delay_s
+            way_s = ARRIVES_AFTER_S[pushed % len(ARRIVES_AFTER_S)]
+            if pushed / TRACKER_FPS + way_s > now and pushed:
+                break
+            seen_s = pushed / TRACKER_FPS
+            frame = source.frame_at(seen_s)
+            sample = TrackerSample(
+                tracker_s=seen_s,
+                arkit=person(frame.arkit),
+                rotation=frame.rotation,
+                has_face=frame.has_face,
+            )
+            face.push(sample, seen_s + way_s)
+            pushed += 1
+        values.append(face.face_at(now).arkit)
+    return np.stack(values)
+
+
+def values_of(source: Source, num_frames: int) -> FloatArray:
+    """What a source does at the moments of `FPS`. float32 ``[T, 52]``."""
+    return np.stack([source.frame_at(number / FPS).arkit for number in range(num_frames)])
+
+
+def shown_latents(avatar: Avatar, arkit: FloatArray, *, coded: bool) -> FloatArray:
+    """What a receiver decodes of values.
+
+    Args:
+        avatar: Whose face it becomes.
+        arkit: One row a frame. float32 ``[T, 52]``.
+        coded: Through the avatar's latent stream.
+
+    Returns:
+        float32 ``[T, 8, 8, 4]``.
+
+    Raises:
+        ProfileError: The avatar has no stream profile.
+    """
+    latents = ExpressionEncoder(avatar).encode(arkit)
+    if not coded:
+        return latents
+    profile = avatar.stream_profile()
+    if profile is None:
+        raise ProfileError("the avatar has no stream profile; `pica export` learns one")
+    still = np.zeros(3, np.float32)
+    samples = [LatentSample(latent=each, rotation=still, translation_m=still) for each in latents]
+    coded_take = code_stream(profile, StreamConfig(fps=FPS), 2, Take(arkit, samples))
+    return np.stack([sample.latent for sample in coded_take.shown])
+
+
+STAGES: Final = ("driver", "codec", "live", "offset", "calibrated")
+
+
+def stage_values(stage: str, source: Source, num_frames: int) -> FloatArray:
+    """The values that a stage hands to the expression encoder. float32 ``[T, 52]``."""
+    match stage:
+        case "live":
+            return live_values(source, num_frames, np.copy, None)
+        case "offset":
+            return live_values(source, num_frames, as_offset_person, None)
+        case "calibrated":
+            return live_values(source, num_frames, as_offset_person, offset_calibration())
+        case _:
+            return values_of(source, num_frames)

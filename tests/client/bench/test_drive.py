@@ -1,0 +1,101 @@
+"""An avatar under live drive, beside the head itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pica_client.avatars.library import AvatarLibrary
+from pica_client.bench.drive import DriveBenchConfig, part_map, read_parts, run_drive_bench
+from pica_client.bench.driven import (
+    LIDS,
+    OFFSET,
+    as_offset_person,
+    live_values,
+    offset_calibration,
+    values_of,
+)
+from pica_client.errors import OptionError
+from pica_client.sources import open_source
+from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
+from pica_core.capture.dataset.files import Topology
+from pica_core.capture.procedural.heads import make_head
+from pica_core.reference.face_errors import vertex_parts
+
+pytestmark = pytest.mark.render
+
+ROWS = ("avatar", "source", "stage", "level", "mse", "p95_mse", "lid_mm", "lip_mm", "poke_ratio")
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
+    folder = tmp_path_factory.mktemp("worst")
+    library = AvatarLibrary()
+    sam = library.load(library.find("sam"))
+    library.close()
+    config = DriveBenchConfig(
+        sources=("performance:talk",),
+        stages=("driver", "offset", "calibrated"),
+        seconds=3.0,
+        moments=2,
+        image_size=128,
+        worst=folder,
+        num_worst=1,
+    )
+    return run_drive_bench(config, [sam]), folder
+
+
+def test_every_stage_and_level_has_a_row_and_a_picture(
+    result: tuple[dict[str, Any], Path],
+) -> None:
+    rows, folder = result[0]["rows"], result[1]
+    assert len(rows) == 3 * 3 == len(list(folder.glob("*.png")))
+    assert all(set(ROWS) <= set(row) for row in rows)
+    assert all(row["lid_mm"] < 1 and row["poke_ratio"] < 0.05 for row in rows)
+
+
+def test_calibration_takes_most_of_an_offset_person_s_error_away(
+    result: tuple[dict[str, Any], Path],
+) -> None:
+    rows = {(row["stage"], row["level"]): row for row in result[0]["rows"]}
+    for level in (64, 128, 256):
+        offset, calibrated = (rows[stage, level] for stage in ("offset", "calibrated"))
+        driver = rows["driver", level]
+        assert calibrated["mse"] - driver["mse"] < 0.5 * (offset["mse"] - driver["mse"])
+        assert calibrated["lip_mm"] < 0.6 * offset["lip_mm"]
+
+
+def test_an_offset_person_is_at_rest_after_calibration_and_still_blinks() -> None:
+    rest, closed = np.zeros((2, NUM_ARKIT), np.float32)
+    closed[ARKIT_INDEX["eyeBlinkLeft"]] = closed[ARKIT_INDEX["eyeBlinkRight"]] = 1
+    said = as_offset_person(rest)
+    assert said[ARKIT_INDEX["mouthSmileLeft"]] == pytest.approx(OFFSET)
+    assert said[ARKIT_INDEX["eyeBlinkRight"]] == pytest.approx(LIDS[0])
+    calibration = offset_calibration()
+    assert calibration.apply(said) == pytest.approx(rest, abs=1e-6)
+    assert calibration.apply(as_offset_person(closed)) == pytest.approx(closed, abs=1e-6)
+
+
+def test_a_perfect_tracker_s_live_face_is_the_source_but_for_smoothing() -> None:
+    wanted = values_of(open_source("performance:talk"), 90)
+    found = live_values(open_source("performance:talk"), 90, np.copy, None)
+    assert found.shape == wanted.shape
+    # The first sample comes in from rest over 0.4 s.
+    assert 0 < np.abs(found - wanted)[15:].mean() < 0.02
+    jaw = ARKIT_INDEX["jawOpen"]
+    assert np.corrcoef(found[15:, jaw], wanted[15:, jaw])[0, 1] > 0.9
+
+
+def test_the_map_of_parts_says_of_every_vertex_what_it_is() -> None:
+    head = make_head("S1")
+    topology = Topology(vertex_uv=head.vertex_uv, faces=head.faces, regions=head.regions)
+    found = read_parts(part_map(topology), head.vertex_uv)
+    assert (found == vertex_parts(head.regions, head.num_vertices)).mean() > 0.97
+
+
+def test_settings_that_cannot_be_are_refused() -> None:
+    with pytest.raises(OptionError, match="stage 'loud' is unknown"):
+        DriveBenchConfig(stages=("loud",))
