@@ -21,6 +21,7 @@ FILES = {
     "11_train_a_little": ["nobody.pica"],
     "12_look_into_an_avatar_file": ["somebody.pica"],
     "13_import_a_rig": ["rig.png"],
+    "19_five_trackers": ["five.png"],
 }
 """What each example writes into the folder that it is given; the others write nothing."""
 PATIENCE_S = 120.0

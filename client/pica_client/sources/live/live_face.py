@@ -27,6 +27,9 @@ EASE_S: Final = 0.4
 """How long it then takes to come to rest, and later to come back."""
 MAX_DELAY_S: Final = 0.08
 """Longest wait for a sample that is late; beyond it the face stands still for a moment."""
+MAX_WAY_S: Final = 0.15
+"""A sample is not taken for older than this when it arrives: clocks that count frames fall behind,
+if fewer frames are made than the tracker says, and a face that comes is not lost."""
 CLOCK_JUMP_S: Final = 1.0
 """A tracker's clock that is this far off has been set anew."""
 KEPT_SAMPLES: Final = 64
@@ -168,7 +171,7 @@ class LiveFace:
             self.counters.clock_jumps += 1
             self._ways_s.clear()
         self._ways_s.append(way_s)
-        return tracker_s + min(self._ways_s)
+        return max(tracker_s + min(self._ways_s), arrived_s - MAX_WAY_S)
 
 
 def _eased(share: float) -> float:

@@ -65,13 +65,15 @@ def parse_live(kind: str, rest: str) -> UdpOptions:
     """
     if kind in REQUESTS:
         try:
-            phone = str(ipaddress.IPv4Address(rest))
+            phone = ipaddress.IPv4Address(rest)
         except ValueError:
             raise SourceError(
                 f"{kind}:{rest} needs the phone's address, which the app shows: {kind}:192.168.0.7"
             ) from None
         request = REQUESTS[kind]
-        return UdpOptions(kind, request.port, phone=phone, request=request)
+        # A program that plays the phone on this machine has the same port, at another address.
+        host = "127.0.0.1" if phone.is_loopback else "0.0.0.0"
+        return UdpOptions(kind, request.port, phone=str(phone), request=request, host=host)
     place, _, subject = rest.partition("/")
     host, colon, port = place.rpartition(":")
     usual = livelink.DEFAULT_PORT if kind == "livelink" else vmc.DEFAULT_PORT

@@ -124,6 +124,18 @@ def test_a_tracker_whose_clock_is_set_anew_goes_on() -> None:
     assert face.face_at(2.0).arkit[JAW] == pytest.approx(0.6, abs=0.02)
 
 
+@pytest.mark.parametrize("pace", [0.5, 0.88, 1.1])
+def test_a_tracker_that_counts_frames_and_makes_fewer_is_not_lost(pace: float) -> None:
+    face, lost = LiveFace(), 0
+    for index in range(900):
+        arrived_s = index * STEP_S / pace
+        sample = TrackerSample(tracker_s=index * STEP_S, arkit=values(jawOpen=0.5))
+        face.push(sample, arrived_s)
+        lost += not face.face_at(arrived_s + 0.01).has_face
+    assert lost <= 1
+    assert face.face_at(arrived_s + 0.02).arkit[JAW] == pytest.approx(0.5, abs=0.02)
+
+
 def test_gaze_rests_while_both_eyes_are_closed() -> None:
     face, gaze = LiveFace(), ARKIT_INDEX["eyeLookUpLeft"]
     feed(face, 0, 30, eyeLookUpLeft=0.4)

@@ -1,0 +1,184 @@
+"""How long a tracker's sample takes from our socket to the relay's, for each protocol.
+
+python scripts/live_latency.py --seconds 30       prints a table, then JSON
+
+The phone is a process that sends a talking face 60 times a second over loopback; the relay is
+another. What is measured is the sender itself, with its own threads, sockets and clock:
+
+    take_ms     datagram at our socket -> smoothed sample, ready to be shown
+    send_ms     the frame is due -> its bytes are with the system's socket
+    path_ms     both together, of the newest sample that the frame is made of
+    wait_ms     what that sample waited in between: for the sample after the moment that is shown,
+                and for the next frame to be due. The price of even motion at the stream's rate
+    delay_ms    how much later than it was seen a face is shown, as the live face states it
+
+Smoothing is not in it: how late it makes a movement is in docs/trackers.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import socket
+import subprocess
+import sys
+import time
+from bisect import bisect_right
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "scripts")]
+
+from record_result import load_now  # noqa: E402
+
+from helpers import tracker_packets  # noqa: E402
+from pica_client.avatars.library import AvatarLibrary  # noqa: E402
+from pica_client.local_call.processes import Children  # noqa: E402
+from pica_client.publish.sender import Sender, SenderConfig  # noqa: E402
+from pica_client.sources import open_source  # noqa: E402
+from pica_client.sources.live.live_face import LiveFace  # noqa: E402
+from pica_client.sources.live.opening import LIVE_KINDS, decoder_of  # noqa: E402
+from pica_client.sources.live.sample import TrackerSample  # noqa: E402
+from pica_client.sources.live.udp import UdpOptions, UdpTracker  # noqa: E402
+from pica_client.transport.config import LinkConfig  # noqa: E402
+from pica_client.transport.connect import RelayWebsocket, open_websocket  # noqa: E402
+from pica_core.avatar.arkit import ARKIT_NAMES, ExpressionFrame  # noqa: E402
+
+TRACKER_FPS = 60
+WARM_UP_S = 2.0
+
+
+def play_phone(kind: str, port: int, seconds: float) -> None:
+    """Send a talking face to a port of this machine."""
+    source, begin_s = open_source("performance:talk"), time.monotonic()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as phone:
+        for frame in range(round(seconds * TRACKER_FPS)):
+            arkit = source.frame_at(frame / TRACKER_FPS).arkit.tolist()
+            packet = tracker_packets.packet_of(
+                kind, dict(zip(ARKIT_NAMES, arkit, strict=True)), frame, TRACKER_FPS
+            )
+            time.sleep(max(begin_s + frame / TRACKER_FPS - time.monotonic(), 0.0))
+            phone.sendto(packet, ("127.0.0.1", port))
+
+
+class Times:
+    """Gathers the times of one sender; source and websocket report to it."""
+
+    def __init__(self) -> None:
+        self.arrived_s: list[float] = []
+        self.took_s: list[float] = []
+        self.frames: list[tuple[float, float, float, float]] = []
+        self._asked: tuple[float, float, float] | None = None
+
+    def tap(self, sample: TrackerSample, arrived_s: float, process_s: float) -> None:
+        """A sample is ready."""
+        self.took_s.append(process_s)
+        self.arrived_s.append(arrived_s)
+
+    def watch(self, tracker: UdpTracker) -> None:
+        """Note when a face is asked for, and the newest sample at that time."""
+        show = tracker.frame_at
+
+        def frame_at(time_s: float) -> ExpressionFrame:
+            now, frame = time.monotonic(), show(time_s)
+            newest = bisect_right(self.arrived_s, now) - 1
+            if frame.has_face and newest >= 0:
+                self._asked = now, self.arrived_s[newest], self.took_s[newest]
+            return frame
+
+        tracker.frame_at = frame_at  # type: ignore[method-assign]
+
+    async def connect(self, url: str) -> RelayWebsocket:
+        """A websocket that notes when what it was given is with the system."""
+        websocket = await open_websocket(url)
+        send = websocket.send
+
+        async def timed(message: Any, *rest: Any) -> None:
+            await send(message, *rest)
+            if self._asked is not None:
+                self.frames.append((*self._asked, time.monotonic()))
+                self._asked = None
+
+        websocket.send = timed  # type: ignore[method-assign, assignment]
+        return websocket
+
+
+def measure(kind: str, seconds: float, url: str, library: AvatarLibrary) -> dict[str, Any]:
+    """One protocol's figures."""
+    times, face = Times(), LiveFace()
+    tracker = UdpTracker(UdpOptions(kind, 0, host="127.0.0.1"), decoder_of(kind), face, times.tap)
+    times.watch(tracker)
+    total_s = seconds + WARM_UP_S
+    arguments = ["--phone", kind, "--port", str(tracker.port), "--seconds", f"{total_s + 2}"]
+    phone = subprocess.Popen([sys.executable, __file__, *arguments])
+    name = library.names[0]
+    sender = Sender(
+        SenderConfig(seconds=total_s),
+        LinkConfig(url=url, name=kind),
+        tracker,
+        library.load(library.find(name)),
+        library.find(name),
+        connector=times.connect,
+    )
+    try:
+        stats = asyncio.run(sender.run())
+    finally:
+        phone.terminate()
+        phone.wait()
+    kept = np.array(times.frames[round(WARM_UP_S * 30) :])
+    due_s, arrived_s, took_s, sent_s = kept.T
+    return {
+        "protocol": kind,
+        "samples": len(times.took_s),
+        "frames": len(kept),
+        "take_ms": _ms(times.took_s),
+        "send_ms": _ms(sent_s - due_s),
+        "path_ms": _ms(took_s + sent_s - due_s),
+        "wait_ms": _ms(np.maximum(due_s - arrived_s - took_s, 0)),
+        "delay_ms": round(face.delay_s * 1e3, 1),
+        "skipped": stats["skipped"],
+    }
+
+
+def _ms(values_s: Any) -> dict[str, float]:
+    values_ms = np.asarray(values_s) * 1e3
+    return {
+        name: round(float(np.percentile(values_ms, at)), 2)
+        for name, at in (("p50", 50), ("p99", 99), ("max", 100))
+    }
+
+
+def main() -> None:
+    """Read the command line, measure each protocol in turn."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=30.0, help="measured, each protocol")
+    parser.add_argument("--phone", help=argparse.SUPPRESS)
+    parser.add_argument("--port", type=int, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.phone:
+        play_phone(options.phone, options.port, options.seconds)
+        return
+    library, load = AvatarLibrary(), load_now()
+    with Children() as children:
+        _, url = children.start_relay()
+        rows = [measure(kind, options.seconds, url, library) for kind in LIVE_KINDS]
+    library.close()
+    names = ("take", "send", "path")
+    heads = " | ".join(f"{name} p50 / p99" for name in names)
+    print(f"| protocol | frames | {heads} | waits p50 | delay |")
+    print("|---|---|---|---|---|---|---|")
+    for row in rows:
+        cells = [f"{row[f'{name}_ms']['p50']} / {row[f'{name}_ms']['p99']}" for name in names]
+        print(
+            f"| {row['protocol']} | {row['frames']} | {' | '.join(cells)} "
+            f"| {row['wait_ms']['p50']} | {row['delay_ms']} |"
+        )
+    print(json.dumps({"load_before": load, "rows": rows}))
+
+
+if __name__ == "__main__":
+    main()
