@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from tyro.conf import Positional
 
 from pica_client.errors import OptionError, SourceError
 from pica_client.output import check_writable, say
+from pica_client.sources.live.calibration import MAX_GAIN
 from pica_client.sources.live.calibration import calibrate as calibration_of_samples
 from pica_client.sources.live.opening import LIVE_HELP, LIVE_KINDS, open_live
 from pica_client.sources.live.report import TrackReport
@@ -53,6 +54,9 @@ class CalibrateOptions:
     """How long to look at the face at rest."""
     eyes_closed: float = 2.0
     """How long to look at closed eyes after that; 0 leaves it out."""
+    gain: float = 1.0
+    """Stronger movements of all but lids and gaze, 1 to 2: shapes are multiplied by it and stay
+    within 1. It makes what the tracker takes for a movement stronger, too."""
     wait: float = 30.0
     """How long to wait for the first face, seconds."""
 
@@ -99,6 +103,8 @@ def calibrate(options: CalibrateOptions) -> dict[str, Any]:
     """
     if not options.seconds > 0:
         raise OptionError(f"seconds is {options.seconds:g}; above 0 is needed")
+    if not 1 <= options.gain <= MAX_GAIN:
+        raise OptionError(f"gain is {options.gain:g}; 1 (off) to {MAX_GAIN:g} is allowed")
     samples: list[FloatArray] = []
 
     def tap(sample: TrackerSample, arrived_s: float, process_s: float) -> None:
@@ -120,7 +126,7 @@ def calibrate(options: CalibrateOptions) -> dict[str, Any]:
             time.sleep(1.0)
             closed = gather(options.eyes_closed)
             say("open them again")
-    calibration = calibration_of_samples(at_rest, closed)
+    calibration = replace(calibration_of_samples(at_rest, closed), gain=options.gain)
     kind, _ = split_source(options.source)
     path = calibrations().save(options.name, kind, calibration)
     taken = {
@@ -135,6 +141,7 @@ def calibrate(options: CalibrateOptions) -> dict[str, Any]:
         "neutral": taken,
         "lid_open": list(calibration.lid_open),
         "lid_closed": list(calibration.lid_closed),
+        "gain": calibration.gain,
     }
 
 

@@ -4,8 +4,9 @@
 
 Values are whole numbers of 0 to 100, with ``-`` or ``&`` before them; sides are ``_L`` and ``_R``,
 or ``Left`` and ``Right``; angles are degrees. The phone's request is sent again when it falls
-silent. Of the head only the rotation is used: pitch about +x, yaw about +y, roll about +z, which
-could not be held against the apps themselves.
+silent. The head's rotation is pitch about +x, yaw about +y, roll about +z; its place is ARKit's,
+metres, +x to the right of the camera, which is the subject's left, +y up, +z towards the camera.
+Neither could be held against the apps themselves.
 """
 
 import math
@@ -26,6 +27,8 @@ from pica_core.types import FloatArray
 
 MAX_BYTES: Final = 8192
 """Longest line (chosen: the apps send about 1.5 kB)."""
+FARTHEST_M: Final = 10.0
+"""A head further from its phone is none, and has another unit."""
 _ITEM: Final = re.compile(r"(\w+)[&-](-?\d+(?:\.\d+)?)")
 
 
@@ -67,7 +70,8 @@ def decode(packet: bytes) -> TrackerSample:
     arkit = arkit_from_names(values)
     if not equals or np.isnan(arkit).all():
         raise PacketError("not a line of iFacialMocap")
-    return TrackerSample(arkit=arkit, rotation=_head(bones))
+    rotation, place_m = _head(bones)
+    return TrackerSample(arkit=arkit, rotation=rotation, place_m=place_m)
 
 
 def _arkit_name(name: str) -> str:
@@ -75,12 +79,14 @@ def _arkit_name(name: str) -> str:
     return name[:-2] + sides[name[-2:]] if name[-2:] in sides else name
 
 
-def _head(bones: str) -> FloatArray:
+def _head(bones: str) -> tuple[FloatArray, FloatArray | None]:
+    """Rotation vector and place of the head."""
     for bone in bones.split("|"):
         name, _, numbers = bone.partition("#")
         if name == "head":
             try:
-                pitch, yaw, roll = (math.radians(float(each)) for each in numbers.split(",")[:3])
+                values = [float(each) for each in numbers.split(",")[:6]]
+                pitch, yaw, roll = np.radians(values[:3])
             except ValueError as error:
                 raise PacketError("a head without angles") from error
             if not all(abs(angle) <= 2 * math.pi for angle in (pitch, yaw, roll)):
@@ -88,5 +94,7 @@ def _head(bones: str) -> FloatArray:
             turned: FloatArray = rotation_vector_from_yaw_pitch_roll(
                 np.array([[yaw, pitch, roll]])
             )[0]
-            return turned
-    return np.zeros(3, np.float32)
+            place_m = np.array(values[3:], np.float32)
+            is_place = len(place_m) == 3 and bool((np.abs(place_m) <= FARTHEST_M).all())
+            return turned, place_m if is_place and place_m.any() else None
+    return np.zeros(3, np.float32), None

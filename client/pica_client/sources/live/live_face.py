@@ -17,6 +17,7 @@ import numpy as np
 from pica_client.playout.rotation import blend_rotations
 from pica_client.sources.live.calibration import Calibration
 from pica_client.sources.live.sample import TrackerSample
+from pica_client.sources.live.seat import Seat
 from pica_client.sources.live.smoothing import Smoother
 from pica_core.avatar.arkit import NUM_ARKIT, ExpressionFrame
 from pica_core.types import FloatArray
@@ -51,13 +52,15 @@ class LiveCounters:
 class _Pose:
     arkit: FloatArray
     rotation: FloatArray
+    offset_m: FloatArray
 
     def towards(self, other: "_Pose", weight: float) -> "_Pose":
         mixed = self.arkit + np.float32(weight) * (other.arkit - self.arkit)
-        return _Pose(mixed, blend_rotations(self.rotation, other.rotation, weight))
+        offset_m = self.offset_m + np.float32(weight) * (other.offset_m - self.offset_m)
+        return _Pose(mixed, blend_rotations(self.rotation, other.rotation, weight), offset_m)
 
 
-_REST = _Pose(np.zeros(NUM_ARKIT, np.float32), np.zeros(3, np.float32))
+_REST = _Pose(*(np.zeros(count, np.float32) for count in (NUM_ARKIT, 3, 3)))
 
 
 class LiveFace:
@@ -71,7 +74,7 @@ class LiveFace:
     def __init__(self, calibration: Calibration | None = None) -> None:
         self.counters = LiveCounters()
         self.calibration = calibration or Calibration()
-        self._smoother = Smoother()
+        self._smoother, self._seat = Smoother(), Seat()
         self._times_s: deque[float] = deque(maxlen=KEPT_SAMPLES)
         self._poses: deque[_Pose] = deque(maxlen=KEPT_SAMPLES)
         self._ways_s: deque[float] = deque(maxlen=4 * KEPT_SAMPLES)
@@ -101,11 +104,14 @@ class LiveFace:
         gap_s = seen_s - self._times_s[-1] if self._times_s else np.inf
         if gap_s > HOLD_S or self._lost_s is not None:
             self._smoother.reset()
+            self._seat.reset()
             self._returned_s = seen_s
         self._lost_s = None
         arkit = self.calibration.apply(np.nan_to_num(sample.arkit, nan=0.0))
         step_s = min(gap_s, HOLD_S)
-        self._poses.append(_Pose(*self._smoother.smooth(arkit, sample.rotation, step_s)))
+        offset_m = self._seat.offset_m(sample.place_m, step_s)
+        pose = self._smoother.smooth(arkit, sample.rotation, offset_m, step_s)
+        self._poses.append(_Pose(*pose))
         self._times_s.append(seen_s)
         # Shown by the time that the next one is there, a moment has waited for so long.
         self._waits_s.append(min(arrived_s - seen_s + gap_s, MAX_DELAY_S))
@@ -133,6 +139,7 @@ class LiveFace:
             captured_us=round(shown_s * 1e6),
             arkit=self._shown.arkit,
             rotation=self._shown.rotation,
+            translation_m=self._shown.offset_m,
             has_face=pose is not None,
         )
 

@@ -26,6 +26,9 @@ class TrackerSample:
         arkit: Blendshape values in `ARKIT_NAMES` order; NaN where the tracker sends none. float32
             ``[52]``.
         rotation: Head rotation vector, radians, head frame. float32 ``[3]``.
+        place_m: Where the head is before the tracker, metres, axes of a head that looks at it (+x
+            the subject's left, +y up, +z towards the tracker); None if the tracker does not say.
+            float32 ``[3]``.
         has_face: False while the tracker sees nobody.
         subject: Whose face it is, as the tracker calls it.
     """
@@ -33,6 +36,7 @@ class TrackerSample:
     tracker_s: float | None = None
     arkit: FloatArray = field(default_factory=lambda: np.full(NUM_ARKIT, np.nan, np.float32))
     rotation: FloatArray = field(default_factory=lambda: np.zeros(3, np.float32))
+    place_m: FloatArray | None = None
     has_face: bool = True
     subject: str = ""
 

@@ -21,6 +21,8 @@ REGIONS: Final[dict[tuple[str, ...], tuple[float, float]]] = {
 """Least cutoff in hertz, and what a unit a second adds to it, by how the names begin."""
 HEAD: Final = (2.0, 4.0)
 """The same for the rotation vector of the head, radians."""
+OFFSET: Final = (2.0, 20.0)
+"""The same for the head's offset from its seat, metres."""
 BLINKS: Final = (ARKIT_INDEX["eyeBlinkLeft"], ARKIT_INDEX["eyeBlinkRight"])
 GAZE: Final[BoolArray] = np.array([name.startswith("eyeLook") for name in ARKIT_NAMES])
 CLOSED: Final = 0.5
@@ -31,11 +33,11 @@ def _of_shape(name: str) -> tuple[float, float]:
     return next(each for starts, each in REGIONS.items() if name.startswith(starts))
 
 
-_CUTOFF_HZ, _SPEED_FACTOR = np.array([*map(_of_shape, ARKIT_NAMES), HEAD, HEAD, HEAD]).T
+_CUTOFF_HZ, _SPEED_FACTOR = np.array([*map(_of_shape, ARKIT_NAMES), *[HEAD] * 3, *[OFFSET] * 3]).T
 
 
 class Smoother:
-    """The filter's state, for the 52 shapes and the head's rotation vector."""
+    """The filter's state, for the 52 shapes and the head's rotation vector and offset."""
 
     def __init__(self) -> None:
         self._value: Float64Array | None = None
@@ -47,19 +49,20 @@ class Smoother:
         self._value = None
 
     def smooth(
-        self, arkit: FloatArray, rotation: FloatArray, step_s: float
-    ) -> tuple[FloatArray, FloatArray]:
+        self, arkit: FloatArray, rotation: FloatArray, offset_m: FloatArray, step_s: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Filter the next sample.
 
         Args:
             arkit: Values, finite. float32 ``[52]``.
             rotation: Rotation vector. float32 ``[3]``.
+            offset_m: Offset from the seat. float32 ``[3]``.
             step_s: Time since the sample before, above 0.
 
         Returns:
             The same, filtered; the gaze rests while both eyes are closed.
         """
-        raw = np.concatenate((arkit, rotation)).astype(np.float64)
+        raw = np.concatenate((arkit, rotation, offset_m)).astype(np.float64)
         count = len(arkit)
         if self._value is None:
             self._value, self._speed = raw, np.zeros_like(raw)
@@ -74,7 +77,7 @@ class Smoother:
             smoothed[:count][GAZE] = self._gaze
         else:
             self._gaze = self._value[:count][GAZE]
-        return smoothed[:count], smoothed[count:]
+        return smoothed[:count], smoothed[count : count + 3], smoothed[count + 3 :]
 
 
 def _share(cutoff_hz: Float64Array | float, step_s: float) -> Float64Array | float:

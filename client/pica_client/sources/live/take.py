@@ -8,7 +8,7 @@ clock.
 import zipfile
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -24,6 +24,7 @@ FORMAT: Final = "pica take 1"
 MAX_SAMPLES: Final = 1_000_000
 """Longest take (chosen: 4.6 hours at 60 a second)."""
 MIN_LOOP_GAP_S: Final = 0.02
+_NOWHERE: Final[FloatArray] = np.full(3, np.nan, np.float32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +37,8 @@ class Take:
         arkit: Values, NaN where the tracker sent none. float32 ``[T, 52]``.
         rotation: Head rotation vectors, radians. float32 ``[T, 3]``.
         has_face: Whether the tracker saw somebody. bool ``[T]``.
+        place_m: Where the head was, NaN where the tracker did not say, as in takes that were made
+            before it was kept. float32 ``[T, 3]``.
     """
 
     arrived_s: Float64Array
@@ -43,14 +46,16 @@ class Take:
     arkit: FloatArray
     rotation: FloatArray
     has_face: BoolArray
+    place_m: FloatArray
 
     def sample(self, index: int) -> TrackerSample:
         """One of the samples."""
-        tracker_s = float(self.tracker_s[index])
+        tracker_s, place_m = float(self.tracker_s[index]), self.place_m[index]
         return TrackerSample(
             tracker_s=None if np.isnan(tracker_s) else tracker_s,
             arkit=self.arkit[index],
             rotation=self.rotation[index],
+            place_m=None if np.isnan(place_m).any() else place_m,
             has_face=bool(self.has_face[index]),
         )
 
@@ -87,6 +92,9 @@ class TakeRecorder:
                     arkit=np.stack([each.arkit for each in samples]),
                     rotation=np.stack([each.rotation for each in samples]),
                     has_face=np.array([each.has_face for each in samples]),
+                    place_m=np.stack(
+                        [_NOWHERE if each.place_m is None else each.place_m for each in samples]
+                    ),
                 )
         except OSError as error:
             raise SourceError(f"{path}: cannot be written: {error.strerror}") from error
@@ -102,7 +110,9 @@ def load_take(path: Path) -> Take:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             if str(archive["format"]) != FORMAT:
                 raise SourceError(f"{path}: is a take of another version")
-            take = Take(**{name: archive[name] for name in Take.__dataclass_fields__})
+            arrays: dict[str, Any] = dict(archive)
+            arrays.setdefault("place_m", np.tile(_NOWHERE, (len(arrays["rotation"]), 1)))
+            take = Take(**{name: arrays[name] for name in Take.__dataclass_fields__})
     except OSError as error:
         raise SourceError(f"{path}: cannot be read ({error.strerror or error})") from error
     except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
@@ -114,6 +124,7 @@ def load_take(path: Path) -> Take:
         "arkit": ((count, NUM_ARKIT), np.float32),
         "rotation": ((count, 3), np.float32),
         "has_face": ((count,), np.bool_),
+        "place_m": ((count, 3), np.float32),
     }
     for name, (shape, kind) in wanted.items():
         array = getattr(take, name)
@@ -121,9 +132,11 @@ def load_take(path: Path) -> Take:
             raise SourceError(f"{path}: {name} is {array.dtype} {array.shape}; the file is no take")
     if not (np.diff(take.arrived_s) >= 0).all() or take.arrived_s[0] != 0:
         raise SourceError(f"{path}: arrived_s must begin at 0 and not fall")
-    sane = np.nan_to_num(take.arkit, nan=0.0), take.rotation, np.nan_to_num(take.tracker_s)
-    if not all(np.isfinite(each).all() for each in sane) or np.abs(sane[0]).max() > VALUE_LIMIT:
-        raise SourceError(f"{path}: a value is infinite, or beyond ±{VALUE_LIMIT:g}")
+    numbers = (take.arkit, take.rotation, take.tracker_s, take.place_m)
+    if np.isnan(take.rotation).any() or any(np.isinf(each).any() for each in numbers):
+        raise SourceError(f"{path}: a value is infinite, or no number")
+    if np.abs(np.nan_to_num(take.arkit)).max() > VALUE_LIMIT:
+        raise SourceError(f"{path}: a value lies outside ±{VALUE_LIMIT:g}")
     return take
 
 

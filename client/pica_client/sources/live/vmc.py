@@ -2,7 +2,9 @@
 
 Blendshapes come one a message and hold from ``/VMC/Ext/Blend/Apply`` on. Perfect Sync gives them
 ARKit's names, in any case; a plain VRM model has vowels, blinks and moods, which are translated.
-Bones are Unity's, left-handed with the subject's left at -x: mirrored in x they are ours.
+Bones are Unity's, left-handed with the subject's left at -x: mirrored in x they are ours. Bones of
+the eyes are the gaze of a model that has no ARKit shapes for it. Places of bones are offsets within
+the model, and say nothing of where the head is.
 """
 
 import logging
@@ -22,6 +24,7 @@ from pica_client.sources.live.sample import (
     TrackerSample,
     arkit_from_names,
 )
+from pica_core.capture.stage.gaze import EYE_PITCH_DOWN, EYE_PITCH_UP, EYE_YAW
 from pica_core.types import FloatArray
 
 # The library writes a line to the root logger for each damaged datagram, with what stood in it:
@@ -59,6 +62,9 @@ VRM_SHAPES: Final[dict[str, dict[str, float]]] = {
 }
 """What a plain VRM expression at 1 is in ARKit's shapes, by its name in lower case; chosen by
 eye."""
+EYES: Final = {"LeftEye": ("Left", 1.0), "RightEye": ("Right", -1.0)}
+"""Bones of the eyes: their shapes' side, and the sign of a turn outwards."""
+BONES: Final = ("Head", "Neck", *EYES)
 MAX_NAMES: Final = 512
 """Names kept of one sender; who sends more is no face."""
 
@@ -86,7 +92,7 @@ class VmcDecoder:
             match message.address, message.params:
                 case "/VMC/Ext/Blend/Val", [str(name), float(value), *_]:
                     self._take_value(name, value)
-                case "/VMC/Ext/Bone/Pos", [str(name), *numbers] if name in ("Head", "Neck"):
+                case "/VMC/Ext/Bone/Pos", [str(name), *numbers] if name in BONES:
                     self._turns[name] = _rotation(numbers)
                 case "/VMC/Ext/T", [float(seconds), *_] if math.isfinite(seconds):
                     self._tracker_s = seconds
@@ -107,10 +113,27 @@ class VmcDecoder:
         values = {name.lower(): value for name, value in self._values.items()}
         if INDEX_BY_FOLDED_NAME.keys().isdisjoint(values):
             values = _from_vrm(values)
+        if not any(name.startswith("eyelook") for name in values):
+            values |= self._gaze()
         rotation = turned(self._turns.get("Head", _STILL), self._turns.get("Neck", _STILL))
         return TrackerSample(
             tracker_s=self._tracker_s, arkit=arkit_from_names(values), rotation=rotation
         )
+
+    def _gaze(self) -> dict[str, float]:
+        """ARKit's look shapes of the eyes' bones, as far as there are such."""
+        shapes: dict[str, float] = {}
+        for bone, (side, outwards) in EYES.items():
+            if bone in self._turns:
+                down, left, _ = self._turns[bone].tolist()
+                out = outwards * left / EYE_YAW
+                shapes |= {
+                    f"eyeLookOut{side}": max(out, 0.0),
+                    f"eyeLookIn{side}": max(-out, 0.0),
+                    f"eyeLookUp{side}": max(-down / EYE_PITCH_UP, 0.0),
+                    f"eyeLookDown{side}": max(down / EYE_PITCH_DOWN, 0.0),
+                }
+        return {name: min(value, 1.0) for name, value in shapes.items()}
 
 
 _STILL: Final[FloatArray] = np.zeros(3, np.float32)

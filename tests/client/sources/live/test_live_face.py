@@ -136,6 +136,22 @@ def test_a_tracker_that_counts_frames_and_makes_fewer_is_not_lost(pace: float) -
     assert face.face_at(arrived_s + 0.02).arkit[JAW] == pytest.approx(0.5, abs=0.02)
 
 
+def test_a_head_moves_about_its_seat_no_further_than_a_seat_allows() -> None:
+    face, seen = LiveFace(), []
+    for index in range(120):
+        where = [0.3, 0.0, -0.6] if index < 60 else [0.36, -0.5, -0.6]
+        sample = TrackerSample(
+            tracker_s=index * STEP_S, arkit=values(), place_m=np.array(where, np.float32)
+        )
+        face.push(sample, index * STEP_S + 0.01)
+        seen.append(face.face_at(index * STEP_S + 0.02).translation_m)
+    assert np.abs(seen[59]).max() < 1e-6  # where the chair stands is the seat
+    assert seen[90][0] == pytest.approx(0.06, abs=0.01)
+    assert seen[90][1] == pytest.approx(-0.10, abs=0.01)
+    assert np.abs(np.diff(seen, axis=0)).max() < 0.06  # smoothed, not a snap
+    assert seen[119][0] < seen[90][0]  # the seat follows
+
+
 def test_gaze_rests_while_both_eyes_are_closed() -> None:
     face, gaze = LiveFace(), ARKIT_INDEX["eyeLookUpLeft"]
     feed(face, 0, 30, eyeLookUpLeft=0.4)

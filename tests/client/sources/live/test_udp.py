@@ -155,6 +155,10 @@ def test_a_take_plays_what_came_and_the_same_each_time(tmp_path: Path) -> None:
     assert max(jaws) > 0.9
     np.testing.assert_allclose(again, jaws, atol=1e-6)
 
+    with np.load(path) as archive:  # as takes were before they kept the head's place
+        np.savez(path.with_suffix(".npz"), **{k: v for k, v in archive.items() if k != "place_m"})
+    assert load_take(path.with_suffix(".npz")).sample(0).place_m is None
+
 
 @pytest.mark.parametrize("content", [b"", b"no archive", b"PK\x03\x04 cut"])
 def test_what_is_no_take_is_refused(tmp_path: Path, content: bytes) -> None:
@@ -210,3 +214,11 @@ def test_a_calibration_out_of_range_is_refused() -> None:
         Calibration(gain=5.0)
     with pytest.raises(SourceError, match="too near"):
         Calibration(lid_closed=(0.1, 0.1))
+
+
+def test_gain_makes_movements_stronger_up_to_one_and_leaves_lids_and_gaze() -> None:
+    arkit = np.zeros(NUM_ARKIT, np.float32)
+    names = ("jawOpen", "mouthSmileLeft", "eyeBlinkLeft", "eyeLookUpLeft")
+    arkit[[ARKIT_INDEX[name] for name in names]] = (0.4, 0.9, 0.4, 0.4)
+    found = Calibration(gain=1.5).apply(arkit)[[ARKIT_INDEX[name] for name in names]]
+    assert found == pytest.approx([0.6, 1.0, 0.4, 0.4])
