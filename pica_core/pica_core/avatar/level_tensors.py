@@ -25,6 +25,7 @@ import numpy as np
 
 from pica_core.avatar.decoder_layers import trunk_channels
 from pica_core.avatar.levels import NUM_DRAWINGS, LevelErrors, level_sizes
+from pica_core.avatar.linear import RANK
 from pica_core.avatar.spec import POSITION_CHANNELS, AvatarSpec
 from pica_core.types import Array, FloatArray
 
@@ -42,8 +43,12 @@ def is_faces(name: str) -> bool:
 
 
 def is_index(name: str) -> bool:
-    """Whether a tensor of an avatar holds whole numbers: triangles, or texels of a trunk."""
-    return is_faces(name) or (name.startswith(PREFIX) and name.endswith(".geometry.texel"))
+    """Whether a tensor of an avatar holds whole numbers: triangles, texels of a trunk, or ranks."""
+    return (
+        name == RANK
+        or is_faces(name)
+        or (name.startswith(PREFIX) and name.endswith(".geometry.texel"))
+    )
 
 
 def sheet_rows(num_vertices: int, level: int) -> int:

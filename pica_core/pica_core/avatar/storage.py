@@ -15,7 +15,7 @@ from pica_core.avatar.level_tensors import is_index
 from pica_core.codec.profile import PREFIX as STREAM_PREFIX
 from pica_core.types import Array
 
-Storage = Literal["f32", "f16", "u8", "u16"]
+Storage = Literal["f32", "f16", "u8", "u16", "s8"]
 
 MAX_MAGNITUDE = 1e6
 """Largest absolute value of any weight: trained ones are below 1e3; sums of products stay finite in
@@ -28,6 +28,9 @@ DEFAULT_STORAGE: Mapping[str, Storage] = MappingProxyType(
         "v_encoding": "f16",
         "geometry.mean": "u16",
         "mesh.vertex_uv": "u16",
+        "linear.mean": "u16",
+        "linear.basis": "s8",
+        "linear.mix": "f16",
     }
 )
 """How `save_avatar` stores these; decoder and encoder weights are fp16, gains 8 bits, the two
@@ -41,7 +44,11 @@ and over a UV 1/64 of a texel, where fp16 would be 60 micrometres and half a tex
 
 Precision = Literal["mixed", "f32", "f16", "u8"]
 """Ways to store a whole avatar: see `storage_of`."""
-_ALWAYS: Mapping[str, Storage] = MappingProxyType({"geometry.mean": "u16", "mesh.vertex_uv": "u16"})
+_ALWAYS: Mapping[str, Storage] = MappingProxyType(
+    {"geometry.mean": "u16", "mesh.vertex_uv": "u16", "linear.mean": "u16", "linear.basis": "s8"}
+)
+SIGNED_STEP = float(np.float32(1 / 127))
+"""Step of "s8": values from -1 to 1 in 8 bits, 0 exactly."""
 
 
 def storage_of(precision: Precision, names: Iterable[str]) -> dict[str, Storage]:
@@ -60,7 +67,8 @@ def storage_of(precision: Precision, names: Iterable[str]) -> dict[str, Storage]
     if precision == "f32":
         return dict.fromkeys(own, "f32")
     weights = [name for name in own if not name.startswith(("xyz.", "pixel."))]
-    return {**dict.fromkeys(weights, precision), **_ALWAYS}
+    stored = {**dict.fromkeys(weights, precision), **_ALWAYS}
+    return {name: kind for name, kind in stored.items() if name in own}
 
 
 def to_storage(
@@ -83,6 +91,10 @@ def to_storage(
         is_short = num_vertices <= 2**16 and array.max() < 2**16
         return array.astype(np.uint16 if is_short else np.int32), None
     kind = kind or _usual(name)
+    if kind == "s8":
+        channels = array.shape[-1]
+        offset = [-128 * SIGNED_STEP] * channels
+        return signed_codes(array), {"scale": [SIGNED_STEP] * channels, "offset": offset}
     if kind in ("u8", "u16"):
         return _to_affine(array, np.uint8 if kind == "u8" else np.uint16)
     return array.astype(np.float32 if kind == "f32" else np.float16), None
@@ -124,6 +136,19 @@ def to_memory(name: str, stored: Array, affine: Any) -> Array:
     if name == "mesh.vertex_uv":  # the rounding of offset + scale * q may step over the edge
         np.clip(memory, 0, 1, out=memory)
     return memory
+
+
+def signed_codes(array: Array) -> Array:
+    """Values from -1 to 1 as bytes 1 to 255, 0 as 128."""
+    codes: Array = (np.rint(array * np.float32(127)) + 128).clip(1, 255).astype(np.uint8)
+    return codes
+
+
+def round_signed(array: Array) -> Array:
+    """Values from -1 to 1 as "s8" gives them back."""
+    step = np.float32(SIGNED_STEP)
+    rounded: Array = -128 * step + step * signed_codes(array).astype(np.float32)
+    return rounded
 
 
 def check_finite(tensors: Mapping[str, Array]) -> None:
