@@ -29,6 +29,7 @@ def main() -> None:
     parser.add_argument("--messages", type=int, default=1_000_000, help="damaged ones, at least")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--round", type=int, default=0, help="where to begin")
+    parser.add_argument("--only", default="", help="one target, as voice")
     parser.add_argument("--no-memory", action="store_true", help="measure no memory: faster")
     parser.add_argument("--record", action="store_true", help="append to docs/results/fuzz.jsonl")
     options = parser.parse_args()
@@ -43,6 +44,7 @@ def main() -> None:
             options.messages,
             seed=options.seed,
             first_round=options.round,
+            only=options.only,
             is_tracing=not options.no_memory,
             tell=tell,
         )

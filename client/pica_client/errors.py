@@ -4,6 +4,7 @@
     ├── OptionError         an option, or a combination of them, that makes no sense
     ├── SourceError         a tracker, recording or performance that cannot be read
     ├── ShaderError         shader text that is wrong, or that a driver does not take
+    ├── VoiceError          sound that cannot be opened, encoded, decoded or played
     ├── AvatarLookupError   an avatar that is neither shipped nor in the given files
     ├── RelayError          the way to the relay
     │   ├── RelayUnreachableError   nobody answers at that address
@@ -31,6 +32,10 @@ class SourceError(ClientError):
 
 class ShaderError(ClientError):
     """Shader text cannot be composed or compiled: names the file, and quotes the driver."""
+
+
+class VoiceError(ClientError):
+    """Sound cannot be used: names the file, device or packet, and the limit or the fix."""
 
 
 class AvatarLookupError(ClientError):

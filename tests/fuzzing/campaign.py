@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-from fuzzing import relay_targets, seal_targets, store_targets, targets
+from fuzzing import relay_targets, seal_targets, store_targets, targets, voice_targets
 from fuzzing.meter import Meter
 from fuzzing.targets import Target
 
@@ -31,6 +31,7 @@ TARGETS: Final[Mapping[str, Target]] = {
     "store file": store_targets.structure,
     "store ranges": store_targets.ranges,
     "cluster messages": store_targets.cluster_messages,
+    "voice": voice_targets.voice,
 }
 
 WEIGHTS: Final[Mapping[str, int]] = {
@@ -62,6 +63,7 @@ def run(
     *,
     seed: int,
     first_round: int = 0,
+    only: str = "",
     is_tracing: bool = True,
     tell: Callable[[int, Meter], None] = lambda number, meter: None,
 ) -> dict[str, Any]:
@@ -71,6 +73,7 @@ def run(
         num_messages: In all; the last round is finished.
         seed: Of everything.
         first_round: Where to begin: a round is the same whatever came before it.
+        only: Throw them at one target alone.
         is_tracing: Whether to measure memory; it costs two thirds of the speed.
         tell: Called after each round.
 
@@ -82,6 +85,7 @@ def run(
     """
     meter = Meter()
     names = [name for name in TARGETS for _ in range(WEIGHTS.get(name, 1))]
+    names = [only] if only else names
     begin_s = time.monotonic()
     if is_tracing:
         gc.collect()

@@ -1,0 +1,216 @@
+"""Opus by libopus itself, through ctypes: 20 ms of mono at 48 kHz in, one packet out, and back.
+
+PyAV's codec context neither conceals lost packets nor reads their redundancy, and its encoder does
+not fall silent. So the library is called directly: that of the system, or else the one that comes
+inside the wheel of PyAV (extra `video`).
+"""
+
+import ctypes
+import ctypes.util
+import importlib.util
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pica_client.errors import VoiceError
+from pica_client.voice.packet import FRAME_SAMPLES, MAX_OPUS_BYTES, SAMPLE_RATE_HZ
+
+FloatArray = NDArray[np.float32]
+
+MIN_BITRATE_BPS: Final = 6_000
+MAX_BITRATE_BPS: Final = 128_000
+EXPECTED_LOSS_PERCENT: Final = 10
+"""What the redundancy is made for (chosen)."""
+_LARGEST_SILENT_BYTES: Final = 2
+"""A packet of the encoder that is no longer need not be sent (opus_encode, DTX)."""
+
+_APPLICATION_VOIP = 2048
+_SIGNAL_VOICE = 3001
+_SET_BITRATE, _SET_INBAND_FEC, _SET_LOSS_PERCENT, _SET_DTX, _SET_SIGNAL = (
+    4002,
+    4012,
+    4014,
+    4016,
+    4024,
+)
+_RESET_STATE = 4028
+_BAD_PACKETS = {-1: "the packet does not hold what it says", -2: "a frame that is too long"}
+
+
+def available() -> str | None:
+    """Say why there is no Opus on this machine; None: there is."""
+    if _library() is not None:
+        return None
+    return "libopus is missing: install libopus0 (Debian) or pip install 'pica-telepresence[video]'"
+
+
+class OpusEncoder:
+    """Turns frames of 20 ms into packets.
+
+    Args:
+        bitrate: Bits a second while somebody speaks.
+        fec: Whether each packet holds the one before it once more, coarsely; for datagrams.
+        dtx: Whether it falls silent with the speaker.
+
+    Raises:
+        VoiceError: There is no libopus, or the bitrate is out of range.
+    """
+
+    def __init__(self, bitrate: int = 24_000, fec: bool = False, dtx: bool = True) -> None:
+        if not MIN_BITRATE_BPS <= bitrate <= MAX_BITRATE_BPS:
+            raise VoiceError(
+                f"bitrate is {bitrate}; {MIN_BITRATE_BPS} to {MAX_BITRATE_BPS} bit/s are allowed"
+            )
+        self._opus = _opened()
+        self._state = _created(self._opus, "encoder", SAMPLE_RATE_HZ, 1, _APPLICATION_VOIP)
+        for request, value in (
+            (_SET_BITRATE, bitrate),
+            (_SET_SIGNAL, _SIGNAL_VOICE),
+            (_SET_DTX, int(dtx)),
+            (_SET_INBAND_FEC, int(fec)),
+            (_SET_LOSS_PERCENT, EXPECTED_LOSS_PERCENT if fec else 0),
+        ):
+            self._opus.opus_encoder_ctl(self._state, request, ctypes.c_int(value))
+        self._packet = ctypes.create_string_buffer(MAX_OPUS_BYTES)
+
+    def encode(self, pcm: FloatArray) -> bytes | None:
+        """Return the packet of the next 20 ms; None where there is nothing to say.
+
+        Args:
+            pcm: Samples in [-1, 1]; what is beyond is clipped. float32 ``[960]``.
+
+        Raises:
+            VoiceError: Another shape, or a sample that is no number.
+        """
+        if pcm.shape != (FRAME_SAMPLES,):
+            raise VoiceError(f"a frame has shape {pcm.shape}; ({FRAME_SAMPLES},) is allowed")
+        samples = np.ascontiguousarray(np.clip(pcm, -1.0, 1.0), dtype=np.float32)
+        if not np.isfinite(samples).all():
+            raise VoiceError("a frame holds a sample that is no number")
+        size = self._opus.opus_encode_float(
+            self._state, samples.ctypes, FRAME_SAMPLES, self._packet, MAX_OPUS_BYTES
+        )
+        if size < 0:
+            raise VoiceError(f"libopus cannot encode a frame: error {size}")
+        return None if size <= _LARGEST_SILENT_BYTES else self._packet.raw[:size]
+
+    def reset(self) -> None:
+        """Forget what came before, as after a mute."""
+        self._opus.opus_encoder_ctl(self._state, _RESET_STATE)
+
+    def __del__(self) -> None:
+        if getattr(self, "_state", None):
+            self._opus.opus_encoder_destroy(self._state)
+
+
+class OpusDecoder:
+    """Turns the packets of one voice into frames of 20 ms.
+
+    Raises:
+        VoiceError: There is no libopus.
+    """
+
+    def __init__(self) -> None:
+        self._opus = _opened()
+        self._state = _created(self._opus, "decoder", SAMPLE_RATE_HZ, 1)
+
+    def decode(self, payload: bytes | None, fec: bool = False) -> FloatArray:
+        """Return the next 20 ms, float32 ``[960]`` in [-1, 1].
+
+        Args:
+            payload: A packet; None: it is lost, and what came before goes on, ever more softly.
+            fec: Take, of this packet, what it holds of the one before it.
+
+        Raises:
+            VoiceError: The packet is none, or not of 20 ms of mono. The decoder stays usable.
+        """
+        if payload is not None and not 1 <= len(payload) <= MAX_OPUS_BYTES:
+            raise VoiceError(
+                f"an Opus packet of {len(payload)} bytes, 1 to {MAX_OPUS_BYTES} are read"
+            )
+        pcm = np.zeros(FRAME_SAMPLES, np.float32)
+        num_samples = self._opus.opus_decode_float(
+            self._state,
+            payload,
+            0 if payload is None else len(payload),
+            pcm.ctypes,
+            FRAME_SAMPLES,
+            int(fec),
+        )
+        if num_samples < 0:
+            why = _BAD_PACKETS.get(num_samples, f"libopus error {num_samples}")
+            raise VoiceError(f"no Opus packet: {why}")
+        if num_samples != FRAME_SAMPLES:
+            raise VoiceError(f"an Opus packet of {num_samples} samples, {FRAME_SAMPLES} are read")
+        return np.clip(np.nan_to_num(pcm, copy=False), -1.0, 1.0)
+
+    def reset(self) -> None:
+        """Forget what came before, as when a voice begins anew."""
+        self._opus.opus_decoder_ctl(self._state, _RESET_STATE)
+
+    def __del__(self) -> None:
+        if getattr(self, "_state", None):
+            self._opus.opus_decoder_destroy(self._state)
+
+
+def _opened() -> Any:
+    library = _library()
+    if library is None:
+        raise VoiceError(str(available()))
+    return library
+
+
+def _created(library: Any, kind: str, *arguments: int) -> ctypes.c_void_p:
+    error = ctypes.c_int()
+    state = getattr(library, f"opus_{kind}_create")(*arguments, ctypes.byref(error))
+    if not state:
+        raise VoiceError(f"libopus makes no {kind}: error {error.value}")
+    return ctypes.c_void_p(state)
+
+
+@cache
+def _library() -> Any:
+    """Return libopus with the types of what we call, or None."""
+    for name in _candidates():
+        try:
+            library = ctypes.CDLL(name)
+            _declare(library)
+        except (OSError, AttributeError):  # not there, or not what its name says
+            continue
+        return library
+    return None
+
+
+def _candidates() -> list[str]:
+    """Where libopus may be: as the system names it, then beside and inside of PyAV."""
+    names = [ctypes.util.find_library("opus") or ""]
+    names += ["opus.dll"] if sys.platform == "win32" else ["libopus.so.0", "libopus.0.dylib"]
+    spec = importlib.util.find_spec("av")
+    if spec is not None and spec.origin is not None:
+        package = Path(spec.origin).parent
+        for folder in (package.parent / "av.libs", package / ".dylibs"):
+            names += sorted(str(file) for file in folder.glob("*opus*"))
+    return [name for name in names if name]
+
+
+def _declare(library: Any) -> None:
+    pointer, number = ctypes.c_void_p, ctypes.c_int
+    out = ctypes.POINTER(ctypes.c_int)
+    signatures: dict[str, tuple[Any, list[Any]]] = {
+        "opus_encoder_create": (pointer, [number, number, number, out]),
+        "opus_encoder_destroy": (None, [pointer]),
+        "opus_encode_float": (number, [pointer, pointer, number, ctypes.c_char_p, number]),
+        "opus_decoder_create": (pointer, [number, number, out]),
+        "opus_decoder_destroy": (None, [pointer]),
+        "opus_decode_float": (number, [pointer, ctypes.c_char_p, number, pointer, number, number]),
+        # Variadic: only what comes first is declared.
+        "opus_encoder_ctl": (number, [pointer, number]),
+        "opus_decoder_ctl": (number, [pointer, number]),
+    }
+    for name, (result, arguments) in signatures.items():
+        function = getattr(library, name)
+        function.restype, function.argtypes = result, arguments

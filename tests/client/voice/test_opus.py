@@ -1,0 +1,116 @@
+"""libopus by ctypes: sound survives, losses are concealed, and no stranger's packet harms."""
+
+import numpy as np
+import pytest
+
+from fuzzing.campaign import run
+from pica_client.errors import VoiceError
+from pica_client.voice import opus
+from pica_client.voice.level import level_of
+from pica_client.voice.opus import OpusDecoder, OpusEncoder
+from pica_client.voice.packet import FRAME_SAMPLES, MAX_LEVEL, MAX_OPUS_BYTES
+
+pytestmark = [
+    pytest.mark.unit,
+    pytest.mark.skipif(opus.available() is not None, reason="needs libopus"),
+]
+
+SILENCE = np.zeros(FRAME_SAMPLES, np.float32)
+
+
+def vowel(num_frames: int) -> np.ndarray:
+    """A buzz with the formants' slope of a voice, in frames: float32 ``[num_frames, 960]``."""
+    time_s = np.arange(num_frames * FRAME_SAMPLES) / 48_000
+    tones = [np.sin(2 * np.pi * 140 * n * time_s) / n for n in range(1, 20)]
+    return (0.2 * np.sum(tones, axis=0)).astype(np.float32).reshape(num_frames, FRAME_SAMPLES)
+
+
+def test_a_voice_comes_back_with_its_pitch_and_loudness() -> None:
+    encoder, decoder = OpusEncoder(), OpusDecoder()
+    frames = vowel(50)
+    packets = [encoder.encode(frame) for frame in frames]
+
+    heard = np.concatenate([decoder.decode(packet) for packet in packets])[-9600:]
+
+    assert None not in packets
+    assert 15_000 < sum(len(packet or b"") for packet in packets) * 8 < 30_000
+    said = np.abs(np.fft.rfft(frames.reshape(-1)[-9600:]))
+    assert np.argmax(np.abs(np.fft.rfft(heard))) == np.argmax(said)
+    assert 0.8 < np.std(heard) / np.std(frames[-10:]) < 1.2
+
+
+def test_the_encoder_falls_silent_with_the_speaker_and_says_nothing_but_now_and_then() -> None:
+    encoder = OpusEncoder()
+    for frame in vowel(25):
+        encoder.encode(frame)
+
+    packets = [encoder.encode(SILENCE) for _ in range(150)]
+
+    assert sum(packet is not None for packet in packets[50:]) <= 6
+    assert encoder.encode(vowel(1)[0]) is not None
+
+
+def test_without_dtx_silence_is_sent() -> None:
+    encoder = OpusEncoder(dtx=False)
+    assert None not in [encoder.encode(SILENCE) for _ in range(100)]
+
+
+def test_a_lost_packet_is_concealed_with_what_came_before() -> None:
+    encoder, decoder = OpusEncoder(), OpusDecoder()
+    for frame in vowel(20):
+        decoder.decode(encoder.encode(frame))
+
+    concealed = decoder.decode(None)
+
+    assert np.std(concealed) > 0.5 * np.std(vowel(1))
+    for _ in range(25):
+        concealed = decoder.decode(None)
+    assert np.std(concealed) < 0.1 * np.std(vowel(1))
+
+
+def test_the_next_packet_brings_a_lost_one_back_where_it_was_asked_to() -> None:
+    frames = vowel(40) * np.hanning(FRAME_SAMPLES * 40).astype(np.float32).reshape(40, -1)
+    encoder, with_fec, without = OpusEncoder(fec=True), OpusDecoder(), OpusDecoder()
+    packets = [encoder.encode(frame) for frame in frames]
+    for packet in packets[:14]:
+        with_fec.decode(packet)
+        without.decode(packet)
+
+    recovered, guessed = with_fec.decode(packets[15], fec=True), without.decode(None)
+
+    assert not np.array_equal(recovered, guessed)
+    assert np.isfinite(recovered).all()
+
+
+def test_a_hostile_packet_is_refused_and_the_decoder_goes_on() -> None:
+    encoder, decoder = OpusEncoder(), OpusDecoder()
+    good = [encoder.encode(frame) for frame in vowel(4)]
+    for payload in (b"", b"\xff" * 7, b"\xfb\xff" + bytes(20), bytes(MAX_OPUS_BYTES + 1)):
+        decoder.decode(good[0])
+        with pytest.raises(VoiceError):
+            decoder.decode(payload)
+    assert decoder.decode(good[3]).shape == (FRAME_SAMPLES,)
+
+
+def test_damaged_packets_decode_to_20_ms_of_sound_or_are_refused() -> None:
+    figures = run(2_000, seed=1, only="voice", is_tracing=False)
+    assert {"accepted", "refused VoiceError"} <= set(figures["outcomes"])
+
+
+@pytest.mark.parametrize("bitrate", [5_999, 128_001])
+def test_a_bitrate_out_of_range_is_refused_with_its_limits(bitrate: int) -> None:
+    with pytest.raises(VoiceError, match=f"{bitrate}; 6000 to 128000"):
+        OpusEncoder(bitrate)
+
+
+def test_a_frame_of_another_size_or_of_no_numbers_is_refused() -> None:
+    with pytest.raises(VoiceError, match="480"):
+        OpusEncoder().encode(SILENCE[:480])
+    with pytest.raises(VoiceError, match="no number"):
+        OpusEncoder().encode(np.full(FRAME_SAMPLES, np.nan, np.float32))
+
+
+def test_the_level_counts_decibels_below_full_scale() -> None:
+    assert level_of(np.ones(FRAME_SAMPLES, np.float32)) == 0
+    assert level_of(np.full(FRAME_SAMPLES, 0.1, np.float32)) == 20
+    assert level_of(SILENCE) == MAX_LEVEL

@@ -1,0 +1,46 @@
+"""What strangers send as their voice: to the packet's reader, and on into libopus."""
+
+from __future__ import annotations
+
+import random
+from functools import cache
+
+import numpy as np
+
+from fuzzing.meter import Meter
+from fuzzing.mutator import Mutator
+from fuzzing.targets import expect
+from pica_client.errors import VoiceError
+from pica_client.voice.opus import OpusDecoder, OpusEncoder
+from pica_client.voice.packet import FRAME_SAMPLES, VoicePacket, decode_payload, encode_payload
+
+
+@cache
+def payloads() -> list[bytes]:
+    """Twenty real payloads: noise that swells, at three bitrates."""
+    chance = np.random.default_rng(1)
+    found = []
+    for bitrate in (12_000, 24_000, 48_000):
+        encoder = OpusEncoder(bitrate, fec=bitrate == 24_000, dtx=False)
+        for loudness in (0.001, 0.01, 0.05, 0.1, 0.3, 0.5, 0.02):
+            pcm = chance.normal(0, loudness, FRAME_SAMPLES).astype(np.float32)
+            found.append(encode_payload(VoicePacket(0, 0, encoder.encode(pcm) or b"\0", 20)))
+    return found
+
+
+def voice(rng: random.Random, meter: Meter) -> None:
+    """Voice payloads: 20 ms of sound, or refused, and one decoder takes them all."""
+    decoder, mutator = OpusDecoder(), Mutator(rng, payloads())
+    for _ in range(50):
+        original = rng.choice(payloads())
+        is_noise = rng.random() < 0.2
+        data = rng.randbytes(rng.randrange(200)) if is_noise else mutator.mutate_bytes(original)
+        try:
+            packet = meter.call(decode_payload, 1, 2, data)
+            pcm = meter.call(decoder.decode, packet.payload, rng.random() < 0.2)
+        except VoiceError:
+            meter.note("refused VoiceError")
+            continue
+        expect(pcm.shape == (FRAME_SAMPLES,), "not 20 ms:", pcm.shape)
+        expect(bool(np.abs(pcm).max() <= 1.0), "louder than can be:", data)
+        meter.note("accepted")
