@@ -45,6 +45,12 @@ from pica_client.playout.sender_clock import RESTART_FRAMES, SenderClock
 from pica_client.playout.timeline import Timeline
 from pica_core.codec.latent_sample import DecodedFrame, LatentSample
 
+MAX_LAG_S = 0.03
+"""Most that a face whose frames are late lets its voice go ahead (chosen: with a step of the
+display below the 45 ms of ITU-R BT.1359)."""
+MAX_LED_S = 2.0
+"""A voice farther from its face is of another clock, or of a sender that lies."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PlayedFace:
@@ -170,17 +176,29 @@ class Playout:
         self._correction.end()
         self._shown, self._is_path_new = None, False
 
-    def sample_at(self, now: float) -> PlayedFace | None:
-        """The face to show at `now`, or None before the first frame is due."""
+    def sample_at(self, now: float, heard_us: int | None = None) -> PlayedFace | None:
+        """The face to show at `now`, or None before the first frame is due.
+
+        Args:
+            now: Our clock.
+            heard_us: The moment, on the sender's clock, of the voice that is heard just now. It
+                leads: the face waits for it, and falls behind it by `MAX_LAG_S` at most.
+        """
         clock, timeline, interval_s = self.sender.map, self._timeline, self._interval.interval_s
         if clock is None:
             return None
-        should_s = clock.media_s(now) - self._target_s(is_displayed=True)
+        should_s = own_s = clock.media_s(now) - self._target_s(is_displayed=True)
+        if heard_us is not None:
+            heard_s = self.sender.media_s(heard_us)
+            if abs(heard_s - own_s) <= MAX_LED_S:
+                should_s = min(max(own_s, heard_s - MAX_LAG_S), heard_s)
+            else:
+                heard_us = None
         if timeline.held is None and (
             timeline.following is None or timeline.following.media_s > should_s
         ):
             return None
-        step = self._media.advance(now, should_s, self._end_s)
+        step = self._media.advance(now, should_s, self._end_s, is_led=heard_us is not None)
         position_s = self._media.position_s
         timeline.release(position_s)
         face = timeline.face_at(position_s, interval_s)

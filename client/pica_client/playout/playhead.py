@@ -10,6 +10,12 @@ from typing import NamedTuple
 
 UNSEEN_S = 0.001
 """A display that is less far behind is not seen as such."""
+LED_RATE = 1.0
+"""By which share time may run faster or slower where a voice leads: the voice has been stretched
+already, and says how fast time goes."""
+LED_LEAP_S = 0.04
+"""A display this far behind the voice that leads it leaps: lips may be 45 ms late (ITU-R
+BT.1359)."""
 
 
 class Step(NamedTuple):
@@ -45,7 +51,7 @@ class Playhead:
         self._leap_s = leap_s
         self._now = -math.inf
 
-    def advance(self, now: float, target_s: float, end_s: float) -> Step:
+    def advance(self, now: float, target_s: float, end_s: float, *, is_led: bool = False) -> Step:
         """Go on to a display time.
 
         Args:
@@ -53,6 +59,7 @@ class Playhead:
             target_s: The moment that should be shown.
             end_s: The moment up to which the face last shown had moved: where the display stands
                 still beyond it, falling back that far is not seen.
+            is_led: Whether the target is what a voice says just now, rather than what is waited.
         """
         if self.position_s == -math.inf:
             self.position_s, self._now = target_s, now
@@ -61,11 +68,14 @@ class Playhead:
         self._now = max(now, self._now)
         before_s = self.position_s
         behind_s = target_s - before_s - elapsed_s
-        if behind_s > max(self._leap_s, UNSEEN_S):
+        faster, slower, leap_s = self._faster, self._slower, self._leap_s
+        if is_led:
+            faster, slower, leap_s = LED_RATE, LED_RATE, LED_LEAP_S
+        if behind_s > max(leap_s, UNSEEN_S):
             self.num_leaps += 1
             self.position_s = target_s
             return Step(elapsed_s, elapsed_s, is_leap=True)
-        rate = min(max(behind_s, -self._slower * elapsed_s), self._faster * elapsed_s)
+        rate = min(max(behind_s, -slower * elapsed_s), faster * elapsed_s)
         position_s = before_s + elapsed_s + rate
         if end_s < position_s and target_s < position_s:
             position_s = max(target_s, min(end_s, position_s))

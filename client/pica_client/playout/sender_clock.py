@@ -89,7 +89,7 @@ class SenderClock:
         """Our clock minus the sender's for the newest frame, had it come the fastest way."""
         if self.map is None:
             return 0.0
-        newest_s = self._media_s(self._newest_us)
+        newest_s = self.media_s(self._newest_us)
         return newest_s + self.map.fastest_transit_s(newest_s) - self._newest_us / 1e6
 
     def lateness_s(self, frame: Frame, now: float) -> float:
@@ -135,21 +135,22 @@ class SenderClock:
         self._newest_us = arrival.frame.captured_us
         self.map = ClockMap(media_s, transit_s)
 
-    def _media_s(self, captured_us: int) -> float:
+    def media_s(self, captured_us: int) -> float:
+        """The place of a capture time on the time line, as the newest frames have it."""
         # Subtracted as integers: a float of microseconds since 1970 has no room for fractions.
         return self._origin_s + (captured_us - self._origin_us) / 1e6
 
     def _fastest_transit_s(self, captured_us: int) -> float:
         assert self.map is not None
-        return self.map.fastest_transit_s(self._media_s(captured_us))
+        return self.map.fastest_transit_s(self.media_s(captured_us))
 
     def _lateness_s(self, arrival: _Arrival) -> float:
         captured_us = arrival.frame.captured_us
-        transit_s = arrival.arrived_s - self._media_s(captured_us)
+        transit_s = arrival.arrived_s - self.media_s(captured_us)
         return transit_s - self._fastest_transit_s(captured_us)
 
     def _is_future(self, arrival: _Arrival, lateness_s: float) -> bool:
-        transit_s = arrival.arrived_s - self._media_s(arrival.frame.captured_us)
+        transit_s = arrival.arrived_s - self.media_s(arrival.frame.captured_us)
         return max(lateness_s, transit_s - self._newest_transit_s) < -FUTURE_S
 
     def _is_too_late(self, frame: Frame, lateness_s: float) -> bool:
@@ -173,7 +174,7 @@ class SenderClock:
     def _pass(self, arrival: _Arrival) -> ReceivedFrame:
         frame = arrival.frame
         number = unwrap_sequence(frame.sequence, self._newest_number)
-        media_s = self._media_s(frame.captured_us)
+        media_s = self.media_s(frame.captured_us)
         if number >= self._newest_number:
             self._newest_number, self._newest_us = number, frame.captured_us
             self._newest_transit_s = arrival.arrived_s - media_s

@@ -8,6 +8,8 @@ waits in the relay, and what waits there together leaves as one message.
 `thin_ratio` stands for whatever else makes a relay drop frames, as the congestion of other streams:
 upper layers pay first, and what refers to a dropped frame is dropped with it.
 
+A voice shares the way with its face, leaves first and in the same message.
+
 Unrealistic: the sender's own way to the relay is perfect; a message carries the frames of one
 stream only, where a relay puts those of several senders together.
 """
@@ -30,6 +32,9 @@ MAX_UNDER_WAY = 4096
 SHED_DEBT_FRAMES = (8, 3, 1)
 """Drops that the relay owes before a frame of layer 0, 1, 2 is dropped (chosen: the base layer pays
 when two turns of the pattern had nothing else to give)."""
+
+VOICE_DEADLINE_S = 0.2
+"""Age beyond which the relay drops a voice packet."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +73,8 @@ class FramePath:
         self._debt = 0
         self._blocked_above: int | None = None
         self._relay = StreamQueue(self._drops)
+        # Voices: (frame, offered); what is older than VOICE_DEADLINE_S is dropped.
+        self._voices: deque[tuple[bytes, float]] = deque()
         self._queue: deque[_Message] = deque()  # behind the relay; bounded by `queue_bytes`
         self._queue_bytes = 0
         self._order = 0
@@ -89,6 +96,12 @@ class FramePath:
         put = self._relay.put(encode_frame(frame), frame.layer, frame.is_keyframe, now)
         self._advance(now)
         return put in (Put.BEHIND, Put.KEYLESS)
+
+    def send_voice(self, frame: Frame, now: float) -> None:
+        """Offer a voice packet to the relay, which lets it go first and drops it when it is old."""
+        self._advance(now)
+        self._voices.append((encode_frame(frame), now))
+        self._advance(now)
 
     def arrivals(self, now: float) -> list[tuple[float, Frame]]:
         """Take all frames that have come, with the time, in the order of arrival."""
@@ -135,10 +148,16 @@ class FramePath:
 
     def _fill_queue(self, now: float) -> None:
         """Let the relay write while its socket takes it."""
-        while len(self._relay) and (
+        while self._voices and self._voices[0][1] < now - VOICE_DEADLINE_S:
+            self._voices.popleft()
+            self._drops["voice"] += 1
+        while (self._voices or len(self._relay)) and (
             not self._queue or self._queue_bytes < self._way.impairment.queue_bytes
         ):
-            frames = [item.frame for item in self._relay.take(MAX_MEDIA_MESSAGE_BYTES - 1)]
+            frames = [frame for frame, _ in self._voices]
+            self._voices.clear()
+            room = MAX_MEDIA_MESSAGE_BYTES - 1 - sum(map(len, frames))
+            frames += [item.frame for item in self._relay.take(room)]
             data = media_message(frames)
             num_bytes = wire_bytes(len(data), is_masked=False)
             self._queue.append(_Message(data, len(frames), num_bytes, now))

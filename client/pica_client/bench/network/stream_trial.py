@@ -16,7 +16,8 @@ Unrealistic: code takes no time; the display never misses a refresh; the relay's
 not used (no peer joins late); the receiver asks for no other layers when the rate falls short.
 """
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +36,8 @@ Face = Callable[[float], LatentSample]
 
 KEYFRAME_INTERVAL_S = 0.5
 """Between two requests for one stream, the relay's default."""
+VOICE_STREAM = 2
+"""The stream of a voice beside the face's, which is 1."""
 CLOCK_OFFSET_US = 5_000_000_000
 """The sender's clock is ahead of the receiver's: nothing may depend on the difference."""
 DISPLAY_PHASE = 0.37
@@ -81,6 +84,8 @@ class Delivery:
     keyframe_requests: int
     base_delay_s: float
     """The fastest way through the network."""
+    voices: tuple[tuple[float, Frame], ...] = ()
+    """Voice packets that came, each with its time of arrival."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -107,6 +112,7 @@ def deliver(
     schedule: Schedule,
     *,
     seed: int = 0,
+    voice: Sequence[tuple[float, Frame]] = (),
 ) -> Delivery:
     """Send a face through a scenario and decode what comes.
 
@@ -116,12 +122,16 @@ def deliver(
         scenario: The trouble in the middle third.
         schedule: Rates and duration.
         seed: Of the network.
+        voice: Packets of a voice that goes along, of `VOICE_STREAM`, each with the time when it is
+            sent, in order.
     """
     encoder, decoder = ends
     sender = SenderClock()
     rng = np.random.default_rng(seed)
     path = FramePath(scenario.calm, rng)
     arrivals: list[DecodedFrame] = []
+    voices: list[tuple[float, Frame]] = []
+    spoken = deque(voice)
     sent = payload_bytes = keyframes = requests = 0
     requested_s: list[float] = []  # when requests reach the sender; at most one each half second
     last_request_s = -KEYFRAME_INTERVAL_S
@@ -136,6 +146,9 @@ def deliver(
 
     def receive(until_s: float) -> None:
         for arrived_s, frame in path.arrivals(until_s):
+            if frame.stream == VOICE_STREAM:
+                voices.append((arrived_s, frame))
+                continue
             for received in sender.receive(frame, arrived_s):
                 arrivals.extend(decoder.receive(received))
             if decoder.needs_keyframe:
@@ -143,6 +156,10 @@ def deliver(
 
     for index in range(round(schedule.seconds * schedule.fps)):
         now = index / schedule.fps
+        while spoken and spoken[0][0] <= now:
+            sent_s, packet = spoken.popleft()
+            receive(sent_s)
+            path.send_voice(packet, sent_s)
         receive(now)
         if changes and changes[0][0] <= now:
             path.change(changes.pop(0)[1], now)
@@ -176,6 +193,7 @@ def deliver(
         keyframes=keyframes,
         keyframe_requests=requests,
         base_delay_s=scenario.calm.delay_s,
+        voices=tuple(voices),
     )
 
 

@@ -1,0 +1,430 @@
+"""From voice packets as the network delivers them to an even sound. Pure: `now` is an argument.
+
+    receive(packet, now)      a packet arrived
+    pull(now, latency_s)      the next 20 ms for the loudspeaker, which they leave `latency_s` later
+    heard_us(now)             the moment, on the sender's clock, whose sound leaves it at `now`
+
+Theory of operation. Sequence, capture time and transit are judged by what the playout of faces
+judges them by (`playout.sender_clock`, `clock_map`, `jitter`), so jumps, drift and tricks of
+strangers end there. What was captured at t should be played at
+
+    t + fastest transit + base + delay        delay = one frame + jitter, 20 to 200 ms
+
+    what is there                            what is played                        its time
+    ---------------------------------------  ------------------------------------  ----------------
+    the next packet                          it, shorter or longer where the       goes on
+                                             delay is not what it should be
+    a later one, the next is lost            concealment by the codec, 100 ms      goes on
+    the next, captured after a silence       comfort noise until it is due         free
+    nothing, and it was quiet                comfort noise                         free
+    nothing, in the middle of speech         concealment, 100 ms; then noise       stands still
+    much, and it is far too old              the newest: a leap
+
+In silence time is free: there the delay changes at once and by any amount. In speech it changes by
+periods of the pitch (`stretch`), and only once it is clearly wrong. After a stall speech goes on
+where it stopped and is then spoken faster, as long as it is not `leap_s` behind.
+"""
+
+from bisect import bisect_left
+from collections import deque
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import Protocol
+
+import numpy as np
+
+from pica_client.errors import ClientError
+from pica_client.playout.jitter import JitterEstimate
+from pica_client.playout.sender_clock import RESTART_FRAMES, SenderClock
+from pica_client.voice import stretch
+from pica_client.voice.comfort_noise import LOUDEST, ComfortNoise
+from pica_core.codec.latent_sample import ReceivedFrame
+from pica_core.types import Array, Float64Array, FloatArray
+from pica_protocol.frames import Frame
+
+RATE_HZ = 48_000
+FRAME = 960
+"""Samples of a frame."""
+FRAME_S = FRAME / RATE_HZ
+MAX_CONCEALED = 5
+"""Frames in a row that the codec conceals: 100 ms, by when its sound has faded."""
+MAX_PACKETS = 64
+"""Packets that wait; the oldest is dropped beyond (chosen: 1.3 s, more than is ever played)."""
+CODEC_DELAY_S = 0.0065
+"""What comes out of Opus was put in so much before the packet's first sample (its look-ahead)."""
+SILENT_S = 1.5
+"""Without a packet for so long nothing is heard that a face could be in step with (chosen: three
+refreshes of discontinuous transmission, 400 ms each)."""
+QUIET_RATIO, QUIET_RMS = 2.0, 0.001
+"""A frame is quiet below so many times the noise floor, or below -60 dB of full scale."""
+FIRST_FLOOR_RMS = 0.002
+"""Noise floor that is believed before anything has been heard: -54 dB."""
+FLOOR_RISE = 1.01
+"""How much the noise floor may rise with each frame: threefold in two seconds."""
+HISTORY = 64
+"""Ticks whose moment is known: 1.3 s, more than a loudspeaker's latency."""
+
+
+class Decoder(Protocol):
+    """What makes sound of packets; `voice.opus.OpusDecoder` does."""
+
+    def decode(self, payload: bytes | None, fec: bool = False) -> FloatArray:
+        """A frame of `FRAME` samples; without a payload one that conceals a loss."""
+
+
+class Packet(Protocol):
+    """A voice packet; `voice.packet.VoicePacket` is one."""
+
+    @property
+    def sequence(self) -> int:
+        """Counts the packets, and wraps at 65536."""
+
+    @property
+    def captured_us(self) -> int:
+        """When the first sample was captured, microseconds of the sender's clock."""
+
+    @property
+    def payload(self) -> bytes:
+        """What the decoder takes."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class JitterBufferConfig:
+    """How patient a jitter buffer is."""
+
+    ceiling_s: float = 0.2
+    """Longest delay, one frame included."""
+    jitter_quantile: float = 0.95
+    """Share of delays that are waited for."""
+    window_s: float = 6.0
+    """Time over which jitter is measured."""
+    leap_s: float = 0.35
+    """Speech this far behind is left out (chosen: 0.3 s are caught up in about a second)."""
+    quiet_error_s: float = 0.003
+    """Wrong delay that is changed in silence."""
+    voiced_error_s: float = 0.012
+    """Wrong delay that is changed in the middle of speech (chosen: a frame of 20 ms is less often
+    missed, and lips do not show it)."""
+    uses_fec: bool = False
+    """Whether packets carry the frame before them once more: only datagrams get lost."""
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("ceiling_s", FRAME_S, 2.0),
+            ("jitter_quantile", 0.5, 1.0),
+            ("window_s", 0.5, 60.0),
+            ("leap_s", 0.1, 10.0),
+            ("quiet_error_s", 0.001, 1.0),
+            ("voiced_error_s", 0.001, 1.0),
+        ):
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{name} is {getattr(self, name)}; {low} to {high} is allowed")
+
+
+@dataclass(kw_only=True, slots=True)
+class JitterBufferReport:
+    """Counters since the voice began, and how it stands."""
+
+    received: int = 0
+    lost: int = 0
+    """Packets that never came, or were dropped because too many waited."""
+    late: int = 0
+    """Packets that came after their moment."""
+    refused: int = 0
+    """Packets that fit nowhere in time, or that the codec does not take."""
+    played: int = 0
+    """Frames decoded from packets."""
+    concealed: int = 0
+    """Frames made up where speech should have been."""
+    noise: int = 0
+    """Frames of comfort noise."""
+    stretched: int = 0
+    """Ticks made shorter or longer."""
+    leaps: int = 0
+    ticks: int = 0
+    delay_s: float = 0.0
+    """What the sound waits beyond the fastest transit."""
+    target_s: float = 0.0
+    """What it should wait."""
+    jitter_s: float = 0.0
+    drift_ppm: float = 0.0
+
+    @property
+    def concealed_ratio(self) -> float:
+        """Share of speech that was made up."""
+        speech = self.played + self.concealed
+        return self.concealed / speech if speech else 0.0
+
+    @property
+    def stretched_ratio(self) -> float:
+        """Share of ticks that were made shorter or longer."""
+        return self.stretched / self.ticks if self.ticks else 0.0
+
+
+class JitterBuffer:
+    """The jitter buffer of one voice; see the module for how it works.
+
+    Attributes:
+        moments_us: When each sample of the last tick was captured, sender's clock. ``[FRAME]``.
+    """
+
+    def __init__(self, decoder: Decoder, config: JitterBufferConfig | None = None) -> None:
+        self.config = config = config or JitterBufferConfig()
+        self._decoder = decoder
+        self._sender = SenderClock()
+        self._jitter = JitterEstimate(quantile=config.jitter_quantile, window_s=config.window_s)
+        self._noise = ComfortNoise()
+        self._report = JitterBufferReport()
+        self._waiting: list[ReceivedFrame] = []  # by number; at most MAX_PACKETS
+        self._last_number: int | None = None
+        self._end_s = 0.0  # of what the packets up to the last one told
+        self._fifo = np.zeros((2, 0))  # samples, and the moment of each on the time line
+        self._is_quiet, self._floor_rms = True, FIRST_FLOOR_RMS
+        self._num_concealed = 0  # in a row
+        self._num_stood = 0  # of these, while time stood still
+        self._is_starved = False  # noise stands where speech should be
+        self._behind_s, self._rest_ticks = 0.0, 0
+        self._offset_us = 0.0
+        self.moments_us: Float64Array = np.zeros(FRAME)
+        self._last_arrival_s = -np.inf
+        # (leaves the loudspeaker, first moment, last moment), microseconds of the sender's clock.
+        self._history: deque[tuple[float, float, float]] = deque(maxlen=HISTORY)
+
+    def receive(self, packet: Packet, now: float) -> None:
+        """Take a packet that arrived at `now`."""
+        frame = Frame(
+            stream=1,
+            sequence=packet.sequence,
+            captured_us=packet.captured_us,
+            payload=packet.payload,
+        )
+        self._report.received += 1
+        self._last_arrival_s = now
+        for received in self._sender.receive(frame, now):
+            self._place(received)
+
+    def restart(self) -> None:
+        """Forget what waits: the voice was muted, and begins anew with its next packet."""
+        self._waiting.clear()
+        self._is_quiet, self._is_starved, self._num_concealed = True, False, 0
+
+    def pull(self, now: float, latency_s: float = 0.0) -> FloatArray:
+        """The next `FRAME` samples, float32.
+
+        Args:
+            now: Our clock. Ticks come about every 20 ms; what they come too fast or too slow is
+                drift of the loudspeaker's clock, and is stretched away.
+            latency_s: Until the first sample leaves the loudspeaker.
+        """
+        self._report.ticks += 1
+        clock = self._sender.map
+        if clock is None:
+            return np.zeros(FRAME, np.float32)
+        should_s = clock.media_s(now) - self._target_s
+        self._leap(should_s)
+        self._fill(FRAME, should_s)
+        self._stretch(should_s)
+        self._fill(FRAME, should_s)
+        out, self._fifo = self._fifo[:, :FRAME], self._fifo[:, FRAME:]
+        self._report.delay_s = clock.media_s(now) - float(out[1, 0])
+        self.moments_us = (out[1] - CODEC_DELAY_S) * 1e6 + self._offset_us
+        first, last = map(float, self.moments_us[[0, -1]])
+        self._history.append((now + latency_s, first, last))
+        sound: FloatArray = out[0].astype(np.float32)
+        return sound
+
+    def heard_us(self, now: float) -> int | None:
+        """The moment whose sound leaves the loudspeaker at `now`; None while there is none.
+
+        Sender's clock, microseconds; what stands still, as in a stall, is heard at one moment.
+        """
+        if now - self._last_arrival_s > SILENT_S:
+            return None
+        for leaves_s, first, last in reversed(self._history):
+            if leaves_s <= now:
+                share = min((now - leaves_s) / FRAME_S, 2.0)
+                return round(first + share * (last - first))
+        return None
+
+    def report(self) -> JitterBufferReport:
+        """Counters since the voice began, and how it stands; do not change it."""
+        clock, report = self._sender.map, self._report
+        report.target_s = self._target_s
+        report.jitter_s = self._jitter.jitter_s
+        report.drift_ppm = 0.0 if clock is None else clock.drift_ppm
+        return report
+
+    @property
+    def num_waiting(self) -> int:
+        """Packets that wait to be played."""
+        return len(self._waiting)
+
+    @property
+    def num_refused(self) -> int:
+        """Packets that fit nowhere in time, or that the codec does not take."""
+        return self._report.refused + self._sender.num_refused
+
+    @property
+    def _target_s(self) -> float:
+        """What should be waited beyond the fastest transit."""
+        wait_s = min(FRAME_S + self._jitter.jitter_s, self.config.ceiling_s)
+        return self._jitter.base_s + wait_s
+
+    def _place(self, received: ReceivedFrame) -> None:
+        clock, last, report = self._sender.map, self._last_number, self._report
+        assert clock is not None
+        if last is not None and received.number > last + RESTART_FRAMES:
+            self.restart()
+            self._last_number = last = None
+        transit_s = clock.receive(received.media_s, received.arrived_s)
+        self._jitter.receive(received.arrived_s, received.media_s, transit_s, clock)
+        place = bisect_left(self._waiting, received.number, key=attrgetter("number"))
+        if last is not None and received.number <= last:
+            report.late += 1
+        elif self._waiting[place : place + 1] and self._waiting[place].number == received.number:
+            return
+        else:
+            self._waiting.insert(place, received)
+            if len(self._waiting) > MAX_PACKETS:
+                report.lost += 1
+                del self._waiting[0]
+
+    def _leap(self, should_s: float) -> None:
+        """Leave out what is far too old, if there is something newer."""
+        if not self._waiting or self._behind(should_s) <= self.config.leap_s:
+            return
+        while len(self._waiting) > 1 and self._waiting[0].media_s + FRAME_S <= should_s:
+            self._report.lost += 1
+            del self._waiting[0]
+        if self._waiting[0].media_s + FRAME_S <= should_s:
+            return  # the newest is old as well, and better than nothing
+        self._report.leaps += 1
+        left, self._fifo = self._fifo[0, : stretch.FADE], self._fifo[:, :0]
+        self._last_number, self._behind_s = self._waiting[0].number - 1, 0.0
+        self._end_s = self._waiting[0].media_s
+        self._decode_next()
+        self._fifo[0, : len(left)] = stretch.crossfade(left, self._fifo[0, : len(left)])
+
+    def _behind(self, should_s: float) -> float:
+        """How much later than it should be the next sound is played."""
+        waits_s = self._fifo.shape[1] / RATE_HZ
+        if self._waiting and not self._is_gap:
+            return should_s + waits_s - self._waiting[0].media_s
+        return should_s - float(self._fifo[1, 0]) if waits_s else 0.0
+
+    @property
+    def _is_gap(self) -> bool:
+        """Whether the next packet was captured after a silence."""
+        return self._waiting[0].media_s > self._end_s + 0.25 * FRAME_S
+
+    def _fill(self, num_samples: int, should_s: float) -> None:
+        """Make sure that so many samples can be played."""
+        while (have := self._fifo.shape[1]) < num_samples:
+            self._append_next(should_s + have / RATE_HZ)
+
+    def _append_next(self, due_s: float) -> None:
+        """Append something that should be played at that moment of the time line."""
+        if not self._waiting:
+            if self._is_quiet or self._num_concealed >= MAX_CONCEALED:
+                self._is_starved |= not self._is_quiet
+                if self._is_starved:
+                    self._append_noise(self._end_s, FRAME, rate=0.0)
+                else:
+                    self._append_noise(due_s, FRAME)
+            else:
+                self._num_stood += 1
+                self._conceal(self._end_s)
+            return
+        following, last = self._waiting[0], self._last_number
+        num_missing = 0 if last is None else following.number - last - 1
+        if self._is_gap and num_missing and self._num_stood:
+            # What was made up stands for what is lost, as turns out now.
+            self._num_stood -= 1
+            self._report.lost += 1
+            self._last_number = following.number - num_missing
+            self._end_s += FRAME_S
+        elif self._is_gap and num_missing and self._num_concealed < MAX_CONCEALED:
+            self._last_number = following.number - num_missing
+            self._report.lost += 1
+            fec = following.payload if self.config.uses_fec and num_missing == 1 else None
+            self._conceal(self._end_s, fec=fec)
+            self._end_s += FRAME_S
+        elif (last is None or self._is_gap) and following.media_s > due_s + 0.001:
+            self._report.lost += num_missing
+            self._last_number = following.number - 1
+            wait_s = following.media_s - due_s
+            self._append_noise(due_s, min(round(wait_s * RATE_HZ), FRAME))
+        else:
+            self._decode_next()
+
+    def _append(self, sound: Array, begin_s: float, rate: float = 1.0) -> None:
+        moments = begin_s + np.arange(len(sound)) * (rate / RATE_HZ)
+        self._fifo = np.concatenate([self._fifo, np.stack([sound, moments])], axis=1)
+
+    def _append_noise(self, begin_s: float, num_samples: int, rate: float = 1.0) -> None:
+        self._report.noise += not self._is_starved
+        self._report.concealed += self._is_starved
+        self._append(self._noise.make()[:num_samples], begin_s, rate)
+
+    def _conceal(self, begin_s: float, *, fec: bytes | None = None) -> None:
+        self._num_concealed += 1
+        self._report.concealed += 1
+        rate = 1.0 if self._waiting else 0.0  # with nothing there, time stands still
+        try:
+            sound = self._decoder.decode(fec, fec=fec is not None)
+        except ClientError:
+            sound = np.zeros(FRAME, np.float32)
+        self._append(sound, begin_s, rate)
+
+    def _decode_next(self) -> None:
+        packet = self._waiting.pop(0)
+        self._last_number = packet.number
+        self._offset_us = packet.captured_us - packet.media_s * 1e6
+        self._end_s = packet.media_s + FRAME_S
+        self._is_starved = False
+        try:
+            sound = self._decoder.decode(packet.payload)
+        except ClientError:
+            self._report.refused += 1
+            self._conceal(packet.media_s)
+            return
+        self._num_concealed = self._num_stood = 0
+        self._report.played += 1
+        rms = float(np.sqrt(np.mean(np.square(sound))))
+        self._floor_rms = min(rms, self._floor_rms * FLOOR_RISE + 1e-6)
+        self._is_quiet = self._sounds_quiet(rms)
+        if self._is_quiet:
+            self._noise.learn(sound)
+        self._append(sound, packet.media_s)
+
+    def _sounds_quiet(self, rms: float) -> bool:
+        return rms <= min(max(QUIET_RATIO * self._floor_rms, QUIET_RMS), LOUDEST)
+
+    def _stretch(self, should_s: float) -> None:
+        """Go a step towards the delay that should be."""
+        self._behind_s += 0.3 * (self._behind(should_s) - self._behind_s)
+        behind_s = self._behind_s
+        if behind_s > 0:  # what is left out must be there
+            while self._fifo.shape[1] < FRAME + stretch.NEEDED and self._waiting:
+                if self._is_gap:
+                    break
+                self._decode_next()
+        sound = self._fifo[0, : stretch.NEEDED]
+        is_quiet = self._sounds_quiet(float(np.sqrt(np.mean(np.square(sound)))))
+        self._rest_ticks -= 1
+        config = self.config
+        least_s = config.quiet_error_s if is_quiet else config.voiced_error_s
+        if abs(behind_s) < least_s or (self._rest_ticks > 0 and not is_quiet):
+            return
+        if behind_s > 0 and self._fifo.shape[1] < FRAME + stretch.MIN_LAG:
+            return
+        if is_quiet:
+            sound = sound[: round(abs(behind_s) * RATE_HZ) + stretch.FADE]
+        lag = stretch.find_lag(sound, is_quiet=is_quiet)
+        if lag == 0 or lag > 2 * abs(behind_s) * RATE_HZ:
+            return
+        change = stretch.shorten if behind_s > 0 else stretch.lengthen
+        self._fifo = change(self._fifo, lag)
+        self._report.stretched += 1
+        self._behind_s -= lag / RATE_HZ * np.sign(behind_s)
+        self._rest_ticks = 1 if abs(behind_s) > 0.1 else 2 if abs(behind_s) > 0.04 else 4

@@ -1,0 +1,260 @@
+import itertools
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from helpers.spoken import (
+    CLOCK_OFFSET_US,
+    NETWORK_S,
+    SpokenDecoder,
+    SpokenPacket,
+    hum,
+    packet,
+    usual_arrival_s,
+)
+from pica_client.voice.jitter_buffer import (
+    CODEC_DELAY_S,
+    FRAME,
+    FRAME_S,
+    MAX_PACKETS,
+    RATE_HZ,
+    JitterBuffer,
+    JitterBufferConfig,
+)
+from pica_core.types import FloatArray
+
+pytestmark = pytest.mark.unit
+
+Arrivals = Iterable[tuple[float, SpokenPacket]]
+
+
+def play(
+    buffer: JitterBuffer, arrivals: Arrivals, seconds: float, *, tick_s: float = FRAME_S
+) -> tuple[FloatArray, list[float]]:
+    """The sound of some time, and the delay of each tick that has one."""
+    waiting = sorted(arrivals, key=lambda arrival: arrival[0])
+    sounds, delays_s = [], []
+    for now in np.arange(0.007, seconds, tick_s):
+        while waiting and waiting[0][0] <= now:
+            buffer.receive(waiting[0][1], waiting[0][0])
+            del waiting[0]
+        sounds.append(buffer.pull(float(now)))
+        heard_us = buffer.heard_us(float(now))
+        if heard_us is not None:
+            delays_s.append(now - (heard_us - CLOCK_OFFSET_US) / 1e6)
+    return np.concatenate(sounds), delays_s
+
+
+def with_pauses(sound: FloatArray) -> FloatArray:
+    """Half a second of speech, half a second of none."""
+    seconds = np.arange(len(sound)) / RATE_HZ
+    return np.where(seconds % 1 < 0.5, sound, np.float32(0))
+
+
+def on_time(num_frames: int, *, skip: Iterable[int] = ()) -> list[tuple[float, SpokenPacket]]:
+    left_out = set(skip)
+    return [(usual_arrival_s(i), packet(i)) for i in range(num_frames) if i not in left_out]
+
+
+def test_a_calm_voice_is_played_as_it_is_one_frame_after_the_fastest():
+    sound = hum(3)
+    buffer = JitterBuffer(SpokenDecoder(sound))
+
+    played, delays_s = play(buffer, on_time(140), 2.5)
+
+    expected_s = FRAME_S + NETWORK_S + FRAME_S + CODEC_DELAY_S
+    assert max(delays_s) == pytest.approx(expected_s, abs=0.003)
+    report = buffer.report()
+    assert (report.concealed, report.lost, report.late, report.leaps) == (0, 0, 0, 0)
+    assert report.stretched <= 2
+    place = int(np.argmax(np.abs(played) > 0.01))
+    middle = played[RATE_HZ : 2 * RATE_HZ]
+    best = np.correlate(sound[: 2 * RATE_HZ], middle, "valid").max()
+    assert place > 0
+    assert best > 0.98 * np.dot(middle, middle)
+
+
+@pytest.mark.parametrize("late_s", [0.03, 0.08, 0.15])
+def test_the_delay_grows_with_the_lateness_of_packets_and_stays_below_the_ceiling(late_s: float):
+    rng = np.random.default_rng(1)
+    sound = with_pauses(hum(12))
+    buffer = JitterBuffer(SpokenDecoder(sound))
+    times = itertools.accumulate(
+        (usual_arrival_s(i) + late_s * rng.random() for i in range(590)), max
+    )
+
+    _, delays_s = play(buffer, [(time, packet(i)) for i, time in enumerate(times)], 11.5)
+
+    report = buffer.report()
+    assert FRAME_S + 0.5 * late_s < report.target_s <= 0.2
+    fastest_s = FRAME_S + NETWORK_S + CODEC_DELAY_S
+    assert np.median(delays_s[-200:]) == pytest.approx(fastest_s + report.target_s, abs=0.03)
+    assert report.concealed_ratio < 0.05
+
+
+def test_a_delay_that_changes_is_changed_in_silence_where_there_is_one():
+    sound = with_pauses(hum(10))
+    buffer = JitterBuffer(SpokenDecoder(sound))
+    late = {i: 0.06 for i in range(101, 490, 13)}
+    arrivals = [(usual_arrival_s(i) + late.get(i, 0.0), packet(i)) for i in range(490)]
+
+    played, _ = play(buffer, arrivals, 9.5)
+
+    report = buffer.report()
+    assert report.target_s > 0.07
+    assert report.stretched > 0
+    loud = np.abs(played) > 0.01
+    assert loud.mean() == pytest.approx((np.abs(sound) > 0.01).mean(), abs=0.04)
+
+
+def test_lost_packets_are_concealed_by_the_codec_and_time_goes_on():
+    decoder = SpokenDecoder(hum(4))
+    buffer = JitterBuffer(decoder)
+
+    _, delays_s = play(buffer, on_time(190, skip=(50, 80, 81)), 3.5)
+
+    assert 3 <= decoder.concealed <= 4  # the two in a row may take part of a third frame
+    assert buffer.report().lost == 3
+    assert max(delays_s[100:]) - min(delays_s[:40]) < JitterBufferConfig().voiced_error_s
+
+
+def test_a_silence_that_is_not_sent_is_filled_with_the_noise_of_the_room():
+    rng = np.random.default_rng(0)
+    sound = hum(6)
+    room = (0.002 * rng.standard_normal(len(sound))).astype(np.float32)
+    sound[RATE_HZ : 4 * RATE_HZ] = 0
+    sound += room
+    decoder = SpokenDecoder(sound)
+    buffer = JitterBuffer(decoder)
+    # Sent: speech, ten quiet frames, one refresh each 400 ms, speech.
+    sent = [i for i in range(290) if i < 60 or i >= 200 or i % 20 == 0]
+    arrivals = [(usual_arrival_s(i), packet(i, sequence=n)) for n, i in enumerate(sent)]
+
+    played, _ = play(buffer, arrivals, 5.5)
+
+    assert decoder.concealed == 0
+    assert buffer.report().lost == 0
+    silence = played[2 * RATE_HZ : 4 * RATE_HZ]
+    assert np.std(silence) == pytest.approx(0.002, rel=0.25)
+
+
+def test_after_a_stall_of_a_second_the_voice_is_fresh_again_within_two():
+    buffer = JitterBuffer(SpokenDecoder(hum(12)))
+    arrivals = [
+        (max(usual_arrival_s(i), 5.0) if 200 <= i < 248 else usual_arrival_s(i), packet(i))
+        for i in range(590)
+    ]
+
+    _, delays_s = play(buffer, arrivals, 11.5)
+
+    report = buffer.report()
+    assert report.leaps >= 1
+    assert report.concealed_ratio < 0.1
+    before_s, after_s = np.median(delays_s[:150]), max(delays_s[round(7.0 / FRAME_S) :])
+    assert after_s < before_s + 0.2
+
+
+def test_a_short_stall_loses_no_word_and_is_caught_up():
+    buffer = JitterBuffer(SpokenDecoder(with_pauses(hum(12))))
+    arrivals = [
+        (max(usual_arrival_s(i), 4.3) if 200 <= i < 250 else usual_arrival_s(i), packet(i))
+        for i in range(590)
+    ]
+
+    play(buffer, arrivals, 11.5)
+
+    report = buffer.report()
+    assert (report.lost, report.leaps) == (0, 0)
+    assert report.stretched > 0
+
+
+@pytest.mark.parametrize("ppm", [-300, 300])
+def test_a_loudspeaker_with_a_clock_of_its_own_neither_starves_nor_falls_behind(ppm: int):
+    buffer = JitterBuffer(SpokenDecoder(with_pauses(hum(62))))
+
+    _, delays_s = play(buffer, on_time(3000), 59.0, tick_s=FRAME_S * (1 + ppm * 1e-6))
+
+    assert buffer.report().concealed_ratio < 0.002
+    assert abs(np.mean(delays_s[-100:]) - np.mean(delays_s[100:200])) < 0.012
+
+
+def test_what_was_muted_begins_anew_without_the_past():
+    buffer = JitterBuffer(SpokenDecoder(hum(20)))
+    arrivals = [(usual_arrival_s(i), packet(i)) for i in range(100)]
+    arrivals += [(usual_arrival_s(i), packet(i, sequence=i - 500)) for i in range(600, 700)]
+
+    _, delays_s = play(buffer, arrivals, 14.0)
+
+    assert max(delays_s[-90:]) < NETWORK_S + 3 * FRAME_S + CODEC_DELAY_S
+    assert buffer.report().lost == 0
+
+
+def test_nothing_is_heard_before_the_first_packet_and_long_after_the_last():
+    buffer = JitterBuffer(SpokenDecoder(hum(2)))
+
+    assert not buffer.pull(0.0).any()
+    assert buffer.heard_us(0.0) is None
+    play(buffer, on_time(40), 1.0)
+    assert buffer.heard_us(0.95) is not None
+    assert buffer.heard_us(4.0) is None
+
+
+def test_the_moment_that_is_heard_counts_the_latency_of_the_loudspeaker():
+    buffer = JitterBuffer(SpokenDecoder(hum(2)))
+    for index in range(40):
+        buffer.receive(packet(index), usual_arrival_s(index))
+        buffer.pull(usual_arrival_s(index) + 0.001, latency_s=0.1)
+
+    now = usual_arrival_s(39)
+    heard_s = (buffer.heard_us(now) - CLOCK_OFFSET_US) / 1e6  # type: ignore[operator]
+    assert now - heard_s == pytest.approx(
+        0.1 + FRAME_S + NETWORK_S + FRAME_S + CODEC_DELAY_S, abs=0.005
+    )
+
+
+def test_a_packet_that_the_codec_refuses_is_concealed_and_counted():
+    decoder = SpokenDecoder(hum(2))
+    buffer = JitterBuffer(decoder)
+    arrivals = on_time(90)
+    at, bad = arrivals[40]
+    arrivals[40] = at, SpokenPacket(bad.sequence, bad.captured_us, b"")
+
+    play(buffer, arrivals, 1.5)
+
+    assert buffer.num_refused == 1
+    assert decoder.concealed == 1
+
+
+def test_a_flood_keeps_no_more_packets_than_may_wait():
+    buffer = JitterBuffer(SpokenDecoder(hum(20)))
+    for index in range(900):
+        buffer.receive(packet(index), 1.0)
+    assert buffer.num_waiting == MAX_PACKETS
+    assert np.isfinite(buffer.pull(1.0)).all()
+
+
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 65535), st.integers(0, 2**64 - 1), st.floats(0, 0.1)),
+        max_size=60,
+    )
+)
+def test_any_packets_are_played_as_whole_frames_of_finite_sound(
+    packets: list[tuple[int, int, float]],
+):
+    buffer, now = JitterBuffer(SpokenDecoder(hum(1))), 0.0
+    for sequence, captured_us, wait_s in packets:
+        now += wait_s
+        buffer.receive(SpokenPacket(sequence, captured_us, (sequence % 40).to_bytes(4, "big")), now)
+        sound = buffer.pull(now)
+        assert sound.shape == (FRAME,)
+        assert np.isfinite(sound).all()
+        assert buffer.num_waiting <= MAX_PACKETS
+
+
+def test_settings_out_of_range_name_the_limit():
+    with pytest.raises(ValueError, match="leap_s is 0"):
+        JitterBufferConfig(leap_s=0.0)
