@@ -25,14 +25,19 @@ from PIL import ImageDraw
 
 from pica_client.bench.codec import FPS
 from pica_client.bench.difference_sheet import AMPLIFIED
-from pica_client.bench.driven import STAGES, shown_latents, stage_values, values_of
+from pica_client.bench.driven import (
+    STAGES,
+    open_driven_source,
+    shown_latents,
+    stage_values,
+    values_of,
+)
 from pica_client.bench.harness import check_ranges
 from pica_client.bench.head import FaceRenderer, evaluation_cameras
 from pica_client.bench.option_types import Words
 from pica_client.errors import OptionError
 from pica_client.output import make_folder, say, writing
 from pica_client.render.drawing import masked_mse
-from pica_client.sources import open_source
 from pica_client.stats import describe_machine
 from pica_core.avatar.file import Avatar
 from pica_core.capture.dataset.files import Topology
@@ -61,7 +66,8 @@ class DriveBenchConfig:
     """What to measure."""
 
     sources: Words = ("performance:talk", "performance:listen", "performance:range_of_motion")
-    """What the person does, separated by commas; csv:FILE or take:FILE for recordings."""
+    """What the person does, separated by commas; csv:FILE or take:FILE for recordings, still:rest
+    and still:eyes-closed for calibration."""
     stages: Words = STAGES
     """Which of driver, codec, live, offset and calibrated."""
     rig: Path | None = None
@@ -143,7 +149,7 @@ def _measure(config: DriveBenchConfig, avatar: Avatar) -> list[dict[str, Any]]:
     try:
         for source in config.sources:
             say(f"{name}: {source}: the head itself")
-            arkit = values_of(open_source(source), num_frames)
+            arkit = values_of(open_driven_source(source), num_frames)
             truth[source] = [_draw_truth(subject, arkit[each], config) for each in moments]
     finally:
         subject.release()  # one GL context at a time on this thread
@@ -153,7 +159,7 @@ def _measure(config: DriveBenchConfig, avatar: Avatar) -> list[dict[str, Any]]:
         for source in config.sources:
             for stage in config.stages:
                 say(f"{name}: {source}: {stage}")
-                values = stage_values(stage, open_source(source), num_frames)
+                values = stage_values(stage, open_driven_source(source), num_frames)
                 latents = shown_latents(avatar, values, coded=stage != "driver")
                 for level in avatar.levels:
                     shown = [

@@ -14,17 +14,18 @@ offset, which is added to what the face does.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from pica_client.bench.codec import FPS, Take, code_stream
-from pica_client.sources import Source
+from pica_client.sources import Source, open_source
 from pica_client.sources.live.calibration import Calibration, calibrate
 from pica_client.sources.live.live_face import LiveFace
 from pica_client.sources.live.sample import TrackerSample
 from pica_client.sources.live.smoothing import BLINKS
-from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
+from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT, ExpressionFrame
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.codec.latent_sample import LatentSample
@@ -129,6 +130,38 @@ def shown_latents(avatar: Avatar, arkit: FloatArray, *, coded: bool) -> FloatArr
     samples = [LatentSample(latent=each, rotation=still, translation_m=still) for each in latents]
     coded_take = code_stream(profile, StreamConfig(fps=FPS), 2, Take(arkit, samples))
     return np.stack([sample.latent for sample in coded_take.shown])
+
+
+STILL: Final = {"still:rest": (), "still:eyes-closed": BLINKS}
+"""Faces that only this bench knows, and what of them is at 1: the person of a calibration."""
+
+
+@dataclass(frozen=True, slots=True)
+class StillFace:
+    """A source that does not move.
+
+    Attributes:
+        arkit: The face. float32 ``[52]``.
+    """
+
+    arkit: FloatArray
+
+    def frame_at(self, time_s: float) -> ExpressionFrame:
+        """The face; see `Source.frame_at`."""
+        return ExpressionFrame(captured_us=round(time_s * 1e6), arkit=self.arkit)
+
+
+def open_driven_source(text: str) -> Source:
+    """A source by its text, or one of `STILL`.
+
+    Raises:
+        SourceError: As `open_source`.
+    """
+    if text not in STILL:
+        return open_source(text)
+    arkit = np.zeros(NUM_ARKIT, np.float32)
+    arkit[list(STILL[text])] = 1.0
+    return StillFace(arkit)
 
 
 STAGES: Final = ("driver", "codec", "live", "offset", "calibrated")
