@@ -15,6 +15,7 @@ from collections.abc import Callable
 from chart_avatars import chart_avatars
 from chart_calls import chart_impaired_call
 from chart_codec import chart_codec
+from chart_drive import chart_drive
 from chart_faults import chart_faults
 from chart_models import chart_models
 from chart_playout import chart_playout
@@ -28,6 +29,7 @@ CHARTS: dict[str, Callable[[], None]] = {
     "impaired-call": chart_impaired_call,
     "codec": chart_codec,
     "relay": chart_relay,
+    "drive": chart_drive,
     "faults": chart_faults,
     "receiver": chart_receiver,
     "models": chart_models,
