@@ -21,6 +21,7 @@ from pica_client.sources.live.take import TakeRecorder
 from pica_core.avatar.arkit import ARKIT_NAMES, ExpressionFrame
 
 HERE, PHONES, FPS = "127.0.0.1", ("127.0.0.2", "127.0.0.3"), 60
+AVATARS = ("ines", "karim", "mei", "olav", "sam")
 LIVE_LINK, RECORDED, VMC = 11911, 11912, 39939  # ports that no real tracker of yours uses
 
 
@@ -84,13 +85,12 @@ def main() -> None:
             sources += [f"ifacialmocap:{PHONES[0]}", f"facemotion3d:{PHONES[1]}"]
             _, url = children.start_relay()
             senders = []
-            for source in sources:
+            for source, avatar in zip(sources, AVATARS, strict=True):
                 kind = source.partition(":")[0]
-                arguments = ("--url", url, "--name", kind, "--source", source)
+                arguments = ("--url", url, "--name", kind, "--source", source, "--avatar", avatar)
                 senders.append(children.start(kind, "send", *arguments))
             view = ("--url", url, "--headless", "--expect", "5", "--seconds", "2")
-            picture = ("--size", "960x540", "--png", str(out / "five.png"))
-            viewer = children.start("viewer", "view", *view, *picture)
+            viewer = children.start("viewer", "view", *view, "--png", str(out / "five.png"))
             viewer.wait(threading.TIMEOUT_MAX)
             print(f"{viewer.result()['rendered_peers']} of {len(senders)} trackers were drawn")
     finally:

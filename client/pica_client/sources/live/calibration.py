@@ -79,7 +79,8 @@ def calibrate(at_rest: Sequence[FloatArray], eyes_closed: Sequence[FloatArray]) 
     """Make a calibration of what was seen.
 
     Args:
-        at_rest: Samples of a relaxed face that looks ahead. Each float32 ``[52]``.
+        at_rest: Samples of a relaxed face that looks ahead, NaN where the tracker sends none. Each
+            float32 ``[52]``.
         eyes_closed: Samples with closed eyes; none keeps the usual level.
 
     Raises:
@@ -87,10 +88,10 @@ def calibrate(at_rest: Sequence[FloatArray], eyes_closed: Sequence[FloatArray]) 
     """
     if not at_rest:
         raise SourceError("no face was seen; let the tracker see you and try again")
-    neutral = np.median(at_rest, axis=0)
+    neutral = np.nan_to_num(np.median(at_rest, axis=0))
     lid_closed = (1.0, 1.0)
     if eyes_closed:
-        seen = np.median([sample[_LIDS] for sample in eyes_closed], axis=0)
+        seen = np.nan_to_num(np.median([sample[_LIDS] for sample in eyes_closed], axis=0))
         if np.min(seen - neutral[_LIDS]) < MIN_LID_RANGE:
             raise SourceError("the eyes did not close; try again, or leave --eyes-closed out")
         lid_closed = (float(seen[0]), float(seen[1]))

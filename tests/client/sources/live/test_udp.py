@@ -216,6 +216,16 @@ def test_a_calibration_out_of_range_is_refused() -> None:
         Calibration(lid_closed=(0.1, 0.1))
 
 
+def test_shapes_that_a_tracker_does_not_send_have_no_neutral() -> None:
+    arkit = np.full(NUM_ARKIT, np.nan, np.float32)
+    arkit[ARKIT_INDEX["mouthSmileLeft"]] = 0.2
+    calibration = calibrate([arkit, arkit], [])
+    assert calibration.neutral[ARKIT_INDEX["mouthSmileLeft"]] == pytest.approx(0.2)
+    assert calibration.neutral[ARKIT_INDEX["cheekPuff"]] == 0
+    with pytest.raises(SourceError, match="did not close"):
+        calibrate([arkit], [arkit])
+
+
 def test_gain_makes_movements_stronger_up_to_one_and_leaves_lids_and_gaze() -> None:
     arkit = np.zeros(NUM_ARKIT, np.float32)
     names = ("jawOpen", "mouthSmileLeft", "eyeBlinkLeft", "eyeLookUpLeft")
