@@ -10,17 +10,26 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import pytest
 
+from helpers.hand import Rect, note_places
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
 from pica_client.local_call.processes import Children
 from pica_client.publish.own_face import FaceChoice
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.receiver import Receiver
-from pica_client.ui.events import InputEvent, KeyPressed
+from pica_client.ui.events import (
+    CloseWanted,
+    InputEvent,
+    KeyPressed,
+    MouseMoved,
+    MousePressed,
+    MouseReleased,
+    TextTyped,
+)
 from pica_client.ui.joining.form import Fields, JoinForm
 from pica_client.ui.preferences import Preferences, PreferencesFile
 from pica_client.ui.view import ViewConfig
@@ -76,6 +85,31 @@ def without_signals(stop: Callable[[], object]) -> Iterator[None]:
     yield
 
 
+class ClickingWindow(ScreenlessWindow):
+    """A window whose user clicks on labels, one after the other, and types a text that begins with
+    an equals sign; at the end they close it."""
+
+    places: ClassVar[dict[str, Rect]]
+    todo: ClassVar[list[str]]
+
+    def poll(self) -> list[InputEvent]:
+        self.num_frames = getattr(self, "num_frames", 0) + 1
+        if self.happened or self.num_frames % 4:
+            return super().poll()
+        found = [rect for label, rect in self.places.items() if self.todo and self.todo[0] in label]
+        self.places.clear()
+        if not self.todo:
+            return [CloseWanted()]
+        if self.todo[0].startswith("="):
+            return [TextTyped(self.todo.pop(0)[1:])]
+        if found:
+            self.todo.pop(0)
+            left, top, right, bottom = found[-1]
+            place = (left + right) / 2, (top + bottom) / 2
+            self.happened += [MouseMoved(*place), MousePressed(*place), MouseReleased(*place)]
+        return super().poll()
+
+
 @pytest.fixture
 def library() -> Iterator[AvatarLibrary]:
     found = AvatarLibrary(shipped=[])
@@ -96,6 +130,23 @@ def config(url: str, *, headless: bool = False) -> ViewConfig:
         viewer=ViewerOptions(size=SIZE, headless=headless, layout="grid", keep_in=Path("kept")),
         seconds=0.4,
     )
+
+
+def test_one_comes_again_under_another_name(
+    monkeypatch: pytest.MonkeyPatch, relay_url: str, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("pica_client.ui.window.Window", ClickingWindow)
+    monkeypatch.setattr(ScreenlessWindow, "happened", [], raising=False)
+    ClickingWindow.places = note_places(monkeypatch)
+    steps = ["Join", "Settings", "##name", "= Lovelace", "Come again"]
+    ClickingWindow.todo = list(steps)
+    kept = PreferencesFile(tmp_path)
+    form = JoinForm(Fields(url=relay_url, room="standup", name="Ada"))
+    stay = replace(config(NOBODY), seconds=20, viewer=ViewerOptions(size=(960, 720)))
+    with contextlib.closing(AvatarLibrary()) as library:
+        ask_and_look(stay, library, WATCHING, without_signals, form=form, kept=kept)
+    assert ClickingWindow.todo == []
+    assert kept.load().name == "Ada Lovelace"
 
 
 def test_one_can_leave_at_the_form(

@@ -30,6 +30,7 @@ Rect = tuple[float, float, float, float]
 NOTED = (
     "button",
     "invisible_button",
+    "input_text",
     "input_text_with_hint",
     "checkbox",
     "selectable",

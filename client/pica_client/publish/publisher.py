@@ -81,6 +81,7 @@ class Publisher:
     Attributes:
         track: What the link has to publish.
         is_muted_by_admin: Whether an admin has stopped the stream.
+        seen: The source's latest face, whether it is sent or not; None before the first.
         frame_log: Capture time and encoding time of each frame sent, both in microseconds; drops
             its oldest when full.
     """
@@ -94,6 +95,7 @@ class Publisher:
         self.frame_log: deque[tuple[int, int]] = deque(maxlen=MAX_LOGGED_FRAMES)
         self.is_muted_by_admin = False
         self._source = source
+        self.seen: ExpressionFrame | None = None
         self._encoder = ExpressionEncoder(avatar)
         self._stream, profile = open_encoder(avatar, config.stream(), plain=config.plain)
         self.track = Track(kind=FACE_TRACK, avatar=avatar_identity, profile=profile)
@@ -130,6 +132,18 @@ class Publisher:
     def trouble(self) -> str:
         """What is wrong with the tracker, for its user; empty: nothing, or there is none."""
         return self._source.trouble if isinstance(self._source, LiveSource) else ""
+
+    @property
+    def source(self) -> Source:
+        """What plays the face."""
+        return self._source
+
+    def replace_source(self, source: Source) -> None:
+        """Take the face from another source from the next frame on, and let go of the one before.
+        Any thread may call it."""
+        before, self._source = self._source, source
+        if isinstance(before, LiveSource):
+            before.close()
 
     def close(self) -> None:
         """Let go of the tracker."""
@@ -213,7 +227,7 @@ class Publisher:
 
     def _face(self, time_s: float) -> ExpressionFrame:
         """The face to send: the source's, or the last one of it."""
-        frame = self._source.frame_at(time_s)
+        frame = self.seen = self._source.frame_at(time_s)
         self._is_lost = not frame.has_face
         if self._mode == "frozen" and self._frozen is not None:
             return replace(self._frozen, captured_us=frame.captured_us)

@@ -15,7 +15,7 @@ from pica_client.render.labels import place_labels
 from pica_client.render.scene import Rect, head_rect_px
 from pica_client.render.seats import MAX_FREE, FreeShares
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
-from pica_client.ui.call_view import CallView, Panel, PersonView
+from pica_client.ui.call_view import NOTHING, CallView, OwnFaceView, Panel, PersonView
 from pica_client.ui.controls import ControlState, UserOrder
 from pica_client.ui.events import InputEvent, MouseMoved, MousePressed
 from pica_client.ui.notice_board import Notice, NoticeBoard
@@ -28,7 +28,7 @@ from pica_client.ui.panels.side import help_panel, side_share
 from pica_client.ui.panels.signs import signs, signs_share
 from pica_client.ui.panels.statistics import statistics, statistics_share
 from pica_client.ui.panels.waiting import first_hint, hint_share, waiting_page
-from pica_client.ui.settings import Settings
+from pica_client.ui.settings import OwnChoice, Settings
 from pica_client.ui.surface.painter import Painter
 from pica_client.ui.surface.surface import Surface
 
@@ -62,6 +62,8 @@ class CallSurface:
         meter: Durations of the call.
         status: How the call stands, at a time in seconds.
         has_pointer: Whether there is somebody to steer: a window.
+        entered_as: As whom one is here.
+        avatars: See `CallView.avatars`.
 
     Attributes:
         free: What the seats must keep free.
@@ -76,11 +78,15 @@ class CallSurface:
         status: Callable[[float], CallStatus],
         *,
         has_pointer: bool,
+        entered_as: OwnChoice | None = None,
+        avatars: tuple[str, ...] = (),
     ) -> None:
         self.free = FreeShares()
         self._surface = Surface(size)
         self.painter = Painter(context, self._surface)
         self._meter = meter
+        self._entered_as = entered_as or OwnChoice()
+        self._avatars = avatars
         self._ask_status = status
         self._status = CallStatus()
         self._asked_s: float | None = None
@@ -146,7 +152,7 @@ class CallSurface:
         state: ControlState,
         *,
         is_recording: bool,
-        self_texture: moderngl.Texture | None = None,
+        own: OwnFaceView = NOTHING,
     ) -> list[UserOrder]:
         """Set the panels, and end the frame; gives what the user ordered."""
         self._times.append(now)
@@ -167,7 +173,9 @@ class CallSurface:
             is_recording=is_recording,
             shows_bar=self._shows_bar(now, state),
             has_pointer=self._has_pointer,
-            self_texture=None if self_texture is None else self.painter.adopt(self_texture),
+            own=own,
+            entered_as=self._entered_as,
+            avatars=self._avatars,
             figures=self._figures,
         )
         bar = bar_share(metrics) if self._has_pointer else 0.0

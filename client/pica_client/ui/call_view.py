@@ -16,6 +16,7 @@ from pica_client.call.status import AvatarFigures, CallStatus, PeerStatus
 from pica_client.render.scene import Rect
 from pica_client.ui.controls import ControlState, UserOrder
 from pica_client.ui.notice_board import Notice
+from pica_client.ui.settings import OwnChoice
 from pica_client.ui.surface.theme import Metrics
 
 STATUS_NOTE: dict[FaceStatus, str] = {"away": "away"}
@@ -50,6 +51,27 @@ class PersonView:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class OwnFaceView:
+    """What is shown of one's own face."""
+
+    texture: int | None = None
+    """What the others see, by the painter's number; None before there is a picture."""
+    source: str = ""
+    """What plays it."""
+    has_tracker: bool = False
+    has_face: bool = True
+    """Whether the tracker sees somebody."""
+    bars: tuple[tuple[str, float], ...] = ()
+    """Some of its values, by name."""
+    camera: int | None = None
+    """What a camera sees, by the painter's number."""
+    camera_aspect: float = 1.0
+
+
+NOTHING = OwnFaceView()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class CallView:
     """One frame of a call."""
 
@@ -65,8 +87,12 @@ class CallView:
     """Whether the control bar is to be seen: the pointer moved a moment ago."""
     has_pointer: bool = True
     """Whether there is somebody to steer: a window."""
-    self_texture: int | None = None
-    """The picture of one's own face, by the painter's number; None while there is none."""
+    own: OwnFaceView = NOTHING
+    """One's own face, as others and as the tracker see it."""
+    entered_as: OwnChoice = field(default_factory=OwnChoice)
+    """The name, avatar and source that one came in with."""
+    avatars: tuple[str, ...] = ()
+    """Those to choose from, by name; none where one cannot come again as somebody else."""
     figures: tuple[tuple[str, str], ...] = ()
     """Figures of the whole call, name and value."""
 

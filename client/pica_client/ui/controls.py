@@ -26,7 +26,7 @@ from pica_client.ui.events import (
     MouseReleased,
     Scrolled,
 )
-from pica_client.ui.settings import Settings
+from pica_client.ui.settings import OwnChoice, Settings
 
 CLICK_PX = 5.0
 """A press that moves less than this before it is let go is a click."""
@@ -56,6 +56,9 @@ class Order(Enum):
     LOOK_DOWN = auto()
     MUTE_FACE = auto()
     FREEZE_FACE = auto()
+    CALIBRATE = auto()
+    REJOIN = auto()
+    """Come again as whom the settings say."""
     STATISTICS = auto()
     PARTICIPANTS = auto()
     SETTINGS = auto()
@@ -94,7 +97,7 @@ class CopyText:
     notice: str = "Copied"
 
 
-UserOrder = Order | Pin | ChooseLayout | CopyText | Settings
+UserOrder = Order | Pin | ChooseLayout | CopyText | Settings | OwnChoice
 
 OwnFace = Literal["none", "sent", "frozen", "muted"]
 """What becomes of the user's own face. none: there is none to send; frozen: the last expression
@@ -116,6 +119,8 @@ class ControlState:
     asks_to_leave: bool = False
     own_face: OwnFace = "none"
     settings: Settings = field(default_factory=Settings)
+    choice: OwnChoice = field(default_factory=OwnChoice)
+    """The name, avatar and source that the user wants; a name or avatar only after coming again."""
     shows_hint: bool = False
     """Whether what one needs to know in the first call is shown."""
     wants_close: bool = False
@@ -181,6 +186,7 @@ CHANGES: dict[Order, Change] = {
     Order.DISMISS_HINT: lambda state: replace(state, shows_hint=False),
 }
 """What orders change of the state; all others are for whoever owns files and windows."""
+OF_THE_FACE = (Order.MUTE_FACE, Order.FREEZE_FACE, Order.CALIBRATE)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -208,6 +214,7 @@ BINDINGS: tuple[Binding, ...] = (
     Binding(keys=("Down",), title="", order=Order.LOOK_DOWN, repeats=True),
     Binding(keys=("M",), title="mute own face", order=Order.MUTE_FACE, needs_own_face=True),
     Binding(keys=("F",), title="freeze own face", order=Order.FREEZE_FACE, needs_own_face=True),
+    Binding(keys=("K",), title="calibrate the tracker", order=Order.CALIBRATE, needs_own_face=True),
     Binding(keys=("U",), title="participants", order=Order.PARTICIPANTS),
     Binding(keys=("S",), title="statistics", order=Order.STATISTICS),
     Binding(keys=("P",), title="picture into a file", order=Order.SCREENSHOT),
@@ -297,7 +304,10 @@ class Controls:
                 self.state = replace(self.state, layout=layout, view=ViewState())
             case Settings():
                 self.state = replace(self.state, settings=order)
-            case Order.MUTE_FACE | Order.FREEZE_FACE if self.state.own_face == "none":
+            case OwnChoice():
+                self.state = replace(self.state, choice=order)
+                self._orders.append(order)
+            case Order() if order in OF_THE_FACE and self.state.own_face == "none":
                 self._orders.append(Order.EXPLAIN_NO_FACE)
             case Order() if order in CHANGES:
                 self.state = CHANGES[order](self.state)

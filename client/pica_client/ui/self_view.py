@@ -31,7 +31,6 @@ class SelfView:
     def __init__(
         self, context: moderngl.Context, reflection: Reflection, options: RenderOptions
     ) -> None:
-        self._drawn_s: float | None = None
         self._renderer = Renderer(context, (16, 12), options)
         with ExitStack() as stack:
             self._pool = stack.enter_context(DecodePool(DecodePoolOptions(), OnnxDecoder))
@@ -49,14 +48,11 @@ class SelfView:
         size = (round(ASPECT * height_px), height_px)
         if size != self._renderer.size:
             self._renderer.resize(size)
-            self._drawn_s = None
-        if self._drawn_s is None or now - self._drawn_s >= PERIOD_S:
-            self._drawn_s = now
-            scene = self._presenter.arrange(now, Seating(layout="line"), size)
-            self._presenter.decide(scene, (scene.camera,), BUDGET_S)
-            self._presenter.collect(now)
-            scene = self._presenter.dressed(scene)
-            self._renderer.draw(scene.placements, scene.camera)
+        scene = self._presenter.arrange(now, Seating(layout="line"), size)
+        self._presenter.decide(scene, (scene.camera,), BUDGET_S)
+        self._presenter.collect(now)
+        scene = self._presenter.dressed(scene)
+        self._renderer.draw(scene.placements, scene.camera)
         if not self._presenter.num_decoded().get(SELF_ID):
             return None
         (texture,) = self._renderer.image.color_attachments

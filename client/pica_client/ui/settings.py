@@ -32,3 +32,14 @@ class Settings:
             raise OptionError(f"shows_self is {self.shows_self!r}; true or false")
         if type(self.detail) not in (int, float) or not MIN_DETAIL <= self.detail <= 1:
             raise OptionError(f"detail is {self.detail!r}; {MIN_DETAIL:g} to 1")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class OwnChoice:
+    """Who one is in a call, and what plays the face; an order of the panel that shows it."""
+
+    name: str = ""
+    avatar: str = ""
+    """A name or a file; empty goes by the name."""
+    source: str = ""
+    """What plays it, for `sources.open_source`; empty only watches."""

@@ -5,6 +5,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,13 +17,15 @@ from pica_client.call.call import Call, CallConfig
 from pica_client.decode.request import DecodeResult
 from pica_client.errors import OptionError, RelayUnreachableError
 from pica_client.output import check_writable, make_folder, say
-from pica_client.publish.own_face import OutgoingFace
+from pica_client.publish.face_desk import FaceDesk
+from pica_client.publish.own_face import FaceChoice, OutgoingFace
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.connect import trusting
 from pica_client.transport.link_news import LinkNews
 from pica_client.transport.monitor import CallMonitor
 from pica_client.transport.receiver import Receiver
-from pica_client.ui.controls import ControlState, OwnFace
+from pica_client.ui.controls import ControlState
+from pica_client.ui.settings import OwnChoice
 from pica_client.ui.viewer import Viewer, ViewerOptions
 from pica_client.ui.window import Window
 from pica_protocol.limits import MAX_PEERS
@@ -74,8 +77,10 @@ class View:
 
     Attributes:
         last_controls: How the user left the view; None before it was shown.
+        last_source: What plays the user's face now, if they chose it during the call; else None.
         last_window_size: And the window, in the screen's units; None without one.
         was_cancelled: Whether the user did not want to wait for the room.
+        wanted: As whom the user wants to come again; None: not at all.
     """
 
     def __init__(
@@ -84,6 +89,7 @@ class View:
         library: AvatarLibrary,
         *,
         face: OutgoingFace | None = None,
+        choice: FaceChoice | None = None,
         window: Window | None = None,
         waiting: Callable[[], bool] | None = None,
     ) -> None:
@@ -93,6 +99,7 @@ class View:
             config: What to show, and how.
             library: The avatars of this machine.
             face: To be sent as well.
+            choice: What it was made of.
             window: To show it in, which stays open; by default a new one.
             waiting: Called again and again until we are in the room; False gives up.
 
@@ -112,7 +119,13 @@ class View:
         self._fetcher = self._make_fetcher(library) if config.fetch else None
         avatars = self._fetcher or library
         self._call = Call(avatars, config.call, log_shown=config.frame_log is not None)
+        self._library = library
         self._publisher = None if face is None else face.publisher
+        choice = choice or FaceChoice(source="")
+        self._entered_as = OwnChoice(
+            name=config.link.name, avatar=choice.avatar or "", source=choice.source
+        )
+        self.wanted: OwnChoice | None = None
         self._window = window
         self._waiting = waiting
         self.was_cancelled = False
@@ -126,6 +139,7 @@ class View:
         )
         self.last_controls: ControlState | None = None
         self.last_window_size: tuple[int, int] | None = None
+        self.last_source: str | None = None
         self._is_stopping = False
         # Drops its oldest when full.
         self._decodes: deque[tuple[str, DecodeResult]] = deque(maxlen=MAX_LOGGED_DECODES)
@@ -153,18 +167,24 @@ class View:
     def _run(self) -> dict[str, Any]:
         config = self._config
         self._say_recording(config.viewer.record is not None)
-        with self._receiver:
+        with self._receiver, ExitStack() as stack:
             self._wait_for_peers()
             if self.was_cancelled:
                 return dict(NOTHING_SHOWN)
+            desk = None
+            if self._publisher is not None:
+                desk = FaceDesk(self._publisher, config.link.name, self._entered_as.source)
+                stack.callback(desk.close)
             with Viewer(
                 self._call,
-                replace(config.viewer, sends_face=self._publisher is not None),
+                replace(
+                    config.viewer, entered_as=self._entered_as, avatars=tuple(self._library.names)
+                ),
                 status=CallMonitor(self._receiver).status,
                 on_decoded=self._note_decode if config.frame_log is not None else None,
-                on_own_face=self._set_own_face,
+                desk=desk,
+                on_rejoin=self._come_again,
                 on_recording=self._say_recording,
-                reflection=None if self._publisher is None else self._publisher.reflect(),
                 window=self._window,
             ) as viewer:
                 # In a window a person looks on: they see who is ready, and no frozen frame.
@@ -181,6 +201,8 @@ class View:
                     viewer.save_image(config.png)
                 self.last_controls = viewer.controls.state
                 self.last_window_size = viewer.windowed_size
+                if desk is not None and desk.source != self._entered_as.source:
+                    self.last_source = desk.source
         for problem in problems:
             print(problem, file=sys.stderr)
         if config.frame_log is not None:
@@ -251,9 +273,14 @@ class View:
             image = config.png_folder / f"frame-{index:05d}.png"
             keeps_images = keeps_images and viewer.save_image(image)
 
-    def _set_own_face(self, wanted: OwnFace) -> None:
-        if self._publisher is not None and wanted != "none":
-            self._publisher.set_mode(wanted)
+    def _come_again(self, wanted: OwnChoice) -> str:
+        """Note as whom the user wants to come again; says why that cannot be."""
+        try:
+            replace(self._config.link, name=wanted.name.strip())
+        except OptionError as error:
+            return str(error)
+        self.wanted = replace(wanted, name=wanted.name.strip())
+        return ""
 
     def _say_recording(self, is_recording: bool) -> None:
         """Tell the others whether what is seen here is kept, as a film or as a series of images."""

@@ -6,7 +6,7 @@
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -114,12 +114,18 @@ def look(
     Raises:
         See `View.run` and `open_own_face`.
     """
-    looking = View(config, library, face=open_own_face(face, config.link, library, say))
-    with stopping(looking.stop):
-        result = looking.run()
-    if kept is not None:
-        _keep(kept, config, looking)
-    return result
+    while True:
+        own = open_own_face(face, config.link, library, say)
+        looking = View(config, library, face=own, choice=face)
+        with stopping(looking.stop):
+            result = looking.run()
+        wanted = looking.wanted
+        if kept is not None:
+            _keep(kept, config, looking)
+        if wanted is None:
+            return result
+        config = replace(config, link=replace(config.link, name=wanted.name))
+        face = replace(face, source=wanted.source, avatar=wanted.avatar or None)
 
 
 def ask_and_look(
@@ -155,6 +161,7 @@ def ask_and_look(
                     stay,
                     library,
                     face=opening.result(),
+                    choice=chosen,
                     window=window,
                     waiting=lambda: lobby.show_waiting("Connecting …"),
                 )
@@ -168,9 +175,13 @@ def ask_and_look(
             if looking.was_cancelled:
                 form.ask_again()
                 continue
+            wanted = looking.wanted
+            if wanted is not None:
+                form.fields = replace(form.fields, **asdict(wanted))
             if kept is not None:
                 _keep(kept, stay, looking, form.fields)
-            return result
+            if wanted is None:
+                return result
     return dict(NOTHING_SHOWN)
 
 
@@ -188,6 +199,11 @@ def _keep(
     before = kept.load()
     folder = config.viewer.keep_in
     typed = {} if fields is None else {name: getattr(fields, name) for name in KEPT_FIELDS}
+    typed["name"] = config.link.name
+    if looking.wanted is not None:
+        typed |= asdict(looking.wanted)
+    elif looking.last_source is not None:
+        typed["source"] = looking.last_source
     kept.save(
         replace(
             before,
@@ -199,7 +215,6 @@ def _keep(
             window_size=looking.last_window_size or before.window_size,
             url=config.link.url,
             room=config.link.room,
-            name=config.link.name,
             keep_in="" if folder is None else str(folder.absolute()),
         )
     )

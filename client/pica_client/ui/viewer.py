@@ -19,13 +19,13 @@ import moderngl
 import numpy as np
 
 from pica_client.call.faces import FaceSource
-from pica_client.call.reflection import Reflection
 from pica_client.call.status import CallStatus
 from pica_client.decode.decoder import OnnxDecoder, OnnxOptions
 from pica_client.decode.pool import DecodePool, DecodePoolOptions
 from pica_client.decode.request import DecodeResult
 from pica_client.errors import ClientError, OptionError
 from pica_client.output import Outputs
+from pica_client.publish.face_desk import FaceDesk
 from pica_client.render.draw_clock import DrawClock
 from pica_client.render.recorder import save_png
 from pica_client.render.renderer import DrawStats, Renderer, RenderOptions
@@ -36,18 +36,18 @@ from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Plan, Scheduler, SchedulerOptions
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter, Seating
 from pica_client.ui.call_surface import CallSurface
+from pica_client.ui.call_view import NOTHING, OwnFaceView
 from pica_client.ui.captures_on_disk import CapturesOnDisk, Recording
 from pica_client.ui.controls import (
     Controls,
     ControlState,
     CopyText,
     Order,
-    OwnFace,
     UserOrder,
 )
 from pica_client.ui.events import InputEvent, MouseMoved, MousePressed, MouseReleased
-from pica_client.ui.self_view import SelfView
-from pica_client.ui.settings import Settings
+from pica_client.ui.own_face import OwnFaceCorner
+from pica_client.ui.settings import OwnChoice, Settings
 from pica_client.ui.window import Window
 from pica_core.avatar.file import Avatar
 from pica_core.camera import Camera
@@ -91,8 +91,10 @@ class ViewerOptions:
     """What the user has set, at first."""
     shows_hint: bool = False
     """Whether what one needs to know in the first call is shown."""
-    sends_face: bool = False
-    """Whether the user's own face is sent: then there are keys to mute and to freeze it."""
+    entered_as: OwnChoice = field(default_factory=OwnChoice)
+    """The name, avatar and source of the user."""
+    avatars: tuple[str, ...] = ()
+    """Those that one can come again with, by name; none where one cannot."""
     title: str = "PiCA Telepresence"
     render: RenderOptions = field(default_factory=lambda: RenderOptions(fade_busts=True))
     decode: DecodePoolOptions = field(default_factory=DecodePoolOptions)
@@ -133,8 +135,8 @@ class Viewer:
         status: How the call stands, at a time of `clock`; asked twice a second.
         on_decoded: Told of every decode that reached the GPU, on the drawing thread; its slot is
             the peer id.
-        on_own_face: Told when the user mutes or freezes their own face, or lets it go on.
-        reflection: One's own face, to be shown in a corner; None while none is sent.
+        desk: What steers the user's own face; None while none is sent.
+        on_rejoin: Told as whom the user wants to come again; why that cannot be, or nothing.
         on_recording: Told when what is shown begins to be kept, and when that is over.
         window: To show it in, which stays open afterwards; by default a new one.
         clock: Seconds, monotonic; the same clock that stamps `FaceState.captured_us` when sender
@@ -157,27 +159,27 @@ class Viewer:
         *,
         status: StatusSource = lambda now: CallStatus(),
         on_decoded: Callable[[DecodeResult], None] | None = None,
-        on_own_face: Callable[[OwnFace], None] | None = None,
         on_recording: Callable[[bool], None] = lambda is_recording: None,
-        reflection: Reflection | None = None,
+        desk: FaceDesk | None = None,
+        on_rejoin: Callable[[OwnChoice], str] = lambda choice: "You cannot come again from here",
         window: Window | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.options = options or ViewerOptions()
         self._clock = clock
-        self._on_own_face = on_own_face
+        self._on_rejoin = on_rejoin
         self._on_recording = on_recording
         self._was_recording = False
         self.controls = Controls(
             ControlState(
                 layout=self.options.layout,
                 show_statistics=self.options.show_statistics,
-                own_face="sent" if self.options.sends_face else "none",
+                own_face="none" if desk is None else "sent",
+                choice=self.options.entered_as,
                 settings=self.options.settings,
                 shows_hint=self.options.shows_hint,
             )
         )
-        self._told_own_face = self.controls.state.own_face
         self._meter = Meter()
         self._events: list[InputEvent] = []
         self._num_frames = 0
@@ -203,6 +205,8 @@ class Viewer:
                 self._meter,
                 status,
                 has_pointer=self._window is not None,
+                entered_as=self.options.entered_as,
+                avatars=self.options.avatars,
             )
             stack.callback(self._surface.close)
             self._recording = Recording(self.options.record, size, self.outputs)
@@ -223,10 +227,10 @@ class Viewer:
                 on_decoded=on_decoded,
                 clock=clock,
             )
-            self._self_view = None
-            if reflection is not None and self.options.eye_distance_m == 0:
-                self._self_view = SelfView(context, reflection, self.options.render)
-                stack.callback(self._self_view.close)
+            self._own_face = None
+            if desk is not None:
+                self._own_face = OwnFaceCorner(context, desk, self.options.render)
+                stack.callback(self._own_face.close)
             self._resources = stack.pop_all()
         self._started_s = self._clock()
 
@@ -302,11 +306,12 @@ class Viewer:
             self._presenter,
             self.controls.state,
             is_recording=self._recording.is_going or self._captures.is_recording,
-            self_texture=self._draw_self(now),
+            own=self._draw_own(now),
         )
         for order in orders:
             self.controls.obey(order)
-        self._tell_own_face()
+        if self._own_face is not None:
+            self._own_face.tell(self.controls.state.own_face)
         begin_s = self._clock()
         # What a frame cost is known some frames later, when the GPU is done with it.
         drawn = _DrawnFrame(plan.shaded_px)
@@ -449,19 +454,14 @@ class Viewer:
         for event in rest:
             self.controls.receive(event, peers=peers, pick=self.pick)
 
-    def _draw_self(self, now: float) -> moderngl.Texture | None:
-        """One's own face, if it is to be seen and there is room for it."""
-        height_px = self._surface.self_view_px
-        if self._self_view is None or not self.controls.state.settings.shows_self or not height_px:
-            return None
-        return self._self_view.draw(now, height_px)
-
-    def _tell_own_face(self) -> None:
-        """Pass on what the user wants to become of their own face."""
-        wanted = self.controls.state.own_face
-        if wanted != self._told_own_face and self._on_own_face is not None:
-            self._on_own_face(wanted)
-        self._told_own_face = wanted
+    def _draw_own(self, now: float) -> OwnFaceView:
+        """One's own face; its picture if it is to be seen and there is room for it."""
+        if self._own_face is None:
+            return NOTHING
+        is_shown = self.controls.state.settings.shows_self and self.options.eye_distance_m == 0
+        height_px = self._surface.self_view_px if is_shown else 0
+        surface = self._surface
+        return self._own_face.draw(now, height_px, surface.painter, surface.notice)
 
     def _obey(self, order: UserOrder, now: float) -> None:
         """Do once what the user asked for."""
@@ -475,8 +475,15 @@ class Viewer:
                     self._window.toggle_full_screen()
             case Order.EXPLAIN_NO_FACE:
                 self._surface.notice(
-                    "You show no face: leave, and join with a face source (--send)", now
+                    "You show no face: choose a face source in the settings (--send)", now
                 )
+            case Order.REJOIN:
+                if trouble := self._on_rejoin(self.controls.state.choice):
+                    self._surface.notice(trouble, now)
+                else:
+                    self.controls.obey(Order.LEAVE)
+            case Order.CALIBRATE | OwnChoice() if self._own_face is not None:
+                self._own_face.obey(order, now)
             case CopyText(text=text, notice=notice):
                 if self._window is not None:
                     self._window.copy(text)

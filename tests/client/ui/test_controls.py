@@ -65,7 +65,7 @@ def test_the_window_knows_every_key_that_means_something() -> None:
 
 def test_every_order_is_given_by_a_key_or_by_a_button_or_explains_one() -> None:
     by_key = {binding.order for binding in BINDINGS}
-    by_button = {Order.STAY, Order.LEAVE, Order.DISMISS_HINT}
+    by_button = {Order.STAY, Order.LEAVE, Order.DISMISS_HINT, Order.REJOIN}
     assert set(Order) - by_key == by_button | {Order.EXPLAIN_NO_FACE}
 
 

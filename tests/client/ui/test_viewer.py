@@ -19,9 +19,11 @@ from pica_client.call.faces import FaceState, FaceStatus
 from pica_client.call.status import CallStatus
 from pica_client.decode.request import DecodeResult
 from pica_client.errors import OptionError
+from pica_client.publish.face_desk import FaceDesk
+from pica_client.publish.publisher import Publisher, SenderConfig
 from pica_client.render.thumbnail import draw_thumbnail
 from pica_client.schedule.scheduler import SchedulerOptions
-from pica_client.ui.controls import OwnFace
+from pica_client.sources import open_source
 from pica_client.ui.events import KeyPressed, MouseMoved, MousePressed, MouseReleased, Scrolled
 from pica_client.ui.viewer import Viewer, ViewerOptions
 from pica_client.ui.window import Window
@@ -326,17 +328,20 @@ def test_a_face_that_goes_stale_fades_and_does_not_blink(two: tuple[Faces, Viewe
 
 
 def test_muting_ones_own_face_is_told_and_shown() -> None:
-    told: list[OwnFace] = []
-    options = replace(SMALL, sends_face=True, size=(640, 360))
-    with Viewer(Faces(), options, on_own_face=told.append, clock=lambda: 5.0) as viewer:
+    publisher = Publisher(SenderConfig(), open_source("performance:talk"), TOY, "5" * 64)
+    desk = FaceDesk(publisher, "Ada", "performance:talk")
+    options = replace(SMALL, size=(640, 360))
+    with Viewer(Faces(), options, desk=desk, clock=lambda: 5.0) as viewer:
         viewer.step(1.0)
         before = read(viewer)
         viewer.receive(KeyPressed("M"))
         viewer.step(1.1)
+        assert publisher.mode == "muted"
         assert (read(viewer) != before)[300:, :320].any()
         viewer.receive(KeyPressed("M"))
         viewer.step(1.2)
-    assert told == ["muted", "sent"]
+        assert publisher.mode == "sent"
+    desk.close()
 
 
 def test_two_eyes_see_the_same_people_from_two_places_with_one_decode() -> None:

@@ -34,6 +34,7 @@ if fewer frames are made than the tracker says, and a face that comes is not los
 CLOCK_JUMP_S: Final = 1.0
 """A tracker's clock that is this far off has been set anew."""
 KEPT_SAMPLES: Final = 64
+RECENT_SAMPLES: Final = 256
 USUAL_SHARE: Final = 0.9
 """Share of the samples that is waited for."""
 
@@ -69,11 +70,13 @@ class LiveFace:
     Attributes:
         counters: What became of the samples.
         calibration: What is done to each sample; may be replaced at any time.
+        recent: The latest samples with a face as the tracker sent them, to calibrate by.
     """
 
     def __init__(self, calibration: Calibration | None = None) -> None:
         self.counters = LiveCounters()
         self.calibration = calibration or Calibration()
+        self.recent: deque[FloatArray] = deque(maxlen=RECENT_SAMPLES)
         self._smoother, self._seat = Smoother(), Seat()
         self._times_s: deque[float] = deque(maxlen=KEPT_SAMPLES)
         self._poses: deque[_Pose] = deque(maxlen=KEPT_SAMPLES)
@@ -107,7 +110,9 @@ class LiveFace:
             self._seat.reset()
             self._returned_s = seen_s
         self._lost_s = None
-        arkit = self.calibration.apply(np.nan_to_num(sample.arkit, nan=0.0))
+        raw = np.nan_to_num(sample.arkit, nan=0.0)
+        self.recent.append(raw)
+        arkit = self.calibration.apply(raw)
         step_s = min(gap_s, HOLD_S)
         offset_m = self._seat.offset_m(sample.place_m, step_s)
         pose = self._smoother.smooth(arkit, sample.rotation, offset_m, step_s)

@@ -14,6 +14,7 @@ from pica_client.ui.surface.widgets import (
     FIXED,
     action_button,
     card,
+    choice_of,
     hint,
     ink,
     note,
@@ -142,13 +143,7 @@ def _typed(view: JoinView, metrics: Metrics) -> Fields:
     if view.portraits:
         fields = _avatars(fields, view, metrics)
     note("Your face", metrics)
-    imgui.set_next_item_width(-1)
-    titles = dict(SOURCES)
-    if imgui.begin_combo("##source", titles.get(fields.source, fields.source)):
-        for value, name in SOURCES:
-            if imgui.selectable(name, value == fields.source)[0]:
-                fields = replace(fields, source=value)
-        imgui.end_combo()
+    fields = replace(fields, source=choice_of("##source", SOURCES, fields.source))
     flags = imgui.TreeNodeFlags_.no_tree_push_on_open | imgui.TreeNodeFlags_.span_avail_width
     if imgui.tree_node_ex("More", flags):
         for name in ("token", "secret_file", "ca_file", "avatar"):

@@ -5,11 +5,15 @@ from dataclasses import replace
 from imgui_bundle import imgui
 
 from pica_client.ui.call_view import CallView
-from pica_client.ui.controls import LAYOUT_TITLES, ChooseLayout, Order, UserOrder
+from pica_client.ui.controls import KEYS_OF, LAYOUT_TITLES, ChooseLayout, Order, UserOrder
+from pica_client.ui.joining.form import SOURCES
 from pica_client.ui.panels.side import side_panel
 from pica_client.ui.settings import MIN_DETAIL, SCALES, Settings
 from pica_client.ui.surface.theme import Metrics
-from pica_client.ui.surface.widgets import note
+from pica_client.ui.surface.widgets import action_button, choice_of, note
+
+MAX_NAME = 64
+"""Characters of a name that are taken from its field."""
 
 
 def settings_panel(view: CallView, metrics: Metrics) -> list[UserOrder]:
@@ -20,6 +24,9 @@ def settings_panel(view: CallView, metrics: Metrics) -> list[UserOrder]:
         return orders
     settings = state.settings
     with side_panel("Settings", metrics, orders):
+        if view.avatars:
+            orders += _own(view, metrics)
+            imgui.separator()
         note("People sit", metrics)
         for number, (layout, title) in enumerate(LAYOUT_TITLES.items()):
             if number % 2:
@@ -46,10 +53,34 @@ def settings_panel(view: CallView, metrics: Metrics) -> list[UserOrder]:
         if has_changed:
             least = 100 * MIN_DETAIL
             settings = replace(settings, detail=min(max(percent, least), 100) / 100)
-        imgui.separator()
-        note("Name, avatar and face source are chosen in the form that leads here.", metrics)
     if settings != state.settings:
         orders.append(settings)
+    return orders
+
+
+def _own(view: CallView, metrics: Metrics) -> list[UserOrder]:
+    """Face source, avatar and name; the last two hold once one has come in again."""
+    orders: list[UserOrder] = []
+    wanted, sends = view.state.choice, view.state.own_face != "none"
+    chosen = replace(wanted, source=view.own.source or wanted.source)
+    note("Your face", metrics)
+    source = choice_of("##source", SOURCES, chosen.source)
+    if view.own.has_tracker and action_button(f"Calibrate   [{KEYS_OF[Order.CALIBRATE]}]", metrics):
+        orders.append(Order.CALIBRATE)
+    note("Your avatar", metrics)
+    avatars = (("", "By your name"), *((name, name.title()) for name in view.avatars))
+    avatar = choice_of("##avatar", avatars, chosen.avatar)
+    note("Your name", metrics)
+    imgui.set_next_item_width(-1)
+    _, name = imgui.input_text("##name", chosen.name)
+    found = replace(chosen, source=source, avatar=avatar, name=name[:MAX_NAME])
+    if found != chosen:
+        orders.append(found)
+    entered, comes = view.entered_as, bool(found.source)
+    if (found.name, found.avatar, comes) != (entered.name, entered.avatar, sends):
+        note("You leave for a moment and come again.", metrics)
+        if action_button("Come again as this", metrics, tone="accent"):
+            orders.append(Order.REJOIN)
     return orders
 
 

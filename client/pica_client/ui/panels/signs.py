@@ -17,6 +17,7 @@ OWN_SIGNS: dict[OwnFace, tuple[str, Tone]] = {
     "frozen": ("Your face is frozen", "warning"),
     "muted": ("Your face is not sent", "alert"),
 }
+NO_FACE: tuple[str, Tone] = ("Your tracker sees no face", "warning")
 
 
 def banner(view: CallView) -> tuple[str, Tone] | None:
@@ -36,6 +37,8 @@ def banner(view: CallView) -> tuple[str, Tone] | None:
 def own_sign(view: CallView) -> tuple[str, Tone] | None:
     """What becomes of the user's own face; None while there is none to send."""
     state = view.state.own_face if view.status.is_connected else "muted"
+    if state == "sent" and not view.own.has_face:
+        return NO_FACE
     return None if view.state.own_face == "none" else OWN_SIGNS[state]
 
 

@@ -37,7 +37,7 @@ class Painter:
             fragment=compose("shapes.frag").text,
         )
         self._textures: dict[int, moderngl.Texture] = {}
-        self._adopted = 0
+        self._adopted: dict[str, int] = {}
         self._vertices = context.buffer(reserve=FIRST_BUFFER_BYTES, dynamic=True)
         self._indices = context.buffer(reserve=FIRST_BUFFER_BYTES, dynamic=True)
         self._shapes = self._make_shapes()
@@ -52,13 +52,15 @@ class Painter:
         self._textures[texture.glo] = texture
         return int(texture.glo)
 
-    def adopt(self, texture: moderngl.Texture) -> int:
-        """A picture of somebody else's to show in a panel, as long as it is this one; its number is
-        for `ImTextureRef`."""
-        self._textures.pop(self._adopted, None)
-        self._adopted = int(texture.glo)
-        self._textures[self._adopted] = texture
-        return self._adopted
+    def adopt(self, name: str, texture: moderngl.Texture) -> int:
+        """A picture of somebody else's to show in a panel, until another one is of that name; its
+        number is for `ImTextureRef`."""
+        number = int(texture.glo)
+        if self._adopted.get(name, number) != number:
+            self._textures.pop(self._adopted[name], None)
+        self._adopted[name] = number
+        self._textures[number] = texture
+        return number
 
     def paint(
         self,

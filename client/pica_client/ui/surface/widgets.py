@@ -6,7 +6,7 @@ with card("Settings", (x, y), metrics):
         ...
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from imgui_bundle import imgui
@@ -137,6 +137,17 @@ def action_button(
     fill = palette.field if tone == "plain" else palette.tone(tone)
     with button_colours(fill, palette.ink if tone == "plain" else palette.on_accent):
         return imgui.button(label, (width_px, metrics.px(38)))
+
+
+def choice_of(label: str, titles: Sequence[tuple[str, str]], chosen: str) -> str:
+    """One of several values, each with its title; one that is not among them is shown as it is."""
+    imgui.set_next_item_width(-1)
+    if imgui.begin_combo(label, dict(titles).get(chosen, chosen)):
+        for value, name in titles:
+            if imgui.selectable(name, value == chosen)[0]:
+                chosen = value
+        imgui.end_combo()
+    return chosen
 
 
 @contextmanager

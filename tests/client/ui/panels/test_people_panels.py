@@ -10,16 +10,16 @@ import pytest
 from helpers.hand import Hand, open_hand
 from pica_client.call.participants import Participant
 from pica_client.call.status import CallStatus
-from pica_client.ui.call_view import CallView, Panel, PersonView
+from pica_client.ui.call_view import CallView, OwnFaceView, Panel, PersonView
 from pica_client.ui.controls import ChooseLayout, ControlState, CopyText, Order, Pin
 from pica_client.ui.notice_board import Notice
 from pica_client.ui.panels.participants import participants_panel, signs_of
 from pica_client.ui.panels.self_view import self_view, self_view_px
 from pica_client.ui.panels.settings import settings_panel
-from pica_client.ui.panels.signs import call_signs, signs
+from pica_client.ui.panels.signs import NO_FACE, call_signs, own_sign, signs
 from pica_client.ui.panels.statistics import statistics
 from pica_client.ui.panels.waiting import first_hint, waiting_page
-from pica_client.ui.settings import Settings
+from pica_client.ui.settings import OwnChoice, Settings
 from pica_client.ui.surface import icons
 from pica_client.ui.surface.theme import metrics_for
 
@@ -169,6 +169,29 @@ def test_each_setting_is_one_click(hand: Hand) -> None:
     assert order.detail == pytest.approx(0.55, abs=0.1)  # the middle of 10 to 100 %
 
 
+def test_source_avatar_and_name_are_chosen_during_the_call(hand: Hand) -> None:
+    me = OwnChoice(name="Me", source="livelink")
+    state = replace(SETTINGS.state, choice=me)
+    own = OwnFaceView(source="livelink", has_tracker=True)
+    view = replace(SETTINGS, state=state, own=own, entered_as=me, avatars=("mei", "sam"))
+
+    def show(metrics: object) -> list[object]:
+        return settings_panel(view, metrics)  # type: ignore[arg-type, return-value]
+
+    hand.click("##source", show)
+    assert hand.click("VTuber", show) == [replace(me, source="vmc")]
+    assert hand.click("Calibrate", show) == [Order.CALIBRATE]
+    hand.click("##avatar", show)
+    assert hand.click("Sam", show) == [replace(me, avatar="sam")]
+    assert not any("Come again" in label for label in hand.places)
+    view = replace(view, state=replace(state, choice=replace(me, avatar="sam")))
+    assert hand.click("Come again", show) == [Order.REJOIN]
+
+
+def test_a_tracker_without_a_face_is_a_sign() -> None:
+    assert own_sign(replace(VIEW, own=OwnFaceView(has_tracker=True, has_face=False))) == NO_FACE
+
+
 def test_who_sends_no_face_is_not_asked_whether_to_show_it(hand: Hand) -> None:
     watching = replace(SETTINGS, state=ControlState(side="settings"))
     hand.frame(lambda metrics: settings_panel(watching, metrics))
@@ -215,7 +238,9 @@ def test_ones_own_face_is_shown_where_there_is_room(hand: Hand) -> None:
     assert self_view_px(metrics_for((1280, 720))) > 80
     for own_face in ("sent", "frozen", "muted"):
         state = ControlState(own_face=own_face)  # type: ignore[arg-type]
-        shown = replace(VIEW, state=state, self_texture=1)
+        has_face = own_face != "frozen"
+        own = OwnFaceView(texture=1, has_tracker=True, has_face=has_face, bars=(("Jaw", 2.0),))
+        shown = replace(VIEW, state=state, own=own)
         assert hand.frame(lambda metrics, shown=shown: self_view(shown, metrics)) == []  # type: ignore[misc]
 
 

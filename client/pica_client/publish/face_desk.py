@@ -1,0 +1,178 @@
+"""What one does with one's own face while it is sent: hide it, take another source, calibrate the
+tracker, look at what it sees.
+
+    desk = FaceDesk(publisher, person="Ada", source="livelink")
+    desk.choose("vmc")
+    desk.calibrate(now)
+    desk.take_notices(now)              # what became of it, for people
+"""
+
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Final, Protocol, runtime_checkable
+
+import numpy as np
+
+from pica_client.errors import SourceError
+from pica_client.publish.publisher import Publisher
+from pica_client.sources import LiveSource, open_source
+from pica_client.sources.live.calibration import Calibration, CalibrationStore, calibrate
+from pica_client.sources.live.live_face import LiveFace
+from pica_client.sources.registry import calibrations, split_source
+from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT, ExpressionFrame
+from pica_core.types import Image
+
+REST_S: Final = 1.5
+"""How long a face at rest is looked at."""
+BARS: Final[tuple[tuple[str, tuple[str, ...]], ...]] = (
+    ("Jaw", ("jawOpen",)),
+    ("Smile", ("mouthSmileLeft", "mouthSmileRight")),
+    ("Pucker", ("mouthPucker",)),
+    ("Brows", ("browInnerUp",)),
+    ("Lid, left", ("eyeBlinkLeft",)),
+    ("Lid, right", ("eyeBlinkRight",)),
+)
+"""What is shown of a tracker's values, and of which shapes each is the mean."""
+
+
+@runtime_checkable
+class _Calibrated(Protocol):
+    face: LiveFace
+
+
+@runtime_checkable
+class _Camera(Protocol):
+    def preview(self) -> Image | None:
+        """What it sees."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What the tracker sees, for its owner alone.
+
+    Attributes:
+        has_face: Whether it sees somebody.
+        bars: Name and value, 0 to 1, of some movements.
+        picture: A camera's, uint8 ``[H, W, 3]``; None of other trackers.
+    """
+
+    has_face: bool
+    bars: tuple[tuple[str, float], ...]
+    picture: Image | None
+
+
+class FaceDesk:
+    """Steers one publisher. All methods are for one thread, which need not be the publisher's.
+
+    Args:
+        publisher: Sends the face.
+        person: Whose calibrations are meant.
+        source: What plays the face, as `sources.open_source` took it.
+        store: Where calibrations are kept; by default this user's place for them.
+
+    Attributes:
+        source: What plays it now.
+    """
+
+    def __init__(
+        self,
+        publisher: Publisher,
+        person: str,
+        source: str,
+        store: CalibrationStore | None = None,
+    ) -> None:
+        self.publisher = publisher
+        self.source = source
+        self._person = person
+        self._store = store or calibrations()
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="own-face")
+        self._opening: tuple[str, Future[None]] | None = None
+        self._rested_s: float | None = None
+        self._notices: list[str] = []
+
+    def close(self) -> None:
+        """Wait for a source that is being opened."""
+        self._pool.shutdown()
+
+    def choose(self, source: str) -> None:
+        """Take another source once it is open; the one before stays where that fails."""
+        if self._opening is None and source != self.source:
+            self._rested_s = None
+            self._opening = source, self._pool.submit(self._open, source)
+
+    def calibrate(self, now: float) -> None:
+        """Look at the face at rest from now on, and make a calibration of that."""
+        face = self._live_face
+        if face is None:
+            self._notices.append("Only a tracker is calibrated: choose one in the settings")
+            return
+        face.recent.clear()
+        self._rested_s = now + REST_S
+        self._notices.append("Look ahead, relaxed, with open eyes …")
+
+    def take_notices(self, now: float) -> list[str]:
+        """What became of what was asked for, since the last call; called in every frame."""
+        if self._opening is not None and self._opening[1].done():
+            (source, opening), self._opening = self._opening, None
+            try:
+                opening.result()
+                self.source = source
+                self._notices.append(f"Your face comes from {source}")
+            except (SourceError, ModuleNotFoundError) as error:
+                self._notices.append(str(error))
+        if self._rested_s is not None and now >= self._rested_s:
+            self._rested_s = None
+            self._notices.append(self._learn())
+        notices, self._notices = self._notices, []
+        return notices
+
+    def seen(self) -> Seen | None:
+        """What the tracker sees; None where no tracker plays the face."""
+        source, frame = self.publisher.source, self.publisher.seen
+        if not isinstance(source, LiveSource) or frame is None:
+            return None
+        bars = tuple(
+            (name, float(sum(frame.arkit[ARKIT_INDEX[each]] for each in shapes)) / len(shapes))
+            for name, shapes in BARS
+        )
+        picture = source.preview() if isinstance(source, _Camera) else None
+        return Seen(frame.has_face, bars, picture)
+
+    @property
+    def _live_face(self) -> LiveFace | None:
+        source = self.publisher.source
+        return source.face if isinstance(source, _Calibrated) else None
+
+    def _learn(self) -> str:
+        face = self._live_face
+        if face is None:
+            return ""
+        kind, _ = split_source(self.source)
+        before = self._store.load(self._person, kind) or Calibration()
+        try:
+            found = calibrate(list(face.recent), ())
+            found = replace(found, lid_closed=before.lid_closed, gain=before.gain)
+            self._store.save(self._person, kind, found)
+        except SourceError as error:
+            return f"Not calibrated: {error}"
+        face.calibration = found
+        return f"Calibrated for {self._person} and {kind}"
+
+    def _open(self, source: str) -> None:
+        self.publisher.replace_source(_Nobody())  # both may want the same port or camera
+        try:
+            opened = open_source(source, person=self._person)
+        except (SourceError, ModuleNotFoundError):
+            self.publisher.replace_source(open_source(self.source, person=self._person))
+            raise
+        self.publisher.replace_source(opened)
+
+
+class _Nobody:
+    """A source without a face."""
+
+    def frame_at(self, time_s: float) -> ExpressionFrame:
+        return ExpressionFrame(
+            captured_us=round(time_s * 1e6), arkit=np.zeros(NUM_ARKIT, np.float32), has_face=False
+        )
