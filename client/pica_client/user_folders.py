@@ -21,6 +21,11 @@ def cache_folder(system: type[PlatformDirs] = PlatformDirs) -> Path:
     return system(_NAME, appauthor=False).user_cache_path / "avatars"
 
 
+def models_folder(system: type[PlatformDirs] = PlatformDirs) -> Path:
+    """The folder for networks of others that this user has fetched."""
+    return system(_NAME, appauthor=False).user_data_path / "models"
+
+
 def pictures_folder(system: type[PlatformDirs] = PlatformDirs) -> Path:
     """The folder for pictures that this user takes of a call."""
     return system(_NAME, appauthor=False).user_pictures_path / _TITLE

@@ -21,7 +21,7 @@ from pica_command.parsing import description_of
 COMMAND_GROUP: Final = "pica.commands"
 
 GROUPS: Final = {
-    "Calls": ("demo", "view", "send", "track", "calibrate", "secret"),
+    "Calls": ("demo", "view", "send", "track", "calibrate", "webcam", "secret"),
     "A relay": ("relay", "token", "room"),
     "Avatars": ("avatar", "capture", "train", "export", "eval"),
     "This machine": ("doctor", "config", "completion"),

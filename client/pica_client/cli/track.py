@@ -16,11 +16,11 @@ from pica_client.errors import OptionError, SourceError
 from pica_client.output import check_writable, say
 from pica_client.sources.live.calibration import MAX_GAIN
 from pica_client.sources.live.calibration import calibrate as calibration_of_samples
-from pica_client.sources.live.opening import LIVE_HELP, LIVE_KINDS, open_live
+from pica_client.sources.live.opening import LIVE_HELP, TRACKER_KINDS, open_live
 from pica_client.sources.live.report import TrackReport
 from pica_client.sources.live.sample import TrackerSample
 from pica_client.sources.live.take import TakeRecorder
-from pica_client.sources.live.udp import SampleTap, UdpTracker
+from pica_client.sources.live.tracker import SampleTap, Tracker
 from pica_client.sources.registry import calibrations, split_source
 from pica_core.avatar.arkit import ARKIT_NAMES
 from pica_core.types import FloatArray
@@ -35,7 +35,8 @@ class TrackOptions:
     """Options of `pica track`."""
 
     source: Positional[str]
-    """livelink[:PORT][/SUBJECT], vmc[:PORT], ifacialmocap:PHONE_IP or facemotion3d:PHONE_IP."""
+    """livelink[:PORT][/SUBJECT], vmc[:PORT], ifacialmocap:PHONE_IP, facemotion3d:PHONE_IP or
+    webcam[:DEVICE|FILE]."""
     seconds: float = 10.0
     """How long to listen; 0 is until Ctrl-C."""
     record: Path | None = None
@@ -145,14 +146,14 @@ def calibrate(options: CalibrateOptions) -> dict[str, Any]:
     }
 
 
-def _open(text: str, tap: SampleTap) -> UdpTracker:
+def _open(text: str, tap: SampleTap) -> Tracker:
     kind, rest = split_source(text)
-    if kind not in LIVE_KINDS:
+    if kind not in TRACKER_KINDS:
         raise SourceError(f"source {text!r} is no tracker; write {LIVE_HELP}")
     return open_live(kind, rest, tap=tap)
 
 
-def _wait_for(is_there: Callable[[], bool], seconds: float, source: UdpTracker) -> None:
+def _wait_for(is_there: Callable[[], bool], seconds: float, source: Tracker) -> None:
     end_s = time.monotonic() + seconds
     while not is_there():
         if time.monotonic() > end_s:

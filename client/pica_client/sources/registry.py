@@ -3,7 +3,7 @@
 csv:FILE[@SECONDS]                    a Live Link Face recording, starting somewhere in it
 take:FILE[@SECONDS]                   what `pica track --record` wrote
 performance:NAME[#SEED][@SECONDS]     a performance that ships with the package
-livelink, vmc, ...                    trackers; see `live.opening`
+livelink, vmc, webcam, ...            trackers; see `live.opening`
 """
 
 import math
@@ -13,7 +13,7 @@ from pathlib import Path
 from pica_client.errors import SourceError
 from pica_client.output import say
 from pica_client.sources.live.calibration import Calibration, CalibrationStore
-from pica_client.sources.live.opening import LIVE_HELP, LIVE_KINDS, open_live
+from pica_client.sources.live.opening import LIVE_HELP, LIVE_KINDS, TRACKER_KINDS, open_live
 from pica_client.sources.live.take import TakeSource, load_take
 from pica_client.sources.livelink_csv import load_livelink_csv
 from pica_client.sources.performances import PERFORMANCES, make_performance
@@ -37,7 +37,7 @@ def open_source(text: str, person: str = "") -> Source:
         SourceError: The text is not of a known form, or what it names cannot be read.
     """
     kind, rest = split_source(text)
-    if kind in LIVE_KINDS:
+    if kind in TRACKER_KINDS:
         return open_live(kind, rest, calibration_of(person, kind))
     opener = OPENERS.get(kind)
     if opener is None or not rest:

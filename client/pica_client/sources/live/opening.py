@@ -4,6 +4,7 @@ livelink[:[HOST:]PORT][/SUBJECT]   Live Link Face, ARKit mode; one of several ph
 vmc[:[HOST:]PORT]                  VTuber programs that speak VMC
 ifacialmocap:PHONE                 the app of that name, at the phone's address
 facemotion3d:PHONE                 the app of that name
+webcam[:DEVICE|FILE]               a camera of this machine, or a video that stands in for one
 """
 
 import ipaddress
@@ -14,11 +15,12 @@ from pica_client.errors import SourceError
 from pica_client.sources.live import ifacialmocap, livelink, vmc
 from pica_client.sources.live.calibration import Calibration
 from pica_client.sources.live.live_face import LiveFace
-from pica_client.sources.live.udp import Decode, SampleTap, UdpOptions, UdpTracker
+from pica_client.sources.live.tracker import SampleTap, Tracker
+from pica_client.sources.live.udp import Decode, UdpOptions, UdpTracker
 
 LIVE_HELP: Final = (
-    "livelink[:PORT][/SUBJECT], vmc[:PORT], ifacialmocap:PHONE_IP or facemotion3d:PHONE_IP for a "
-    "face as it moves"
+    "livelink[:PORT][/SUBJECT], vmc[:PORT], ifacialmocap:PHONE_IP, facemotion3d:PHONE_IP or "
+    "webcam[:DEVICE|FILE] for a face as it moves"
 )
 REQUESTS: Final = {
     "ifacialmocap": ifacialmocap.IFACIALMOCAP,
@@ -38,22 +40,30 @@ def decoder_of(kind: str) -> Decode:
 
 
 LIVE_KINDS: Final = ("livelink", "vmc", *REQUESTS)
+"""Trackers that send datagrams."""
+TRACKER_KINDS: Final = (*LIVE_KINDS, "webcam")
+"""All live sources."""
 
 
 def open_live(
     kind: str, rest: str, calibration: Calibration | None = None, tap: SampleTap | None = None
-) -> UdpTracker:
-    """Listen to a tracker.
+) -> Tracker:
+    """Begin to read a tracker.
 
     Args:
-        kind: One of `LIVE_KINDS`.
+        kind: One of `TRACKER_KINDS`.
         rest: What the user wrote behind the kind, without the colon.
         calibration: Whose face it is.
         tap: Sees what arrives.
 
     Raises:
-        SourceError: The text is of another form, or the port is not to be had.
+        SourceError: The text is of another form, or the port or the camera is not to be had.
     """
+    if kind == "webcam":
+        # Only here: its networks need packages of their own.
+        from pica_client.sources.webcam.webcam import open_webcam
+
+        return open_webcam(rest, calibration, tap)
     return UdpTracker(parse_live(kind, rest), decoder_of(kind), LiveFace(calibration), tap)
 
 

@@ -3,16 +3,15 @@
 import socket
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 from pica_client.errors import SourceError
 from pica_client.sources.live.ifacialmocap import Request
 from pica_client.sources.live.live_face import LiveFace
 from pica_client.sources.live.sample import PacketError, TrackerSample
-from pica_core.avatar.arkit import ExpressionFrame
+from pica_client.sources.live.tracker import SampleTap, Tracker
 
 READ_BYTES: Final = 65_535
 POLL_S: Final = 0.2
@@ -25,11 +24,6 @@ MAX_SUBJECTS: Final = 8
 
 Decode = Callable[[bytes], Sequence[TrackerSample]]
 """Reads one datagram; raises `PacketError`."""
-
-
-SampleTap = Callable[[TrackerSample, float, float], None]
-"""Sees a sample, when it arrived on this machine's monotonic clock, and how long it took to be
-a face, seconds; called by the thread that reads."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,14 +47,8 @@ class UdpOptions:
     host: str = "0.0.0.0"
 
 
-class UdpTracker:
-    """A live source on a UDP port; it listens from its making to `close`.
-
-    Attributes:
-        face: What the samples become.
-        refused: How many datagrams were not the tracker's, by reason.
-        subjects: How many samples each subject has sent.
-    """
+class UdpTracker(Tracker):
+    """A live source on a UDP port; it listens from its making to `close`."""
 
     def __init__(
         self,
@@ -74,17 +62,12 @@ class UdpTracker:
         Raises:
             SourceError: The port is in use, or is not ours to take.
         """
-        self.face = face or LiveFace()
-        self.refused: Counter[str] = Counter()
-        self.subjects: Counter[str] = Counter()
+        super().__init__(face, tap)
         self._options = options
         self._decode = decode
-        self._tap = tap
-        self._begin_s: float | None = None
         self._heard_s = time.monotonic()
         self._has_heard = False
         self._closing = threading.Event()
-        self._lock = threading.Lock()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind((options.host, options.port))
@@ -103,15 +86,6 @@ class UdpTracker:
         """The port that the tracker must send to."""
         port: int = self._socket.getsockname()[1]
         return port
-
-    def frame_at(self, time_s: float) -> ExpressionFrame:
-        """The face of now; see `Source.frame_at`."""
-        now = time.monotonic()
-        with self._lock:
-            frame = self.face.face_at(now)
-        if self._begin_s is None:
-            self._begin_s = now - time_s
-        return replace(frame, captured_us=frame.captured_us - round(self._begin_s * 1e6))
 
     @property
     def trouble(self) -> str:
@@ -170,10 +144,7 @@ class UdpTracker:
             if sample.subject != (self._options.subject or next(iter(self.subjects))):
                 continue
             self._heard_s, self._has_heard = arrived_s, True
-            with self._lock:
-                self.face.push(sample, arrived_s)
-            if self._tap is not None:
-                self._tap(sample, arrived_s, time.monotonic() - arrived_s)
+            self._push(sample, arrived_s, arrived_s)
 
 
 def own_address() -> str:

@@ -26,6 +26,7 @@ SOURCES: tuple[tuple[str, str], ...] = (
     *((f"performance:{name}", f"Play: {name}") for name in PERFORMANCES),
     ("livelink", "iPhone: Live Link Face"),
     ("vmc", "VTuber program: VMC"),
+    ("webcam", "Webcam"),
     ("", "Watch only"),
 )
 """Face sources to choose from, and what they are called."""

@@ -1,0 +1,59 @@
+"""What all live sources share: samples go in when they come, a face comes out when it is asked
+for."""
+
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+
+from pica_client.sources.live.live_face import LiveFace
+from pica_client.sources.live.sample import TrackerSample
+from pica_core.avatar.arkit import ExpressionFrame
+
+SampleTap = Callable[[TrackerSample, float, float], None]
+"""Sees a sample, when it arrived on this machine's monotonic clock, and how long it took to be
+a face, seconds; called by the thread that reads."""
+
+
+class Tracker:
+    """A live source; what reads it, in a thread of its own, is for those that inherit from this.
+
+    Attributes:
+        face: What the samples become.
+        refused: How often something came that is not the tracker's, by reason.
+        subjects: How many samples each subject has sent.
+    """
+
+    def __init__(self, face: LiveFace | None = None, tap: SampleTap | None = None) -> None:
+        self.face = face or LiveFace()
+        self.refused: Counter[str] = Counter()
+        self.subjects: Counter[str] = Counter()
+        self._tap = tap
+        self._begin_s: float | None = None
+        self._lock = threading.Lock()
+
+    def frame_at(self, time_s: float) -> ExpressionFrame:
+        """The face of now; see `Source.frame_at`."""
+        now = time.monotonic()
+        with self._lock:
+            frame = self.face.face_at(now)
+        if self._begin_s is None:
+            self._begin_s = now - time_s
+        return replace(frame, captured_us=frame.captured_us - round(self._begin_s * 1e6))
+
+    @property
+    def trouble(self) -> str:
+        """Why there is no face, in one line for its user; empty while there is one."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Stop reading, and free what was taken."""
+        raise NotImplementedError
+
+    def _push(self, sample: TrackerSample, arrived_s: float, began_s: float) -> None:
+        """Take a sample; its making began at a moment."""
+        with self._lock:
+            self.face.push(sample, arrived_s)
+        if self._tap is not None:
+            self._tap(sample, arrived_s, time.monotonic() - began_s)

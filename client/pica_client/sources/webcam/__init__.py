@@ -1,0 +1,1 @@
+"""A face by a plain webcam: three networks find it, its landmarks and its shapes."""

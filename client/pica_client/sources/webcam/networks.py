@@ -1,0 +1,225 @@
+"""The three networks of MediaPipe's face landmarker, run by LiteRT on one thread.
+
+What they take and give is their interface (model card "MediaPipe Face Mesh V2" and the graphs of
+MediaPipe 0.10): a detector of faces in a picture of 128², a network of 478 landmarks in a turned
+crop of 256², and one of 52 shapes from 146 of them. MediaPipe's own program is not used: it reports
+on its users, and hides what it does to the values.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from PIL import Image
+
+from pica_client.errors import SourceError
+from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
+from pica_core.types import Float64Array, FloatArray
+
+NUM_LANDMARKS: Final = 478
+DETECTOR_SIZE: Final = 128
+CROP_SIZE: Final = 256
+MARGIN: Final = 1.5
+"""The crop's side, as a multiple of the face's longer one."""
+DETECTION_SCORE: Final = 0.5
+SAME_FACE: Final = 0.3
+"""Boxes whose overlap, as intersection over union, is above this are of one face."""
+OUTER_CORNERS: Final = (33, 263)
+"""Landmarks: outer corner of the right eye and of the left."""
+
+_SHAPE_LANDMARKS: Final = (
+    "0-1 4-8 10 13-14 17 21 33 37 39-40 46 52-55 58 61 63 65-67 70 78 80-82 84 87-88 91 93 95 103 "
+    "105 107 109 127 132-133 136 144-146 148-150 152-155 157-163 168 172-173 176 178 181 185 191 "
+    "195 197 234 246 249 251 263 267 269-270 276 282-285 288 291 293 295-297 300 308 310-312 314 "
+    "317-318 321 323-324 332 334 336 338 356 361-362 365 373-375 377-382 384-390 397-398 400 402 "
+    "405 409 415 454 466 468-477"
+)
+"""What the third network is given, in this order."""
+BLIND: Final = ("cheekPuff", "noseSneer", "eyeWide", "tongueOut")
+"""What the networks cannot see: they say about 0, whatever the face does, and so do we."""
+
+
+def _expand(text: str) -> list[int]:
+    found: list[int] = []
+    for part in text.split():
+        first, _, last = part.partition("-")
+        found += range(int(first), int(last or first) + 1)
+    return found
+
+
+_SUBSET = np.array(_expand(_SHAPE_LANDMARKS))
+# The network names its shapes in alphabetical order, after one for the neutral face.
+_NAMED = sorted(name for name in ARKIT_INDEX if name != "tongueOut")
+_TARGETS = np.array([ARKIT_INDEX[name] for name in _NAMED])
+_SEEN = np.array([not name.startswith(BLIND) for name in _NAMED])
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """A square of the picture, turned about its middle.
+
+    Attributes:
+        x: Column of its middle, pixels.
+        y: Row of its middle, pixels.
+        side: Length of a side, pixels.
+        angle: How far it is turned, radians, from the picture's x axis to its y axis.
+    """
+
+    x: float
+    y: float
+    side: float
+    angle: float = 0.0
+
+    def crop(self, picture: Image.Image, size: int) -> FloatArray:
+        """What it shows, bilinear and black outside of the picture, within [0, 1].
+
+        Returns:
+            float32 ``[1, size, size, 3]``.
+        """
+        cos, sin = np.cos(self.angle), np.sin(self.angle)
+        step, half = self.side / size, self.side / 2
+        across, down = step * cos, step * sin
+        matrix = (
+            *(across, -down, self.x - half * cos + half * sin),
+            *(down, across, self.y - half * sin - half * cos),
+        )
+        kind, how = Image.Transform.AFFINE, Image.Resampling.BILINEAR
+        cut = picture.transform((size, size), kind, matrix, resample=how)
+        return np.asarray(cut, np.float32)[None] / np.float32(255)
+
+    def to_picture(self, points: FloatArray) -> FloatArray:
+        """Points of the region, with sides of 1, in pixels of the picture; depth alike.
+
+        Args:
+            points: float32 ``[N, 3]``.
+        """
+        cos, sin = np.cos(self.angle), np.sin(self.angle)
+        x, y = points[:, 0] - 0.5, points[:, 1] - 0.5
+        placed = np.stack([x * cos - y * sin, x * sin + y * cos, points[:, 2]], 1) * self.side
+        return np.asarray(placed + np.array([self.x, self.y, 0]), np.float32)
+
+
+class FaceNetworks:
+    """The networks, ready to run."""
+
+    def __init__(self, detector: bytes, landmarks: bytes, shapes: bytes) -> None:
+        """Load them.
+
+        Raises:
+            SourceError: LiteRT is not installed.
+        """
+        try:
+            from ai_edge_litert.interpreter import Interpreter
+        except ImportError as error:
+            raise SourceError("webcam: install the extra webcam; LiteRT is missing") from error
+        self._detector, self._landmarks, self._shapes = (
+            _Network(Interpreter(model_content=each, num_threads=1))
+            for each in (detector, landmarks, shapes)
+        )
+        self._anchors = _anchors()
+
+    def detect(self, picture: Image.Image) -> list[Region]:
+        """Find faces.
+
+        Args:
+            picture: RGB.
+
+        Returns:
+            Where they are, the largest first.
+        """
+        width, height = picture.size
+        whole = Region(width / 2, height / 2, max(width, height))
+        offsets, logits = self._detector.run(whole.crop(picture, DETECTOR_SIZE) * 2 - 1)
+        scores = 1 / (1 + np.exp(-np.clip(logits[0, :, 0], -80, 80)))
+        likely = np.flatnonzero(scores > DETECTION_SCORE)
+        found = []
+        # Middle, size and six points, two of them the eyes; all but the size from the anchor.
+        anchors = np.tile(self._anchors[likely], 8)
+        boxes = np.asarray(offsets[0, likely] / DETECTOR_SIZE + anchors, np.float64)
+        boxes[:, 2:4] -= anchors[:, 2:4]
+        for values in _merged(boxes, scores[likely]):
+            points = whole.to_picture(np.c_[values.reshape(-1, 2), np.zeros(8)])
+            middle, size, right_eye, left_eye = points[0], values[2:4] * whole.side, *points[2:4]
+            dx, dy = (left_eye - right_eye)[:2]
+            side = MARGIN * max(size)
+            found.append(
+                Region(float(middle[0]), float(middle[1]), float(side), float(np.arctan2(dy, dx)))
+            )
+        return sorted(found, key=lambda each: -each.side)
+
+    def landmarks(self, picture: Image.Image, region: Region) -> tuple[FloatArray, float]:
+        """Find the landmarks of a face.
+
+        Returns:
+            Columns, rows and depths in pixels of the picture, float32 ``[478, 3]``, and how sure it
+            is that there is a face, 0 to 1.
+        """
+        points, presence, _ = self._landmarks.run(region.crop(picture, CROP_SIZE))
+        sure = 1 / (1 + np.exp(-float(np.clip(presence.ravel()[0], -80, 80))))
+        return region.to_picture(points.reshape(NUM_LANDMARKS, 3) / np.float32(CROP_SIZE)), sure
+
+    def shapes(self, landmarks: FloatArray) -> FloatArray:
+        """Name the shapes of a face.
+
+        Args:
+            landmarks: As `landmarks` gives them. float32 ``[478, 3]``.
+
+        Returns:
+            Values in `ARKIT_NAMES` order; what the networks cannot see is 0. float32 ``[52]``.
+        """
+        (values,) = self._shapes.run(landmarks[None, _SUBSET, :2])
+        arkit = np.zeros(NUM_ARKIT, np.float32)
+        arkit[_TARGETS[_SEEN]] = np.clip(values.ravel()[1:][_SEEN], 0, 1)
+        return arkit
+
+
+def region_of(landmarks: FloatArray) -> Region:
+    """Where to look for a face whose landmarks were there a moment ago."""
+    low, high = landmarks[:, :2].min(0), landmarks[:, :2].max(0)
+    right, left = landmarks[list(OUTER_CORNERS), :2]
+    (x, y), (dx, dy) = (low + high) / 2, left - right
+    side = MARGIN * float((high - low).max())
+    return Region(float(x), float(y), side, float(np.arctan2(dy, dx)))
+
+
+class _Network:
+    """One network: arrays in, arrays out."""
+
+    def __init__(self, interpreter: Any) -> None:
+        interpreter.allocate_tensors()
+        self._interpreter = interpreter
+        self._input = interpreter.get_input_details()[0]["index"]
+        self._outputs = [each["index"] for each in interpreter.get_output_details()]
+
+    def run(self, values: FloatArray) -> list[FloatArray]:
+        self._interpreter.set_tensor(self._input, np.ascontiguousarray(values, np.float32))
+        self._interpreter.invoke()
+        return [self._interpreter.get_tensor(index) for index in self._outputs]
+
+
+def _anchors() -> Float64Array:
+    """Middles of the detector's cells, 0 to 1: two on a grid of 16², then six on one of 8²."""
+    found = []
+    for cells, count in ((16, 2), (8, 6)):
+        middles = (np.arange(cells) + 0.5) / cells
+        grid = np.stack(np.meshgrid(middles, middles), -1).reshape(-1, 2)
+        found.append(np.repeat(grid, count, 0))
+    return np.concatenate(found)
+
+
+def _merged(boxes: Float64Array, scores: Float64Array) -> list[Float64Array]:
+    """One box a face: those that overlap, weighed by their scores (weighted suppression)."""
+    found = []
+    order = np.argsort(-scores)
+    while len(order):
+        low, high = boxes[:, :2] - boxes[:, 2:4] / 2, boxes[:, :2] + boxes[:, 2:4] / 2
+        first = order[0]
+        shared = np.minimum(high[order], high[first]) - np.maximum(low[order], low[first])
+        common = np.prod(np.clip(shared, 0, None), 1)
+        area = np.prod(boxes[:, 2:4], 1)
+        same = common / (area[order] + area[first] - common + 1e-9) > SAME_FACE
+        same[0] = True
+        alike = order[same]
+        found.append(np.average(boxes[alike], axis=0, weights=scores[alike]))
+        order = order[~same]
+    return found

