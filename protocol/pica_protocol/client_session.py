@@ -1,5 +1,6 @@
 """The client's end of a connection; see `pica_protocol.session` for how a shell uses it."""
 
+import math
 from collections import Counter
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
@@ -39,7 +40,7 @@ from pica_protocol.messages import (
     Welcome,
     Whisper,
 )
-from pica_protocol.ordered_queue import queue_for
+from pica_protocol.ordered_queue import OrderedQueue, queue_for
 from pica_protocol.session import (
     CLIENT_TABLE,
     HANDSHAKE_TIMEOUT_S,
@@ -50,13 +51,18 @@ from pica_protocol.session import (
     binary,
     check_version,
 )
-from pica_protocol.stream_queue import Put
+from pica_protocol.stream_queue import Put, StreamQueue
 
 MAX_QUEUED_MESSAGES: Final = 256
 """Control messages a client may queue before its shell sends them (chosen: one whisper to each peer
 of the largest room fits four times)."""
 
 _NO_LIMIT: Final = 1 << 30
+
+RIDE_S: Final = 0.025
+"""After an ordered frame others wait so long at most for the next one, whose message they share
+(chosen: packets of 20 ms, and the jitter of a timer): what surrounds a message is more than a
+face."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -129,6 +135,10 @@ class ClientSession(Session):
         self._seal = seal
         self._next_sequence = [0] * len(tracks)
         self._queues = [queue_for(track, self.drops) for track in tracks]
+        # What is not to wait goes first, and takes along what else there is.
+        self._ordered = [each for each in self._queues if isinstance(each, OrderedQueue)]
+        self._latest = [each for each in self._queues if isinstance(each, StreamQueue)]
+        self._riding_until_s = -math.inf
         self._came_with = ticket
         self._resume = ""
         self._queue(Hello(software=software))
@@ -161,10 +171,23 @@ class ClientSession(Session):
     def messages_to_send(self, now: float) -> list[bytes]:
         """Take the websocket messages that must go out now, in order."""
         messages, self._outgoing = self._outgoing, []
-        frames = [item.frame for queue in self._queues for item in queue.take(_NO_LIMIT)]
+        due_s = self.frames_due_s
+        if due_s is None or due_s > now:
+            return messages
+        if any(map(len, self._ordered)):
+            self._riding_until_s = now + RIDE_S
+        queues = [*self._ordered, *self._latest]
+        frames = [item.frame for queue in queues for item in queue.take(_NO_LIMIT)]
         if self.state is State.JOINED:
             messages += _media_messages(frames)
         return messages
+
+    @property
+    def frames_due_s(self) -> float | None:
+        """When the frames that wait go out; None: none waits."""
+        if any(map(len, self._ordered)):
+            return -math.inf
+        return self._riding_until_s if any(map(len, self._latest)) else None
 
     def handle_timer(self, now: float) -> list[ClientEvent]:
         """Give up if the relay has not let us in, or out, by now."""

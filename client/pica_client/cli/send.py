@@ -19,6 +19,8 @@ from pica_client.signals import on_stop_signal
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig, guest_name
 from pica_client.transport.link_news import LinkNews
+from pica_client.voice.publisher import VoicePublisher
+from pica_client.voice.source import open_voice
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -38,6 +40,9 @@ class SendOptions:
     are trackers, for your own face; csv:FILE[@SECONDS] plays a Live Link Face recording, take:FILE
     one of pica track, performance:NAME[#SEED][@SECONDS] one that ships: talk, listen or
     range_of_motion."""
+    voice: str = "none"
+    """Whose voice: a WAV file, played over and over; speech, the sentences that ship; speech#K/N,
+    the K-th of N who take turns with them; none."""
     wait: bool = False
     """Wait for a relay that is not there yet, for --seconds if given, instead of giving up after 3
     seconds."""
@@ -83,6 +88,9 @@ def send(options: SendOptions) -> dict[str, Any]:
         pad_to=parse_buckets(options.pad),
     )
     source = open_source(options.source, person=link.name)
+    voice = open_voice(options.voice)
+    is_sealed = link.secret_file is not None
+    publisher = None if voice is None else VoicePublisher(voice, is_sealed=is_sealed)
     library = AvatarLibrary()
     try:
         own = choose_own_avatar(options.avatar, link.name, library)
@@ -94,7 +102,14 @@ def send(options: SendOptions) -> dict[str, Any]:
 
     async def run() -> tuple[dict[str, Any], list[tuple[int, int]]]:
         sender = Sender(
-            options.sender, link, source, own.avatar, own.identity, giver=giver, news=news
+            options.sender,
+            link,
+            source,
+            own.avatar,
+            own.identity,
+            giver=giver,
+            news=news,
+            voice=publisher,
         )
         loop = asyncio.get_running_loop()
         with on_stop_signal(lambda: loop.call_soon_threadsafe(sender.stop)):

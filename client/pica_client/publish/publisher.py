@@ -157,7 +157,7 @@ class Publisher:
                 self._stream.request_keyframe()
             case Joined(tracks=tracks):  # nobody here has seen anything of us, or of the last of it
                 self._stream.restart()
-                self._own_streams = tuple(track.stream for track in tracks)
+                self._own_streams = tuple(t.stream for t in tracks if t.kind == FACE_TRACK)
                 self.is_muted_by_admin = False  # we are told again if it is so
             case StreamMuted(stream=stream, is_muted=is_muted) if stream in self._own_streams:
                 self.is_muted_by_admin = is_muted

@@ -15,6 +15,7 @@ from pica_client.transport.config import LinkConfig
 from pica_client.transport.dialer import Connector
 from pica_client.transport.link import Link
 from pica_client.transport.link_news import LinkNews
+from pica_client.voice.publisher import VoicePublisher
 from pica_core.avatar.file import Avatar
 from pica_protocol.messages import Joined
 from pica_protocol.session import ClientEvent
@@ -37,16 +38,18 @@ class Sender:
         rng: random.Random | None = None,
         giver: AvatarGiver | None = None,
         news: LinkNews | None = None,
+        voice: VoicePublisher | None = None,
     ) -> None:
         """Prepare; see `Link` for connector and rng. A giver gives the avatar's file to each relay
-        that we join; `news` hears of the link."""
+        that we join; `news` hears of the link; a voice goes over the same link."""
         self.config = config
         self._giver = giver
         self._news = news
         self._publisher = Publisher(config, source, avatar, avatar_identity)
+        self._voice = voice
         self._link = Link(
             link_config,
-            (self._publisher.track,),
+            (self._publisher.track, *(() if voice is None else (voice.track,))),
             on_event=self._on_event,
             connector=connector,
             rng=rng,
@@ -75,16 +78,20 @@ class Sender:
             self._publisher.pace(self._link, self._stopping), name="pacing"
         )
         linking = asyncio.create_task(self._link.run(), name="link")
+        tasks = [pacing, linking]
+        if self._voice is not None:
+            speaking = self._voice.pace(self._link, self._stopping)
+            tasks.append(asyncio.create_task(speaking, name="voice"))
         try:
-            await asyncio.wait({pacing, linking}, return_when=asyncio.FIRST_COMPLETED)
-            if pacing.done():
-                pacing.result()
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in [each for each in tasks if each is not linking and each.done()]:
+                task.result()
                 self._link.leave()
             await linking
         finally:
-            for task in (pacing, linking):
+            for task in tasks:
                 task.cancel()
-            await asyncio.gather(pacing, linking, return_exceptions=True)
+            await asyncio.gather(*tasks, return_exceptions=True)
             self._publisher.close()
             if self._giver is not None:
                 await self._giver.close()
@@ -96,6 +103,7 @@ class Sender:
         return {
             "name": self._link.config.name,
             **self._publisher.stats(),
+            "voice": None if self._voice is None else self._voice.stats(),
             "replaced": counters.frames_replaced,
             "wire_bytes": counters.sent_wire_bytes,
             "wire_bps": round(counters.sent_wire_bytes * 8 / seconds) if seconds else None,
@@ -108,6 +116,8 @@ class Sender:
 
     def _on_event(self, event: ClientEvent, now: float) -> None:
         self._publisher.receive_event(event)
+        if self._voice is not None:
+            self._voice.receive_event(event)
         if isinstance(event, Joined) and self._giver is not None:
             self._giver.begin(self._link.url)
         if self._news is not None:

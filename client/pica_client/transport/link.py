@@ -150,9 +150,15 @@ class Link:
         return self._lookout.num_looks
 
     def send_frame(
-        self, payload: bytes, captured_us: int, *, layer: int = 0, is_keyframe: bool = True
+        self,
+        payload: bytes,
+        captured_us: int,
+        *,
+        track: Track | None = None,
+        layer: int = 0,
+        is_keyframe: bool = True,
     ) -> bool:
-        """Offer a frame of our first track.
+        """Offer a frame of one of our tracks, by default of the first.
 
         When the network is too slow for the stream, and with the first frame of a connection unless
         it is a keyframe, the frame is dropped and ``on_event`` gets a ``KeyframeRequest``.
@@ -163,7 +169,11 @@ class Link:
         if self._session is None or not self.is_joined:
             return False
         events = self._session.send_frame(
-            payload, captured_us, layer=layer, is_keyframe=is_keyframe
+            payload,
+            captured_us,
+            track=0 if track is None else self._tracks.index(track),
+            layer=layer,
+            is_keyframe=is_keyframe,
         )
         if self._on_event is not None:
             for event in events:
@@ -432,21 +442,21 @@ class Link:
 
     async def _write(self, session: ClientSession, websocket: RelayWebsocket) -> None:
         """Drain the session into the socket until one of them is over, then close the socket."""
-        loop = asyncio.get_running_loop()
+        now = asyncio.get_running_loop().time()
         try:
             while True:
                 self._wake.clear()
                 if self._is_leaving:
-                    session.leave(loop.time())
-                self._whisper_keys(session, loop.time())
-                self._describe(session, loop.time())
-                for message in session.messages_to_send(loop.time()):
+                    session.leave(now)
+                self._whisper_keys(session, now)
+                self._describe(session, now)
+                for message in session.messages_to_send(now):
                     self.counters.sent_messages += 1
                     self.counters.sent_wire_bytes += wire_bytes(len(message), is_masked=True)
                     await websocket.send(message)
                 if session.closed is not None or session.state is State.LEAVING:
                     break
-                await self._until_woken()
+                now = await self._until_woken()
         except ConnectionClosed:
             return  # the reader hears of it too, and tells the session
         closed = session.closed
@@ -469,11 +479,17 @@ class Link:
             session.update_metadata(self._description.metadata)
             self._description.note_told(now)
 
-    async def _until_woken(self) -> None:
-        """Wait until there may be something to write, by a timer too."""
+    async def _until_woken(self) -> float:
+        """Wait until there may be something to write, by a timer too; return the time."""
         sealing_s = None if self.guard is None else self.guard.next_timer()
-        timers = (sealing_s, self._description.next_timer() if self.is_joined else None)
+        session = self._session
+        timers = (
+            sealing_s,
+            self._description.next_timer() if self.is_joined else None,
+            None if session is None or not self.is_joined else session.frames_due_s,
+        )
         timer = min((each for each in timers if each is not None), default=None)
         now = await wait_until(self._wake, timer)
         if self.guard is not None and sealing_s is not None and now >= sealing_s:
             self.guard.handle_timer(now)
+        return now

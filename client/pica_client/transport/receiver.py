@@ -8,20 +8,22 @@ import asyncio
 import contextlib
 import random
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Any, Self
 
 from pica_client.avatars.upload import AvatarGiver
 from pica_client.call.call import Call
-from pica_client.publish.face_track import RECORDS_KEY, RECORDS_YES
+from pica_client.publish.face_track import FACE_TRACK, RECORDS_KEY, RECORDS_YES
 from pica_client.publish.publisher import Publisher
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.dialer import Connector
 from pica_client.transport.link import Link
 from pica_client.transport.link_news import LinkNews
 from pica_client.transport.timers import wait_until
-from pica_protocol.messages import Joined
+from pica_client.voice.publisher import VoicePublisher
+from pica_client.voice.receiver import OnVoice, VoiceReceiver
+from pica_protocol.messages import Joined, Peer, PeerJoined
 from pica_protocol.session import ClientEvent
 
 REPORT_INTERVAL_S = 5.0
@@ -50,17 +52,25 @@ class Receiver:
         rng: random.Random | None = None,
         giver: AvatarGiver | None = None,
         news: LinkNews | None = None,
+        voice: VoicePublisher | None = None,
+        on_voice: OnVoice | None = None,
+        takes_faces: bool = True,
     ) -> None:
         """Prepare; see `Link` for connector and rng. With a publisher, a face is sent as well, over
-        the same link: the relay does not send it back. A giver gives its avatar's file to each
-        relay that we join; `news` hears of the link."""
+        the same link: the relay does not send it back; with a voice, that too. A giver gives its
+        avatar's file to each relay that we join; `news` hears of the link. ``on_voice`` is handed
+        the voices of the others, see `OnVoice`; without it none are sent to us, and without
+        ``takes_faces`` no faces."""
         self.call = call
         call.set_own_name(link_config.name)
         self.publisher = publisher
         self.is_recording = False
         self._giver = giver
         self._news = news
-        tracks = () if publisher is None else (publisher.track,)
+        self.voice = voice
+        self.voices = VoiceReceiver(on_voice)
+        self._takes_faces = takes_faces
+        tracks = tuple(each.track for each in (publisher, voice) if each is not None)
         self.link = Link(link_config, tracks, on_event=self._on_event, connector=connector, rng=rng)
         guard = self.link.guard
         call.seal_status = lambda: None if guard is None else guard.status
@@ -87,6 +97,9 @@ class Receiver:
         if self.publisher is not None:
             pacing = self.publisher.pace(self.link, stopping)
             tasks.append(asyncio.create_task(pacing, name="pacing"))
+        if self.voice is not None:
+            speaking = self.voice.pace(self.link, stopping)
+            tasks.append(asyncio.create_task(speaking, name="voice"))
         try:
             await self.link.run()
         finally:
@@ -134,6 +147,8 @@ class Receiver:
         stats["reconnects"] = self.link.reconnects
         stats["resumes"] = counters.resumes
         stats["received_wire_bytes"] = counters.received_wire_bytes
+        stats["voices"] = self.voices.stats()
+        stats["voice"] = None if self.voice is None else self.voice.stats()
         stats["sent"] = None if self.publisher is None else self.publisher.stats()
         stats["avatar_given"] = "" if self._giver is None else self._giver.outcome
         stats["seal"] = None if self.link.guard is None else self.link.guard.stats()
@@ -171,11 +186,16 @@ class Receiver:
             self._thread.join(timeout=JOIN_TIMEOUT_S)
 
     def _on_event(self, event: ClientEvent, now: float) -> None:
+        if self.voices.receive_event(event, now):
+            return
         self.call.receive_event(event, now)
-        if self.publisher is not None:
-            self.publisher.receive_event(event)
-        for stream in self.call.take_keyframe_requests(now):
+        for own in (self.publisher, self.voice):
+            if own is not None:
+                own.receive_event(event)
+        for stream in self.call.take_keyframe_requests(now) if self._takes_faces else ():
             self.link.request_keyframe(stream)
+        if isinstance(event, Joined | PeerJoined):
+            self._decline(event.peers if isinstance(event, Joined) else (event.peer,))
         if isinstance(event, Joined):
             self._subscribed.set()
             if self._giver is not None:
@@ -183,6 +203,14 @@ class Receiver:
         if self._news is not None:
             self._news.receive_event(event, now)
         self.arrived.set()
+
+    def _decline(self, peers: Sequence[Peer]) -> None:
+        """Tell the relay which streams of newcomers it need not send us."""
+        unwanted = set(self.voices.unwanted())
+        for track in (track for peer in peers for track in peer.tracks):
+            is_face = track.kind == FACE_TRACK
+            if track.stream in unwanted or (is_face and not self._takes_faces):
+                self.link.want(track.stream, None)
 
     def _call_soon(self, action: Callable[[], None]) -> None:
         """Call something on the loop, if it runs."""
@@ -196,7 +224,7 @@ class Receiver:
         while True:
             self._subscribed.clear()
             timer = None  # who is not in the room waits for the next join
-            if self.link.is_joined:
+            if self.link.is_joined and self._takes_faces:
                 timer = self.call.tell_subscriptions(self.link.want, now)
             now = await wait_until(self._subscribed, timer)
 

@@ -30,13 +30,8 @@ _LARGEST_SILENT_BYTES: Final = 2
 
 _APPLICATION_VOIP = 2048
 _SIGNAL_VOICE = 3001
-_SET_BITRATE, _SET_INBAND_FEC, _SET_LOSS_PERCENT, _SET_DTX, _SET_SIGNAL = (
-    4002,
-    4012,
-    4014,
-    4016,
-    4024,
-)
+_SET_BITRATE, _SET_VBR, _SET_INBAND_FEC, _SET_LOSS_PERCENT = 4002, 4006, 4012, 4014
+_SET_DTX, _SET_SIGNAL = 4016, 4024
 _RESET_STATE = 4028
 _BAD_PACKETS = {-1: "the packet does not hold what it says", -2: "a frame that is too long"}
 
@@ -55,12 +50,20 @@ class OpusEncoder:
         bitrate: Bits a second while somebody speaks.
         fec: Whether each packet holds the one before it once more, coarsely; for datagrams.
         dtx: Whether it falls silent with the speaker.
+        is_constant: Whether all packets of speech have the same size.
 
     Raises:
         VoiceError: There is no libopus, or the bitrate is out of range.
     """
 
-    def __init__(self, bitrate: int = 24_000, fec: bool = False, dtx: bool = True) -> None:
+    def __init__(
+        self,
+        bitrate: int = 24_000,
+        fec: bool = False,
+        dtx: bool = True,
+        *,
+        is_constant: bool = False,
+    ) -> None:
         if not MIN_BITRATE_BPS <= bitrate <= MAX_BITRATE_BPS:
             raise VoiceError(
                 f"bitrate is {bitrate}; {MIN_BITRATE_BPS} to {MAX_BITRATE_BPS} bit/s are allowed"
@@ -70,6 +73,7 @@ class OpusEncoder:
         for request, value in (
             (_SET_BITRATE, bitrate),
             (_SET_SIGNAL, _SIGNAL_VOICE),
+            (_SET_VBR, int(not is_constant)),
             (_SET_DTX, int(dtx)),
             (_SET_INBAND_FEC, int(fec)),
             (_SET_LOSS_PERCENT, EXPECTED_LOSS_PERCENT if fec else 0),

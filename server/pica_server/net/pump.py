@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 _UNSENT_LIMIT_BYTES = 2048
 """Unsent bytes in the kernel's buffer (chosen: about thirty frames)."""
 
+_NARROW_UNSENT_BYTES = 512
+"""The same once a socket was full (chosen: 64 ms of a voice's 64 kbit/s)."""
+
 _MOST_AT_ONCE = 8
 """Messages of one peer that are passed on in one turn of the loop (chosen: a quarter of a second of
 a face that came late)."""
@@ -216,7 +219,7 @@ class Pump:
                     await websocket.drain()
                     hub.sent(connection, waker.under_way, self._now())
                     waker.under_way = None
-                while (message := hub.take(connection, self._now())) is not None:
+                while (message := self._next_message(connection)) is not None:
                     await websocket.send(message.data)
                     hub.sent(connection, message, self._now())
                 if connection.closed is not None:
@@ -227,11 +230,24 @@ class Pump:
         except ConnectionClosed:
             return
 
+    def _next_message(self, connection: Connection) -> OutboundMessage | None:
+        """Take what a slow connection gets next, if it is due."""
+        now = self._now()
+        due_s = connection.outbox.due_s(now)
+        if connection.closed is None and due_s > now:
+            self._hub.hold(connection, due_s)
+            self._set_timer()
+            return None
+        return self._hub.take(connection, now)
+
     def after_events(self) -> None:
         """Send to those who have got something, and set the timer to the next deadline."""
         if self.cluster is not None:
             self.cluster.step()
         self._send_all(self._hub.take_ready())
+        self._set_timer()
+
+    def _set_timer(self) -> None:
         when = self._hub.next_timer()
         if when != self._timer_s:
             if self._timer is not None:
@@ -251,6 +267,9 @@ class Pump:
             if waker is None:
                 continue
             websocket, outbox = waker.websocket, connection.outbox
+            if connection.closed is None and (due_s := outbox.due_s(now)) > now:
+                self._hub.hold(connection, due_s)
+                continue
             if (
                 waker.is_idle
                 and connection.closed is None
@@ -265,6 +284,8 @@ class Pump:
                         written.append(message)
                     else:
                         self._hub.is_sending(connection, now)
+                        outbox.note_full(now)
+                        waker.tighten()
                         waker.under_way = message
                         waker.wake()
                 if not outbox.is_waiting:
@@ -307,6 +328,7 @@ class _Waker:
         self.is_idle = False
         self.under_way: OutboundMessage | None = None
         self._event = asyncio.Event()
+        self._is_tight = False
         self._cut: asyncio.TimerHandle | None = None
 
     async def wait(self) -> None:
@@ -325,6 +347,12 @@ class _Waker:
             loop = asyncio.get_running_loop()
             self._cut = loop.call_later(timeout_s, self.websocket.transport.abort)
 
+    def tighten(self) -> None:
+        """Keep less in the kernel from now on: behind a narrow way that is old when it arrives."""
+        if not self._is_tight:
+            self._is_tight = True
+            _bound_unsent(self.websocket, _NARROW_UNSENT_BYTES)
+
     def cancel_cut(self) -> None:
         if self._cut is not None:
             self._cut.cancel()
@@ -336,5 +364,13 @@ def _bound_kernel_buffer(websocket: ServerConnection, send_buffer_bytes: int) ->
         return
     with suppress(OSError):  # the peer may be gone already; the reader will find out
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, send_buffer_bytes)
+        _bound_unsent(websocket, _UNSENT_LIMIT_BYTES)
+
+
+def _bound_unsent(websocket: ServerConnection, num_bytes: int) -> None:
+    sock = websocket.transport.get_extra_info("socket")
+    if sock is None or sock.family not in (socket.AF_INET, socket.AF_INET6):
+        return
+    with suppress(OSError):  # as above
         if hasattr(socket, "TCP_NOTSENT_LOWAT"):
-            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, _UNSENT_LIMIT_BYTES)
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, num_bytes)

@@ -1,5 +1,7 @@
 """One websocket as the hub sees it: its session, its outbox, and what it may still send. Pure."""
 
+import math
+
 from pica_protocol.server_session import ServerSession
 from pica_protocol.session import Closed
 from pica_server.config.relay import LimitsConfig
@@ -26,6 +28,7 @@ class Connection:
         "address",
         "bytes_in",
         "has_joined",
+        "held_s",
         "is_crowded",
         "is_resumable",
         "messages_in",
@@ -61,6 +64,7 @@ class Connection:
         self.bytes_in = TokenBucket(bytes_per_s, bytes_per_s * burst_s, now, bytes_per_s)
         self.address = address
         self.has_joined = False
+        self.held_s = math.inf  # when what waits for more to come goes at the latest
         self.serial = serial
         self.session = session
         self.outbox = outbox

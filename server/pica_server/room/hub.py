@@ -12,6 +12,8 @@ a time (``take``, ``sent``). The parts decide:
 A connection is over when its ``closed`` is set; what it still has to send ends with a ``Bye``.
 """
 
+import heapq
+import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
 from typing import Final
@@ -36,6 +38,8 @@ from pica_server.room.resume_tickets import ResumeTickets
 from pica_server.room.room import Room
 from pica_server.room.rulings import Rulings
 
+HOLD_STEP_S: Final = 0.002
+"""Moments at which what was held back goes (chosen: many leave in one turn of the loop)."""
 BUSY_PERIOD_S: Final = 0.25
 """Time over which is counted how busy the event loop is (chosen)."""
 
@@ -93,6 +97,8 @@ class Hub:
         self._load = (0.0, 0.0)
         self._busy_ratio = 0.0
         self._departures: deque[tuple[float, str]] = deque()
+        # Whose messages wait for more to share them with: each stands here once.
+        self._held: list[tuple[float, int, Connection]] = []
 
     def meet(self, cluster_peers: ClusterPeers, prefix: str) -> None:
         """Be one node of a cluster from now on; nobody is here yet.
@@ -235,6 +241,12 @@ class Hub:
         self._ready.clear()
         return ready
 
+    def hold(self, connection: Connection, due_s: float) -> None:
+        """Bring a connection among those that are ready when what waits for it is due."""
+        if due_s < connection.held_s:
+            connection.held_s = due_s = math.ceil(due_s / HOLD_STEP_S) * HOLD_STEP_S
+            heapq.heappush(self._held, (due_s, connection.serial, connection))
+
     def take(self, connection: Connection, now: float) -> OutboundMessage | None:
         """Take the next message for a connection; the shell calls ``sent`` when it is out."""
         message = connection.outbox.take(now)
@@ -264,14 +276,20 @@ class Hub:
 
     def next_timer(self) -> float | None:
         """Return when ``handle_timer`` is due, or None."""
-        timers = [line[0][0] for line in (self._timers, self._departures) if line]
+        timers = [line[0][0] for line in (self._timers, self._departures, self._held) if line]
         grace_ends_s = self._tickets.next_timer()
         if grace_ends_s is not None:
             timers.append(grace_ends_s)
         return min(timers, default=None)
 
     def handle_timer(self, now: float) -> None:
-        """Close those who are late by now, and those whose turn to go has come."""
+        """Close those who are late by now, and those whose turn to go has come; what was held back
+        is ready."""
+        while self._held and self._held[0][0] <= now:
+            connection = heapq.heappop(self._held)[2]
+            connection.held_s = math.inf
+            if connection.outbox.is_waiting:
+                self._ready[connection] = None
         self._send_rooms_away(now)
         self.membership.handle_timer(now)
         self._connections.handle_timer(now)

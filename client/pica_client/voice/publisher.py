@@ -1,0 +1,138 @@
+"""A voice on its way out: frames of a source -> Opus -> packets on the voice's track.
+
+While it is muted, or its speaker silent, nothing is sent. A mute lets the frame that was begun go
+out, and then one of nothing, which brings out what the encoder held back; nothing that was captured
+later leaves this machine or is kept on it.
+"""
+
+import asyncio
+from collections.abc import AsyncIterator
+from typing import Any, Final, Protocol
+
+import numpy as np
+
+from pica_client.transport.link import Link
+from pica_client.voice.level import level_of
+from pica_client.voice.opus import OpusEncoder
+from pica_client.voice.packet import FRAME_SAMPLES, FRAME_US, VoicePacket, encode_payload
+from pica_client.voice.track import VOICE_KEY, VOICE_MUTED, voice_track
+from pica_core.types import FloatArray
+from pica_protocol.messages import Joined, StreamMuted
+from pica_protocol.session import ClientEvent
+
+DEFAULT_BITRATE_BPS: Final = 24_000
+_NOTHING: Final = np.zeros(FRAME_SAMPLES, np.float32)
+_GAP_US: Final = FRAME_US * 3 // 2
+"""Between the beginnings of two packets; more is a silence."""
+
+
+class VoiceSource(Protocol):
+    """What a voice comes from: a microphone, a file."""
+
+    def frames(self, stopping: asyncio.Event) -> AsyncIterator[tuple[FloatArray, int]]:
+        """Return 20 ms after 20 ms, float32 ``[960]`` in [-1, 1], as they are captured.
+
+        With each comes when its first sample was captured, microseconds of the event loop's clock.
+        Ends when told to stop.
+        """
+
+
+class VoicePublisher:
+    """Sends one voice over a link, which somebody else runs.
+
+    Attributes:
+        track: What the link has to publish.
+        is_muted: Whether its owner has muted it; `set_muted` changes it.
+        is_muted_by_admin: Whether an admin has stopped the stream.
+        level: Of the last frame that was captured for sending, as `VoicePacket.level`; None: muted.
+    """
+
+    def __init__(
+        self,
+        source: VoiceSource,
+        *,
+        bitrate: int = DEFAULT_BITRATE_BPS,
+        is_sealed: bool = False,
+    ) -> None:
+        """Prepare.
+
+        Args:
+            source: The voice.
+            bitrate: Bits a second while it speaks.
+            is_sealed: Whether it is encrypted on its way: then every packet of speech has the same
+                size, as sizes that follow the sounds tell words (RFC 6562).
+
+        Raises:
+            VoiceError: There is no libopus, or the bitrate is out of range.
+        """
+        self.track = voice_track()
+        self.is_muted = self.is_muted_by_admin = False
+        self.level: int | None = None
+        self._source = source
+        self._encoder = OpusEncoder(bitrate, is_constant=is_sealed)
+        self._stream = 0
+        self._told = ""
+        self._was_muted = False
+        self._last_us = -(1 << 62)
+        self._sent = self._silent = self._unheard = self._payload_bytes = 0
+
+    def set_muted(self, is_muted: bool) -> None:
+        """Mute the voice, or let it go on; holds from the next frame. Any thread may call it."""
+        self.is_muted = is_muted
+
+    def receive_event(self, event: ClientEvent) -> None:
+        """Take an event of the link's session."""
+        match event:
+            case Joined(tracks=tracks):
+                self._stream = next(t.stream for t in tracks if t.kind == self.track.kind)
+                self.is_muted_by_admin = False  # we are told again if it is so
+                self._last_us = -(1 << 62)  # whoever hears us begins anew
+            case StreamMuted(stream=stream, is_muted=is_muted) if stream == self._stream:
+                self.is_muted_by_admin = is_muted
+            case _:
+                pass
+
+    async def pace(self, link: Link, stopping: asyncio.Event) -> None:
+        """Send until told to stop, or the source ends."""
+        async for pcm, captured_us in self._source.frames(stopping):
+            self.send(link, pcm, captured_us)
+
+    def send(self, link: Link, pcm: FloatArray, captured_us: int) -> None:
+        """Send the next 20 ms, unless there is nothing to say, or nobody to say it to."""
+        reason = VOICE_MUTED if self.is_muted else ""
+        if reason != self._told:
+            self._told = reason
+            link.describe(VOICE_KEY, reason)
+        if self.is_muted and self._was_muted:
+            self.level = None
+            return
+        if self.is_muted:
+            pcm = _NOTHING
+        elif self._was_muted:
+            self._encoder.reset()
+        self._was_muted = self.is_muted
+        if not link.is_joined:
+            self._unheard += 1
+            return
+        self.level = level_of(pcm)
+        opus = self._encoder.encode(pcm)
+        if opus is None:
+            self._silent += 1
+            return
+        is_first = captured_us - self._last_us > _GAP_US
+        packet = VoicePacket(0, captured_us, opus, self.level, is_first)
+        payload = encode_payload(packet)
+        if link.send_frame(payload, captured_us, track=self.track):
+            self._last_us = captured_us
+            self._sent += 1
+            self._payload_bytes += len(payload)
+
+    def stats(self) -> dict[str, Any]:
+        """What was sent so far."""
+        return {
+            "sent": self._sent,
+            "silent": self._silent,
+            "not_connected": self._unheard,
+            "payload_bytes": self._payload_bytes,
+            "muted": self.is_muted or self.is_muted_by_admin,
+        }

@@ -1,0 +1,91 @@
+"""Voices on their way in: from frames of the link to packets of a person. Pure.
+
+What is wrong with one voice stays with that voice: a payload that is none is counted, and a voice
+of a codec that nobody here knows is named once, in words, and not subscribed to.
+"""
+
+import logging
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from pica_client.errors import VoiceError
+from pica_client.voice.packet import VoicePacket, decode_payload
+from pica_client.voice.track import refusal_of, voice_of
+from pica_protocol.frames import Frame
+from pica_protocol.messages import Joined, Peer, PeerJoined, PeerLeft
+from pica_protocol.session import ClientEvent
+
+OnVoice = Callable[[str, VoicePacket, float], None]
+"""Takes a peer's id, a packet of its voice, and when it arrived, seconds of our clock. Called on
+the network's thread, for every packet in the order of arrival."""
+
+_log = logging.getLogger(__name__)
+
+
+class VoiceReceiver:
+    """Tells voices from faces, and hands them on.
+
+    Attributes:
+        refused: Why a peer cannot be heard, in words, by peer id.
+        received: Packets that were handed on.
+        errors: Payloads that were no packets.
+    """
+
+    def __init__(self, on_voice: OnVoice | None) -> None:
+        """Begin outside any room; without ``on_voice`` no voice is wanted."""
+        self._on_voice = on_voice
+        self._peers: dict[int, str] = {}  # by stream; bounded by the protocol's limit on peers
+        self.refused: dict[str, str] = {}
+        self.received = self.errors = 0
+
+    def receive_event(self, event: ClientEvent, now: float) -> bool:
+        """Take an event of the link's session; say whether it was a voice's, and no one else's."""
+        match event:
+            case Frame(stream=stream) if stream in self._peers:
+                self._receive_frame(event, self._peers[stream], now)
+                return True
+            case Joined(peers=peers):
+                self._peers.clear()
+                self.refused.clear()
+                for peer in peers:
+                    self._add(peer)
+            case PeerJoined(peer=peer):
+                self._add(peer)
+            case PeerLeft(peer_id=peer_id):
+                self._peers = {s: who for s, who in self._peers.items() if who != peer_id}
+                self.refused.pop(peer_id, None)
+            case _:
+                pass
+        return False
+
+    def unwanted(self) -> Iterator[int]:
+        """Return the streams that the relay need not send: of voices that nobody here hears."""
+        return (
+            stream
+            for stream, peer_id in self._peers.items()
+            if self._on_voice is None or peer_id in self.refused
+        )
+
+    def stats(self) -> dict[str, Any]:
+        """What came so far."""
+        return {"received": self.received, "errors": self.errors, "refused": dict(self.refused)}
+
+    def _add(self, peer: Peer) -> None:
+        track = voice_of(peer)
+        if track is None:
+            return
+        self._peers[track.stream] = peer.peer_id
+        if self._on_voice is not None and (reason := refusal_of(track)):
+            self.refused[peer.peer_id] = reason
+            _log.warning("a voice cannot be heard", extra={"reason": reason})
+
+    def _receive_frame(self, frame: Frame, peer_id: str, now: float) -> None:
+        if self._on_voice is None or peer_id in self.refused:
+            return  # it was under way when we said that we want none
+        try:
+            packet = decode_payload(frame.sequence, frame.captured_us, frame.payload)
+        except VoiceError:
+            self.errors += 1
+            return
+        self.received += 1
+        self._on_voice(peer_id, packet, now)

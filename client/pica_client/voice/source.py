@@ -1,0 +1,90 @@
+"""Where a voice comes from: a sound that plays over and over as if somebody spoke it."""
+
+import asyncio
+import math
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from pica_client.errors import OptionError
+from pica_client.transport.timers import wait_until
+from pica_client.voice.packet import FRAME_S, FRAME_SAMPLES
+from pica_client.voice.wav import read_wav, shipped_speech
+from pica_core.types import FloatArray
+
+TURN_S: Final = 4.0
+"""How long each speaks where several take turns (chosen: a sentence or two)."""
+_LATEST_S: Final = 0.2
+"""Who is later than this leaves out what it has missed: a microphone does not wait."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Turn:
+    """Whose turn it is, by the clock that all processes of a machine share."""
+
+    index: int = 0
+    """Which of the turns is ours, from 0."""
+    count: int = 1
+    """How many there are."""
+
+    def is_ours(self, now: float) -> bool:
+        """Whether we speak now."""
+        return math.floor(now / TURN_S) % self.count == self.index
+
+
+class SoundSource:
+    """A sound, looped; a `publisher.VoiceSource`.
+
+    Args:
+        sound: float32, mono, 48 kHz, at least one sample.
+        turn: When it is heard; at other times there is silence, and the sound waits.
+    """
+
+    def __init__(self, sound: FloatArray, turn: Turn | None = None) -> None:
+        self._sound = sound
+        self._turn = turn or Turn()
+
+    async def frames(self, stopping: asyncio.Event) -> AsyncIterator[tuple[FloatArray, int]]:
+        """See `VoiceSource.frames`."""
+        begin_s = asyncio.get_running_loop().time()
+        index = at = 0
+        while True:
+            captured_s = begin_s + index * FRAME_S
+            now = await wait_until(stopping, captured_s + FRAME_S)
+            if stopping.is_set():
+                return
+            if self._turn.is_ours(captured_s):
+                places = np.arange(at, at + FRAME_SAMPLES) % len(self._sound)
+                pcm, at = self._sound[places], at + FRAME_SAMPLES
+            else:
+                pcm = np.zeros(FRAME_SAMPLES, np.float32)
+            yield pcm, round(captured_s * 1e6)
+            late = (now - captured_s) / FRAME_S - 1
+            index += 1 + (math.floor(late) if late * FRAME_S > _LATEST_S else 0)
+
+
+def open_voice(text: str) -> SoundSource | None:
+    """Open what the option ``--voice`` names; None: no voice.
+
+    Args:
+        text: ``none``; ``speech``, the sentences that ship, or ``speech#K/N``, the K-th of N who
+            take turns with them; or a WAV file.
+
+    Raises:
+        OptionError: It is a turn that cannot be.
+        SourceError: The file is no WAV file that can be played.
+    """
+    if text == "none":
+        return None
+    name, mark, turns = text.partition("#")
+    if name != "speech":
+        return SoundSource(read_wav(Path(text)))
+    if not mark:
+        return SoundSource(shipped_speech())
+    index, _, count = turns.partition("/")
+    if not (index.isdecimal() and count.isdecimal() and 1 <= int(index) <= int(count) <= 64):
+        raise OptionError(f"voice is {text!r}; speech#K/N with 1 <= K <= N <= 64 is allowed")
+    return SoundSource(shipped_speech(), Turn(index=int(index) - 1, count=int(count)))

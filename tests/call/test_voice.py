@@ -1,0 +1,263 @@
+"""Voices through the real relay, on the virtual clock: heard, muted, refused, sealed, replaced."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from importlib import resources
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+
+from helpers.senders import LoadedAvatars
+from pica_client.call.call import Call
+from pica_client.e2ee.secret import RoomSecret, save_secret
+from pica_client.publish.publisher import Publisher, SenderConfig
+from pica_client.sources import open_source
+from pica_client.transport.config import LinkConfig
+from pica_client.transport.link import Link
+from pica_client.transport.receiver import Receiver
+from pica_client.voice import opus
+from pica_client.voice.packet import FRAME_US, VoicePacket
+from pica_client.voice.publisher import VoicePublisher
+from pica_client.voice.source import TURN_S, SoundSource, Turn
+from pica_client.voice.track import VOICE_KEY, VOICE_TRACK, voice_track
+from pica_core.avatar.file import load_avatar
+from pica_protocol.messages import Track
+from pica_server.config.relay import RelayConfig
+from pica_server.relay import Relay
+from simnet.clock import current_network, in_virtual_time
+from simnet.link import Link as Route
+
+pytestmark = [
+    pytest.mark.call,
+    pytest.mark.skipif(opus.available() is not None, reason="needs libopus"),
+]
+
+AVATAR_ID = "5" * 64
+AVATAR = load_avatar(Path(str(resources.files("pica_core"))) / "avatars" / "ines.pica")
+SOUND = (
+    np.random.default_rng(1).normal(0, 0.1, 48_000)
+    * (0.6 + 0.4 * np.sin(np.arange(48_000) / 48_000 * 2 * np.pi * 4))
+).astype(np.float32)
+
+
+class Person:
+    """Somebody in the call; ``heard`` is what came of each other one's voice."""
+
+    def __init__(
+        self,
+        url: str,
+        name: str,
+        *,
+        speaks: bool | Turn = False,
+        is_seen: bool = False,
+        hears: bool = True,
+        sees: bool = True,
+        secret_file: Path | None = None,
+    ) -> None:
+        self.heard: dict[str, list[tuple[VoicePacket, float]]] = {}
+        self.publisher = self.voice = None
+        if is_seen:
+            source = open_source("performance:talk")
+            self.publisher = Publisher(SenderConfig(), source, AVATAR, AVATAR_ID)
+        if speaks:
+            turn = speaks if isinstance(speaks, Turn) else None
+            is_sealed = secret_file is not None
+            self.voice = VoicePublisher(SoundSource(SOUND, turn), is_sealed=is_sealed)
+        port = url.rpartition(":")[2]
+        self.receiver = Receiver(
+            LinkConfig(
+                url=f"ws://{name}:{port}", room="kitchen", name=name, secret_file=secret_file
+            ),
+            Call(LoadedAvatars({AVATAR_ID: AVATAR})),
+            publisher=self.publisher,
+            voice=self.voice,
+            on_voice=self._on_voice if hears else None,
+            takes_faces=sees,
+            rng=random.Random(1),
+        )
+
+    def _on_voice(self, peer_id: str, packet: VoicePacket, arrived_s: float) -> None:
+        self.heard.setdefault(peer_id, []).append((packet, arrived_s))
+
+    @property
+    def packets(self) -> list[VoicePacket]:
+        """What came of the one voice that was heard."""
+        ((packets),) = self.heard.values()
+        return [packet for packet, _ in packets]
+
+    @property
+    def seen(self) -> int:
+        """Frames of faces that arrived."""
+        return sum(health.received for health in self.receiver.call.health().values())
+
+
+async def meet(people: list[Person], seconds: float) -> None:
+    async with asyncio.TaskGroup() as tasks:
+        for person in people:
+            tasks.create_task(person.receiver.run())
+        await asyncio.sleep(seconds)
+        for person in people:
+            person.receiver.stop()
+
+
+@in_virtual_time
+async def test_a_voice_is_heard_beside_its_face_on_one_clock_and_by_no_one_who_wants_none() -> None:
+    async with Relay(RelayConfig(port=0)) as relay:
+        ada = Person(relay.url, "ada", speaks=True, is_seen=True)
+        ben = Person(relay.url, "ben")
+        cho = Person(relay.url, "cho", hears=False)
+        dan = Person(relay.url, "dan", sees=False)
+        await meet([ada, ben, cho, dan], 4.0)
+
+        sequences = [packet.sequence for packet in ben.packets]
+        assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
+        assert len(sequences) > 190
+        times = np.diff([packet.captured_us for packet in ben.packets])
+        assert set(times) == {FRAME_US}
+        assert [packet.is_first for packet in ben.packets[1:]] == [False] * (len(sequences) - 1)
+        assert all(10 < (packet.level or 0) < 40 for packet in ben.packets)
+        assert ben.seen > 100
+        assert cho.heard == {}
+        assert cho.seen > 100
+        assert cho.receiver.call.strays == 0
+        assert len(dan.packets) > 190
+        assert dan.seen == 0
+
+
+@in_virtual_time
+async def test_a_mute_lets_the_frame_that_was_begun_out_and_says_so() -> None:
+    async with Relay(RelayConfig(port=0)) as relay:
+        ada, ben = Person(relay.url, "ada", speaks=True), Person(relay.url, "ben")
+        assert ada.voice is not None
+        async with asyncio.TaskGroup() as tasks:
+            for person in (ada, ben):
+                tasks.create_task(person.receiver.run())
+            await asyncio.sleep(2.0)
+            before = len(ben.packets)
+            ada.voice.set_muted(True)
+            await asyncio.sleep(2.0)
+            assert len(ben.packets) - before <= 2  # the one begun, and what the encoder held back
+            assert ada.voice.level is None
+            (member,) = ben.receiver.call.room(4.0).members
+            assert dict(member.peer.metadata) == {VOICE_KEY: "muted"}
+            muted = len(ben.packets)
+            ada.voice.set_muted(False)
+            await asyncio.sleep(2.0)
+            again = ben.packets[muted:]
+            assert len(again) > 95
+            assert [packet.is_first for packet in again[:2]] == [True, False]
+            assert again[0].sequence == ben.packets[muted - 1].sequence + 1  # a silence, no loss
+            assert again[0].captured_us - ben.packets[muted - 1].captured_us > 1_900_000
+            for person in (ada, ben):
+                person.receiver.stop()
+
+
+@in_virtual_time
+async def test_a_voice_of_a_codec_that_nobody_knows_is_refused_in_words() -> None:
+    async with Relay(RelayConfig(port=0)) as relay:
+        ben = Person(relay.url, "ben")
+        port = relay.url.rpartition(":")[2]
+        strange = Track(kind=VOICE_TRACK, policy="ordered", deadline_ms=200, profile="c" * 64)
+        ada = Link(LinkConfig(url=f"ws://ada:{port}", room="kitchen", name="ada"), (strange,))
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(ada.run())
+            tasks.create_task(ben.receiver.run())
+            for _ in range(100):
+                ada.send_frame(b"\x20strange", 20_000, track=strange)
+                await asyncio.sleep(0.02)
+            ada.leave()
+            refused = list(ben.receiver.voices.refused.values())
+            ben.receiver.stop()
+        assert ben.heard == {}
+        assert refused == ["their voice is of a codec that is not known here (cccccccc)"]
+
+
+@in_virtual_time
+async def test_bytes_that_are_no_packet_are_counted_and_cost_no_connection() -> None:
+    async with Relay(RelayConfig(port=0)) as relay:
+        ben = Person(relay.url, "ben")
+        port = relay.url.rpartition(":")[2]
+        ada = Link(LinkConfig(url=f"ws://ada:{port}", room="kitchen", name="ada"), (voice_track(),))
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(ada.run())
+            tasks.create_task(ben.receiver.run())
+            await asyncio.sleep(0.5)
+            for payload in (b"", b"\x20", bytes(1100), b"\x20" + bytes(9)):
+                ada.send_frame(payload, 20_000)
+                await asyncio.sleep(0.02)
+            await asyncio.sleep(0.5)
+            assert ben.receiver.voices.errors == 3
+            assert len(ben.packets) == 1  # its reader does not look into Opus; the decoder does
+            assert ben.receiver.link.reconnects == 0
+            ada.leave()
+            ben.receiver.stop()
+
+
+@in_virtual_time
+async def test_sealed_voices_and_faces_open_side_by_side_and_only_with_the_secret() -> None:
+    with TemporaryDirectory() as folder:
+        secret_file = Path(folder) / "room.secret"
+        save_secret(secret_file, RoomSecret.new())
+        async with Relay(RelayConfig(port=0)) as relay:
+            ada = Person(relay.url, "ada", speaks=True, is_seen=True, secret_file=secret_file)
+            ben = Person(relay.url, "ben", secret_file=secret_file)
+            eve = Person(relay.url, "eve")
+            await meet([ada, ben, eve], 4.0)
+        assert len(ben.packets) > 150
+        assert ben.seen > 80
+        assert len({len(packet.payload) for packet in ben.packets}) == 1  # sizes tell no words
+        guard = ben.receiver.link.guard
+        assert guard is not None
+        assert guard.stats()["replayed"] == guard.stats()["forged"] == 0
+        said = {packet.payload for packet in ben.packets}
+        assert all(packet.payload not in said for packet, _ in eve.heard.get("p1", []))
+
+
+@in_virtual_time
+async def test_who_comes_back_begins_anew_and_two_of_one_name_are_two_voices() -> None:
+    async with Relay(RelayConfig(port=0)) as relay:
+        network = current_network()
+        ada, ben = Person(relay.url, "ada", speaks=True), Person(relay.url, "ben")
+        other = Person(relay.url, "ada", speaks=True)
+        async with asyncio.TaskGroup() as tasks:
+            for person in (ada, ben, other):
+                tasks.create_task(person.receiver.run())
+            await asyncio.sleep(2.0)
+            assert len(ben.heard) == 2
+            network.reset("ada", down_s=1.0)
+            await asyncio.sleep(6.0)
+            assert len(ben.heard) == 2  # both came back to their places
+            for voice in ben.heard.values():
+                packets = [packet for packet, _ in voice]
+                after = [b for _, b in pairwise(packets) if b.is_first]
+                assert len(after) == 1
+                assert packets[-1].sequence > packets[0].sequence
+            for person in (ada, ben, other):
+                person.receiver.stop()
+
+
+@in_virtual_time
+async def test_of_four_who_talk_in_turn_no_word_is_lost_over_64_kbit_s() -> None:
+    async with Relay(RelayConfig(port=0)) as relay:
+        down = Route(delay_s=0.02, rate_bps=64_000, window_bytes=1024)
+        current_network().route("ben", down=down)
+        ben = Person(relay.url, "ben")
+        others = [
+            Person(relay.url, name, speaks=Turn(index=index, count=4), is_seen=True)
+            for index, name in enumerate(("ada", "cho", "dan", "eve"))
+        ]
+        await meet([ben, *others], 4 * TURN_S + 4)
+        delays_s = []
+        for voice in ben.heard.values():
+            packets = [packet for packet, _ in voice]
+            for before, after in pairwise(packets):
+                assert after.sequence == before.sequence + 1
+            delays_s += [arrived_s - packet.captured_us / 1e6 for packet, arrived_s in voice]
+        assert len(ben.heard) == 4
+        assert np.percentile(delays_s, 99) < 0.2
+        assert ben.seen > 400
