@@ -176,8 +176,8 @@ class ClientSession(Session):
             return messages
         if any(map(len, self._ordered)):
             self._riding_until_s = now + RIDE_S
-        queues = [*self._ordered, *self._latest]
-        frames = [item.frame for queue in queues for item in queue.take(_NO_LIMIT)]
+        frames = [item.frame for queue in self._ordered for item in queue.take(_NO_LIMIT)]
+        frames += [item.frame for queue in self._latest for item in queue.take(_NO_LIMIT)]
         if self.state is State.JOINED:
             messages += _media_messages(frames)
         return messages

@@ -1,9 +1,11 @@
+from dataclasses import replace
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from helpers.strategies import messages
-from pica_protocol.client_session import MAX_QUEUED_MESSAGES, ClientSession
+from pica_protocol.client_session import MAX_QUEUED_MESSAGES, RIDE_S, ClientSession
 from pica_protocol.codec import decode_message, encode_message
 from pica_protocol.errors import CloseCode, LocalProtocolError, is_worth_retrying, may_pass
 from pica_protocol.frames import Frame, decode_media, encode_frame, media_message
@@ -37,6 +39,7 @@ from pica_protocol.session import CLIENT_TABLE, SERVER_TABLE, Closed, Media, Sta
 pytestmark = pytest.mark.unit
 
 FACE = Track(kind="face")
+VOICE = Track(kind="voice", policy="ordered", deadline_ms=200)
 OWN = Track(kind="face", stream=7)
 BOB = Peer(peer_id="p2", name="Bob", tracks=(Track(kind="face", stream=8),))
 JOINED = Joined(room="lobby", peer_id="p1", tracks=(OWN,), peers=(BOB,))
@@ -463,3 +466,26 @@ def test_a_retry_is_worth_it_when_nobody_is_at_fault() -> None:
         CloseCode.TOO_MANY,
         CloseCode.UNAUTHORIZED,
     ]
+
+
+def test_a_face_of_ours_rides_with_our_voice_and_alone_only_when_none_comes() -> None:
+    session = ClientSession(room="lobby", name="Ada", tracks=(FACE, VOICE), now=0.0)
+    session.messages_to_send(0.0)
+    own = (replace(FACE, stream=1), replace(VOICE, stream=2))
+    session.receive_data(encode_message(Welcome()), 0.0)
+    session.receive_data(encode_message(Joined(room="lobby", peer_id="p1", tracks=own)), 0.0)
+
+    def streams(now: float) -> list[list[int]]:
+        return [[f.stream for f in decode_media(m)] for m in session.messages_to_send(now)]
+
+    session.send_frame(b"face", 1_000_000, is_keyframe=True)
+    assert streams(1.0) == [[1]]  # nobody speaks
+    session.send_frame(b"voice", 1_010_000, track=1)
+    assert streams(1.01) == [[2]]
+    session.send_frame(b"face", 1_020_000, is_keyframe=True)
+    assert streams(1.02) == []
+    assert session.frames_due_s == 1.01 + RIDE_S
+    session.send_frame(b"voice", 1_030_000, track=1)
+    assert streams(1.03) == [[2, 1]]
+    session.send_frame(b"face", 1_040_000, is_keyframe=True)
+    assert streams(1.03 + RIDE_S) == [[1]]

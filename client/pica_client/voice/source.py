@@ -48,7 +48,7 @@ class SoundSource:
         self._turn = turn or Turn()
 
     async def frames(self, stopping: asyncio.Event) -> AsyncIterator[tuple[FloatArray, int]]:
-        """See `VoiceSource.frames`."""
+        """Return 20 ms after 20 ms; see `VoiceSource.frames`."""
         begin_s = asyncio.get_running_loop().time()
         index = at = 0
         while True:

@@ -79,7 +79,8 @@ class Connections:
         config, limits = self.config, self.config.limits
         session = ServerSession(software=SOFTWARE, now=now, timeout_s=config.handshake_timeout_s)
         flows = "flow" not in config.without
-        outbox = Outbox(config.max_control_bytes, self.stats.dropped, flows=flows)
+        rides = "ride" not in config.without
+        outbox = Outbox(config.max_control_bytes, self.stats.dropped, flows=flows, rides=rides)
         connection = Connection(next(self._serials), session, outbox, limits, address, now)
         connection.peer_id = f"{self.prefix}{connection.serial}"
         self.stats.connections += 1

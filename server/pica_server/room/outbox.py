@@ -44,7 +44,7 @@ PAIR_S: Final = 0.026
 """How long a packet of a voice waits for the next one on the way to a narrow receiver (chosen: it
 comes after 20 ms, and the headers of every other message are saved)."""
 YIELDING_BYTES: Final = 160
-"""Of faces in a message with a voice to a narrow receiver (chosen: base layers of a few)."""
+"""What faces take of a message with a voice to a narrow receiver (chosen: base layers of a few)."""
 _WAITS = Put.WAITS
 
 
@@ -82,17 +82,25 @@ class ArrivedFrame:
 class Outbox:
     """The queue between the room and one receiver's socket."""
 
-    def __init__(self, max_control_bytes: int, drops: Counter[str], *, flows: bool = True) -> None:
+    def __init__(
+        self,
+        max_control_bytes: int,
+        drops: Counter[str],
+        *,
+        flows: bool = True,
+        rides: bool = True,
+    ) -> None:
         """Begin empty.
 
         Args:
             max_control_bytes: Control messages that may wait.
             drops: Where frames that are dropped for slowness are counted, by reason.
             flows: Whether streams may flow; if not, every frame goes through its queue.
+            rides: Whether frames may wait for others to share a message with.
         """
         self._max_control_bytes = max_control_bytes
         self._drops = drops
-        self._may_flow = flows
+        self._may_flow, self._rides = flows, rides
         self._control: deque[bytes] = deque()
         self._control_bytes = 0
         self._queues: dict[int, StreamQueue | OrderedQueue] = {}
@@ -117,7 +125,7 @@ class Outbox:
 
     def due_s(self, now: float) -> float:
         """When what waits is to go: now, or later if it shares a message with what is to come."""
-        if self._control:
+        if self._control or not self._rides:
             return now
         if not self._voices:
             return max(self._ride_ends_s, now)

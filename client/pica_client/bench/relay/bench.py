@@ -10,6 +10,7 @@ What the figures are:
 - ``forward_ms``: from just before a peer's send call to just after another's receive call, of all
   frames captured in the window (`swarm`). It includes the network, and the time that
   frames wait in a busy load generator: ``generator.turn_ms`` bounds that.
+- ``voice_ms``: the same of the packets of voices, with --voices.
 - ``relay_forward_ms``: the relay's own, from receipt to the socket's taking it, as the upper bounds
   of its histogram's buckets.
 - ``dropped``: frames that the relay says it dropped, or, if it says nothing, that did not arrive.
@@ -73,6 +74,7 @@ ABLATIONS: Final = {
     "short-read": ("--without", "short-read"),
     "direct-write": ("--without", "direct-write"),
     "flow": ("--without", "flow"),
+    "ride": ("--without", "ride"),
 }
 """Arguments of a relay that lacks one part of its fast path."""
 COMPARISONS: Final = ("naive", "naive-uvloop", "echo")
@@ -95,6 +97,8 @@ class RelayBenchConfig:
     """Number of processes of the load generator."""
     joins_per_s: float | None = None
     """How fast peers come; by default 40, as many as a relay lets in, 400 for one of our own."""
+    voices: bool = False
+    """Let the peers of each room speak in turn as well, 50 packets a second."""
     capacity: bool = False
     """Look for the most rooms within the bar."""
     bar_ms: float = 10.0
@@ -192,6 +196,7 @@ class Load:
                             peers=config.peers,
                             fps=config.fps,
                             joins_per_s=rate / config.processes,
+                            voices=config.voices,
                             seed=f"{config.seed}/{part}",
                         )
                     )
@@ -279,12 +284,16 @@ class Load:
         config = self._config
         total = {
             key: sum(answer[key] for answer in answers)
-            for key in ("sent", "blocked", "received", "bytes_in", "reads")
+            for key in (
+                *("sent", "blocked", "received", "bytes_in", "reads"),
+                *("voices_sent", "voices_received"),
+            )
         }
         latency, turns = merged(answers, "latency"), merged(answers, "turn")
-        expected = total["sent"] * (config.peers - 1)
-        missing = expected - total["received"]
-        delivered_per_s = total["received"] / seconds
+        received = total["received"] + total["voices_received"]
+        expected = (total["sent"] + total["voices_sent"]) * (config.peers - 1)
+        missing = expected - received
+        delivered_per_s = received / seconds
         forward_ms = percentiles(latency)
         idle, pid = self._idle_bytes, self.target.pid
         held = None if pid is None else memory_bytes(pid)
@@ -302,17 +311,20 @@ class Load:
             "delivered_per_s": round(delivered_per_s, 1),
             "sent_per_s": round(total["sent"] / seconds, 1),
             "forward_ms": forward_ms,
+            "voice_ms": percentiles(merged(answers, "voice_latency")) if config.voices else None,
             "relay_forward_ms": relay_percentiles(metrics),
             "dropped": round(summed(metrics, "pica_frames_dropped_total")) if metrics else missing,
             "late": round(metrics.get('pica_frames_dropped_total{reason="late"}', 0.0)),
             "brake_level": round(metrics.get("pica_brake_level", 0.0)),
             "missing": missing,
+            "voices_missing": total["voices_sent"] * (config.peers - 1) - total["voices_received"],
             "blocked": total["blocked"],
             "relay_cpu_s_per_1000": None
             if cpu is None or not delivered_per_s
             else round(cpu / delivered_per_s * 1000, 5),
             "relay_cpu_ratio": None if cpu is None else round(cpu, 3),
             "bytes_per_connection": per_connection,
+            "messages_per_s": round(messages / seconds) if messages else None,
             "bitrate_bps": round(total["bytes_in"] * 8 / seconds / max(rooms * config.peers, 1)),
             "frames_per_message": None
             if not messages

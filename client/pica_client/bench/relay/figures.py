@@ -14,7 +14,9 @@ def describe(row: dict[str, Any]) -> str:
     return (
         f"{row['rooms']} rooms of {row['peers']} at {row['fps']:g} fps: "
         f"{row['delivered_per_s']:,.0f} frames/s delivered, forwarding p50 {forward['p50']} ms, "
-        f"p99 {forward['p99']} ms, dropped {row['dropped']}, missing {row['missing']}"
+        f"p99 {forward['p99']} ms, "
+        + (f"voices p99 {row['voice_ms']['p99']} ms, " if row["voice_ms"] else "")
+        + f"dropped {row['dropped']}, missing {row['missing']}"
         + ("" if cpu is None else f", core {cpu:.0%} busy, {per_1000} s per 1,000")
         + f"; generator {max(row['generator']['cpu_ratio']):.0%} busy"
     )

@@ -22,7 +22,7 @@ from websockets.client import ClientProtocol
 from websockets.typing import Subprotocol
 from websockets.uri import parse_uri
 
-from pica_client.bench.relay.traffic import Traffic
+from pica_client.bench.relay.traffic import LARGEST_FACE_BYTES, VOICE_PAYLOAD, Traffic
 from pica_client.errors import RelayUnreachableError
 from pica_client.transport.connect import MAX_UNSENT_BYTES
 from pica_protocol import SUBPROTOCOL
@@ -32,6 +32,7 @@ from pica_protocol.messages import Joined, KeyframeRequest, Track
 from pica_protocol.session import State
 
 CONNECT_TIMEOUT_S: Final = 5.0
+_VOICE: Final = Track(kind="voice", policy="ordered", deadline_ms=200)
 _READ_BYTES: Final = 65_536
 _OUT = struct.Struct(">BBIBHHBBHQ")
 """Websocket header with a mask of zeros, kind of the message, header of the frame."""
@@ -46,6 +47,9 @@ class Tally(Protocol):
 
     def received(self, captured_us: int) -> None:
         """Take note of one frame that has come in."""
+
+    def received_voice(self, captured_us: int) -> None:
+        """Take note of one packet of a voice that has come in."""
 
     def heard(self, num_bytes: int) -> None:
         """Take note of bytes that have come in."""
@@ -72,6 +76,7 @@ class SwarmPeer:
         tally: Tally,
         now: float,
         timeout_s: float,
+        has_voice: bool = False,
     ) -> None:
         """Connect, and ask for the websocket.
 
@@ -81,11 +86,15 @@ class SwarmPeer:
         self.is_live = self.is_closed = False
         self._tally = tally
         self._traffic = Traffic(rng)
-        self._stream = 0
+        self._stream = self._voice_stream = self._voice_sequence = 0
         self._rest = b""
         self._unsent = b""
         self._session = ClientSession(
-            room=room, name=name, tracks=(Track(kind="load"),), now=now, timeout_s=timeout_s
+            room=room,
+            name=name,
+            tracks=(Track(kind="load"), _VOICE)[: 1 + has_voice],
+            now=now,
+            timeout_s=timeout_s,
         )
         self.sock = _connect(url)
         self._handshake: ClientProtocol | None = ClientProtocol(
@@ -97,13 +106,24 @@ class SwarmPeer:
     def send_frame(self, now_us: int) -> bool:
         """Send the next frame; False when the network does not take it, and it is dropped."""
         sequence, layer, is_keyframe, payload = self._traffic.next_frame(now_us)
+        return self._send(self._stream, sequence, layer, is_keyframe, payload, now_us)
+
+    def send_voice(self, now_us: int) -> bool:
+        """Send the next packet of the voice; False as `send_frame`."""
+        sequence = self._voice_sequence
+        self._voice_sequence = (sequence + 1) & 0xFFFF
+        return self._send(self._voice_stream, sequence, 0, False, VOICE_PAYLOAD, now_us)
+
+    def _send(
+        self, stream: int, sequence: int, layer: int, is_keyframe: bool, payload: bytes, now_us: int
+    ) -> bool:
         size = len(payload)
         head = _OUT.pack(
             _FIN | _BINARY,
             _MASK | (1 + HEADER_BYTES + size),
             0,
             MEDIA_KIND,
-            self._stream,
+            stream,
             sequence,
             layer,
             is_keyframe,
@@ -171,10 +191,14 @@ class SwarmPeer:
             if end > size:
                 break
             if first == _FIN | _BINARY and length and data[begin] == MEDIA_KIND:
-                received, unpack, at = self._tally.received, _IN.unpack_from, begin + 1
+                tally, unpack, at = self._tally, _IN.unpack_from, begin + 1
+                received, received_voice = tally.received, tally.received_voice
                 while at < end:
                     _, _, _, _, payload_bytes, captured_us = unpack(data, at)
-                    received(captured_us)
+                    if payload_bytes > LARGEST_FACE_BYTES:
+                        received_voice(captured_us)
+                    else:
+                        received(captured_us)
                     at += HEADER_BYTES + payload_bytes
             else:
                 self._take(first, data[begin:end], now)
@@ -193,7 +217,10 @@ class SwarmPeer:
         elif first == _FIN | _BINARY:
             for event in self._session.receive_data(payload, now):
                 if isinstance(event, Joined):
-                    self._stream = event.tracks[0].stream
+                    self._stream, self._voice_stream = (
+                        event.tracks[0].stream,
+                        event.tracks[-1].stream,
+                    )
                     self.is_live = True
                 elif isinstance(event, KeyframeRequest):
                     self._traffic.request_keyframe()

@@ -20,7 +20,9 @@ import select
 import sys
 import time
 from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 from pica_client.bench.relay.peer import SwarmPeer
@@ -32,6 +34,10 @@ NUM_STEPS: Final = 200_000
 """Latencies up to 2 s; later frames count as that late."""
 NAP_S: Final = 0.0002
 """Between two looks at the sockets under load: adds as much to the latencies at most (chosen)."""
+TURN_US: Final = 2_000_000
+"""How long each speaks (chosen: a sentence)."""
+VOICE_S: Final = 0.02
+"""Between two packets of a voice."""
 DRAIN_S: Final = 1.0
 """After a window, for frames that are still under way."""
 
@@ -48,6 +54,8 @@ class SwarmConfig:
     fps: float
     joins_per_s: float
     """How fast to come in."""
+    voices: bool
+    """Whether the peers of a room speak in turn."""
     seed: str
 
 
@@ -57,8 +65,10 @@ class Window:
     def __init__(self, begin_us: int, end_us: int) -> None:
         self.begin_us, self.end_us = begin_us, end_us
         self.sent = self.num_received = self.blocked = 0
+        self.voices_sent = self.voices_received = 0
         self.bytes_in = self.reads = 0
         self.latencies = [0] * NUM_STEPS
+        self.voice_latencies = [0] * NUM_STEPS
         self.turns = [0] * NUM_STEPS
         self._now_us = 0
 
@@ -68,6 +78,13 @@ class Window:
             self.num_received += 1
             step = (self._now_us - captured_us) // STEP_US
             self.latencies[step if step < NUM_STEPS else -1] += 1
+
+    def received_voice(self, captured_us: int) -> None:
+        """Count one packet of a voice as of the last read."""
+        if self.begin_us <= captured_us < self.end_us:
+            self.voices_received += 1
+            step = (self._now_us - captured_us) // STEP_US
+            self.voice_latencies[step if step < NUM_STEPS else -1] += 1
 
     def heard(self, num_bytes: int) -> None:
         """Count the bytes of one read."""
@@ -81,11 +98,48 @@ class Window:
             "sent": self.sent,
             "blocked": self.blocked,
             "received": self.num_received,
+            "voices_sent": self.voices_sent,
+            "voices_received": self.voices_received,
+            "voice_latency": {i: n for i, n in enumerate(self.voice_latencies) if n},
             "bytes_in": self.bytes_in,
             "reads": self.reads,
             "latency": {i: n for i, n in enumerate(self.latencies) if n},
             "turn": {i: n for i, n in enumerate(self.turns) if n},
         }
+
+
+class _Schedule:
+    """When who sends: each once in an interval, at a moment of its own.
+
+    Attributes:
+        length: How many there are.
+    """
+
+    def __init__(self, send: Sequence[Callable[[int], None]], interval_s: float, seed: str) -> None:
+        """Spread the senders evenly at random over one interval."""
+        phases = random.Random(seed)
+        entries = [(phases.random() * interval_s, each) for each in send]
+        self._entries = sorted(entries, key=lambda item: item[0])
+        self.length = len(self._entries)
+        self._interval_s = interval_s
+        self._next, self._cycle_s = 0, time.monotonic()
+
+    def send_due(self) -> float:
+        """Let send who is due; return when the next one is."""
+        entries, monotonic_ns = self._entries, time.monotonic_ns
+        while True:
+            phase_s, send = entries[self._next]
+            now_us = monotonic_ns() // 1000
+            due_s = self._cycle_s + phase_s
+            if due_s * 1e6 > now_us:
+                return due_s
+            send(now_us)
+            self._next += 1
+            if self._next == self.length:
+                self._next = 0
+                # After a stall frames are skipped, not sent in a burst: a camera does not wait.
+                behind = (now_us / 1e6 - self._cycle_s) / self._interval_s
+                self._cycle_s += max(int(behind), 1) * self._interval_s
 
 
 class Swarm:
@@ -97,10 +151,7 @@ class Swarm:
         self._poller = select.poll() if not hasattr(select, "epoll") else select.epoll()
         self._by_fd: dict[int, SwarmPeer] = {}
         self._rooms: list[list[SwarmPeer]] = [[] for _ in config.rooms]
-        # Of each peer that sends: when its next frame is due, in the order of their phases.
-        self._schedule: list[tuple[float, SwarmPeer]] = []
-        self._next = 0
-        self._cycle_s = 0.0
+        self._schedules: list[_Schedule] = []  # of faces; of voices, one a room
         self._window = Window(0, 0)
         self._codes: Counter[int] = Counter()
         self._input = b""
@@ -111,6 +162,10 @@ class Swarm:
     def received(self, captured_us: int) -> None:
         """Count one frame in the newest window."""
         self._window.received(captured_us)
+
+    def received_voice(self, captured_us: int) -> None:
+        """Count one packet of a voice in the newest window."""
+        self._window.received_voice(captured_us)
 
     def heard(self, num_bytes: int) -> None:
         """Count the bytes of one read in the newest window."""
@@ -157,6 +212,7 @@ class Swarm:
                 self,
                 time.monotonic(),
                 timeout_s=10.0,
+                has_voice=config.voices,
             )
             self._rooms[index].append(peer)
             self._by_fd[peer.sock.fileno()] = peer
@@ -182,8 +238,11 @@ class Swarm:
             self._turn(end_s)
         cpu_s = time.process_time() - cpu_s
         drained_s = end_s + DRAIN_S
-        expected = window.sent * (self._config.peers - 1)
-        while time.monotonic() < drained_s and window.num_received < expected:
+        others = self._config.peers - 1
+        while time.monotonic() < drained_s and (
+            window.num_received < window.sent * others
+            or window.voices_received < window.voices_sent * others
+        ):
             self._turn(time.monotonic() + 0.1)
         cpu_ratio = cpu_s / max(end_s - begin_s, 1e-9)
         _answer({**window.as_dict(), "closed": dict(self._codes), "cpu_ratio": cpu_ratio})
@@ -196,20 +255,37 @@ class Swarm:
         _answer({"live": len(self._by_fd), "closed": dict(self._codes)})
 
     def _start_sending(self, rooms: int) -> None:
-        """Spread the frames of all senders evenly at random over one frame interval."""
-        peers = [peer for room in self._rooms[:rooms] for peer in room]
-        interval_s = 1 / self._config.fps
-        if len(peers) != len(self._schedule):
-            phases = random.Random(f"{self._config.seed}/phases")
-            self._schedule = sorted(
-                ((phases.random() * interval_s, peer) for peer in peers), key=lambda item: item[0]
-            )
-            self._next, self._cycle_s = 0, time.monotonic()
+        """Let the peers of the first so many rooms send."""
+        config, sending = self._config, self._rooms[:rooms]
+        peers = [peer for room in sending for peer in room]
+        if self._schedules and self._schedules[0].length == len(peers):
+            return
+        faces = [partial(self._send_face, peer) for peer in peers]
+        self._schedules = [_Schedule(faces, 1 / config.fps, f"{config.seed}/phases")]
+        if config.voices:
+            voices = [partial(self._send_voice, room) for room in sending]
+            self._schedules.append(_Schedule(voices, VOICE_S, f"{config.seed}/voices"))
+
+    def _send_face(self, peer: SwarmPeer, now_us: int) -> None:
+        if peer.is_live:
+            window, is_sent = self._window, peer.send_frame(now_us)
+            if window.begin_us <= now_us < window.end_us:
+                window.sent += is_sent
+                window.blocked += not is_sent
+
+    def _send_voice(self, room: Sequence[SwarmPeer], now_us: int) -> None:
+        """Let speak whose turn it is."""
+        peer = room[now_us // TURN_US % len(room)]
+        if peer.is_live:
+            window, is_sent = self._window, peer.send_voice(now_us)
+            if window.begin_us <= now_us < window.end_us:
+                window.voices_sent += is_sent
+                window.blocked += not is_sent
 
     def _turn(self, until_s: float) -> None:
         """Send what is due, wait for something to read or for the next frame, and read."""
-        due_s = min(self._send_due(), until_s)
-        if self._schedule:
+        due_s = min([until_s, *(each.send_due() for each in self._schedules)])
+        if self._schedules:
             # Under load, look at the sockets now and then instead of waiting for them: waking this
             # process would be work for the sender of what it waits for, as much as the sending.
             ready = self._poller.poll(0)
@@ -236,30 +312,6 @@ class Swarm:
         step = (time.monotonic_ns() - begin_ns) // (1000 * STEP_US)
         self._window.turns[step if step < NUM_STEPS else -1] += 1
 
-    def _send_due(self) -> float:
-        """Send the frames that are due; return when the next one is."""
-        schedule, window = self._schedule, self._window
-        if not schedule:
-            return math.inf
-        monotonic_ns = time.monotonic_ns
-        while True:
-            phase_s, peer = schedule[self._next]
-            now_us = monotonic_ns() // 1000
-            due_s = self._cycle_s + phase_s
-            if due_s * 1e6 > now_us:
-                return due_s
-            if peer.is_live:
-                is_sent = peer.send_frame(now_us)
-                if window.begin_us <= now_us < window.end_us:
-                    window.sent += is_sent
-                    window.blocked += not is_sent
-            self._next += 1
-            if self._next == len(schedule):
-                self._next = 0
-                # After a stall frames are skipped, not sent in a burst: a camera does not wait.
-                behind = (now_us / 1e6 - self._cycle_s) * self._config.fps
-                self._cycle_s += max(int(behind), 1) / self._config.fps
-
     def _leave(self) -> None:
         for room in self._rooms:
             for peer in room:
@@ -267,7 +319,7 @@ class Swarm:
                     peer.close()
             room.clear()
         self._by_fd.clear()
-        self._schedule = []
+        self._schedules = []
 
     def _next_order(self) -> dict[str, Any] | None:
         while b"\n" not in self._input and not self._is_over:

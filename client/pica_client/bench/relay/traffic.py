@@ -23,6 +23,11 @@ KEYFRAME_PAUSE_S: Final = 0.25
 """Keyframes come as from the real encoder: so often at least, and at most so soon after the last
 one when asked."""
 
+LARGEST_FACE_BYTES: Final = 40
+"""More is a voice: that is how a peer that counts tells them apart."""
+VOICE_PAYLOAD: Final = bytes(61)
+"""A packet of a voice at 24 kbit/s, with its first byte; libopus varies it, this does not."""
+
 
 class Traffic:
     """The frames of one track.

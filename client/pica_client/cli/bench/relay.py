@@ -27,6 +27,8 @@ class BenchRelayOptions:
     joins_per_s: float | None = None
     """How fast peers come in; by default 40 a second, which a relay's limits allow, and 400 for the
     relay that is started."""
+    voices: bool = False
+    """Let the peers of each room speak in turn as well."""
     capacity: bool = False
     """Look for the most rooms that stay within the bar."""
     bar: float = 10.0
@@ -38,7 +40,7 @@ class BenchRelayOptions:
     echo (what the load generator can do at most); separated by commas."""
     ablate: str = ""
     """Give the same load to the relay without one part of its fast path, for each of: short-read,
-    direct-write, flow; all of them: all."""
+    direct-write, flow, ride; all of them: all."""
     hostile: str = ""
     """Measure the rooms beside somebody who behaves badly: all, or some of stopped-reader,
     slow-reader, flood, slow-loris, half-open, large-messages, bombs, connects."""
@@ -68,6 +70,7 @@ def bench_relay(options: BenchRelayOptions) -> dict[str, Any]:
         seconds=options.seconds,
         processes=options.processes,
         joins_per_s=options.joins_per_s,
+        voices=options.voices,
         capacity=options.capacity,
         bar_ms=options.bar,
         max_rooms=max(options.max_rooms, options.rooms),

@@ -1,0 +1,145 @@
+"""What waits for one receiver when somebody speaks: voices first, faces in their messages."""
+
+from collections import Counter
+
+import pytest
+
+from pica_protocol.client_session import RIDE_S
+from pica_protocol.frames import FLAG_KEYFRAME, Frame, decode_media, encode_frame
+from pica_server.room.outbox import (
+    NARROW_RIDE_S,
+    NARROW_S,
+    PAIR_S,
+    YIELDING_BYTES,
+    ArrivedFrame,
+    OutboundMessage,
+    Outbox,
+)
+
+pytestmark = pytest.mark.unit
+
+FACE, OTHER_FACE, VOICE, OTHER_VOICE = 1, 2, 3, 4
+DEADLINE_S = 0.2
+
+
+def outbox_with_voices(**options: bool) -> tuple[Outbox, Counter[str]]:
+    drops: Counter[str] = Counter()
+    outbox = Outbox(1000, drops, **options)
+    for stream in (VOICE, OTHER_VOICE):
+        outbox.open_ordered(stream, DEADLINE_S)
+    return outbox, drops
+
+
+def put(outbox: Outbox, stream: int, now: float, sequence: int = 0, num_bytes: int = 8) -> None:
+    is_keyframe = stream in (FACE, OTHER_FACE)
+    frame = Frame(
+        stream=stream,
+        sequence=sequence,
+        captured_us=round(now * 1e6),
+        payload=bytes(num_bytes),
+        is_keyframe=is_keyframe,
+    )
+    flags = FLAG_KEYFRAME if is_keyframe else 0
+    outbox.put(ArrivedFrame(stream, encode_frame(frame), 0, flags, now))
+
+
+def streams(message: OutboundMessage | None) -> list[int]:
+    return [] if message is None else [frame.stream for frame in decode_media(message.data)]
+
+
+def test_a_voice_goes_at_once_before_the_faces_that_it_takes_along() -> None:
+    outbox, _ = outbox_with_voices()
+    put(outbox, FACE, 0.0)
+    put(outbox, OTHER_FACE, 0.0)
+    put(outbox, VOICE, 0.001)
+    assert outbox.due_s(0.001) == 0.001
+    assert streams(outbox.take(0.001)) == [VOICE, FACE, OTHER_FACE]
+
+
+def test_faces_wait_for_the_next_packet_of_who_speaks_but_not_for_long() -> None:
+    outbox, _ = outbox_with_voices()
+    put(outbox, FACE, 0.0)
+    assert outbox.due_s(0.0) == 0.0  # nobody speaks
+    outbox.take(0.0)
+    put(outbox, VOICE, 1.0)
+    outbox.take(1.0)
+    put(outbox, FACE, 1.005)
+    assert outbox.due_s(1.005) == 1.0 + RIDE_S
+    assert outbox.due_s(1.03) == 1.03
+    put(outbox, VOICE, 1.02)
+    assert outbox.due_s(1.02) == 1.02
+    assert streams(outbox.take(1.02)) == [VOICE, FACE]
+
+
+def test_a_control_message_waits_for_nobody() -> None:
+    outbox, _ = outbox_with_voices()
+    put(outbox, VOICE, 1.0)
+    outbox.take(1.0)
+    put(outbox, FACE, 1.005)
+    outbox.put_control(b"hello")
+    assert outbox.due_s(1.006) == 1.006
+
+
+def test_nothing_older_than_the_deadline_is_sent_and_what_is_dropped_is_counted() -> None:
+    outbox, drops = outbox_with_voices()
+    for sequence in range(15):
+        put(outbox, VOICE, sequence * 0.02, sequence)
+    put(outbox, FACE, 0.28)
+    message = outbox.take(0.4)
+    assert message is not None
+    assert [f.sequence for f in decode_media(message.data)] == [*range(10, 15), 0]
+    assert drops == {"expired": 10}
+
+
+def test_a_narrow_receiver_gets_two_packets_of_a_voice_at_a_time() -> None:
+    outbox, _ = outbox_with_voices()
+    outbox.note_full(0.0)
+    put(outbox, VOICE, 1.0, 0)
+    assert outbox.due_s(1.0) == 1.0 + PAIR_S
+    put(outbox, VOICE, 1.02, 1)
+    assert outbox.due_s(1.02) == 1.02
+    assert streams(outbox.take(1.02)) == [VOICE, VOICE]
+    put(outbox, VOICE, NARROW_S, 2)
+    assert outbox.due_s(NARROW_S) == NARROW_S  # it has been wide enough for long
+
+
+def test_faces_yield_to_voices_of_a_narrow_receiver() -> None:
+    outbox, _ = outbox_with_voices()
+    outbox.note_full(0.0)
+    for stream in (VOICE, OTHER_VOICE):
+        put(outbox, stream, 1.0, num_bytes=60)
+    for stream in (FACE, OTHER_FACE):
+        put(outbox, stream, 1.0, num_bytes=100)
+    message = outbox.take(1.03)
+    assert message is not None
+    assert streams(message)[:2] == [VOICE, OTHER_VOICE]
+    faces = [frame for frame in decode_media(message.data) if frame.stream in (FACE, OTHER_FACE)]
+    assert len(faces) == 1
+    assert sum(len(encode_frame(frame)) for frame in faces) <= YIELDING_BYTES
+    assert outbox.waiting_frames == 1
+
+
+def test_faces_alone_come_together_to_a_narrow_receiver() -> None:
+    outbox, _ = outbox_with_voices()
+    outbox.note_full(0.0)
+    put(outbox, FACE, 1.0)
+    outbox.take(1.0)
+    put(outbox, FACE, 1.01)
+    assert outbox.due_s(1.01) == 1.0 + NARROW_RIDE_S
+
+
+def test_nothing_waits_where_frames_may_not_share() -> None:
+    outbox, _ = outbox_with_voices(rides=False)
+    put(outbox, VOICE, 1.0)
+    outbox.take(1.0)
+    put(outbox, FACE, 1.005)
+    assert outbox.due_s(1.005) == 1.005
+
+
+def test_who_wants_no_voice_gets_none_and_who_wants_no_face_the_voice() -> None:
+    outbox, _ = outbox_with_voices()
+    outbox.want(VOICE, None)
+    put(outbox, VOICE, 1.0)
+    put(outbox, OTHER_VOICE, 1.0)
+    outbox.want(FACE, None)
+    assert streams(outbox.take(1.0)) == [OTHER_VOICE]
