@@ -1,25 +1,16 @@
 """A voice for tests of what plays it: packets that carry the place of their sound."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from pica_client.errors import SourceError
-from pica_client.voice.jitter_buffer import FRAME, FRAME_S, RATE_HZ
+from pica_client.errors import VoiceError
+from pica_client.voice.packet import FRAME_S, VoicePacket
+from pica_client.voice.packet import FRAME_SAMPLES as FRAME
+from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
 from pica_core.types import FloatArray
 
 CLOCK_OFFSET_US = 7_000_000_000
 NETWORK_S = 0.03
 """Way of the fastest packet, from its last sample to its arrival."""
-
-
-@dataclass(frozen=True, slots=True)
-class SpokenPacket:
-    """A voice packet."""
-
-    sequence: int
-    captured_us: int
-    payload: bytes
 
 
 class SpokenDecoder:
@@ -34,7 +25,7 @@ class SpokenDecoder:
             self.concealed += 1
             return np.full(FRAME, 0.25, np.float32)
         if not payload:
-            raise SourceError("payload of 0 bytes")
+            raise VoiceError("payload of 0 bytes")
         place = int.from_bytes(payload, "big") * FRAME
         return self.sound[place : place + FRAME]
 
@@ -46,9 +37,9 @@ def hum(seconds: float, hz: float = 120.0) -> FloatArray:
     return (0.1 * waves).astype(np.float32)
 
 
-def packet(index: int, sequence: int | None = None) -> SpokenPacket:
+def packet(index: int, sequence: int | None = None) -> VoicePacket:
     """The packet of a frame of the sound."""
-    return SpokenPacket(
+    return VoicePacket(
         (index if sequence is None else sequence) % 65536,
         CLOCK_OFFSET_US + round(index * FRAME_S * 1e6),
         index.to_bytes(4, "big"),

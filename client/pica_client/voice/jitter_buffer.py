@@ -33,19 +33,18 @@ from typing import Protocol
 
 import numpy as np
 
-from pica_client.errors import ClientError
+from pica_client.errors import VoiceError
 from pica_client.playout.jitter import JitterEstimate
 from pica_client.playout.sender_clock import RESTART_FRAMES, SenderClock
 from pica_client.voice import stretch
 from pica_client.voice.comfort_noise import LOUDEST, ComfortNoise
+from pica_client.voice.packet import FRAME_S, VoicePacket
+from pica_client.voice.packet import FRAME_SAMPLES as FRAME
+from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
 from pica_core.codec.latent_sample import ReceivedFrame
 from pica_core.types import Array, Float64Array, FloatArray
 from pica_protocol.frames import Frame
 
-RATE_HZ = 48_000
-FRAME = 960
-"""Samples of a frame."""
-FRAME_S = FRAME / RATE_HZ
 MAX_CONCEALED = 5
 """Frames in a row that the codec conceals: 100 ms, by when its sound has faded."""
 MAX_PACKETS = 64
@@ -70,22 +69,6 @@ class Decoder(Protocol):
 
     def decode(self, payload: bytes | None, fec: bool = False) -> FloatArray:
         """A frame of `FRAME` samples; without a payload one that conceals a loss."""
-
-
-class Packet(Protocol):
-    """A voice packet; `voice.packet.VoicePacket` is one."""
-
-    @property
-    def sequence(self) -> int:
-        """Counts the packets, and wraps at 65536."""
-
-    @property
-    def captured_us(self) -> int:
-        """When the first sample was captured, microseconds of the sender's clock."""
-
-    @property
-    def payload(self) -> bytes:
-        """What the decoder takes."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -190,7 +173,7 @@ class JitterBuffer:
         # (leaves the loudspeaker, first moment, last moment), microseconds of the sender's clock.
         self._history: deque[tuple[float, float, float]] = deque(maxlen=HISTORY)
 
-    def receive(self, packet: Packet, now: float) -> None:
+    def receive(self, packet: VoicePacket, now: float) -> None:
         """Take a packet that arrived at `now`."""
         frame = Frame(
             stream=1,
@@ -372,7 +355,7 @@ class JitterBuffer:
         rate = 1.0 if self._waiting else 0.0  # with nothing there, time stands still
         try:
             sound = self._decoder.decode(fec, fec=fec is not None)
-        except ClientError:
+        except VoiceError:
             sound = np.zeros(FRAME, np.float32)
         self._append(sound, begin_s, rate)
 
@@ -384,7 +367,7 @@ class JitterBuffer:
         self._is_starved = False
         try:
             sound = self._decoder.decode(packet.payload)
-        except ClientError:
+        except VoiceError:
             self._report.refused += 1
             self._conceal(packet.media_s)
             return

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from pica_client.errors import SourceError
-from pica_client.voice.jitter_buffer import RATE_HZ
+from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
 from pica_core.types import FloatArray
 
 MAX_SECONDS = 600

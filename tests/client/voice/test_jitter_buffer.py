@@ -10,25 +10,24 @@ from helpers.spoken import (
     CLOCK_OFFSET_US,
     NETWORK_S,
     SpokenDecoder,
-    SpokenPacket,
     hum,
     packet,
     usual_arrival_s,
 )
 from pica_client.voice.jitter_buffer import (
     CODEC_DELAY_S,
-    FRAME,
-    FRAME_S,
     MAX_PACKETS,
-    RATE_HZ,
     JitterBuffer,
     JitterBufferConfig,
 )
+from pica_client.voice.packet import FRAME_S, VoicePacket
+from pica_client.voice.packet import FRAME_SAMPLES as FRAME
+from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
 from pica_core.types import FloatArray
 
 pytestmark = pytest.mark.unit
 
-Arrivals = Iterable[tuple[float, SpokenPacket]]
+Arrivals = Iterable[tuple[float, VoicePacket]]
 
 
 def play(
@@ -54,7 +53,7 @@ def with_pauses(sound: FloatArray) -> FloatArray:
     return np.where(seconds % 1 < 0.5, sound, np.float32(0))
 
 
-def on_time(num_frames: int, *, skip: Iterable[int] = ()) -> list[tuple[float, SpokenPacket]]:
+def on_time(num_frames: int, *, skip: Iterable[int] = ()) -> list[tuple[float, VoicePacket]]:
     left_out = set(skip)
     return [(usual_arrival_s(i), packet(i)) for i in range(num_frames) if i not in left_out]
 
@@ -220,7 +219,7 @@ def test_a_packet_that_the_codec_refuses_is_concealed_and_counted():
     buffer = JitterBuffer(decoder)
     arrivals = on_time(90)
     at, bad = arrivals[40]
-    arrivals[40] = at, SpokenPacket(bad.sequence, bad.captured_us, b"")
+    arrivals[40] = at, VoicePacket(bad.sequence, bad.captured_us, b"")
 
     play(buffer, arrivals, 1.5)
 
@@ -248,7 +247,7 @@ def test_any_packets_are_played_as_whole_frames_of_finite_sound(
     buffer, now = JitterBuffer(SpokenDecoder(hum(1))), 0.0
     for sequence, captured_us, wait_s in packets:
         now += wait_s
-        buffer.receive(SpokenPacket(sequence, captured_us, (sequence % 40).to_bytes(4, "big")), now)
+        buffer.receive(VoicePacket(sequence, captured_us, (sequence % 40).to_bytes(4, "big")), now)
         sound = buffer.pull(now)
         assert sound.shape == (FRAME,)
         assert np.isfinite(sound).all()

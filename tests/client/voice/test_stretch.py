@@ -4,7 +4,7 @@ import pytest
 from helpers.spoken import hum
 from pica_client.voice import stretch
 from pica_client.voice.comfort_noise import LOUDEST, SIZE, ComfortNoise
-from pica_client.voice.jitter_buffer import RATE_HZ
+from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
 
 pytestmark = pytest.mark.unit
 

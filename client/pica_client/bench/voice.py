@@ -1,0 +1,330 @@
+"""What arrives of a voice and its face on troubled networks: quality, delay, and their step. On a
+virtual clock, with the real codec, jitter buffer and playout, so every figure comes out the same on
+every machine with the same libopus (processor time apart).
+
+Each row is one scenario (`network.scenarios`) at one bit rate. Voice and face share one way; the
+figures are of the troubled third of the run unless it says otherwise:
+
+    wire_bps          voice and face, as the relay passed them on, all headers included; whole run
+    pesq              of the sound as it leaves the loudspeaker (ITU-T P.862.2, wideband), which
+                      aligns utterances by itself and dislikes any stretching
+    stoi              of the words: each piece of sound is laid back to the moment when it was
+                      captured, and what was never played is silence
+    mouth_to_ear_ms   from the microphone to the loudspeaker, without both devices' own latency
+    skew_ms           moment of the face that is shown less moment of the voice that is heard at
+                      every refresh while somebody speaks; p50 and p95 of its size. Below zero
+                      the sound is early: `earliest` is the most negative, `worst` the largest
+                      of either sign. A face that stands still for want of frames has none:
+    face_held_ratio   share of refreshes while somebody speaks with such a face
+    concealed_ratio   share of frames of speech that were made up
+    stretched_ratio   share of ticks of 20 ms that were made shorter or longer
+    recovery_ms       from the end of the trouble to the last sound that was made up; 0 if none was
+    delay_recovery_ms   the same for sound more than 40 ms older than before the trouble
+    cpu_ms_per_s      of encoder, decoder and jitter buffer of one voice together
+
+What it does not show: devices, real networks (see `network.impairment`), people: the speech is
+synthetic, and PESQ and STOI stand for listeners.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import tyro
+from pesq import PesqError, pesq
+from pystoi import stoi
+
+from pica_client.bench.harness import check_ranges
+from pica_client.bench.network.scenarios import BY_NAME, SCENARIOS
+from pica_client.bench.network.stream_trial import (
+    CLOCK_OFFSET_US,
+    DISPLAY_PHASE,
+    VOICE_STREAM,
+    Delivery,
+    Schedule,
+    deliver,
+)
+from pica_client.bench.option_types import Words
+from pica_client.bench.playout import open_ends, true_face
+from pica_client.errors import OptionError
+from pica_client.output import say
+from pica_client.playout.buffer import Playout
+from pica_client.stats import percentile
+from pica_client.voice.jitter_buffer import JitterBuffer
+from pica_client.voice.opus import OpusDecoder, OpusEncoder
+from pica_client.voice.packet import FRAME_S, VoicePacket, decode_payload, encode_payload
+from pica_client.voice.packet import FRAME_SAMPLES as FRAME
+from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
+from pica_client.voice.wav import resampled, shipped_speech
+from pica_core.avatar.file import Avatar
+from pica_core.types import Array, FloatArray
+from pica_protocol.frames import SEQUENCE_MODULUS, Frame
+
+ROOM_RMS = 0.001
+"""Noise of the room that somebody speaks in: -60 dB of full scale."""
+SPOKEN_RMS = 0.005
+"""Above it somebody speaks."""
+SCORE_HZ = 16_000
+"""What PESQ and STOI take."""
+RECOVERED_S = 0.04
+FILL_S = 0.015
+"""Holes up to this long are periods of the pitch that were left out."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BenchVoiceConfig:
+    """What to compare."""
+
+    source: str = "performance:talk"
+    """The face that goes along; see pica send --help."""
+    kbps: Words = ("24",)
+    """Bit rates of the voice, kbit/s, separated by commas."""
+    scenarios: Words = ()
+    """Names of troubles, separated by commas; all by default."""
+    schedule: tyro.conf.OmitArgPrefixes[Schedule] = field(default_factory=Schedule)
+    """When frames are captured and shown."""
+    seed: int = 0
+    """Seed of the network and of the room's noise."""
+
+    def __post_init__(self) -> None:
+        for name in self.scenarios:
+            if name not in BY_NAME:
+                raise OptionError(f"scenario {name!r} is unknown; known are {', '.join(BY_NAME)}")
+        for rate in self.kbps:
+            if not rate.isdecimal() or not 6 <= int(rate) <= 128:
+                raise OptionError(f"kbps has {rate!r}; whole numbers from 6 to 128 are allowed")
+        check_ranges(self.schedule, seconds=(9, 600))
+
+
+@dataclass(kw_only=True, slots=True)
+class _Heard:
+    """What came out of one run; moments are seconds of the sender's clock."""
+
+    sound: FloatArray
+    moments: Array
+    """When each sample was captured; NaN where nothing was heard. ``[ticks, FRAME]``."""
+    times: list[float]
+    """Of each tick."""
+    skews: list[tuple[float, float, bool]]
+    """(time, skew, whether the face stands still for want of frames), seconds."""
+    counted: list[tuple[float, int, int, int]]
+    """(time, played, concealed, stretched) after each tick."""
+    cpu_s: float
+
+
+def run_bench_voice(config: BenchVoiceConfig, avatar: Avatar) -> dict[str, Any]:
+    """Run all scenarios at all bit rates.
+
+    Returns:
+        ``rows`` as the module describes them, and what they hold for.
+    """
+    schedule = config.schedule
+    sound = _speech(schedule.seconds, config.seed)
+    frames = sound[: len(sound) // FRAME * FRAME].reshape(-1, FRAME)
+    loud = np.sqrt(np.mean(np.square(frames), axis=1)) > SPOKEN_RMS
+
+    def is_spoken(captured_us: int) -> bool:
+        place = int((captured_us - CLOCK_OFFSET_US) / 1e6 / FRAME_S)
+        return 0 <= place < len(loud) and bool(loud[place])
+
+    face = true_face(config.source, avatar)
+    chosen = [BY_NAME[name] for name in config.scenarios] or list(SCENARIOS)
+    rows = []
+    for rate in map(int, config.kbps):
+        begin_s = time.process_time()
+        voice = _packets(sound, rate * 1000)
+        encode_s = time.process_time() - begin_s
+        for scenario in chosen:
+            ends = open_ends(avatar, "coded", schedule.fps)
+            delivery = deliver(face, ends, scenario, schedule, seed=config.seed, voice=voice)
+            heard = _listen(delivery, schedule, is_spoken)
+            rows.append(
+                {
+                    "condition": scenario.name,
+                    "kbps": rate,
+                    "wire_bps": round(delivery.wire_bytes * 8 / schedule.seconds),
+                    **_quality(sound, heard, schedule),
+                    **_timing(heard, schedule),
+                    "cpu_ms_per_s": round((encode_s + heard.cpu_s) / schedule.seconds * 1e3, 2),
+                    "note": scenario.note,
+                }
+            )
+            say(f"{scenario.name} at {rate} kbit/s: {scenario.note}")
+    return {
+        "rows": rows,
+        "avatar": avatar.manifest.name,
+        "source": config.source,
+        "seconds": schedule.seconds,
+        "fps": schedule.fps,
+        "display_hz": schedule.display_hz,
+        "seed": config.seed,
+    }
+
+
+def _speech(seconds: float, seed: int) -> FloatArray:
+    """The shipped sentences again and again, in a room that is not quite silent."""
+    once = shipped_speech()
+    size = int(seconds / FRAME_S) * FRAME
+    room = np.random.default_rng(seed).standard_normal(size).astype(np.float32)
+    sound: FloatArray = np.resize(once, size) + ROOM_RMS * room
+    return sound
+
+
+def _packets(sound: FloatArray, bitrate: int) -> list[tuple[float, Frame]]:
+    """The packets of a sound, each sent when its last sample has been captured."""
+    encoder = OpusEncoder(bitrate=bitrate)
+    packets: list[tuple[float, Frame]] = []
+    for index in range(len(sound) // FRAME):
+        payload = encoder.encode(sound[index * FRAME : (index + 1) * FRAME])
+        if payload is not None:
+            frame = Frame(
+                stream=VOICE_STREAM,
+                sequence=len(packets) % SEQUENCE_MODULUS,
+                captured_us=CLOCK_OFFSET_US + round(index * FRAME_S * 1e6),
+                payload=encode_payload(VoicePacket(0, 0, payload, level=60)),
+            )
+            packets.append(((index + 1) * FRAME_S, frame))
+    return packets
+
+
+def _listen(delivery: Delivery, schedule: Schedule, is_spoken: Callable[[int], bool]) -> _Heard:
+    """Play what came: ticks of sound and refreshes of the display, in the order of time."""
+    buffer, playout = JitterBuffer(OpusDecoder()), Playout()
+    arrivals: list[tuple[float, Any]] = [
+        *((frame.arrived_s, frame) for frame in delivery.arrivals),
+        *delivery.voices,
+    ]
+    arrivals.sort(key=lambda arrival: arrival[0])
+    num_ticks = int(schedule.seconds / FRAME_S)
+    refreshes = int(schedule.seconds * schedule.display_hz)
+    events = [((k + DISPLAY_PHASE) * FRAME_S, True) for k in range(num_ticks)]
+    events += [((k + DISPLAY_PHASE) / schedule.display_hz, False) for k in range(refreshes)]
+    sounds: list[FloatArray] = []
+    moments = np.full((num_ticks, FRAME), np.nan)
+    heard = _Heard(
+        sound=np.zeros(0, np.float32), moments=moments, times=[], skews=[], counted=[], cpu_s=0.0
+    )
+    position = 0
+    for now, is_sound in sorted(events):
+        begin_s = time.process_time()
+        while position < len(arrivals) and arrivals[position][0] <= now:
+            arrived_s, arrival = arrivals[position]
+            position += 1
+            if isinstance(arrival, Frame):
+                words = (arrival.sequence, arrival.captured_us, arrival.payload)
+                buffer.receive(decode_payload(*words), arrived_s)
+            else:
+                _receive_face(playout, arrival)
+        if not is_sound:
+            heard_us = buffer.heard_us(now)
+            face = playout.sample_at(now, heard_us)
+            is_heard = bool(sounds) and float(np.std(sounds[-1])) > SPOKEN_RMS
+            if face is not None and heard_us is not None and is_heard and is_spoken(heard_us):
+                skew_s = (face.captured_us - heard_us) / 1e6
+                heard.skews.append((now, skew_s, face.is_concealed))
+            continue
+        sounds.append(buffer.pull(now))
+        heard.cpu_s += time.process_time() - begin_s
+        report = buffer.report()
+        heard.times.append(now)
+        if buffer.heard_us(now) is not None:
+            moments[len(sounds) - 1] = (buffer.moments_us - CLOCK_OFFSET_US) / 1e6
+        heard.counted.append((now, report.played, report.concealed, report.stretched))
+    heard.sound = np.concatenate(sounds)
+    return heard
+
+
+def _receive_face(playout: Playout, arrival: Any) -> None:
+    frame = Frame(
+        stream=1,
+        sequence=arrival.number % SEQUENCE_MODULUS,
+        captured_us=arrival.captured_us,
+        payload=b"",
+    )
+    for received in playout.sender.receive(frame, arrival.arrived_s):
+        playout.receive_frame(received.decoded(arrival.sample))
+
+
+def _quality(sound: FloatArray, heard: _Heard, schedule: Schedule) -> dict[str, Any]:
+    """PESQ and STOI of the troubled third."""
+    size = len(sound)
+    moments = heard.moments.ravel()
+    fits = (moments >= 0) & (moments < (size - 1) / RATE_HZ)  # false for NaN
+    places = np.round(moments[fits] * RATE_HZ).astype(np.int64)
+    back, is_there = np.zeros(size, np.float32), np.zeros(size, bool)
+    back[places], is_there[places] = heard.sound[fits], True
+    _fill_holes(back, is_there)
+    cut = slice(int(schedule.begin_s * RATE_HZ), int(schedule.end_s * RATE_HZ))
+    true, laid = (resampled(each[cut], RATE_HZ, SCORE_HZ) for each in (sound, back))
+    # Sample k of the sound leaves the loudspeaker at the first tick's time plus k samples.
+    shift = round((np.nanmedian(_delays_s(heard)) - heard.times[0]) * RATE_HZ)
+    played = heard.sound[cut.start + shift : cut.stop + shift]
+    played = np.pad(played, (0, cut.stop - cut.start - len(played)))
+    try:
+        score = round(float(pesq(SCORE_HZ, true, resampled(played, RATE_HZ, SCORE_HZ), "wb")), 2)
+    except PesqError:  # nothing that sounds like an utterance is left
+        score = None
+    return {"pesq": score, "stoi": round(float(stoi(true, laid, SCORE_HZ)), 3)}
+
+
+def _fill_holes(sound: FloatArray, is_there: Array) -> None:
+    """Go on with the sample before where a period was left out."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[1], is_there.astype(np.int8), [1]])))
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        if begin > 0 and end - begin <= FILL_S * RATE_HZ:
+            piece = sound[max(begin - (end - begin), 0) : begin]
+            sound[end - len(piece) : end] = piece
+
+
+def _delays_s(heard: _Heard) -> Array:
+    """From the microphone to the loudspeaker, at each tick."""
+    delays_s: Array = np.array(heard.times) - heard.moments[:, 0]
+    return delays_s
+
+
+def _timing(heard: _Heard, schedule: Schedule) -> dict[str, Any]:
+    begin_s, end_s = schedule.begin_s, schedule.end_s
+    times, delays = np.array(heard.times), _delays_s(heard)
+    is_troubled = (times >= begin_s) & (times < end_s) & ~np.isnan(delays)
+    troubled = sorted(delays[is_troubled])
+    refreshes = [row for row in heard.skews if begin_s <= row[0] < end_s]
+    skews = [skew for _, skew, is_held in refreshes if not is_held]
+    sizes = sorted(map(abs, skews))
+    counts = np.array([row for row in heard.counted if begin_s <= row[0] < end_s])
+    ticks, (played, concealed, stretched) = len(counts), (counts[-1] - counts[0])[1:]
+    return {
+        "mouth_to_ear_ms": _ms(troubled, 50, 95),
+        "skew_ms": {
+            **_ms(sizes, 50, 95),
+            "worst": round(max(skews, key=abs, default=0.0) * 1e3, 1),
+            "earliest": round(min(skews, default=0.0) * 1e3, 1),
+        },
+        "face_held_ratio": round(1 - len(skews) / max(len(refreshes), 1), 4),
+        "concealed_ratio": round(float(concealed / max(played + concealed, 1)), 4),
+        "stretched_ratio": round(float(stretched / ticks), 4),
+        **_recovery(heard, schedule),
+    }
+
+
+def _recovery(heard: _Heard, schedule: Schedule) -> dict[str, float | None]:
+    """When the last sound came that was made up, or old, after the trouble; None for to the end."""
+    times, delays = np.array(heard.times), _delays_s(heard)
+    before = delays[(times >= schedule.begin_s / 2) & (times < schedule.begin_s)]
+    is_old = delays > np.nanmedian(before) + RECOVERED_S  # false for NaN
+    made_up = np.diff(np.array(heard.counted)[:, 2], prepend=0) > 0
+    recovered = {}
+    for name, flags in (("recovery_ms", made_up), ("delay_recovery_ms", is_old)):
+        last_s = max(times[flags & (times >= schedule.end_s)], default=schedule.end_s)
+        is_over = last_s <= schedule.seconds - 0.5
+        recovered[name] = round(float(last_s - schedule.end_s) * 1e3, 1) if is_over else None
+    return recovered
+
+
+def _ms(ordered: Sequence[float], *percents: int) -> dict[str, float | None]:
+    values = list(map(float, ordered))
+    return {
+        f"p{percent}": round(percentile(values, percent) * 1e3, 1) if values else None
+        for percent in percents
+    }

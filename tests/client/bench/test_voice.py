@@ -1,0 +1,38 @@
+import pytest
+
+from pica_client.voice.opus import available
+
+pytest.importorskip("pesq", reason="extra bench")
+pytest.importorskip("pystoi", reason="extra bench")
+
+from pica_client.avatars.library import AvatarLibrary
+from pica_client.bench.network.stream_trial import Schedule
+from pica_client.bench.voice import BenchVoiceConfig, run_bench_voice
+from pica_client.errors import OptionError
+
+pytestmark = [pytest.mark.call, pytest.mark.skipif(available() is not None, reason="no libopus")]
+
+
+def test_a_clean_voice_is_clear_and_fresh_and_a_stalled_one_in_step_with_its_face():
+    library = AvatarLibrary()
+    avatar = library.load(library.find("Ines"))
+    config = BenchVoiceConfig(
+        scenarios=("jitter-0", "stall-300"), schedule=Schedule(seconds=9, display_hz=30)
+    )
+    clean, stalled = run_bench_voice(config, avatar)["rows"]
+
+    assert clean["pesq"] >= 3.4
+    assert clean["stoi"] > 0.97
+    assert clean["mouth_to_ear_ms"]["p95"] <= 120
+    assert clean["concealed_ratio"] == 0
+    for row in (clean, stalled):
+        assert row["skew_ms"]["p95"] <= 40
+        assert row["skew_ms"]["earliest"] >= -45
+        assert row["recovery_ms"] is not None
+
+
+def test_settings_out_of_range_are_named():
+    with pytest.raises(OptionError, match="kbps has '5'"):
+        BenchVoiceConfig(kbps=("5",))
+    with pytest.raises(OptionError, match="scenario 'rain' is unknown"):
+        BenchVoiceConfig(scenarios=("rain",))
