@@ -1,0 +1,167 @@
+"""All voices of a call as one sound, each from its seat. Pure but for a lock.
+
+Packets come in on the network's thread, sound goes out on the loudspeaker's, and the display asks
+what is heard on its own. `mix` is called every 20 ms; who left is forgotten by `keep`.
+"""
+
+import math
+import threading
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from pica_client.voice.dominant import VoiceActivity, dominant
+from pica_client.voice.jitter_buffer import Decoder, JitterBuffer, JitterBufferConfig
+from pica_client.voice.level import level_of
+from pica_client.voice.packet import FRAME_SAMPLES, VoicePacket
+from pica_client.voice.spatial import Placed
+from pica_core.types import Array, FloatArray
+
+MAX_VOICES = 64
+"""People who are heard at most; more are counted, and refused."""
+MAX_VOLUME = 4.0
+"""Loudest that somebody can be made: 12 dB."""
+LIMIT_FROM = 0.7
+"""Above it the sum is bent rather than cut."""
+
+
+class _Voice:
+    """One person's voice at this end."""
+
+    def __init__(self, decoder: Decoder, config: JitterBufferConfig) -> None:
+        self.buffer = JitterBuffer(decoder, config)
+        self.placed = Placed()
+        self.activity = VoiceActivity()
+        self.level = 127
+
+
+class VoiceMixer:
+    """Hears everybody.
+
+    Attributes:
+        is_spatial: Whether each voice comes from its seat, rather than all from the middle.
+        refused: Packets of people beyond `MAX_VOICES`.
+        on_mixed: Is given each mixed frame with the time it leaves the loudspeaker, as for a
+            recording. float32 ``[FRAME_SAMPLES, 2]``.
+    """
+
+    def __init__(
+        self, make_decoder: Callable[[], Decoder], config: JitterBufferConfig | None = None
+    ) -> None:
+        self.is_spatial = True
+        self.refused = 0
+        self.on_mixed: Callable[[FloatArray, float], None] | None = None
+        self._make_decoder = make_decoder
+        self._config = config or JitterBufferConfig()
+        self._lock = threading.Lock()
+        self._voices: dict[str, _Voice] = {}  # at most MAX_VOICES
+        self._volumes: dict[str, float] = {}
+        self._azimuths: dict[str, float] = {}
+        self._dominant: str | None = None
+
+    def receive(self, peer_id: str, packet: VoicePacket, arrived_s: float) -> None:
+        """Take a packet of somebody's voice."""
+        with self._lock:
+            voice = self._voices.get(peer_id)
+            if voice is None:
+                if len(self._voices) >= MAX_VOICES:
+                    self.refused += 1
+                    return
+                voice = self._voices[peer_id] = _Voice(self._make_decoder(), self._config)
+            voice.buffer.receive(packet, arrived_s)
+
+    def keep(self, peer_ids: Iterable[str]) -> None:
+        """Forget everybody else: they have left."""
+        with self._lock:
+            kept = set(peer_ids)
+            for homes in (self._voices, self._volumes, self._azimuths):
+                for peer_id in set(homes) - kept:
+                    del homes[peer_id]
+
+    def set_volume(self, peer_id: str, volume: float) -> None:
+        """Make somebody louder or softer: 1 is as sent, 0 mutes them here."""
+        if not 0 <= volume <= MAX_VOLUME:
+            raise ValueError(f"volume is {volume}; 0 to {MAX_VOLUME} is allowed")
+        with self._lock:
+            self._volumes[peer_id] = volume
+
+    def seat(self, azimuths_rad: dict[str, float]) -> None:
+        """Say from where each voice comes, by peer id; positive is to the right."""
+        with self._lock:
+            self._azimuths = dict(azimuths_rad)
+
+    def mix(self, now: float, latency_s: float = 0.0) -> FloatArray:
+        """The next 20 ms for both ears, float32 ``[FRAME_SAMPLES, 2]`` in [-1, 1].
+
+        Args:
+            now: Our clock.
+            latency_s: Until the first sample leaves the loudspeaker.
+        """
+        mixed = np.zeros((FRAME_SAMPLES, 2))
+        with self._lock:
+            for peer_id, voice in self._voices.items():
+                sound = voice.buffer.pull(now, latency_s)
+                voice.level = level_of(sound)
+                voice.activity.add(voice.level)
+                azimuth = self._azimuths.get(peer_id, 0.0) if self.is_spatial else 0.0
+                volume = self._volumes.get(peer_id, 1.0)
+                mixed += volume * voice.placed.place(sound, azimuth)
+            activities = {peer_id: voice.activity for peer_id, voice in self._voices.items()}
+            self._dominant = dominant(activities, self._dominant)
+        limited = limit(mixed).astype(np.float32)
+        if self.on_mixed is not None:
+            self.on_mixed(limited, now + latency_s)
+        return limited
+
+    def heard_us(self, peer_id: str, now: float) -> int | None:
+        """The moment of somebody's voice that leaves the loudspeaker; see `JitterBuffer`."""
+        with self._lock:
+            voice = self._voices.get(peer_id)
+            return None if voice is None else voice.buffer.heard_us(now)
+
+    def levels(self) -> dict[str, int]:
+        """How loud each voice was in the last 20 ms: decibels below full scale, 0 to 127."""
+        with self._lock:
+            return {peer_id: voice.level for peer_id, voice in self._voices.items()}
+
+    def speaker(self) -> str | None:
+        """Who speaks most, by peer id; None while nobody does."""
+        with self._lock:
+            voice = self._voices.get(self._dominant or "")
+            is_spoken = voice is not None and voice.activity.scores[1] > 0
+            return self._dominant if is_spoken else None
+
+    def stats(self) -> dict[str, dict[str, Any]]:
+        """How each voice came in, by peer id."""
+        with self._lock:
+            return {peer_id: _stats(voice.buffer) for peer_id, voice in self._voices.items()}
+
+
+def limit(sound: Array) -> Array:
+    """The sound within [-1, 1], bent softly where it is loud."""
+    over = np.abs(sound) - LIMIT_FROM
+    room = 1 - LIMIT_FROM
+    bent = np.sign(sound) * (LIMIT_FROM + room * np.tanh(np.maximum(over, 0) / room))
+    limited: Array = np.where(over > 0, bent, sound)
+    return limited
+
+
+def seat_azimuth(x_m: float, z_m: float) -> float:
+    """The direction of a seat, as the camera's frame has it: x right, z ahead; radians."""
+    return math.atan2(x_m, max(z_m, 1e-3))
+
+
+def _stats(buffer: JitterBuffer) -> dict[str, Any]:
+    report = buffer.report()
+    return {
+        "received": report.received,
+        "lost": report.lost,
+        "late": report.late,
+        "refused": buffer.num_refused,
+        "concealed_ratio": round(report.concealed_ratio, 4),
+        "stretched_ratio": round(report.stretched_ratio, 4),
+        "leaps": report.leaps,
+        "playout_delay_ms": round(report.delay_s * 1e3, 1),
+        "jitter_ms": round(report.jitter_s * 1e3, 1),
+    }

@@ -1,0 +1,130 @@
+import numpy as np
+import pytest
+
+from helpers.spoken import SpokenDecoder, hum, packet, usual_arrival_s
+from pica_client.voice.dominant import VoiceActivity, dominant
+from pica_client.voice.mixer import MAX_VOICES, VoiceMixer, limit
+from pica_client.voice.packet import FRAME_SAMPLES, SAMPLE_RATE_HZ
+from pica_client.voice.spatial import Placed, delay_s, ear_taps
+from pica_core.types import FloatArray
+
+pytestmark = pytest.mark.unit
+
+
+def heard(mixer: VoiceMixer, peers: list[str], seconds: float = 1.0) -> FloatArray:
+    """What a mixer makes of peers who hum all the time."""
+    sounds = []
+    for index in range(round(seconds / 0.02)):
+        now = usual_arrival_s(index)
+        for peer_id in peers:
+            mixer.receive(peer_id, packet(index), now)
+        sounds.append(mixer.mix(now + 0.001))
+    return np.concatenate(sounds)[SAMPLE_RATE_HZ // 2 :]
+
+
+def mixer_of(sound: FloatArray) -> VoiceMixer:
+    return VoiceMixer(lambda: SpokenDecoder(sound))
+
+
+def test_the_farther_ear_hears_later_by_what_woodworth_says():
+    assert delay_s(np.pi / 2) == pytest.approx(0.00066, abs=2e-5)
+    sound = np.random.default_rng(0).standard_normal(FRAME_SAMPLES)
+    both = Placed().place(sound, np.pi / 4)
+    lags = np.correlate(both[:, 0], both[:, 1], "full")
+    late = int(np.argmax(lags)) - (FRAME_SAMPLES - 1)
+    assert late == pytest.approx(delay_s(np.pi / 4) * SAMPLE_RATE_HZ, abs=2)
+
+
+def test_the_farther_ear_hears_high_tones_less_than_low_ones():
+    left, right = ear_taps(np.pi / 2)
+    gains = np.abs(np.fft.rfft(left, 4096)) / np.abs(np.fft.rfft(right, 4096))
+    bins = np.array([300, 8000]) * 4096 // SAMPLE_RATE_HZ
+    assert 0.5 < gains[bins[0]] < 0.8
+    assert gains[bins[1]] < 0.4
+
+
+def test_a_voice_in_front_sounds_the_same_in_both_ears():
+    left, right = ear_taps(0.0)
+    assert np.abs(left - right).max() < 0.1
+
+
+def test_a_voice_that_moves_makes_no_click():
+    sound, placed = hum(0.1), Placed()
+    frames = sound[: 4 * FRAME_SAMPLES].reshape(4, -1)
+    both = [placed.place(each, where) for each, where in zip(frames, (0, 0, 1.2, 1.2), strict=True)]
+    steps = np.abs(np.diff(np.concatenate(both), axis=0))
+    assert steps.max() < 1.5 * np.abs(np.diff(sound)).max()
+
+
+def test_voices_come_from_their_seats_unless_that_is_off():
+    mixer = mixer_of(hum(3))
+    mixer.seat({"ann": -1.0})
+    sides = np.std(heard(mixer, ["ann"]), axis=0)
+    assert sides[0] > 1.2 * sides[1]
+
+    mixer = mixer_of(hum(3))
+    mixer.seat({"ann": -1.0})
+    mixer.is_spatial = False
+    sides = np.std(heard(mixer, ["ann"]), axis=0)
+    assert sides[0] == pytest.approx(sides[1], rel=0.02)
+
+
+def test_a_volume_of_nothing_mutes_one_person_alone():
+    mixer = mixer_of(hum(3))
+    mixer.set_volume("ann", 0.0)
+    assert np.std(heard(mixer, ["ann"])) == 0
+    assert np.std(heard(mixer, ["ann", "ben"])) > 0.05
+    with pytest.raises(ValueError, match="volume is 9"):
+        mixer.set_volume("ann", 9)
+
+
+def test_many_loud_voices_are_bent_and_never_cut():
+    loud = 3 * np.sin(np.linspace(0, 50, 5000))
+    bent = limit(loud)
+    assert np.abs(bent).max() < 1
+    assert np.abs(np.diff(bent)).max() <= np.abs(np.diff(loud)).max()
+    quiet = np.linspace(-0.7, 0.7, 100)
+    assert (limit(quiet) == quiet).all()
+
+
+def test_who_left_is_forgotten_and_no_more_people_are_heard_than_fit():
+    mixer = mixer_of(hum(1))
+    for index in range(MAX_VOICES + 3):
+        mixer.receive(f"peer{index}", packet(0), 0.1)
+    assert mixer.refused == 3
+    mixer.keep(["peer1"])
+    mixer.mix(0.2)
+    assert set(mixer.levels()) == {"peer1"}
+    assert mixer.heard_us("peer0", 0.2) is None
+
+
+def test_the_mix_is_handed_on_as_it_leaves_the_loudspeaker():
+    mixer, frames = mixer_of(hum(1)), []
+    mixer.on_mixed = lambda sound, leaves_s: frames.append((sound, leaves_s))
+    sound = mixer.mix(1.0, 0.05)
+    assert frames[0][0] is sound
+    assert frames[0][1] == pytest.approx(1.05)
+
+
+def spoken(levels: dict[str, list[int]]) -> list[str | None]:
+    """Who speaks most after each 20 ms."""
+    voices = {who: VoiceActivity() for who in levels}
+    current: str | None = None
+    said = []
+    for frame in zip(*levels.values(), strict=True):
+        for voice, level in zip(voices.values(), frame, strict=True):
+            voice.add(level)
+        current = dominant(voices, current)
+        said.append(current)
+    return said
+
+
+def test_who_takes_over_a_conversation_is_dominant_within_a_second():
+    said = spoken({"ann": [20] * 100 + [80] * 100, "ben": [80] * 100 + [20] * 100})
+    assert said[99] == "ann"
+    assert said[160] == "ben"
+
+
+def test_a_cough_and_a_noisy_room_take_nothing_over():
+    said = spoken({"ann": [20] * 200, "ben": [80] * 100 + [10] * 6 + [80] * 94, "eva": [52] * 200})
+    assert set(said[20:]) == {"ann"}
