@@ -106,7 +106,7 @@ class _Heard:
     moments: Array
     """When each sample was captured; NaN where nothing was heard. ``[ticks, FRAME]``."""
     times: list[float]
-    """Of each tick."""
+    """When each tick was."""
     skews: list[tuple[float, float, bool]]
     """(time, skew, whether the face stands still for want of frames), seconds."""
     counted: list[tuple[float, int, int, int]]
@@ -279,7 +279,7 @@ def _fill_holes(sound: FloatArray, is_there: Array) -> None:
 
 
 def _delays_s(heard: _Heard) -> Array:
-    """From the microphone to the loudspeaker, at each tick."""
+    """How old the sound of each tick is when it leaves the loudspeaker."""
     delays_s: Array = np.array(heard.times) - heard.moments[:, 0]
     return delays_s
 

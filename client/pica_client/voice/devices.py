@@ -52,7 +52,7 @@ class DeviceState:
     note: str = ""
     """What is wrong; empty: nothing."""
     latency_s: float = 0.0
-    """Of the device and its system, as it says itself; 0 where it does not."""
+    """What the device and its system say of themselves; 0 where they do not."""
 
 
 def speakers() -> list[str]:
@@ -80,7 +80,7 @@ class _Device:
         self._thread = threading.Thread(target=self._run, name=type(self).__name__, daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Begin to open the device."""
         self._thread.start()
 
     def stop(self) -> None:

@@ -18,7 +18,7 @@ SPANS = (
     (MEDIUM, 2, 24.0, 2.0),
     (LONG, 4, 47.0, 0.0),
 )
-"""Of each span; weights and thresholds are the paper's."""
+"""The three spans; weights and thresholds are the paper's."""
 SOFTEST = 80
 """Levels softer than -80 dB of full scale count nothing."""
 
