@@ -25,6 +25,7 @@ from pica_client.e2ee.status import PeerSeal, SealState, SealStatus
 from pica_client.errors import OptionError
 from pica_client.playout.config import PlayoutConfig
 from pica_client.publish.face_track import FACE_TRACK
+from pica_client.stats import Samples
 from pica_core.avatar.file import Avatar
 from pica_core.codec.factory import open_decoder
 from pica_core.codec.latent_sample import DecodedFrame
@@ -97,6 +98,11 @@ class Call:
         seal_status: Says how the encryption stands; None where we do not encrypt. Asked on any
             thread.
         on_subscription: Called, on any thread, when `tell_subscriptions` has news.
+        heard_us: Says which moment of somebody's voice leaves the loudspeaker, by peer id and our
+            clock; their face is then led by it.
+        skews_s: By how much each face that was shown was off its voice, either way.
+        delays_s: How old the sound was that was heard when a face was shown; only where sender and
+            receiver share a clock does it say anything.
     """
 
     def __init__(
@@ -119,6 +125,8 @@ class Call:
         self._window_begin_s: float | None = None
         self.seal_status: Callable[[], SealStatus | None] = lambda: None
         self.on_subscription: Callable[[], None] = lambda: None
+        self.heard_us: Callable[[str, float], int | None] = lambda peer_id, now: None
+        self.skews_s, self.delays_s = Samples(), Samples()
 
     # The network's side
 
@@ -307,6 +315,8 @@ class Call:
             self._window_begin_s = now
             self._departed.clear()
             self._shown.clear()
+            self.skews_s.clear()
+            self.delays_s.clear()
             for seat in self._seats.values():
                 seat.begin_window(now)
 
@@ -427,7 +437,11 @@ class Call:
         return "no signal" if self._is_silent(seat, now) else ""
 
     def _face(self, seat: RemoteParticipant, now: float) -> FaceState:
-        played, is_held = seat.play(now)
+        heard_us = self.heard_us(seat.peer.peer_id, now)
+        played, is_held = seat.play(now, heard_us)
+        if heard_us is not None and played is not None and not (is_held or played.is_concealed):
+            self.skews_s.add(abs(played.captured_us - heard_us) / 1e6)
+            self.delays_s.add(now - heard_us / 1e6)
         peer, avatar_id, note = seat.peer, seat.track.avatar, self._note(seat, now)
         face = FaceState(
             peer_id=peer.peer_id,

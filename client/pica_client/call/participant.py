@@ -257,15 +257,16 @@ class RemoteParticipant:
         else:
             self.playout.receive_frame(frame)
 
-    def play(self, now: float) -> tuple[PlayedFace | None, bool]:
+    def play(self, now: float, heard_us: int | None = None) -> tuple[PlayedFace | None, bool]:
         """The face to show now, None before the first one; and whether the stream is stopped on
-        purpose: then the face stands still, and nothing is concealed."""
+        purpose: then the face stands still, and nothing is concealed. ``heard_us`` as in
+        `Playout.sample_at`."""
         is_catching_up = self.is_in_backlog and now <= self.catching_up_until_s
         if not is_catching_up:
             self.settle()
         is_stopped = self.is_paused or is_catching_up or (self.is_resuming and self.is_behind)
         if not is_stopped:
-            self.played = self.playout.sample_at(now)
+            self.played = self.playout.sample_at(now, heard_us)
         return self.played, is_stopped
 
     def begin_window(self, now: float) -> None:

@@ -14,7 +14,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,6 +40,8 @@ CLOCK_STEP = 0.02
 """Share of an error of the capture clock that is mended with each frame."""
 CLOCK_LEAP_S = 0.1
 """An error of the capture clock that is mended at once: the machine slept."""
+NO_DEVICE = "none"
+"""The loudspeaker that makes no sound: voices are played all the same, and can be recorded."""
 NO_SOUND = "no sound system: {}; install the extra voice, and on Linux PulseAudio or PipeWire"
 
 
@@ -142,11 +144,14 @@ class Loudspeaker(_Device):
         self._test = list(whole.reshape(-1, FRAME_SAMPLES))
 
     def _open(self, name: str) -> AbstractContextManager[Any]:
+        self._played_s.clear()
+        if name == NO_DEVICE:
+            self.state = DeviceState(NO_DEVICE)
+            return _NoSpeaker()
         card = _soundcard()
         device = _found(name, card.all_speakers, card.default_speaker, "loudspeaker")
         channels = min(device.channels, 2)
         self.state = DeviceState(device.name, latency_s=BUFFER_FRAMES * FRAME_S)
-        self._played_s.clear()
         player: AbstractContextManager[Any] = device.player(
             SAMPLE_RATE_HZ, channels=channels, blocksize=BUFFER_FRAMES * FRAME_SAMPLES
         )
@@ -169,6 +174,21 @@ class Loudspeaker(_Device):
             self._mixer.mix(time.monotonic())
             if self._stopping.wait(FRAME_S):
                 return
+
+
+class _NoSpeaker(nullcontext[None]):
+    """Takes sound as fast as a loudspeaker would, and makes none."""
+
+    channels, latency = 2, 0.0
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._until_s = time.monotonic()
+
+    def play(self, sound: FloatArray) -> None:
+        """Wait until the sound would have been taken."""
+        self._until_s = max(self._until_s + FRAME_S, time.monotonic() - 10 * FRAME_S)
+        time.sleep(max(self._until_s - time.monotonic(), 0.0))
 
 
 class Microphone(_Device):
