@@ -23,6 +23,7 @@ from chart_receiver import chart_receiver
 from chart_relay import chart_relay
 from chart_tables import chart_tables
 from chart_training import chart_failures, chart_recipes, chart_step
+from chart_voice import chart_voice
 
 CHARTS: dict[str, Callable[[], None]] = {
     "playout": chart_playout,
@@ -38,6 +39,7 @@ CHARTS: dict[str, Callable[[], None]] = {
     "recipes": chart_recipes,
     "failures": chart_failures,
     "training-step": chart_step,
+    "voice": chart_voice,
 }
 
 
