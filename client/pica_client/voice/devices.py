@@ -36,9 +36,10 @@ LATENCY_FRAMES = (10, 50)
 the whole process when it is asked of a device that has just been unplugged."""
 MAX_CAPTURED = 10
 """Frames of a microphone that wait; the oldest is dropped beyond: 200 ms."""
-CLOCK_STEP = 0.02
-"""Share of an error of the capture clock that is mended with each frame."""
-CLOCK_LEAP_S = 0.1
+EARLY_STEP, LATE_STEP = 0.1, 0.01
+"""Shares of an error of the capture clock that are mended with each frame: a frame that comes early
+tells the truth, one that comes late mostly that the machine was busy."""
+CLOCK_LEAP_S = 1.0
 """An error of the capture clock that is mended at once: the machine slept."""
 NO_DEVICE = "none"
 """The loudspeaker that makes no sound: voices are played all the same, and can be recorded."""
@@ -251,7 +252,10 @@ class Microphone(_Device):
         seen_s = time.monotonic() - FRAME_S - self.state.latency_s
         due_s = seen_s if self._captured_s is None else self._captured_s + FRAME_S
         error_s = seen_s - due_s
-        due_s += error_s if abs(error_s) > CLOCK_LEAP_S else CLOCK_STEP * error_s
+        if error_s > CLOCK_LEAP_S:
+            due_s = seen_s
+        else:
+            due_s += max((EARLY_STEP if error_s < 0 else LATE_STEP) * error_s, -FRAME_S / 2)
         self._captured_s = due_s
         frame = np.ascontiguousarray(np.clip(sound, -1, 1), np.float32)
         if self._clean is not None:

@@ -128,3 +128,23 @@ def test_who_takes_over_a_conversation_is_dominant_within_a_second():
 def test_a_cough_and_a_noisy_room_take_nothing_over():
     said = spoken({"ann": [20] * 200, "ben": [80] * 100 + [10] * 6 + [80] * 94, "eva": [52] * 200})
     assert set(said[20:]) == {"ann"}
+
+
+def test_an_echo_of_what_is_played_is_taken_out_of_the_microphone():
+    pytest.importorskip("livekit", reason="extra echo")
+    from pica_client.voice.echo import EchoCanceller
+    from pica_client.voice.wav import shipped_speech
+
+    speech = shipped_speech()[: 4 * SAMPLE_RATE_HZ]
+    echo = np.zeros_like(speech)
+    echo[2880:] = 0.5 * speech[:-2880]
+    canceller = EchoCanceller(gain_control=False)
+    canceller.set_delay(0.06)
+    left = []
+    for played, heard_back in zip(
+        speech.reshape(-1, FRAME_SAMPLES), echo.reshape(-1, FRAME_SAMPLES), strict=True
+    ):
+        canceller.play(played)
+        left.append(canceller.clean(heard_back))
+    half = len(echo) // 2
+    assert np.std(np.concatenate(left)[half:]) < 0.05 * np.std(echo[half:])
