@@ -40,7 +40,9 @@ VIEWER_NAME = "viewer"
 class DemoConfig:
     """What to show and where to put it; the options of `pica demo`."""
 
-    call: tyro.conf.OmitArgPrefixes[LocalCallConfig] = field(default_factory=LocalCallConfig)
+    call: tyro.conf.OmitArgPrefixes[LocalCallConfig] = field(
+        default_factory=lambda: LocalCallConfig(has_voices=True)
+    )
     seconds: float = 20.0
     """How long the call is drawn."""
     headless: bool = False
@@ -116,6 +118,8 @@ def _view_arguments(config: DemoConfig, stage: LocalCall, log: Path) -> list[str
     if config.call.avatar is not None:
         arguments += ["--avatar", config.call.avatar]
     arguments += stage.secret_arguments
+    # Off the screen nobody listens: then the voices are played, and measured, without a sound.
+    arguments += ["--speaker", "none"] if config.headless else []
     if config.headless:
         return [*arguments, "--headless"]
     return [*arguments, "--statistics", "--no-preferences"]
@@ -169,6 +173,7 @@ def _stats(
         "dropped": received["dropped"],
         "concealed": received["concealed"],
         "seal": received["seal"],
+        "voice": shown["voice"],
         "errors": errors + len(stage.crashed),
         "crashed": stage.crashed,
         "source": config.call.source or "shipped performances",

@@ -49,6 +49,11 @@ class ViewOptions:
     """How people sit: line, arc, table or grid; L goes through them. By default as it was left."""
     size: str | None = None
     """Columns x rows of the window or picture; by default as the window was left, or 960x540."""
+    voice: str = "none"
+    """Whose voice is sent: mic, the system's microphone; mic:NAME; or what pica send takes."""
+    speaker: str = ""
+    """Loudspeaker by its name; none plays without a sound, off hears nobody; by default the
+    system's."""
     headless: bool = False
     """Draw without a window."""
     record: Path | None = None
@@ -165,6 +170,8 @@ def view(options: ViewOptions) -> dict[str, Any]:
             shows_hint=kept is not None and not preferences.has_seen_hint,
         ),
         seconds=options.seconds,
+        voice=options.voice,
+        speaker=options.speaker,
         expect=options.expect,
         png=options.png,
         png_folder=options.png_folder,

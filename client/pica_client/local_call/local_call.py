@@ -20,6 +20,7 @@ from pica_client.errors import AvatarLookupError, CallProcessError, OptionError
 from pica_client.local_call.processes import Child, Children
 from pica_client.publish.sender import SenderConfig
 from pica_client.sources import open_source, start_later
+from pica_client.voice.opus import available
 from pica_core.codec.latent_stream import DEFAULT_QUALITY
 
 NAMES = ("Ada", "Ben", "Cho", "Dee", "Eve", "Fay", "Gus", "Hal")
@@ -62,6 +63,8 @@ class LocalCallConfig:
     """Fineness of the coded streams, 0 (coarse) to 7 (fine)."""
     plain: bool = False
     """Send 8 bits a value instead of coded streams."""
+    has_voices: Annotated[bool, tyro.conf.arg(name="voices")] = False
+    """Let them speak by turns, with the sentences that ship."""
     is_encrypted: Annotated[bool, tyro.conf.arg(name="encrypt")] = False
     """Encrypt end to end, with a secret made for this call. Needs the extra `seal`."""
 
@@ -106,6 +109,7 @@ class LocalCall:
             self.secret_arguments = ["--secret-file", str(self.secret_file)]
         self.relay, self.url = children.start_relay()
         self.senders: dict[str, Child] = {}
+        has_voices = config.has_voices and available() is None
         for index, (name, source) in enumerate(zip(self.names, sources, strict=True)):
             self.senders[name] = children.start(
                 f"sender-{index + 1}",
@@ -113,6 +117,7 @@ class LocalCall:
                 *("--avatar", avatars[index % len(avatars)], "--source", source),
                 *("--fps", f"{config.fps:g}", "--frame-log", str(self._log(name))),
                 *("--give-avatar", "no"),  # the viewer has the same files
+                *(["--voice", f"speech#{index + 1}/{config.peers}"] if has_voices else []),
                 *("--quality", str(config.quality), *(["--plain"] if config.plain else [])),
                 *self.secret_arguments,
             )

@@ -28,6 +28,10 @@ from pica_client.ui.controls import ControlState
 from pica_client.ui.settings import OwnChoice
 from pica_client.ui.viewer import Viewer, ViewerOptions
 from pica_client.ui.window import Window
+from pica_client.voice.hearing import Hearing
+from pica_client.voice.opus import available
+from pica_client.voice.publisher import VoicePublisher
+from pica_client.voice.source import open_voice
 from pica_protocol.limits import MAX_PEERS
 
 MAX_LOGGED_DECODES = 100_000
@@ -50,6 +54,10 @@ class ViewConfig:
     viewer: ViewerOptions = field(default_factory=ViewerOptions)
     seconds: float = 0.0
     """How long to draw; 0 is until stopped."""
+    voice: str = "none"
+    """Whose voice is sent; see `pica_client.voice.source.open_voice`."""
+    speaker: str = ""
+    """The loudspeaker; ``none`` plays without a sound, ``off`` hears nobody."""
     expect: int = 0
     """Begin to draw once this many peers are seen."""
     expect_timeout_s: float = 30.0
@@ -130,9 +138,14 @@ class View:
         self._waiting = waiting
         self.was_cancelled = False
         doing = "looking into" if face is None else f"in, as {config.link.name},"
+        self._hearing = self._make_hearing()
+        voice = open_voice(config.voice)
+        is_sealed = config.link.secret_file is not None
         self._receiver = Receiver(
             config.link,
             self._call,
+            voice=None if voice is None else VoicePublisher(voice, is_sealed=is_sealed),
+            on_voice=None if self._hearing is None else self._hearing.receive,
             publisher=self._publisher,
             giver=None if face is None else face.giver,
             news=LinkNews(f"{doing} room {config.link.room} at {config.link.url}", say),
@@ -168,6 +181,8 @@ class View:
         config = self._config
         self._say_recording(config.viewer.record is not None)
         with self._receiver, ExitStack() as stack:
+            if self._hearing is not None:
+                stack.enter_context(self._hearing.playing())
             self._wait_for_peers()
             if self.was_cancelled:
                 return dict(NOTHING_SHOWN)
@@ -214,8 +229,17 @@ class View:
             "errors": drawn["errors"] + received["errors"],
             "problems": [*problems, *outputs.failures],
             "received": received,
+            "voice": None if self._hearing is None else self._hearing.stats(),
             "avatars_fetched": 0 if self._fetcher is None else self._fetcher.num_fetched,
         }
+
+    def _make_hearing(self) -> Hearing | None:
+        if self._config.speaker == "off":
+            return None
+        if (trouble := available()) is not None:
+            say(f"a call without sound: {trouble}")
+            return None
+        return Hearing(self._call, self._config.speaker)
 
     def _make_fetcher(self, library: AvatarLibrary) -> AvatarFetcher:
         config = self._config

@@ -11,7 +11,9 @@ import numpy as np
 
 from pica_client.errors import OptionError
 from pica_client.transport.timers import wait_until
+from pica_client.voice.devices import Microphone
 from pica_client.voice.packet import FRAME_S, FRAME_SAMPLES
+from pica_client.voice.publisher import VoiceSource
 from pica_client.voice.wav import read_wav, shipped_speech
 from pica_core.types import FloatArray
 
@@ -66,12 +68,12 @@ class SoundSource:
             index += 1 + (math.floor(late) if late * FRAME_S > _LATEST_S else 0)
 
 
-def open_voice(text: str) -> SoundSource | None:
+def open_voice(text: str) -> VoiceSource | None:
     """Open what the option ``--voice`` names; None: no voice.
 
     Args:
         text: ``none``; ``speech``, the sentences that ship, or ``speech#K/N``, the K-th of N who
-            take turns with them; or a WAV file.
+            take turns with them; ``mic``, the system's microphone, or ``mic:NAME``; or a WAV file.
 
     Raises:
         OptionError: It is a turn that cannot be.
@@ -79,6 +81,9 @@ def open_voice(text: str) -> SoundSource | None:
     """
     if text == "none":
         return None
+    kind, _, device = text.partition(":")
+    if kind == "mic":
+        return Microphone(device)
     name, mark, turns = text.partition("#")
     if name != "speech":
         return SoundSource(read_wav(Path(text)))

@@ -1,0 +1,61 @@
+"""A voice through a bad network and a jitter buffer, on a clock of its own.
+
+You learn: the encoder, packets, the jitter buffer, and what a mixer tells a display.
+
+Run it with: python examples/20_a_voice.py
+"""
+
+import random
+
+from pica_client.voice.level import level_of
+from pica_client.voice.mixer import VoiceMixer
+from pica_client.voice.opus import OpusDecoder, OpusEncoder, available
+from pica_client.voice.packet import FRAME_S, FRAME_SAMPLES, VoicePacket
+from pica_client.voice.wav import shipped_speech
+
+SECONDS = 7
+
+
+def main() -> None:
+    """Send, delay, play, and say what came of it."""
+    if (trouble := available()) is not None:
+        print(trouble)
+        return
+    speech, encoder, chance = shipped_speech(), OpusEncoder(bitrate=24_000), random.Random(0)
+    arrivals = []
+    for index in range(round(SECONDS / FRAME_S)):
+        frame = speech[index * FRAME_SAMPLES : (index + 1) * FRAME_SAMPLES]
+        payload = encoder.encode(frame)
+        if payload is None:
+            continue  # nobody speaks: nothing is sent
+        packet = VoicePacket(
+            sequence=len(arrivals),
+            captured_us=round(index * FRAME_S * 1e6),
+            payload=payload,
+            level=level_of(frame),
+        )
+        late_s = 0.02 + 0.06 * chance.random() ** 4
+        arrivals.append(((index + 1) * FRAME_S + late_s, packet))
+    sent_bytes = sum(len(packet.payload) for _, packet in arrivals)
+    arrivals.sort(key=lambda arrival: arrival[0])
+
+    mixer = VoiceMixer(OpusDecoder)
+    mixer.seat({"ann": -0.6})  # radians: to the left
+    loudest = 127
+    for tick in range(round(SECONDS / FRAME_S)):
+        now = tick * FRAME_S
+        while arrivals and arrivals[0][0] <= now:
+            arrived_s, packet = arrivals.pop(0)
+            mixer.receive("ann", packet, arrived_s)
+        mixer.mix(now)  # 20 ms for both ears
+        loudest = min(loudest, mixer.levels().get("ann", 127))
+        heard_us = mixer.heard_us("ann", now)
+        if heard_us is not None and tick % 50 == 0:
+            speaks = "speaks" if mixer.speaker() == "ann" else "is silent"
+            print(f"{now:4.1f} s: what was said {now - heard_us / 1e6:.3f} s ago; ann {speaks}")
+    print(f"{sent_bytes * 8 / SECONDS / 1e3:.1f} kbit/s, at most -{loudest} dB")
+    print(mixer.stats()["ann"])
+
+
+if __name__ == "__main__":
+    main()
