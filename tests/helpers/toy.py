@@ -100,6 +100,8 @@ def with_toy_levels(avatar: Avatar, *, seed: int = 8, errors: bool = True) -> Av
             inputs = shape[-1] / 3 if "geometry" in name else np.prod(shape[1:])
             spread = np.sqrt(1.5 / inputs) if name.endswith("weight") else 0.05
             tensors[name] = (rng.standard_normal(shape) * spread).astype(np.float32)
+        if avatar.spec.geometry == "bases":
+            continue
         rest = np.zeros((rows * level, 3), np.float32)
         rest[: len(index)] = head_surface(*tensors["mesh.vertex_uv"][index].T)
         tensors[f"level.{level}.geometry.mean"] = rest.reshape(rows, level, 3)

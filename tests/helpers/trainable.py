@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from helpers.toy import head_surface
-from pica_core.model.interface import FacePrior
+from pica_core.model.bases import fit_bases, split_bases
+from pica_core.model.interface import FacePrior, LinearPrior
+from pica_core.model.linear import CODE_SIZE
 
 
 def toy_prior(
@@ -30,6 +34,30 @@ def toy_prior(
         tracked_uv=tracked_uv,
         tracked_mean_m=head_surface(tracked_uv[:, 0], tracked_uv[:, 1]),
         texture_mean=np.full((64, 64, 3), [0.8, 0.6, 0.5], np.float32),
+    )
+
+
+def toy_linear_prior(*, dense: int = 24, tracked: int = 9, frames: int = 30) -> FacePrior:
+    """`toy_prior` with bases of meshes that move in five ways."""
+    prior = toy_prior(dense=dense, tracked=tracked)
+    uv = np.concatenate([prior.dense_uv, prior.tracked_uv])
+    rng = np.random.default_rng(5)
+    ways = [np.sin((1 + k) * np.pi * uv[:, :1]) * rng.standard_normal(3) for k in range(5)]
+    weights = rng.standard_normal((frames, len(ways)))
+    moved_m = 4e-3 * np.tensordot(weights, np.stack(ways), axes=1)
+    meshes_m = (head_surface(uv[:, 0], uv[:, 1]) + moved_m).astype(np.float32)
+    count = dense * dense
+    both = fit_bases(meshes_m, CODE_SIZE, np.arange(len(uv)) < count)
+    bases = both.select(np.arange(count, dtype=np.int32))
+    return replace(
+        prior,
+        linear=LinearPrior(
+            tracked=both.select(np.arange(count, len(uv), dtype=np.int32)),
+            parts=split_bases(bases, prior.dense_uv),
+            texels=np.arange(100, 150, dtype=np.int32),
+            projection=rng.standard_normal((len(bases.components_m), 150)).astype(np.float32),
+            deviation_m=np.linalg.norm(bases.components_m, axis=2).mean(1),
+        ),
     )
 
 

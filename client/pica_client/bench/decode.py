@@ -64,7 +64,6 @@ from pica_core.avatar.level_tensors import exit_shapes, is_index
 from pica_core.avatar.spec import BLOCKS
 from pica_core.graphs.onnx_graph import decoder_graph
 from pica_core.reference.baseline import baseline_like
-from pica_core.reference.mesh import sample_vertices
 from pica_core.types import FloatArray
 
 EQUAL = 1e-4
@@ -187,11 +186,13 @@ def random_decoders(avatar: Avatar, block: str, seed: int) -> Avatar:
         for layer in decoder_layers(spec, decoder):
             shapes |= layer.tensor_shapes()
     for level in avatar.levels[:-1]:
-        texels = avatar.tensors[f"level.{level}.geometry.texel"].shape[-1]
-        shapes |= exit_shapes(spec, level, avatar.position_rows(level), texels)
+        texel = avatar.tensors.get(f"level.{level}.geometry.texel", np.zeros(1))
+        shapes |= exit_shapes(spec, level, avatar.position_rows(level), texel.shape[-1])
     rng = np.random.default_rng(seed)
     tensors: dict[str, npt.NDArray[Any]] = {
-        "geometry.mean": np.zeros((spec.map_size, spec.map_size, 3), np.float32)
+        name: array
+        for name, array in avatar.tensors.items()
+        if name == "geometry.mean" or name.startswith(("linear.", "mesh."))
     }
     for name, shape in shapes.items():
         if is_index(name):
@@ -320,12 +321,13 @@ def vertex_error_mm(avatar: Avatar, level: int, latents: Sequence[FloatArray]) -
     if level == avatar.spec.map_size:
         return 0.0
     decoder = OnnxDecoder(avatar)
-    uv = avatar.tensors["mesh.vertex_uv"][np.unique(avatar.level_faces(level))]
+    used = np.unique(avatar.level_faces(level))
     distances_m = []
     for latent in latents:
         sheet, full = (decoder.decode(latent, AHEAD, size).position_map for size in (level, None))
         assert sheet is not None
         assert full is not None
-        moved = sheet.reshape(-1, 3)[: len(uv)] - sample_vertices(full, uv)
+        whole = avatar.vertices_of(full, avatar.spec.map_size)
+        moved = avatar.vertices_of(sheet, level) - whole[used]
         distances_m.append(float(np.linalg.norm(moved, axis=1).mean()))
     return 1e3 * float(np.mean(distances_m))

@@ -47,7 +47,6 @@ from pica_core.capture.rig.subject import RigSubject
 from pica_core.capture.stage.subject import Subject
 from pica_core.capture.triangles import signed_areas, spread_samples
 from pica_core.reference.face_errors import poking, region_errors_mm, vertex_parts
-from pica_core.reference.mesh import sample_vertices
 from pica_core.types import ByteArray, FloatArray, Image
 
 VIEWS = ("front", "left")
@@ -234,10 +233,7 @@ class _Comparison:
         self, position_map: FloatArray, level: int, truth_m: FloatArray
     ) -> dict[str, float]:
         used = self._used[level]
-        if level == self._avatar.levels[-1]:
-            vertices_m = sample_vertices(position_map, self._avatar.tensors["mesh.vertex_uv"])
-        else:
-            vertices_m = position_map.reshape(-1, 3)[: len(used)]
+        vertices_m = self._avatar.vertices_of(position_map, level)
         regions = {name: mask[used] for name, mask in self._regions.items()}
         return region_errors_mm(vertices_m, truth_m[used], regions)
 

@@ -218,7 +218,9 @@ def _level_meshes(
         ordered = order_faces(avatar.level_faces(level), vertex_uv)
         used, renumbered = np.unique(ordered, return_inverse=True)
         faces, uv = renumbered.reshape(-1, 3), vertex_uv[used]
-        meshes[full, level] = upload_mesh(context, programs, level, faces, uv, uv)
+        sheet = avatar.sheet_vertices(full)
+        at_full = uv if sheet is None else sheet_uv(len(sheet), full)[used]
+        meshes[full, level] = upload_mesh(context, programs, level, faces, uv, at_full)
         if level != full:
             places = sheet_uv(len(used), level)
             meshes[level, level] = upload_mesh(context, programs, level, faces, uv, places)

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from pica_core.avatar.file import Avatar
-from pica_core.reference.mesh import sample_vertices
 
 WHOLE_M = (-1e6, -1e6 + 1.0)
 """Heights of what does not fade."""
@@ -31,9 +30,7 @@ class Bust:
 
 def bust_of(avatar: Avatar) -> Bust:
     """Measure an avatar, a few milliseconds; what no triangle uses or is no number is left out."""
-    tensors = avatar.tensors
-    vertices = sample_vertices(tensors["geometry.mean"], tensors["mesh.vertex_uv"])
-    used = vertices[np.unique(tensors["mesh.faces"])]
+    used = avatar.mean_vertices_m[np.unique(avatar.tensors["mesh.faces"])]
     used = used[np.isfinite(used).all(axis=1)]
     if not len(used):
         return Bust(width_m=0.0, lower_m=0.0)

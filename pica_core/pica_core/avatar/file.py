@@ -13,6 +13,7 @@ Tensors, float32 in memory unless stated:
     {decoder layers}      as `decoder_layers(spec, "geometry" | "expression")` names and shapes them
     geometry.mean         [S, S, 3] metres, head frame:
                           position map = mean + position_scale_m * decoded geometry
+    linear.*              in its place where the spec says `bases` (`linear`)
     uv_encoding           [T, T, 4], row 0 is v = 0
     u_encoding v_encoding [L, 2]; each of the three as the spec's encoding has it
     xyz.{i}.weight .bias  [out, in], [out]: SIREN over head-frame xyz in *metres*
@@ -51,9 +52,11 @@ from pica_core.avatar.level_tensors import (
     is_index,
     levels_of,
     read_errors,
+    sheet_rows,
     wanted_shapes,
 )
 from pica_core.avatar.levels import LevelErrors
+from pica_core.avatar.linear import check_linear, linear_shapes, mean_vertices
 from pica_core.avatar.manifest import SCHEMA_VERSION, Manifest
 from pica_core.avatar.spec import NUM_LATENT, AvatarSpec
 from pica_core.avatar.storage import (
@@ -67,7 +70,8 @@ from pica_core.codec.profile import PREFIX as STREAM_PREFIX
 from pica_core.codec.profile import StreamProfile, profile_shapes
 from pica_core.errors import AvatarFileError
 from pica_core.files import replacing
-from pica_core.types import Array, IntArray
+from pica_core.reference.mesh import sample_vertices
+from pica_core.types import Array, FloatArray, IntArray
 
 __all__ = [
     "SCHEMA_VERSION",
@@ -129,10 +133,43 @@ class Avatar:
         Raises:
             ValueError: The avatar does not have this level.
         """
-        if level == self.spec.map_size:
-            return level
-        self.level_faces(level)
-        return len(self.tensors[f"{LEVEL_PREFIX}{level}.geometry.mean"])
+        used = self.sheet_vertices(level)
+        return level if used is None else sheet_rows(len(used), level)
+
+    @property
+    def mean_vertices_m(self) -> FloatArray:
+        """The mesh at rest, float32 ``[V, 3]``."""
+        uv = self.tensors["mesh.vertex_uv"]
+        if self.spec.geometry == "bases":
+            return mean_vertices(self.tensors, len(uv))
+        return sample_vertices(self.tensors["geometry.mean"], uv)
+
+    def sheet_vertices(self, level: int) -> IntArray | None:
+        """The vertices whose positions a decode at a level makes, by their numbers, in the order
+        of its sheet; None where it makes a map.
+
+        Raises:
+            ValueError: The avatar does not have this level.
+        """
+        faces = self.level_faces(level)
+        if level != self.spec.map_size:
+            used: IntArray = np.unique(faces)
+            return used
+        if self.spec.geometry == "bases":
+            return np.arange(len(self.tensors["mesh.vertex_uv"]), dtype=np.int32)
+        return None
+
+    def vertices_of(self, position_map: FloatArray, level: int) -> FloatArray:
+        """The vertices that a decode at a level made, ``[V, 3]``: all of the mesh, or those of
+        `sheet_vertices`.
+
+        Raises:
+            ValueError: The avatar does not have this level.
+        """
+        used = self.sheet_vertices(level)
+        if used is None:
+            return sample_vertices(position_map, self.tensors["mesh.vertex_uv"])
+        return position_map.reshape(-1, 3)[: len(used)]
 
     @property
     def level_errors(self) -> LevelErrors | None:
@@ -146,7 +183,9 @@ class Avatar:
 
 def spec_tensor_shapes(spec: AvatarSpec) -> dict[str, tuple[int, ...]]:
     """Name and shape of every tensor that the spec fixes: all but mesh and expression encoder."""
-    shapes: dict[str, tuple[int, ...]] = {"geometry.mean": (spec.map_size, spec.map_size, 3)}
+    shapes: dict[str, tuple[int, ...]] = {}
+    if spec.geometry == "decoder":
+        shapes["geometry.mean"] = (spec.map_size, spec.map_size, 3)
     for decoder in spec.decoder_channels:
         for layer in decoder_layers(spec, decoder):
             shapes.update(layer.tensor_shapes())
@@ -388,6 +427,8 @@ def _check_shapes(spec: AvatarSpec, shapes: Mapping[str, tuple[int, ...]]) -> No
             raise ValueError(f"tensor {name} has {rows} rows; the limit is {limit}")
         wanted[name] = (rows, columns)
     wanted |= wanted_shapes(spec, shapes, MAX_FACES)
+    if spec.geometry == "bases":
+        wanted |= linear_shapes(shapes, wanted["mesh.vertex_uv"][0])
     stream = {
         name.removeprefix(STREAM_PREFIX): shape
         for name, shape in shapes.items()
@@ -422,6 +463,8 @@ def _check_tensors(spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
         )
     for name in filter(is_faces, tensors):
         check_indices(name, tensors[name], len(uv), "vertices")
+    if spec.geometry == "bases":
+        check_linear(tensors)
     check_sheets(spec, tensors)
     try:
         read_errors(spec, tensors)

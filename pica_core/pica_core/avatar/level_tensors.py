@@ -14,6 +14,9 @@ channels of the trunk there, R the rows that hold the vertices of its mesh, T is
                                  and its mesh, and of the full maps on its mesh; and by height
     level.sensitivity            [2] MSE per squared radian of view, per squared unit of the latent
 
+Where bases make the vertices (`linear`), a level has no ``geometry`` tensors: its sheet holds the
+same bases' vertices.
+
 A level is there as a whole or not at all, and so is the table of errors. The geometry is a *sheet*:
 the k-th vertex that the level's mesh uses, counted from the lowest number, stands in row k // S and
 column k % S. What is left of the last row belongs to no vertex.
@@ -82,12 +85,17 @@ def exit_shapes(
     """
     channels, prefix = trunk_channels(spec, level), f"{PREFIX}{level}"
     codes = spec.expression_channels
+    expression: dict[str, tuple[int, ...]] = {
+        f"{prefix}.expression.weight": (codes, channels, 3, 3),
+        f"{prefix}.expression.bias": (codes, level, level),
+    }
+    if spec.geometry == "bases":
+        return expression
     return {
         f"{prefix}.geometry.weight": (rows, level, POSITION_CHANNELS * channels * num_texels),
         f"{prefix}.geometry.mean": (rows, level, POSITION_CHANNELS),
         f"{prefix}.geometry.texel": (rows, level, num_texels),
-        f"{prefix}.expression.weight": (codes, channels, 3, 3),
-        f"{prefix}.expression.bias": (codes, level, level),
+        **expression,
     }
 
 
@@ -127,7 +135,9 @@ def wanted_shapes(
         if size in levels or faces in shapes:
             num_texels = (1, *shapes.get(f"{sheet}.texel", ()))[-1]
             num_texels = min(max(num_texels, 1), MAX_TEXELS)
-            num_rows = rows(f"{sheet}.mean", sheet_rows(3 * max_faces, size))
+            num_rows = 1
+            if spec.geometry == "decoder":
+                num_rows = rows(f"{sheet}.mean", sheet_rows(3 * max_faces, size))
             wanted |= exit_shapes(spec, size, num_rows, num_texels)
             wanted[faces] = (rows(faces, max_faces), 3)
     head_px, errors, sensitivity = (PREFIX + name for name in _TABLE)
@@ -146,7 +156,8 @@ def check_sheets(spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
         ValueError: A sheet has more or fewer rows than its vertices need, or a vertex is made of a
             texel that is not there.
     """
-    for level in levels_of(spec, tensors)[:-1]:
+    exits = levels_of(spec, tensors)[:-1] if spec.geometry == "decoder" else ()
+    for level in exits:
         mean, texel = (f"{PREFIX}{level}.geometry.{name}" for name in ("mean", "texel"))
         num_vertices = len(np.unique(tensors[faces_name(level)]))
         rows = sheet_rows(num_vertices, level)

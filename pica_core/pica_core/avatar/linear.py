@@ -22,12 +22,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pica_core.avatar.spec import NUM_LATENT, POSITION_CHANNELS
+from pica_core.avatar.spec import NUM_LATENT, POSITION_CHANNELS, SHEET_COLUMNS
 from pica_core.types import Array, FloatArray, IntArray
 
 PREFIX = "linear."
-REGION = 256
-"""Vertices of a region: columns of the sheet, as many as the full maps have."""
+REGION = SHEET_COLUMNS
+"""Vertices of a region, a row of the sheet."""
 RANK = PREFIX + "rank"
 MAX_BASES = 128
 MAX_DIRECTIONS = 8192

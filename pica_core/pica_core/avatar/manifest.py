@@ -95,6 +95,10 @@ class Manifest:
             raise ValueError(
                 f"manifest.spec.encoding is {spec.encoding!r}; variant {variant} has {wanted!r}"
             )
+        if spec.geometry != (geometry := VARIANTS[variant].geometry):
+            raise ValueError(
+                f"manifest.spec.geometry is {spec.geometry!r}; variant {variant} has {geometry!r}"
+            )
         corners = {
             name: _numbers(values, name, 3, -MAX_EXTENT_M, MAX_EXTENT_M)
             for name in ("bounds_min_m", "bounds_max_m")

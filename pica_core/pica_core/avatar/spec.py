@@ -44,7 +44,11 @@ joint: a learned map m_uv. axes: learned tables m_u and m_v. Both are the paper'
 """
 NUM_FREQUENCIES = 10
 """Octaves of the sinusoids: two coordinates, sine and cosine make 40 values (paper 6)."""
-_ADDED_LATER = {"encoding": "full"}
+SHEET_COLUMNS = 256
+"""Vertices in a row of the sheet that bases make."""
+GEOMETRIES = ("decoder", "bases")
+"""Where vertices come from: a map that a decoder makes, or bases (`pica_core.avatar.linear`)."""
+_ADDED_LATER = {"encoding": "full", "geometry": "decoder"}
 """Fields that the first files lack, and what they mean by that. Left out where they say nothing
 new, so that older programs still read the files that they can draw."""
 
@@ -75,18 +79,24 @@ class AvatarSpec:
     """Output channels of the pixel decoder's layers."""
     encoding: str = "full"
     """What the pixel decoder is told about the surface point; one of `ENCODINGS`."""
+    geometry: str = "decoder"
+    """Where vertices come from; one of `GEOMETRIES` (the paper has a decoder)."""
 
     def __post_init__(self) -> None:
         if self.block not in BLOCKS:
             raise ValueError(f"block is {self.block!r}; known are {', '.join(BLOCKS)}")
         if self.encoding not in ENCODINGS:
             raise ValueError(f"encoding is {self.encoding!r}; known are {', '.join(ENCODINGS)}")
+        if self.geometry not in GEOMETRIES:
+            raise ValueError(f"geometry is {self.geometry!r}; known are {', '.join(GEOMETRIES)}")
         doublings = len(self.hidden_channels) + 1
         if self.map_size != LATENT_SIZE << doublings:
             raise ValueError(
                 f"map_size is {self.map_size}; "
                 f"{doublings} decoder blocks make {LATENT_SIZE << doublings}"
             )
+        if self.geometry == "bases" and self.map_size != SHEET_COLUMNS:
+            raise ValueError(f"map_size is {self.map_size}; bases need {SHEET_COLUMNS}")
         check_ranges(
             self,
             expression_channels=(1, 16),
@@ -104,14 +114,18 @@ class AvatarSpec:
 
     @property
     def decoder_channels(self) -> dict[str, tuple[int, tuple[int, ...]]]:
-        """Input channels and each block's output channels of the two decoders, by name."""
-        return {
+        """Input channels and each block's output channels of the decoders, by name: "geometry",
+        unless bases make the vertices, and "expression"."""
+        channels = {
             "geometry": (LATENT_CHANNELS, (*self.hidden_channels, POSITION_CHANNELS)),
             "expression": (
                 LATENT_CHANNELS + VIEW_CHANNELS,
                 (*self.hidden_channels, self.expression_channels),
             ),
         }
+        if self.geometry == "bases":
+            del channels["geometry"]
+        return channels
 
     @property
     def encoding_channels(self) -> dict[str, int]:

@@ -1,6 +1,7 @@
 """The models of the paper's tables, as rows: each is `FULL` with one part replaced.
 
     full       the Pixel Codec Avatar (section 3)
+    linear     full with vertices by bases in closed form (ours, the default of `pica train`)
     no_uv      the pixel decoder is not told where on the surface it is
     coarse     the tracked mesh is drawn, not the dense one
     uv_nope    (u, v) as they are, without an encoding
@@ -36,12 +37,15 @@ class Variant:
     """What a pixel decoder is told about the surface point (`spec.ENCODINGS`)."""
     topology: TopologyName = "dense"
     """Which mesh of the capture is drawn."""
+    geometry: str = "decoder"
+    """Where vertices come from (`spec.GEOMETRIES`)."""
 
 
 FULL = Variant()
 VARIANTS: Mapping[str, Variant] = MappingProxyType(
     {
         "full": FULL,
+        "linear": replace(FULL, geometry="bases"),
         "no_uv": replace(FULL, encoding="none"),
         "coarse": replace(FULL, topology="tracked"),
         "uv_nope": replace(FULL, encoding="uv"),

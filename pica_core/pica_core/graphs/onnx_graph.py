@@ -43,6 +43,7 @@ from pica_core.avatar.spec import (
     POSITION_CHANNELS,
     VIEW_CHANNELS,
 )
+from pica_core.graphs.bases_graph import bases_graph
 from pica_core.graphs.graph_builder import GraphBuilder, Shape
 from pica_core.types import Array
 
@@ -79,16 +80,11 @@ def decoder_graph(
     outputs: dict[str, Shape] = {}
     arrange = _plain if plain else _fast
     if parts != "expression":
-        layers, tensors = _geometry(avatar, size, fold=not plain)
-        value = arrange(graph, layers, tensors, grid)
-        if size == avatar.spec.map_size:
-            value = _channel_last(graph, value, size, POSITION_CHANNELS)
+        if avatar.spec.geometry == "bases":
+            bases_graph(graph, avatar, size, plain=plain)
         else:
-            value = _weigh_per_vertex(graph, avatar, size, value, fold=not plain)
-        if plain:
-            value = graph.add("Mul", value, graph.floats(avatar.manifest.position_scale_m))
-        graph.add("Add", value, graph.floats(tensors["mean"]), output="position_map")
-        outputs["position_map"] = [len(tensors["mean"]), size, POSITION_CHANNELS]
+            _position_map(graph, avatar, size, grid, plain=plain)
+        outputs["position_map"] = [avatar.position_rows(size), size, POSITION_CHANNELS]
     if parts != "geometry":
         inputs["view_direction"] = [1, VIEW_CHANNELS]
         view = graph.add("Reshape", "view_direction", graph.sizes(1, VIEW_CHANNELS, 1, 1))
@@ -99,6 +95,21 @@ def decoder_graph(
         _channel_last(graph, value, size, channels, output="expression_map")
         outputs["expression_map"] = [size, size, channels]
     return graph.serialise(inputs, outputs)
+
+
+def _position_map(
+    graph: GraphBuilder, avatar: Avatar, size: int, grid: str, *, plain: bool
+) -> None:
+    arrange = _plain if plain else _fast
+    layers, tensors = _geometry(avatar, size, fold=not plain)
+    value = arrange(graph, layers, tensors, grid)
+    if size == avatar.spec.map_size:
+        value = _channel_last(graph, value, size, POSITION_CHANNELS)
+    else:
+        value = _weigh_per_vertex(graph, avatar, size, value, fold=not plain)
+    if plain:
+        value = graph.add("Mul", value, graph.floats(avatar.manifest.position_scale_m))
+    graph.add("Add", value, graph.floats(tensors["mean"]), output="position_map")
 
 
 def _geometry(avatar: Avatar, size: int, *, fold: bool) -> tuple[list[Layer], dict[str, Array]]:

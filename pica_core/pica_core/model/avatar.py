@@ -7,6 +7,8 @@ Our choices: the position map is the mean map plus `position_scale_m` times the 
 the decoders is a setting.
 """
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -24,10 +26,12 @@ from pica_core.model.interface import (
     DecodedMesh,
     ExpressionEncoder,
     FacePrior,
+    LatentEncoder,
     ParameterGroups,
     Surface,
     uv_buffer,
 )
+from pica_core.model.linear import LinearEncoder, LinearGeometry
 from pica_core.model.pixel_decoder import FIRST_FREQUENCY, PixelDecoder
 
 
@@ -73,8 +77,14 @@ class PixelCodecAvatar(AvatarModel):
         self.register_buffer("_drawn_uv", uv_buffer(drawn), persistent=False)
         self.register_buffer("_tracked_uv", uv_buffer(prior.tracked_uv), persistent=False)
         self._draws_tracked = drawn is prior.tracked_uv
-        self.encoder = make_encoder(encoder)
-        self.geometry = MapDecoder(spec, "geometry")
+        self.encoder: LatentEncoder = make_encoder(encoder)
+        self.geometry: MapDecoder | LinearGeometry
+        if spec.geometry == "bases":
+            assert prior.linear is not None  # whoever makes the prior asks the variant
+            self.encoder = LinearEncoder(self.encoder, prior.linear)
+            self.geometry = LinearGeometry(prior.linear, prior.position_scale_m)
+        else:
+            self.geometry = MapDecoder(spec, "geometry")
         self.expression = MapDecoder(spec, "expression")
         self.pixel_decoder = PixelDecoder(
             spec, encoding_amplitude=encoding_amplitude, first_frequency=first_frequency
@@ -96,7 +106,11 @@ class PixelCodecAvatar(AvatarModel):
         return codes
 
     def decode_mesh(self, latent: Tensor) -> DecodedMesh:
-        """The position map of each latent, and what the vertices find in it."""
+        """The position map of each latent and what the vertices find in it, or the vertices that
+        its bases make."""
+        if isinstance(self.geometry, LinearGeometry):
+            dense_m, tracked_m = self.geometry(latent)
+            return DecodedMesh(dense_m, tracked_m, None)
         position_map = self.decode_geometry(latent)
         vertices_m = sample_map(position_map, self._drawn_uv)
         if self._draws_tracked:
@@ -116,8 +130,16 @@ class PixelCodecAvatar(AvatarModel):
 
     @property
     def cost(self) -> ModelCost:
-        """What decoders, surface encoding and the two sine networks cost, from the spec alone."""
-        return pixel_codec_cost(self.spec)
+        """What decoders or bases, surface encoding and the two sine networks cost."""
+        cost = pixel_codec_cost(self.spec)
+        if isinstance(self.geometry, LinearGeometry):
+            parameters, multiply_adds = self.geometry.cost
+            cost = replace(
+                cost,
+                parameters=cost.parameters + parameters,
+                per_object_multiply_adds=cost.per_object_multiply_adds + multiply_adds,
+            )
+        return cost
 
     def parameter_groups(self) -> ParameterGroups:
         """Groups as the interface names them."""

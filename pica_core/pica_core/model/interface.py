@@ -25,7 +25,8 @@ from torch import Tensor, nn
 from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.spec import LATENT_CHANNELS, LATENT_SIZE, LEAKY_SLOPE, NUM_LATENT, AvatarSpec
 from pica_core.avatar.variants import ModelCost, TopologyName
-from pica_core.types import FloatArray
+from pica_core.model.bases import Bases, SplitBases
+from pica_core.types import FloatArray, IntArray
 
 GroupName = Literal["shape", "appearance", "pixel", "encoding"]
 ParameterGroups = dict[GroupName, list[nn.Parameter]]
@@ -60,6 +61,26 @@ class DecodedMesh(NamedTuple):
     position_map_m: Tensor | None
 
 
+class LinearPrior(NamedTuple):
+    """What the closed form found of a capture.
+
+    Attributes:
+        tracked: Bases of the tracked mesh, for the same weights as `parts`.
+        parts: Bases of the dense mesh, by regions.
+        texels: Texels of the position map that the encoder reads, row * S + column, ``[P]``.
+        projection: From their three coordinates to the weights, in position scales, ``[K, 3 P]``.
+        deviation_m: Root mean square movement of each basis, ``[K]``.
+        left_out: Names of training frames whose meshes were not used.
+    """
+
+    tracked: Bases
+    parts: SplitBases
+    texels: IntArray
+    projection: FloatArray
+    deviation_m: FloatArray
+    left_out: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FacePrior:
     """What a model is told about a person before it is trained."""
@@ -79,6 +100,8 @@ class FacePrior:
     texture_mean: FloatArray
     """Mean of the average textures, sRGB with 1.0 for 255, row 0 is v = 0, float32 ``[T, T, 3]``.
     """
+    linear: LinearPrior | None = None
+    """Bases of the meshes; None where no model asks for them."""
 
 
 class ExpressionEncoder(nn.Module):
@@ -88,6 +111,24 @@ class ExpressionEncoder(nn.Module):
         super().__init__()
         widths = (NUM_ARKIT, *hidden, NUM_LATENT)
         self.layers = nn.ModuleList(nn.Linear(n, m) for n, m in pairwise(widths))
+
+    @torch.no_grad()
+    def start_from(self, matrix: Tensor, offset: Tensor) -> None:
+        """Become latent = matrix . arkit + offset, ``[256, 52]`` and ``[256]``, flat.
+
+        A pair of units passes each value on, once with either sign: the difference of the two is
+        1 + slope times the value. The other units stay random, and silent at the end.
+        """
+        first, second, last = (layer for layer in self.layers if isinstance(layer, nn.Linear))
+        both = 2 * NUM_ARKIT
+        eye, gain = torch.eye(NUM_ARKIT), 1 / (1 + LEAKY_SLOPE)
+        first.weight[:both], first.bias[:both] = torch.cat([eye, -eye]), 0
+        passed = gain * torch.cat([torch.cat([eye, -eye], 1), torch.cat([-eye, eye], 1)])
+        second.weight[:both], second.bias[:both] = 0, 0
+        second.weight[:both, :both] = passed
+        last.weight.zero_()
+        last.weight[:, :both] = gain * torch.cat([matrix, -matrix], 1)
+        last.bias.copy_(offset)
 
     def forward(self, arkit: Tensor) -> Tensor:
         """Expressions ``[N, 52]`` to latents ``[N, 4, 8, 8]``; flat: row, column, channel."""

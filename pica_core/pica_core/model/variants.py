@@ -27,7 +27,7 @@ def make_model(
 
     Args:
         variant: A key of `VARIANTS`.
-        spec: Sizes of the full model; the row replaces its encoding.
+        spec: Sizes of the full model; the row replaces its encoding and geometry.
         prior: What is known of the person.
         encoder: "paper" or "light".
         encoding_amplitude: Half-width of the learned encodings' uniform start.
@@ -41,7 +41,7 @@ def make_model(
     if variant not in VARIANTS:
         raise ValueError(f"variant is {variant!r}; known are {', '.join(VARIANTS)}")
     row: Variant = VARIANTS[variant]
-    spec = replace(spec, encoding=row.encoding)
+    spec = replace(spec, encoding=row.encoding, geometry=row.geometry)
     match row.network:
         case "pixel_codec":
             return PixelCodecAvatar(

@@ -9,9 +9,8 @@ from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.baseline import BaselineAvatar, BaselineSpec
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.spec import RGB_CHANNELS
+from pica_core.avatar.spec import POSITION_CHANNELS, RGB_CHANNELS
 from pica_core.reference.decoders import decode_expression_map
-from pica_core.reference.mesh import sample_vertices
 from pica_core.reference.pixel import decode_pixels, sample_bilinear
 from pica_core.types import Array, FloatArray
 
@@ -40,7 +39,7 @@ def baseline_like(avatar: Avatar, seed: int = 0) -> BaselineAvatar:
     vertex_uv = np.ascontiguousarray(avatar.tensors["mesh.vertex_uv"][kept], np.float32)
     spec = BaselineSpec(num_vertices=len(kept))
     tensors = _random_weights(spec, seed)
-    tensors["mesh.bias"] = sample_vertices(avatar.tensors["geometry.mean"], vertex_uv).reshape(-1)
+    tensors["mesh.bias"] = avatar.mean_vertices_m[kept].reshape(-1)
     last = len(spec.channels) - 1
     texture = bake_texture(avatar, spec.texture_size)
     tensors[f"texture.{last}.bias"] = np.ascontiguousarray(texture.transpose(2, 0, 1))
@@ -63,7 +62,7 @@ def bake_texture(avatar: Avatar, size: int) -> FloatArray:
     """
     neutral = ExpressionEncoder(avatar).encode(np.zeros(NUM_ARKIT, np.float32))
     codes = decode_expression_map(avatar, neutral, (0.0, 0.0, 1.0)).astype(np.float32)
-    mean = avatar.tensors["geometry.mean"]
+    mean = _mean_map(avatar)
     texel = (np.arange(size, dtype=np.float32) + 0.5) / size
     texture = np.empty((size, size, RGB_CHANNELS), np.float32)
     for start in range(0, size, BAKED_ROWS):
@@ -77,6 +76,24 @@ def bake_texture(avatar: Avatar, size: int) -> FloatArray:
             uv,
         )
     return np.clip(texture, 0, 1, out=texture)
+
+
+def _mean_map(avatar: Avatar) -> FloatArray:
+    """The mesh at rest as a map ``[S, S, 3]``; of bases, the mean of each texel's vertices."""
+    if avatar.spec.geometry == "decoder":
+        mean: FloatArray = avatar.tensors["geometry.mean"]
+        return mean
+    size = avatar.spec.map_size
+    texel = np.minimum((avatar.tensors["mesh.vertex_uv"] * size).astype(int), size - 1)
+    sums = np.zeros((size, size, POSITION_CHANNELS + 1))
+    ones = np.ones((len(texel), 1))
+    np.add.at(sums, (texel[:, 1], texel[:, 0]), np.hstack([avatar.mean_vertices_m, ones]))
+    while (sums[..., 3] == 0).any():  # texels between vertices take their neighbours' mean
+        empty = sums[..., 3] == 0
+        near = np.sum([np.roll(sums, step, axis) for step in (-1, 1) for axis in (0, 1)], axis=0)
+        sums[empty] = near[empty]
+    filled: FloatArray = (sums[..., :3] / sums[..., 3:]).astype(np.float32)
+    return filled
 
 
 def _random_weights(spec: BaselineSpec, seed: int) -> dict[str, Array]:

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from pica_core.avatar.decoder_layers import Layer, decoder_layers, trunk_layers
 from pica_core.avatar.file import Avatar
+from pica_core.avatar.linear import weights_of_latent
 from pica_core.avatar.spec import LATENT_SIZE, LEAKY_SLOPE, POSITION_CHANNELS
 from pica_core.types import Array
 
@@ -22,9 +23,11 @@ def decode_position_map(avatar: Avatar, latent: npt.ArrayLike, level: int | None
         level: One of the avatar's levels; None for the full one.
 
     Returns:
-        Position map, head frame, metres, float64 ``[S, S, 3]``; below the full level the sheet of
-        its vertices, ``[R, S, 3]``.
+        Position map, head frame, metres, float64 ``[S, S, 3]``; below the full level, and where
+        bases make them, the sheet of its vertices, ``[R, S, 3]``.
     """
+    if avatar.spec.geometry == "bases":
+        return _sheet(avatar, np.asarray(latent, np.float64), level)
     offset, prefix = _decode(avatar, "geometry", np.asarray(latent, np.float64), level)
     mean: Array = avatar.tensors[f"{prefix}geometry.mean"].astype(np.float64)
     return mean + avatar.manifest.position_scale_m * offset.transpose(1, 2, 0)
@@ -53,6 +56,28 @@ def decode_expression_map(
     if prefix:
         codes = codes + avatar.tensors[f"{prefix}expression.bias"]
     return codes.transpose(1, 2, 0)
+
+
+def _sheet(avatar: Avatar, latent: Array, level: int | None) -> Array:
+    """Vertices by bases, region after region; what is left of the last row repeats the last one."""
+    tensors, size = avatar.tensors, level or avatar.spec.map_size
+    weights = weights_of_latent(tensors, latent)
+    rows, start = [], 0
+    for mean, rank in zip(tensors["linear.mean"], tensors["linear.rank"], strict=True):
+        part = slice(start, start + int(rank))
+        local = tensors["linear.mix"][part].astype(np.float64) @ weights
+        moved = np.tensordot(local, tensors["linear.basis"][part], axes=1)
+        rows.append(mean + avatar.manifest.position_scale_m * moved)
+        start += int(rank)
+    sheet = np.stack(rows)
+    if size == avatar.spec.map_size:
+        return sheet
+    used = avatar.sheet_vertices(size)
+    assert used is not None
+    found: Array = sheet.reshape(-1, POSITION_CHANNELS)[used]
+    fill = avatar.position_rows(size) * size - len(used)
+    filled = np.concatenate([found, np.repeat(found[-1:], fill, axis=0)])
+    return filled.reshape(-1, size, POSITION_CHANNELS)
 
 
 def _decode(avatar: Avatar, decoder: str, grid: Array, level: int | None) -> tuple[Array, str]:

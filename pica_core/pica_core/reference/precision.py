@@ -19,7 +19,6 @@ from pica_core.avatar.file import Avatar, load_avatar, save_avatar
 from pica_core.avatar.storage import Precision, storage_of
 from pica_core.capture.stage.expressions import sentence
 from pica_core.reference.decoders import decode_expression_map, decode_position_map
-from pica_core.reference.mesh import sample_vertices
 from pica_core.reference.pixel import decode_pixels, sample_bilinear
 from pica_core.types import Array
 
@@ -76,10 +75,10 @@ def measure_precisions(avatar: Avatar, frames: int = 8, seed: int = 0) -> list[P
 
 def _decode(avatar: Avatar, latents: Array) -> tuple[Array, Array]:
     """Colours ``[T, V, 3]`` in 0..1 and positions in metres ``[T, V, 3]`` of every vertex."""
-    uv = avatar.tensors["mesh.vertex_uv"]
+    uv, full = avatar.tensors["mesh.vertex_uv"], avatar.spec.map_size
     colours, positions = [], []
     for latent in latents:
-        vertices_m = sample_vertices(decode_position_map(avatar, latent), uv)
+        vertices_m = avatar.vertices_of(decode_position_map(avatar, latent), full)
         codes = sample_bilinear(decode_expression_map(avatar, latent, FRONT), uv)
         rgb = decode_pixels(avatar.spec, avatar.tensors, codes, vertices_m, uv)
         colours.append(np.clip(rgb, 0, 1))

@@ -66,6 +66,7 @@ class ModelConfig:
             uv_encoding_size=self.uv_encoding_size,
             axis_encoding_size=self.axis_encoding_size,
             encoding=VARIANTS[self.variant].encoding,
+            geometry=VARIANTS[self.variant].geometry,
         )
 
     def build(self, prior: FacePrior) -> AvatarModel:

@@ -9,11 +9,13 @@ from torch import Tensor
 
 from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.file import Avatar
+from pica_core.avatar.linear import RANK
 from pica_core.avatar.manifest import Manifest
 from pica_core.codec.profile import StreamProfile
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.baseline import DeepAppearanceModel
 from pica_core.model.interface import AvatarModel
+from pica_core.model.linear import LinearGeometry
 from pica_core.model.pixel_decoder import XYZ_UNIT_M
 from pica_core.train.data.training import TrainingData
 from pica_core.types import FloatArray, IntArray
@@ -43,16 +45,24 @@ def avatar_tensors(
     tensors: dict[str, Tensor] = {
         **model.geometry.named_tensors(),
         **model.expression.named_tensors(),
-        "geometry.mean": model.position_mean.permute(1, 2, 0),
         **pixel.encoding.named_tensors(),
         **pixel.xyz.named_tensors("xyz"),
         **pixel.colour.named_tensors("pixel"),
     }
+    if isinstance(model.geometry, LinearGeometry):
+        # The file's vertices in the order of the sheet.
+        order = model.geometry.order.cpu().numpy()
+        place = np.argsort(order).astype(np.int32)
+        vertex_uv, faces = vertex_uv[order], place[faces]
+    else:
+        tensors["geometry.mean"] = model.position_mean.permute(1, 2, 0)
     tensors["xyz.0.weight"] = tensors["xyz.0.weight"] / XYZ_UNIT_M
     tensors |= _encoder_tensors(model)
     arrays: dict[str, npt.NDArray[np.generic]] = {
         name: _array(values) for name, values in tensors.items()
     }
+    if RANK in arrays:
+        arrays[RANK] = arrays[RANK].astype(np.int32)
     arrays["mesh.vertex_uv"] = np.ascontiguousarray(vertex_uv, np.float32)
     arrays["mesh.faces"] = np.ascontiguousarray(faces, np.int32)
     return arrays

@@ -47,6 +47,9 @@ from pica_core.train.rasterise import Rasteriser
 
 SCALE_TOLERANCE = 1e-5
 """Relative difference of position scales that two machines' sums may show for one capture."""
+JOINT_COST = 4
+"""Steps of the geometry phase that take as long as one joint step (measured: 42 and 11 a second on
+one thread)."""
 METRICS_EVERY = 50
 """Steps between lines of metrics."""
 ROLLBACK_RATE = 0.5
@@ -89,8 +92,12 @@ class Trainer:
         self.ranks = ranks or Ranks()
         run_dir.mkdir(parents=True, exist_ok=True)
         torch.manual_seed(config.seed)
-        self.model = config.model.build(face_prior(data)).to(self.device)
+        data.meshes.use(config.mesh_source)
+        prior = face_prior(data, config.model.variant)
+        self.model = config.model.build(prior).to(self.device)
         geometry, joint, driver = config.schedule.steps
+        if config.model.spec().geometry == "bases":  # nothing to descend: the steps go to colours
+            geometry, joint = 0, joint + geometry // JOINT_COST
         self._steps = geometry, joint, driver if data.capture.has_expressions else 0
         self.step = 0
         self.rollbacks = 0
@@ -98,6 +105,12 @@ class Trainer:
         self._rate_scale = 1.0
         self.rasteriser = rasteriser
         self.objectives = Objectives(data, config, self.model, rasteriser, self.ranks, self.device)
+        if prior.linear is not None and prior.linear.left_out:
+            named = ", ".join(prior.linear.left_out[:8])
+            self.objectives.notes.append(
+                f"{len(prior.linear.left_out)} meshes are unlike all others and made no bases: "
+                f"{named}"
+            )
         self._optimisers = {
             phase: make_optimiser(self.model, config.schedule, phase) for phase in PHASES
         }
@@ -179,6 +192,8 @@ class Trainer:
             TrainingMemoryError: The batch does not fit into memory.
         """
         phase, index, length = self.phase_of(self.step)
+        if phase == "driver" and index == 0 and self.config.model.spec().geometry == "bases":
+            self.objectives.start_driver()
         schedule = self.config.schedule
         rng = np.random.default_rng([self.config.seed, self.step])
         noise = torch.Generator().manual_seed(self.config.seed * 1_000_003 + self.step)

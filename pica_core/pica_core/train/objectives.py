@@ -12,10 +12,10 @@ from torch import Tensor
 from pica_core.capture.stage.tracked_topology import COVER
 from pica_core.errors import CaptureError
 from pica_core.model.encoder import hold_log_variance, reparameterise
-from pica_core.model.interface import AvatarModel, DecodedMesh
+from pica_core.model.interface import AvatarModel, DecodedMesh, flat_latent
 from pica_core.train.config import TrainConfig
 from pica_core.train.data.images import view_direction
-from pica_core.train.data.meshes import important_vertices
+from pica_core.train.data.meshes import important_vertices, vertex_importance
 from pica_core.train.data.training import TrainingData
 from pica_core.train.drawing import DrawnPixels, MeshDrawer, PixelList
 from pica_core.train.edge_gradient import edge_term
@@ -39,6 +39,9 @@ from pica_core.train.parallel import Ranks
 from pica_core.train.rasterise import Rasteriser
 from pica_core.train.trials.stopwatch import Stopwatch
 
+DRIVER_RIDGE = 1e-5
+"""Strength of the regression that a live encoder begins as, in squared tracker values
+(chosen: a shape that is never shown stays without effect)."""
 DRIVER_MESHES = 8
 """A step of the driver phase decodes the mesh of every eighth frame of its batch."""
 MASKED_REGION = "mouth"
@@ -215,6 +218,18 @@ class Objectives:
             "mesh": self._mesh(mesh, frames[few]),
         }
 
+    def start_driver(self) -> None:
+        """Begin the live encoder as the ridge regression from expressions to the model's codes."""
+        codes, _ = self._model_codes()
+        frames = self.data.train_frames
+        wanted = flat_latent(torch.stack([codes[frame] for frame in frames])).double().cpu()
+        arkit = self.data.arkit[frames].double()
+        mean, rest = arkit.mean(0), wanted.mean(0)
+        offsets = arkit - mean
+        products = offsets.T @ offsets + DRIVER_RIDGE * len(frames) * torch.eye(len(mean))
+        matrix = torch.linalg.solve(products, offsets.T @ (wanted - rest)).T
+        self.model.expression_encoder.start_from(matrix.float(), (rest - matrix @ mean).float())
+
     def colours(self, images: Images, pixels: PixelList) -> Tensor:
         """What the capture shows at pixels, 0 to 1, ``[P, 3]``."""
         parts = []
@@ -250,10 +265,9 @@ class Objectives:
                 weights[regions[COVER]] = 1
             return torch.from_numpy(weights)
         topology = data.meshes.topology(self.model.topology)
-        weights = np.where(important_vertices(topology), losses.region_weight, 1.0)
-        if "lids" in topology.regions:
-            weights[topology.regions["lids"]] = losses.lid_weight
-        return torch.from_numpy(weights.astype(np.float32))
+        return torch.from_numpy(
+            vertex_importance(topology, losses.region_weight, losses.lid_weight)
+        )
 
     def _mesh(self, mesh: DecodedMesh, frames: list[int]) -> Tensor:
         if self.data.meshes.source == "truth" and self.model.topology == "dense":

@@ -34,7 +34,9 @@ from pica_core.train.model_card import EVALUATION_FILE, model_card
 from pica_core.train.parallel import Ranks, open_ranks
 from pica_core.train.stream_metric import make_stream_profile
 
-VariantName = Literal["full", "no_uv", "coarse", "uv_nope", "nerf_pe", "pe_2d", "pe_1d", "baseline"]
+VariantName = Literal[
+    "linear", "full", "no_uv", "coarse", "uv_nope", "nerf_pe", "pe_2d", "pe_1d", "baseline"
+]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -103,13 +103,7 @@ class CaptureMeshes:
             offsets = self.tracked_m[self._train_frames] - self.tracked_mean_m
             away = np.square(offsets).sum((1, 2))
         frame = self._train_frames[int(away.argmin())]
-        is_tracked = self.source == "tracked"
-        if name == "tracked":
-            return self.tracked_m[frame] if is_tracked else self.true_at_tracked(frame)
-        if is_tracked and not self._one_mesh:
-            return self._dense_of_tracked(frame)
-        mesh: FloatArray = (self.tracked_m if is_tracked else self.dense_m)[frame]
-        return mesh
+        return self.best_tracked(frame) if name == "tracked" else self.best_dense(frame)
 
     def true_at_tracked(self, frame: int) -> FloatArray:
         """The best mesh at the vertices of the tracked topology, ``[Vt, 3]``."""
@@ -122,6 +116,20 @@ class CaptureMeshes:
             uv = self._capture.tracked_topology.vertex_uv
             self._true_tracked[frame] = _look_up(values, uv)
         return self._true_tracked[frame]
+
+    def best_dense(self, frame: int) -> FloatArray:
+        """The mesh of the dense topology that `source` has, ``[V, 3]``."""
+        if self.source == "tracked" and not self._one_mesh:
+            return self._dense_of_tracked(frame)
+        mesh: FloatArray = (self.tracked_m if self.source == "tracked" else self.dense_m)[frame]
+        return mesh
+
+    def best_tracked(self, frame: int) -> FloatArray:
+        """The same of the tracked topology, ``[Vt, 3]``."""
+        if self.source == "tracked":
+            mesh: FloatArray = self.tracked_m[frame]
+            return mesh
+        return self.true_at_tracked(frame)
 
     def dense(self, frames: list[int]) -> Tensor:
         """The best dense meshes there are, ``[N, V, 3]``."""
@@ -161,6 +169,16 @@ def important_vertices(topology: Topology) -> BoolArray:
         if name in topology.regions:
             important |= topology.regions[name]
     return important
+
+
+def vertex_importance(
+    topology: Topology, region_weight: float = 4.0, lid_weight: float = 16.0
+) -> FloatArray:
+    """How much an error of each vertex counts: mouth and eyes above the rest, lids most. ``[V]``"""
+    weights = np.where(important_vertices(topology), region_weight, 1.0).astype(np.float32)
+    if "lids" in topology.regions:
+        weights[topology.regions["lids"]] = lid_weight
+    return weights
 
 
 def _look_up(position_map: FloatArray, uv: FloatArray) -> FloatArray:

@@ -179,7 +179,8 @@ def build(run: Run, truth: CaptureTruth) -> AvatarModel:
     Raises:
         CheckpointError: The weights are of another model or another capture.
     """
-    model = run.config.model.build(face_prior(truth.data))
+    truth.data.meshes.use(run.config.mesh_source)
+    model = run.config.model.build(face_prior(truth.data, run.variant))
     try:
         model.load_state_dict(run.weights)
     except RuntimeError as error:

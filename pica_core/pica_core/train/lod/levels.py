@@ -19,6 +19,7 @@ from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.level_tensors import MAX_TEXELS, PREFIX, faces_name, sheet_rows
 from pica_core.avatar.levels import EXIT_DIVISORS, level_sizes
+from pica_core.avatar.linear import components_of, weights_of_latent
 from pica_core.capture.stage.stream_training_faces import stream_training_performances
 from pica_core.errors import TrainingOptionError, check_ranges
 from pica_core.model.decoders import sample_map
@@ -127,7 +128,7 @@ def add_levels(
     tensors = {name: a for name, a in avatar.tensors.items() if not name.startswith(PREFIX)}
     bare = Avatar(avatar.manifest, tensors)
     faces, check = _draw_faces(bare, options)
-    decoders = {name: FrozenDecoder(bare, name) for name in ("geometry", "expression")}
+    decoders = {name: FrozenDecoder(bare, name) for name in avatar.spec.decoder_channels}
     surface = _Surface(bare, decoders, faces, options)
     show("meshes")
     levels = level_sizes(avatar.spec)[:-1]
@@ -137,9 +138,11 @@ def add_levels(
         levels, meshes[-len(levels) :], options.texels[-len(levels) :], strict=True
     ):
         show(f"level {level}: exits")
-        vertex_uv, mean_m = _mesh_at_rest(bare, mesh)
-        rest = mean_m / avatar.manifest.position_scale_m
-        geometry = fit_sheet(decoders["geometry"], faces, level, vertex_uv, rest, texels)
+        geometry = None  # bases need no exit: they make a level's vertices as they are
+        if "geometry" in decoders:
+            vertex_uv, mean_m = _mesh_at_rest(bare, mesh)
+            rest = mean_m / avatar.manifest.position_scale_m
+            geometry = fit_sheet(decoders["geometry"], faces, level, vertex_uv, rest, texels)
         expression = fit_convolution(
             decoders["expression"], faces, level, surface.points, surface.metric, seed=options.seed
         )
@@ -195,18 +198,10 @@ class _Surface:
         options: LevelOptions,
     ) -> None:
         spec, tensors = avatar.spec, avatar.tensors
-        vertex_uv = torch.from_numpy(np.array(tensors["mesh.vertex_uv"]))
-        mean = torch.from_numpy(np.array(tensors["geometry.mean"])).permute(2, 0, 1)
         level = level_sizes(spec)[0]
-        scale = avatar.manifest.position_scale_m
-        shapes = torch.cat(
-            [
-                sample_map(mean + scale * full, vertex_uv)
-                for _, full in decoders["geometry"].run(faces, level)
-            ]
-        ).numpy()
+        shapes = _vertices_m(avatar, decoders, faces, None)
         # The mean map, not the mean of what is decoded: only there both sides of a seam meet.
-        rest = sample_map(mean[None], vertex_uv)[0].numpy()
+        rest = avatar.mean_vertices_m
         self.moving_vertices_m = np.concatenate([rest[None], _far_apart(shapes)])
         rng = np.random.default_rng(options.seed)
         triangles = tensors["mesh.faces"]
@@ -222,6 +217,25 @@ class _Surface:
             avatar, list(codes.double().numpy()), self.xyz_m, self.points.double().numpy()
         )
         self.metric = torch.from_numpy(metric.astype(np.float32))
+
+
+def _vertices_m(
+    avatar: Avatar, decoders: dict[str, FrozenDecoder], faces: FaceSet, vertices: Array | None
+) -> Array:
+    """The full level's vertices of faces, all or some by their numbers, metres, ``[N, V, 3]``."""
+    tensors, scale = avatar.tensors, avatar.manifest.position_scale_m
+    chosen = np.arange(len(tensors["mesh.vertex_uv"])) if vertices is None else vertices
+    if "geometry" in decoders:
+        vertex_uv = torch.from_numpy(np.array(tensors["mesh.vertex_uv"][chosen]))
+        mean = torch.from_numpy(np.array(tensors["geometry.mean"])).permute(2, 0, 1)
+        level = level_sizes(avatar.spec)[0]
+        maps = (mean + scale * full for _, full in decoders["geometry"].run(faces, level))
+        decoded: Array = torch.cat([sample_map(each, vertex_uv) for each in maps]).numpy()
+        return decoded
+    weights = weights_of_latent(tensors, faces.latents.permute(0, 2, 3, 1).numpy())
+    components = components_of(tensors, scale, chosen.astype(np.int32))
+    moved = np.tensordot(weights.astype(np.float32), components, axes=1)
+    return np.asarray(avatar.mean_vertices_m[chosen] + moved)
 
 
 def _far_apart(shapes: Array, count: int = 8) -> Array:
@@ -271,8 +285,14 @@ def _mesh_at_rest(avatar: Avatar, mesh: Array) -> tuple[Tensor, Tensor]:
 
 
 def _exit_tensors(
-    avatar: Avatar, level: int, geometry: SheetExit, expression: MapExit
+    avatar: Avatar, level: int, geometry: SheetExit | None, expression: MapExit
 ) -> dict[str, Array]:
+    exits = {
+        f"{PREFIX}{level}.expression.{name}": np.ascontiguousarray(values.numpy(), np.float32)
+        for name, values in (("weight", expression.weight), ("bias", expression.bias))
+    }
+    if geometry is None:
+        return exits
     num_slots = level * sheet_rows(len(geometry.rest), level)
 
     def sheet(values: Tensor) -> Array:
@@ -288,10 +308,8 @@ def _exit_tensors(
         "geometry.weight": sheet(geometry.weight),
         "geometry.mean": sheet(mean_m),
         "geometry.texel": sheet(geometry.texel).astype(np.int32),
-        "expression.weight": expression.weight.numpy(),
-        "expression.bias": expression.bias.numpy(),
     }
-    return {
+    return exits | {
         f"{PREFIX}{level}.{name}": np.ascontiguousarray(
             values, np.int32 if name.endswith("texel") else np.float32
         )
@@ -302,22 +320,20 @@ def _exit_tensors(
 def _report(
     avatar: Avatar,
     decoders: dict[str, FrozenDecoder],
-    geometry: SheetExit,
+    geometry: SheetExit | None,
     expression: MapExit,
     level: int,
     mesh: Array,
     check: FaceSet,
     surface: _Surface,
 ) -> LevelReport:
-    vertex_uv, mean_m = _mesh_at_rest(avatar, mesh)
-    scale = avatar.manifest.position_scale_m
-    at_rest = sample_map(mean_m[None], vertex_uv) / scale
-    full = torch.cat(
-        [sample_map(output, vertex_uv) for _, output in decoders["geometry"].run(check, level)]
-    )
-    low = torch.cat([geometry(trunk) for trunk, _ in decoders["geometry"].run(check, level)])
-    distance = ((low - full - at_rest) * scale * 1000).norm(dim=2)
-    still = ((full - full.mean(0)) * scale * 1000).norm(dim=2)
+    full = torch.from_numpy(_vertices_m(avatar, decoders, check, np.unique(mesh)))
+    low = full
+    if geometry is not None:
+        trunks = (trunk for trunk, _ in decoders["geometry"].run(check, level))
+        low = torch.cat([geometry(trunk) for trunk in trunks]) * avatar.manifest.position_scale_m
+    distance = ((low - full) * 1000).norm(dim=2)
+    still = ((full - full.mean(0)) * 1000).norm(dim=2)
     pairs = [
         (sample_map(output, surface.points), sample_map(expression(trunk), surface.points))
         for trunk, output in decoders["expression"].run(check, level)
@@ -342,7 +358,7 @@ def _report(
     return LevelReport(
         level=level,
         triangles=len(mesh),
-        vertices=len(vertex_uv),
+        vertices=full.shape[1],
         vertex_error_mm=float(distance.mean()),
         vertex_error_p99_mm=float(distance.flatten().kthvalue(int(0.99 * distance.numel())).values),
         vertex_rest_mm=float(still.mean()),
