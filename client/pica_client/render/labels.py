@@ -24,6 +24,16 @@ HIDDEN_SHARE = 0.6
 """Who is hidden by this part has no name: it would stand on whoever is before them."""
 
 
+_POINTS = np.array(
+    [
+        *((x, FACE_LOW_M[1], FACE_LOW_M[2]) for x in (FACE_LOW_M[0], FACE_HIGH_M[0])),
+        *((x, FACE_HIGH_M[1], FACE_LOW_M[2]) for x in (FACE_LOW_M[0], FACE_HIGH_M[0])),
+        (0.0, FACE_LOW_M[1] - BELOW_CHIN_M, FACE_LOW_M[2]),
+    ]
+)
+"""Corners of the face, and where its name begins."""
+
+
 class _Seen(NamedTuple):
     face: Rect
     x_px: float
@@ -47,7 +57,7 @@ def place_labels(
         not to be seen, or where there is no room beside the faces.
     """
     depths = [float((camera.rotation @ head[:3, 3] + camera.translation_m)[2]) for head in heads]
-    seen = [_look(head, camera) for head in heads]
+    seen = _look(heads, camera)
     rooms: list[Rect | None] = [None] * len(heads)
     taken: list[Rect] = []
     faces: list[Rect] = []
@@ -64,24 +74,25 @@ def place_labels(
     return rooms
 
 
-def _look(head: FloatArray, camera: Camera) -> _Seen | None:
-    """Where a face is on the picture; None behind the camera."""
-    picks = (np.arange(4)[:, None] >> np.arange(2)) & 1
-    corners = np.full((4, 3), FACE_LOW_M[2])
-    corners[:, :2] = np.where(picks == 1, FACE_HIGH_M[:2], FACE_LOW_M[:2])
-    chin = [0.0, FACE_LOW_M[1] - BELOW_CHIN_M, FACE_LOW_M[2]]
-    points = np.vstack([corners, chin]) @ head[:3, :3].T + head[:3, 3]
-    pixels, depth = camera.project(points)
-    if not (depth > NEAR_M).all():
-        return None
-    (left, top), (right, bottom) = pixels[:4].min(axis=0).tolist(), pixels[:4].max(axis=0).tolist()
-    scale = float(camera.intrinsics[1, 1] / depth.mean())
-    return _Seen(
-        face=(left, top, right, bottom),
-        x_px=float(pixels[4, 0]),
-        top_px=max(float(pixels[4, 1]), bottom),
-        half_width_px=HALF_WIDTH_M * scale,
-    )
+def _look(heads: Sequence[FloatArray], camera: Camera) -> list[_Seen | None]:
+    """Where faces are on the picture; None behind the camera."""
+    if not heads:
+        return []
+    turned = np.stack(heads)
+    points = _POINTS @ turned[:, :3, :3].transpose(0, 2, 1) + turned[:, None, :3, 3]
+    pixels, depth = camera.project(points.reshape(-1, 3))
+    found: list[_Seen | None] = []
+    for each, away in zip(pixels.reshape(-1, 5, 2), depth.reshape(-1, 5), strict=True):
+        (left, top), (right, bottom) = each[:4].min(axis=0).tolist(), each[:4].max(axis=0).tolist()
+        chin_x, chin_y = each[4].tolist()
+        seen = _Seen(
+            face=(left, top, right, bottom),
+            x_px=chin_x,
+            top_px=max(chin_y, bottom),
+            half_width_px=HALF_WIDTH_M * float(camera.intrinsics[1, 1] / away.mean()),
+        )
+        found.append(seen if (away > NEAR_M).all() else None)
+    return found
 
 
 def _is_seen(face: Rect, nearer: Sequence[Rect], camera: Camera) -> bool:

@@ -134,6 +134,7 @@ class DrawPasses:
                 lens=lens_of(camera),
                 eye_m=tuple(camera.centre_m.tolist()),
                 floor_m=room.floor_m,
+                ring_m=room.ring_m,
                 num_seats=min(len(room.seats_m), len(seats)),
                 rect=(-1.0, -1.0, 1.0, 1.0),
             )

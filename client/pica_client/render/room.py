@@ -4,7 +4,9 @@ A `Room` is drawn when it or the camera changes, and copied otherwise: so it cos
 as long as nobody turns the view.
 """
 
+import math
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -13,6 +15,10 @@ from pica_core.types import Float64Array
 
 SITTING_M = 0.46
 """How high the middle of a head is above the floor (chosen: it is felt, not seen)."""
+
+WIDEST_RING_M = 0.215
+RING_SHARE = 0.44
+"""A ring's radius against the way to the next seat, at most; the rest is its breadth."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -23,6 +29,12 @@ class Room:
     """The middle of each head at rest, world."""
     speaking: tuple[float, ...] = ()
     """How bright the ring around each of them is, 0 to 1."""
+
+    @property
+    def ring_m(self) -> float:
+        """The radius of those rings: neighbours' do not cross."""
+        apart = [math.dist(one, other) for one, other in combinations(self.seats_m, 2)]
+        return min(WIDEST_RING_M, RING_SHARE * min(apart, default=1.0))
 
     @property
     def floor_m(self) -> float:

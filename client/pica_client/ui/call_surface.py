@@ -197,12 +197,14 @@ class CallSurface:
     def _people(
         self, now: float, scene: CallScene, presenter: AvatarPresenter, state: ControlState
     ) -> tuple[PersonView, ...]:
-        size = (scene.camera.width, scene.camera.height)
-        rects = {
-            placement.slot: head_rect_px(scene.camera, placement.world_from_head)
-            for placement in scene.placements
-        }
-        shares = draw_shares_ms(rects, size, self._draw_ms)
+        shares: Mapping[str, float] = {}
+        if state.show_statistics:
+            size = (scene.camera.width, scene.camera.height)
+            rects = {
+                placement.slot: head_rect_px(scene.camera, placement.world_from_head)
+                for placement in scene.placements
+            }
+            shares = draw_shares_ms(rects, size, self._draw_ms)
         figures, problems = presenter.figures(now), presenter.problems
         people = []
         heads = [placement.world_from_head for placement in scene.placements]

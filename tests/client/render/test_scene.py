@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pica_client.render.room import WIDEST_RING_M, Room
 from pica_client.render.scene import (
     NEAR_M,
     Placement,
@@ -235,3 +237,12 @@ def test_a_head_behind_the_camera_covers_nothing_and_cannot_be_clicked() -> None
     assert head_rect_px(camera, behind) is None
     placement = Placement(slot="p", world_from_head=behind)
     assert pick_head([placement], camera, 480, 270) is None
+
+
+def test_rings_of_neighbours_do_not_cross() -> None:
+    plan = plan_seats("arc", 5, 16 / 9)
+    places = tuple(tuple(seat[:3, 3].tolist()) for seat in plan.seats)
+    room = Room(seats_m=places)  # type: ignore[arg-type]
+    least = min(math.dist(one, other) for one, other in pairwise(places))
+    assert 0.1 < room.ring_m < least / 2
+    assert Room(seats_m=places[:1]).ring_m == WIDEST_RING_M  # type: ignore[arg-type]

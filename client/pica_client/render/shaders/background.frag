@@ -8,6 +8,7 @@ uniform vec4 lens; // slopes of the picture's edges: left, bottom, right, top
 uniform mat3 world_from_view; // columns: right, up, forward
 uniform vec3 eye_m;
 uniform float floor_m; // height of the floor
+uniform float ring_m; // radius of the rings
 uniform int num_seats;
 uniform vec4 seats[16]; // those after them are without; middle of the head, metres; how much its owner speaks
 
@@ -41,7 +42,7 @@ void main() {
         rgb *= 1.0 - depth * exp(-dot(aside, aside) / 0.05);
         // How far the ray passes from a point a little below the middle of the head.
         float past = length(cross(away - vec3(0.0, 0.04, 0.0), ray));
-        float ring = exp(-pow((past - 0.215) / 0.014, 2.0)) + 0.4 * exp(-past * past / 0.07);
+        float ring = exp(-pow((past - ring_m) / 0.014, 2.0)) + 0.4 * exp(-past * past / 0.07);
         // Around a large face a little is enough.
         float bright = 0.5 * smoothstep(0.2, 1.7, length(away));
         rgb = mix(rgb, RING, bright * seats[index].w * min(ring, 1.0));

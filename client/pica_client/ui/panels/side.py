@@ -22,12 +22,15 @@ def side_panel(name: str, metrics: Metrics, orders: list[UserOrder]) -> Iterator
     edge, (columns, rows) = metrics.px(EDGE_PT), metrics.size
     width = columns - 2 * edge if metrics.is_compact else metrics.px(WIDTH_PT)
     height = rows - edge * 3 - metrics.px(BAR_PT)
-    with card(name, (columns - edge - width, edge), metrics, size=(width, height)):
+    # Only as high as it must be: on software GL a panel costs as much as it covers.
+    with card(name, (columns - edge - width, edge), metrics, size=(width, 0)):
         title(name)
         imgui.same_line(imgui.get_window_width() - metrics.px(CLOSE_PT + PADDING_PT))
         if icon_button(icons.CLOSE, "Close", metrics, keys="Esc", size_pt=CLOSE_PT):
             orders.append(Order.CLOSE)
-        imgui.begin_child(f"{name} content")
+        room = height - imgui.get_cursor_pos_y() - metrics.px(PADDING_PT)
+        imgui.set_next_window_size_constraints((0, 0), (columns, max(room, metrics.px(60))))
+        imgui.begin_child(f"{name} content", (0, 0), imgui.ChildFlags_.auto_resize_y)
         yield
         imgui.end_child()
 

@@ -5,6 +5,7 @@ picture of ours. One painter for each surface, on the thread of the GL context.
 """
 
 import ctypes
+from collections.abc import Sequence
 
 import moderngl
 import numpy as np
@@ -88,19 +89,23 @@ class Painter:
         context.enable_only(moderngl.BLEND)
         context.blend_func = moderngl.SRC_ALPHA, moderngl.ONE_MINUS_SRC_ALPHA
         self._program["size"] = (columns, rows)
-        for shapes in data.cmd_lists:
-            if background if shapes._owner_name == BACKGROUND else windows:
-                self._paint_list(shapes, (left, bottom, rows))
+        lists = [
+            shapes
+            for shapes in data.cmd_lists
+            if (background if shapes._owner_name == BACKGROUND else windows)
+        ]
+        self._write(lists)
+        first = 0
+        for shapes in lists:
+            self._paint_list(shapes, first, (left, bottom, rows))
+            first += shapes.idx_buffer.size()
         context.scissor = None
         context.disable(moderngl.BLEND)
         context.viewport = (0, 0, *target.size)
 
-    def _paint_list(self, shapes: imgui.ImDrawList, place: tuple[int, int, float]) -> None:
-        vertices, indices = shapes.vtx_buffer, shapes.idx_buffer
-        self._write(
-            _memory(vertices.data_address(), vertices.size() * imgui.VERTEX_SIZE),
-            _memory(indices.data_address(), indices.size() * imgui.INDEX_SIZE),
-        )
+    def _paint_list(
+        self, shapes: imgui.ImDrawList, first: int, place: tuple[int, int, float]
+    ) -> None:
         left, bottom, rows = place
         for command in shapes.cmd_buffer:
             low_x, low_y, high_x, high_y = command.clip_rect
@@ -114,31 +119,37 @@ class Painter:
             )
             self._textures[command.tex_ref.get_tex_id()].use(0)
             self._shapes.render(
-                moderngl.TRIANGLES, vertices=command.elem_count, first=command.idx_offset
+                moderngl.TRIANGLES, vertices=command.elem_count, first=first + command.idx_offset
             )
 
-    def _write(self, vertices: memoryview, indices: memoryview) -> None:
-        """Bring a list to the GPU; buffers grow by doubling."""
-        is_new = False
-        for name, content in (("_vertices", vertices), ("_indices", indices)):
+    def _write(self, lists: Sequence[imgui.ImDrawList]) -> None:
+        """Bring lists to the GPU, one behind the other; buffers grow by doubling."""
+        vertices: list[bytes] = []
+        indices: list[bytes] = []
+        base = 0
+        for shapes in lists:
+            corners, order = shapes.vtx_buffer, shapes.idx_buffer
+            vertices.append(_bytes(corners.data_address(), corners.size() * imgui.VERTEX_SIZE))
+            raw = _bytes(order.data_address(), order.size() * imgui.INDEX_SIZE)
+            own = np.frombuffer(raw, f"u{imgui.INDEX_SIZE}").astype(np.uint32)
+            indices.append((own + np.uint32(base)).tobytes())
+            base += corners.size()
+        for name, parts in (("_vertices", vertices), ("_indices", indices)):
+            content = b"".join(parts)
             buffer: moderngl.Buffer = getattr(self, name)
-            if content.nbytes > buffer.size:
-                size = max(content.nbytes, 2 * buffer.size)
+            if len(content) > buffer.size:
+                size = max(len(content), 2 * buffer.size)
                 setattr(self, name, self._context.buffer(reserve=size, dynamic=True))
-                is_new = True
-        if is_new:
-            self._shapes = self._make_shapes()
-        self._vertices.orphan()
-        self._vertices.write(vertices)
-        self._indices.orphan()
-        self._indices.write(indices)
+                self._shapes = self._make_shapes()
+            else:
+                buffer.orphan()
+            getattr(self, name).write(content)
 
     def _make_shapes(self) -> moderngl.VertexArray:
         return self._context.vertex_array(
             self._program,
             [(self._vertices, "2f 2f 4f1", "place", "uv", "colour")],
             index_buffer=self._indices,
-            index_element_size=imgui.INDEX_SIZE,
         )
 
     def _update_textures(self, data: imgui.ImDrawData) -> None:
@@ -169,5 +180,5 @@ class Painter:
             wanted.set_status(imgui.ImTextureStatus.ok)
 
 
-def _memory(address: int, size_bytes: int) -> memoryview:
-    return memoryview((ctypes.c_char * size_bytes).from_address(address)).cast("B")
+def _bytes(address: int, size_bytes: int) -> bytes:
+    return ctypes.string_at(address, size_bytes)

@@ -8,6 +8,7 @@ with card("Settings", (x, y), metrics):
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import lru_cache
 
 from imgui_bundle import imgui
 
@@ -28,6 +29,8 @@ FIXED = (
     | imgui.WindowFlags_.no_focus_on_appearing
     | imgui.WindowFlags_.no_nav
 )
+FITTED = FIXED | imgui.WindowFlags_.always_auto_resize
+_POINTED_AT = imgui.HoveredFlags_.for_tooltip | imgui.HoveredFlags_.allow_when_disabled
 Place = tuple[float, float]
 
 
@@ -55,7 +58,7 @@ def card(
     """
     imgui.set_next_window_pos(place, imgui.Cond_.always, pivot)
     if size is None:
-        flags |= imgui.WindowFlags_.always_auto_resize
+        flags = FITTED if flags == FIXED else flags | imgui.WindowFlags_.always_auto_resize
     else:
         imgui.set_next_window_size(size)
     if scrolls:
@@ -166,9 +169,7 @@ def button_colours(fill: Colour, ink: Colour) -> Iterator[None]:
 
 def hint(text: str) -> None:
     """What is said of the last thing while the pointer rests on it."""
-    if imgui.is_item_hovered(
-        imgui.HoveredFlags_.for_tooltip | imgui.HoveredFlags_.allow_when_disabled
-    ):
+    if imgui.is_item_hovered(_POINTED_AT):
         low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
         edge, _ = imgui.get_io().display_size
         with type_size(SMALL_PT):
@@ -181,6 +182,11 @@ def hint(text: str) -> None:
 
 def text_size(text: str, points: float, *, is_bold: bool = False) -> Place:
     """Pixels that a line of text takes."""
+    return _text_size(text, points, is_bold, imgui.get_style().font_scale_dpi)
+
+
+@lru_cache(maxsize=2048)
+def _text_size(text: str, points: float, is_bold: bool, scale: float) -> Place:
     with type_size(points, is_bold=is_bold):
         found = imgui.calc_text_size(text)
     return found.x, found.y
@@ -200,6 +206,8 @@ def shortened(text: str, width_px: float, points: float) -> str:
     return as_drawn(text[:low].rstrip() + "…")
 
 
+@lru_cache(maxsize=256)
 def ink(colour: Colour, alpha: float = 1.0) -> int:
     """A colour as draw lists take it."""
-    return imgui.get_color_u32((*colour[:3], colour[3] * alpha))
+    red, green, blue, opacity = (round(255 * part) for part in (*colour[:3], colour[3] * alpha))
+    return red | green << 8 | blue << 16 | opacity << 24
