@@ -131,7 +131,8 @@ class Publisher:
     @property
     def trouble(self) -> str:
         """What is wrong with the tracker, for its user; empty: nothing, or there is none."""
-        return self._source.trouble if isinstance(self._source, LiveSource) else ""
+        source = self._source  # another thread may replace it
+        return source.trouble if isinstance(source, LiveSource) else ""
 
     @property
     def source(self) -> Source:
@@ -147,8 +148,9 @@ class Publisher:
 
     def close(self) -> None:
         """Let go of the tracker."""
-        if isinstance(self._source, LiveSource):
-            self._source.close()
+        source = self._source
+        if isinstance(source, LiveSource):
+            source.close()
 
     def receive_event(self, event: ClientEvent) -> None:
         """Take an event of the link's session."""

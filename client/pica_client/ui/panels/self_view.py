@@ -30,7 +30,7 @@ def self_view(view: CallView, metrics: Metrics) -> list[UserOrder]:
         return []
     width = round(ASPECT * height)
     camera_px = round(own.camera_aspect * height) + gap if own.camera is not None else 0
-    bars_px = px(BARS_PT) + gap if own.has_tracker else 0
+    bars_px = px(BARS_PT) + gap if own.has_tracker and not camera_px else 0
     bottom = metrics.size[1] - edge - gap - text_size("Ag", TEXT_PT)[1] - px(12)
     low, high = (edge, bottom - height), (edge + width, bottom)
     imgui.set_next_window_pos(low)
@@ -55,8 +55,7 @@ def self_view(view: CallView, metrics: Metrics) -> list[UserOrder]:
         texture = imgui.ImTextureRef(own.camera)
         corners = ((left, low[1]), (right, bottom))
         shapes.add_image_rounded(texture, *corners, (0, 0), (1, 1), WHITE, px(8))
-        left = right + gap
-    if own.has_tracker:
+    elif own.has_tracker:
         _bars(own, (left, low[1]), (px(BARS_PT), height), metrics)
     imgui.end()
     return []
