@@ -27,6 +27,7 @@ from pica_client.bench.codec import FPS
 from pica_client.bench.difference_sheet import AMPLIFIED
 from pica_client.bench.driven import (
     STAGES,
+    live_values,
     open_driven_source,
     shown_latents,
     stage_values,
@@ -57,6 +58,8 @@ GROWN_TEXELS = 16
 """How far charts of the map of parts bleed: a coarse mesh reaches a little beyond them."""
 SAME_UV = 1e-3
 """How far texture coordinates of avatar and truth may lie apart."""
+WEBCAM = "webcam"
+"""The stage in which a webcam's networks look at the drawn head."""
 POKE_COLOUR = (255, 0, 255)
 
 
@@ -68,7 +71,8 @@ class DriveBenchConfig:
     """What the person does, separated by commas; csv:FILE or take:FILE for recordings, still:rest
     and still:eyes-closed for calibration."""
     stages: Words = STAGES
-    """Which of driver, codec, live, offset and calibrated."""
+    """Which of driver, codec, live, offset, calibrated, and webcam, which needs pica webcam
+    setup."""
     rig: Path | None = None
     """The rig that the avatar was made of; without it the built-in head of its identity."""
     seconds: float = 20.0
@@ -87,8 +91,9 @@ class DriveBenchConfig:
         check_ranges(
             self, seconds=(1, 600), moments=(1, 2000), image_size=(64, 1024), num_worst=(1, 32)
         )
-        if unknown := sorted(set(self.stages) - set(STAGES)):
-            raise OptionError(f"stage {unknown[0]!r} is unknown; known are {', '.join(STAGES)}")
+        known = (*STAGES, WEBCAM)
+        if unknown := sorted(set(self.stages) - set(known)):
+            raise OptionError(f"stage {unknown[0]!r} is unknown; known are {', '.join(known)}")
 
 
 class _Truth(NamedTuple):
@@ -144,12 +149,15 @@ def _measure(config: DriveBenchConfig, avatar: Avatar) -> list[dict[str, Any]]:
     num_frames = round(config.seconds * FPS)
     moments = np.unique(np.linspace(FPS / 2, num_frames - 1, config.moments).astype(int)).tolist()
     name = avatar.manifest.name
-    truth = {}
+    truth, seen = {}, {}
     try:
         for source in config.sources:
             say(f"{name}: {source}: the head itself")
             arkit = values_of(open_driven_source(source), num_frames)
             truth[source] = [_draw_truth(subject, arkit[each], config) for each in moments]
+            if WEBCAM in config.stages:
+                say(f"{name}: {source}: as a webcam sees it")
+                seen[source] = _webcam_values(subject, source, num_frames)
     finally:
         subject.release()  # one GL context at a time on this thread
     rows = []
@@ -158,7 +166,11 @@ def _measure(config: DriveBenchConfig, avatar: Avatar) -> list[dict[str, Any]]:
         for source in config.sources:
             for stage in config.stages:
                 say(f"{name}: {source}: {stage}")
-                values = stage_values(stage, open_driven_source(source), num_frames)
+                values = (
+                    seen[source]
+                    if stage == WEBCAM
+                    else stage_values(stage, open_driven_source(source), num_frames)
+                )
                 latents = shown_latents(avatar, values, coded=stage != "driver")
                 for level in avatar.levels:
                     shown = [
@@ -170,6 +182,15 @@ def _measure(config: DriveBenchConfig, avatar: Avatar) -> list[dict[str, Any]]:
                     if config.worst is not None:
                         _write_worst(config.worst, about, shown, moments, config.num_worst)
     return rows
+
+
+def _webcam_values(subject: Subject, source: str, num_frames: int) -> FloatArray:
+    """What a webcam makes of a source, `driven.live_values`."""
+    from pica_client.bench.seen_by_webcam import WEBCAM_FPS, SeenByWebcam  # its networks are extra
+
+    webcam = SeenByWebcam(subject)
+    tracker = webcam.tracker(open_driven_source(source))
+    return live_values(tracker, num_frames, webcam.calibration, WEBCAM_FPS)
 
 
 def _subject(config: DriveBenchConfig, avatar: Avatar) -> Subject:

@@ -9,8 +9,9 @@
     calibrated    the same person after `pica calibrate`
 
 A live face is looked at for the moment at which it was seen, so what is left is what smoothing does
-to it; how much later it is shown is no error here. The tracker itself is perfect but for the
-offset, which is added to what the face does.
+to it; how much later it is shown is no error here, but for the least way of a sample, 4 ms, which
+nobody can know. The tracker itself is perfect but for the offset, which is added to what the face
+does.
 """
 
 from collections.abc import Callable
@@ -65,15 +66,18 @@ def offset_calibration() -> Calibration:
 
 
 def live_values(
-    source: Source, num_frames: int, person: Person, calibration: Calibration | None
+    look: Callable[[float], TrackerSample],
+    num_frames: int,
+    calibration: Calibration | None,
+    tracker_fps: int = TRACKER_FPS,
 ) -> FloatArray:
-    """The face of a source as a live sender has it, for the moments of `FPS`.
+    """A face as a live sender has it, for the moments of `FPS`.
 
     Args:
-        source: What the person does.
+        look: What the tracker says of a moment, seconds; asked in order.
         num_frames: How many frames.
-        person: What the tracker makes of it.
         calibration: What is known of the person.
+        tracker_fps: How often it looks.
 
     Returns:
         float32 ``[T, 52]``; row t is the face as it was seen at t / `FPS` seconds.
@@ -85,20 +89,23 @@ def live_values(
         while True:
             now = number / FPS + face.delay_s
             way_s = ARRIVES_AFTER_S[pushed % len(ARRIVES_AFTER_S)]
-            if pushed / TRACKER_FPS + way_s > now and pushed:
+            if pushed / tracker_fps + way_s > now and pushed:
                 break
-            seen_s = pushed / TRACKER_FPS
-            frame = source.frame_at(seen_s)
-            sample = TrackerSample(
-                tracker_s=seen_s,
-                arkit=person(frame.arkit),
-                rotation=frame.rotation,
-                has_face=frame.has_face,
-            )
-            face.push(sample, seen_s + way_s)
+            face.push(look(pushed / tracker_fps), pushed / tracker_fps + way_s)
             pushed += 1
         values.append(face.face_at(now).arkit)
     return np.stack(values)
+
+
+def perfect_tracker(source: Source, person: Person) -> Callable[[float], TrackerSample]:
+    """A tracker that says what a source does, as it would of a person."""
+
+    def look(seen_s: float) -> TrackerSample:
+        frame = source.frame_at(seen_s)
+        arkit = person(frame.arkit)
+        return TrackerSample(tracker_s=seen_s, arkit=arkit, has_face=frame.has_face)
+
+    return look
 
 
 def values_of(source: Source, num_frames: int) -> FloatArray:
@@ -171,10 +178,11 @@ def stage_values(stage: str, source: Source, num_frames: int) -> FloatArray:
     """The values that a stage hands to the expression encoder. float32 ``[T, 52]``."""
     match stage:
         case "live":
-            return live_values(source, num_frames, np.copy, None)
+            return live_values(perfect_tracker(source, np.copy), num_frames, None)
         case "offset":
-            return live_values(source, num_frames, as_offset_person, None)
+            return live_values(perfect_tracker(source, as_offset_person), num_frames, None)
         case "calibrated":
-            return live_values(source, num_frames, as_offset_person, offset_calibration())
+            tracker = perfect_tracker(source, as_offset_person)
+            return live_values(tracker, num_frames, offset_calibration())
         case _:
             return values_of(source, num_frames)

@@ -13,16 +13,19 @@ from pica_client.bench.drive import DriveBenchConfig, part_map, read_parts, run_
 from pica_client.bench.driven import (
     LIDS,
     OFFSET,
+    StillFace,
     as_offset_person,
     live_values,
     offset_calibration,
+    perfect_tracker,
     values_of,
 )
-from pica_client.errors import OptionError
+from pica_client.errors import OptionError, SourceError
 from pica_client.sources import open_source
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.capture.dataset.files import Topology
 from pica_core.capture.procedural.heads import make_head
+from pica_core.capture.procedural.subject import ProceduralSubject
 from pica_core.reference.face_errors import vertex_parts
 
 pytestmark = pytest.mark.render
@@ -81,7 +84,7 @@ def test_an_offset_person_is_at_rest_after_calibration_and_still_blinks() -> Non
 
 def test_a_perfect_tracker_s_live_face_is_the_source_but_for_smoothing() -> None:
     wanted = values_of(open_source("performance:talk"), 90)
-    found = live_values(open_source("performance:talk"), 90, np.copy, None)
+    found = live_values(perfect_tracker(open_source("performance:talk"), np.copy), 90, None)
     assert found.shape == wanted.shape
     # The first sample comes in from rest over 0.4 s.
     assert 0 < np.abs(found - wanted)[15:].mean() < 0.02
@@ -94,6 +97,26 @@ def test_the_map_of_parts_says_of_every_vertex_what_it_is() -> None:
     topology = Topology(vertex_uv=head.vertex_uv, faces=head.faces, regions=head.regions)
     found = read_parts(part_map(topology), head.vertex_uv)
     assert (found == vertex_parts(head.regions, head.num_vertices)).mean() > 0.97
+
+
+def test_a_webcam_sees_a_drawn_jaw_open_and_eyes_close() -> None:
+    pytest.importorskip("ai_edge_litert")
+    from pica_client.bench.seen_by_webcam import SeenByWebcam
+
+    subject = ProceduralSubject("S1", bake_size=512, self_shadow=False)
+    try:
+        webcam = SeenByWebcam(subject)
+    except SourceError as error:
+        pytest.skip(f"{error}")  # its networks are not ours to ship
+    try:
+        wide = np.zeros(NUM_ARKIT, np.float32)
+        wide[ARKIT_INDEX["jawOpen"]] = 0.7
+        seen = webcam.tracker(StillFace(wide))(0.0)
+    finally:
+        subject.release()
+    assert seen.has_face
+    assert webcam.calibration.apply(seen.arkit)[ARKIT_INDEX["jawOpen"]] > 0.3
+    assert min(np.subtract(webcam.calibration.lid_closed, webcam.calibration.lid_open)) > 0.2
 
 
 def test_settings_that_cannot_be_are_refused() -> None:
