@@ -30,7 +30,9 @@ def chart_drive() -> None:
             for row in line["result"]["rows"]
         }
         rows: list[Row] = list(newest.values())
+        webcam = _of(rows, "webcam")
         moving = [row for row in rows if not row["source"].startswith(STILL)]
+        moving = [row for row in moving if row["stage"] != "webcam"]
         still = [row for row in rows if row["source"].startswith(STILL)]
         coded = [row for row in moving if row["stage"] == "codec"]
         parts = {
@@ -38,6 +40,7 @@ def chart_drive() -> None:
             "drive-stages": table(
                 _means(moving, ("source", "stage", "level")), _columns("source", "stage", "level")
             ),
+            "drive-webcam": table(webcam, _columns("avatar", "source", "level")),
             "drive-calibration": table(
                 _means(_of(still, "driver", "offset", "calibrated"), ("source", "stage", "level")),
                 _columns("source", "stage", "level"),
