@@ -5,7 +5,7 @@ from typing import Any
 
 from tyro.conf import OmitArgPrefixes
 
-from pica_client.bench.drive import DriveBenchConfig, run_drive_bench
+from pica_client.bench.drive.bench import DriveBenchConfig, run_drive_bench
 from pica_client.cli.bench.avatars import load_bench_avatars
 from pica_client.output import say
 

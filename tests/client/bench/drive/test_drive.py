@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.bench.drive import DriveBenchConfig, part_map, read_parts, run_drive_bench
-from pica_client.bench.driven import (
+from pica_client.bench.drive.bench import DriveBenchConfig, part_map, read_parts, run_drive_bench
+from pica_client.bench.drive.steps import (
     LIDS,
     OFFSET,
     StillFace,
@@ -101,7 +101,7 @@ def test_the_map_of_parts_says_of_every_vertex_what_it_is() -> None:
 
 def test_a_webcam_sees_a_drawn_jaw_open_and_eyes_close() -> None:
     pytest.importorskip("ai_edge_litert")
-    from pica_client.bench.seen_by_webcam import SeenByWebcam
+    from pica_client.bench.drive.webcam import SeenByWebcam
 
     subject = ProceduralSubject("S1", bake_size=512, self_shadow=False)
     try:

@@ -56,7 +56,7 @@ class SeenByWebcam:
         self.calibration: Calibration = calibrate(seen[:1], seen[1:])
 
     def tracker(self, source: Source) -> Callable[[float], TrackerSample]:
-        """What the networks say of what a source does, for `driven.live_values`."""
+        """What the networks say of what a source does, for `steps.live_values`."""
         return lambda seen_s: self._see(source.frame_at(seen_s).arkit, seen_s)
 
     def _see(self, arkit: FloatArray, seen_s: float | None) -> TrackerSample:

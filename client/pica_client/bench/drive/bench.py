@@ -1,7 +1,7 @@
 """Avatars under live drive, against the head itself at the same values.
 
 The truth is a built-in head, or a rig, posed by what a source does. The avatar is driven by the
-same values through each step of a live call (`bench.driven`) and shown at each level of detail.
+same values through each step of a live call (`drive.steps`) and shown at each level of detail.
 
     mse         over the pixels that the avatar covers, 0-255, mean over moments and views
     p95_mse     95th percentile of single pictures
@@ -25,7 +25,7 @@ from PIL import ImageDraw
 
 from pica_client.bench.codec import FPS
 from pica_client.bench.difference_sheet import AMPLIFIED
-from pica_client.bench.driven import (
+from pica_client.bench.drive.steps import (
     STAGES,
     live_values,
     open_driven_source,
@@ -185,8 +185,8 @@ def _measure(config: DriveBenchConfig, avatar: Avatar) -> list[dict[str, Any]]:
 
 
 def _webcam_values(subject: Subject, source: str, num_frames: int) -> FloatArray:
-    """What a webcam makes of a source, `driven.live_values`."""
-    from pica_client.bench.seen_by_webcam import WEBCAM_FPS, SeenByWebcam  # its networks are extra
+    """What a webcam makes of a source, `steps.live_values`."""
+    from pica_client.bench.drive.webcam import WEBCAM_FPS, SeenByWebcam  # its networks are extra
 
     webcam = SeenByWebcam(subject)
     tracker = webcam.tracker(open_driven_source(source))
