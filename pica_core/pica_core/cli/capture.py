@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import tyro
 from rich.console import Console
 
@@ -13,10 +14,14 @@ from pica_core.capture.dataset.check import PIXEL_FRAMES, check_capture
 from pica_core.capture.dataset.sheet import write_sheet
 from pica_core.capture.procedural.subject import StageOptions, render_capture
 from pica_core.capture.stage.progress import rendering_bar
+from pica_core.capture.stage.synth import RenderOptions
 from pica_core.errors import CaptureError
 
 SHOWN_PROBLEMS = 20
 """Problems that are shown; all are in the result."""
+TEXELS_PER_PIXEL = 4
+"""Side of the baked appearance against the longer side of the images: close-ups show a third of a
+head, and its face covers half of the chart."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -78,6 +83,12 @@ class SheetOptions:
     """Capture directory to look at."""
     out: Path
     """PNG to write."""
+
+
+def baked_side(stage: RenderOptions) -> int:
+    """Side of the baked appearance of a rig for images of this size, texels."""
+    side = 2 ** int(np.ceil(np.log2(TEXELS_PER_PIXEL * max(stage.width, stage.height))))
+    return int(min(max(side, 512), 4096))
 
 
 def synth(options: SynthOptions) -> dict[str, Any]:

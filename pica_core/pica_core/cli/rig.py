@@ -5,17 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 
 from pica_core.capture.rig.subject import RigSubject
 from pica_core.capture.stage.progress import rendering_bar
 from pica_core.capture.stage.synth import RenderOptions, render_subject
-from pica_core.cli.capture import RenderArguments
-
-TEXELS_PER_PIXEL = 4
-"""Side of the baked appearance against the longer side of the images: close-ups show a third of a
-head, and its face covers half of the chart."""
+from pica_core.cli.capture import RenderArguments, baked_side
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -39,10 +34,7 @@ def rig(options: RigOptions) -> dict[str, Any]:
     about: dict[str, Any] = {}
 
     def make() -> RigSubject:
-        side = 2 ** int(np.ceil(np.log2(TEXELS_PER_PIXEL * max(stage.width, stage.height))))
-        subject = RigSubject(
-            options.rig, options.map, options.albedo, bake_size=min(max(side, 512), 4096)
-        )
+        subject = RigSubject(options.rig, options.map, options.albedo, bake_size=baked_side(stage))
         about.update(subject.describe()["rig"])
         _tell(console, about)
         return subject

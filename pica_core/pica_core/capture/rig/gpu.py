@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from pica_core.capture.rig.head import RigHead
-from pica_core.capture.rig.skin import IRIS_RADIUS_M, split_parts, surface
+from pica_core.capture.rig.skin import IRIS_RADIUS_M, Growth, split_parts, surface
 from pica_core.capture.stage.gpu import BAKE_SIZE, MeshRenderer
 from pica_core.capture.stage.shadow import ShadowPlan
-from pica_core.types import ByteArray, FloatArray
+from pica_core.types import ByteArray, FloatArray, Int64Array
 
 PAINT: dict[str, Any] = {
     "seed": 3.0,
@@ -17,8 +17,24 @@ PAINT: dict[str, Any] = {
     "lip_rgb": (0.46, 0.19, 0.165),
     "hair_rgb": (0.036, 0.023, 0.015),
     "iris_rgb": (0.16, 0.23, 0.26),
+    "brow_rgb": (0.036, 0.023, 0.015),
+    "cloth_rgb": (0.05, 0.07, 0.10),
+    "cloth_knit": 0.25,
+    "redness": 1.0,
+    "age": 0.15,
+    "freckles": 0.0,
+    "moles": 0.5,
+    "makeup": 0.0,
+    "grey": 0.0,
+    "stubble": 0.3,
+    "brows": 1.0,
+    "tooth_white": 0.5,
 }
-"""Linear colours of the synthetic skin (chosen)."""
+"""Linear colours and marks of the synthetic skin (chosen)."""
+SHADOW_SPAN_M = 0.42
+"""Width of the depth maps for shadow, at least."""
+LID_M = 0.0012
+"""Skin so near to the eye opening is the lids' edge."""
 
 
 class RigRenderer(MeshRenderer):
@@ -28,17 +44,23 @@ class RigRenderer(MeshRenderer):
         self,
         head: RigHead,
         albedo: dict[int, ByteArray] | None = None,
+        look: dict[str, Any] | None = None,
+        growth: Growth | None = None,
         *,
         bake_size: int = BAKE_SIZE,
         occlusion: bool = True,
     ) -> None:
         self.head, self._albedo = head, albedo or {}
+        self._numbers, self._growth = PAINT | (look or {}), growth
+        hairs = np.zeros((len(head.mesh.rest_m), 5), np.float32)
+        self._hairs = (growth.hairs if growth is not None else hairs)[head.chart.source]
+        self._lids = tuple(_lid_edges(head))
         self._material = split_parts(head).astype(np.float32)
         shadows = ShadowPlan(
             dome_directions=28,
             key_directions=6,
-            span_m=0.42,
-            centre_m=(0.0, -0.03, 0.0),
+            span_m=max(SHADOW_SPAN_M, float(np.ptp(head.mesh.rest_m, axis=0).max()) + 0.05),
+            centre_m=(0.0, -0.03 if growth is None else -0.11, 0.0),
             drivers=head.names.drivers,
         )
         super().__init__(
@@ -47,7 +69,7 @@ class RigRenderer(MeshRenderer):
             faces=head.chart.faces,
             vertex_uv=head.chart.vertex_uv,
             material=self._material,
-            moving={},
+            moving={"tangent": 3},
             bake_size=bake_size,
             bleed=_doubling,
             shadows=shadows if occlusion else None,
@@ -61,7 +83,9 @@ class RigRenderer(MeshRenderer):
         radius = eyes[0].radius_m if eyes else 0.012
         mouth_y = float(np.mean(f.mouth.y)) if f.mouth is not None else -0.045
         numbers = {
-            **PAINT,
+            **self._numbers,
+            "has_growth": float(self._growth is not None),
+            "mouth_half": 1000 * f.mouth.half_m if f.mouth is not None else 23.0,
             "iris_reach": max(IRIS_RADIUS_M, 0.44 * radius) / radius,
             "eye_mm": tuple(1000 * eye),
             "brow_mm": 1000 * f.brow_y,
@@ -70,9 +94,22 @@ class RigRenderer(MeshRenderer):
         }
         rest = mesh.rest_m[head.chart.source]
         uv = self._source_uv()
-        data = np.concatenate([head.chart.vertex_uv, rest, surface(head), uv], 1)
+        data = np.concatenate(
+            [head.chart.vertex_uv, rest, surface(head, self._growth), uv, self._hairs], 1
+        )
         buffer = c.buffer(data.astype(np.float32).tobytes())
-        vertices = buffer, {"vertex_uv": 2, "rest_m": 3, "local": 4, "source_uv": 2}
+        vertices = (
+            buffer,
+            {
+                "vertex_uv": 2,
+                "rest_m": 3,
+                "local": 4,
+                "source_uv": 2,
+                "cover": 1,
+                "strand": 3,
+                "beard": 1,
+            },
+        )
         faces, part = head.chart.faces, self._material[head.chart.faces[:, 2]]
         material = mesh.material[head.chart.face_source]
         for painted, name in sorted(set(zip(part.tolist(), material.tolist(), strict=True))):
@@ -97,7 +134,39 @@ class RigRenderer(MeshRenderer):
         return result
 
     def _more_moving(self, vertices: FloatArray, shade: FloatArray) -> tuple[FloatArray, ...]:
-        return ()
+        """Direction of strands; lids shade the eyeballs."""
+        for eyeball, upper, lower in self._lids:
+            x, y = vertices[eyeball, 0], vertices[eyeball, 1]
+            above = _line(vertices[upper], x) - y
+            below = y - _line(vertices[lower], x)
+            light = (0.18 + 0.82 * _ramp(above, -0.0008, 0.0050)) * (
+                0.60 + 0.40 * _ramp(below, -0.0006, 0.0026)
+            )
+            shade[eyeball] = light[:, None]
+        return (self._hairs[:, 1:4],)
+
+
+def _lid_edges(head: RigHead) -> Iterator[tuple[Int64Array, Int64Array, Int64Array]]:
+    """Of each eye with lids: split vertices of the eyeball, of its upper and of its lower lid."""
+    f, rest, source = head.features, head.mesh.rest_m, head.chart.source
+    for eye in head.mesh.eyes:
+        near = f.regions["lids"] & (f.eye_gap_m < LID_M)
+        near &= np.abs(rest[:, 0] - eye.centre_m[0]) < 1.3 * eye.radius_m
+        edges = [np.flatnonzero((near & above)[source]) for above in (f.above_eye, ~f.above_eye)]
+        if min(map(len, edges)) > 3:
+            yield np.flatnonzero(np.isin(source, eye.vertices)), edges[0], edges[1]
+
+
+def _line(points: FloatArray, x: FloatArray) -> FloatArray:
+    """Height of a lid's edge, through its points ``[n, 3]``, at `x`. ``[V]``."""
+    order = np.argsort(points[:, 0])
+    height: FloatArray = np.interp(x, points[order, 0], points[order, 1]).astype(np.float32)
+    return height
+
+
+def _ramp(value: FloatArray, low: float, high: float) -> FloatArray:
+    t = np.clip((value - low) / (high - low), 0.0, 1.0)
+    return t * t * (3 - 2 * t)
 
 
 def _doubling(reach: int) -> Iterator[int]:

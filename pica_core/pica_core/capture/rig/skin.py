@@ -5,6 +5,7 @@ lips, lids and cropped hair, eyes, teeth, gums and tongue, from what `features` 
 """
 
 import io
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,20 @@ IRIS_RADIUS_M = 0.0060
 """11.7 mm across (Rüfer et al. 2005), a little more for eyeballs that are larger than life."""
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Growth:
+    """Hair of a head by welded vertex.
+
+    Attributes:
+        hairs: Coverage of the scalp (0 at the hairline, 1 is 14 mm above), direction of strands,
+            density of the beard. float32 ``[P, 5]``.
+        strand: On hair: along 0 to 1, across -1 to 1, number, length in metres. float32 ``[P, 4]``.
+    """
+
+    hairs: FloatArray
+    strand: FloatArray
+
+
 def split_parts(head: RigHead) -> IntArray:
     """Part of each split vertex: that of its triangles. ``[V]``."""
     part = np.zeros(head.num_vertices, np.int32)
@@ -33,7 +48,7 @@ def split_parts(head: RigHead) -> IntArray:
     return part
 
 
-def surface(head: RigHead) -> FloatArray:
+def surface(head: RigHead, growth: Growth | None = None) -> FloatArray:
     """Four numbers for every split vertex; their meaning depends on the part. ``[V, 4]``."""
     f, mesh, source = head.features, head.mesh, head.chart.source
     rest = mesh.rest_m
@@ -43,6 +58,10 @@ def surface(head: RigHead) -> FloatArray:
     coverage = hair_coverage(rest)
     if f.regions["hair"].any():
         coverage = np.full(len(rest), -1.0)
+    if growth is not None:
+        coverage = growth.hairs[:, 0].astype(np.float64)
+        locks = part == MATERIALS.index("hair")
+        local[locks] = growth.strand[source[locks]]
     columns = np.stack([f.lips, 1000 * f.eye_gap_m, coverage, f.above_eye], 1)
     local[skin] = columns[source[skin]]
     for eye in mesh.eyes:

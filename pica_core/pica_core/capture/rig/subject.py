@@ -12,11 +12,12 @@ from pica_core.capture.rig.gpu import RigRenderer
 from pica_core.capture.rig.head import RigHead, make_rig, read_rig
 from pica_core.capture.rig.map_error import map_error_m
 from pica_core.capture.rig.names import read_names
-from pica_core.capture.rig.skin import read_albedos
+from pica_core.capture.rig.skin import Growth, read_albedos
 from pica_core.capture.rig.source import RigSource
 from pica_core.capture.stage.expressions import sample_takes
 from pica_core.capture.stage.gpu import BAKE_SIZE
 from pica_core.capture.stage.subject import Subject
+from pica_core.types import ByteArray
 
 ERROR_POSES = 8
 """Expressions over which the error that the position map leaves is measured."""
@@ -63,12 +64,19 @@ class RigSubject(Subject):
     ) -> None:
         names = read_names(table) if table is not None else None
         source = read_rig(path)
-        self._albedo = read_albedos(source, albedo)
-        self.head = make_rig(source, names)
-        self._bake_size, self._self_shadow = bake_size, self_shadow
-        self.name = self.head.name
-        self.topology = self.head.topology
+        images = read_albedos(source, albedo)
+        head = make_rig(source, names)
+        self._stand(head, images, bake_size=bake_size, self_shadow=self_shadow)
         self._about = self._describe(path, source)
+
+    def _stand(
+        self, head: RigHead, images: dict[int, ByteArray], *, bake_size: int, self_shadow: bool
+    ) -> None:
+        self.head, self._albedo = head, images
+        self._bake_size, self._self_shadow = bake_size, self_shadow
+        self._look: tuple[dict[str, Any], Growth | None] = {}, None
+        self.name = head.name
+        self.topology = head.topology
 
     def describe(self) -> dict[str, Any]:
         """Source, rights, names, units, parts, and the error that the position map leaves."""
@@ -115,5 +123,9 @@ class RigSubject(Subject):
 
     def _make_renderer(self) -> RigRenderer:
         return RigRenderer(
-            self.head, self._albedo, bake_size=self._bake_size, occlusion=self._self_shadow
+            self.head,
+            self._albedo,
+            *self._look,
+            bake_size=self._bake_size,
+            occlusion=self._self_shadow,
         )

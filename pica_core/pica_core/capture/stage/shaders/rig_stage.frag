@@ -2,6 +2,7 @@
 // The stage's light on a rig: a soft dome, a large key, a fill and a rim, all fixed to the head.
 in vec3 point_m;
 in vec3 shading_normal;
+in vec3 strand_tangent;
 in vec2 open_sky;     // x: share of the dome that is seen, y: share of the key light
 in vec2 uv;
 const int material_id = MATERIAL;   // a program each: software GL runs every branch
@@ -27,6 +28,7 @@ vec3 bumped(vec3 n, float height, float strength) {
     float det = dot(dx, r1);
     return normalize(abs(det) * n - strength * sign(det) * (dFdx(height) * r1 + dFdy(height) * r2));
 }
+#include "strands.glsl"
 
 void main() {
     vec4 stored = texture(colour_map, uv);
@@ -38,15 +40,21 @@ void main() {
     float sky = max(open_sky.x, 0.0), key = max(open_sky.y, 0.0);   // rounding goes below 0, roots do not
     // Shadow is known per vertex for a few expressions only; inside the mouth keep what bounces around.
     if (material_id == 2) { sky = max(sky, 0.42); key = max(key, 0.24); }
-    else if (material_id == 1) { sky = max(sky, 0.50); key = max(key, 0.35); }
+    else if (material_id == 1) { sky = max(sky, 0.16); key = max(key, 0.10); }
     else if (material_id == 3) { sky = max(sky, 0.30); key = max(key, 0.12); }
     else if (material_id == 4) { sky = max(sky, 0.20); }
-    vec3 nb = bumped(n, relief.r, material_id == 0 ? 0.0007 : 0.0002);
+    vec3 nb = bumped(n, relief.r, material_id == 0 ? 0.0008 : (material_id == 6 ? 0.0006 : (material_id == 5 ? 0.0006 : 0.0002)));
     vec3 wrap = relief.g * vec3(0.42, 0.16, 0.08);
     vec3 occluded = pow(vec3(sky), mix(vec3(1.0), vec3(0.72, 1.0, 1.08), relief.g));   // light bleeds red in creases
     vec3 lit = wrapped(nb, key_direction, wrap) * key_light * mix(vec3(key), vec3(sqrt(key), key, key), 0.5 * relief.g)
         + (wrapped(nb, fill_direction, wrap) * fill_light + wrapped(nb, rim_direction, wrap) * rim_light + dome(nb)) * occluded;
     lit *= diffuse;
+    if (material_id == 1) {
+        // The iris lies behind the cornea and is hollow: the side away from the light is the bright one.
+        vec3 hollow = normalize(vec3(-1.6 * n.x, -1.6 * n.y, n.z));
+        vec3 deep = wrapped(hollow, key_direction, vec3(0.2)) * key_light * key + (wrapped(hollow, fill_direction, vec3(0.2)) * fill_light + dome(hollow)) * sky;
+        lit = mix(lit, diffuse * deep * 0.85, relief.b);
+    }
     float grazing = pow(1.0 - max(dot(nb, v), 0.0), 5.0);
     vec3 h = normalize(key_direction + v), hf = normalize(fill_direction + v), hr = normalize(rim_direction + v);
     vec3 shine;
@@ -56,8 +64,9 @@ void main() {
         float boxes = smoothstep(0.80, 0.90, dot(r, key_direction)) + 0.22 * smoothstep(0.92, 0.97, dot(r, fill_direction))
             + 0.10 * smoothstep(-0.2, 0.9, r.y);
         shine = vec3(boxes * (0.335 + 0.6 * grazing) * smoothstep(0.05, 0.5, sky) * 1.4);
-        // Under the upper lid the eye is in shade.
-        lit *= 0.95;
+    } else if (material_id == 6) {
+        strands(nb, strand_tangent, v, relief, diffuse, gloss, sky, key, lit, shine);
+        shine *= 0.45;
     } else if (material_id >= 2 && material_id <= 4) {
         float f = 0.045 + 0.5 * grazing;
         shine = vec3(f * gloss * (1.4 * lobe(nb, h, 90.0) * key + 0.5 * lobe(nb, hf, 60.0) * sky)) + f * 0.4 * dome(nb) * sky * gloss;

@@ -36,6 +36,7 @@ vec3 bumped(vec3 n, float height, float strength) {
     vec3 slope = sign(det) * (dFdx(height) * r1 + dFdy(height) * r2);
     return normalize(abs(det) * n - strength * slope);
 }
+#include "strands.glsl"
 
 void main() {
     vec4 stored = texture(colour_map, uv);
@@ -53,20 +54,7 @@ void main() {
     vec3 lit;
     vec3 shine = vec3(0.0);
     if (material_id == 6) {
-        // Kajiya-Kay strands with a shifted second lobe (Scheuermann 2004).
-        n = bumped(n, relief.r, 0.0012);
-        vec3 t = normalize(strand_tangent - n * dot(n, strand_tangent) + n * (relief.b - 0.5) * 0.16);
-        vec3 h = normalize(key_direction + v);
-        vec3 hf = normalize(rim_direction + v);
-        float s1 = pow(max(1.0 - pow(dot(t, h), 2.0), 0.0), 45.0);
-        float s2 = pow(max(1.0 - pow(dot(normalize(t + 0.18 * n), h), 2.0), 0.0), 9.0);
-        float s3 = pow(max(1.0 - pow(dot(t, hf), 2.0), 0.0), 24.0) * smoothstep(-0.2, 0.5, dot(n, rim_direction));
-        vec3 soft = wrapped(n, key_direction, vec3(0.35)) * key * key_light
-            + wrapped(n, fill_direction, vec3(0.4)) * sky * fill_light + dome(n) * sky;
-        lit = diffuse * soft;
-        float facing = smoothstep(-0.25, 0.5, dot(n, key_direction)) * key;
-        shine = (vec3(0.085) * s1 + diffuse * 1.5 * s2) * facing * (0.4 + gloss) + vec3(0.05) * s3 * sky;
-        lit *= mix(0.55, 1.0, smoothstep(0.0, 0.6, relief.r));
+        strands(bumped(n, relief.r, 0.0012), strand_tangent, v, relief, diffuse, gloss, sky, key, lit, shine);
     } else {
         float bump = material_id == 0 ? 0.00075 : (material_id == 5 ? 0.0006 : 0.0002);
         vec3 nb = bumped(n, relief.r, bump);

@@ -1,0 +1,190 @@
+"""Who a person is: every choice by name and number, drawn from a seed or named by the user.
+
+`person.json` holds all of it, so that anybody with the face model makes the same person again.
+"""
+
+import dataclasses
+import json
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pica_core.capture.dataset.files import read_bytes
+from pica_core.capture.person.hair import STYLES
+from pica_core.capture.person.model import NUM_MODES
+from pica_core.errors import CaptureError
+
+Rgb = tuple[float, float, float]
+
+SPREAD, CLIP = 0.8, 2.0
+"""Standard deviation of drawn coefficients, and the limit of any (0.9 and less looks natural)."""
+SEXES = ("female", "male")
+SKIN_TONES: tuple[Rgb, ...] = (
+    (0.70, 0.46, 0.37), (0.62, 0.37, 0.275), (0.50, 0.285, 0.19),
+    (0.35, 0.185, 0.112), (0.20, 0.098, 0.060), (0.105, 0.050, 0.033),
+)  # fmt: skip
+"""Linear colours from the lightest skin, 1, to the darkest, 6 (chosen)."""
+HAIR_COLOURS: dict[str, Rgb] = {
+    "black": (0.012, 0.010, 0.009), "brown": (0.040, 0.021, 0.012),
+    "light_brown": (0.105, 0.060, 0.032), "blond": (0.30, 0.195, 0.095),
+    "red": (0.145, 0.042, 0.014), "grey": (0.20, 0.19, 0.18), "white": (0.46, 0.45, 0.43),
+}  # fmt: skip
+EYE_COLOURS: dict[str, Rgb] = {
+    "brown": (0.085, 0.038, 0.016), "dark": (0.040, 0.019, 0.010), "hazel": (0.13, 0.085, 0.034),
+    "green": (0.10, 0.13, 0.060), "blue": (0.10, 0.17, 0.25), "grey": (0.15, 0.17, 0.19),
+}  # fmt: skip
+BEARDS = ("none", "stubble", "moustache", "goatee", "short", "full")
+CLOTHES = ("tee", "vneck", "shirt", "turtleneck", "hoodie")
+CLOTH_COLOURS: dict[str, Rgb] = {
+    "white": (0.55, 0.55, 0.53), "charcoal": (0.035, 0.037, 0.042), "navy": (0.02, 0.035, 0.085),
+    "burgundy": (0.13, 0.018, 0.026), "olive": (0.085, 0.09, 0.04), "teal": (0.02, 0.10, 0.105),
+    "ochre": (0.32, 0.165, 0.03), "sand": (0.36, 0.29, 0.20), "lilac": (0.24, 0.18, 0.32),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Person:
+    """A person who does not exist."""
+
+    seed: int
+    """Fixes what chance places: pores, freckles, moles, strands, folds."""
+    coefficients: tuple[float, ...] = field(default=(0.0,) * NUM_MODES)
+    """Of the identity modes, each within the limit `CLIP`."""
+    sex: str = "female"
+    """Of those in `SEXES`: moves the coefficients, and the chances of the other choices."""
+    age: int = 35
+    """Years, 18 to 90: lines, spots, and grey."""
+    skin: float = 2.0
+    """Tone from 1, lightest, to 6, darkest."""
+    redness: float = 0.7
+    freckles: float = 0.0
+    moles: float = 0.3
+    hair: str = "short"
+    """Style, of `hair.STYLES`."""
+    hair_colour: str = "brown"
+    grey: float = 0.0
+    """Share of strands that have lost their colour."""
+    beard: str = "none"
+    brows: float = 1.0
+    """Thickness of the brows, relative."""
+    makeup: float = 0.0
+    eyes: str = "brown"
+    teeth: float = 0.5
+    """From yellow, 0, to white, 1."""
+    clothes: str = "tee"
+    clothes_colour: str = "navy"
+
+    def __post_init__(self) -> None:
+        if len(self.coefficients) != NUM_MODES:
+            raise CaptureError(f"coefficients are {len(self.coefficients)}; {NUM_MODES} are needed")
+        if not np.isfinite(self.coefficients).all():
+            raise CaptureError("coefficients are not all finite")
+        for name, known in NAMED.items():
+            value = getattr(self, name)
+            if value not in known:
+                raise CaptureError(f"{name} is {value!r}; there are {', '.join(known)}")
+        for name, (low, high) in RANGES.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise CaptureError(f"{name} is {value}; allowed are {low} to {high}")
+
+    def as_json(self) -> str:
+        """All choices, as `person.json` holds them."""
+        return json.dumps(dataclasses.asdict(self), indent=1) + "\n"
+
+
+NAMED: dict[str, tuple[str, ...]] = {
+    "sex": SEXES, "hair": tuple(STYLES), "hair_colour": tuple(HAIR_COLOURS), "beard": BEARDS,
+    "eyes": tuple(EYE_COLOURS), "clothes": CLOTHES, "clothes_colour": tuple(CLOTH_COLOURS),
+}  # fmt: skip
+RANGES: dict[str, tuple[float, float]] = {
+    "seed": (0, 2**31), "age": (18, 90), "skin": (1, 6), "redness": (0, 1.5), "freckles": (0, 1),
+    "moles": (0, 1), "grey": (0, 1), "brows": (0.4, 1.8), "makeup": (0, 1), "teeth": (0, 1),
+}  # fmt: skip
+
+
+def draw_person(seed: int, sex_direction: Any, **chosen: Any) -> Person:
+    """A person by chance; what is `chosen` stands, and what hangs on it follows.
+
+    Args:
+        seed: Fixes all that is not chosen.
+        sex_direction: `FaceModel.sex_direction`. ``[100]``.
+        **chosen: Fields of `Person` that are not to be drawn.
+    """
+    random = np.random.default_rng([seed, 0x9E25])
+    drawn = np.clip(random.normal(0.0, SPREAD, NUM_MODES), -CLIP, CLIP)
+    dice = {name: float(random.random()) for name in ("sex", "age", "skin", "hair", "colour")}
+    sex = chosen.get("sex", SEXES[int(dice["sex"] < 0.5)])
+    man = sex == "male"
+    age = int(chosen.get("age") or 20 + 58 * dice["age"] ** 1.3)
+    skin = float(chosen.get("skin") or 1 + 5 * dice["skin"])
+    old = float(np.clip((age - 35) / 40, 0, 1))
+    styles = (
+        ("short", "swept", "parted", "buzz", "curly", "receding", "bald", "afro", "tied")
+        if man else ("long", "bob", "tied", "parted", "curly", "afro", "short", "swept")
+    )  # fmt: skip
+    colours = ("black", "brown") if skin > 3 else ("brown", "light_brown", "blond", "red", "black")
+    eyes = ("dark", "brown") if skin > 3 else ("brown", "hazel", "green", "blue", "grey")
+
+    def pick(names: tuple[str, ...]) -> str:
+        return names[int(random.integers(len(names)))]
+
+    values: dict[str, Any] = {
+        "coefficients": drawn + (1.0 if man else -1.0) * np.asarray(sex_direction),
+        "sex": sex, "age": age, "skin": round(skin, 2),
+        "redness": round(float(random.uniform(0.5, 1.0) * np.interp(skin, [1, 6], [1.1, 0.4])), 2),
+        "freckles": round(max(0.0, float(random.normal(-0.1, 0.35))) * (skin < 3.2), 2),
+        "moles": round(float(random.uniform(0.1, 0.7)), 2),
+        "hair": pick(styles), "hair_colour": pick(colours),
+        "grey": round(float(np.clip(random.uniform(0.2, 1.2) * old, 0, 0.95)), 2),
+        "beard": pick(BEARDS) if man else "none",
+        "brows": round(float(random.uniform(0.9, 1.4) if man else random.uniform(0.65, 1.0)), 2),
+        "makeup": 0.0 if man else round(float(random.uniform(0.0, 0.6)), 2),
+        "eyes": pick(eyes), "teeth": round(float(random.uniform(0.3, 0.9)), 2),
+        "clothes": pick(CLOTHES), "clothes_colour": pick(tuple(CLOTH_COLOURS)),
+    }  # fmt: skip
+    values.update(chosen)
+    clipped = np.clip(np.asarray(values["coefficients"], np.float64), -CLIP, CLIP)
+    values["coefficients"] = tuple(round(float(c), 4) for c in clipped)
+    return Person(seed=seed, **values)
+
+
+def read_person(path: Path) -> tuple[Person, int]:
+    """A person as `Person.as_json` wrote it, and how many coefficients were clipped.
+
+    Raises:
+        CaptureError: No such file, or it is no person.
+    """
+    names = {each.name for each in fields(Person)}
+    try:
+        table = json.loads(read_bytes(path).decode("utf-8"))
+        unknown = set(table) - names
+        coefficients = np.array(table["coefficients"], np.float64).reshape(-1)
+        table["coefficients"] = tuple(np.clip(coefficients, -CLIP, CLIP).tolist())
+        if unknown:
+            raise CaptureError(f"{path}: {sorted(unknown)[0]!r} is no property of a person")
+        person = Person(**table)
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        raise CaptureError(f"{path}: not a person ({error})") from error
+    return person, int(np.count_nonzero(np.abs(coefficients) > CLIP))
+
+
+def read_coefficients(path: Path) -> tuple[tuple[float, ...], int]:
+    """Coefficients of a JSON list, and how many of them were clipped.
+
+    Raises:
+        CaptureError: No such file, or no list of numbers.
+    """
+    try:
+        values = np.array(json.loads(read_bytes(path).decode("utf-8")), np.float64).reshape(-1)
+    except (ValueError, TypeError, RecursionError) as error:
+        raise CaptureError(f"{path}: not a list of numbers ({error})") from error
+    if len(values) > NUM_MODES or not np.isfinite(values).all():
+        raise CaptureError(
+            f"{path}: {len(values)} numbers; up to {NUM_MODES} finite ones are allowed"
+        )
+    full = np.zeros(NUM_MODES)
+    full[: len(values)] = np.clip(values, -CLIP, CLIP)
+    return tuple(full.tolist()), int(np.count_nonzero(np.abs(values) > CLIP))

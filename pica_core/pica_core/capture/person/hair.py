@@ -1,0 +1,309 @@
+"""Hair of a person: a cap that the scalp itself is raised to, and what hangs from it.
+
+An avatar's mesh is opaque and of one topology, so hair is two things: the scalp's own vertices are
+moved outwards, with a soft painted edge, for nothing can then cut through the face; and long hair
+or a tail is a closed sheet of rings, laid outside of head, ears, neck and clothes. Strands are
+painted along both. Lengths are metres in the head frame; azimuth 0 is the front.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pica_core.capture.triangles import nearest
+from pica_core.types import BoolArray, Float64Array, Int64Array, IntArray
+
+HAIRLINE = (
+    (0.0, 0.098), (25.0, 0.100), (42.0, 0.094), (58.0, 0.076), (68.0, 0.040), (76.0, 0.010),
+    (84.0, 0.004), (93.0, 0.040), (106.0, 0.040), (116.0, 0.012), (126.0, -0.018), (145.0, -0.046),
+    (180.0, -0.056),
+)  # fmt: skip
+"""Height over the azimuth in degrees."""
+EDGE_M = 0.014
+"""What coverage of 1 is, above the hairline."""
+EAR_ROOM_M = (0.002, 0.010)
+"""Distance to an ear within which coverage fades away."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Style:
+    """A way to wear hair; lengths are millimetres."""
+
+    cap: float = 0.0
+    """How far the scalp is raised, at most."""
+    rise: float = 1.6
+    """Coverage at which the cap has its full height."""
+    sides: float = 0.5
+    """Height of the cap at the sides, against the top."""
+    quiff: float = 0.0
+    """How much more the cap is raised over the forehead."""
+    flow: tuple[float, float, float] = (0.0, -1.0, 0.0)
+    """Where strands lie to; what follows from `parting`, `radial` and `tail` is added."""
+    parting: float | None = None
+    """Place of a parting, mm to the subject's left: strands lie away from it."""
+    radial: bool = False
+    """Strands stand away from the scalp."""
+    clumps: float = 1.0
+    """Unevenness of the cap."""
+    curl: float = 0.0
+    """Height of the lumps that curls make."""
+    recession: float = 0.0
+    """How far the hairline has withdrawn over temples and forehead."""
+    hang: float = 0.0
+    """Height of the lower end of hair that hangs, below the ears."""
+    wave: float = 2.0
+    """Depth of the waves of hair that hangs."""
+    tail: float = 0.0
+    """Length of a tail at the nape, to which strands run."""
+    bare: bool = False
+
+
+STYLES: dict[str, Style] = {
+    "bald": Style(bare=True),
+    "buzz": Style(cap=1.5, clumps=0.3),
+    "short": Style(cap=10, sides=0.4, quiff=4, flow=(0.35, -0.6, 0.5), clumps=1.4),
+    "swept": Style(cap=15, sides=0.35, quiff=10, flow=(0.15, 0.1, -1.0), clumps=1.2),
+    "parted": Style(cap=13, sides=0.5, quiff=5, flow=(0, -0.6, -0.35), parting=28),
+    "receding": Style(cap=5, sides=0.9, flow=(0.1, -0.6, -0.6), recession=30, clumps=0.7),
+    "curly": Style(cap=20, sides=0.7, quiff=4, flow=(0.0, -0.6, 0.3), curl=3.6, clumps=0.8),
+    "afro": Style(cap=46, rise=3.2, sides=0.85, radial=True, curl=3.0, clumps=0.6),
+    "bob": Style(cap=12, sides=0.8, parting=12, hang=82, wave=1.6),
+    "long": Style(cap=13, sides=0.8, parting=-8, hang=215, wave=3.0),
+    "tied": Style(cap=6, sides=0.8, tail=170, clumps=0.6),
+}  # fmt: skip
+TIE_Y = 0.0
+"""Height at which a tail is tied."""
+COLUMNS, ROWS = 48, 18
+FRONT_DEG, CLEAR_M, THICK_M = 58.0, 0.003, 0.012
+"""Azimuth of the front edges of hair that hangs, its distance from what is under it, thickness."""
+HANG_FROM_M = 0.082
+"""Height at which hanging hair leaves the cap."""
+SHOULDER_M = 0.112
+"""Where shoulders begin: hair that hangs at the sides ends there."""
+INWARDS = 0.30
+"""How far hair falls inwards below the widest place, per unit of height."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Sheet:
+    """A closed sheet of hair.
+
+    Attributes:
+        points: ``[n, 3]``.
+        faces: ``[F, 3]``.
+        uv: Of corners that `uv_faces` names, metres: round the sheet, along strands. ``[T, 2]``.
+        uv_faces: ``[F, 3]``.
+        strand: Along 0 to 1, across -1 to 1, number, length in metres. ``[n, 4]``.
+        tangent: Direction of its strands. ``[n, 3]``.
+        root: Vertex of the head that each vertex moves with. ``[n]``.
+    """
+
+    points: Float64Array
+    faces: IntArray
+    uv: Float64Array
+    uv_faces: IntArray
+    strand: Float64Array
+    tangent: Float64Array
+    root: Int64Array
+
+
+def cover(points: Float64Array, skin: BoolArray, ears: BoolArray, style: Style) -> Float64Array:
+    """Height of each point above the hairline, in `EDGE_M`; below 0 outside. ``[P]``."""
+    if style.bare:
+        return np.full(len(points), -1.0)
+    azimuth = np.degrees(np.abs(np.arctan2(points[:, 0], points[:, 2] + 0.005)))
+    line = np.interp(azimuth, *np.array(HAIRLINE).T)
+    back = style.recession / 1000 * (
+        np.exp(-0.5 * ((azimuth - 36) / 13) ** 2) + 0.35 * np.exp(-0.5 * (azimuth / 18) ** 2)
+    )  # fmt: skip
+    high = (points[:, 1] - line - back) / EDGE_M
+    # Over the forehead height says little of distance: the surface leans back.
+    coverage = np.where(skin, np.clip(high, -1.0, 6.0), -1.0)
+    if ears.any():
+        near = np.flatnonzero(skin & ~ears & (np.abs(azimuth - 90) < 50) & (points[:, 1] < 0.07))
+        _, apart = nearest(points[near], points[ears])
+        room = (apart - EAR_ROOM_M[0]) / (EAR_ROOM_M[1] - EAR_ROOM_M[0])
+        coverage[near] = np.minimum(coverage[near], 2.2 * room - 0.8)
+        coverage[ears] = -1.0
+    return coverage
+
+
+def smooth(value: Float64Array) -> Float64Array:
+    """0 below 0, 1 above 1, smooth between."""
+    t = np.clip(value, 0.0, 1.0)
+    return t * t * (3 - 2 * t)
+
+
+def lumps(points: Float64Array, size_m: float, seed: int) -> Float64Array:
+    """Smooth noise of about unit deviation, with features of `size_m`. ``[P]``."""
+    random = np.random.default_rng([seed, 0x1095])
+    waves = random.normal(size=(24, 3)) * 2.2 / size_m
+    phase = random.uniform(0, 2 * np.pi, 24)
+    return np.sin(points @ waves.T + phase).sum(1) / np.sqrt(12)
+
+
+def flow(points: Float64Array, normals: Float64Array, style: Style) -> Float64Array:
+    """Direction of strands over the head, unit length, along the surface. ``[P, 3]``."""
+    way = np.broadcast_to(np.array(style.flow), points.shape).copy()
+    if style.tail:
+        way = tie(points) - points
+    elif style.parting is not None:
+        side = np.tanh((points[:, 0] - style.parting / 1000) / 0.008)
+        way[:, 0] += 1.3 * side * smooth((points[:, 1] - 0.02) / 0.08)
+    elif style.radial:
+        way = points - [0.0, 0.13, -0.02]
+    way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
+    way -= normals * (way * normals).sum(1, keepdims=True)
+    way += 0.12 * np.stack([lumps(points, 0.03, k) for k in range(3)], 1)
+    return way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
+
+
+def raise_cap(
+    points: Float64Array, normals: Float64Array, coverage: Float64Array, style: Style, seed: int
+) -> Float64Array:
+    """Where the scalp's vertices go. ``[P, 3]``."""
+    thick = style.cap / 1000 * smooth(coverage / style.rise)
+    # Sides and nape are shorter than the top, and a forelock is longer.
+    top = style.sides + (1 - style.sides) * smooth((points[:, 1] - 0.03) / 0.06)
+    fore = smooth((points[:, 2] - 0.02) / 0.06) * smooth((points[:, 1] - 0.06) / 0.04)
+    thick = thick * top + style.quiff / 1000 * fore * smooth(coverage / style.rise)
+    # Clumps run along the strands: noise that is drawn out along them.
+    way = flow(points, normals, style)
+    drawn = sum(lumps(points + way * k, 0.011, seed) for k in (-0.012, -0.006, 0.0, 0.006, 0.012))
+    thick = thick * (1 + 0.055 * style.clumps * drawn)
+    if style.parting is not None:
+        gap = np.exp(-0.5 * ((points[:, 0] - style.parting / 1000) / 0.004) ** 2)
+        thick = thick * (1 - 0.6 * gap * smooth((points[:, 1] - 0.05) / 0.03))
+    if style.curl:
+        bumps = lumps(points, 0.012, seed + 1)
+        thick += 0.001 * style.curl * bumps * smooth(coverage / style.rise)
+    return points + normals * np.maximum(thick, 0.0)[:, None]
+
+
+def tie(points: Float64Array) -> Float64Array:
+    """Where hair is tied, at the back of this head. ``[3]``."""
+    level = (np.abs(points[:, 1] - TIE_Y) < 0.01) & (np.abs(points[:, 0]) < 0.03)
+    back = float(points[level, 2].min()) if level.any() else -0.09
+    return np.array([0.0, TIE_Y, back])
+
+
+def ring_faces(rows: int, columns: int) -> tuple[IntArray, IntArray]:
+    """Triangles of rings, one below the other: over points, and over texture coordinates that have
+    one column more. Two ``[F, 3]``."""
+    found = []
+    for wide in (columns, columns + 1):
+        first = (np.arange(rows - 1) * wide)[:, None] + np.arange(columns)
+        after = first + 1
+        if wide == columns:
+            after[:, -1] -= columns
+        corners = (first, first + wide, after, after, first + wide, after + wide)
+        found.append(np.stack(corners, -1).reshape(-1, 3).astype(np.int32))
+    return found[0], found[1]
+
+
+def grow(points: Float64Array, style: Style, seed: int, body: Float64Array) -> Sheet | None:
+    """What hangs from a raised scalp ``[P, 3]``, outside of a body ``[n, 3]``, or nothing."""
+    if style.hang:
+        rings = _curtain(points, style, seed, body)
+    elif style.tail:
+        rings = _tail(points, style, seed, body)
+    else:
+        return None
+    rows, columns = rings.shape[:2]
+    faces, uv_faces = ring_faces(rows, columns)
+    around = np.linalg.norm(np.diff(rings, axis=1, append=rings[:, :1]), axis=2).mean(0)
+    steps = np.linalg.norm(np.diff(rings, axis=0), axis=2).mean(1)
+    u, v = (np.concatenate([[0], np.cumsum(each)]) for each in (around, steps))
+    flat = rings.reshape(-1, 3)
+    strand = np.zeros((len(flat), 4))
+    strand[:, 0] = np.repeat(v / v[-1], columns)
+    strand[:, 3] = v[-1]
+    tangent = np.gradient(rings, axis=0).reshape(-1, 3)
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
+    root = np.argmax(points[:, 1])
+    return Sheet(
+        points=flat,
+        faces=faces,
+        uv=np.stack(np.broadcast_arrays(u[None], v[:, None]), -1).reshape(-1, 2),
+        uv_faces=uv_faces,
+        strand=strand,
+        tangent=tangent,
+        root=np.full(len(flat), root),
+    )
+
+
+def _curtain(points: Float64Array, style: Style, seed: int, body: Float64Array) -> Float64Array:
+    """Hair from over the ears down, round the back. ``[ROWS, 2 COLUMNS, 3]``."""
+    t = np.linspace(0.0, 1.0, ROWS)
+    s = np.linspace(-1.0, 1.0, COLUMNS)
+    angle = np.radians(180 - s * (180 - FRONT_DEG))  # from the subject's left over the back
+    uneven = 0.010 * lumps(np.stack([0.4 * s, 0 * s, 0 * s], 1), 0.05, seed + 5)
+    low = -style.hang / 1000 + uneven + 0.012 * np.abs(s) ** 3
+    # Hair ends on the shoulders where they begin, and goes on down the back.
+    for y in np.arange(-0.06, low.min(), -0.006):
+        wide = _reach(body, angle, np.full(COLUMNS, y)) > SHOULDER_M
+        low = np.where(wide, np.maximum(low, y + 0.008), low)
+    for _ in range(3):
+        padded = np.pad(low, 1, mode="edge")
+        low = np.maximum(low, 0.25 * padded[:-2] + 0.5 * low + 0.25 * padded[2:])
+    y = HANG_FROM_M + (low - HANG_FROM_M) * t[:, None]
+    reach = np.stack([_reach(body, angle, each) for each in y])
+    centre = np.minimum(1.0, 8 * (1 - np.abs(s)))  # the front edges lie close to the skin
+    for _ in range(3):
+        padded = np.pad(reach, ((1, 1), (1, 1)), mode="edge")
+        mean = 0.25 * (padded[1:-1, :-2] + padded[1:-1, 2:] + padded[:-2, 1:-1] + padded[2:, 1:-1])
+        reach = np.maximum(reach, centre * mean + (1 - centre) * reach)
+    full = smooth((HANG_FROM_M - y) / 0.060)
+    edge = np.minimum(1.0, (1 - np.abs(s)) * 6 + 0.10)
+    inner = reach - 0.006 + (0.006 + CLEAR_M * (0.2 + 0.8 * centre)) * full
+    outer = inner.copy()
+    height = (HANG_FROM_M - low) / (ROWS - 1)
+    for row in range(1, ROWS):
+        thick = THICK_M * edge * (1.0 - 0.55 * t[row] ** 3) * full[row]
+        outer[row] = np.maximum(inner[row] + thick, outer[row - 1] - INWARDS * height)
+    wander = np.stack([np.broadcast_to(0.5 * s, y.shape), 0.25 * y, 0 * y], -1).reshape(-1, 3)
+    clump = lumps(wander, 0.035, seed + 6).reshape(y.shape)
+    ripple = np.sin(2 * np.pi * (y / 0.075) + 2.0 * lumps(wander, 0.12, seed + 7).reshape(y.shape))
+    outer += style.wave / 1000 * (clump + 0.7 * ripple * t[:, None]) * full * edge
+    outer = np.maximum(outer, inner + 0.002 * t[:, None])
+    inner = np.maximum(inner, outer - 1.3 * THICK_M)
+    inner[0] = outer[0] - 0.003
+    middle = 0.5 * (inner[-1] + outer[-1])
+    outer[-1], inner[-1] = middle + 0.0015, middle - 0.0015
+    both = np.concatenate([outer, inner[:, ::-1]], 1)
+    angles, heights = np.concatenate([angle, angle[::-1]]), np.concatenate([y, y[:, ::-1]], 1)
+    # The front edges lie a little towards the face, more where hair is long.
+    return np.stack([both * np.sin(angles), heights, both * np.cos(angles) - 0.005], -1)
+
+
+def _reach(body: Float64Array, angle: Float64Array, y: Float64Array) -> Float64Array:
+    """How far a body goes out from the head's axis, by direction and height. ``[C]``."""
+    near = body[(body[:, 1] > y.min() - 0.012) & (body[:, 1] < y.max() + 0.012)]
+    place = np.arctan2(near[:, 0], near[:, 2] + 0.005)
+    far = np.hypot(near[:, 0], near[:, 2] + 0.005)
+    off = np.abs((place - angle[:, None] + np.pi) % (2 * np.pi) - np.pi)
+    here = (off < 0.12) & (np.abs(near[:, 1] - y[:, None]) < 0.011)
+    reach: Float64Array = np.where(here, far, 0.0).max(1, initial=0.0)
+    return reach
+
+
+def _tail(points: Float64Array, style: Style, seed: int, body: Float64Array) -> Float64Array:
+    """A tail from the tie. ``[ROWS, 24, 3]``."""
+    t = np.linspace(0.0, 1.0, ROWS)
+    start = tie(points)
+    length = style.tail / 1000
+    y = start[1] + 0.010 * np.sin(np.pi * np.minimum(3 * t, 1)) - length * t**1.25
+    back = start[2] + 0.006 - 0.038 * smooth(3.0 * t)
+    for row in range(ROWS):  # outside of neck and clothes
+        here = (np.abs(body[:, 1] - y[row]) < 0.012) & (np.abs(body[:, 0]) < 0.03)
+        if here.any() and row > 2:
+            back[row] = min(back[row], body[here, 2].min() - 0.016)
+    turn = 2 * np.pi * np.arange(24) / 24
+    radius = 0.021 * np.minimum(0.45 + 2.2 * t, 1.0) * (1 - 0.88 * t**3)
+    wander = np.stack(np.broadcast_arrays(np.cos(turn)[None] * 0.03, 0.4 * y[:, None],
+                                          np.sin(turn)[None] * 0.03), -1)  # fmt: skip
+    thick = 1 + 0.10 * lumps(wander.reshape(-1, 3), 0.02, seed + 8).reshape(ROWS, 24)
+    r = radius[:, None] * thick
+    return np.stack(
+        [r * np.cos(turn), y[:, None] + 0 * r, back[:, None] + 0.8 * r * np.sin(turn)], -1
+    )

@@ -1,0 +1,78 @@
+"""A person on the stage: a rig of the face model, dressed and painted by what was chosen."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pica_core.capture.person.choices import (
+    CLOTH_COLOURS,
+    EYE_COLOURS,
+    HAIR_COLOURS,
+    SKIN_TONES,
+    Person,
+)
+from pica_core.capture.person.dress import dress
+from pica_core.capture.person.model import RIGHTS, FaceModel
+from pica_core.capture.rig.head import RigHead
+from pica_core.capture.rig.mesh import build_mesh
+from pica_core.capture.rig.names import map_names
+from pica_core.capture.rig.subject import RigSubject
+from pica_core.capture.stage.gpu import BAKE_SIZE
+
+GREY = np.array((0.28, 0.27, 0.26))
+
+
+def paint(person: Person) -> dict[str, Any]:
+    """A person's colours and marks, as `rig_appearance.frag` names them."""
+    tone = np.stack(
+        [np.interp(person.skin, np.arange(1, 7), np.array(SKIN_TONES)[:, k]) for k in range(3)]
+    )
+    light = float(np.interp(person.skin, [1, 6], [1.0, 0.25]))
+    lips = tone * (0.80, 0.52, 0.55) + np.array((0.045, 0.0, 0.006)) * light
+    hair = np.array(HAIR_COLOURS[person.hair_colour])
+    faded = hair + (GREY - hair) * 0.75 * person.grey
+    return {
+        "seed": float(person.seed % 997) + 0.5,
+        "skin_rgb": tuple(tone), "lip_rgb": tuple(lips), "hair_rgb": tuple(hair),
+        "brow_rgb": tuple(np.minimum(0.8 * faded, 0.12)), "brows": person.brows,
+        "iris_rgb": EYE_COLOURS[person.eyes], "redness": person.redness,
+        "age": float(np.clip((person.age - 20) / 55, 0, 1.1)), "freckles": person.freckles,
+        "moles": person.moles, "makeup": person.makeup, "grey": person.grey,
+        "stubble": float({"none": 0.10 if person.sex == "male" else 0.0, "stubble": 0.85,
+                          "moustache": 0.45, "goatee": 0.45}.get(person.beard, 0.3)),
+        "cloth_rgb": CLOTH_COLOURS[person.clothes_colour],
+        "cloth_knit": {"turtleneck": 1.0, "hoodie": 0.6}.get(person.clothes, 0.25),
+        "tooth_white": person.teeth,
+    }  # fmt: skip
+
+
+class PersonSubject(RigSubject):
+    """A person on the stage.
+
+    Raises:
+        CaptureError: The model makes no head.
+    """
+
+    def __init__(
+        self,
+        model: FaceModel,
+        person: Person,
+        *,
+        bake_size: int = BAKE_SIZE,
+        self_shadow: bool = True,
+    ) -> None:
+        source = model.person(person.coefficients)
+        names = map_names(list(source.shapes))
+        dressed = dress(build_mesh(source, names), person)
+        self.person, self.notes = person, dressed.notes
+        name = f"{person.sex}, {person.age}"
+        self._stand(
+            RigHead(dressed.mesh, names, name), {}, bake_size=bake_size, self_shadow=self_shadow
+        )
+        self._look = paint(person), dressed.growth
+        self._about = self._describe(Path(model.source.path.name), source) | {
+            "source": "synthetic: a person of ICT-FaceKit Light's modes; nobody's likeness",
+            "licence": RIGHTS,
+            "person": {name: getattr(person, name) for name in person.__slots__},
+        }

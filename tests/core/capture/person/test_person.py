@@ -1,0 +1,163 @@
+"""People of the face model: what is chosen stands and comes back, hair and clothes lie outside."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.paths import SHARED_DATA
+from pica_command.main import main
+from pica_core.capture.dataset.dataset import Capture
+from pica_core.capture.person.choices import CLIP, Person, draw_person, read_person
+from pica_core.capture.person.clothes import CUTS, dress_surface
+from pica_core.capture.person.dress import dress
+from pica_core.capture.person.hair import STYLES, cover, grow, raise_cap
+from pica_core.capture.person.model import NUM_MODES, FaceModel, read_model
+from pica_core.capture.rig.mesh import build_mesh
+from pica_core.capture.rig.names import map_names
+from pica_core.errors import CaptureError
+from pica_core.types import Float64Array
+
+pytestmark = pytest.mark.render
+
+ICT = SHARED_DATA / "ict_facekit_light"
+needs_ict = pytest.mark.skipif(not ICT.is_dir(), reason="the face model is not there")
+NOBODY = np.zeros(NUM_MODES)
+
+
+@pytest.fixture(scope="module")
+def model() -> FaceModel:
+    return read_model(ICT)
+
+
+def ball() -> tuple[Float64Array, Float64Array]:
+    """A head of a ball on a pole: points and normals."""
+    k = np.arange(6000) + 0.5
+    y = 1 - 2 * k / 6000
+    turn, ring = np.pi * (1 + 5**0.5) * k, np.sqrt(1 - y * y)
+    unit = np.stack([ring * np.cos(turn), y, ring * np.sin(turn)], 1)
+    a, h = np.meshgrid(np.linspace(-np.pi, np.pi, 60), np.linspace(-0.2, -0.05, 30))
+    pole = np.stack([0.05 * np.sin(a), h, 0.05 * np.cos(a) - 0.028], -1).reshape(-1, 3)
+    points = np.concatenate([unit * (0.078, 0.115, 0.098) + (0, 0.03, 0), pole])
+    outwards = pole * (1, 0, 1) + (0, 0, 0.028)
+    return points, np.concatenate([unit, 20 * outwards])
+
+
+def test_a_seed_makes_one_person_and_a_choice_stands() -> None:
+    one, other = draw_person(4, NOBODY, age=61), draw_person(4, NOBODY, age=61)
+    assert one == other
+    assert one.age == 61
+    assert one != draw_person(5, NOBODY, age=61)
+    assert max(np.abs(draw_person(4, NOBODY + 9).coefficients)) == CLIP
+
+
+def test_a_person_comes_back_from_its_file(tmp_path: Path) -> None:
+    person = draw_person(7, NOBODY, sex="male", beard="full")
+    path = tmp_path / "person.json"
+    path.write_text(person.as_json())
+    assert read_person(path) == (person, 0)
+
+    table = json.loads(person.as_json())
+    table["coefficients"][:2] = [9.0, -9.0]
+    path.write_text(json.dumps(table))
+    clipped, count = read_person(path)
+    assert count == 2
+    assert clipped.coefficients[:2] == (CLIP, -CLIP)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"hair": "mohawk"}, "hair is 'mohawk'; there are bald"),
+        ({"age": 7}, "age is 7; allowed are 18 to 90"),
+        ({"colour": 1}, "'colour' is no property"),
+        ({"coefficients": [0.0]}, "coefficients are 1; 100 are needed"),
+        ({"coefficients": ["x"]}, "not a person"),
+    ],
+)
+def test_a_file_that_is_no_person_is_refused(
+    change: dict[str, object], words: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "person.json"
+    path.write_text(json.dumps(json.loads(Person(seed=1).as_json()) | change))
+    with pytest.raises(CaptureError, match=words):
+        read_person(path)
+
+
+def test_a_folder_that_is_no_face_model_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(CaptureError, match="no such folder"):
+        read_model(tmp_path / "none")
+    with pytest.raises(CaptureError, match=r"generic_neutral_mesh.obj: the file is missing"):
+        read_model(tmp_path)
+    (tmp_path / "generic_neutral_mesh.obj").write_text("v 0 0 0\n")
+    with pytest.raises(CaptureError, match=r"identity000.obj is missing \(100 of 100 modes are\)"):
+        read_model(tmp_path)
+
+
+@pytest.mark.parametrize("name", STYLES)
+def test_hair_lies_outside_of_head_and_clothes(name: str) -> None:
+    points, normals = ball()
+    style, nothing = STYLES[name], np.zeros(len(points), np.bool_)
+    coverage = cover(points, ~nothing, nothing, style)
+    raised = raise_cap(points, normals, coverage, style, 1)
+    face = (points[:, 2] > 0.05) & (points[:, 1] < 0.08)
+
+    assert ((raised - points) * normals).sum(1).min() > -1e-9
+    assert np.abs(raised - points)[face].max() < 1e-9
+    assert np.ptp(raised - points) > 0 or style.bare
+    cloth = dress_surface(points, CUTS["tee"], 1).points
+    sheet = grow(raised, style, 1, np.concatenate([raised, cloth]))
+    assert (sheet is not None) == bool(style.hang or style.tail)
+    if sheet is not None:
+        # Nothing hangs before the face.
+        before = (sheet.points[:, 2] > 0.06) & (np.abs(sheet.points[:, 0]) < 0.05)
+        assert not before.any()
+        low = sheet.points[sheet.points[:, 1] < 0]
+        head = (low - (0, 0.03, 0)) / (0.078, 0.115, 0.098)
+        assert np.linalg.norm(head, axis=1).min() > 0.97
+
+
+@needs_ict
+def test_sexes_lie_apart_and_no_coefficient_is_large(model: FaceModel) -> None:
+    way = model.sex_direction()
+    assert np.linalg.norm(way) == pytest.approx(2.2)
+    man, woman = model.person(way).positions, model.person(-way).positions
+    assert np.ptp(man[:, 0]) > np.ptp(woman[:, 0])
+
+
+@needs_ict
+def test_hair_and_clothes_hide_no_face(model: FaceModel) -> None:
+    person = draw_person(3, model.sex_direction(), hair="long", clothes="shirt")
+    source = model.person(person.coefficients)
+    bare = build_mesh(source, map_names(list(source.shapes)))
+    dressed = dress(bare, person)
+    added = dressed.mesh.rest_m[len(bare.rest_m) :]
+    eyes = bare.eyes[0].centre_m
+    before = (added[:, 2] > eyes[2]) & (added[:, 1] > -0.09)
+    assert not before.any()
+    assert not dressed.notes
+
+
+@needs_ict
+def test_a_person_becomes_a_capture_with_all_that_was_chosen(tmp_path: Path) -> None:
+    words = ["capture", "person", "--facekit", str(ICT), "--out", str(tmp_path / "out")]
+    options = ["--frames", "4", "--cameras", "1", "--size", "48x48", "--texture-size", "64"]
+    assert main([*words, *options, "--seed", "9", "--hair", "buzz", "--age", "50"]) == 0
+
+    capture = Capture.open(tmp_path / "out")
+    person, _ = read_person(tmp_path / "out" / "person.json")
+    assert (person.hair, person.age, person.seed) == ("buzz", 50, 9)
+    assert capture.info["person"]["hair"] == "buzz"
+    assert "MIT" in capture.info["licence"]
+    assert capture.mask(capture.frames[0], "front").max() > 0
+
+
+@needs_ict
+def test_wrong_choices_leave_nothing_behind(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["capture", "person", "--facekit", str(ICT), "--out", str(tmp_path / "out")]
+    assert main([*words, "--hair", "mohawk"]) != 0
+    assert "hair is 'mohawk'; there are bald" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
