@@ -51,9 +51,9 @@ class Person:
     seed: int
     """Fixes what chance places: pores, freckles, moles, strands, folds."""
     coefficients: tuple[float, ...] = field(default=(0.0,) * NUM_MODES)
-    """Of the identity modes, each within the limit `CLIP`."""
+    """Weights of the identity modes, each within the limit `CLIP`."""
     sex: str = "female"
-    """Of those in `SEXES`: moves the coefficients, and the chances of the other choices."""
+    """One of `SEXES`: moves the coefficients, and the chances of the other choices."""
     age: int = 35
     """Years, 18 to 90: lines, spots, and grey."""
     skin: float = 2.0
@@ -62,7 +62,7 @@ class Person:
     freckles: float = 0.0
     moles: float = 0.3
     hair: str = "short"
-    """Style, of `hair.STYLES`."""
+    """One of `hair.STYLES`."""
     hair_colour: str = "brown"
     grey: float = 0.0
     """Share of strands that have lost their colour."""

@@ -11,6 +11,7 @@ from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.person.choices import Person
 from pica_core.capture.person.clothes import CUTS, Garment, dress_surface
 from pica_core.capture.person.hair import STYLES, Sheet, cover, flow, grow, raise_cap, smooth
+from pica_core.capture.person.lids import close_lids
 from pica_core.capture.rig.features import Features, find_features
 from pica_core.capture.rig.mesh import RigMesh
 from pica_core.capture.rig.skin import Growth
@@ -43,7 +44,8 @@ def dress(mesh: RigMesh, person: Person) -> Dressed:
     """
     if mesh.uv is None or mesh.uv_faces is None or not mesh.eyes:
         raise CaptureError("a person needs a head with texture coordinates and eyeballs")
-    features, notes = find_features(mesh), []
+    features, notes = find_features(mesh), list[str]()
+    mesh = close_lids(mesh, features)
     skin = mesh.of_part("skin")
     rest, style = mesh.rest_m, STYLES[person.hair]
     skin_faces = mesh.faces[mesh.part == MATERIALS.index("skin")]

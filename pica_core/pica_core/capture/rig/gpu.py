@@ -147,7 +147,7 @@ class RigRenderer(MeshRenderer):
 
 
 def _lid_edges(head: RigHead) -> Iterator[tuple[Int64Array, Int64Array, Int64Array]]:
-    """Of each eye with lids: split vertices of the eyeball, of its upper and of its lower lid."""
+    """Find split vertices of each eyeball that has lids, of its upper and of its lower lid."""
     f, rest, source = head.features, head.mesh.rest_m, head.chart.source
     for eye in head.mesh.eyes:
         near = f.regions["lids"] & (f.eye_gap_m < LID_M)

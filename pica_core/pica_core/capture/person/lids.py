@@ -1,0 +1,83 @@
+"""Lids that close on any identity: the model's blink is that of its mean face.
+
+Where lids of a person lie in the eyeball they are pushed out of it, and a blink goes on until upper
+and lower lid meet. Metres, head frame.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from pica_core.avatar.arkit import ARKIT_INDEX
+from pica_core.capture.rig.features import Features
+from pica_core.capture.rig.mesh import Eyeball, RigMesh
+from pica_core.types import Float64Array, FloatArray, Int64Array
+
+EDGE_M = 0.0012
+"""Skin so near to the eye opening is a lid's edge."""
+OVERLAP_M = 0.0004
+"""How far lids of a closed eye go past each other: their picture meets."""
+ROOM_M, MOVING_ROOM_M = 0.0003, 0.0013
+"""Least distance of a lid from the eyeball; a lid that moves takes the chord of its way, half-way
+of which is nearer than both ends."""
+MOVES_M = 0.003
+"""What moves so far is a lid that moves."""
+
+
+def close_lids(mesh: RigMesh, features: Features) -> RigMesh:
+    """A mesh whose lids lie on its eyeballs at rest and meet in a blink."""
+    rest, motion = mesh.rest_m.copy(), mesh.motion_m.copy()
+    skin = np.flatnonzero(mesh.of_part("skin"))
+    for eye in mesh.eyes:
+        offset = rest[skin] - eye.centre_m
+        far = np.linalg.norm(offset, axis=1)
+        near = skin[(far < 1.9 * eye.radius_m) & (offset[:, 2] > 0)]
+        blink = ARKIT_INDEX[f"eyeBlink{'Left' if eye.side > 0 else 'Right'}"]
+        rest[near] += _out(rest[near], eye, rest, np.full(len(near), ROOM_M))
+        move = motion[blink, near].astype(np.float64)
+        move *= _farther(rest, motion[blink], near, features)[:, None]
+        share = np.clip(np.linalg.norm(move, axis=1) / MOVES_M, 0.0, 1.0)
+        room = ROOM_M + (MOVING_ROOM_M - ROOM_M) * share
+        closed = rest[near] + move
+        motion[blink, near] = (move + _out(closed, eye, rest, room)).astype(np.float32)
+    return replace(mesh, rest_m=rest, motion_m=motion)
+
+
+def _out(
+    points: Float64Array, eye: Eyeball, rest: Float64Array, room_m: Float64Array
+) -> Float64Array:
+    """What brings points out of an eyeball, whose cornea may look anywhere near. ``[n, 3]``."""
+    offset = points - eye.centre_m
+    far = np.maximum(np.linalg.norm(offset, axis=1), 1e-9)
+    ball = rest[eye.vertices] - eye.centre_m
+    reach = np.linalg.norm(ball, axis=1)
+    steps = np.radians(np.arange(0, 95, 5))
+    lean = np.arccos(np.clip(ball[:, 2] / np.maximum(reach, 1e-9), -1, 1))
+    widest = [reach[np.abs(lean - step) < 0.14].max(initial=0.0) for step in steps]
+    surface = np.interp(np.arccos(np.clip(offset[:, 2] / far, -1, 1)), steps, widest)
+    # What lies deep inside is the lid's own lining, which nobody sees.
+    lack = np.where(far > surface - 0.004, np.maximum(surface + room_m - far, 0.0), 0.0)
+    return offset / far[:, None] * lack[:, None]
+
+
+def _farther(
+    rest: Float64Array, blink: FloatArray, near: Int64Array, features: Features
+) -> Float64Array:
+    """How much farther each vertex goes in a blink for the lids to meet, as a factor. ``[n]``."""
+    edge = features.eye_gap_m[near] < EDGE_M
+    above = features.above_eye[near]
+    upper, lower = near[edge & above], near[edge & ~above]
+    if min(len(upper), len(lower)) < 4:
+        return np.ones(len(near))
+    low_closed = rest[lower] + blink[lower]
+    order = np.argsort(low_closed[:, 0])
+    closed = rest[upper] + blink[upper]
+    line = np.interp(closed[:, 0], low_closed[order, 0], low_closed[order, 1])
+    fall = np.maximum(-blink[upper, 1].astype(np.float64), 0.002)
+    lack = np.clip((closed[:, 1] - line + OVERLAP_M) / fall, 0.0, 0.6)
+    # A smooth function of the place across the eye; the corners stay.
+    x = rest[near, 0]
+    weight = np.exp(-0.5 * ((x[:, None] - rest[upper, 0]) / 0.0025) ** 2)
+    weight *= np.minimum(fall / 0.004, 1.0) ** 2
+    factor: Float64Array = (weight @ lack) / np.maximum(weight.sum(1), 1e-9)
+    return 1.0 + np.where(above, factor, 0.0)
