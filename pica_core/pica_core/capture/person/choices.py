@@ -72,7 +72,7 @@ class Person:
     makeup: float = 0.0
     eyes: str = "brown"
     teeth: float = 0.5
-    """From yellow, 0, to white, 1."""
+    """Whiteness: 0 is yellow, 1 white."""
     clothes: str = "tee"
     clothes_colour: str = "navy"
 
