@@ -70,7 +70,14 @@ class ModelPainter:
         return vertices
 
     @torch.no_grad()
-    def draw(self, latent: Tensor, camera: Camera, *, samples: int | None = None) -> Picture:
+    def draw(
+        self,
+        latent: Tensor,
+        camera: Camera,
+        *,
+        samples: int | None = None,
+        vertices_m: FloatArray | None = None,
+    ) -> Picture:
         """The picture of one latent through a camera in head axes.
 
         Args:
@@ -79,17 +86,18 @@ class ModelPainter:
             samples: Samples along each side of a pixel, odd; the painter's own by default. A pixel
                 belongs to the picture if its centre does, however many there are; its colour is the
                 mean of those samples that see the head, its depth the centre's.
+            vertices_m: What `vertices_m` gives of this latent, if it is known already.
         """
-        vertices_m = self.model.vertices(latent)[0].cpu()
+        found_m = torch.from_numpy(self.vertices_m(latent) if vertices_m is None else vertices_m)
         direction = torch.from_numpy(view_direction(camera))[None].to(self._device)
         appearance = self.model.appearance(latent, direction)
-        centre = self._sample(vertices_m, appearance, camera)
+        centre = self._sample(found_m, appearance, camera)
         side = self._samples if samples is None else samples
         if side == 1:
             return centre
         sums = np.zeros((camera.height * camera.width, 4))
         for moved in _within_pixels(camera, side):
-            sample = self._sample(vertices_m, appearance, moved)
+            sample = self._sample(found_m, appearance, moved)
             sums[sample.pixels, :3] += sample.colours
             sums[sample.pixels, 3] += 1
         mean = sums[centre.pixels, :3] / sums[centre.pixels, 3:]

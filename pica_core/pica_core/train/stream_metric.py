@@ -72,9 +72,9 @@ def make_stream_profile(
 def _paint(painter: ModelPainter, code: Float64Array, cameras: list[Camera]) -> tuple[Tensor, int]:
     """Pictures of a latent ``[256]`` behind each other, 0-255, and how many pixels are covered."""
     grid = torch.from_numpy(code.astype(np.float32)).view(1, *LATENT_SHAPE).permute(0, 3, 1, 2)
-    values, covered = [], 0
+    vertices_m, values, covered = painter.vertices_m(grid), [], 0
     for camera in cameras:
-        picture = painter.draw(grid, camera)
+        picture = painter.draw(grid, camera, vertices_m=vertices_m)
         plain = np.full((camera.height, camera.width, 3), BACKGROUND * 255, np.float32)
         values.append(torch.from_numpy(picture.on(plain).reshape(-1)))
         covered += len(picture.pixels)
@@ -90,9 +90,10 @@ def _measure(painter: ModelPainter, codes: Float64Array, options: StreamOptions)
         return _paint(painter, code, cameras)[0]
 
     rng = np.random.default_rng(options.seed)
-    _, spread, directions = np.linalg.svd(codes - codes.mean(axis=0), full_matrices=False)
-    directions = directions[: options.directions]
-    reach = np.maximum(REACH * spread[: len(directions)] / np.sqrt(len(codes)), LEAST_REACH)
+    variance, axes = np.linalg.eigh(np.cov(codes.T, bias=True))
+    largest = np.argsort(variance)[::-1][: options.directions]
+    directions = axes.T[largest]
+    reach = np.maximum(REACH * np.sqrt(np.maximum(variance[largest], 0)), LEAST_REACH)
     gram = np.zeros((len(directions), len(directions)))
     for code in codes[rng.choice(len(codes), options.faces, replace=False)]:
         covered = _paint(painter, code, cameras)[1]

@@ -127,7 +127,7 @@ def fit_convolution(
     level: int,
     points: Tensor,
     metric: Tensor,
-    points_per_face: int = 6000,
+    points_per_face: int = 1000,
     seed: int = 0,
 ) -> MapExit:
     """Fit one convolution for all texels, so that its map is like the decoder's own output.

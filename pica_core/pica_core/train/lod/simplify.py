@@ -238,8 +238,10 @@ def _alone(triangles: Array) -> BoolArray:
 
 def _normals(corners: Array) -> Array:
     """Twice the area times the normal, of triangles ``[T, 3, K, 3]`` in K shapes: ``[T, K, 3]``."""
-    sides = corners[:, 1:] - corners[:, :1]
-    normals: Array = np.cross(sides[:, 0], sides[:, 1])
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    # np.cross takes five times as long for a handful of triangles.
+    left, right = first[..., [1, 2, 0]], second[..., [1, 2, 0]]
+    normals: Array = (left * second[..., [2, 0, 1]]) - first[..., [2, 0, 1]] * right
     return normals
 
 
