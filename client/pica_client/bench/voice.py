@@ -33,8 +33,6 @@ from typing import Any
 
 import numpy as np
 import tyro
-from pesq import PesqError, pesq
-from pystoi import stoi
 
 from pica_client.bench.harness import check_ranges
 from pica_client.bench.network.scenarios import BY_NAME, SCENARIOS
@@ -249,6 +247,9 @@ def _receive_face(playout: Playout, arrival: Any) -> None:
 
 def _quality(sound: FloatArray, heard: _Heard, schedule: Schedule) -> dict[str, Any]:
     """PESQ and STOI of the troubled third."""
+    from pesq import PesqError, pesq
+    from pystoi import stoi
+
     size = len(sound)
     moments = heard.moments.ravel()
     fits = (moments >= 0) & (moments < (size - 1) / RATE_HZ)  # false for NaN

@@ -138,7 +138,7 @@ class View:
         self._waiting = waiting
         self.was_cancelled = False
         doing = "looking into" if face is None else f"in, as {config.link.name},"
-        self._hearing = self._make_hearing()
+        self._hearing, self._trouble = self._make_hearing(), ""
         voice = open_voice(config.voice)
         is_sealed = config.link.secret_file is not None
         self._receiver = Receiver(
@@ -233,6 +233,13 @@ class View:
             "avatars_fetched": 0 if self._fetcher is None else self._fetcher.num_fetched,
         }
 
+    def _say_trouble(self) -> None:
+        """Say once what is wrong with the loudspeaker."""
+        note = "" if self._hearing is None else self._hearing.loudspeaker.state.note
+        if note and note != self._trouble:
+            say(note)
+        self._trouble = note
+
     def _make_hearing(self) -> Hearing | None:
         if self._config.speaker == "off":
             return None
@@ -279,6 +286,7 @@ class View:
 
         def should_stop() -> bool:
             self._receiver.check()
+            self._say_trouble()
             return self._is_stopping
 
         while not has_ended and not self._is_stopping:
