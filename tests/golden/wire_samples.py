@@ -130,6 +130,9 @@ FRAMES: dict[str, list[Frame]] = {
         Frame(stream=1, sequence=0, captured_us=33_333, payload=b"delta", layer=2),
         Frame(stream=2, sequence=7, captured_us=0, payload=b""),
     ],
+    "voice packet": [
+        Frame(stream=3, sequence=7, captured_us=1_234_560_000, payload=b"\x9e" + b"opus packet")
+    ],
 }
 
 

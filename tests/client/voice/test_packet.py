@@ -4,6 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from golden.wire_samples import FRAMES
 from pica_client.errors import VoiceError
 from pica_client.voice.packet import (
     MAX_OPUS_BYTES,
@@ -48,3 +49,10 @@ def test_the_first_byte_is_marker_and_level_of_rfc_6464() -> None:
     assert first_byte(30, is_first=True) == "9e"
     assert first_byte(None, is_first=False) == "7f"
     assert first_byte(0, is_first=True) == "80"
+
+
+def test_the_golden_packet_is_the_first_after_a_silence_at_minus_30_decibels() -> None:
+    (frame,) = FRAMES["voice packet"]
+    packet = decode_payload(frame.sequence, frame.captured_us, frame.payload)
+    assert packet == VoicePacket(7, 1_234_560_000, b"opus packet", level=30, is_first=True)
+    assert encode_payload(packet) == frame.payload

@@ -1,0 +1,62 @@
+"""Speak and be heard: a relay, somebody with face and voice, and somebody who only listens.
+
+You learn how a voice travels beside a face: packets of 20 ms with the time of their capture, and
+nothing while nobody speaks.
+"""
+
+import asyncio
+
+import numpy as np
+
+from pica_client.avatars.library import AvatarLibrary
+from pica_client.call.call import Call
+from pica_client.publish.sender import Sender, SenderConfig
+from pica_client.sources import open_source
+from pica_client.transport.config import LinkConfig
+from pica_client.transport.receiver import Receiver
+from pica_client.voice.opus import OpusDecoder
+from pica_client.voice.packet import VoicePacket
+from pica_client.voice.publisher import VoicePublisher
+from pica_client.voice.source import SoundSource
+from pica_client.voice.wav import shipped_speech
+from pica_core.avatar.file import avatar_id, load_avatar
+from pica_core.avatar.shipped import shipped_avatar_files
+from pica_server.config.relay import RelayConfig
+from pica_server.relay import Relay
+
+
+async def main() -> None:
+    heard: list[tuple[VoicePacket, float]] = []
+    library, file = AvatarLibrary(), shipped_avatar_files()[0]
+    async with Relay(RelayConfig(port=0)) as relay:
+        receiver = Receiver(
+            LinkConfig(url=relay.url, name="me"),
+            Call(library),
+            on_voice=lambda peer_id, packet, arrived_s: heard.append((packet, arrived_s)),
+            takes_faces=False,
+        )
+        receiving = asyncio.create_task(receiver.run())
+        sender = Sender(
+            SenderConfig(seconds=3.0),
+            LinkConfig(url=relay.url, name="Ada"),
+            open_source("performance:talk"),
+            load_avatar(file),
+            avatar_id(file),
+            voice=VoicePublisher(SoundSource(shipped_speech())),
+        )
+        sent = await sender.run()
+        receiver.stop()
+        await receiving
+    library.close()
+
+    decoder = OpusDecoder()  # a jitter buffer stands here in a call: it decides what is heard when
+    sound = np.concatenate([decoder.decode(packet.payload) for packet, _ in heard])
+    # Sender and receiver share a clock here; a frame is 20 ms old when it is complete.
+    delays_ms = [(arrived_s - packet.captured_us / 1e6) * 1e3 - 20 for packet, arrived_s in heard]
+    loudest = min(packet.level for packet, _ in heard if packet.level is not None)
+    print(f"{len(heard)} packets, {len(sound) / 48_000:.1f} s of sound, at most -{loudest} dB")
+    print(f"relayed within {np.percentile(delays_ms, 95):.1f} ms, 95 of 100 times")
+    print(f"{sent['sent']} faces and {sent['voice']['sent']} packets: {sent['wire_bps']} bit/s")
+
+
+asyncio.run(main())
