@@ -86,7 +86,14 @@ class LocalCall:
         names: The senders, in order.
     """
 
-    def __init__(self, config: LocalCallConfig, library: AvatarLibrary, children: Children) -> None:
+    def __init__(
+        self,
+        config: LocalCallConfig,
+        library: AvatarLibrary,
+        children: Children,
+        *,
+        relay_arguments: Sequence[str] = (),
+    ) -> None:
         """Check everything that can be checked, then start relay and senders.
 
         Raises:
@@ -107,7 +114,7 @@ class LocalCall:
         self.secret_arguments: list[str] = []
         if self.secret_file is not None:
             self.secret_arguments = ["--secret-file", str(self.secret_file)]
-        self.relay, self.url = children.start_relay()
+        self.relay, self.url = children.start_relay(*relay_arguments)
         self.senders: dict[str, Child] = {}
         has_voices = config.has_voices and available() is None
         for index, (name, source) in enumerate(zip(self.names, sources, strict=True)):

@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 _UNSENT_LIMIT_BYTES = 2048
 """Unsent bytes in the kernel's buffer (chosen: about thirty frames)."""
 
-_NARROW_UNSENT_BYTES = 512
-"""The same once a socket was full (chosen: 64 ms of a voice's 64 kbit/s)."""
+_VOICE_UNSENT_BYTES = 512
+"""The same where voices are heard (chosen: 64 ms at 64 kbit/s)."""
 
 _MOST_AT_ONCE = 8
 """Messages of one peer that are passed on in one turn of the loop (chosen: a quarter of a second of
@@ -267,6 +267,8 @@ class Pump:
             if waker is None:
                 continue
             websocket, outbox = waker.websocket, connection.outbox
+            if outbox.has_voices and not waker.is_tight:
+                waker.tighten()
             if connection.closed is None and (due_s := outbox.due_s(now)) > now:
                 self._hub.hold(connection, due_s)
                 continue
@@ -285,7 +287,6 @@ class Pump:
                     else:
                         self._hub.is_sending(connection, now)
                         outbox.note_full(now)
-                        waker.tighten()
                         waker.under_way = message
                         waker.wake()
                 if not outbox.is_waiting:
@@ -320,6 +321,7 @@ class _Waker:
     Attributes:
         websocket: What the writer writes to.
         is_idle: Whether the writer has nothing to do.
+        is_tight: Whether the kernel keeps no more than voices can wait for.
         under_way: Written by somebody else, and not taken by the kernel yet.
     """
 
@@ -328,7 +330,7 @@ class _Waker:
         self.is_idle = False
         self.under_way: OutboundMessage | None = None
         self._event = asyncio.Event()
-        self._is_tight = False
+        self.is_tight = False
         self._cut: asyncio.TimerHandle | None = None
 
     async def wait(self) -> None:
@@ -348,10 +350,9 @@ class _Waker:
             self._cut = loop.call_later(timeout_s, self.websocket.transport.abort)
 
     def tighten(self) -> None:
-        """Keep less in the kernel from now on: behind a narrow way that is old when it arrives."""
-        if not self._is_tight:
-            self._is_tight = True
-            _bound_unsent(self.websocket, _NARROW_UNSENT_BYTES)
+        """Keep less in the kernel from now on: a voice behind it would come late."""
+        self.is_tight = True
+        _bound_unsent(self.websocket, _VOICE_UNSENT_BYTES)
 
     def cancel_cut(self) -> None:
         if self._cut is not None:

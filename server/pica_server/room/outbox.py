@@ -16,7 +16,7 @@ What surrounds a message (48 bytes with TCP/IP) is more than a face, so faces ri
    speaks, others wait for its next packet, `RIDE_S` at most.
 2. A receiver whose socket did not take a message at once is *narrow* for `NARROW_S`. It gets two
    packets of a voice at a time, faces alone only every `NARROW_RIDE_S`, and beside a voice no more
-   than `YIELDING_BYTES` of them: what does not fit is thinned in the queues.
+   than `YIELDING_BYTES` of them, none once it is late: what does not fit is thinned in the queues.
 """
 
 import math
@@ -45,6 +45,8 @@ PAIR_S: Final = 0.026
 comes after 20 ms, and the headers of every other message are saved)."""
 YIELDING_BYTES: Final = 160
 """What faces take of a message with a voice to a narrow receiver (chosen: base layers of a few)."""
+LATE_S: Final = 0.06
+"""Age of a packet of a voice beside which a narrow receiver gets no faces (chosen: two pairs)."""
 _WAITS = Put.WAITS
 
 
@@ -139,6 +141,11 @@ class Outbox:
     def note_full(self, now: float) -> None:
         """Note that the socket of the receiver did not take a message at once."""
         self._narrow_until_s = now + NARROW_S
+
+    @property
+    def has_voices(self) -> bool:
+        """Whether there are ordered streams for this receiver."""
+        return bool(self._ordered)
 
     @property
     def waiting_control_bytes(self) -> int:
@@ -250,7 +257,8 @@ class Outbox:
             self._ride_ends_s = now + RIDE_S
             room_left -= sum([len(item.frame) for item in voices])
             if is_narrow:
-                room_left = min(room_left, YIELDING_BYTES)
+                is_late = now - min([item.received_s for item in voices]) > LATE_S
+                room_left = 0 if is_late else min(room_left, YIELDING_BYTES)
                 for stream in list(self._flowing) if self._flow_bytes > room_left else ():
                     self._stop_flow(stream)
         elif is_narrow:

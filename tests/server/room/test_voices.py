@@ -119,6 +119,16 @@ def test_faces_yield_to_voices_of_a_narrow_receiver() -> None:
     assert outbox.waiting_frames == 1
 
 
+def test_beside_a_voice_that_is_late_a_narrow_receiver_gets_no_face() -> None:
+    outbox, _ = outbox_with_voices()
+    outbox.note_full(0.0)
+    for sequence in range(4):
+        put(outbox, VOICE, 1.0 + 0.02 * sequence, sequence)
+    put(outbox, FACE, 1.06)
+    assert streams(outbox.take(1.08)) == [VOICE] * 4
+    assert streams(outbox.take(1.2)) == [FACE]
+
+
 def test_faces_alone_come_together_to_a_narrow_receiver() -> None:
     outbox, _ = outbox_with_voices()
     outbox.note_full(0.0)
