@@ -15,7 +15,7 @@ from pica_core.capture.person.lids import close_lids
 from pica_core.capture.rig.features import Features, find_features
 from pica_core.capture.rig.mesh import RigMesh
 from pica_core.capture.rig.skin import Growth
-from pica_core.capture.triangles import vertex_normals
+from pica_core.capture.triangles import nearest, vertex_normals
 from pica_core.errors import CaptureError
 from pica_core.types import Array, BoolArray, Float64Array, IntArray
 
@@ -24,6 +24,8 @@ BEARDS: dict[str, tuple[float, float, float]] = {
     "goatee": (1.0, 0.35, 4.0), "short": (1.0, 1.0, 3.0), "full": (1.0, 1.0, 9.0),
 }  # fmt: skip
 """Moustache, share of the cheeks, and thickness in millimetres."""
+CAVITY_Z = 0.055
+"""Depth of the middle of the mouth's cavity, metres."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -50,11 +52,15 @@ def dress(mesh: RigMesh, person: Person) -> Dressed:
     rest, style = mesh.rest_m, STYLES[person.hair]
     skin_faces = mesh.faces[mesh.part == MATERIALS.index("skin")]
     normals = _normals(rest, skin_faces)
+    inside = replace(mesh, part=features.part).of_part("mouth_bag")
+    if features.mouth is not None:  # what faces the mouth's cavity is its lining, too
+        offset = rest - [0.0, float(np.mean(features.mouth.y)), CAVITY_Z]
+        inside |= (normals * offset).sum(1) < 0.3 * np.linalg.norm(offset, axis=1)
     coverage = cover(rest, skin, features.regions["ears"], style)
     if not style.bare and np.count_nonzero(coverage > 0.5) < 50:
         notes.append(f"hair {person.hair} does not fit: no scalp was found; bald")
         style, coverage = STYLES["bald"], np.full(len(rest), -1.0)
-    beard, thick = _beard(rest, skin, features, person)
+    beard, thick = _beard(rest, skin, inside, features, person)
     cloth = dress_surface(rest[skin], CUTS[person.clothes], person.seed)
     raised = raise_cap(rest, normals, coverage, style, person.seed)
     raised = raised + normals * (thick * smooth(beard * 1.4))[:, None]
@@ -88,7 +94,11 @@ def _normals(points: Float64Array, faces: IntArray) -> Float64Array:
 
 
 def _beard(
-    points: Float64Array, skin: BoolArray, features: Features, person: Person
+    points: Float64Array,
+    skin: BoolArray,
+    inside: BoolArray,
+    features: Features,
+    person: Person,
 ) -> tuple[Float64Array, Float64Array]:
     """How dense a beard is at each vertex ``[P]``, and its thickness in metres ``[P]``."""
     moustache, cheeks, thick = BEARDS[person.beard]
@@ -112,7 +122,11 @@ def _beard(
     over = under_nose * smooth((half + 9 - across) / 8) * smooth((mm[:, 2] - 70) / 10)
     beard = np.maximum(jaw * (cheeks > 0), over) * front
     beard = beard * smooth((-0.12 - features.lips) / 0.35)
-    beard[~skin | features.regions["ears"]] = 0.0
+    beard[~skin | inside | features.regions["ears"]] = 0.0
+    grown = np.flatnonzero(beard > 0)
+    if features.regions["ears"].any() and len(grown):
+        _, apart = nearest(points[grown], points[features.regions["ears"]])
+        beard[grown] *= smooth((apart - 0.002) / 0.008)
     return beard, (thick * (1 - 0.6 * (over > jaw)) / 1000)
 
 
