@@ -55,6 +55,7 @@ class Person:
         *,
         speaks: bool | Turn = False,
         is_seen: bool = False,
+        face: str = "performance:talk",
         hears: bool = True,
         sees: bool = True,
         secret_file: Path | None = None,
@@ -62,7 +63,7 @@ class Person:
         self.heard: dict[str, list[tuple[VoicePacket, float]]] = {}
         self.publisher = self.voice = None
         if is_seen:
-            source = open_source("performance:talk")
+            source = open_source(face)
             self.publisher = Publisher(SenderConfig(), source, AVATAR, AVATAR_ID)
         if speaks:
             turn = speaks if isinstance(speaks, Turn) else None
@@ -103,6 +104,22 @@ async def meet(people: list[Person], seconds: float) -> None:
         await asyncio.sleep(seconds)
         for person in people:
             person.receiver.stop()
+
+
+@in_virtual_time
+async def test_a_voice_alone_makes_a_face() -> None:
+    async with Relay(RelayConfig(port=0)) as relay:
+        ada = Person(relay.url, "ada", speaks=True, is_seen=True, face="voice")
+        ben = Person(relay.url, "ben")
+        assert ada.voice is not None
+        meeting = asyncio.create_task(meet([ada, ben], 4.0))
+        await asyncio.sleep(2.0)
+        (face,) = ben.receiver.call.health().values()
+        assert face.received > 30
+        assert ada.publisher is not None
+        assert ada.publisher.seen is not None
+        assert not ada.publisher.seen.has_face  # there is no tracker; what was sent is the voice's
+        await meeting
 
 
 @in_virtual_time

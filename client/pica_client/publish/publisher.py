@@ -23,11 +23,14 @@ from pica_client.sources import LiveSource, Source
 from pica_client.stats import Samples
 from pica_client.transport.link import Link
 from pica_client.transport.timers import wait_until
+from pica_client.voice.publisher import VoicePublisher
+from pica_client.voice.spoken_face import SpokenFace
 from pica_core.avatar.arkit import ExpressionFrame
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.codec.factory import open_encoder
 from pica_core.codec.latent_stream import DEFAULT_QUALITY, StreamConfig
+from pica_core.types import FloatArray
 from pica_protocol.messages import Joined, KeyframeRequest, StreamMuted, Track
 from pica_protocol.session import ClientEvent
 
@@ -53,6 +56,8 @@ class SenderConfig:
     """Payload bits a second to keep to by changing the quality; None keeps the quality."""
     plain: bool = False
     """Send 8 bits a value, 65 kbit/s, as avatars without a stream profile are sent."""
+    mouth_by_voice: bool = True
+    """Move the mouth by the voice while the tracker sees no face, if there is a voice."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.fps <= 240:
@@ -109,6 +114,8 @@ class Publisher:
         self._mode_before: FaceMode = "sent"
         self._frozen: ExpressionFrame | None = None
         self._is_lost = False
+        self._spoken: SpokenFace | None = None
+        self._begin_s = 0.0
         self._told_trouble = ""
         self._told = ""
 
@@ -116,6 +123,16 @@ class Publisher:
         """Mute or freeze the face, or let it go on; holds from the next frame. Any thread may call
         it."""
         self._mode = mode
+
+    def listen_to(self, voice: VoicePublisher | None) -> None:
+        """Let the voice of the face's owner move the mouth while nobody is seen, if it may."""
+        if voice is not None and self.config.mouth_by_voice:
+            voice.on_sound = self._hear
+
+    def _hear(self, pcm: FloatArray, captured_us: int) -> None:
+        if self._spoken is None:
+            self._spoken = SpokenFace()
+        self._spoken.hear(pcm, captured_us / 1e6 - self._begin_s)
 
     def reflect(self) -> Reflection:
         """One's own face as the others get it, from the next keyframe on."""
@@ -171,7 +188,7 @@ class Publisher:
         """Send until told to stop, or for the configured time."""
         loop = asyncio.get_running_loop()
         begin_s, joined_s = loop.time(), math.inf
-        pacer = Pacer(self.config.fps, begin_s)
+        pacer, self._begin_s = Pacer(self.config.fps, begin_s), begin_s
         while not stopping.is_set():
             now = await wait_until(stopping, pacer.due_s)
             if stopping.is_set():
@@ -230,6 +247,8 @@ class Publisher:
     def _face(self, time_s: float) -> ExpressionFrame:
         """The face to send: the source's, or the last one of it."""
         frame = self.seen = self._source.frame_at(time_s)
+        if self._spoken is not None:
+            frame = self._spoken.fill(frame, time_s)
         self._is_lost = not frame.has_face
         if self._mode == "frozen" and self._frozen is not None:
             return replace(self._frozen, captured_us=frame.captured_us)
@@ -255,7 +274,7 @@ class Publisher:
         latent = self._encoder.encode(frame.arkit)
         # When a tracker saw it, which is before now.
         age_us = round(time_s * 1e6) - frame.captured_us
-        captured_us = round(now * 1e6) - min(max(age_us, 0), MAX_AGE_US)
+        captured_us = max(round(now * 1e6) - min(max(age_us, 0), MAX_AGE_US), 0)
         coded = self._stream.encode(latent, frame.rotation, frame.translation_m, captured_us)
         encode_s = time.perf_counter() - began_s
         if coded is None:

@@ -47,6 +47,7 @@ class Sender:
         self._news = news
         self._publisher = Publisher(config, source, avatar, avatar_identity)
         self._voice = voice
+        self._publisher.listen_to(voice)
         self._link = Link(
             link_config,
             (self._publisher.track, *(() if voice is None else (voice.track,))),

@@ -3,6 +3,7 @@
 csv:FILE[@SECONDS]                    a Live Link Face recording, starting somewhere in it
 take:FILE[@SECONDS]                   what `pica track --record` wrote
 performance:NAME[#SEED][@SECONDS]     a performance that ships with the package
+voice                                 none: the face is moved by the voice alone
 livelink, vmc, webcam, ...            trackers; see `live.opening`
 """
 
@@ -17,12 +18,13 @@ from pica_client.sources.live.opening import LIVE_HELP, LIVE_KINDS, TRACKER_KIND
 from pica_client.sources.live.take import TakeSource, load_take
 from pica_client.sources.livelink_csv import load_livelink_csv
 from pica_client.sources.performances import PERFORMANCES, make_performance
-from pica_client.sources.source import Recording, Source
+from pica_client.sources.source import Recording, Source, Unseen
 from pica_client.user_folders import preferences_folder
 
 SOURCE_HELP = (
     "csv:FILE[@SECONDS] for a Live Link Face recording, take:FILE[@SECONDS] for a recorded take, "
-    f"{LIVE_HELP}, or performance:NAME[#SEED][@SECONDS] with NAME one of " + ", ".join(PERFORMANCES)
+    f"{LIVE_HELP}, voice for a mouth that follows your voice, or "
+    "performance:NAME[#SEED][@SECONDS] with NAME one of " + ", ".join(PERFORMANCES)
 )
 
 
@@ -36,6 +38,8 @@ def open_source(text: str, person: str = "") -> Source:
     Raises:
         SourceError: The text is not of a known form, or what it names cannot be read.
     """
+    if text == "voice":
+        return Unseen()
     kind, rest = split_source(text)
     if kind in TRACKER_KINDS:
         return open_live(kind, rest, calibration_of(person, kind))

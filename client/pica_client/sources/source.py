@@ -46,6 +46,16 @@ class LiveSource(Source, Protocol):
         ...
 
 
+class Unseen:
+    """A source for who has no tracker: there is never a face, and the voice alone makes one."""
+
+    def frame_at(self, time_s: float) -> ExpressionFrame:
+        """No face; see `Source.frame_at`."""
+        return ExpressionFrame(
+            captured_us=round(time_s * 1e6), arkit=np.zeros(NUM_ARKIT, np.float32), has_face=False
+        )
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Recording:
     """Samples of a face that loop for ever: the common end of files and of generated performances.

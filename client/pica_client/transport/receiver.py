@@ -68,6 +68,8 @@ class Receiver:
         self._giver = giver
         self._news = news
         self.voice = voice
+        if publisher is not None:
+            publisher.listen_to(voice)
         self.voices = VoiceReceiver(on_voice)
         self._takes_faces = takes_faces
         tracks = tuple(each.track for each in (publisher, voice) if each is not None)

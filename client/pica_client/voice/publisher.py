@@ -6,7 +6,7 @@ later leaves this machine or is kept on it.
 """
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -45,6 +45,7 @@ class VoicePublisher:
         is_muted: Whether its owner has muted it; `set_muted` changes it.
         is_muted_by_admin: Whether an admin has stopped the stream.
         level: Of the last frame that was captured for sending, as `VoicePacket.level`; None: muted.
+        on_sound: Takes what is captured and not muted: samples, and when the first was captured.
     """
 
     def __init__(
@@ -68,6 +69,7 @@ class VoicePublisher:
         self.track = voice_track()
         self.is_muted = self.is_muted_by_admin = False
         self.level: int | None = None
+        self.on_sound: Callable[[FloatArray, int], None] | None = None
         self._source = source
         self._encoder = OpusEncoder(bitrate, is_constant=is_sealed)
         self._stream = 0
@@ -110,6 +112,8 @@ class VoicePublisher:
             pcm = _NOTHING
         elif self._was_muted:
             self._encoder.reset()
+        if not self.is_muted and self.on_sound is not None:
+            self.on_sound(pcm, captured_us)
         self._was_muted = self.is_muted
         if not link.is_joined:
             self._unheard += 1

@@ -8,7 +8,6 @@ from typing import Final
 import numpy as np
 
 from pica_client.sources.performances import make_performance
-from pica_client.sources.source import Source
 from pica_client.voice.mouth import DELAY_S, HOP, MOUTH, SAMPLE_RATE, MouthFromVoice
 from pica_core.avatar.arkit import ExpressionFrame
 from pica_core.types import FloatArray
@@ -24,21 +23,17 @@ STEP_S: Final = HOP / SAMPLE_RATE
 
 
 class SpokenFace:
-    """A source that another one's losses are filled in of, by the voice of the same person.
+    """Fills in the losses of a source by the voice of the same person.
 
     The mouth is the voice's; eyes, brows and head are those of somebody who listens. The seam is
-    blended. It is no `LiveSource` by itself: whoever opened the tracker closes it.
+    blended.
+
+    Attributes:
+        is_on: Whether the voice may move the mouth; may be switched at any time.
     """
 
-    def __init__(self, tracker: Source | None) -> None:
-        """Begin to fill in.
-
-        Args:
-            tracker: Who is followed while it sees a face; None if there is no tracker.
-        """
+    def __init__(self) -> None:
         self.is_on = True
-        """Whether the voice may move the mouth; may be switched at any time."""
-        self._tracker = tracker
         self._idle = make_performance("listen")
         self._mouth = MouthFromVoice()
         self._times_s: deque[float] = deque(maxlen=KEPT_HOPS)
@@ -64,29 +59,36 @@ class SpokenFace:
             if mouth.max() > SPEAKING:
                 self._spoke_s = at_s
 
-    def frame_at(self, time_s: float) -> ExpressionFrame:
-        """The face at a moment of the source's time; see `Source.frame_at`."""
-        frame = None if self._tracker is None else self._tracker.frame_at(time_s)
-        is_seen = frame is not None and frame.has_face
-        fills = self.is_on and not is_seen and time_s - self._spoke_s < SILENT_AFTER_S
+    def fill(self, frame: ExpressionFrame, time_s: float) -> ExpressionFrame:
+        """The face to show.
+
+        Args:
+            frame: What the source shows, a face or none.
+            time_s: The moment that it was asked for, in the source's time; rising.
+
+        Returns:
+            The source's face, or one that speaks, or something between in the seam; none while
+            nobody is seen or heard.
+        """
+        fills = self.is_on and not frame.has_face and time_s - self._spoke_s < SILENT_AFTER_S
         step = min(max(time_s - self._weight_s, 0.0), SEAM_S) / SEAM_S
         self._weight = min(max(self._weight + (step if fills else -step), 0.0), 1.0)
         self._weight_s = time_s
         # A filled face is as old as its mouth, so that it meets its sound at the receivers.
-        own_s = frame.captured_us / 1e6 if frame is not None and is_seen else time_s - DELAY_S
+        own_s = frame.captured_us / 1e6 if frame.has_face else time_s - DELAY_S
         own_s = self._own_s = max(own_s, self._own_s)  # two moments are not shown in turn
         if self._weight == 0.0:
-            return frame or replace(self._idle.frame_at(time_s), has_face=False)
+            return frame
         idle = self._idle.frame_at(time_s)
         spoken = np.where(MOUTH, self._mouth_at(own_s), idle.arkit)
-        if frame is None or self._weight == 1.0:
+        if self._weight == 1.0:
             arkit, rotation = spoken, idle.rotation
         else:
             seen = frame.arkit
             arkit = seen + np.float32(self._weight) * (spoken - seen)
             rotation = frame.rotation + np.float32(self._weight) * (idle.rotation - frame.rotation)
         return replace(
-            idle if frame is None else frame,
+            frame,
             captured_us=round(own_s * 1e6),
             arkit=arkit.astype(np.float32),
             rotation=rotation,

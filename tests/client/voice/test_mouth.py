@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pica_client.sources.performances import make_performance
+from pica_client.sources.source import Source, Unseen
 from pica_client.voice.mouth import (
     DELAY_S,
     HOP,
@@ -93,8 +94,12 @@ class Lossy:
         return replace(self._face, captured_us=round((time_s - 0.02) * 1e6), has_face=has_face)
 
 
-def play(face: SpokenFace, seconds: float, *, talk_until_s: float) -> list[ExpressionFrame]:
+def play(
+    source: Source, seconds: float, *, talk_until_s: float, is_on: bool = True
+) -> list[ExpressionFrame]:
     """A hundred faces a second, with a voice that sings until some moment."""
+    face = SpokenFace()
+    face.is_on = is_on
     voice = np.concatenate([vowel("ah", 0.3), silence(0.3)])
     frames = []
     for step in range(round(seconds * 50)):
@@ -102,12 +107,12 @@ def play(face: SpokenFace, seconds: float, *, talk_until_s: float) -> list[Expre
         if at_s < talk_until_s:
             start = step * FRAME % len(voice)
             face.hear(voice[start : start + FRAME], at_s)
-        frames += [face.frame_at(at_s + 0.02), face.frame_at(at_s + 0.03)]
+        frames += [face.fill(source.frame_at(s), s) for s in (at_s + 0.02, at_s + 0.03)]
     return frames
 
 
 def test_the_voice_takes_over_and_hands_back_without_a_snap() -> None:
-    frames = play(SpokenFace(Lossy(1.0, 3.0)), 4.0, talk_until_s=4.0)
+    frames = play(Lossy(1.0, 3.0), 4.0, talk_until_s=4.0)
     assert all(frame.has_face for frame in frames)
     values = np.array([frame.arkit for frame in frames])
     assert np.ptp(values[150:290, JAW]) > 0.15  # it speaks while it is not seen
@@ -123,13 +128,11 @@ def test_the_voice_takes_over_and_hands_back_without_a_snap() -> None:
 
 
 def test_who_is_silent_and_unseen_for_long_has_no_face() -> None:
-    frames = play(SpokenFace(None), SILENT_AFTER_S + 3, talk_until_s=1.0)
+    frames = play(Unseen(), SILENT_AFTER_S + 3, talk_until_s=1.0)
     assert frames[60].has_face
     assert not frames[-1].has_face
 
 
 def test_nobody_is_filled_in_for_before_they_have_spoken_or_when_it_is_off() -> None:
-    assert not play(SpokenFace(None), 0.5, talk_until_s=0.0)[-1].has_face
-    face = SpokenFace(Lossy(0.0, 9.0))
-    face.is_on = False
-    assert not play(face, 0.5, talk_until_s=0.5)[-1].has_face
+    assert not play(Unseen(), 0.5, talk_until_s=0.0)[-1].has_face
+    assert not play(Lossy(0.0, 9.0), 0.5, talk_until_s=0.5, is_on=False)[-1].has_face

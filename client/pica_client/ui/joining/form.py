@@ -27,6 +27,7 @@ SOURCES: tuple[tuple[str, str], ...] = (
     ("livelink", "iPhone: Live Link Face"),
     ("vmc", "VTuber program: VMC"),
     ("webcam", "Webcam"),
+    ("voice", "None: my voice moves the mouth"),
     ("", "Watch only"),
 )
 """Face sources to choose from, and what they are called."""
