@@ -1,7 +1,7 @@
 """The models of the paper's tables, as rows: each is `FULL` with one part replaced.
 
     full       the Pixel Codec Avatar (section 3)
-    linear     full with vertices by bases in closed form (ours, the default of `pica train`)
+    linear     full with vertices by bases in closed form (ours)
     no_uv      the pixel decoder is not told where on the surface it is
     coarse     the tracked mesh is drawn, not the dense one
     uv_nope    (u, v) as they are, without an encoding
