@@ -98,6 +98,7 @@ class Trainer:
         geometry, joint, driver = config.schedule.steps
         if config.model.spec().geometry == "bases":  # nothing to descend: the steps go to colours
             geometry, joint = 0, joint + geometry // JOINT_COST
+            driver = min(driver, 1)  # a regression, which a descent from it only makes worse
         self._steps = geometry, joint, driver if data.capture.has_expressions else 0
         self.step = 0
         self.rollbacks = 0
@@ -194,6 +195,7 @@ class Trainer:
         phase, index, length = self.phase_of(self.step)
         if phase == "driver" and index == 0 and self.config.model.spec().geometry == "bases":
             self.objectives.start_driver()
+            self._optimisers[phase].param_groups[0]["peak"] = 0.0
         schedule = self.config.schedule
         rng = np.random.default_rng([self.config.seed, self.step])
         noise = torch.Generator().manual_seed(self.config.seed * 1_000_003 + self.step)
