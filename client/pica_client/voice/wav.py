@@ -42,7 +42,9 @@ def read_wav(path: Path) -> FloatArray:
             data = np.frombuffer(file.readframes(num_frames), "<i2")
             channels = file.getnchannels()
     except (OSError, EOFError, wave.Error) as error:
-        raise SourceError(f"{path}: no WAV file of PCM sound: {error}") from error
+        raise SourceError(
+            f"{path}: no WAV file of PCM sound: {str(error) or 'it is cut off'}"
+        ) from error
     if len(data) < channels:
         raise SourceError(f"{path}: no sound in it")
     sound = data[: len(data) // channels * channels].reshape(-1, channels).mean(axis=1)
