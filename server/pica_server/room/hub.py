@@ -244,7 +244,9 @@ class Hub:
     def hold(self, connection: Connection, due_s: float) -> None:
         """Bring a connection among those that are ready when what waits for it is due."""
         if due_s < connection.held_s:
-            connection.held_s = due_s = math.ceil(due_s / HOLD_STEP_S) * HOLD_STEP_S
+            # Never a rounding before it: a timer that finds nothing due would be set again and
+            # again without the clock moving on.
+            connection.held_s = due_s = (math.floor(due_s / HOLD_STEP_S) + 1) * HOLD_STEP_S
             heapq.heappush(self._held, (due_s, connection.serial, connection))
 
     def take(self, connection: Connection, now: float) -> OutboundMessage | None:

@@ -1,11 +1,14 @@
 """What waits for one receiver when somebody speaks: voices first, faces in their messages."""
 
+import math
 from collections import Counter
 
 import pytest
 
 from pica_protocol.client_session import RIDE_S
 from pica_protocol.frames import FLAG_KEYFRAME, Frame, decode_media, encode_frame
+from pica_server.config.relay import RelayConfig
+from pica_server.room.hub import HOLD_STEP_S, Hub
 from pica_server.room.outbox import (
     NARROW_RIDE_S,
     NARROW_S,
@@ -153,3 +156,15 @@ def test_who_wants_no_voice_gets_none_and_who_wants_no_face_the_voice() -> None:
     put(outbox, OTHER_VOICE, 1.0)
     outbox.want(FACE, None)
     assert streams(outbox.take(1.0)) == [OTHER_VOICE]
+
+
+@pytest.mark.parametrize("step", range(1, 2000, 7))
+def test_what_is_held_back_is_looked_at_when_it_is_due_and_not_before(step: int) -> None:
+    hub = Hub(RelayConfig())
+    connection = hub.connect(0.0)
+    due_s = math.nextafter(step * HOLD_STEP_S, math.inf)
+    hub.hold(connection, due_s)
+    when = hub.next_timer()
+    assert when is not None
+    assert due_s <= connection.held_s <= due_s + 2 * HOLD_STEP_S
+    assert when <= connection.held_s
