@@ -17,7 +17,8 @@ from PIL import Image
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.faces import FaceState
 from pica_client.sources.performances import make_performance
-from pica_client.ui.viewer import Viewer, ViewerOptions
+from pica_client.ui.viewer import Viewer
+from pica_client.ui.viewer_options import ViewerOptions
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 

@@ -25,7 +25,8 @@ from pica_client.ui.call_surface import CallSurface
 from pica_client.ui.controls import Side
 from pica_client.ui.events import MouseMoved
 from pica_client.ui.surface.painter import Painter
-from pica_client.ui.viewer import Viewer, ViewerOptions
+from pica_client.ui.viewer import Viewer
+from pica_client.ui.viewer_options import ViewerOptions
 from pica_core.gl import wait_for_gpu
 
 SIZE = (1280, 720)

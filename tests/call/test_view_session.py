@@ -34,7 +34,7 @@ from pica_client.ui.joining.form import Fields, JoinForm
 from pica_client.ui.preferences import Preferences, PreferencesFile
 from pica_client.ui.view import ViewConfig
 from pica_client.ui.view_session import Destination, ask_and_look, look
-from pica_client.ui.viewer import ViewerOptions
+from pica_client.ui.viewer_options import ViewerOptions
 from pica_core.gl import create_context
 
 pytestmark = pytest.mark.call

@@ -129,7 +129,7 @@ def view(options: ViewOptions) -> dict[str, Any]:
         keep_folder,
         look,
     )
-    from pica_client.ui.viewer import ViewerOptions
+    from pica_client.ui.viewer_options import ViewerOptions
 
     kept = PreferencesFile() if options.preferences and not options.headless else None
     preferences = Preferences() if kept is None else kept.load()

@@ -50,6 +50,10 @@ FADE_S = 0.5
 """How long a face takes to fade all the way, and to come back (chosen: seen, and not a flash)."""
 RING_STEPS = 4
 """Between no ring around a speaker and a bright one."""
+AUDIBLE_LEVEL = 45
+"""Decibels below full scale: a louder voice speaks (chosen: a quiet room is below 60)."""
+VOICE_HOLD_S = 0.4
+"""A shorter pause is one of speech."""
 RECENT_SAMPLES = 60
 """What the figures of one avatar, and of the panel, are made of."""
 MEASURED = ("decode", "decode_wait", "upload", "draw", "latency")
@@ -125,13 +129,21 @@ class _Peer:
     latency: Samples = field(default_factory=lambda: Samples(RECENT_SAMPLES))
     jaw: JawReader | None = None
     speaking: SpeakingMeter = field(default_factory=SpeakingMeter)
+    heard_s: float | None = None
+    """When its voice was last loud, on our clock; None: it sends none."""
     ring_share: float = 0.0
     on_leave: ExitStack = field(default_factory=ExitStack)
     """Gives back what the decode pool and the renderer hold of it."""
 
+    def is_speaking(self, now: float) -> bool:
+        """Whether its voice says that it speaks, or its jaw where there is no voice."""
+        if self.heard_s is None:
+            return self.speaking.is_speaking(now)
+        return now - self.heard_s < VOICE_HOLD_S
+
     def ring(self, now: float, step: float) -> float:
         """How bright the ring around it is, in a few steps: each draws the room anew."""
-        goal = float(self.speaking.is_speaking(now))
+        goal = float(self.is_speaking(now))
         self.ring_share = _towards(goal, self.ring_share, step)
         return math.ceil(RING_STEPS * self.ring_share) / RING_STEPS
 
@@ -145,6 +157,7 @@ class AvatarPresenter:
         pool: Where they are decoded; its slots are peer ids.
         planner: Says what is decoded, and how finely it is drawn.
         meter: Where durations go.
+        levels: How loud each is who sends a voice, by peer id; see `VoiceMixer.levels`.
         on_decoded: Told of every decode that reached the GPU; its slot is the peer id.
         clock: Seconds, monotonic; see `viewer.Viewer`.
     """
@@ -157,6 +170,7 @@ class AvatarPresenter:
         planner: FramePlanner,
         *,
         meter: Meter | None = None,
+        levels: Callable[[], Mapping[str, int]] = dict,
         on_decoded: Callable[[DecodeResult], None] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -166,6 +180,7 @@ class AvatarPresenter:
         self._pool = pool
         self._planner = planner
         self._meter = meter or Meter()
+        self._levels = levels
         self._on_decoded = on_decoded
         self._clock = clock
         self._peers: dict[str, _Peer] = {}
@@ -192,11 +207,14 @@ class AvatarPresenter:
         )
         step = 1.0 if self._faded_s is None else max(now - self._faded_s, 0.0) / FADE_S
         self._faded_s = now
-        placements = []
+        placements, levels = [], self._levels()
         for face, entry, seat in zip(faces, entries, plan.seats, strict=True):
             entry.fade = _towards(FADE_OF_STATUS.get(face.status, 0.0), entry.fade, step)
             if face.latent is not None and entry.jaw is not None and face.status == "live":
                 entry.speaking.receive(entry.jaw.jaw_open(face.latent), now)
+            if face.peer_id in levels:
+                is_loud = levels[face.peer_id] < AUDIBLE_LEVEL
+                entry.heard_s = now if is_loud else entry.heard_s or -math.inf
             placements.append(
                 Placement(
                     slot=face.peer_id,
@@ -308,16 +326,14 @@ class AvatarPresenter:
                 decode_ms=entry.decode.summary_ms()["p50"],
                 latency_ms=entry.latency.summary_ms()["p50"],
                 num_decoded=entry.num_decoded,
-                is_speaking=entry.speaking.is_speaking(now),
+                is_speaking=entry.is_speaking(now),
             )
             for peer_id, entry in self._peers.items()
         }
 
     def speaking(self, now: float) -> set[str]:
-        """Peers whose jaw says that they speak."""
-        return {
-            peer_id for peer_id, entry in self._peers.items() if entry.speaking.is_speaking(now)
-        }
+        """Peers who speak, by their voice, or by their jaw where there is no voice."""
+        return {peer_id for peer_id, entry in self._peers.items() if entry.is_speaking(now)}
 
     def num_decoded(self) -> dict[str, int]:
         """Decodes so far, by peer id."""

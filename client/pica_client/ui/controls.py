@@ -56,6 +56,7 @@ class Order(Enum):
     LOOK_DOWN = auto()
     MUTE_FACE = auto()
     FREEZE_FACE = auto()
+    MUTE_VOICE = auto()
     CALIBRATE = auto()
     REJOIN = auto()
     """Come again as whom the settings say."""
@@ -73,6 +74,8 @@ class Order(Enum):
     DISMISS_HINT = auto()
     EXPLAIN_NO_FACE = auto()
     """Say what to do for a face that can be muted."""
+    EXPLAIN_NO_VOICE = auto()
+    """The same for a voice."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +105,8 @@ UserOrder = Order | Pin | ChooseLayout | CopyText | Settings | OwnChoice
 OwnFace = Literal["none", "sent", "frozen", "muted"]
 """What becomes of the user's own face. none: there is none to send; frozen: the last expression
 goes on being sent; muted: nothing is."""
+OwnVoice = Literal["none", "sent", "muted"]
+"""What becomes of the user's own voice; none: there is none to send."""
 Side = Literal["none", "help", "participants", "settings"]
 """What stands in the panel at the right."""
 
@@ -118,6 +123,7 @@ class ControlState:
     side: Side = "none"
     asks_to_leave: bool = False
     own_face: OwnFace = "none"
+    own_voice: OwnVoice = "none"
     settings: Settings = field(default_factory=Settings)
     choice: OwnChoice = field(default_factory=OwnChoice)
     """The name, avatar and source that the user wants; a name or avatar only after coming again."""
@@ -141,6 +147,10 @@ def _own_face(wanted: OwnFace) -> Change:
         return replace(state, own_face="sent" if state.own_face == wanted else wanted)
 
     return change
+
+
+def _own_voice(state: ControlState) -> ControlState:
+    return replace(state, own_voice="sent" if state.own_voice == "muted" else "muted")
 
 
 def _side(wanted: Side) -> Change:
@@ -176,6 +186,7 @@ CHANGES: dict[Order, Change] = {
     Order.LOOK_DOWN: _orbit(0.0, -KEY_ORBIT_PX),
     Order.MUTE_FACE: _own_face("muted"),
     Order.FREEZE_FACE: _own_face("frozen"),
+    Order.MUTE_VOICE: _own_voice,
     Order.STATISTICS: lambda state: replace(state, show_statistics=not state.show_statistics),
     Order.PARTICIPANTS: _side("participants"),
     Order.SETTINGS: _side("settings"),
@@ -212,6 +223,7 @@ BINDINGS: tuple[Binding, ...] = (
     Binding(keys=("Right",), title="", order=Order.LOOK_RIGHT, repeats=True),
     Binding(keys=("Up",), title="", order=Order.LOOK_UP, repeats=True),
     Binding(keys=("Down",), title="", order=Order.LOOK_DOWN, repeats=True),
+    Binding(keys=("T",), title="mute own voice", order=Order.MUTE_VOICE),
     Binding(keys=("M",), title="mute own face", order=Order.MUTE_FACE, needs_own_face=True),
     Binding(keys=("F",), title="freeze own face", order=Order.FREEZE_FACE, needs_own_face=True),
     Binding(keys=("K",), title="calibrate the tracker", order=Order.CALIBRATE, needs_own_face=True),
@@ -309,6 +321,8 @@ class Controls:
                 self._orders.append(order)
             case Order() if order in OF_THE_FACE and self.state.own_face == "none":
                 self._orders.append(Order.EXPLAIN_NO_FACE)
+            case Order.MUTE_VOICE if self.state.own_voice == "none":
+                self._orders.append(Order.EXPLAIN_NO_VOICE)
             case Order() if order in CHANGES:
                 self.state = CHANGES[order](self.state)
             case _:

@@ -24,9 +24,11 @@ from pica_client.transport.connect import trusting
 from pica_client.transport.link_news import LinkNews
 from pica_client.transport.monitor import CallMonitor
 from pica_client.transport.receiver import Receiver
+from pica_client.ui.call_sound import CallSound
 from pica_client.ui.controls import ControlState
 from pica_client.ui.settings import OwnChoice
-from pica_client.ui.viewer import Viewer, ViewerOptions
+from pica_client.ui.viewer import Viewer
+from pica_client.ui.viewer_options import ViewerOptions
 from pica_client.ui.window import Window
 from pica_client.voice.hearing import Hearing
 from pica_client.voice.opus import available
@@ -198,6 +200,7 @@ class View:
                 status=CallMonitor(self._receiver).status,
                 on_decoded=self._note_decode if config.frame_log is not None else None,
                 desk=desk,
+                sound=CallSound(self._receiver.voice, self._hearing),
                 on_rejoin=self._come_again,
                 on_recording=self._say_recording,
                 window=self._window,

@@ -11,7 +11,7 @@ put the surface of `call_surface` over them, show or record.
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -20,21 +20,21 @@ import numpy as np
 
 from pica_client.call.faces import FaceSource
 from pica_client.call.status import CallStatus
-from pica_client.decode.decoder import OnnxDecoder, OnnxOptions
-from pica_client.decode.pool import DecodePool, DecodePoolOptions
+from pica_client.decode.decoder import OnnxDecoder
+from pica_client.decode.pool import DecodePool
 from pica_client.decode.request import DecodeResult
-from pica_client.errors import ClientError, OptionError
+from pica_client.errors import ClientError
 from pica_client.output import Outputs
 from pica_client.publish.face_desk import FaceDesk
 from pica_client.render.draw_clock import DrawClock
 from pica_client.render.recorder import save_png
-from pica_client.render.renderer import DrawStats, Renderer, RenderOptions
+from pica_client.render.renderer import DrawStats, Renderer
 from pica_client.render.scene import pick_head
-from pica_client.render.seats import Layout
-from pica_client.render.stereo import MAX_EYE_DISTANCE_M, stereo_cameras
+from pica_client.render.stereo import stereo_cameras
 from pica_client.schedule.frame_planner import FramePlanner
-from pica_client.schedule.scheduler import Plan, Scheduler, SchedulerOptions
+from pica_client.schedule.scheduler import Plan, Scheduler
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter, Seating
+from pica_client.ui.call_sound import CallSound
 from pica_client.ui.call_surface import CallSurface
 from pica_client.ui.call_view import NOTHING, OwnFaceView
 from pica_client.ui.captures_on_disk import CapturesOnDisk, Recording
@@ -47,7 +47,8 @@ from pica_client.ui.controls import (
 )
 from pica_client.ui.events import InputEvent, MouseMoved, MousePressed, MouseReleased
 from pica_client.ui.own_face import OwnFaceCorner
-from pica_client.ui.settings import OwnChoice, Settings
+from pica_client.ui.settings import OwnChoice
+from pica_client.ui.viewer_options import ViewerOptions
 from pica_client.ui.window import Window
 from pica_core.avatar.file import Avatar
 from pica_core.camera import Camera
@@ -58,64 +59,6 @@ StatusSource = Callable[[float], CallStatus]
 PREPARE_TIMEOUT_S = 5.0
 """How long the first picture waits for five avatars to be loaded; here they take half a second."""
 PREPARE_POLL_S = 0.01
-BUDGET_SHARE = 0.8
-"""Part of the time between two frames: the rest is for texts, the window system and recording."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ViewerOptions:
-    """How a call is shown."""
-
-    size: tuple[int, int] = (960, 540)
-    """Columns and rows of the image or window, pixels."""
-    headless: bool = False
-    """Draw without a window."""
-    record: Path | None = None
-    """MP4 file to record into from the start."""
-    keep_in: Path | None = None
-    """Folder for the pictures and recordings that the user asks for meanwhile; None is the system's
-    for each of them."""
-    max_fps: float = 30.0
-    """Frames are drawn no more often than this; in a window the display limits too."""
-    frame_budget_ms: float = 0.0
-    """What decoding and drawing a frame may take before detail is given up, milliseconds; 0 is
-    `BUDGET_SHARE` of the time between two frames."""
-    scheduler: SchedulerOptions = field(default_factory=SchedulerOptions)
-    layout: Layout = "arc"
-    """How people sit at first; see `seats`."""
-    show_statistics: bool = False
-    """Show the statistics from the start."""
-    eye_distance_m: float = 0.0
-    """Above 0 the picture is side by side for two eyes so far apart, metres."""
-    settings: Settings = field(default_factory=Settings)
-    """What the user has set, at first."""
-    shows_hint: bool = False
-    """Whether what one needs to know in the first call is shown."""
-    entered_as: OwnChoice = field(default_factory=OwnChoice)
-    """The name, avatar and source of the user."""
-    avatars: tuple[str, ...] = ()
-    """Those that one can come again with, by name; none where one cannot."""
-    title: str = "PiCA Telepresence"
-    render: RenderOptions = field(default_factory=lambda: RenderOptions(fade_busts=True))
-    decode: DecodePoolOptions = field(default_factory=DecodePoolOptions)
-    onnx: OnnxOptions = field(default_factory=OnnxOptions)
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.max_fps <= 1000:
-            raise OptionError(f"max_fps is {self.max_fps:g}; allowed are 1 to 1000")
-        if not 0 <= self.frame_budget_ms <= 10_000:
-            raise OptionError(
-                f"frame_budget_ms is {self.frame_budget_ms:g}; 0 (from max_fps) to 10000 is allowed"
-            )
-        if not 0 <= self.eye_distance_m <= MAX_EYE_DISTANCE_M:
-            raise OptionError(
-                f"eye_distance_m is {self.eye_distance_m:g}; 0 to {MAX_EYE_DISTANCE_M:g} is allowed"
-            )
-
-    @property
-    def frame_budget_s(self) -> float:
-        """What decoding and drawing a frame may take, seconds."""
-        return self.frame_budget_ms * 1e-3 or BUDGET_SHARE / self.max_fps
 
 
 @dataclass(slots=True, eq=False)
@@ -136,6 +79,7 @@ class Viewer:
         on_decoded: Told of every decode that reached the GPU, on the drawing thread; its slot is
             the peer id.
         desk: What steers the user's own face; None while none is sent.
+        sound: The voices of the call; None: there are none.
         on_rejoin: Told as whom the user wants to come again; why that cannot be, or nothing.
         on_recording: Told when what is shown begins to be kept, and when that is over.
         window: To show it in, which stays open afterwards; by default a new one.
@@ -161,6 +105,7 @@ class Viewer:
         on_decoded: Callable[[DecodeResult], None] | None = None,
         on_recording: Callable[[bool], None] = lambda is_recording: None,
         desk: FaceDesk | None = None,
+        sound: CallSound | None = None,
         on_rejoin: Callable[[OwnChoice], str] = lambda choice: "You cannot come again from here",
         window: Window | None = None,
         clock: Callable[[], float] = time.monotonic,
@@ -168,6 +113,7 @@ class Viewer:
         self.options = options or ViewerOptions()
         self._clock = clock
         self._on_rejoin = on_rejoin
+        self._sound = sound or CallSound()
         self._on_recording = on_recording
         self._was_recording = False
         self.controls = Controls(
@@ -175,6 +121,7 @@ class Viewer:
                 layout=self.options.layout,
                 show_statistics=self.options.show_statistics,
                 own_face="none" if desk is None else "sent",
+                own_voice=self._sound.own_voice,
                 choice=self.options.entered_as,
                 settings=self.options.settings,
                 shows_hint=self.options.shows_hint,
@@ -224,6 +171,7 @@ class Viewer:
                 self._pool,
                 FramePlanner(self._scheduler),
                 meter=self._meter,
+                levels=self._sound.levels,
                 on_decoded=on_decoded,
                 clock=clock,
             )
@@ -312,6 +260,7 @@ class Viewer:
             self.controls.obey(order)
         if self._own_face is not None:
             self._own_face.tell(self.controls.state.own_face)
+        self._sound.tell(self.controls.state.own_voice)
         begin_s = self._clock()
         # What a frame cost is known some frames later, when the GPU is done with it.
         drawn = _DrawnFrame(plan.shaded_px)
@@ -477,6 +426,8 @@ class Viewer:
                 self._surface.notice(
                     "You show no face: choose a face source in the settings (--send)", now
                 )
+            case Order.EXPLAIN_NO_VOICE:
+                self._surface.notice("You send no voice: begin with --voice mic", now)
             case Order.REJOIN:
                 if trouble := self._on_rejoin(self.controls.state.choice):
                     self._surface.notice(trouble, now)

@@ -66,7 +66,8 @@ def test_the_window_knows_every_key_that_means_something() -> None:
 def test_every_order_is_given_by_a_key_or_by_a_button_or_explains_one() -> None:
     by_key = {binding.order for binding in BINDINGS}
     by_button = {Order.STAY, Order.LEAVE, Order.DISMISS_HINT, Order.REJOIN}
-    assert set(Order) - by_key == by_button | {Order.EXPLAIN_NO_FACE}
+    explained = {Order.EXPLAIN_NO_FACE, Order.EXPLAIN_NO_VOICE}
+    assert set(Order) - by_key == by_button | explained
 
 
 def test_a_button_gives_the_orders_of_keys_and_some_that_name_somebody() -> None:
@@ -221,6 +222,19 @@ def test_ones_own_face_is_muted_and_frozen_by_those_who_send_one() -> None:
         press(controls, key)
         steps.append(controls.state.own_face)
     assert steps == ["muted", "frozen", "sent", "muted", "sent"]
+
+
+def test_ones_own_voice_is_muted_by_those_who_send_one_and_explained_to_others() -> None:
+    watcher = Controls()
+    press(watcher, "T")
+    assert watcher.state.own_voice == "none"
+    assert watcher.take_orders() == [Order.EXPLAIN_NO_VOICE]
+    controls = Controls(ControlState(own_voice="sent"))
+    steps = []
+    for _ in range(3):
+        press(controls, "T")
+        steps.append(controls.state.own_voice)
+    assert steps == ["muted", "sent", "muted"]
 
 
 def test_the_desktops_own_shortcuts_are_left_alone() -> None:

@@ -25,7 +25,8 @@ from pica_client.render.thumbnail import draw_thumbnail
 from pica_client.schedule.scheduler import SchedulerOptions
 from pica_client.sources import open_source
 from pica_client.ui.events import KeyPressed, MouseMoved, MousePressed, MouseReleased, Scrolled
-from pica_client.ui.viewer import Viewer, ViewerOptions
+from pica_client.ui.viewer import Viewer
+from pica_client.ui.viewer_options import ViewerOptions
 from pica_client.ui.window import Window
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import AvatarSpec

@@ -69,7 +69,7 @@ def bar_share(metrics: Metrics) -> float:
 
 
 def _groups(view: CallView) -> list[list[_Button]]:
-    """The buttons: one's own face, the picture, panels, and the way out."""
+    """The buttons: one's own voice and face, the picture, panels, and the way out."""
     state = view.state
     own: list[_Button] = []
     if state.own_face != "none":
@@ -81,6 +81,11 @@ def _groups(view: CallView) -> list[list[_Button]]:
             (Order.MUTE_FACE, icon, show, False, "alert" if is_muted else "plain"),
             (Order.FREEZE_FACE, icons.FREEZE, go_on, is_frozen, "plain"),
         ]
+    if state.own_voice != "none":
+        is_off = state.own_voice == "muted"
+        icon = icons.VOICE_OFF if is_off else icons.VOICE
+        speak = "Let yourself be heard" if is_off else "Mute your voice"
+        own.insert(0, (Order.MUTE_VOICE, icon, speak, False, "alert" if is_off else "plain"))
     record = "Stop recording" if view.is_recording else "Record"
     picture: list[_Button] = [
         (Order.NEXT_LAYOUT, icons.LAYOUT, "Next layout", False, "plain"),

@@ -86,6 +86,9 @@ def signs(view: CallView, metrics: Metrics) -> list[UserOrder]:
     own = own_sign(view)
     if own is not None:
         _sign(*own, (edge, rows - edge), (0.0, 1.0), metrics)
+    if view.state.own_voice == "muted":
+        lift = 0 if own is None else metrics.px(36)
+        _sign("Your voice is muted", "alert", (edge, rows - edge - lift), (0.0, 1.0), metrics)
     if view.is_recording:
         _sign("Recording", "alert", (columns - edge, rows - edge), (1.0, 1.0), metrics)
     return []

@@ -4,6 +4,8 @@ from imgui_bundle import icons_fontawesome_6 as _awesome
 
 FACE = _awesome.ICON_FA_FACE_SMILE
 FACE_OFF = _awesome.ICON_FA_EYE_SLASH
+VOICE = _awesome.ICON_FA_MICROPHONE
+VOICE_OFF = _awesome.ICON_FA_MICROPHONE_SLASH
 FREEZE = _awesome.ICON_FA_SNOWFLAKE
 LAYOUT = _awesome.ICON_FA_TABLE_CELLS_LARGE
 RECORD = _awesome.ICON_FA_CIRCLE

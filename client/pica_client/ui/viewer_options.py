@@ -1,0 +1,72 @@
+"""How a call is shown, as its user or a program wants it."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pica_client.decode.decoder import OnnxOptions
+from pica_client.decode.pool import DecodePoolOptions
+from pica_client.errors import OptionError
+from pica_client.render.renderer import RenderOptions
+from pica_client.render.seats import Layout
+from pica_client.render.stereo import MAX_EYE_DISTANCE_M
+from pica_client.schedule.scheduler import SchedulerOptions
+from pica_client.ui.settings import OwnChoice, Settings
+
+BUDGET_SHARE = 0.8
+"""Part of the time between two frames: the rest is for texts, the window system and recording."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ViewerOptions:
+    """How a call is shown."""
+
+    size: tuple[int, int] = (960, 540)
+    """Columns and rows of the image or window, pixels."""
+    headless: bool = False
+    """Draw without a window."""
+    record: Path | None = None
+    """MP4 file to record into from the start."""
+    keep_in: Path | None = None
+    """Folder for the pictures and recordings that the user asks for meanwhile; None is the system's
+    for each of them."""
+    max_fps: float = 30.0
+    """Frames are drawn no more often than this; in a window the display limits too."""
+    frame_budget_ms: float = 0.0
+    """What decoding and drawing a frame may take before detail is given up, milliseconds; 0 is
+    `BUDGET_SHARE` of the time between two frames."""
+    scheduler: SchedulerOptions = field(default_factory=SchedulerOptions)
+    layout: Layout = "arc"
+    """How people sit at first; see `seats`."""
+    show_statistics: bool = False
+    """Show the statistics from the start."""
+    eye_distance_m: float = 0.0
+    """Above 0 the picture is side by side for two eyes so far apart, metres."""
+    settings: Settings = field(default_factory=Settings)
+    """What the user has set, at first."""
+    shows_hint: bool = False
+    """Whether what one needs to know in the first call is shown."""
+    entered_as: OwnChoice = field(default_factory=OwnChoice)
+    """The name, avatar and source of the user."""
+    avatars: tuple[str, ...] = ()
+    """Those that one can come again with, by name; none where one cannot."""
+    title: str = "PiCA Telepresence"
+    render: RenderOptions = field(default_factory=lambda: RenderOptions(fade_busts=True))
+    decode: DecodePoolOptions = field(default_factory=DecodePoolOptions)
+    onnx: OnnxOptions = field(default_factory=OnnxOptions)
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.max_fps <= 1000:
+            raise OptionError(f"max_fps is {self.max_fps:g}; allowed are 1 to 1000")
+        if not 0 <= self.frame_budget_ms <= 10_000:
+            raise OptionError(
+                f"frame_budget_ms is {self.frame_budget_ms:g}; 0 (from max_fps) to 10000 is allowed"
+            )
+        if not 0 <= self.eye_distance_m <= MAX_EYE_DISTANCE_M:
+            raise OptionError(
+                f"eye_distance_m is {self.eye_distance_m:g}; 0 to {MAX_EYE_DISTANCE_M:g} is allowed"
+            )
+
+    @property
+    def frame_budget_s(self) -> float:
+        """What decoding and drawing a frame may take, seconds."""
+        return self.frame_budget_ms * 1e-3 or BUDGET_SHARE / self.max_fps
