@@ -98,11 +98,13 @@ class ClickingWindow(ScreenlessWindow):
             return super().poll()
         found = [rect for label, rect in self.places.items() if self.todo and self.todo[0] in label]
         self.places.clear()
+        stands = found == getattr(self, "found", None)  # a panel that just opened still moves
+        self.found = found
         if not self.todo:
             return [CloseWanted()]
         if self.todo[0].startswith("="):
             return [TextTyped(self.todo.pop(0)[1:])]
-        if found:
+        if found and stands:
             self.todo.pop(0)
             left, top, right, bottom = found[-1]
             place = (left + right) / 2, (top + bottom) / 2

@@ -192,7 +192,9 @@ def random_decoders(avatar: Avatar, block: str, seed: int) -> Avatar:
     tensors: dict[str, npt.NDArray[Any]] = {
         name: array
         for name, array in avatar.tensors.items()
-        if name == "geometry.mean" or name.startswith(("linear.", "mesh."))
+        if name == "geometry.mean"
+        or name.startswith(("linear.", "mesh."))
+        or name.endswith(".faces")
     }
     for name, shape in shapes.items():
         if is_index(name):

@@ -274,7 +274,7 @@ def _soundcard() -> Any:
     try:
         import soundcard
     except Exception as error:  # AssertionError without a server, OSError without its library
-        raise VoiceError(NO_SOUND.format(error or type(error).__name__)) from error
+        raise VoiceError(NO_SOUND.format(str(error) or "no server answers")) from error
     return soundcard
 
 
