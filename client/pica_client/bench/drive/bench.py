@@ -44,7 +44,6 @@ from pica_core.avatar.file import Avatar
 from pica_core.capture.dataset.files import Topology
 from pica_core.capture.procedural.identity import IDENTITIES
 from pica_core.capture.procedural.subject import ProceduralSubject
-from pica_core.capture.rig.subject import RigSubject
 from pica_core.capture.stage.subject import Subject
 from pica_core.capture.triangles import signed_areas, spread_samples
 from pica_core.reference.face_errors import poking, region_errors_mm, vertex_parts
@@ -202,6 +201,9 @@ def _subject(config: DriveBenchConfig, avatar: Avatar) -> Subject:
     identity = avatar.manifest.identity
     subject: Subject
     if config.rig is not None:
+        # Only here: rigs need an extra that a viewer lacks.
+        from pica_core.capture.rig.subject import RigSubject
+
         subject = RigSubject(config.rig)
     elif identity in IDENTITIES:
         subject = ProceduralSubject(identity)
