@@ -30,7 +30,6 @@ from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.codec.factory import open_encoder
 from pica_core.codec.latent_stream import DEFAULT_QUALITY, StreamConfig
-from pica_core.types import FloatArray
 from pica_protocol.messages import Joined, KeyframeRequest, StreamMuted, Track
 from pica_protocol.session import ClientEvent
 
@@ -127,12 +126,10 @@ class Publisher:
     def listen_to(self, voice: VoicePublisher | None) -> None:
         """Let the voice of the face's owner move the mouth while nobody is seen, if it may."""
         if voice is not None and self.config.mouth_by_voice:
-            voice.on_sound = self._hear
-
-    def _hear(self, pcm: FloatArray, captured_us: int) -> None:
-        if self._spoken is None:
-            self._spoken = SpokenFace()
-        self._spoken.hear(pcm, captured_us / 1e6 - self._begin_s)
+            spoken = self._spoken = SpokenFace()
+            voice.on_sound = lambda pcm, captured_us: spoken.hear(
+                pcm, captured_us / 1e6 - self._begin_s
+            )
 
     def reflect(self) -> Reflection:
         """One's own face as the others get it, from the next keyframe on."""
