@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import tyro
 
 from pica_client.output import say
-from pica_client.sources.webcam.model import SHA256, URL, install, load_networks
+from pica_client.sources.webcam.model import SHA256, URL, install
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -26,6 +26,5 @@ def webcam_setup(options: WebcamOptions) -> dict[str, Any]:
     """
     say(f"from {options.source}")
     path = install(options.source)
-    load_networks()
     say(f"stored in {path}; now: pica track webcam")
     return {"path": str(path), "sha256": SHA256}

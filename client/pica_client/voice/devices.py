@@ -12,6 +12,7 @@ A device that is missing, busy or unplugged is said in `DeviceState.note` and tr
 import asyncio
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractContextManager, nullcontext
@@ -72,7 +73,7 @@ def microphones() -> list[str]:
     return _names(_soundcard().all_microphones, _soundcard().default_microphone)
 
 
-class _Device:
+class _Device(ABC):
     """A device that is opened again and again, on a thread of its own."""
 
     def __init__(self, name: str) -> None:
@@ -123,11 +124,11 @@ class _Device:
             if 0 < latency_s < 2:
                 self.state = DeviceState(self.state.name, latency_s=latency_s)
 
-    def _open(self, name: str) -> AbstractContextManager[Any]:
-        raise NotImplementedError
+    @abstractmethod
+    def _open(self, name: str) -> AbstractContextManager[Any]: ...
 
-    def _work(self, stream: Any) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def _work(self, stream: Any) -> None: ...
 
 
 class Loudspeaker(_Device):

@@ -3,6 +3,7 @@ for."""
 
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,7 +17,7 @@ SampleTap = Callable[[TrackerSample, float, float], None]
 a face, seconds; called by the thread that reads."""
 
 
-class Tracker:
+class Tracker(ABC):
     """A live source; what reads it, in a thread of its own, is for those that inherit from this.
 
     Attributes:
@@ -43,13 +44,13 @@ class Tracker:
         return replace(frame, captured_us=frame.captured_us - round(self._begin_s * 1e6))
 
     @property
+    @abstractmethod
     def trouble(self) -> str:
         """Why there is no face, in one line for its user; empty while there is one."""
-        raise NotImplementedError
 
+    @abstractmethod
     def close(self) -> None:
         """Stop reading, and free what was taken."""
-        raise NotImplementedError
 
     def _push(self, sample: TrackerSample, arrived_s: float, began_s: float) -> None:
         """Take a sample; its making began at a moment."""

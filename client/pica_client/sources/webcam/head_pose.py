@@ -46,6 +46,7 @@ _HEAD = np.array(
         *((x, y, z) for x, y, z in _PAIRS.values()),
     ]
 )
+_HEAD -= _HEAD.mean(0)
 DEPTH_FACTOR: Final = 0.8
 UNIT_M: Final = 0.06
 """Length of 1 in the table above: the outer corners of adults' eyes are 90 mm apart."""
@@ -70,10 +71,10 @@ def head_pose(landmarks: FloatArray, width: int, height: int) -> tuple[FloatArra
     points = landmarks[_INDICES] * [1.0, -1.0, -DEPTH_FACTOR]
     middle = points.mean(0)
     points = points - middle
-    u, _, v = np.linalg.svd((_HEAD - _HEAD.mean(0)).T @ points)
+    u, _, v = np.linalg.svd(_HEAD.T @ points)
     mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))])
     rotation = v.T @ mirror @ u.T
-    unit_px = float(np.sqrt((points**2).sum() / ((_HEAD - _HEAD.mean(0)) ** 2).sum()))
+    unit_px = float(np.sqrt((points**2).sum() / (_HEAD**2).sum()))
     focal_px = FOCAL_LENGTH * width
     distance_m = focal_px * UNIT_M / max(unit_px, 1e-6)
     x, y = (middle[:2] - [width / 2, -height / 2]) * distance_m / focal_px

@@ -135,7 +135,7 @@ class FaceNetworks:
         width, height = picture.size
         whole = Region(width / 2, height / 2, max(width, height))
         offsets, logits = self._detector.run(whole.crop(picture, DETECTOR_SIZE) * 2 - 1)
-        scores = 1 / (1 + np.exp(-np.clip(logits[0, :, 0], -80, 80)))
+        scores = _sigmoid(logits[0, :, 0])
         likely = np.flatnonzero(scores > DETECTION_SCORE)
         found = []
         # Middle, size and six points, two of them the eyes; all but the size from the anchor.
@@ -160,7 +160,7 @@ class FaceNetworks:
             is that there is a face, 0 to 1.
         """
         points, presence, _ = self._landmarks.run(region.crop(picture, CROP_SIZE))
-        sure = 1 / (1 + np.exp(-float(np.clip(presence.ravel()[0], -80, 80))))
+        sure = float(_sigmoid(presence.ravel()[:1])[0])
         return region.to_picture(points.reshape(NUM_LANDMARKS, 3) / np.float32(CROP_SIZE)), sure
 
     def shapes(self, landmarks: FloatArray) -> FloatArray:
@@ -214,6 +214,10 @@ class _Network:
         self._interpreter.set_tensor(self._input, np.ascontiguousarray(values, np.float32))
         self._interpreter.invoke()
         return [self._interpreter.get_tensor(index) for index in self._outputs]
+
+
+def _sigmoid(logits: FloatArray) -> Float64Array:
+    return np.asarray(1 / (1 + np.exp(-np.clip(logits, -80, 80))), np.float64)
 
 
 def _anchors() -> Float64Array:
