@@ -25,6 +25,8 @@ def main(capture: str, out: str, config: str) -> None:
         open_trainer(data, options, Path(out), ranks=ranks) as trainer,
     ):
         trainer.run()
+    if any("gloo_runloop" in task.read_text() for task in Path("/proc/self/task").glob("*/comm")):
+        raise AssertionError("the process group's threads outlive the process group")
 
 
 if __name__ == "__main__":

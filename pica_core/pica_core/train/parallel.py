@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import torch
+import torch.distributed.nn  # noqa: F401 - see open_ranks
 from torch import Tensor, distributed, nn
 
 from pica_core.errors import TrainingOptionError
@@ -65,6 +66,10 @@ class Ranks:
 @contextmanager
 def open_ranks(environment: Mapping[str, str]) -> Iterator[Ranks]:
     """The process's place among those that ``torchrun`` started; alone without it.
+
+    The functions of torch.distributed.nn keep, as their default, whatever group exists when the
+    module is first imported. It is imported above, while there is none: a group that is kept
+    outlives its destruction, and its threads can abort the process when the interpreter ends.
 
     Args:
         environment: Variables that torchrun sets: RANK, WORLD_SIZE, MASTER_ADDR, MASTER_PORT.
