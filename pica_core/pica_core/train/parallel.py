@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import torch
-import torch.distributed.nn  # noqa: F401 - see open_ranks
+import torch.distributed.nn
 from torch import Tensor, distributed, nn
 
 from pica_core.errors import TrainingOptionError
