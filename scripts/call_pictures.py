@@ -30,10 +30,10 @@ CALL = ((960, 540), 5, {})
 SHEET: tuple[tuple[tuple[int, int], int, dict[str, Any]], ...] = (
     ((640, 360), 5, {"layout": "table"}),
     ((640, 360), 5, {"layout": "grid"}),
-    ((640, 360), 5, {"pinned": "peer-2"}),
+    ((640, 360), 5, {"pinned": 2}),
     ((640, 360), 3, {"layout": "line"}),
     ((216, 360), 5, {}),
-    ((216, 360), 5, {"pinned": "peer-3"}),
+    ((216, 360), 5, {"pinned": 3}),
     ((480, 360), 5, {}),
     ((368, 360), 2, {}),
 )
@@ -58,10 +58,11 @@ class Performers:
     def faces(self, now: float) -> list[FaceState]:
         """Everybody at a time of their performance."""
         found = []
-        for peer_id, name, identity, encoder, track in self._people:
+        for place, (peer_id, name, identity, encoder, track) in enumerate(self._people):
             frame = track.frame_at(BEGIN_S + now)
             face = FaceState(
                 peer_id=peer_id,
+                place=place,
                 name=name.title(),
                 avatar_id=identity,
                 latent=encoder.encode(frame.arkit),

@@ -226,7 +226,7 @@ class Call:
         """Return everybody's face at display time; see `FaceSource.faces`."""
         with self._lock:
             faces = [self._face(seat, now) for seat in self._seats.values()]
-            return sorted(faces, key=lambda face: self._roster.place(face.peer_id))
+            return sorted(faces, key=lambda face: face.place)
 
     def avatar(self, avatar_id: str) -> Avatar | None:
         """See `FaceSource.avatar`; an avatar that nobody here has is an error with the fix."""
@@ -449,6 +449,7 @@ class Call:
             avatar_id=avatar_id,
             latent=None,
             status="waiting",
+            place=self._roster.place(peer.peer_id),
         )
         if played is None or self._lacks_secret(peer.peer_id):
             return replace(face, note=note)

@@ -36,7 +36,7 @@ class FaceState:
     """One peer's face at display time."""
 
     peer_id: str
-    """Unique in the call and stable while the peer stays: seats are kept by it."""
+    """Unique in the call and stable while the connection stays."""
     name: str
     """Display name; drawn as it is, so the receiver has limited its length already."""
     avatar_id: str
@@ -53,13 +53,16 @@ class FaceState:
     status: FaceStatus = "live"
     note: str = ""
     """What is wrong with the stream, for people; empty when nothing is."""
+    place: int = 0
+    """Says which person this is: nobody else has it in this call, and who comes back as another
+    peer has it again. Rises with the order of coming."""
 
 
 class FaceSource(Protocol):
     """Where a viewer gets its faces. Called on the drawing thread only; must not block."""
 
     def faces(self, now: float) -> list[FaceState]:
-        """Everybody who should have a seat at local time `now` (seconds), in order of arrival."""
+        """Everybody who should have a seat at local time `now`, seconds; by rising place."""
         ...
 
     def avatar(self, avatar_id: str) -> Avatar | None:

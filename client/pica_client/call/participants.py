@@ -22,6 +22,8 @@ class Participant:
 
     peer_id: str
     """Empty for oneself."""
+    place: int = -1
+    """See `Member.place`; -1 for oneself."""
     name: str
     """What the others are shown, with a number behind it when somebody else had it before."""
     is_self: bool = False
@@ -73,6 +75,7 @@ def _listed(member: Member, room: RoomState, quality: Quality, mark: NameMark) -
     note = "connection lost" if member.is_away else room.notes.get(peer_id, "")
     return Participant(
         peer_id=peer_id,
+        place=member.place,
         name=member.title,
         is_watching=member.is_watching,
         is_away=member.is_away,

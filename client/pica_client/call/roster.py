@@ -3,15 +3,15 @@
 Everybody who can see the others is here, whether they publish a face or only watch.
 
 A place belongs to a person, and not to a peer id: when the relay starts again, ids are dealt anew
-while everybody comes back in the order of their patience. Who has the name and the avatar of
-somebody who was there a moment ago gets that one's place, so nobody swaps chairs.
+while everybody comes back in the order of their patience. Who has the name, and best the avatar
+too, of somebody who was there a moment ago gets that one's place, so nobody swaps chairs.
 
     receive_event(event, now)    what came of the link
     handle_timer(now)            at any time, as twice a second
     take_news()                  what happened since the last call
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal, NamedTuple
 
@@ -36,9 +36,13 @@ from pica_protocol.session import ClientEvent, Closed
 
 AWAY_IS_NEWS_AFTER_S: Final = 2.0
 """A connection that comes back sooner is not worth a word."""
-PLACE_IS_KEPT_S: Final = 15.0
+LEFT_IS_NEWS_AFTER_S: Final = 15.0
 """How long somebody who was there before the relay started again is waited for (chosen: twice the
 longest pause between two tries of a client)."""
+PLACE_IS_KEPT_S: Final = 120.0
+"""How long the place of somebody who has gone is kept (chosen: a laptop changes networks)."""
+MAX_KEPT: Final = 64
+"""Places that are kept for others; those who went first lose theirs."""
 MAX_NEWS: Final = 64
 """News that nobody takes: the oldest are dropped."""
 
@@ -114,10 +118,12 @@ class RoomState(NamedTuple):
 
 @dataclass(slots=True)
 class _Missing:
-    """Somebody who was there before we joined anew, and has not come back yet."""
+    """Somebody who was there, and has not come back yet."""
 
     member: Member
-    until_s: float
+    gone_s: float
+    is_told: bool
+    """Whether it is known that this one has left; else the relay started again."""
 
 
 @dataclass(slots=True)
@@ -166,7 +172,7 @@ class Roster:
                 self._add(peer, is_news=True)
             case PeerLeft(peer_id=peer_id) if peer_id in self._members:
                 self._away_s.pop(peer_id, None)
-                self._tell("left", self._members.pop(peer_id))
+                self._keep([self._members.pop(peer_id)], now, is_told=True)
             case PeerAway(peer_id=peer_id) if peer_id in self._members:
                 self._members[peer_id] = replace(self._members[peer_id], is_away=True)
                 self._away_s[peer_id] = now
@@ -189,9 +195,10 @@ class Roster:
                 del self._away_s[peer_id]
                 self._tell("away", self._members[peer_id])
         for missing in self._missing:
-            if now >= missing.until_s:
+            if not missing.is_told and now - missing.gone_s >= LEFT_IS_NEWS_AFTER_S:
+                missing.is_told = True
                 self._tell("left", missing.member)
-        self._missing = [missing for missing in self._missing if now < missing.until_s]
+        self._missing = [each for each in self._missing if now - each.gone_s < PLACE_IS_KEPT_S]
 
     def take_news(self) -> list[News]:
         """What happened since the last call, in order."""
@@ -209,11 +216,7 @@ class Roster:
             for peer in event.peers:
                 if peer.peer_id in before:
                     self._update(replace(before.pop(peer.peer_id), is_away=False), peer)
-            for member in before.values():
-                self._tell("left", member)
-        else:
-            until_s = now + PLACE_IS_KEPT_S
-            self._missing += [_Missing(member, until_s) for member in before.values()]
+        self._keep(before.values(), now, is_told=event.resumed)
         for peer in event.peers:
             if peer.peer_id not in self._members:
                 self._add(peer, is_news=not is_first)
@@ -232,27 +235,42 @@ class Roster:
     def _add(self, peer: Peer, *, is_news: bool) -> None:
         if peer.peer_id in self._members:
             return
-        found = next((each for each in self._missing if _who(each.member.peer) == _who(peer)), None)
+        found = self._find_missing(peer)
         if found is not None:
             self._missing.remove(found)
-            self._update(replace(found.member, is_away=False), peer)
-            return
+            if not found.is_told and _tracks(found.member.peer) == _tracks(peer):
+                self._update(replace(found.member, is_away=False), peer)
+                return
         taken = {each.namesake for each in self._members.values() if each.peer.name == peer.name}
         if peer.name == self.own_name:
             taken.add(1)
         namesake = min(set(range(1, len(taken) + 2)) - taken)
-        member = Member(peer=peer, place=self._next_place, namesake=namesake)
-        self._next_place += 1
+        place = self._next_place if found is None else found.member.place
+        member = Member(peer=peer, place=place, namesake=namesake)
+        self._next_place += found is None
         self._members[peer.peer_id] = member
         if is_news:
             self._tell("joined", member)
         if member.is_recording:
             self._tell("records", member)
 
+    def _keep(self, gone: Iterable[Member], now: float, *, is_told: bool) -> None:
+        for member in gone:
+            self._missing.append(_Missing(member, now, is_told))
+            if is_told:
+                self._tell("left", member)
+        del self._missing[:-MAX_KEPT]
+
+    def _find_missing(self, peer: Peer) -> _Missing | None:
+        """Whose place a newcomer has; of several of the name, best one with the same tracks."""
+        found = [each for each in self._missing if each.member.peer.name == peer.name]
+        alike = (each for each in found if _tracks(each.member.peer) == _tracks(peer))
+        return next(alike, found[0] if found else None)
+
     def _tell(self, kind: NewsKind, member: Member) -> None:
         self._news = [*self._news, News(kind, member.title)][-MAX_NEWS:]
 
 
-def _who(peer: Peer) -> tuple[str, tuple[tuple[str, str], ...]]:
-    """What of a peer stays the same when a relay deals new ids and streams."""
-    return peer.name, tuple((track.kind, track.avatar) for track in peer.tracks)
+def _tracks(peer: Peer) -> tuple[tuple[str, str], ...]:
+    """What of a peer's tracks stays the same when a relay deals new ids and streams."""
+    return tuple((track.kind, track.avatar) for track in peer.tracks)

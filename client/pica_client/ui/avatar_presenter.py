@@ -19,7 +19,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 
 from pica_client.call.faces import FaceSource, FaceState
-from pica_client.call.seat_order import SeatOrder
 from pica_client.call.speaking import JawReader, SpeakingMeter
 from pica_client.call.status import AvatarFigures
 from pica_client.decode.pool import DecodePool
@@ -91,8 +90,8 @@ class Seating:
 
     layout: Layout = "arc"
     view: ViewState = field(default_factory=ViewState)
-    pinned: str | None = None
-    """The peer who fills the picture."""
+    pinned: int | None = None
+    """The place of who fills the picture; see `FaceState.place`."""
     free: FreeShares = field(default_factory=FreeShares)
 
 
@@ -185,23 +184,22 @@ class AvatarPresenter:
         self._clock = clock
         self._peers: dict[str, _Peer] = {}
         self._seen: set[str] = set()
-        self._seat_order = SeatOrder()
         self._faded_s: float | None = None
 
     def arrange(self, now: float, seating: Seating, size: tuple[int, int]) -> CallScene:
         """Who is here, where each sits, and from where they are seen, on a picture of this size;
         avatars are made ready."""
-        faces = self._seat_order.arrange(self._source.faces(now), now)
+        faces = self._source.faces(now)
         width, height = size
-        peers = [face.peer_id for face in faces]
-        for absent in self._peers.keys() - set(peers):
+        places = [face.place for face in faces]
+        for absent in self._peers.keys() - {face.peer_id for face in faces}:
             self._peers.pop(absent).on_leave.close()
         entries = [self._make_ready(face) for face in faces]
         plan = plan_seats(
             seating.layout,
             len(faces),
             width / height,
-            pinned=peers.index(seating.pinned) if seating.pinned in peers else None,
+            pinned=places.index(seating.pinned) if seating.pinned in places else None,
             free=seating.free,
             shoulders_m=max((entry.shoulders_m for entry in entries), default=SHOULDERS_M),
         )
@@ -294,10 +292,6 @@ class AvatarPresenter:
             head = self._peers[placement.slot].head
             dressed.append(placement if head is None else head.dressed(placement, scene.now))
         return replace(scene, placements=dressed)
-
-    def follow(self, peer_id: str) -> str | None:
-        """Who sits where somebody sat in the frame before; see `SeatOrder.follow`."""
-        return self._seat_order.follow(peer_id)
 
     def is_ready(self, scene: CallScene) -> bool:
         """Whether everybody with a face who can be seen has maps, or will not get any."""

@@ -220,7 +220,7 @@ class CallSurface:
                     note=problems.get(peer_id) or face.note,
                     is_speaking=found is not None and found.is_speaking,
                     quality=stream.quality,
-                    is_pinned=peer_id == state.pinned,
+                    is_pinned=face.place == state.pinned,
                     label_px=label_px,
                     figures=found,
                     stream=stream,

@@ -5,8 +5,8 @@ the tooltips are read from it. Buttons give the same orders. A mouse drags the v
 closer, and a click pins a head.
 
     controls = Controls(ControlState())
-    controls.receive(KeyPressed("L"), peers=("peer-1",))
-    controls.obey(Pin("peer-1"))
+    controls.receive(KeyPressed("L"), places=(0, 1))
+    controls.obey(Pin(1))
     controls.state.layout, controls.take_orders()
 """
 
@@ -82,7 +82,8 @@ class Order(Enum):
 class Pin:
     """Pin a participant, or let go of the one who is pinned."""
 
-    peer_id: str
+    place: int
+    """See `pica_client.call.faces.FaceState.place`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,8 +118,8 @@ class ControlState:
 
     layout: Layout = "arc"
     view: ViewState = field(default_factory=ViewState)
-    pinned: str | None = None
-    """The peer who fills the picture."""
+    pinned: int | None = None
+    """The place of who fills the picture, also while that one is away."""
     show_statistics: bool = False
     side: Side = "none"
     asks_to_leave: bool = False
@@ -256,8 +257,8 @@ def help_lines(own_face: OwnFace = "none") -> tuple[tuple[str, str], ...]:
     return (*pointer, *keys)
 
 
-Picker = Callable[[float, float], str | None]
-"""Who is at a place of the picture, pixels, y down."""
+Picker = Callable[[float, float], int | None]
+"""Whose place it is that a point of the picture shows, pixels, y down."""
 
 
 class Controls:
@@ -278,19 +279,19 @@ class Controls:
         self,
         event: InputEvent,
         *,
-        peers: Sequence[str] = (),
+        places: Sequence[int] = (),
         pick: Picker = lambda x_px, y_px: None,
     ) -> None:
         """Take one event that is not for the surface.
 
         Args:
             event: What the user did.
-            peers: Who is there, in the order of their seats: number keys pin them.
-            pick: Who is at a place of the picture.
+            places: Of everybody who is there, from left to right: number keys pin them.
+            pick: Who is seen at a point of the picture.
         """
         match event:
             case KeyPressed():
-                self._press_key(event, peers)
+                self._press_key(event, places)
             case Scrolled(steps=steps) if math.isfinite(steps):
                 self.state = _zoom(steps)(self.state)
             case MousePressed(x_px=x, y_px=y, button=0):
@@ -310,8 +311,8 @@ class Controls:
     def obey(self, order: UserOrder) -> None:
         """Take an order, from a key or from the surface."""
         match order:
-            case Pin(peer_id=peer_id):
-                self._toggle_pin(peer_id)
+            case Pin(place=place):
+                self._toggle_pin(place)
             case ChooseLayout(layout=layout):
                 self.state = replace(self.state, layout=layout, view=ViewState())
             case Settings():
@@ -333,19 +334,13 @@ class Controls:
         orders, self._orders = self._orders, []
         return orders
 
-    def follow_pin(self, follow: Callable[[str], str | None]) -> None:
-        """Keep the pin on a person who has come back as another peer, and let go of it once nobody
-        is expected."""
-        if self.state.pinned is not None:
-            self.state = replace(self.state, pinned=follow(self.state.pinned))
-
-    def _press_key(self, event: KeyPressed, peers: Sequence[str]) -> None:
+    def _press_key(self, event: KeyPressed, places: Sequence[int]) -> None:
         if event.has_control:
             return  # the desktop's own
         if event.key.isdecimal() and event.key != "0":
             number = int(event.key)
-            if not event.is_repeat and number <= len(peers):
-                self._toggle_pin(peers[number - 1])
+            if not event.is_repeat and number <= len(places):
+                self._toggle_pin(places[number - 1])
             return
         if self.state.asks_to_leave and event.key == "Enter":
             self.obey(Order.LEAVE)
@@ -365,7 +360,7 @@ class Controls:
         self._pointer = (x, y)
         self.state = _orbit(right, down)(self.state)
 
-    def _toggle_pin(self, peer: str | None) -> None:
-        if peer is not None:
-            pinned = None if self.state.pinned == peer else peer
+    def _toggle_pin(self, place: int | None) -> None:
+        if place is not None:
+            pinned = None if self.state.pinned == place else place
             self.state = replace(self.state, pinned=pinned, view=ViewState())

@@ -244,7 +244,6 @@ class Viewer:
             self._surface.abandon()
             return False
         scene = self._scene = self._arrange(now)
-        self.controls.follow_pin(self._presenter.follow)
         plan = self._decide(scene)
         self._presenter.collect(now)
         scene = self._presenter.dressed(scene)
@@ -288,11 +287,12 @@ class Viewer:
         self._num_frames += 1
         return True
 
-    def pick(self, x_px: float, y_px: float) -> str | None:
-        """The peer whose head is at a place of the picture, pixels, y down."""
+    def pick(self, x_px: float, y_px: float) -> int | None:
+        """Whose head is at a point of the picture, pixels, y down; see `FaceState.place`."""
         if self._scene is None:
             return None
-        return pick_head(self._scene.placements, self._scene.camera, x_px, y_px)
+        peer = pick_head(self._scene.placements, self._scene.camera, x_px, y_px)
+        return next((face.place for face in self._scene.faces if face.peer_id == peer), None)
 
     def wait_decoded(self, timeout_s: float) -> bool:
         """Wait until nothing is being decoded; False when the time runs out first."""
@@ -397,11 +397,11 @@ class Viewer:
             for event in self._events
         ]
         self._events = []
-        peers = [] if self._scene is None else [face.peer_id for face in self._scene.faces]
+        places = [] if self._scene is None else [face.place for face in self._scene.faces]
         settings = self.controls.state.settings
         rest = self._surface.begin(now, self._eye_size, content_scale, events, settings)
         for event in rest:
-            self.controls.receive(event, peers=peers, pick=self.pick)
+            self.controls.receive(event, places=places, pick=self.pick)
 
     def _draw_own(self, now: float) -> OwnFaceView:
         """One's own face; its picture if it is to be seen and there is room for it."""

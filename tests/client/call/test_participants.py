@@ -89,7 +89,7 @@ def test_people_of_one_name_are_told_apart_and_keep_their_numbers() -> None:
     call.receive_event(PeerLeft(peer_id="p1"), now=1.0)
     assert list(listed(call)) == ["Me", "Ada (2)", "Me (2)"]
     call.receive_event(PeerJoined(peer=person("p4", "Ada", 4)), now=2.0)
-    assert list(listed(call)) == ["Me", "Ada (2)", "Me (2)", "Ada"]
+    assert list(listed(call)) == ["Me", "Ada", "Ada (2)", "Me (2)"]
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pica_client.call.roster import PLACE_IS_KEPT_S, Roster
+from pica_client.call.roster import LEFT_IS_NEWS_AFTER_S, PLACE_IS_KEPT_S, Roster
 from pica_protocol.messages import (
     Joined,
     Peer,
@@ -102,9 +102,9 @@ def test_nobody_swaps_places_when_a_relay_that_starts_again_deals_new_ids(roster
 def test_who_does_not_come_back_after_a_while_has_left(roster: Roster) -> None:
     roster.receive_event(CLOSED, now=20.0)
     roster.receive_event(joined(person("p1", "Ada")), now=21.0)
-    roster.handle_timer(21.0 + PLACE_IS_KEPT_S - 0.1)
+    roster.handle_timer(21.0 + LEFT_IS_NEWS_AFTER_S - 0.1)
     assert news(roster) == []
-    roster.handle_timer(21.0 + PLACE_IS_KEPT_S)
+    roster.handle_timer(21.0 + LEFT_IS_NEWS_AFTER_S)
     assert news(roster) == [("left", "Ben")]
 
 
@@ -117,6 +117,27 @@ def test_two_of_one_name_and_avatar_have_a_place_each_after_a_restart() -> None:
     roster.receive_event(PeerJoined(peer=person("p8", "Ada", stream=4)), now=3.0)
     assert len({member.place for member in roster.members}) == 2
     assert news(roster) == []
+
+
+def test_who_left_and_comes_again_sits_where_they_sat_but_not_for_ever(roster: Roster) -> None:
+    for away_s, place in ((PLACE_IS_KEPT_S - 1.0, 0), (PLACE_IS_KEPT_S + 1.0, 2)):
+        (ada,) = (each.peer.peer_id for each in roster.members if each.peer.name == "Ada")
+        roster.receive_event(PeerLeft(peer_id=ada), now=20.0)
+        roster.handle_timer(20.0 + away_s)
+        roster.receive_event(PeerJoined(peer=person(f"p{away_s}", "Ada", avatar="b" * 64)), 200.0)
+        assert news(roster) == [("left", "Ada"), ("joined", "Ada")]
+        assert roster.place(f"p{away_s}") == place
+
+
+def test_of_two_people_of_one_name_each_finds_the_place_of_their_avatar() -> None:
+    roster = Roster()
+    ada, other = person("p1", "Ada", avatar="a" * 64), person("p2", "Ada", avatar="b" * 64)
+    roster.receive_event(joined(ada, other), now=0.0)
+    roster.receive_event(CLOSED, now=1.0)
+    roster.receive_event(joined(), now=2.0)
+    for peer_id, avatar in (("p8", "b"), ("p9", "a")):
+        roster.receive_event(PeerJoined(peer=person(peer_id, "Ada", avatar=avatar * 64)), now=3.0)
+    assert [roster.place(peer_id) for peer_id in ("p9", "p8")] == [0, 1]
 
 
 def test_back_in_the_old_place_ids_mean_whom_they_meant(roster: Roster) -> None:

@@ -33,19 +33,19 @@ from pica_client.ui.window import KEY_NAMES
 
 pytestmark = pytest.mark.unit
 
-PEERS = ("ada", "ben", "cho")
+PLACES = (4, 7, 9)
 
 
 def press(controls: Controls, *keys: str) -> None:
     for key in keys:
-        controls.receive(KeyPressed(key), peers=PEERS)
+        controls.receive(KeyPressed(key), places=PLACES)
 
 
-def click(controls: Controls, peer: str | None, *, by_px: float = 0.0) -> None:
+def click(controls: Controls, place: int | None, *, by_px: float = 0.0) -> None:
     controls.receive(MousePressed(100, 100))
     if by_px:
         controls.receive(MouseMoved(100 + by_px, 100))
-    controls.receive(MouseReleased(100 + by_px, 100), pick=lambda x, y: peer)
+    controls.receive(MouseReleased(100 + by_px, 100), pick=lambda x, y: place)
 
 
 def test_every_key_has_one_meaning() -> None:
@@ -72,10 +72,10 @@ def test_every_order_is_given_by_a_key_or_by_a_button_or_explains_one() -> None:
 
 def test_a_button_gives_the_orders_of_keys_and_some_that_name_somebody() -> None:
     controls = Controls()
-    controls.obey(Pin("ada"))
+    controls.obey(Pin(4))
     controls.obey(ChooseLayout("grid"))
     controls.obey(CopyText("pica://relay"))
-    assert (controls.state.pinned, controls.state.layout) == ("ada", "grid")
+    assert (controls.state.pinned, controls.state.layout) == (4, "grid")
     assert controls.take_orders() == [CopyText("pica://relay")]
     assert all(order not in CHANGES for order in (Order.SCREENSHOT, Order.TOGGLE_RECORDING))
 
@@ -139,9 +139,9 @@ def test_closing_the_window_is_leaving() -> None:
 def test_a_number_pins_and_the_same_number_lets_go() -> None:
     controls = Controls()
     press(controls, "2")
-    assert controls.state.pinned == "ben"
+    assert controls.state.pinned == 7
     press(controls, "3")
-    assert controls.state.pinned == "cho"
+    assert controls.state.pinned == 9
     press(controls, "3")
     assert controls.state.pinned is None
     press(controls, "9")
@@ -150,20 +150,20 @@ def test_a_number_pins_and_the_same_number_lets_go() -> None:
 
 def test_a_click_on_a_head_pins_it_and_a_drag_over_it_does_not() -> None:
     controls = Controls()
-    click(controls, "ada")
-    assert controls.state.pinned == "ada"
-    click(controls, "ben", by_px=50)
-    assert controls.state.pinned == "ada"
+    click(controls, 4)
+    assert controls.state.pinned == 4
+    click(controls, 7, by_px=50)
+    assert controls.state.pinned == 4
     click(controls, None)
-    assert controls.state.pinned == "ada"
-    click(controls, "ada")
+    assert controls.state.pinned == 4
+    click(controls, 4)
     assert controls.state.pinned is None
 
 
 def test_a_hand_that_trembles_clicks_all_the_same() -> None:
     controls = Controls()
-    click(controls, "ada", by_px=3)
-    assert controls.state.pinned == "ada"
+    click(controls, 4, by_px=3)
+    assert controls.state.pinned == 4
     assert controls.state.view == ViewState()
 
 
@@ -181,15 +181,6 @@ def test_the_wheel_comes_closer_and_reset_undoes_all() -> None:
     assert controls.state.view.zoom > 1.3
     press(controls, "1", "R")
     assert controls.state.view == ViewState()
-    assert controls.state.pinned is None
-
-
-def test_a_pin_follows_its_person_and_ends_when_nobody_is_expected() -> None:
-    controls = Controls()
-    press(controls, "1")
-    controls.follow_pin({"ada": "ada again"}.get)
-    assert controls.state.pinned == "ada again"
-    controls.follow_pin({"ben": "ben"}.get)
     assert controls.state.pinned is None
 
 
@@ -260,11 +251,11 @@ events: st.SearchStrategy[InputEvent] = st.one_of(
 def test_whatever_is_typed_and_clicked_the_view_stays_a_view(happened: list[InputEvent]) -> None:
     controls = Controls()
     for event in happened:
-        controls.receive(event, peers=PEERS, pick=lambda x, y: "ada")
+        controls.receive(event, places=PLACES, pick=lambda x, y: 4)
     view = controls.state.view
     assert abs(view.pitch) <= 1.4
     assert 0.25 <= view.zoom <= 12
-    assert controls.state.pinned in (None, *PEERS)
+    assert controls.state.pinned in (None, *PLACES)
 
 
 @pytest.mark.parametrize("key", ["M", "F"])

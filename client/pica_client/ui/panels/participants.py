@@ -116,9 +116,9 @@ def _row(
 def _menu(person: Participant, view: CallView) -> list[UserOrder]:
     orders: list[UserOrder] = []
     if imgui.begin_popup(f"menu {person.peer_id}"):
-        pin = "Unpin" if view.state.pinned == person.peer_id else "Pin"
+        pin = "Unpin" if view.state.pinned == person.place else "Pin"
         if not person.is_watching and imgui.menu_item_simple(f"{icons.PIN}  {pin}"):
-            orders.append(Pin(person.peer_id))
+            orders.append(Pin(person.place))
         if imgui.menu_item_simple(f"{icons.CHART}  Statistics"):
             orders.append(Order.STATISTICS)
         if imgui.menu_item_simple(f"{icons.RESET}  Reset the view"):

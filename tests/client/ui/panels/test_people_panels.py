@@ -27,7 +27,7 @@ pytestmark = pytest.mark.unit
 
 INVITATION = "pica://relay.example/standup"
 ME = Participant(peer_id="", name="Me", is_self=True)
-ADA = Participant(peer_id="p1", name="Ada")
+ADA = Participant(peer_id="p1", place=1, name="Ada")
 BEN = Participant(peer_id="p2", name="Ben", is_watching=True, is_recording=True)
 STATUS = CallStatus(
     participants=(ME, ADA, BEN), room="standup", invitation=INVITATION, duration_s=247.0
@@ -63,7 +63,7 @@ def texts(hand: Hand, panel: Panel, view: CallView) -> str:
 @pytest.mark.parametrize(
     ("item", "order"),
     [
-        ("Pin", Pin("p1")),
+        ("Pin", Pin(1)),
         ("Statistics", Order.STATISTICS),
         ("Reset the view", Order.RESET_VIEW),
     ],
