@@ -86,7 +86,6 @@ class AvatarFetcher:
         self._is_closing = False
         self._thread: threading.Thread | None = None
         self.num_fetched = 0
-        self.fetched_bytes = 0
 
     def has(self, identity: str) -> bool:
         """Whether the library has it, or the relay may: see `AvatarStore.has`."""
@@ -178,7 +177,6 @@ class AvatarFetcher:
             )
             path = cache.keep(unfinished, identity)
             self.num_fetched += 1
-            self.fetched_bytes += path.stat().st_size
             return path
         except NotThereError:
             self._note_failure(identity, "avatar file is missing: the relay does not have it yet")

@@ -23,7 +23,6 @@ from pica_protocol.frames import FLAG_KEYFRAME, Frame
 
 MAX_NUMBER: Final = 2**64 - 1
 """The largest key id or counter that a header can carry."""
-SHORTEST_TAG_BYTES: Final = min(suite.tag_bytes for suite in SUITES.values())
 MAX_OVERHEAD_BYTES: Final = 17 + max(suite.tag_bytes for suite in SUITES.values())
 """The longest header, and the longest tag."""
 

@@ -20,10 +20,7 @@ import numpy.typing as npt
 from pica_client.render.seats import (
     HEAD_HALF_HEIGHT_M,
     HEAD_HALF_WIDTH_M,
-    SeatPlan,
-    plan_camera,
 )
-from pica_client.render.seats import ViewState as ViewState
 from pica_core.camera import Camera
 from pica_core.types import Float64Array, FloatArray
 
@@ -151,13 +148,6 @@ def head_rect_px(camera: Camera, world_from_head: npt.ArrayLike) -> Rect | None:
         return None
     (left, top), (right_px, bottom) = pixels.tolist()
     return left, top, right_px, bottom
-
-
-def seat_rects_px(plan: SeatPlan, size: tuple[int, int]) -> list[Rect]:
-    """Where on a picture the heads of a plan may be, as long as nobody has moved the view."""
-    camera = plan_camera(plan, ViewState(), *size)
-    found = (head_rect_px(camera, seat) for seat in plan.seats)
-    return [rect for rect in found if rect is not None]
 
 
 def overlap(first: Rect, second: Rect) -> bool:

@@ -8,8 +8,8 @@ shortest alone and wins nothing; who takes over a conversation fills the longest
 import math
 from collections import deque
 
-IMMEDIATE, MEDIUM, LONG = 1, 5, 10
-"""Frames of 20 ms in an immediate count; of these in a medium one; of these in a long one."""
+MEDIUM, LONG = 5, 10
+"""Frames of 20 ms in a medium count, and medium counts in a long one."""
 IMMEDIATE_LEVELS = 13
 """Steps that a level is counted in (paper: sub-bands)."""
 SPANS = (

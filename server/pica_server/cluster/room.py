@@ -208,11 +208,6 @@ class SharedRoom:
         return bool(self._pending) or self._retry_s > 0.0
 
     @property
-    def has_members(self) -> bool:
-        """Whether peers of this node are in the room."""
-        return bool(self._own)
-
-    @property
     def nodes(self) -> set[str]:
         """The other nodes with peers in the room."""
         return {member.node for member in self._shown.values()}

@@ -26,7 +26,7 @@ TILE = 300
 COLUMNS = 6
 GRID_ROWS = 4
 """Rows of the grid of expressions."""
-INK, FAINT, PAPER, ACCENT = (232, 232, 236), (120, 124, 132), (24, 26, 30), (240, 180, 80)
+INK, PAPER, ACCENT = (232, 232, 236), (24, 26, 30), (240, 180, 80)
 WIRE = (70, 255, 150)
 PALETTE = np.array(
     [(24, 26, 30), (214, 160, 130), (90, 160, 230), (245, 245, 235), (220, 90, 100), (110, 40, 60),
