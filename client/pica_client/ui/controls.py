@@ -83,7 +83,7 @@ class Pin:
     """Pin a participant, or let go of the one who is pinned."""
 
     place: int
-    """See `pica_client.call.faces.FaceState.place`."""
+    """Who is meant; see `pica_client.call.faces.FaceState.place`."""
 
 
 @dataclass(frozen=True, slots=True)
