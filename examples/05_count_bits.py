@@ -11,7 +11,7 @@ from pica_client.sources import open_source
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar
 from pica_core.avatar.shipped import shipped_avatar_files
-from pica_core.codec.factory import open_decoder, open_encoder
+from pica_core.avatar.streams import open_decoder, open_encoder
 from pica_core.codec.latent_sample import ReceivedFrame
 from pica_core.codec.latent_stream import StreamConfig
 

@@ -29,7 +29,7 @@ from pica_client.sources import open_source
 from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.codec.factory import open_encoder
+from pica_core.avatar.streams import open_encoder
 from pica_core.codec.latent_stream import StreamConfig
 
 Array = npt.NDArray[np.float64]

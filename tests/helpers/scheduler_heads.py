@@ -9,7 +9,7 @@ from pica_client.decode.request import DecodeRequest
 from pica_client.schedule.head import Choice, Head
 from pica_client.schedule.scheduler import Plan, Scheduler
 from pica_client.schedule.visibility import NOTHING, Sight
-from pica_core.avatar.spec import LATENT_SHAPE
+from pica_core.latent import LATENT_SHAPE
 
 TOY = with_toy_levels(make_toy_avatar())
 LEVELS = TOY.levels

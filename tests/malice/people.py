@@ -24,7 +24,10 @@ _TOY = make_toy_avatar()
 AVATARS = tuple(f"{number:064x}" for number in range(1, len(NAMES) + 1))
 _STORE = LoadedAvatars(dict.fromkeys(AVATARS, _TOY))
 FACE = encode_latent(
-    np.zeros((8, 8, 4)), np.zeros(3), np.zeros(3), LatentProfile.from_manifest(_TOY.manifest)
+    np.zeros((8, 8, 4)),
+    np.zeros(3),
+    np.zeros(3),
+    LatentProfile(latent_scale=_TOY.manifest.latent_scale),
 )
 
 

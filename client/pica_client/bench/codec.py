@@ -273,7 +273,7 @@ def _coders(profile: StreamProfile, avatar: Avatar, config: CodecConfig) -> dict
             coders[name] = stream(config.thinned_quality, layer)
     for rate_bps in config.rates_bps:
         coders[f"rate-{rate_bps}"] = stream(0, 2, rate_bps)
-    latent_profile = LatentProfile.from_manifest(avatar.manifest)
+    latent_profile = LatentProfile(latent_scale=avatar.manifest.latent_scale)
 
     def plain(squeeze: Callable[[bytes], bytes], spread: Callable[[bytes], bytes]) -> Coder:
         return partial(

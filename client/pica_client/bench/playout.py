@@ -65,7 +65,7 @@ from pica_client.sources import open_source
 from pica_client.stats import percentile
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.codec.factory import FaceDecoder, FaceEncoder, open_decoder, open_encoder
+from pica_core.avatar.streams import FaceDecoder, FaceEncoder, open_decoder, open_encoder
 from pica_core.codec.latent_sample import LatentSample
 from pica_core.codec.latent_stream import StreamConfig
 

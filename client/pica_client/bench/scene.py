@@ -63,8 +63,8 @@ from pica_client.sources.performances import make_performance
 from pica_client.stats import describe_machine
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
+from pica_core.avatar.streams import FaceEncoder, open_encoder
 from pica_core.camera import Camera
-from pica_core.codec.factory import FaceEncoder, open_encoder
 from pica_core.codec.latent_stream import StreamConfig
 from pica_core.gl import wait_for_gpu
 from pica_core.types import Image

@@ -27,7 +27,7 @@ from pica_client.playout.config import PlayoutConfig
 from pica_client.publish.face_track import FACE_TRACK
 from pica_client.stats import Samples
 from pica_core.avatar.file import Avatar
-from pica_core.codec.factory import open_decoder
+from pica_core.avatar.streams import open_decoder
 from pica_core.codec.latent_sample import DecodedFrame
 from pica_core.errors import AvatarFileError, ProfileError
 from pica_protocol.frames import Frame

@@ -17,7 +17,7 @@ from pica_client.call.layer_subscription import (
 from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
 from pica_client.playout.config import PlayoutConfig
 from pica_client.publish.face_track import FACE_KEY, FACE_LOST
-from pica_core.codec.factory import FaceDecoder
+from pica_core.avatar.streams import FaceDecoder
 from pica_core.codec.latent_sample import DecodedFrame
 from pica_core.errors import LatentError
 from pica_protocol.frames import Frame

@@ -28,7 +28,7 @@ from pica_client.voice.spoken_face import SpokenFace
 from pica_core.avatar.arkit import ExpressionFrame
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.codec.factory import open_encoder
+from pica_core.avatar.streams import open_encoder
 from pica_core.codec.latent_stream import DEFAULT_QUALITY, StreamConfig
 from pica_protocol.messages import Joined, KeyframeRequest, StreamMuted, Track
 from pica_protocol.session import ClientEvent

@@ -21,8 +21,8 @@ from pica_client.render.scene import FAR_M, NEAR_M
 from pica_client.schedule.head import Head
 from pica_client.schedule.scheduler import Plan, Scheduler
 from pica_client.schedule.visibility import PlacedHead, look, merge_eyes
-from pica_core.avatar.spec import LATENT_SHAPE
 from pica_core.camera import Camera
+from pica_core.latent import LATENT_SHAPE
 
 UNLIKE = 1e3
 """Change of a latent that nothing can be compared with."""

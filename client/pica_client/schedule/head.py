@@ -17,7 +17,7 @@ from pica_client.decode.request import DecodeRequest
 from pica_client.render.scene import Placement
 from pica_client.schedule.visibility import NOTHING, Sight
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.spec import LATENT_SHAPE
+from pica_core.latent import LATENT_SHAPE
 from pica_core.types import FloatArray
 
 Decode = Literal["none", "expression", "both"]

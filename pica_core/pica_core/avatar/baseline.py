@@ -31,9 +31,10 @@ import safetensors.numpy
 
 from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.file import naming, read_bytes, write_bytes
-from pica_core.avatar.spec import NUM_LATENT, RGB_CHANNELS, VIEW_CHANNELS
+from pica_core.avatar.spec import RGB_CHANNELS, VIEW_CHANNELS
 from pica_core.avatar.storage import check_finite
 from pica_core.errors import check_ranges
+from pica_core.latent import NUM_LATENT
 from pica_core.types import Array, FloatArray, IntArray
 
 VIEW_FEATURES = 8

@@ -18,7 +18,8 @@ A LeakyReLU follows every block but the last, whose output is the map itself.
 from dataclasses import dataclass
 from typing import Literal
 
-from pica_core.avatar.spec import LATENT_SIZE, AvatarSpec
+from pica_core.avatar.spec import AvatarSpec
+from pica_core.latent import LATENT_SIZE
 
 LayerKind = Literal[
     "conv3", "conv1", "deconv4", "untied_bias", "untied_gain", "leaky_relu", "pixel_shuffle"

@@ -15,8 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.avatar.arkit import NUM_ARKIT
-from pica_core.avatar.spec import LATENT_SHAPE, LEAKY_SLOPE
+from pica_core.avatar.spec import LEAKY_SLOPE
 from pica_core.errors import ShapeError
+from pica_core.latent import LATENT_SHAPE
 from pica_core.types import Array, FloatArray
 
 

@@ -58,7 +58,7 @@ from pica_core.avatar.level_tensors import (
 from pica_core.avatar.levels import LevelErrors
 from pica_core.avatar.linear import check_linear, linear_shapes, mean_vertices
 from pica_core.avatar.manifest import SCHEMA_VERSION, Manifest
-from pica_core.avatar.spec import NUM_LATENT, AvatarSpec
+from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.storage import (
     DEFAULT_STORAGE,
     Storage,
@@ -70,6 +70,7 @@ from pica_core.codec.profile import PREFIX as STREAM_PREFIX
 from pica_core.codec.profile import StreamProfile, profile_shapes
 from pica_core.errors import AvatarFileError
 from pica_core.files import replacing
+from pica_core.latent import NUM_LATENT
 from pica_core.reference.mesh import sample_vertices
 from pica_core.types import Array, FloatArray, IntArray
 

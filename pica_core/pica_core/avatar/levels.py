@@ -25,7 +25,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pica_core.avatar.spec import LATENT_SIZE, AvatarSpec
+from pica_core.avatar.spec import AvatarSpec
+from pica_core.latent import LATENT_SIZE
 from pica_core.types import FloatArray
 
 NUM_DRAWINGS = 2

@@ -22,7 +22,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pica_core.avatar.spec import NUM_LATENT, POSITION_CHANNELS, SHEET_COLUMNS
+from pica_core.avatar.spec import POSITION_CHANNELS, SHEET_COLUMNS
+from pica_core.latent import NUM_LATENT
 from pica_core.types import Array, FloatArray, IntArray
 
 PREFIX = "linear."

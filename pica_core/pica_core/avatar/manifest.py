@@ -8,8 +8,9 @@ from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import Any
 
-from pica_core.avatar.spec import LATENT_CHANNELS, AvatarSpec
+from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import VARIANTS, pixel_codec_cost
+from pica_core.latent import LATENT_CHANNELS
 
 SCHEMA_VERSION = 1
 MAX_TEXT = 200

@@ -13,12 +13,8 @@ from types import MappingProxyType
 from typing import Any
 
 from pica_core.errors import check_ranges
+from pica_core.latent import LATENT_CHANNELS, LATENT_SIZE
 
-LATENT_SIZE = 8
-LATENT_CHANNELS = 4
-LATENT_SHAPE = (LATENT_SIZE, LATENT_SIZE, LATENT_CHANNELS)
-"""Rows, columns, channels of Z. Channel-last, as on the wire."""
-NUM_LATENT = LATENT_SIZE * LATENT_SIZE * LATENT_CHANNELS
 VIEW_CHANNELS = 3
 POSITION_CHANNELS = 3
 RGB_CHANNELS = 3

@@ -73,7 +73,7 @@ def avatar_verify(options: AvatarVerifyOptions) -> dict[str, Any]:
     latents = ExpressionEncoder(avatar).encode(np.eye(NUM_ARKIT, dtype=np.float32))
     if not np.isfinite(latents).all():
         raise AvatarFileError(f"{file}: the expression encoder's output is not finite")
-    profile = LatentProfile.from_manifest(avatar.manifest)
+    profile = LatentProfile(latent_scale=avatar.manifest.latent_scale)
     sent = encode_latent(latents[0], np.zeros(3), np.zeros(3), profile)
     decode_latent(sent, profile)
     beyond = float((np.abs(latents) > np.asarray(avatar.manifest.latent_scale)).mean())

@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 
-from pica_core.avatar.spec import LATENT_SHAPE
 from pica_core.codec.frames import FrameState, decode_frame
 from pica_core.codec.latent_sample import DecodedFrame, LatentSample, ReceivedFrame
 from pica_core.codec.profile import MAX_DISTANCE, POSE_UNIT, StreamProfile
 from pica_core.errors import LatentError, MissingReferenceError
+from pica_core.latent import LATENT_SHAPE
 
 MAX_PENDING = 8
 """Frames that wait for their reference; beyond it the oldest is given up."""

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.avatar.spec import LATENT_SHAPE, NUM_LATENT
 from pica_core.codec.frames import (
     MAX_RESIDUAL,
     FrameState,
@@ -24,6 +23,7 @@ from pica_core.codec.profile import (
 )
 from pica_core.codec.rate_control import RateController
 from pica_core.errors import LatentError, ShapeError
+from pica_core.latent import LATENT_SHAPE, NUM_LATENT
 from pica_core.types import Int64Array
 
 LAYER_PATTERNS: dict[int, tuple[int, ...]] = {1: (0,), 2: (0, 1), 3: (0, 2, 1, 2)}

@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.avatar.spec import LATENT_SHAPE, NUM_LATENT
 from pica_core.codec.frames import (
     HAS_LATENT,
     HAS_POSE,
@@ -53,6 +52,7 @@ from pica_core.codec.profile import (
 )
 from pica_core.codec.range_coder import TOTAL
 from pica_core.errors import ProfileError, ShapeError
+from pica_core.latent import LATENT_SHAPE, NUM_LATENT
 from pica_core.types import Float64Array
 
 LATENT_STEPS = (80, 56, 40, 28, 22, 16, 11, 8)

@@ -16,15 +16,14 @@ stops there.
 
 import struct
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.avatar.manifest import Manifest
-from pica_core.avatar.spec import LATENT_CHANNELS, LATENT_SHAPE, NUM_LATENT
 from pica_core.codec.latent_sample import DecodedFrame, EncodedFrame, LatentSample, ReceivedFrame
 from pica_core.errors import LatentError, ShapeError
+from pica_core.latent import LATENT_CHANNELS, LATENT_SHAPE, NUM_LATENT
 
 FORMAT_PLAIN = 1
 ROTATION_RANGE = float(np.pi)
@@ -50,11 +49,6 @@ class LatentProfile:
             0 < scale < np.inf for scale in self.latent_scale
         ):
             raise ValueError(f"latent_scale is {self.latent_scale}; 4 positive numbers are needed")
-
-    @classmethod
-    def from_manifest(cls, manifest: Manifest) -> Self:
-        """The profile of an avatar."""
-        return cls(latent_scale=manifest.latent_scale)
 
 
 def encode_latent(

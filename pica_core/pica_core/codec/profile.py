@@ -32,9 +32,9 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.avatar.spec import NUM_LATENT
 from pica_core.codec.range_coder import TOTAL, Table, make_table
 from pica_core.errors import ProfileError
+from pica_core.latent import NUM_LATENT
 from pica_core.types import Array, Float64Array
 
 PREFIX = "stream."

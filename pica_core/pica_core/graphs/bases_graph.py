@@ -10,8 +10,9 @@ import numpy as np
 
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.linear import PREFIX, RANK, REGION, components_of
-from pica_core.avatar.spec import NUM_LATENT, POSITION_CHANNELS
+from pica_core.avatar.spec import POSITION_CHANNELS
 from pica_core.graphs.graph_builder import GraphBuilder
+from pica_core.latent import NUM_LATENT
 from pica_core.types import Array, IntArray
 
 STEP = 4

@@ -36,15 +36,10 @@ import numpy as np
 
 from pica_core.avatar.decoder_layers import Layer, decoder_layers, trunk_layers
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.spec import (
-    LATENT_SHAPE,
-    LATENT_SIZE,
-    LEAKY_SLOPE,
-    POSITION_CHANNELS,
-    VIEW_CHANNELS,
-)
+from pica_core.avatar.spec import LEAKY_SLOPE, POSITION_CHANNELS, VIEW_CHANNELS
 from pica_core.graphs.bases_graph import bases_graph
 from pica_core.graphs.graph_builder import GraphBuilder, Shape
+from pica_core.latent import LATENT_SHAPE, LATENT_SIZE
 from pica_core.types import Array
 
 TURN_CONVOLUTION_SIZE = 64

@@ -27,8 +27,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from pica_core.avatar.baseline import FIRST_SIZE, VIEW_FEATURES, BaselineSpec, baseline_channels
-from pica_core.avatar.spec import LEAKY_SLOPE, NUM_LATENT, VIEW_CHANNELS, AvatarSpec
+from pica_core.avatar.spec import LEAKY_SLOPE, VIEW_CHANNELS, AvatarSpec
 from pica_core.avatar.variants import ModelCost
+from pica_core.latent import NUM_LATENT
 from pica_core.model.decoders import UntiedBias, sample_map, sample_per_image
 from pica_core.model.encoder import resize_texture
 from pica_core.model.interface import (

@@ -9,7 +9,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from pica_core.avatar.decoder_layers import Layer, decoder_layers
-from pica_core.avatar.spec import LATENT_SIZE, LEAKY_SLOPE, AvatarSpec
+from pica_core.avatar.spec import LEAKY_SLOPE, AvatarSpec
+from pica_core.latent import LATENT_SIZE
 from pica_core.model.interface import Surface
 
 

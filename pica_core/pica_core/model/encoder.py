@@ -12,7 +12,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from pica_core.avatar.spec import LATENT_CHANNELS, LEAKY_SLOPE
+from pica_core.avatar.spec import LEAKY_SLOPE
+from pica_core.latent import LATENT_CHANNELS
 from pica_core.model.interface import LatentEncoder
 
 MAX_LOG_VARIANCE = 4.0

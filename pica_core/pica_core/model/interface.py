@@ -23,8 +23,9 @@ import torch
 from torch import Tensor, nn
 
 from pica_core.avatar.arkit import NUM_ARKIT
-from pica_core.avatar.spec import LATENT_CHANNELS, LATENT_SIZE, LEAKY_SLOPE, NUM_LATENT, AvatarSpec
+from pica_core.avatar.spec import LEAKY_SLOPE, AvatarSpec
 from pica_core.avatar.variants import ModelCost, TopologyName
+from pica_core.latent import LATENT_CHANNELS, LATENT_SIZE, NUM_LATENT
 from pica_core.model.bases import Bases, SplitBases
 from pica_core.types import FloatArray, IntArray
 

@@ -10,7 +10,8 @@ import numpy.typing as npt
 from pica_core.avatar.decoder_layers import Layer, decoder_layers, trunk_layers
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.linear import weights_of_latent
-from pica_core.avatar.spec import LATENT_SIZE, LEAKY_SLOPE, POSITION_CHANNELS
+from pica_core.avatar.spec import LEAKY_SLOPE, POSITION_CHANNELS
+from pica_core.latent import LATENT_SIZE
 from pica_core.types import Array
 
 

@@ -13,12 +13,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pica_core.avatar.spec import LATENT_SHAPE, NUM_LATENT
 from pica_core.camera import Camera
 from pica_core.capture.stage.dome import dome_cameras
 from pica_core.capture.stage.stream_training_faces import stream_training_performances
 from pica_core.codec.learning import LearningConfig, RenderMetric, learn_profile
 from pica_core.codec.profile import StreamProfile
+from pica_core.latent import LATENT_SHAPE, NUM_LATENT
 from pica_core.train.painter import ModelPainter
 from pica_core.types import Float64Array
 

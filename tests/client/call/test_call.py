@@ -45,7 +45,7 @@ pytestmark = pytest.mark.unit
 
 TOY = make_toy_avatar()
 TOY_ID = "a" * 64
-PROFILE = LatentProfile.from_manifest(TOY.manifest)
+PROFILE = LatentProfile(latent_scale=TOY.manifest.latent_scale)
 
 
 def peer(peer_id: str, name: str, stream: int, avatar: str = TOY_ID, kind: str = "face") -> Peer:

@@ -25,7 +25,7 @@ pytestmark = pytest.mark.unit
 
 TOY_ID = "1" * 64
 TOY = make_toy_avatar()
-PROFILE = LatentProfile.from_manifest(TOY.manifest)
+PROFILE = LatentProfile(latent_scale=TOY.manifest.latent_scale)
 PAYLOAD = encode_latent(np.zeros((8, 8, 4)), np.zeros(3), np.zeros(3), PROFILE)
 
 

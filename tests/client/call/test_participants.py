@@ -168,7 +168,7 @@ def test_how_long_a_call_has_lasted_reads_like_a_clock(seconds: float, text: str
 def test_what_is_encrypted_is_not_drawn_without_the_secret() -> None:
     avatar = make_toy_avatar()
     call = call_with(person("p1", "Ada", 1))
-    profile = LatentProfile.from_manifest(avatar.manifest)
+    profile = LatentProfile(latent_scale=avatar.manifest.latent_scale)
     # Ciphertext that happens to be a latent: one in some seconds of frames is.
     payload = encode_latent(np.ones((8, 8, 4)), np.zeros(3), np.zeros(3), profile)
     call.receive_event(Frame(stream=1, sequence=0, captured_us=0, payload=payload), now=1.0)

@@ -15,7 +15,7 @@ from pica_client.sources import open_source
 from pica_client.ui.self_view import SelfView
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.spec import AvatarSpec
-from pica_core.codec.factory import open_encoder
+from pica_core.avatar.streams import open_encoder
 from pica_core.gl import create_context
 
 pytestmark = pytest.mark.render

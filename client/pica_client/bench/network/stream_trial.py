@@ -27,7 +27,7 @@ from pica_client.bench.network.frame_path import FramePath, PathCounters
 from pica_client.bench.network.scenarios import Scenario
 from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
 from pica_client.playout.sender_clock import SenderClock
-from pica_core.codec.factory import FaceDecoder, FaceEncoder
+from pica_core.avatar.streams import FaceDecoder, FaceEncoder
 from pica_core.codec.latent_sample import DecodedFrame, LatentSample
 from pica_protocol.frames import SEQUENCE_MODULUS, Frame
 

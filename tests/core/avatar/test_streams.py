@@ -8,7 +8,7 @@ import pytest
 from helpers.stream_toy import STILL, other_profile, stream_avatar, toy_faces, toy_profile
 from helpers.toy import make_toy_avatar
 from pica_core.avatar.file import Avatar
-from pica_core.codec.factory import PLAIN, open_decoder, open_encoder
+from pica_core.avatar.streams import PLAIN, open_decoder, open_encoder
 from pica_core.codec.latent_sample import ReceivedFrame
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
 from pica_core.codec.plain_stream import PLAIN_BYTES

@@ -73,7 +73,7 @@ def open_encoder(
     """
     profile = None if plain else avatar.stream_profile()
     if profile is None:
-        return PlainEncoder(LatentProfile.from_manifest(avatar.manifest)), PLAIN
+        return PlainEncoder(LatentProfile(latent_scale=avatar.manifest.latent_scale)), PLAIN
     return LatentEncoder(profile, config), profile.hash
 
 
@@ -88,7 +88,7 @@ def open_decoder(avatar: Avatar, name: str) -> FaceDecoder:
         ProfileError: The sender uses tables that this avatar file does not hold.
     """
     if name == PLAIN:
-        return PlainDecoder(LatentProfile.from_manifest(avatar.manifest))
+        return PlainDecoder(LatentProfile(latent_scale=avatar.manifest.latent_scale))
     profile = avatar.stream_profile()
     if profile is None or profile.hash != name:
         raise ProfileError(
