@@ -4,6 +4,9 @@ import numpy as np
 
 from pica_core.types import Array, Float64Array, FloatArray, Int64Array, IntArray
 
+UNFOLDING, LEAST_COSINE = 24, 0.5
+"""Steps in which `unfolded` goes back, where triangles turn by more than this cosine."""
+
 
 def edges(faces: Array) -> Array:
     """Both ends of the three sides of each triangle, in its direction. ``[3 F, 2]``."""
@@ -70,3 +73,24 @@ def nearest(points: Array, others: Array) -> tuple[Int64Array, Float64Array]:
         index[first : first + rows] = apart.argmin(1)
         distance[first : first + rows] = apart.min(1)
     return index, distance
+
+
+def unfolded(rest: Float64Array, moved: Float64Array, faces: IntArray) -> Float64Array:
+    """Places moved away from others ``[V, 3]``, but less far where triangles would turn over."""
+    here = faces[np.abs(moved - rest)[faces].max((1, 2)) > 1e-6]
+    before = np.cross(rest[here[:, 1]] - rest[here[:, 0]], rest[here[:, 2]] - rest[here[:, 0]])
+    keep = np.ones(len(rest))
+    for _ in range(UNFOLDING):
+        points = rest + (moved - rest) * keep[:, None]
+        a, b, c = (points[here[:, k]] for k in range(3))
+        now = np.cross(b - a, c - a)
+        lengths = np.linalg.norm(now, axis=1) * np.linalg.norm(before, axis=1)
+        folds = here[(now * before).sum(1) < LEAST_COSINE * lengths]
+        if not len(folds):
+            break
+        keep[np.unique(folds)] *= 0.8
+        mean = keep[here].mean(1)
+        total = np.bincount(here.ravel(), np.repeat(mean, 3), len(rest))
+        count = np.bincount(here.ravel(), minlength=len(rest))
+        keep = np.minimum(keep, np.where(count > 0, total / np.maximum(count, 1), 1.0))
+    return points

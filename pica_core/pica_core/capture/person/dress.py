@@ -15,7 +15,7 @@ from pica_core.capture.person.lids import close_lids
 from pica_core.capture.rig.features import Features, find_features
 from pica_core.capture.rig.mesh import RigMesh
 from pica_core.capture.rig.skin import Growth
-from pica_core.capture.triangles import nearest, vertex_normals
+from pica_core.capture.triangles import nearest, unfolded, vertex_normals
 from pica_core.errors import CaptureError
 from pica_core.types import Array, BoolArray, Float64Array, IntArray
 
@@ -64,6 +64,7 @@ def dress(mesh: RigMesh, person: Person) -> Dressed:
     cloth = dress_surface(rest[skin], CUTS[person.clothes], person.seed)
     raised = raise_cap(rest, normals, coverage, style, person.seed)
     raised = raised + normals * (thick * smooth(beard * 1.4))[:, None]
+    raised = unfolded(rest, raised, skin_faces)
     hidden = cloth.hides(rest)
     under = hidden[mesh.faces].any(1) & (mesh.part == MATERIALS.index("skin"))
     body = np.concatenate([raised[np.unique(skin_faces)], cloth.points])

@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 
 from pica_core.avatar.arkit import ARKIT_INDEX
-from pica_core.capture.rig.features import Features
+from pica_core.capture.dataset.multiface import MATERIALS
+from pica_core.capture.rig.features import LID_M, Features
 from pica_core.capture.rig.mesh import Eyeball, RigMesh
+from pica_core.capture.triangles import unfolded
 from pica_core.types import Float64Array, FloatArray, Int64Array
 
-EDGE_M = 0.0012
-"""Skin so near to the eye opening is a lid's edge."""
 OVERLAP_M = 0.0004
 """How far lids of a closed eye go past each other: their picture meets."""
 ROOM_M, MOVING_ROOM_M = 0.0003, 0.0013
@@ -22,24 +22,33 @@ ROOM_M, MOVING_ROOM_M = 0.0003, 0.0013
 of which is nearer than both ends."""
 MOVES_M = 0.003
 """What moves so far is a lid that moves."""
+MOVERS = ("eyeBlink", "eyeLookDown", "eyeLookUp", "eyeLookIn", "eyeLookOut", "eyeSquint", "eyeWide",
+          "cheekSquint")  # fmt: skip
+"""Shapes that move lids."""
 
 
 def close_lids(mesh: RigMesh, features: Features) -> RigMesh:
     """A mesh whose lids lie on its eyeballs at rest and meet in a blink."""
     rest, motion = mesh.rest_m.copy(), mesh.motion_m.copy()
     skin = np.flatnonzero(mesh.of_part("skin"))
+    faces = mesh.faces[mesh.part == MATERIALS.index("skin")]
     for eye in mesh.eyes:
         offset = rest[skin] - eye.centre_m
         far = np.linalg.norm(offset, axis=1)
         near = skin[(far < 1.9 * eye.radius_m) & (offset[:, 2] > 0)]
-        blink = ARKIT_INDEX[f"eyeBlink{'Left' if eye.side > 0 else 'Right'}"]
         rest[near] += _out(rest[near], eye, rest, np.full(len(near), ROOM_M))
-        move = motion[blink, near].astype(np.float64)
-        move *= _farther(rest, motion[blink], near, features)[:, None]
-        share = np.clip(np.linalg.norm(move, axis=1) / MOVES_M, 0.0, 1.0)
-        room = ROOM_M + (MOVING_ROOM_M - ROOM_M) * share
-        closed = rest[near] + move
-        motion[blink, near] = (move + _out(closed, eye, rest, room)).astype(np.float32)
+        for name in MOVERS:
+            shape = ARKIT_INDEX[f"{name}{'Left' if eye.side > 0 else 'Right'}"]
+            move = motion[shape, near].astype(np.float64)
+            if name == "eyeBlink":
+                move *= _farther(rest, motion[shape], near, features)[:, None]
+            share = np.clip(np.linalg.norm(move, axis=1) / MOVES_M, 0.0, 1.0)
+            room = ROOM_M + (MOVING_ROOM_M - ROOM_M) * share
+            moved = rest[near] + move
+            start = rest + motion[shape]
+            after = start.copy()
+            after[near] = moved + _out(moved, eye, rest, room)
+            motion[shape] = (unfolded(start, after, faces) - rest).astype(np.float32)
     return replace(mesh, rest_m=rest, motion_m=motion)
 
 
@@ -64,7 +73,7 @@ def _farther(
     rest: Float64Array, blink: FloatArray, near: Int64Array, features: Features
 ) -> Float64Array:
     """How much farther each vertex goes in a blink for the lids to meet, as a factor. ``[n]``."""
-    edge = features.eye_gap_m[near] < EDGE_M
+    edge = features.eye_gap_m[near] < LID_M
     above = features.above_eye[near]
     upper, lower = near[edge & above], near[edge & ~above]
     if min(len(upper), len(lower)) < 4:

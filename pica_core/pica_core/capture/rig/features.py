@@ -23,6 +23,8 @@ UPPER_LIP_M, LOWER_LIP_M = 0.0075, 0.0095
 """Heights of the vermilion (Farkas 1994, as the built-in heads), where nothing else is known."""
 HIDDEN = 0.004
 """Visibility at rest of what lies behind closed lips."""
+LID_M = 0.0012
+"""Skin so near to the eye opening is the lids' edge."""
 FAR_M = 0.1
 """Distance to an eye opening where there is none."""
 

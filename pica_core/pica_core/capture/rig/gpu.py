@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from pica_core.capture.rig.features import LID_M
 from pica_core.capture.rig.head import RigHead
 from pica_core.capture.rig.skin import IRIS_RADIUS_M, Growth, split_parts, surface
 from pica_core.capture.stage.gpu import BAKE_SIZE, MeshRenderer
@@ -33,8 +34,6 @@ PAINT: dict[str, Any] = {
 """Linear colours and marks of the synthetic skin (chosen)."""
 SHADOW_SPAN_M = 0.42
 """Width of the depth maps for shadow, at least."""
-LID_M = 0.0012
-"""Skin so near to the eye opening is the lids' edge."""
 
 
 class RigRenderer(MeshRenderer):

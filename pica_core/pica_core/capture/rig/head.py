@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
+from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.capture.dataset.files import Topology
 from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.chart import PackedChart, make_islands, mend_islands, pack
 from pica_core.capture.rig.features import Features, find_features
 from pica_core.capture.rig.gltf import read_glb
+from pica_core.capture.rig.limits import Limits
 from pica_core.capture.rig.mesh import RigMesh, build_mesh
 from pica_core.capture.rig.names import NameMap, map_names
 from pica_core.capture.rig.obj import read_obj_folder
@@ -22,7 +23,7 @@ from pica_core.capture.rig.source import RigSource
 from pica_core.capture.rig.visibility import visibility
 from pica_core.capture.stage.gaze import gaze, turn
 from pica_core.capture.triangles import areas
-from pica_core.errors import CaptureError, ShapeError
+from pica_core.errors import CaptureError
 from pica_core.types import Float64Array, FloatArray, Int64Array
 
 SEEN_FULLY = 0.27
@@ -94,7 +95,6 @@ class RigHead:
         chart: Its one chart; ``chart.source`` leads from split to welded vertices.
         mended: Triangles whose texture coordinates were made here.
         topology: What models draw.
-        corrective_close: True when mouthClose takes back a part of jawOpen, as ARKit's does.
     """
 
     def __init__(self, mesh: RigMesh, names: NameMap, name: str) -> None:
@@ -121,21 +121,13 @@ class RigHead:
         moving = np.abs(mesh.motion_m).max((1, 2)) > 0
         self._shapes = np.flatnonzero(moving)
         self._motion = mesh.motion_m[self._shapes][:, source].reshape(len(self._shapes), -1)
-        self.corrective_close = self._is_corrective()
+        self._limits = Limits(mesh, self.features)
         self._turns = self._find_turns()
 
     @property
     def num_vertices(self) -> int:
         """Number of split vertices, V."""
         return len(self._rest)
-
-    def _is_corrective(self) -> bool:
-        opened = self.mesh.motion_m[ARKIT_INDEX["jawOpen"], :, 1]
-        closed = self.mesh.motion_m[ARKIT_INDEX["mouthClose"], :, 1]
-        if not closed.any() or not opened.any():
-            return False
-        at = np.abs(closed) > 0.3 * np.abs(closed).max()
-        return bool(np.mean(closed[at] * opened[at] < 0) > 0.6)
 
     def _find_turns(self) -> tuple[_Turn, ...]:
         turns = []
@@ -149,6 +141,11 @@ class RigHead:
         return tuple(turns)
 
     @property
+    def corrective_close(self) -> bool:
+        """True when mouthClose takes back a part of jawOpen, as ARKit's does."""
+        return self._limits.corrective_close
+
+    @property
     def eyes_turned_here(self) -> int:
         """How many eyeballs this importer turns, since the rig's shapes do not."""
         return len(self._turns)
@@ -159,13 +156,7 @@ class RigHead:
         Raises:
             ShapeError: `arkit` does not have 52 values.
         """
-        values = np.array(arkit, np.float32)
-        if values.shape != (NUM_ARKIT,):
-            raise ShapeError(f"arkit is {values.shape}; [{NUM_ARKIT}] is needed")
-        if self.corrective_close:
-            # Alone it is nonsense: lips cannot close further than the jaw has opened them.
-            close, opening = ARKIT_INDEX["mouthClose"], ARKIT_INDEX["jawOpen"]
-            values[close] = min(values[close], max(float(values[opening]), 0.0))
+        values = self._limits.apply(arkit)
         points: FloatArray = self._rest + (values[self._shapes] @ self._motion).reshape(-1, 3)
         for eye in self._turns:
             points[eye.vertices] = _turned(eye, values)

@@ -6,16 +6,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.mesh_faults import MeshChecks
 from helpers.paths import SHARED_DATA
 from pica_command.main import main
+from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.person.choices import CLIP, Person, draw_person, read_person
 from pica_core.capture.person.clothes import CUTS, dress_surface
 from pica_core.capture.person.dress import dress
 from pica_core.capture.person.hair import STYLES, cover, grow, raise_cap
 from pica_core.capture.person.model import NUM_MODES, FaceModel, read_model
+from pica_core.capture.rig.features import find_features
+from pica_core.capture.rig.limits import Limits
 from pica_core.capture.rig.mesh import build_mesh
 from pica_core.capture.rig.names import map_names
+from pica_core.capture.stage.expressions import blend
+from pica_core.capture.triangles import unfolded
 from pica_core.errors import CaptureError
 from pica_core.types import Float64Array
 
@@ -137,6 +143,37 @@ def test_hair_and_clothes_hide_no_face(model: FaceModel) -> None:
     before = (added[:, 2] > eyes[2]) & (added[:, 1] > -0.09)
     assert not before.any()
     assert not dressed.notes
+
+
+@needs_ict
+def test_no_triangle_of_a_full_beard_turns_over_at_rest(model: FaceModel) -> None:
+    person = draw_person(0, model.sex_direction(), hair="bald", beard="full")
+    source = model.person(person.coefficients)
+    mesh = dress(build_mesh(source, map_names(list(source.shapes))), person).mesh
+    checks = MeshChecks(mesh)
+    assert checks.folded_at_rest.sum() == 0
+    assert checks.faults(blend(eyeLookDown=1.0)).eyes == 0
+
+
+@needs_ict
+def test_a_blink_closes_only_what_a_glance_down_has_left_open(model: FaceModel) -> None:
+    mesh = build_mesh(model.source, map_names(list(model.source.shapes)))
+    limits, blink = Limits(mesh, find_features(mesh)), ARKIT_INDEX["eyeBlinkLeft"]
+    assert limits.apply(blend(eyeBlink=1.0))[blink] == pytest.approx(1.0)
+    assert 0.1 < limits.apply(blend(eyeBlink=1.0, eyeLookDown=1.0))[blink] < 0.9
+    assert limits.apply(blend(eyeBlink=0.3, eyeLookDown=0.3))[blink] == pytest.approx(0.3)
+
+
+def test_places_that_would_turn_a_triangle_over_go_less_far() -> None:
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
+    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    moved = square.copy()
+    moved[2] = [-3.0, -3.0, 0.0]
+    points = unfolded(square, moved, faces)
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    assert (np.cross(b - a, c - a)[:, 2] > 0).all()
+    assert points[2, 0] < 1.0
+    assert np.array_equal(unfolded(square, square + 2.0, faces), square + 2.0)
 
 
 @needs_ict
