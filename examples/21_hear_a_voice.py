@@ -1,6 +1,6 @@
 """Speak and be heard: a relay, somebody with face and voice, and somebody who only listens.
 
-You learn how a voice travels beside a face: packets of 20 ms with the time of their capture, and
+You learn how a voice travels beside a face: packets of 40 ms with the time of their capture, and
 nothing while nobody speaks.
 """
 
@@ -51,8 +51,8 @@ async def main() -> None:
 
     decoder = OpusDecoder()  # a jitter buffer stands here in a call: it decides what is heard when
     sound = np.concatenate([decoder.decode(packet.payload) for packet, _ in heard])
-    # Sender and receiver share a clock here; a frame is 20 ms old when it is complete.
-    delays_ms = [(arrived_s - packet.captured_us / 1e6) * 1e3 - 20 for packet, arrived_s in heard]
+    # Sender and receiver share a clock here; a packet is 40 ms old when it is complete.
+    delays_ms = [(arrived_s - packet.captured_us / 1e6) * 1e3 - 40 for packet, arrived_s in heard]
     loudest = min(packet.level for packet, _ in heard if packet.level is not None)
     print(f"{len(heard)} packets, {len(sound) / 48_000:.1f} s of sound, at most -{loudest} dB")
     print(f"relayed within {np.percentile(delays_ms, 95):.1f} ms, 95 of 100 times")

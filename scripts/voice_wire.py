@@ -34,7 +34,7 @@ from pica_client.local_call.processes import Children
 from pica_client.stats import TCP_IP_HEADER_BYTES, describe_machine
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.receiver import Receiver
-from pica_client.voice.packet import FRAME_S, VoicePacket
+from pica_client.voice.packet import FRAME_S, PACKET_FRAMES, VoicePacket
 
 SETTLE_S = 4.0
 """From the first frames to those that count: the relay has learnt who is narrow."""
@@ -78,7 +78,7 @@ class Listener:
             for (before, _), (after, _) in pairwise(voice)
         )
         delays_ms = [
-            (arrived_s - FRAME_S - packet.captured_us / 1e6) * 1e3
+            (arrived_s - PACKET_FRAMES * FRAME_S - packet.captured_us / 1e6) * 1e3
             for voice in voices
             for packet, arrived_s in voice
         ]

@@ -59,9 +59,9 @@ of the largest room fits four times)."""
 
 _NO_LIMIT: Final = 1 << 30
 
-RIDE_S: Final = 0.025
+RIDE_S: Final = 0.045
 """After an ordered frame others wait so long at most for the next one, whose message they share
-(chosen: packets of 20 ms, and the jitter of a timer): what surrounds a message is more than a
+(chosen: packets of 40 ms, and the jitter of a timer): what surrounds a message is more than a
 face."""
 
 

@@ -49,11 +49,6 @@ class OrderedQueue:
     def __len__(self) -> int:
         return len(self._waiting)
 
-    @property
-    def oldest_s(self) -> float:
-        """When the oldest frame that waits was put here; at least one does."""
-        return self._waiting[0].received_s
-
     def put(self, frame: bytes, layer: int, is_keyframe: bool, now: float) -> Put:
         """Take the next frame of the stream, header included."""
         if self._is_unwanted:

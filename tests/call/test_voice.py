@@ -133,16 +133,16 @@ async def test_a_voice_is_heard_beside_its_face_on_one_clock_and_by_no_one_who_w
 
         sequences = [packet.sequence for packet in ben.packets]
         assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
-        assert len(sequences) > 190
+        assert len(sequences) > 95
         times = np.diff([packet.captured_us for packet in ben.packets])
-        assert set(times) == {FRAME_US}
+        assert set(times) == {2 * FRAME_US}
         assert [packet.is_first for packet in ben.packets[1:]] == [False] * (len(sequences) - 1)
         assert all(10 < (packet.level or 0) < 40 for packet in ben.packets)
         assert ben.seen > 100
         assert cho.heard == {}
         assert cho.seen > 100
         assert cho.receiver.call.strays == 0
-        assert len(dan.packets) > 190
+        assert len(dan.packets) > 95
         assert dan.seen == 0
 
 
@@ -166,7 +166,7 @@ async def test_a_mute_lets_the_frame_that_was_begun_out_and_says_so() -> None:
             ada.voice.set_muted(False)
             await asyncio.sleep(2.0)
             again = ben.packets[muted:]
-            assert len(again) > 95
+            assert len(again) > 47
             assert [packet.is_first for packet in again[:2]] == [True, False]
             assert again[0].sequence == ben.packets[muted - 1].sequence + 1  # a silence, no loss
             assert again[0].captured_us - ben.packets[muted - 1].captured_us > 1_900_000
@@ -225,7 +225,7 @@ async def test_sealed_voices_and_faces_open_side_by_side_and_only_with_the_secre
             ben = Person(relay.url, "ben", secret_file=secret_file)
             eve = Person(relay.url, "eve")
             await meet([ada, ben, eve], 4.0)
-        assert len(ben.packets) > 150
+        assert len(ben.packets) > 75
         assert ben.seen > 80
         assert len({len(packet.payload) for packet in ben.packets}) == 1  # sizes tell no words
         guard = ben.receiver.link.guard

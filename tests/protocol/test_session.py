@@ -485,7 +485,7 @@ def test_a_face_of_ours_rides_with_our_voice_and_alone_only_when_none_comes() ->
     session.send_frame(b"face", 1_020_000, is_keyframe=True)
     assert streams(1.02) == []
     assert session.frames_due_s == 1.01 + RIDE_S
-    session.send_frame(b"voice", 1_030_000, track=1)
-    assert streams(1.03) == [[2, 1]]
-    session.send_frame(b"face", 1_040_000, is_keyframe=True)
-    assert streams(1.03 + RIDE_S) == [[1]]
+    session.send_frame(b"voice", 1_050_000, track=1)
+    assert streams(1.05) == [[2, 1]]
+    session.send_frame(b"face", 1_060_000, is_keyframe=True)
+    assert streams(1.05 + RIDE_S) == [[1]]

@@ -52,7 +52,13 @@ from pica_client.playout.buffer import Playout
 from pica_client.stats import percentile
 from pica_client.voice.jitter_buffer import JitterBuffer
 from pica_client.voice.opus import OpusDecoder, OpusEncoder
-from pica_client.voice.packet import FRAME_S, VoicePacket, decode_payload, encode_payload
+from pica_client.voice.packet import (
+    FRAME_S,
+    PACKET_FRAMES,
+    VoicePacket,
+    decode_payload,
+    encode_payload,
+)
 from pica_client.voice.packet import FRAME_SAMPLES as FRAME
 from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
 from pica_client.voice.wav import resampled, shipped_speech
@@ -171,11 +177,11 @@ def _speech(seconds: float, seed: int) -> FloatArray:
 
 
 def _packets(sound: FloatArray, bitrate: int) -> list[tuple[float, Frame]]:
-    """The packets of a sound, each sent when its last sample has been captured."""
+    """The packets of a sound, of 40 ms, each sent when its last sample has been captured."""
     encoder = OpusEncoder(bitrate=bitrate)
     packets: list[tuple[float, Frame]] = []
-    for index in range(len(sound) // FRAME):
-        payload = encoder.encode(sound[index * FRAME : (index + 1) * FRAME])
+    for index in range(0, len(sound) // FRAME - 1, PACKET_FRAMES):
+        payload = encoder.encode(sound[index * FRAME :][: PACKET_FRAMES * FRAME])
         if payload is not None:
             frame = Frame(
                 stream=VOICE_STREAM,
@@ -183,7 +189,7 @@ def _packets(sound: FloatArray, bitrate: int) -> list[tuple[float, Frame]]:
                 captured_us=CLOCK_OFFSET_US + round(index * FRAME_S * 1e6),
                 payload=encode_payload(VoicePacket(0, 0, payload, level=60)),
             )
-            packets.append(((index + 1) * FRAME_S, frame))
+            packets.append(((index + PACKET_FRAMES) * FRAME_S, frame))
     return packets
 
 

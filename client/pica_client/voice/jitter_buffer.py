@@ -68,7 +68,7 @@ class Decoder(Protocol):
     """What makes sound of packets; `voice.opus.OpusDecoder` does."""
 
     def decode(self, payload: bytes | None, fec: bool = False) -> FloatArray:
-        """A frame of `FRAME` samples; without a payload one that conceals a loss."""
+        """The sound of a packet; without a payload `FRAME` samples that conceal a loss."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -161,6 +161,8 @@ class JitterBuffer:
         self._waiting: list[ReceivedFrame] = []  # by number; at most MAX_PACKETS
         self._last_number: int | None = None
         self._end_s = 0.0  # of what the packets up to the last one told
+        self._packet_s = FRAME_S  # how long the last one was
+        self._stood_in_s = 0.0  # for how much of what is missing after it there is a stand-in
         self._fifo = np.zeros((2, 0))  # samples, and the moment of each on the time line
         self._is_quiet, self._floor_rms = True, FIRST_FLOOR_RMS
         self._num_concealed = 0  # in a row
@@ -276,10 +278,10 @@ class JitterBuffer:
         """Leave out what is far too old, if there is something newer."""
         if not self._waiting or self._behind(should_s) <= self.config.leap_s:
             return
-        while len(self._waiting) > 1 and self._waiting[0].media_s + FRAME_S <= should_s:
+        while len(self._waiting) > 1 and self._waiting[0].media_s + self._packet_s <= should_s:
             self._report.lost += 1
             del self._waiting[0]
-        if self._waiting[0].media_s + FRAME_S <= should_s:
+        if self._waiting[0].media_s + self._packet_s <= should_s:
             return  # the newest is old as well, and better than nothing
         self._report.leaps += 1
         left, self._fifo = self._fifo[0, : stretch.FADE], self._fifo[:, :0]
@@ -320,17 +322,15 @@ class JitterBuffer:
             return
         following, last = self._waiting[0], self._last_number
         num_missing = 0 if last is None else following.number - last - 1
-        if self._is_gap and num_missing and self._num_stood:
-            # What was made up stands for what is lost, as turns out now.
-            self._num_stood -= 1
-            self._report.lost += 1
-            self._last_number = following.number - num_missing
-            self._end_s += FRAME_S
-        elif self._is_gap and num_missing and self._num_concealed < MAX_CONCEALED:
-            self._last_number = following.number - num_missing
-            self._report.lost += 1
-            fec = following.payload if self.config.uses_fec and num_missing == 1 else None
-            self._conceal(self._end_s, fec=fec)
+        is_hole = self._is_gap and self._stood_in_s + 0.001 < num_missing * self._packet_s
+        if is_hole and (self._num_stood or self._num_concealed < MAX_CONCEALED):
+            if self._num_stood:
+                self._num_stood -= 1  # what was made up stands for what is lost, as turns out now
+            else:
+                is_next = following.media_s - self._end_s < 1.5 * FRAME_S
+                fec = following.payload if self.config.uses_fec and is_next else None
+                self._conceal(self._end_s, fec=fec)
+            self._stood_in_s += FRAME_S
             self._end_s += FRAME_S
         elif (last is None or self._is_gap) and following.media_s > due_s + 0.001:
             self._report.lost += num_missing
@@ -360,8 +360,9 @@ class JitterBuffer:
         self._append(sound, begin_s, rate)
 
     def _decode_next(self) -> None:
-        packet = self._waiting.pop(0)
-        self._last_number = packet.number
+        packet, last = self._waiting.pop(0), self._last_number
+        self._report.lost += 0 if last is None else packet.number - last - 1
+        self._last_number, self._stood_in_s = packet.number, 0.0
         self._offset_us = packet.captured_us - packet.media_s * 1e6
         self._end_s = packet.media_s + FRAME_S
         self._is_starved = False
@@ -371,13 +372,16 @@ class JitterBuffer:
             self._report.refused += 1
             self._conceal(packet.media_s)
             return
+        self._packet_s = len(sound) / RATE_HZ
+        self._end_s = packet.media_s + self._packet_s
         self._num_concealed = self._num_stood = 0
-        self._report.played += 1
-        rms = float(np.sqrt(np.mean(np.square(sound))))
+        self._report.played += len(sound) // FRAME
+        ending = sound[-FRAME:]
+        rms = float(np.sqrt(np.mean(np.square(ending))))
         self._floor_rms = min(rms, self._floor_rms * FLOOR_RISE + 1e-6)
         self._is_quiet = self._sounds_quiet(rms)
         if self._is_quiet:
-            self._noise.learn(sound)
+            self._noise.learn(ending)
         self._append(sound, packet.media_s)
 
     def _sounds_quiet(self, rms: float) -> bool:

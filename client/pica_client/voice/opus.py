@@ -1,4 +1,5 @@
-"""Opus by libopus itself, through ctypes: 20 ms of mono at 48 kHz in, one packet out, and back.
+"""Opus by libopus itself, through ctypes: 20 or 40 ms of mono at 48 kHz in, one packet out, and
+back.
 
 PyAV's codec context neither conceals lost packets nor reads their redundancy, and its encoder does
 not fall silent. So the library is called directly: that of the system, or else the one that comes
@@ -17,7 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pica_client.errors import VoiceError
-from pica_client.voice.packet import FRAME_SAMPLES, MAX_OPUS_BYTES, SAMPLE_RATE_HZ
+from pica_client.voice.packet import (
+    FRAME_SAMPLES,
+    MAX_OPUS_BYTES,
+    PACKET_FRAMES,
+    SAMPLE_RATE_HZ,
+)
 
 FloatArray = NDArray[np.float32]
 
@@ -25,6 +31,7 @@ MIN_BITRATE_BPS: Final = 6_000
 MAX_BITRATE_BPS: Final = 128_000
 EXPECTED_LOSS_PERCENT: Final = 10
 """What the redundancy is made for (chosen)."""
+_SIZES: Final = [FRAME_SAMPLES * count for count in range(1, PACKET_FRAMES + 1)]
 _LARGEST_SILENT_BYTES: Final = 2
 """A packet of the encoder that is no longer need not be sent (opus_encode, DTX)."""
 
@@ -44,7 +51,7 @@ def available() -> str | None:
 
 
 class OpusEncoder:
-    """Turns frames of 20 ms into packets.
+    """Turns frames of 20 ms, or two of them, into packets.
 
     Args:
         bitrate: Bits a second while somebody speaks.
@@ -82,21 +89,22 @@ class OpusEncoder:
         self._packet = ctypes.create_string_buffer(MAX_OPUS_BYTES)
 
     def encode(self, pcm: FloatArray) -> bytes | None:
-        """Return the packet of the next 20 ms; None where there is nothing to say.
+        """Return the next packet; None where there is nothing to say.
 
         Args:
-            pcm: Samples in [-1, 1]; what is beyond is clipped. float32 ``[960]``.
+            pcm: Samples in [-1, 1]; what is beyond is clipped. float32 ``[960]`` or
+                ``[1920]``.
 
         Raises:
             VoiceError: Another shape, or a sample that is no number.
         """
-        if pcm.shape != (FRAME_SAMPLES,):
-            raise VoiceError(f"a frame has shape {pcm.shape}; ({FRAME_SAMPLES},) is allowed")
+        if pcm.ndim != 1 or len(pcm) not in _SIZES:
+            raise VoiceError(f"a frame has shape {pcm.shape}; one of {_SIZES} samples is allowed")
         samples = np.ascontiguousarray(np.clip(pcm, -1.0, 1.0), dtype=np.float32)
         if not np.isfinite(samples).all():
             raise VoiceError("a frame holds a sample that is no number")
         size = self._opus.opus_encode_float(
-            self._state, samples.ctypes, FRAME_SAMPLES, self._packet, MAX_OPUS_BYTES
+            self._state, samples.ctypes, len(samples), self._packet, MAX_OPUS_BYTES
         )
         if size < 0:
             raise VoiceError(f"libopus cannot encode a frame: error {size}")
@@ -112,7 +120,7 @@ class OpusEncoder:
 
 
 class OpusDecoder:
-    """Turns the packets of one voice into frames of 20 ms.
+    """Turns the packets of one voice into sound.
 
     Raises:
         VoiceError: There is no libopus.
@@ -123,34 +131,36 @@ class OpusDecoder:
         self._state = _created(self._opus, "decoder", SAMPLE_RATE_HZ, 1)
 
     def decode(self, payload: bytes | None, fec: bool = False) -> FloatArray:
-        """Return the next 20 ms, float32 ``[960]`` in [-1, 1].
+        """Return the next 20 or 40 ms, float32 ``[960]`` or ``[1920]`` in [-1, 1].
 
         Args:
-            payload: A packet; None: it is lost, and what came before goes on, ever more softly.
-            fec: Take, of this packet, what it holds of the one before it.
+            payload: A packet; None: it is lost, and what came before goes on for 20 ms, ever more
+                softly.
+            fec: Take, of this packet, what it holds of the 20 ms before it.
 
         Raises:
-            VoiceError: The packet is none, or not of 20 ms of mono. The decoder stays usable.
+            VoiceError: The packet is none, or not of 20 or 40 ms of mono. The decoder stays usable.
         """
         if payload is not None and not 1 <= len(payload) <= MAX_OPUS_BYTES:
             raise VoiceError(
                 f"an Opus packet of {len(payload)} bytes, 1 to {MAX_OPUS_BYTES} are read"
             )
-        pcm = np.zeros(FRAME_SAMPLES, np.float32)
+        is_made_up = payload is None or fec
+        pcm = np.zeros(_SIZES[0 if is_made_up else -1], np.float32)
         num_samples = self._opus.opus_decode_float(
             self._state,
             payload,
             0 if payload is None else len(payload),
             pcm.ctypes,
-            FRAME_SAMPLES,
+            len(pcm),
             int(fec),
         )
         if num_samples < 0:
             why = _BAD_PACKETS.get(num_samples, f"libopus error {num_samples}")
             raise VoiceError(f"no Opus packet: {why}")
-        if num_samples != FRAME_SAMPLES:
-            raise VoiceError(f"an Opus packet of {num_samples} samples, {FRAME_SAMPLES} are read")
-        return np.clip(np.nan_to_num(pcm, copy=False), -1.0, 1.0)
+        if num_samples not in _SIZES:
+            raise VoiceError(f"an Opus packet of {num_samples} samples; one of {_SIZES} is read")
+        return np.clip(np.nan_to_num(pcm[:num_samples], copy=False), -1.0, 1.0)
 
     def reset(self) -> None:
         """Forget what came before, as when a voice begins anew."""

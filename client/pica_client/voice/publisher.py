@@ -1,4 +1,5 @@
-"""A voice on its way out: frames of a source -> Opus -> packets on the voice's track.
+"""A voice on its way out: frames of a source -> Opus -> packets on the voice's track, two frames in
+each.
 
 While it is muted, or its speaker silent, nothing is sent. A mute lets the frame that was begun go
 out, and then one of nothing, which brings out what the encoder held back; nothing that was captured
@@ -14,7 +15,13 @@ import numpy as np
 from pica_client.transport.link import Link
 from pica_client.voice.level import level_of
 from pica_client.voice.opus import OpusEncoder
-from pica_client.voice.packet import FRAME_SAMPLES, FRAME_US, VoicePacket, encode_payload
+from pica_client.voice.packet import (
+    FRAME_SAMPLES,
+    FRAME_US,
+    PACKET_FRAMES,
+    VoicePacket,
+    encode_payload,
+)
 from pica_client.voice.track import VOICE_KEY, VOICE_MUTED, voice_track
 from pica_core.types import FloatArray
 from pica_protocol.messages import Joined, StreamMuted
@@ -22,8 +29,8 @@ from pica_protocol.session import ClientEvent
 
 DEFAULT_BITRATE_BPS: Final = 24_000
 _NOTHING: Final = np.zeros(FRAME_SAMPLES, np.float32)
-_GAP_US: Final = FRAME_US * 3 // 2
-"""Between the beginnings of two packets; more is a silence."""
+_GAP_US: Final = FRAME_US // 2
+"""Between the end of a packet and the beginning of the next; more is a silence."""
 
 
 class VoiceSource(Protocol):
@@ -75,7 +82,9 @@ class VoicePublisher:
         self._stream = 0
         self._told = ""
         self._was_muted = False
-        self._last_us = -(1 << 62)
+        self._end_us = -(1 << 62)  # of the last packet
+        self._begun: list[FloatArray] = []  # of the next packet, and when it was captured
+        self._begun_us = 0
         self._sent = self._silent = self._unheard = self._payload_bytes = 0
 
     def set_muted(self, is_muted: bool) -> None:
@@ -88,7 +97,7 @@ class VoicePublisher:
             case Joined(tracks=tracks):
                 self._stream = next(t.stream for t in tracks if t.kind == self.track.kind)
                 self.is_muted_by_admin = False  # we are told again if it is so
-                self._last_us = -(1 << 62)  # whoever hears us begins anew
+                self._end_us = -(1 << 62)  # whoever hears us begins anew
             case StreamMuted(stream=stream, is_muted=is_muted) if stream == self._stream:
                 self.is_muted_by_admin = is_muted
             case _:
@@ -116,18 +125,29 @@ class VoicePublisher:
             self.on_sound(pcm, captured_us)
         self._was_muted = self.is_muted
         if not link.is_joined:
+            self._begun.clear()
             self._unheard += 1
             return
         self.level = level_of(pcm)
+        if self._begun and captured_us > self._begun_us + len(self._begun) * FRAME_US + _GAP_US:
+            self._send_packet(link)  # the source has left something out
+        if not self._begun:
+            self._begun_us = captured_us
+        self._begun.append(pcm)
+        if self.is_muted or len(self._begun) == PACKET_FRAMES:
+            self._send_packet(link)
+
+    def _send_packet(self, link: Link) -> None:
+        pcm, captured_us = np.concatenate(self._begun), self._begun_us
+        self._begun.clear()
         opus = self._encoder.encode(pcm)
         if opus is None:
             self._silent += 1
             return
-        is_first = captured_us - self._last_us > _GAP_US
-        packet = VoicePacket(0, captured_us, opus, self.level, is_first)
-        payload = encode_payload(packet)
+        is_first = captured_us - self._end_us > _GAP_US
+        payload = encode_payload(VoicePacket(0, captured_us, opus, level_of(pcm), is_first))
         if link.send_frame(payload, captured_us, track=self.track):
-            self._last_us = captured_us
+            self._end_us = captured_us + len(pcm) // FRAME_SAMPLES * FRAME_US
             self._sent += 1
             self._payload_bytes += len(payload)
 

@@ -14,9 +14,9 @@ What surrounds a message (48 bytes with TCP/IP) is more than a face, so faces ri
 
 1. Frames of ordered streams, voices, go first, at once, and take along all that waits. While one
    speaks, others wait for its next packet, `RIDE_S` at most.
-2. A receiver whose socket did not take a message at once is *narrow* for `NARROW_S`. It gets two
-   packets of a voice at a time, faces alone only every `NARROW_RIDE_S`, and beside a voice no more
-   than `YIELDING_BYTES` of them, none once it is late: what does not fit is thinned in the queues.
+2. A receiver whose socket did not take a message at once is *narrow* for `NARROW_S`. It gets faces
+   alone only every `NARROW_RIDE_S`, and beside a voice no more than `YIELDING_BYTES` of them, none
+   once it is late: what does not fit is thinned in the queues.
 """
 
 import math
@@ -40,9 +40,6 @@ NARROW_S: Final = 5.0
 """How long a receiver counts as narrow after its socket was full (chosen)."""
 NARROW_RIDE_S: Final = 0.05
 """Between two messages of faces alone to a narrow receiver (chosen: three faces fit 24 kbit/s)."""
-PAIR_S: Final = 0.026
-"""How long a packet of a voice waits for the next one on the way to a narrow receiver (chosen: it
-comes after 20 ms, and the headers of every other message are saved)."""
 YIELDING_BYTES: Final = 160
 """What faces take of a message with a voice to a narrow receiver (chosen: base layers of a few)."""
 LATE_S: Final = 0.06
@@ -129,14 +126,7 @@ class Outbox:
         """When what waits is to go: now, or later if it shares a message with what is to come."""
         if self._control or not self._rides:
             return now
-        if not self._voices:
-            return max(self._ride_ends_s, now)
-        if now >= self._narrow_until_s:
-            return now
-        waiting = [self._ordered[stream] for stream in self._voices]
-        if any(len(queue) > 1 for queue in waiting):
-            return now
-        return max(min(queue.oldest_s for queue in waiting) + PAIR_S, now)
+        return now if self._voices else max(self._ride_ends_s, now)
 
     def note_full(self, now: float) -> None:
         """Note that the socket of the receiver did not take a message at once."""

@@ -120,6 +120,23 @@ def test_lost_packets_are_concealed_by_the_codec_and_time_goes_on():
     assert max(delays_s[100:]) - min(delays_s[:40]) < JitterBufferConfig().voiced_error_s
 
 
+def test_packets_of_40_ms_are_played_one_frame_after_the_fastest_and_lost_ones_concealed_whole():
+    def pair(index: int) -> tuple[float, VoicePacket]:
+        whole = packet(2 * index, sequence=index)
+        both = VoicePacket(whole.sequence, whole.captured_us, whole.payload + b"+")
+        return usual_arrival_s(2 * index + 1), both
+
+    decoder = SpokenDecoder(hum(4))
+    buffer = JitterBuffer(decoder)
+
+    _, delays_s = play(buffer, [pair(i) for i in range(95) if i not in (25, 40)], 3.5)
+
+    assert 4 <= decoder.concealed <= 5  # the stretching may take part of another
+    assert (buffer.report().lost, buffer.report().noise) == (2, 1)  # noise at the beginning
+    expected_s = 2 * FRAME_S + NETWORK_S + FRAME_S + CODEC_DELAY_S
+    assert max(delays_s) == pytest.approx(expected_s, abs=0.015)
+
+
 def test_a_silence_that_is_not_sent_is_filled_with_the_noise_of_the_room():
     rng = np.random.default_rng(0)
     sound = hum(6)

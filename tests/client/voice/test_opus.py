@@ -50,6 +50,20 @@ def test_the_encoder_falls_silent_with_the_speaker_and_says_nothing_but_now_and_
     assert encoder.encode(vowel(1)[0]) is not None
 
 
+def test_two_frames_in_one_packet_come_back_as_40_ms_and_silence_of_both_is_not_sent() -> None:
+    encoder, decoder = OpusEncoder(), OpusDecoder()
+    pairs = vowel(50).reshape(25, -1)
+    packets = [encoder.encode(pair) for pair in pairs]
+
+    heard = [decoder.decode(packet) for packet in packets]
+
+    assert {part.shape for part in heard} == {(2 * FRAME_SAMPLES,)}
+    assert np.std(heard[-1]) == pytest.approx(np.std(pairs[-1]), rel=0.2)
+    assert decoder.decode(None).shape == (FRAME_SAMPLES,)
+    silent = [encoder.encode(np.zeros(2 * FRAME_SAMPLES, np.float32)) for _ in range(75)]
+    assert sum(packet is not None for packet in silent[25:]) <= 6
+
+
 def test_without_dtx_silence_is_sent() -> None:
     encoder = OpusEncoder(dtx=False)
     assert None not in [encoder.encode(SILENCE) for _ in range(100)]
@@ -92,7 +106,7 @@ def test_a_hostile_packet_is_refused_and_the_decoder_goes_on() -> None:
     assert decoder.decode(good[3]).shape == (FRAME_SAMPLES,)
 
 
-def test_damaged_packets_decode_to_20_ms_of_sound_or_are_refused() -> None:
+def test_damaged_packets_decode_to_20_or_40_ms_of_sound_or_are_refused() -> None:
     figures = run(2_000, seed=1, only="voice", is_tracing=False)
     assert {"accepted", "refused VoiceError"} <= set(figures["outcomes"])
 

@@ -8,13 +8,15 @@ waits in the relay, and what waits there together leaves as one message.
 `thin_ratio` stands for whatever else makes a relay drop frames, as the congestion of other streams:
 upper layers pay first, and what refers to a dropped frame is dropped with it.
 
-A voice shares the way with its face, leaves first and in the same message.
+A voice shares the way with its face, leaves first, and takes along what waits of the face; while
+it speaks, the face waits for its next packet (`RIDE_S`), as at the real relay.
 
 Unrealistic: the sender's own way to the relay is perfect; a message carries the frames of one
 stream only, where a relay puts those of several senders together.
 """
 
 import heapq
+import math
 from collections import Counter, deque
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -23,6 +25,7 @@ import numpy as np
 
 from pica_client.bench.network.impairment import Impairment, Way
 from pica_client.stats import wire_bytes
+from pica_protocol.client_session import RIDE_S
 from pica_protocol.frames import Frame, decode_media, encode_frame, media_message
 from pica_protocol.limits import MAX_MEDIA_MESSAGE_BYTES
 from pica_protocol.stream_queue import Put, StreamQueue
@@ -77,6 +80,7 @@ class FramePath:
         self._voices: deque[tuple[bytes, float]] = deque()
         self._queue: deque[_Message] = deque()  # behind the relay; bounded by `queue_bytes`
         self._queue_bytes = 0
+        self._ride_ends_s = self._advanced_s = -math.inf
         self._order = 0
         # Bounded by MAX_UNDER_WAY: (arrival, order, message).
         self._under_way: list[tuple[float, int, bytes]] = []
@@ -138,7 +142,10 @@ class FramePath:
 
     def _advance(self, now: float) -> None:
         """Move what can move up to now: relay -> queue -> way."""
+        # What waited for a voice that did not come left when the wait was over.
+        self._fill_queue(min(max(self._ride_ends_s, self._advanced_s), now))
         self._fill_queue(now)
+        self._advanced_s = now
         while self._queue and self._way.free_s <= now:
             message = self._queue.popleft()
             self._queue_bytes -= message.num_bytes
@@ -151,10 +158,12 @@ class FramePath:
         while self._voices and self._voices[0][1] < now - VOICE_DEADLINE_S:
             self._voices.popleft()
             self._drops["voice"] += 1
-        while (self._voices or len(self._relay)) and (
+        while (self._voices or (len(self._relay) and now >= self._ride_ends_s)) and (
             not self._queue or self._queue_bytes < self._way.impairment.queue_bytes
         ):
             frames = [frame for frame, _ in self._voices]
+            if self._voices:
+                self._ride_ends_s = now + RIDE_S
             self._voices.clear()
             room = MAX_MEDIA_MESSAGE_BYTES - 1 - sum(map(len, frames))
             frames += [item.frame for item in self._relay.take(room)]

@@ -36,7 +36,7 @@ NAP_S: Final = 0.0002
 """Between two looks at the sockets under load: adds as much to the latencies at most (chosen)."""
 TURN_US: Final = 2_000_000
 """How long each speaks (chosen: a sentence)."""
-VOICE_S: Final = 0.02
+VOICE_S: Final = 0.04
 """Between two packets of a voice."""
 DRAIN_S: Final = 1.0
 """After a window, for frames that are still under way."""

@@ -25,7 +25,7 @@ one when asked."""
 
 LARGEST_FACE_BYTES: Final = 40
 """More is a voice: that is how a peer that counts tells them apart."""
-VOICE_PAYLOAD: Final = bytes(61)
+VOICE_PAYLOAD: Final = bytes(121)
 """A packet of a voice at 24 kbit/s, with its first byte; libopus varies it, this does not."""
 
 
