@@ -31,6 +31,7 @@ from pica_core.avatar.streams import open_decoder
 from pica_core.codec.latent_sample import DecodedFrame
 from pica_core.errors import AvatarFileError, ProfileError
 from pica_protocol.frames import Frame
+from pica_protocol.limits import MAX_LAYER
 from pica_protocol.messages import (
     Joined,
     Peer,
@@ -127,6 +128,7 @@ class Call:
         self.on_subscription: Callable[[], None] = lambda: None
         self.heard_us: Callable[[str, float], int | None] = lambda peer_id, now: None
         self.skews_s, self.delays_s = Samples(), Samples()
+        self._max_layer = MAX_LAYER
 
     # The network's side
 
@@ -221,6 +223,15 @@ class Call:
             has_changed = seat is not None and seat.subscription.subscribe(layer, now)
         if has_changed:
             self.on_subscription()
+
+    def limit_layers(self, layer: int, now: float) -> None:
+        """Ask for no more than a layer of everybody's face, now and of who comes; see
+        `YieldingFaces`."""
+        with self._lock:
+            self._max_layer = layer
+            for seat in self._seats.values():
+                seat.subscription.limit(layer, now)
+        self.on_subscription()
 
     def faces(self, now: float) -> list[FaceState]:
         """Return everybody's face at display time; see `FaceSource.faces`."""
@@ -358,6 +369,7 @@ class Call:
                 with suppress(AvatarFileError):
                     self._avatars.get(track.avatar)
                 seat = RemoteParticipant(peer, track, self.config.playout, self.config.subscription)
+                seat.subscription.limit(self._max_layer, 0.0)
                 self._seats[peer.peer_id] = self._by_stream[track.stream] = seat
                 for former in [each for each in self._departed if each.is_same_person(peer)][-1:]:
                     self._departed.remove(former)

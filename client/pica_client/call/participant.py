@@ -147,6 +147,8 @@ class RemoteParticipant:
             return "muted by an admin"
         if self.is_away:
             return "connection lost"
+        if self.subscription.is_pushed_out:
+            return "the network carries voices alone"
         return FACE_NOTES.get(self._face_mode, "")
 
     @property

@@ -158,11 +158,12 @@ class Forwarding:
         stream = room.stream(number)
         if stream is None or not stream.chain:
             return  # nothing to miss: it begins with a keyframe
-        self._stats.frames_resumed += connection.outbox.resume(
-            number, stream.chain, is_whole=stream.is_whole, now=now
-        )
+        outbox = connection.outbox
+        is_whole = stream.is_whole and outbox.takes_chain(stream.num_bytes, now)
+        chain = stream.chain if is_whole else stream.chain[:1]
+        self._stats.frames_resumed += outbox.resume(number, chain, is_whole=is_whole, now=now)
         self._connections.ready[connection] = None
-        if not stream.is_whole:
+        if not is_whole:
             self.ask_for_keyframe(room, number, Put.KEYLESS.value, now)
 
     def ask_for_keyframe(self, room: Room, stream: int, why: str, now: float) -> None:

@@ -38,6 +38,9 @@ MAX_FLOWING_BYTES: Final = 4096
 """Bytes of all of them: one message, which a slow line has to carry before what is newer."""
 NARROW_S: Final = 5.0
 """How long a receiver counts as narrow after its socket was full (chosen)."""
+NARROW_MEMORY_S: Final = 120.0
+"""Who was narrow so lately may be again (chosen: receivers wait up to 64 s before they ask for
+more)."""
 NARROW_RIDE_S: Final = 0.05
 """Between two messages of faces alone to a narrow receiver (chosen: three faces fit 24 kbit/s)."""
 YIELDING_BYTES: Final = 160
@@ -131,6 +134,12 @@ class Outbox:
     def note_full(self, now: float) -> None:
         """Note that the socket of the receiver did not take a message at once."""
         self._narrow_until_s = now + NARROW_S
+
+    def takes_chain(self, num_bytes: int, now: float) -> bool:
+        """Whether what was kept of a stream is better than to wait for a keyframe: not where voices
+        would wait behind it."""
+        was_narrow = now < self._narrow_until_s + NARROW_MEMORY_S
+        return num_bytes <= YIELDING_BYTES or not (self.has_voices and was_narrow)
 
     @property
     def has_voices(self) -> bool:

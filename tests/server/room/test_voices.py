@@ -10,7 +10,9 @@ from pica_protocol.frames import FLAG_KEYFRAME, Frame, decode_media, encode_fram
 from pica_server.config.relay import RelayConfig
 from pica_server.room.hub import HOLD_STEP_S, Hub
 from pica_server.room.outbox import (
+    NARROW_MEMORY_S,
     NARROW_RIDE_S,
+    NARROW_S,
     YIELDING_BYTES,
     ArrivedFrame,
     OutboundMessage,
@@ -154,3 +156,12 @@ def test_what_is_held_back_is_looked_at_when_it_is_due_and_not_before(step: int)
     assert when is not None
     assert due_s <= connection.held_s <= due_s + 2 * HOLD_STEP_S
     assert when <= connection.held_s
+
+
+def test_who_was_narrow_waits_for_a_keyframe_rather_than_for_all_since_the_last_one() -> None:
+    outbox, _ = outbox_with_voices()
+    assert outbox.takes_chain(4000, 1.0)
+    outbox.note_full(1.0)
+    assert not outbox.takes_chain(4000, 60.0)
+    assert outbox.takes_chain(YIELDING_BYTES, 60.0)
+    assert outbox.takes_chain(4000, 1.1 + NARROW_S + NARROW_MEMORY_S)
