@@ -130,6 +130,10 @@ class _Frame:
     floor_s: float = 0.0
     error: float | None = None
 
+    @property
+    def total_s(self) -> float:  # read by name, see `_turn_means_ms`
+        return self.plan_s + self.decode_s + self.upload_s + self.draw_s
+
 
 @dataclass(slots=True, eq=False)
 class _Case:
