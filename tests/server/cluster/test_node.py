@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from helpers.members import Member, counting_secrets
+from helpers.members import FACE, VOICE, Member, counting_secrets
 from pica_protocol.errors import CloseCode
 from pica_protocol.frames import Frame
 from pica_protocol.messages import (
@@ -17,6 +17,7 @@ from pica_protocol.messages import (
     PeerLeft,
     PeerUpdated,
     StreamMuted,
+    Track,
     Whisper,
 )
 from pica_server.auth.tokens import Admission
@@ -80,9 +81,17 @@ class Nodes:
                 return
         raise AssertionError("they never come to an end")
 
-    def join(self, slot: int, name: str, now: float = 0.0, *, resumable: bool = False) -> Member:
+    def join(
+        self,
+        slot: int,
+        name: str,
+        now: float = 0.0,
+        *,
+        resumable: bool = False,
+        tracks: tuple[Track, ...] = (FACE,),
+    ) -> Member:
         """Let somebody join, and tell everybody."""
-        member = Member(self.hubs[slot], name, now=now, resumable=resumable)
+        member = Member(self.hubs[slot], name, now=now, resumable=resumable, tracks=tracks)
         self.pump(now)
         member.heard += member.listen(now)
         return member
@@ -153,6 +162,38 @@ def test_a_peer_elsewhere_comes_speaks_whispers_is_asked_and_goes() -> None:
     nodes.pump(0.0)
     assert told(ada, PeerLeft) == [PeerLeft(peer_id=bob.peer_id, reason="left")]
     assert nodes.hubs[1].num_rooms == nodes.nodes[1].num_rooms == 0
+
+
+def test_voices_cross_whole_and_in_order_before_faces_and_none_that_is_too_old() -> None:
+    nodes = Nodes(2)
+    both = {"tracks": (FACE, VOICE)}
+    ada, bob = nodes.join(0, "Ada", **both), nodes.join(1, "Bob", **both)
+    cleo = nodes.join(1, "Cleo")
+    nodes.pump(0.0)
+    for each in (ada, bob, cleo):
+        each.listen(0.0)
+    cleo.session.want(ada.session.tracks[1].stream, None)
+    cleo.speak(0.0)
+    nodes.pump(0.0)
+
+    def packets(member: Member, now: float) -> list[bytes]:
+        return [each.payload for each in member.listen(now) if isinstance(each, Frame)]
+
+    for number in range(5):  # they talk at the same time, and a face waits for a voice
+        now = 1.0 + 0.04 * number
+        ada.send_frame(b"face", now + 0.001)
+        ada.send_frame(b"ada %d" % number, now + 0.002, track=1)
+        bob.send_frame(b"bob %d" % number, now + 0.002, track=1)
+    nodes.pump(1.2)
+    assert packets(bob, 1.2) == [*(b"ada %d" % number for number in range(5)), b"face"]
+    assert packets(ada, 1.2) == [b"bob %d" % number for number in range(5)]
+    assert packets(cleo, 1.2) == [*(b"bob %d" % number for number in range(5)), b"face"]
+
+    for number in range(10):  # nobody carries anything between the nodes for a while
+        ada.send_frame(b"late %d" % number, 2.0 + 0.04 * number, track=1)
+    nodes.pump(2.41)
+    assert packets(bob, 2.41) == [b"late %d" % number for number in range(6, 10)]
+    assert packets(cleo, 2.41) == []
 
 
 def test_the_newer_of_two_of_the_same_identity_stays_on_whichever_node() -> None:

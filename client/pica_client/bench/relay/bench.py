@@ -98,7 +98,7 @@ class RelayBenchConfig:
     joins_per_s: float | None = None
     """How fast peers come; by default 40, as many as a relay lets in, 400 for one of our own."""
     voices: bool = False
-    """Let the peers of each room speak in turn as well, 50 packets a second."""
+    """Let the peers of each room speak in turn as well, 25 packets a second."""
     capacity: bool = False
     """Look for the most rooms within the bar."""
     bar_ms: float = 10.0
