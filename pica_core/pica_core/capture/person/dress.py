@@ -11,7 +11,7 @@ from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.person.choices import Person
 from pica_core.capture.person.clothes import CUTS, Garment, dress_surface
 from pica_core.capture.person.hair import STYLES, Sheet, cover, flow, grow, raise_cap, smooth
-from pica_core.capture.person.lids import close_lids
+from pica_core.capture.person.lids import close_lids, close_lips
 from pica_core.capture.rig.features import Features, find_features
 from pica_core.capture.rig.mesh import RigMesh
 from pica_core.capture.rig.skin import Growth
@@ -47,7 +47,7 @@ def dress(mesh: RigMesh, person: Person) -> Dressed:
     if mesh.uv is None or mesh.uv_faces is None or not mesh.eyes:
         raise CaptureError("a person needs a head with texture coordinates and eyeballs")
     features, notes = find_features(mesh), list[str]()
-    mesh = close_lids(mesh, features)
+    mesh = close_lips(close_lids(mesh, features), features)
     skin = mesh.of_part("skin")
     rest, style = mesh.rest_m, STYLES[person.hair]
     skin_faces = mesh.faces[mesh.part == MATERIALS.index("skin")]
@@ -122,7 +122,7 @@ def _beard(
     under_nose = under_nose * smooth((mm[:, 1] - mouth_y + ends) / 4)
     over = under_nose * smooth((half + 9 - across) / 8) * smooth((mm[:, 2] - 70) / 10)
     beard = np.maximum(jaw * (cheeks > 0), over) * front
-    beard = beard * smooth((-0.12 - features.lips) / 0.35)
+    beard = beard * smooth((-0.02 - features.lips) / 0.30)
     beard[~skin | inside | features.regions["ears"]] = 0.0
     grown = np.flatnonzero(beard > 0)
     if features.regions["ears"].any() and len(grown):

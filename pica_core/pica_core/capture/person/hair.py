@@ -14,7 +14,7 @@ from pica_core.capture.triangles import nearest
 from pica_core.types import BoolArray, Float64Array, Int64Array, IntArray
 
 HAIRLINE = (
-    (0.0, 0.098), (25.0, 0.100), (42.0, 0.094), (58.0, 0.076), (68.0, 0.040), (76.0, 0.010),
+    (0.0, 0.089), (25.0, 0.091), (42.0, 0.087), (58.0, 0.072), (68.0, 0.038), (76.0, 0.010),
     (84.0, 0.004), (93.0, 0.040), (106.0, 0.040), (116.0, 0.012), (126.0, -0.018), (145.0, -0.046),
     (180.0, -0.056),
 )  # fmt: skip
@@ -74,9 +74,9 @@ STYLES: dict[str, Style] = {
 TIE_Y = 0.0
 """Height at which a tail is tied."""
 COLUMNS, ROWS = 48, 18
-FRONT_DEG, CLEAR_M, THICK_M = 58.0, 0.003, 0.012
+FRONT_DEG, CLEAR_M, THICK_M = 50.0, 0.003, 0.009
 """Azimuth of the front edges of hair that hangs, its distance from what is under it, thickness."""
-HANG_FROM_M = 0.082
+HANG_FROM_M = 0.122
 """Height at which hanging hair leaves the cap."""
 SHOULDER_M = 0.112
 """Where shoulders begin: hair that hangs at the sides ends there."""
@@ -264,6 +264,9 @@ def _curtain(points: Float64Array, style: Style, seed: int, body: Float64Array) 
     wander = np.stack([np.broadcast_to(0.5 * s, y.shape), 0.25 * y, 0 * y], -1).reshape(-1, 3)
     clump = lumps(wander, 0.035, seed + 6).reshape(y.shape)
     ripple = np.sin(2 * np.pi * (y / 0.075) + 2.0 * lumps(wander, 0.12, seed + 7).reshape(y.shape))
+    for _ in range(4):  # no kink where hair leaves the cap, nor over the ears
+        inside = outer[1:-1]
+        inside[:] = np.maximum(0.25 * outer[:-2] + 0.5 * inside + 0.25 * outer[2:], inner[1:-1])
     outer += style.wave / 1000 * (clump + 0.7 * ripple * t[:, None]) * full * edge
     outer = np.maximum(outer, inner + 0.002 * t[:, None])
     inner = np.maximum(inner, outer - 1.3 * THICK_M)

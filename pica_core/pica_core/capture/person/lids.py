@@ -1,7 +1,8 @@
-"""Lids that close on any identity: the model's blink is that of its mean face.
+"""Lids and lips that close on any identity: the model's blink is that of its mean face.
 
-Where lids of a person lie in the eyeball they are pushed out of it, and a blink goes on until upper
-and lower lid meet. Metres, head frame.
+Lips that an identity leaves apart at rest are brought together. Where lids of a person lie in the
+eyeball they are pushed out of it, and a blink goes on until upper and lower lid meet. Metres, head
+frame.
 """
 
 from dataclasses import replace
@@ -25,6 +26,9 @@ MOVES_M = 0.003
 MOVERS = ("eyeBlink", "eyeLookDown", "eyeLookUp", "eyeLookIn", "eyeLookOut", "eyeSquint", "eyeWide",
           "cheekSquint")  # fmt: skip
 """Shapes that move lids."""
+LIP_REACH_M, LIP_DEEP_M, LIP_GAP_M = 0.006, 0.008, 0.006
+"""How far from the line of contact skin goes along with a lip; how deep behind it lips may touch;
+what opening is closed at most."""
 
 
 def close_lids(mesh: RigMesh, features: Features) -> RigMesh:
@@ -90,3 +94,32 @@ def _farther(
     weight *= np.minimum(fall / 0.004, 1.0) ** 2
     factor: Float64Array = (weight @ lack) / np.maximum(weight.sum(1), 1e-9)
     return 1.0 + np.where(above, factor, 0.0)
+
+
+def close_lips(mesh: RigMesh, features: Features) -> RigMesh:
+    """A mesh whose lips touch at rest: each lip goes half of the way."""
+    mouth = features.mouth
+    if mouth is None:
+        return mesh
+    rest = mesh.rest_m.copy()
+    rise = rest[:, 1] - np.interp(rest[:, 0], mouth.x, mouth.y)
+    behind = np.interp(rest[:, 0], mouth.x, mouth.z) - rest[:, 2]
+    near = np.flatnonzero(
+        (np.abs(rise) < 3 * LIP_REACH_M)
+        & (np.abs(rest[:, 0] - mouth.centre_x) < mouth.half_m)
+        & (np.abs(behind) < 0.025)
+        & (mesh.of_part("skin") | replace(mesh, part=features.part).of_part("mouth_bag"))
+    )
+    edge = near[np.abs(behind[near]) < LIP_DEEP_M]
+    places = np.linspace(-0.9, 0.9, 15) * mouth.half_m + mouth.centre_x
+    lack = np.zeros(len(places))
+    for k, x in enumerate(places):
+        here = edge[np.abs(rest[edge, 0] - x) < 0.002]
+        upper, lower = rise[here[rise[here] >= 0]], rise[here[rise[here] < 0]]
+        if len(upper) and len(lower):
+            lack[k] = max(upper.min() - lower.max() + OVERLAP_M, 0.0)
+    lack = np.minimum(np.convolve(np.pad(lack, 1), [0.25, 0.5, 0.25], "valid"), LIP_GAP_M)
+    gap = np.interp(rest[near, 0], places, lack)
+    away = np.maximum(np.abs(rise[near]) - 0.5 * gap, 0.0) / LIP_REACH_M
+    rest[near, 1] -= 0.5 * gap * np.sign(rise[near]) * np.exp(-(away**2))
+    return replace(mesh, rest_m=rest)

@@ -11,15 +11,18 @@ from helpers.paths import SHARED_DATA
 from pica_command.main import main
 from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.capture.dataset.dataset import Capture
+from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.person.choices import CLIP, Person, draw_person, read_person
 from pica_core.capture.person.clothes import CUTS, dress_surface
 from pica_core.capture.person.dress import dress
 from pica_core.capture.person.hair import STYLES, cover, grow, raise_cap
+from pica_core.capture.person.lids import close_lips
 from pica_core.capture.person.model import NUM_MODES, FaceModel, read_model
 from pica_core.capture.rig.features import find_features
 from pica_core.capture.rig.limits import Limits
-from pica_core.capture.rig.mesh import build_mesh
+from pica_core.capture.rig.mesh import RigMesh, build_mesh
 from pica_core.capture.rig.names import map_names
+from pica_core.capture.rig.visibility import front_view
 from pica_core.capture.stage.expressions import blend
 from pica_core.capture.triangles import unfolded
 from pica_core.errors import CaptureError
@@ -101,6 +104,12 @@ def test_a_folder_that_is_no_face_model_is_refused(tmp_path: Path) -> None:
         read_model(tmp_path)
 
 
+def teeth_seen(mesh: RigMesh) -> int:
+    """Cells of a front view in which teeth show."""
+    part = np.append(mesh.part, 0)[front_view(mesh.rest_m, mesh.faces).face]
+    return int(np.count_nonzero(part == MATERIALS.index("teeth")))
+
+
 @pytest.mark.parametrize("name", STYLES)
 def test_hair_lies_outside_of_head_and_clothes(name: str) -> None:
     points, normals = ball()
@@ -174,6 +183,21 @@ def test_places_that_would_turn_a_triangle_over_go_less_far() -> None:
     assert (np.cross(b - a, c - a)[:, 2] > 0).all()
     assert points[2, 0] < 1.0
     assert np.array_equal(unfolded(square, square + 2.0, faces), square + 2.0)
+
+
+@needs_ict
+def test_lips_that_an_identity_parts_meet_at_rest(model: FaceModel) -> None:
+    # The lips of this one are the farthest apart of the people that ship.
+    person = draw_person(17, model.sex_direction(), sex="male")
+    source = model.person(person.coefficients)
+    bare = build_mesh(source, map_names(list(source.shapes)))
+    features = find_features(bare)
+    closed = close_lips(bare, features)
+    moved = closed.rest_m - bare.rest_m
+    assert 0.0005 < np.abs(moved).max() < 0.003
+    assert np.abs(moved[features.lips < -2.9]).max() < 0.001
+    before, after = (teeth_seen(mesh) for mesh in (bare, closed))
+    assert before > 40 > 5 > after
 
 
 @needs_ict

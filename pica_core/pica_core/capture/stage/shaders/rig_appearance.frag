@@ -133,8 +133,8 @@ void skin(out vec3 rgb, out float gloss, out float height, out float translucent
     rgb = mix(rgb, vec3(0.48, 0.22, 0.19), 0.75 * rim);
     gloss = mix(gloss, 0.85, rim);
     float above = surface.w;
-    float lash = smoothstep(0.2, 0.6, gap) * (1.0 - smoothstep(mix(0.9, 1.5, above), mix(1.5, 2.6, above), gap));
-    lash *= 0.75 + 0.25 * noise(vec3(p.x * 2.6, gap * 0.5, seed));
+    float lash = smoothstep(0.2, 0.6, gap) * (1.0 - smoothstep(mix(0.7, 1.0, above), mix(1.3, 2.1, above), gap));
+    lash *= (0.75 + 0.25 * noise(vec3(p.x * 2.6, gap * 0.5, seed))) * smoothstep(eye_mm.x - 13.0, eye_mm.x - 7.0, q.x);
     rgb = mix(rgb, min(brow_rgb, vec3(0.05)) * 0.4, lash * mix(0.35 + 0.2 * makeup, 0.95, above));
     float shadow = above * smoothstep(1.5, 3.0, gap) * (1.0 - smoothstep(5.0, 10.0, gap));
     rgb = mix(rgb, rgb * vec3(0.62, 0.48, 0.48), 0.5 * makeup * shadow);
@@ -190,7 +190,7 @@ void eye(out vec3 rgb, out float gloss, out float inside) {
     iris *= mix(1.0, 0.20, smoothstep(0.74, 1.0, r));   // limbal ring
     iris *= smoothstep(0.33, 0.39, r);                  // pupil
     float vessels = smoothstep(0.58, 0.80, fbm(vec3(d.xy * vec2(9.0, 24.0), seed))) * smoothstep(1.15, 2.0, r);
-    vec3 sclera = vec3(0.50, 0.47, 0.445) * (1.0 - 0.06 * noise(d * 4.0)) * mix(vec3(1.0), vec3(0.96, 0.92, 0.82), 0.6 * age);
+    vec3 sclera = vec3(0.42, 0.39, 0.365) * (1.0 - 0.06 * noise(d * 4.0)) * mix(vec3(1.0), vec3(0.96, 0.92, 0.82), 0.6 * age);
     sclera = mix(sclera, vec3(0.52, 0.30, 0.25), (0.28 + 0.25 * age) * vessels + 0.26 * smoothstep(1.45, 2.15, r));
     rgb = mix(iris, sclera, smoothstep(0.93, 1.09, r));
     rgb = mix(rgb, vec3(0.40, 0.17, 0.14), smoothstep(0.74, 0.88, -d.x * surface.w));   // caruncle
@@ -207,7 +207,7 @@ void main() {
     } else if (material_id == 1) {
         eye(rgb, gloss, third);
     } else if (material_id == 2) {
-        rgb = mix(vec3(0.72, 0.60, 0.42), vec3(0.84, 0.79, 0.70), tooth_white) * (0.94 + 0.10 * noise(p * 0.8));
+        rgb = mix(vec3(0.78, 0.69, 0.54), vec3(0.86, 0.82, 0.74), tooth_white) * (0.94 + 0.10 * noise(p * 0.8));
         rgb *= mix(0.45, 1.0, smoothstep(eye_mm.z - 35.0, eye_mm.z + 12.0, p.z));   // far from the light
         gloss = 0.85;
         height = 0.5 + 0.1 * noise(p);
