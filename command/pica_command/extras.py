@@ -16,6 +16,7 @@ from urllib.request import url2pathname
 DISTRIBUTION: Final = "pica-telepresence"
 
 _MODULES: Final = {
+    "dracopy": "DracoPy",
     "pillow": "PIL",
     "nats-py": "nats",
     "prometheus-client": "prometheus_client",

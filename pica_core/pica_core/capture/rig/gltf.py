@@ -1,171 +1,32 @@
-"""Read a rig from a binary glTF file (.glb): every mesh of the scene with its morph targets.
+"""Read a rig from glTF (.glb, .vrm, .gltf): every mesh of the scene with its morph targets.
 
-Read here without a library, because a rig may come from a stranger: each offset, count and index is
-checked before it is used. Understood are triangles, sparse accessors, normalised integers, node
-transforms and embedded base colour images. Not understood, and said so: compressed meshes and files
-beside the .glb. Skins are taken in the pose that the vertices are stored in.
+Understood are triangles, plain or packed by Draco, node transforms, base colour images with their
+samplers and texture transforms, materials that one sees through, and the expressions of VRM. Skins
+are taken in the pose that the vertices are stored in.
 """
 
-import json
-import struct
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pica_core.capture.dataset.files import read_bytes
-from pica_core.capture.rig.source import RigSource, check_counts, check_source
+from pica_core.capture.rig.gltf_file import DRACO, MAX_ELEMENTS, GltfFile, missing_wheel
+from pica_core.capture.rig.images import open_image, see_through
+from pica_core.capture.rig.source import RigImage, RigSource, check_counts, check_source
 from pica_core.errors import CaptureError
-from pica_core.types import Array, Float64Array, FloatArray, IntArray
+from pica_core.types import Array, BoolArray, Float64Array, FloatArray, IntArray
 
-MAGIC, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
-COMPONENT = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 TRIANGLES = 4
 MAX_NODE_DEPTH = 64
-MAX_ELEMENTS = 1_000_000
-UNDERSTOOD = ("KHR_mesh_quantization", "KHR_materials_unlit")
-"""Required extensions that change nothing for us."""
+FLOAT = 5126
+VRM = ("VRMC_vrm", "VRM")
+WRAP = {10497: "repeat", 33648: "mirror", 33071: "clamp"}
+CLEAR = 0.5
+"""Where a blended material is less opaque than this, it hides nothing."""
 
 
-class _File:
-    """The two chunks of a .glb, with every access checked."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        data = read_bytes(path)
-        if len(data) < 20:
-            raise CaptureError(f"{path}: {len(data)} bytes; a .glb file has at least 20")
-        magic, version, length = struct.unpack_from("<III", data)
-        if magic != MAGIC or version != 2:
-            raise CaptureError(f"{path}: not a binary glTF 2.0 file")
-        if length != len(data):
-            raise CaptureError(f"{path}: {len(data)} bytes; its header says {length}")
-        chunks: dict[int, bytes] = {}
-        at = 12
-        while at + 8 <= len(data):
-            size, kind = struct.unpack_from("<II", data, at)
-            if size > len(data) - at - 8:
-                raise CaptureError(f"{path}: a chunk of {size} bytes does not fit into the file")
-            chunks.setdefault(kind, data[at + 8 : at + 8 + size])
-            at += 8 + size
-        try:
-            self.root = json.loads(chunks.get(JSON_CHUNK, b"").decode("utf-8"))
-        except (ValueError, RecursionError) as error:
-            raise CaptureError(f"{path}: the JSON chunk cannot be read ({error})") from error
-        if not isinstance(self.root, dict):
-            raise CaptureError(f"{path}: the JSON chunk is no object")
-        self.binary = chunks.get(BINARY_CHUNK, b"")
-        for extension in self.entries(self.root, "extensionsRequired"):
-            if extension not in UNDERSTOOD:
-                raise CaptureError(
-                    f"{path}: needs the extension {extension!r}; export without compression"
-                )
-
-    def item(self, kind: str, index: Any) -> dict[str, Any]:
-        """One entry of a top-level list such as ``accessors``."""
-        entries = self.root.get(kind, [])
-        if not (isinstance(index, int) and isinstance(entries, list) and 0 <= index < len(entries)):
-            raise CaptureError(f"{self.path}: {kind} {index!r} does not exist")
-        entry = entries[index]
-        if not isinstance(entry, dict):
-            raise CaptureError(f"{self.path}: {kind} {index} is no object")
-        return entry
-
-    def entries(self, owner: dict[str, Any], name: str) -> list[Any]:
-        """A list inside an entry; empty where it is missing."""
-        value = owner.get(name, [])
-        if not isinstance(value, list):
-            raise CaptureError(f"{self.path}: field {name!r} is {value!r}; a list is needed")
-        return value
-
-    def number(self, owner: dict[str, Any], name: str, default: int | None = None) -> int:
-        """A count, offset or index that is not negative."""
-        value = owner.get(name, default)
-        if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-            raise CaptureError(f"{self.path}: field {name!r} is {value!r}; 0 or more is needed")
-        return value
-
-    def view(self, index: Any) -> tuple[int, int, int]:
-        """Start, length and stride of a buffer view; all lie in the binary chunk."""
-        view = self.item("bufferViews", index)
-        if self.number(view, "buffer") != 0 or "uri" in self.item("buffers", 0):
-            raise CaptureError(f"{self.path}: data in files beside the .glb are not read; embed it")
-        start, length = self.number(view, "byteOffset", 0), self.number(view, "byteLength")
-        if start + length > len(self.binary):
-            raise CaptureError(
-                f"{self.path}: bufferViews {index} ends at byte {start + length} of "
-                f"{len(self.binary)}"
-            )
-        return start, length, self.number(view, "byteStride", 0)
-
-    def _elements(self, index: Any, offset: int, dtype: str, count: int, width: int) -> Any:
-        start, length, stride = self.view(index)
-        item = np.dtype(dtype).itemsize
-        size = item * width
-        stride = stride or size
-        if count < 1 or stride < size or offset + stride * (count - 1) + size > length:
-            raise CaptureError(
-                f"{self.path}: {count} elements of {size} bytes do not fit into bufferViews {index}"
-            )
-        place = start + offset
-        return np.ndarray((count, width), dtype, self.binary, place, (stride, item))
-
-    def accessor(self, index: Any, width: int, limit: int = MAX_ELEMENTS) -> Array:
-        """An accessor's numbers, ``[count, width]``; integers that are normalised become floats."""
-        entry = self.item("accessors", index)
-        dtype = _component(entry)
-        count = self.number(entry, "count")
-        kind = entry.get("type")
-        if dtype is None or not isinstance(kind, str) or WIDTH.get(kind) != width:
-            raise CaptureError(
-                f"{self.path}: accessors {index} is {entry.get('type')!r} of "
-                f"{entry.get('componentType')!r}; {width} numbers per element are needed"
-            )
-        if not 0 < count <= limit:
-            raise CaptureError(
-                f"{self.path}: accessors {index} has {count} elements; 1 to {limit} are allowed"
-            )
-        if "bufferView" in entry:
-            offset = self.number(entry, "byteOffset", 0)
-            values = self._elements(entry["bufferView"], offset, dtype, count, width).copy()
-        else:
-            values = np.zeros((count, width), dtype)
-        sparse = entry.get("sparse")
-        if isinstance(sparse, dict):
-            self._fill_sparse(sparse, values, dtype, index)
-        if entry.get("normalized") is True and dtype != "<f4":
-            scale = np.float32(np.iinfo(dtype).max)
-            return np.maximum(values.astype(np.float32) / scale, -1.0)
-        return values
-
-    def _fill_sparse(self, sparse: dict[str, Any], values: Array, dtype: str, index: Any) -> None:
-        few = self.number(sparse, "count")
-        if few == 0:
-            return
-        places, numbers = sparse.get("indices"), sparse.get("values")
-        if not isinstance(places, dict) or not isinstance(numbers, dict) or few > len(values):
-            raise CaptureError(f"{self.path}: accessors {index}: field 'sparse' cannot be read")
-        place_type = _component(places)
-        if place_type not in ("<u1", "<u2", "<u4"):
-            raise CaptureError(f"{self.path}: accessors {index}: sparse indices are no integers")
-        offset = self.number(places, "byteOffset", 0)
-        at = self._elements(places.get("bufferView"), offset, place_type, few, 1)[:, 0].astype("i8")
-        if at.max() >= len(values):
-            raise CaptureError(
-                f"{self.path}: accessors {index}: sparse index {at.max()} of {len(values)}"
-            )
-        offset, width = self.number(numbers, "byteOffset", 0), values.shape[1]
-        values[at] = self._elements(numbers.get("bufferView"), offset, dtype, few, width)
-
-
-def _component(entry: dict[str, Any]) -> str | None:
-    """The numpy type of an accessor's numbers, or None."""
-    kind = entry.get("componentType")
-    return COMPONENT.get(kind) if isinstance(kind, int) else None
-
-
-def _matrix(file: _File, node: dict[str, Any]) -> Float64Array:
+def _matrix(file: GltfFile, node: dict[str, Any]) -> Float64Array:
     try:
         if "matrix" in node:
             result = np.array(node["matrix"], np.float64).reshape(4, 4).T
@@ -188,51 +49,179 @@ def _matrix(file: _File, node: dict[str, Any]) -> Float64Array:
     return result
 
 
-def _placed_meshes(file: _File) -> list[tuple[int, Float64Array]]:
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Placed:
+    """A mesh where a node puts it."""
+
+    node: int
+    mesh: int
+    place: Float64Array
+
+
+def _placed_meshes(file: GltfFile) -> list[_Placed]:
     """Mesh and transform of every node of the scene."""
     nodes = file.entries(file.root, "nodes")
     scene = file.item("scenes", file.root.get("scene", 0)) if file.root.get("scenes") else {}
     roots = file.entries(scene, "nodes") if "nodes" in scene else list(range(len(nodes)))
     stack = [(k, np.eye(4), 0) for k in roots]
-    placed: list[tuple[int, Float64Array]] = []
+    worlds: dict[int, Float64Array] = {}
+    found: list[int] = []
     while stack:
         index, parent, depth = stack.pop()
-        if depth > MAX_NODE_DEPTH or len(placed) > 1000:
+        if depth > MAX_NODE_DEPTH or len(found) > 1000:
             raise CaptureError(f"{file.path}: nodes are nested deeper than {MAX_NODE_DEPTH}")
         node = file.item("nodes", index)
-        world = parent @ _matrix(file, node)
+        worlds[index] = parent @ _matrix(file, node)
         if "mesh" in node:
-            # The glTF rule: a skinned mesh ignores its node's transform.
-            placed.append((node["mesh"], np.eye(4) if "skin" in node else world))
-        stack.extend((child, world, depth + 1) for child in file.entries(node, "children"))
+            found.append(index)
+        stack.extend((child, worlds[index], depth + 1) for child in file.entries(node, "children"))
+    placed = []
+    for index in found:
+        node = file.item("nodes", index)
+        place = worlds[index] if "skin" not in node else _bind_place(file, node, worlds)
+        placed.append(_Placed(node=index, mesh=node["mesh"], place=place))
     return placed
 
 
-def _target_names(file: _File, mesh: dict[str, Any], count: int) -> list[str]:
-    extras = mesh.get("extras")
-    names = extras.get("targetNames") if isinstance(extras, dict) else None
-    if isinstance(names, list) and len(names) == count and all(isinstance(n, str) for n in names):
-        return names
+def _bind_place(
+    file: GltfFile, node: dict[str, Any], worlds: dict[int, Float64Array]
+) -> Float64Array:
+    """Where a skinned mesh lies as it is stored: its node's transform counts for nothing.
+
+    Quantised skinned meshes hide what undoes it in their inverse bind matrices.
+    """
+    for primitive in file.entries(file.item("meshes", node["mesh"]), "primitives"):
+        attributes = primitive.get("attributes") if isinstance(primitive, dict) else None
+        at = attributes.get("POSITION") if isinstance(attributes, dict) else None
+        if file.item("accessors", at).get("componentType") != FLOAT:
+            skin = file.item("skins", node["skin"])
+            joints = file.entries(skin, "joints")
+            if not joints or joints[0] not in worlds or "inverseBindMatrices" not in skin:
+                break
+            inverse = file.accessor(skin["inverseBindMatrices"], 16)[0].reshape(4, 4).T
+            return worlds[joints[0]] @ inverse
+    return np.eye(4)
+
+
+def _target_names(
+    file: GltfFile, mesh: dict[str, Any], primitive: dict[str, Any], count: int
+) -> list[str]:
+    for owner in (mesh, primitive):
+        extras = owner.get("extras")
+        names = extras.get("targetNames") if isinstance(extras, dict) else None
+        if isinstance(names, list) and len(names) == count:
+            return [str(name) for name in names]
+    if file.extension(file.root, *VRM)[0]:  # its expressions name what they need
+        return [f"{mesh.get('name', '')}#{k}" for k in range(count)]
     raise CaptureError(
         f"{file.path}: mesh {mesh.get('name', '')!r} has {count} morph targets and no such list of "
         "names in extras.targetNames; export with names"
     )
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Material:
+    """What a rig takes from a material."""
+
+    name: str
+    uv: str
+    """The attribute that holds its texture coordinates."""
+    transform: Float64Array
+    """What moves texture coordinates, as ``uv @ [:2] + [2]``. ``[3, 2]``."""
+    image: RigImage | None
+    alpha: float
+    """Opacity that the whole material has."""
+    cutoff: float | None
+    """Opacity from which on it hides what is behind; None: it hides everywhere."""
+
+
+def _numbers(file: GltfFile, owner: dict[str, Any], name: str, default: list[float]) -> list[float]:
+    value = owner.get(name, default)
+    if not isinstance(value, list) or len(value) != len(default) or not all(map(_is_real, value)):
+        raise CaptureError(f"{file.path}: field {name!r} is {value!r}; numbers are needed")
+    return value
+
+
+def _is_real(value: Any) -> bool:
+    return isinstance(value, (int, float)) and abs(value) < 1e6
+
+
+def _material(file: GltfFile, index: int) -> _Material:
+    entry = file.item("materials", index)
+    pbr = entry.get("pbrMetallicRoughness")
+    pbr = pbr if isinstance(pbr, dict) else {}
+    _, old = file.extension(entry, "KHR_materials_pbrSpecularGlossiness")
+    texture = pbr.get("baseColorTexture", old.get("diffuseTexture"))
+    texture = texture if isinstance(texture, dict) else {}
+    _, move = file.extension(texture, "KHR_texture_transform")
+    turn = move.get("rotation", 0.0)
+    if not _is_real(turn):
+        raise CaptureError(f"{file.path}: field 'rotation' is {turn!r}; a number is needed")
+    scale = np.diag(_numbers(file, move, "scale", [1.0, 1.0]))
+    sine, cosine = np.sin(turn), np.cos(turn)
+    linear = scale @ np.array([[cosine, -sine], [sine, cosine]])
+    offset = _numbers(file, move, "offset", [0.0, 0.0])
+    _, glass = file.extension(entry, "KHR_materials_transmission")
+    passed = glass.get("transmissionFactor", 0.0)
+    alpha = _numbers(file, pbr, "baseColorFactor", [1.0] * 4)[3]
+    mode, cutoff = entry.get("alphaMode"), entry.get("alphaCutoff", CLEAR)
+    return _Material(
+        name=str(entry.get("name", f"material {index}")),
+        uv=f"TEXCOORD_{move.get('texCoord', texture.get('texCoord', 0))}",
+        transform=np.concatenate([linear, [offset]]),
+        image=_image(file, texture["index"]) if "index" in texture else None,
+        alpha=alpha * (1 - passed if _is_real(passed) else 1),
+        cutoff=(cutoff if mode == "MASK" and _is_real(cutoff) else CLEAR)
+        if mode in ("MASK", "BLEND") or passed
+        else None,
+    )
+
+
+def _image(file: GltfFile, index: Any) -> RigImage | None:
+    texture = file.item("textures", index)
+    _, other = file.extension(texture, "KHR_texture_basisu", "EXT_texture_webp")
+    sampler = file.item("samplers", texture["sampler"]) if "sampler" in texture else {}
+    wrap = [WRAP.get(k) for k in (sampler.get("wrapS", 10497), sampler.get("wrapT", 10497))]
+    if wrap[0] is None or wrap[1] is None:
+        raise CaptureError(f"{file.path}: a sampler's wrap is none of {', '.join(map(str, WRAP))}")
+    image = file.item("images", other.get("source", texture.get("source")))
+    if "uri" in image:
+        data = file.resource(image["uri"])
+    elif "bufferView" in image:
+        data = bytes(file.view(file.number(image, "bufferView"))[0])
+    else:
+        return None
+    return RigImage(data=data, wrap=(wrap[0], wrap[1]))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Target:
+    """A morph target of one primitive; VRM names it by mesh or node, and number."""
+
+    span: slice
+    name: str
+    delta: FloatArray
+    mesh: int
+    node: int
+    number: int
+
+
 class _Builder:
     """Primitives of all meshes, put one after the other."""
 
-    def __init__(self, file: _File) -> None:
+    def __init__(self, file: GltfFile) -> None:
         self.file = file
+        count = len(file.entries(file.root, "materials"))
+        self.materials = [_material(file, k) for k in range(count)]
         self.positions: list[Float64Array] = []
         self.uv: list[Float64Array | None] = []
         self.faces: list[IntArray] = []
         self.material: list[IntArray] = []
-        self.targets: list[tuple[slice, str, FloatArray]] = []
+        self.targets: list[_Target] = []
         self.count = 0
         self.shared: dict[tuple[Any, ...], slice] = {}
 
-    def add(self, primitive: dict[str, Any], names: list[str], place: Float64Array) -> None:
+    def add(self, placed: _Placed, mesh: dict[str, Any], primitive: dict[str, Any]) -> None:
         """Add one primitive; primitives on the same vertices share them."""
         file = self.file
         if primitive.get("mode", TRIANGLES) != TRIANGLES:
@@ -240,51 +229,71 @@ class _Builder:
         attributes = primitive.get("attributes")
         if not isinstance(attributes, dict) or "POSITION" not in attributes:
             raise CaptureError(f"{file.path}: a primitive has no attribute POSITION")
+        number = primitive.get("material")
+        if number is not None:
+            file.item("materials", number)
+        look = self.materials[number] if number is not None else None
         targets = file.entries(primitive, "targets")
+        names = _target_names(file, mesh, primitive, len(targets)) if targets else []
         at = [t.get("POSITION") if isinstance(t, dict) else None for t in targets]
-        for index in (attributes["POSITION"], attributes.get("TEXCOORD_0"), *at):
+        coordinates = attributes.get(look.uv if look is not None else "TEXCOORD_0")
+        for index in (attributes["POSITION"], coordinates, *at):
             if index is not None and not isinstance(index, int):
                 raise CaptureError(f"{file.path}: accessors {index!r} does not exist")
-        key = (attributes["POSITION"], attributes.get("TEXCOORD_0"), *at, place.tobytes())
-        if key not in self.shared:
-            self.shared[key] = self._add_vertices(attributes, at, names, place)
+        packed = _unpack(file, primitive)
+        move = look.transform.tobytes() if look is not None else b""
+        key = (attributes["POSITION"], coordinates, *at, placed.place.tobytes(), move, id(packed))
+        if packed is not None or key not in self.shared:
+            self.shared[key] = self._add_vertices(
+                attributes, coordinates, dict(zip(names, at, strict=True)), placed, look, packed
+            )
         span = self.shared[key]
         count = span.stop - span.start
         index = np.arange(count)
-        if "indices" in primitive:
+        if packed is not None:
+            index = packed.faces.ravel().astype(np.int64)
+        elif "indices" in primitive:
             index = file.accessor(primitive["indices"], 1, 3 * MAX_ELEMENTS)[:, 0].astype(np.int64)
-        if len(index) % 3 or index.min() < 0 or index.max() >= count:
+        if len(index) % 3 or not len(index) or index.min() < 0 or index.max() >= count:
             raise CaptureError(
                 f"{file.path}: indices {primitive.get('indices')}: {len(index)} indices up to "
-                f"{index.max()}; triangles of {count} vertices are needed"
+                f"{index.max(initial=0)}; triangles of {count} vertices are needed"
             )
         faces = (index.reshape(-1, 3) + span.start).astype(np.int32)
-        self.faces.append(faces[:, ::-1] if np.linalg.det(place[:3, :3]) < 0 else faces)
-        material = primitive.get("material")
-        if material is None:
-            material = -1
-        else:
-            file.item("materials", material)
-        self.material.append(np.full(len(faces), material, np.int32))
+        self.faces.append(faces[:, ::-1] if np.linalg.det(placed.place[:3, :3]) < 0 else faces)
+        self.material.append(np.full(len(faces), -1 if number is None else number, np.int32))
 
     def _add_vertices(
-        self, attributes: dict[str, Any], targets: list[Any], names: list[str], place: Float64Array
+        self,
+        attributes: dict[str, Any],
+        coordinates: int | None,
+        targets: dict[str, Any],
+        placed: _Placed,
+        look: _Material | None,
+        packed: Any,
     ) -> slice:
-        file = self.file
-        points = file.accessor(attributes["POSITION"], 3).astype(np.float64)
+        file, linear = self.file, placed.place[:3, :3].T
+
+        def read(attribute: str, index: int, width: int) -> Array:
+            return file.accessor(index, width, unpacked=_packed_values(file, packed, attribute))
+
+        points = read("POSITION", attributes["POSITION"], 3).astype(np.float64)
         span = slice(self.count, self.count + len(points))
-        check_counts(str(file.path), vertices=span.stop, faces=1, shapes=max(len(names), 1))
-        self.positions.append(points @ place[:3, :3].T + place[:3, 3])
+        check_counts(str(file.path), vertices=span.stop, faces=1, shapes=max(len(targets), 1))
+        self.positions.append(points @ linear + placed.place[:3, 3])
         uv: Float64Array | None = None
-        if "TEXCOORD_0" in attributes:
-            uv = file.accessor(attributes["TEXCOORD_0"], 2).astype(np.float64)
+        if coordinates is not None:
+            name = look.uv if look is not None else "TEXCOORD_0"
+            uv = read(name, coordinates, 2).astype(np.float64)
             if len(uv) != len(points):
                 raise CaptureError(
                     f"{file.path}: {len(points)} positions and {len(uv)} texture coordinates"
                 )
+            if look is not None:
+                uv = uv @ look.transform[:2] + look.transform[2]
         self.uv.append(uv)
         self.count = span.stop
-        for name, index in zip(names, targets, strict=True):
+        for number, (name, index) in enumerate(targets.items()):
             if index is None:
                 continue
             delta = file.accessor(index, 3).astype(np.float32)
@@ -293,73 +302,151 @@ class _Builder:
                     f"{file.path}: morph target {name!r} has {len(delta)} vertices, its mesh "
                     f"{len(points)}"
                 )
-            self.targets.append((span, name, (delta @ place[:3, :3].T).astype(np.float32)))
+            moved = (delta @ linear).astype(np.float32)
+            self.targets.append(
+                _Target(
+                    span=span, name=name, delta=moved, mesh=placed.mesh, node=placed.node,
+                    number=number,
+                )
+            )  # fmt: skip
         return span
 
 
-def _images(file: _File) -> dict[int, bytes]:
-    """Encoded base colour images by material."""
-    found: dict[int, bytes] = {}
-    for index in range(len(file.entries(file.root, "materials"))):
-        pbr = file.item("materials", index).get("pbrMetallicRoughness")
-        texture = pbr.get("baseColorTexture") if isinstance(pbr, dict) else None
-        if not isinstance(texture, dict):
-            continue
-        image = file.item("images", file.item("textures", texture.get("index")).get("source"))
-        if "bufferView" in image:
-            start, length, _ = file.view(image["bufferView"])
-            found[index] = file.binary[start : start + length]
-    return found
+def _unpack(file: GltfFile, primitive: dict[str, Any]) -> Any:
+    """The mesh that Draco packed, or None."""
+    _, entry = file.extension(primitive, DRACO)
+    if not entry:
+        return None
+    try:
+        import DracoPy
+    except ImportError:
+        raise missing_wheel(str(file.path), DRACO) from None
+    try:
+        mesh = DracoPy.decode(bytes(file.view(file.number(entry, "bufferView"))[0]))
+        mesh.ids = entry["attributes"]
+        return mesh if len(mesh.faces) else None
+    except (DracoPy.FileTypeException, ValueError, AttributeError, KeyError, TypeError) as error:
+        raise CaptureError(f"{file.path}: a mesh cannot be unpacked by Draco ({error})") from error
+
+
+def _packed_values(file: GltfFile, packed: Any, attribute: str) -> Array | None:
+    if packed is None or not isinstance(packed.ids, dict) or attribute not in packed.ids:
+        return None
+    found = packed.get_attribute_by_unique_id(packed.ids[attribute])
+    if found is None:
+        raise CaptureError(f"{file.path}: Draco's data has no attribute {attribute}")
+    values: Array = found["data"]
+    return values
+
+
+def _expressions(file: GltfFile, targets: list[_Target]) -> dict[str, list[tuple[_Target, float]]]:
+    """The expressions of VRM: what each adds up of morph targets; 0.x counts in hundredths."""
+    version, vrm = file.extension(file.root, *VRM)
+    found: list[tuple[Any, Any, str, float]] = []
+    if version == "VRM":
+        master = vrm.get("blendShapeMaster")
+        groups = file.entries(master, "blendShapeGroups") if isinstance(master, dict) else []
+        for group in filter(_is_object, groups):
+            preset = group.get("presetName")
+            name = preset if preset not in ("", "unknown", None) else group.get("name")
+            found.append((name, group.get("binds"), "mesh", 0.01))
+    elif version:
+        sets = vrm.get("expressions")
+        for part in ("preset", "custom"):
+            some = sets.get(part) if isinstance(sets, dict) else None
+            for name, entry in some.items() if isinstance(some, dict) else ():
+                binds = entry.get("morphTargetBinds") if isinstance(entry, dict) else None
+                found.append((name, binds, "node", 1.0))
+    result: dict[str, list[tuple[_Target, float]]] = {}
+    for name, binds, owner, scale in found:
+        for bind in filter(_is_object, binds if isinstance(binds, list) else ()):
+            weight = bind.get("weight", 1 / scale)
+            place = bind.get(owner), bind.get("index")
+            for target in targets:
+                if _is_real(weight) and place == (getattr(target, owner), target.number):
+                    result.setdefault(str(name), []).append((target, weight * scale))
+    return result
+
+
+def _is_object(value: Any) -> bool:
+    return isinstance(value, dict)
 
 
 def read_glb(path: Path) -> RigSource:
-    """Read a rig from a .glb file."""
+    """Read a rig from a .glb, .vrm or .gltf file."""
     with np.errstate(all="ignore"):  # what is not finite is found by `check_source`
-        return check_source(_read(_File(path)))
+        return check_source(_read(GltfFile(path)))
 
 
-def _read(file: _File) -> RigSource:
+def _read(file: GltfFile) -> RigSource:
     path = file.path
     builder = _Builder(file)
-    for mesh_index, place in _placed_meshes(file):
-        mesh = file.item("meshes", mesh_index)
+    for placed in _placed_meshes(file):
+        mesh = file.item("meshes", placed.mesh)
         for primitive in file.entries(mesh, "primitives"):
             if not isinstance(primitive, dict):
-                raise CaptureError(f"{path}: meshes {mesh_index}: a primitive is no object")
-            count = len(file.entries(primitive, "targets"))
-            builder.add(primitive, _target_names(file, mesh, count) if count else [], place)
+                raise CaptureError(f"{path}: meshes {placed.mesh}: a primitive is no object")
+            builder.add(placed, mesh, primitive)
     if not builder.faces:
         raise CaptureError(f"{path}: no triangles")
+    more = _expressions(file, builder.targets)
     check_counts(
         str(path),
         vertices=builder.count,
         faces=sum(map(len, builder.faces)),
-        shapes=len({name for _, name, _ in builder.targets}),
+        shapes=len({target.name for target in builder.targets} | set(more)),
     )
+    own = {target.name for target in builder.targets}
+    parts = [(target.name, target, 1.0) for target in builder.targets]
+    parts += [(name, *part) for name in more if name not in own for part in more[name]]
     shapes: dict[str, FloatArray] = {}
-    for span, name, delta in builder.targets:
+    for name, target, weight in parts:
         whole = shapes.setdefault(name, np.zeros((builder.count, 3), np.float32))
-        whole[span] = delta
+        whole[target.span] += np.float32(weight) * target.delta
     asset = file.root.get("asset")
-    uv = [part for part in builder.uv if part is not None]
-    has_uv = len(uv) == len(builder.uv)
     faces = np.concatenate(builder.faces)
     material = np.concatenate(builder.material)
-    entries = [file.item("materials", k) for k in range(len(file.entries(file.root, "materials")))]
-    names = [str(entry.get("name", f"material {k}")) for k, entry in enumerate(entries)]
+    names = [look.name for look in builder.materials]
     if (material < 0).any():
         material = np.where(material < 0, len(names), material).astype(np.int32)
         names.append("default")
+    uv: Float64Array | None = None
+    if any(part is not None for part in builder.uv):  # what has none gets islands of its own
+        each = zip(builder.uv, builder.positions, strict=True)
+        uv = np.concatenate([np.zeros((len(p), 2)) if part is None else part for part, p in each])
     return RigSource(
         path=path,
         positions=np.concatenate(builder.positions),
         faces=faces,
-        uv=np.concatenate(uv) if has_uv else None,
-        uv_faces=faces if has_uv else None,
+        uv=uv,
+        uv_faces=faces if uv is not None else None,
         materials=tuple(names),
         face_material=material,
         shapes=shapes,
         split_at_seams=True,
         copyright=str(asset.get("copyright", ""))[:500] if isinstance(asset, dict) else "",
-        images=_images(file),
+        images={k: m.image for k, m in enumerate(builder.materials) if m.image is not None},
+        see_through=_see_through(file, builder.materials, faces, material, uv),
     )
+
+
+def _see_through(
+    file: GltfFile,
+    materials: list[_Material],
+    faces: IntArray,
+    material: IntArray,
+    uv: Float64Array | None,
+) -> BoolArray:
+    """Triangles of lenses, tear films and cut-out cards that hide little. bool ``[F]``."""
+    clear = np.zeros(len(faces), np.bool_)
+    for index, look in enumerate(materials):
+        mine = material == index
+        if look.cutoff is None or not mine.any():
+            continue
+        if look.image is None or uv is None or look.alpha < look.cutoff:
+            clear[mine] = look.alpha < look.cutoff
+            continue
+        pixels = open_image(f"{file.path}: image of material {look.name!r}", look.image.data)
+        alpha = pixels[..., 3].astype(np.float64) * (look.alpha / 255)
+        clear[mine] = see_through(alpha, look.cutoff, uv[faces[mine]], look.image.wrap)
+    return clear

@@ -7,10 +7,10 @@ import numpy as np
 
 from pica_core.capture.rig.features import LID_M
 from pica_core.capture.rig.head import RigHead
-from pica_core.capture.rig.skin import IRIS_RADIUS_M, Growth, split_parts, surface
+from pica_core.capture.rig.skin import IRIS_RADIUS_M, Albedo, Growth, split_parts, surface
 from pica_core.capture.stage.gpu import BAKE_SIZE, MeshRenderer
 from pica_core.capture.stage.shadow import ShadowPlan
-from pica_core.types import ByteArray, FloatArray, Int64Array
+from pica_core.types import FloatArray, Int64Array
 
 PAINT: dict[str, Any] = {
     "seed": 3.0,
@@ -42,7 +42,7 @@ class RigRenderer(MeshRenderer):
     def __init__(
         self,
         head: RigHead,
-        albedo: dict[int, ByteArray] | None = None,
+        albedo: dict[int, Albedo] | None = None,
         look: dict[str, Any] | None = None,
         growth: Growth | None = None,
         *,
@@ -91,11 +91,12 @@ class RigRenderer(MeshRenderer):
             "nose_mm": tuple(1000 * f.nose_tip),
             "mouth_mm": 1000 * mouth_y,
         }
+        # Each triangle brings its own corners: where islands were made anew, a vertex may lie at
+        # several places of the image.
+        corner = head.chart.faces.ravel()
         rest = mesh.rest_m[head.chart.source]
-        uv = self._source_uv()
-        data = np.concatenate(
-            [head.chart.vertex_uv, rest, surface(head, self._growth), uv, self._hairs], 1
-        )
+        split = np.concatenate([head.chart.vertex_uv, rest, surface(head, self._growth)], 1)
+        data = np.concatenate([split[corner], self._source_uv(), self._hairs[corner]], 1)
         buffer = c.buffer(data.astype(np.float32).tobytes())
         vertices = (
             buffer,
@@ -109,28 +110,33 @@ class RigRenderer(MeshRenderer):
                 "beard": 1,
             },
         )
-        faces, part = head.chart.faces, self._material[head.chart.faces[:, 2]]
+        part = self._material[head.chart.faces[:, 2]]
         material = mesh.material[head.chart.face_source]
         for painted, name in sorted(set(zip(part.tolist(), material.tolist(), strict=True))):
-            mine = c.buffer(faces[(part == painted) & (material == name)].astype("i4").tobytes())
+            chosen = np.flatnonzero((part == painted) & (material == name))
+            mine = c.buffer((3 * chosen[:, None] + np.arange(3)).astype("i4").tobytes())
             image = self._albedo.get(name)
+            mirrored = 0.0, 0.0
             if image is not None:
-                picture = c.texture(image.shape[1::-1], 3, image.tobytes(), alignment=1)
+                size, across, down = image.pixels.shape[1::-1], *image.wrap
+                picture = c.texture(size, 3, image.pixels.tobytes(), alignment=1)
                 picture.build_mipmaps()
+                picture.repeat_x, picture.repeat_y = across == "repeat", down == "repeat"
                 picture.use(0)
-            values = {**numbers, "albedo": 0, "has_albedo": float(image is not None)}
+                mirrored = float(across == "mirror"), float(down == "mirror")
+            values = {
+                **numbers, "albedo": 0, "has_albedo": float(image is not None),
+                "mirrored": mirrored,
+            }  # fmt: skip
             shaders = "rig_bake", "rig_appearance"
             self._paint_part(shaders, int(painted), vertices, mine, values)
 
     def _source_uv(self) -> FloatArray:
-        """The file's own texture coordinates of each split vertex. float32 ``[V, 2]``."""
+        """The file's own texture coordinates of each triangle's corners. float32 ``[3F, 2]``."""
         mesh, chart = self.head.mesh, self.head.chart
-        result = np.zeros((len(chart.source), 2), np.float32)
-        if mesh.uv is not None and mesh.uv_faces is not None:
-            result[chart.faces] = mesh.uv[mesh.uv_faces[chart.face_source]]
-            own = chart.faces[: len(mesh.faces)]  # a gutter's edge belongs to its own island
-            result[own] = mesh.uv[mesh.uv_faces]
-        return result
+        if mesh.uv is None or mesh.uv_faces is None:
+            return np.zeros((3 * len(chart.faces), 2), np.float32)
+        return mesh.uv[mesh.uv_faces[chart.face_source]].reshape(-1, 2).astype(np.float32)
 
     def _more_moving(self, vertices: FloatArray, shade: FloatArray) -> tuple[FloatArray, ...]:
         """Direction of strands; lids shade the eyeballs."""

@@ -39,14 +39,14 @@ IMPORTANCE = {"lids": 1.8, "lips": 1.8, "teeth": 1.4, "tongue": 1.2, "eyeballs":
 
 
 def read_rig(path: Path) -> RigSource:
-    """Read a rig from a .glb file or a folder of OBJ files."""
+    """Read a rig from a .glb, .vrm or .gltf file, or a folder of OBJ files."""
     if path.is_dir():
         return read_obj_folder(path)
-    if path.suffix.lower() == ".glb":
+    if path.suffix.lower() in (".glb", ".vrm", ".gltf"):
         return read_glb(path)
     if not path.exists():
         raise CaptureError(f"{path}: the file is missing")
-    raise CaptureError(f"{path}: a .glb file or a folder of OBJ files is needed")
+    raise CaptureError(f"{path}: a .glb, .vrm or .gltf file or a folder of OBJ files is needed")
 
 
 def texel_need(mesh: RigMesh, features: Features, seen: Float64Array) -> Float64Array:

@@ -32,6 +32,9 @@ PART_WORDS: tuple[tuple[str, str], ...] = (
 )
 """What a material's name says of the part it covers, in this order; everything else is skin."""
 EYE_RADIUS_M = (0.008, 0.021)
+BALL_FIT, CAP_FIT = (0.06, 0.8), (0.12, 0.25)
+"""Mean distance from a sphere, at most, and least extent, in radii: of what may be an eyeball, and
+of what its material calls an eye."""
 HALF_BLEND_M = 0.006
 """Half the width over which one shape for both sides changes from one side to the other."""
 
@@ -136,19 +139,23 @@ def _motion(
 
 
 def _find_eyes(
-    rest: Float64Array, motion: FloatArray, label: Int64Array, middle_x: float
+    rest: Float64Array, motion: FloatArray, label: Int64Array, middle_x: float, named: BoolArray
 ) -> tuple[tuple[Eyeball, ...], BoolArray]:
-    """Eyeballs by sphere fit, and vertices of shells that lie hidden inside them."""
+    """Eyeballs by sphere fit, and vertices of shells that lie hidden inside them.
+
+    What is `named` an eye ``[P]`` may be a cap of a sphere, or dented by an iris.
+    """
     balls: list[tuple[float, Float64Array, Int64Array]] = []
     for first in np.unique(label):
         index = np.flatnonzero(label == first)
         if len(index) < 12:
             continue
         extent = np.ptp(rest[index], axis=0)
+        off, least = CAP_FIT if named[index].all() else BALL_FIT
         if extent.max() > 2.4 * EYE_RADIUS_M[1] or extent.max() < 1.2 * EYE_RADIUS_M[0]:
             continue
         centre, radius, error = fit_sphere(rest[index])
-        round_enough = error < 0.06 * radius and extent.min() > 0.8 * radius
+        round_enough = error < off * radius and extent.min() > least * radius
         if EYE_RADIUS_M[0] < radius < EYE_RADIUS_M[1] and round_enough:
             balls.append((radius, centre, index))
     eyes: list[Eyeball] = []
@@ -185,16 +192,18 @@ def _find_eyes(
     return tuple(eyes), hidden
 
 
+def _part_of(material: str) -> str:
+    """The part that a material's name says it covers."""
+    return next((kind for kind, words in PART_WORDS if re.search(words, material, re.I)), "skin")
+
+
 def _parts(
     source: RigSource, material: IntArray, faces: IntArray, count: int, eyes: tuple[Eyeball, ...]
 ) -> IntArray:
     """Part of each face of a mesh of so many vertices."""
     part = np.zeros(len(faces), np.int32)
     for index, name in enumerate(source.materials):
-        for kind, words in PART_WORDS:
-            if re.search(words, name, re.I):
-                part[material == index] = MATERIALS.index(kind)
-                break
+        part[material == index] = MATERIALS.index(_part_of(name))
     in_eye = np.zeros(count, np.bool_)
     for eye in eyes:
         in_eye[eye.vertices] = True
@@ -221,11 +230,16 @@ def build_mesh(source: RigSource, names: NameMap) -> RigMesh:
     uv_faces, material = source.uv_faces, source.face_material
     overlay = [k for k, name in enumerate(source.materials) if OVERLAY.search(name)]
     shown = ~np.isin(material, overlay)
+    if source.see_through is not None:
+        shown &= ~source.see_through
     shown &= (faces != np.roll(faces, 1, axis=1)).all(1)
     if not shown.any():
         raise CaptureError(f"{source.path}: no face is left without transparent materials")
     label = components(faces[shown], len(rest))
-    eyes, hidden = _find_eyes(rest, motion, label, middle_x)
+    called = [k for k, name in enumerate(source.materials) if _part_of(name) == "eye"]
+    named = np.zeros(len(rest), np.bool_)
+    named[faces[shown & np.isin(material, called)]] = True
+    eyes, hidden = _find_eyes(rest, motion, label, middle_x, named)
     shown &= ~hidden[faces].any(1)
     dropped = [source.materials[k] for k in np.unique(material) if not shown[material == k].any()]
     faces, material = faces[shown], material[shown]

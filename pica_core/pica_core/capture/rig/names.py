@@ -2,6 +2,7 @@
 
 eyeBlink_L  Eye_Blink_Left  head.eyeBlinkLeft  EYEBLINKLEFT  A14_Eye_Blink_Left  -> eyeBlinkLeft
 browInnerUp_L + browInnerUp_R                                                    -> browInnerUp
+blink_l, blinkLeft, Fcl_EYE_Close_L (VRM, VRoid)   -> eyeBlinkLeft, where nothing fits better
 mouthSmile (one shape for both sides)           -> its halves drive mouthSmileLeft and ...Right
 """
 
@@ -23,6 +24,24 @@ _STEMS = {
     if name.endswith("Left") and name.removesuffix("Left") + "Right" in ARKIT_INDEX
 } - {"jaw", "mouth"}
 """ARKit names without their side, of those that have sides; jawLeft is a direction, no side."""
+_VRM = {
+    "blink": "eyeBlink", "blinkleft": "eyeBlinkLeft", "blinkright": "eyeBlinkRight",
+    "blinkl": "eyeBlinkLeft", "blinkr": "eyeBlinkRight",
+    "aa": "jawOpen", "ih": "mouthStretch", "ou": "mouthPucker", "ee": "mouthSmile",
+    "oh": "mouthFunnel",
+    "a": "jawOpen", "i": "mouthStretch", "u": "mouthPucker", "e": "mouthSmile",
+    "o": "mouthFunnel",
+    "lookup": "eyeLookUp", "lookdown": "eyeLookDown",
+    "fcleyeclosel": "eyeBlinkLeft", "fcleyecloser": "eyeBlinkRight", "fcleyeclose": "eyeBlink",
+    "fcleyespread": "eyeWide", "fclbrwangry": "browDown", "fclbrwsurprised": "browOuterUp",
+    "fclbrwsorrow": "browInnerUp", "fclmtha": "jawOpen", "fclmthi": "mouthStretch",
+    "fclmthu": "mouthPucker", "fclmthe": "mouthSmile", "fclmtho": "mouthFunnel",
+    "fclmthfun": "mouthSmile", "fclmthdown": "mouthFrown",
+}  # fmt: skip
+"""Expressions of VRM 0.x and 1.0 and shapes of VRoid, which come nearest to ARKit's (chosen).
+
+Moods of a whole face (joy, angry, ...) are left out: they would close eyes that ought to be open.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -60,6 +79,9 @@ def match_name(source: str) -> tuple[tuple[str, str], ...]:
     plain = re.sub(r"[^a-z0-9]", "", last.lower())
     if plain in _PLAIN:
         return ((_PLAIN[plain], ""),)
+    if meant := _near(plain):
+        sides = ("Left", "Right") if meant.lower() in _STEMS else ()
+        return tuple((meant + side, side) for side in sides) or ((meant, ""),)
     words = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+", last)
     for at in (-1, 0):
         side = SIDES.get(words[at].lower()) if len(words) > 1 else None
@@ -73,6 +95,11 @@ def match_name(source: str) -> tuple[tuple[str, str], ...]:
     if plain in _STEMS:
         return tuple((_PLAIN[plain + side.lower()], side) for side in ("Left", "Right"))
     return ()
+
+
+def _near(plain: str) -> str | None:
+    """What an expression of VRM or a shape of VRoid comes near to."""
+    return _VRM.get(plain[max(plain.find("fcl"), 0) :])
 
 
 def read_names(path: Path) -> dict[str, str | None]:
@@ -109,8 +136,8 @@ def map_names(names: Sequence[str], table: dict[str, str | None] | None = None) 
         if not best:
             continue
         chosen = by_kind[best]
-        if best == "whole":
-            chosen = chosen[:1]
+        if best in ("whole", "near"):
+            chosen = sorted(chosen, key=lambda driver: bool(driver.half))[:1]
         if best == "half":
             sides = {_side(driver.source): driver for driver in reversed(chosen)}
             chosen = [sides[side] for side in sorted(sides)]
@@ -129,8 +156,9 @@ def map_names(names: Sequence[str], table: dict[str, str | None] | None = None) 
     )
 
 
-_RANK = ("table", "whole", "half", "both")
-"""How well a source fits: by the table, as a whole, as one half, as one shape for two."""
+_RANK = ("table", "whole", "half", "both", "near")
+"""How well a source fits: by the table, as a whole, as one half, as one shape for two, as an
+expression that only comes near."""
 
 
 def _side(name: str) -> str:
@@ -139,6 +167,8 @@ def _side(name: str) -> str:
 
 
 def _kind(name: str, arkit: str, half: str) -> str:
+    if arkit.lower() not in (plain := re.sub(r"[^a-z0-9]", "", name.lower())) and _near(plain):
+        return "near"
     if half:
         return "both"
     sided = arkit.endswith(("Left", "Right"))

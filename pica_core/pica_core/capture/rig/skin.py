@@ -4,23 +4,20 @@ Where a material has no image, `shaders/rig_appearance.frag` paints it: skin wit
 lips, lids and cropped hair, eyes, teeth, gums and tongue, from what `features` found.
 """
 
-import io
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
 
 from pica_core.capture.dataset.files import read_bytes
 from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.head import RigHead
+from pica_core.capture.rig.images import open_image
 from pica_core.capture.rig.source import RigSource
 from pica_core.capture.rig.zones import hair_coverage
 from pica_core.errors import CaptureError
 from pica_core.types import ByteArray, FloatArray, IntArray
 
-MAX_ALBEDO_SIDE = 8192
-ALBEDO_MODES = ("RGB", "RGBA", "L", "LA", "P")
 IRIS_RADIUS_M = 0.0060
 """11.7 mm across (Rüfer et al. 2005), a little more for eyeballs that are larger than life."""
 
@@ -81,32 +78,32 @@ def surface(head: RigHead, growth: Growth | None = None) -> FloatArray:
     return local
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Albedo:
+    """A base colour image: sRGB uint8 ``[H, W, 3]``, row 0 on top, and how it goes on beyond."""
+
+    pixels: ByteArray
+    wrap: tuple[str, str] = ("repeat", "repeat")
+
+
 def open_albedo(where: str, data: bytes) -> ByteArray:
     """An image as sRGB, row 0 on top. uint8 ``[H, W, 3]``."""
-    try:
-        with Image.open(io.BytesIO(data)) as image:
-            if max(image.size) > MAX_ALBEDO_SIDE:
-                raise CaptureError(
-                    f"{where}: {image.width}x{image.height} pixels; sides up to {MAX_ALBEDO_SIDE} "
-                    "are allowed"
-                )
-            if image.mode not in ALBEDO_MODES:
-                raise CaptureError(
-                    f"{where}: pixels are {image.mode}; an 8-bit colour image is needed"
-                )
-            return np.asarray(image.convert("RGB"))
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
-        raise CaptureError(f"{where}: not a complete image ({error})") from error
+    return np.ascontiguousarray(open_image(where, data)[..., :3])
 
 
-def read_albedos(source: RigSource, choices: tuple[str, ...]) -> dict[int, ByteArray]:
+def read_albedos(source: RigSource, choices: tuple[str, ...]) -> dict[int, Albedo]:
     """Base colour images by material: those inside the rig's file, then the user's.
 
     A choice of the user is ``FILE`` for the material with most triangles, or ``MATERIAL=FILE``.
     """
     found = {
-        index: open_albedo(f"{source.path}: image of material {source.materials[index]!r}", data)
-        for index, data in source.images.items()
+        index: Albedo(
+            pixels=open_albedo(
+                f"{source.path}: image of material {source.materials[index]!r}", image.data
+            ),
+            wrap=image.wrap,
+        )
+        for index, image in source.images.items()
         if source.uv is not None
     }
     for choice in choices:
@@ -122,5 +119,5 @@ def read_albedos(source: RigSource, choices: tuple[str, ...]) -> dict[int, ByteA
             )
         largest = int(np.argmax(np.bincount(source.face_material)))
         index = source.materials.index(name) if separator else largest
-        found[index] = open_albedo(path, read_bytes(Path(path)))
+        found[index] = Albedo(pixels=open_albedo(path, read_bytes(Path(path))))
     return found

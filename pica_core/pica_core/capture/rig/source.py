@@ -11,13 +11,25 @@ from pathlib import Path
 import numpy as np
 
 from pica_core.errors import CaptureError
-from pica_core.types import Float64Array, FloatArray, IntArray
+from pica_core.types import BoolArray, Float64Array, FloatArray, IntArray
 
 MAX_VERTICES = 500_000
 MAX_FACES = 1_000_000
 MAX_SHAPES = 1_000
 MAX_SHAPE_VALUES = 300_000_000
 """Vertices times shapes, at most (1.2 GB as float32 triples is three times that number)."""
+
+
+WRAPS = ("repeat", "mirror", "clamp")
+"""How an image goes on beyond its edges."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class RigImage:
+    """An encoded base colour image, and how it goes on beyond its edges, across and down."""
+
+    data: bytes
+    wrap: tuple[str, str] = ("repeat", "repeat")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -28,15 +40,16 @@ class RigSource:
         path: The file or directory.
         positions: Vertices of the neutral face. float64 ``[V, 3]``.
         faces: Triangles as indices into `positions`. int32 ``[F, 3]``.
-        uv: Texture coordinates with v downwards, or None. Tiles (UDIM) are integer parts.
-            float64 ``[T, 2]``.
+        uv: Texture coordinates with v downwards, or None. Beyond [0, 1] images go on as their
+            `wrap` says. float64 ``[T, 2]``.
         uv_faces: The same triangles as indices into `uv`, or None. int32 ``[F, 3]``.
         materials: Names of materials.
         face_material: Index into `materials`. int32 ``[F]``.
         shapes: What each shape adds to `positions` at a value of 1. float32 ``[V, 3]`` each.
         split_at_seams: True when vertices are there twice where texture coordinates part.
         copyright: What the file says of its rights.
-        images: Encoded base colour image of a material, where the file has one.
+        images: Base colour image of a material, where the file has one.
+        see_through: Triangles that hide nothing, such as lenses; None: all hide. bool ``[F]``.
     """
 
     path: Path
@@ -49,7 +62,8 @@ class RigSource:
     shapes: dict[str, FloatArray]
     split_at_seams: bool = False
     copyright: str = ""
-    images: dict[int, bytes] = field(default_factory=dict)
+    images: dict[int, RigImage] = field(default_factory=dict)
+    see_through: BoolArray | None = None
 
 
 def check_counts(where: str, *, vertices: int, faces: int, shapes: int) -> None:
@@ -101,6 +115,7 @@ def check_source(source: RigSource) -> RigSource:
         faces=source.faces[keep],
         uv_faces=uv_faces,
         face_material=source.face_material[keep],
+        see_through=source.see_through[keep] if source.see_through is not None else None,
     )
 
 

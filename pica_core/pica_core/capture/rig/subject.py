@@ -12,12 +12,11 @@ from pica_core.capture.rig.gpu import RigRenderer
 from pica_core.capture.rig.head import RigHead, make_rig, read_rig
 from pica_core.capture.rig.map_error import map_error_m
 from pica_core.capture.rig.names import read_names
-from pica_core.capture.rig.skin import Growth, read_albedos
+from pica_core.capture.rig.skin import Albedo, Growth, read_albedos
 from pica_core.capture.rig.source import RigSource
 from pica_core.capture.stage.expressions import sample_takes
 from pica_core.capture.stage.gpu import BAKE_SIZE
 from pica_core.capture.stage.subject import Subject
-from pica_core.types import ByteArray
 
 ERROR_POSES = 8
 """Expressions over which the error that the position map leaves is measured."""
@@ -70,7 +69,7 @@ class RigSubject(Subject):
         self._about = self._describe(path, source)
 
     def _stand(
-        self, head: RigHead, images: dict[int, ByteArray], *, bake_size: int, self_shadow: bool
+        self, head: RigHead, images: dict[int, Albedo], *, bake_size: int, self_shadow: bool
     ) -> None:
         self.head, self._albedo = head, images
         self._bake_size, self._self_shadow = bake_size, self_shadow
@@ -91,7 +90,7 @@ class RigSubject(Subject):
             digest.update(delta.tobytes())
         for index, image in sorted(self._albedo.items()):
             digest.update(bytes([index & 255]))
-            digest.update(image.tobytes())
+            digest.update(image.pixels.tobytes())
         painted = [
             name for k, name in enumerate(source.materials)
             if k not in self._albedo and (mesh.material == k).any()

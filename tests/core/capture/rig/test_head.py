@@ -250,7 +250,7 @@ def test_what_is_no_rig_is_refused(tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match="the file is missing"):
         read_rig(tmp_path / "nothing.glb")
     (tmp_path / "face.fbx").write_bytes(b"x")
-    with pytest.raises(CaptureError, match=r"a \.glb file or a folder of OBJ files"):
+    with pytest.raises(CaptureError, match=r"a .glb, .vrm or .gltf file or a folder"):
         read_rig(tmp_path / "face.fbx")
 
 

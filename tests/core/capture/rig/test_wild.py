@@ -1,0 +1,165 @@
+"""One head in the forms in which rigs are found: all must give the same picture."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.rig_wild import FORMS, wild_rig, write_beside
+from pica_core.capture.rig.gltf import read_glb
+from pica_core.capture.rig.images import wrapped
+from pica_core.capture.rig.subject import RigSubject
+from pica_core.capture.stage.dome import dome_cameras
+from pica_core.capture.stage.expressions import blend
+from pica_core.errors import CaptureError
+from pica_core.types import ByteArray
+
+pytestmark = pytest.mark.render
+
+
+def render(path: Path) -> ByteArray:
+    subject = RigSubject(path, bake_size=256, self_shadow=False)
+    subject.pose(blend(jawOpen=0.6, eyeBlinkLeft=1.0))
+    view = subject.draw(dome_cameras(1, 96, 96)[0])
+    subject.release()
+    return view.image
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> ByteArray:
+    return render(wild_rig().save(tmp_path_factory.mktemp("rig") / "plain.glb"))
+
+
+@pytest.mark.parametrize("form", [*FORMS, "files_beside"])
+def test_every_form_of_a_head_gives_the_same_picture(
+    plain: ByteArray, tmp_path: Path, form: str
+) -> None:
+    if form == "files_beside":
+        path = write_beside(tmp_path)
+    else:
+        rig = wild_rig()
+        FORMS[form](rig)
+        path = rig.save(tmp_path / "toy.glb")
+
+    error = np.abs(render(path).astype(int) - plain).max(-1)
+
+    # Quantisation and another order of packing move edges between blocks by a part of a pixel.
+    assert error.mean() < 1.0
+    assert (error > 24).mean() < 0.01
+
+
+def test_wrap_modes_bring_coordinates_back_as_samplers_do() -> None:
+    uv = np.array([[-0.25, 1.25], [2.5, -1.5]])
+
+    np.testing.assert_allclose(wrapped(uv, ("repeat", "mirror")), [[0.75, 0.75], [0.5, 0.5]])
+    np.testing.assert_allclose(wrapped(uv, ("clamp", "repeat")), [[0, 0.25], [1, 0.5]])
+
+
+def test_a_mirrored_half_keeps_its_picture_when_its_islands_are_made_anew(
+    plain: ByteArray, tmp_path: Path
+) -> None:
+    rig = wild_rig()
+    at = rig.primitives[0]["attributes"]["TEXCOORD_0"]
+    before = rig.arrays[at].copy()
+    # Both halves on one place of the image, as many game heads have it.
+    rig.move_uv(lambda uv: np.stack([np.abs(uv[:, 0] - 0.5) + 0.5, uv[:, 1]], 1))
+
+    subject = RigSubject(rig.save(tmp_path / "half.glb"), bake_size=256, self_shadow=False)
+    subject.pose(blend(jawOpen=0.6, eyeBlinkLeft=1.0))
+    image = subject.draw(dome_cameras(1, 96, 96)[0]).image.astype(int)
+    subject.release()
+
+    assert subject.describe()["rig"]["triangles_with_new_coordinates"] > 1000
+    assert not np.array_equal(before, rig.arrays[at])
+    left = plain.astype(int)[:, 50:]
+    error = np.abs(image[:, 50:] - left).max(-1)
+    assert (error > 24).mean() < 0.03
+
+
+def test_eyes_that_are_caps_of_spheres_are_found_by_their_material(tmp_path: Path) -> None:
+    rig = wild_rig()
+    positions = rig.arrays[rig.primitives[0]["attributes"]["POSITION"]]
+    for primitive in rig.primitives[1:3]:
+        faces = rig.arrays[primitive["indices"]].reshape(-1, 3)
+        ahead = -positions[faces].mean(1)[:, 1]  # the file's -y is out of the face
+        front = faces[ahead > 0.078]
+        rig.arrays[primitive["indices"]] = front.reshape(-1, 1)
+
+    subject = RigSubject(rig.save(tmp_path / "caps.glb"), bake_size=64, self_shadow=False)
+
+    assert [round(eye.radius_m, 3) for eye in subject.head.mesh.eyes] == [0.012, 0.012]
+    np.testing.assert_allclose(subject.head.mesh.eyes[0].centre_m, [0.032, 0.022, 0.074], atol=1e-4)
+
+
+@pytest.mark.parametrize("version", ["VRM", "VRMC_vrm"])
+def test_expressions_of_vrm_drive_what_they_come_near_to(tmp_path: Path, version: str) -> None:
+    rig = wild_rig()
+    del rig.document["meshes"][0]["extras"]
+    if version == "VRM":
+        groups = [
+            {"presetName": "blink_l", "binds": [{"mesh": 0, "index": 1, "weight": 50}]},
+            {"presetName": "unknown", "name": "jawOpen", "binds": [{"mesh": 0, "index": 0}]},
+        ]
+        about: dict[str, object] = {"blendShapeMaster": {"blendShapeGroups": groups}}
+    else:
+        presets = {"blinkLeft": {"morphTargetBinds": [{"node": 0, "index": 1, "weight": 0.5}]}}
+        custom = {"jawOpen": {"morphTargetBinds": [{"node": 0, "index": 0}]}}
+        about = {"expressions": {"preset": presets, "custom": custom}}
+    rig.document["extensions"] = {version: about}
+    path = rig.save(tmp_path / "toy.vrm")
+
+    source = read_glb(path)
+    head = RigSubject(path, bake_size=64, self_shadow=False).head
+
+    blink = next(k for k in source.shapes if k.startswith("blink"))
+    np.testing.assert_allclose(source.shapes[blink], 0.5 * source.shapes["#1"], atol=1e-7)
+    assert head.names.drivers["eyeBlinkLeft"][0].source == blink
+    assert head.names.drivers["jawOpen"][0].source == "jawOpen"
+
+
+@pytest.mark.parametrize(
+    ("uri", "words"),
+    [
+        ("../secret.bin", "leaves the folder"),
+        ("%2e%2e/secret.bin", "leaves the folder"),
+        ("/etc/hostname", "leaves the folder"),
+        ("https://example.org/a.bin", "no file beside it"),
+        ("nothing.bin", "the file is missing"),
+        ("data:application/octet-stream;base64,!!", "not base64"),
+        (7, "text is needed"),
+    ],
+)
+def test_a_file_beside_a_gltf_stays_beside_it(tmp_path: Path, uri: object, words: str) -> None:
+    (tmp_path / "secret.bin").write_bytes(b"x" * 99)
+    folder = tmp_path / "rig"
+    folder.mkdir()
+    path = write_beside(folder)
+    document = json.loads(path.read_text())
+    document["buffers"][0]["uri"] = uri
+    path.write_text(json.dumps(document))
+
+    with pytest.raises(CaptureError, match=words):
+        read_glb(path)
+
+
+@pytest.mark.parametrize("form", ["draco", "meshopt_packed", "basis"])
+def test_what_is_packed_and_damaged_is_refused(tmp_path: Path, form: str) -> None:
+    random = np.random.default_rng(3)
+    rig = wild_rig()
+    FORMS[form](rig)
+    data = bytearray(rig.save(tmp_path / "toy.glb").read_bytes())
+    start = 20 + int.from_bytes(data[12:16], "little") + 8
+    refused = 0
+    for _ in range(12):
+        bad = data.copy()
+        for at in random.integers(start, len(data), 40):
+            bad[at] = random.integers(256)
+        bad[start : start + 8] = bytes(8)
+        (tmp_path / "bad.glb").write_bytes(bad)
+        try:
+            source = read_glb(tmp_path / "bad.glb")
+            assert np.isfinite(source.positions).all()
+        except CaptureError:
+            refused += 1
+    assert refused > 0 or form == "basis"
