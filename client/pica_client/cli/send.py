@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
@@ -11,8 +12,10 @@ import tyro
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.own_avatar import GiveAvatar, choose_own_avatar
 from pica_client.cli.options import SHARED_OPTIONS, connect_timeout_s
+from pica_client.cli.send_keys import HELP, SendKeys, read_keys
 from pica_client.e2ee.padding import parse_buckets
 from pica_client.output import Outputs, check_writable, say
+from pica_client.publish.face_desk import FaceDesk
 from pica_client.publish.own_face import DEFAULT_SOURCE
 from pica_client.publish.sender import Sender, SenderConfig
 from pica_client.signals import on_stop_signal
@@ -71,8 +74,9 @@ def send(options: SendOptions) -> dict[str, Any]:
 
     Reads expressions, encodes them and streams the latents.
 
-    Runs until Ctrl-C or for --seconds, and comes back by itself when the relay goes away and
-    returns.
+    Runs until Ctrl-C or for --seconds; in a terminal, M mutes the face, F freezes it, T mutes the
+    voice, K calibrates a tracker to a relaxed face, and Q leaves. It comes back by itself when the
+    relay goes away and returns.
     """
     if options.frame_log is not None:
         check_writable(options.frame_log)
@@ -112,8 +116,13 @@ def send(options: SendOptions) -> dict[str, Any]:
             voice=publisher,
         )
         loop = asyncio.get_running_loop()
-        with on_stop_signal(lambda: loop.call_soon_threadsafe(sender.stop)):
-            result = await sender.run()
+        desk = FaceDesk(sender.publisher, link.name, options.source)
+        keys = SendKeys(desk, publisher, say, sender.stop)
+        with on_stop_signal(lambda: loop.call_soon_threadsafe(sender.stop)), closing(desk):
+            async with read_keys(keys, 0) as has_keys:
+                if has_keys:
+                    say(HELP)
+                result = await sender.run()
         return result, list(sender.frame_log)
 
     if options.wait:

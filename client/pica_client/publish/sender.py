@@ -24,7 +24,11 @@ __all__ = ["Sender", "SenderConfig"]
 
 
 class Sender:
-    """One sender; `run` it, `stop` it."""
+    """One sender; `run` it, `stop` it.
+
+    Attributes:
+        publisher: Makes the frames of the face.
+    """
 
     def __init__(
         self,
@@ -45,12 +49,12 @@ class Sender:
         self.config = config
         self._giver = giver
         self._news = news
-        self._publisher = Publisher(config, source, avatar, avatar_identity)
+        self.publisher = Publisher(config, source, avatar, avatar_identity)
         self._voice = voice
-        self._publisher.listen_to(voice)
+        self.publisher.listen_to(voice)
         self._link = Link(
             link_config,
-            (self._publisher.track, *(() if voice is None else (voice.track,))),
+            (self.publisher.track, *(() if voice is None else (voice.track,))),
             on_event=self._on_event,
             connector=connector,
             rng=rng,
@@ -60,7 +64,7 @@ class Sender:
     @property
     def frame_log(self) -> deque[tuple[int, int]]:
         """The times of frames that were sent; see `Publisher.frame_log`."""
-        return self._publisher.frame_log
+        return self.publisher.frame_log
 
     def stop(self) -> None:
         """Make `run` leave the room and return."""
@@ -75,9 +79,7 @@ class Sender:
         Raises:
             RelayError: The relay is not there, or will not have us.
         """
-        pacing = asyncio.create_task(
-            self._publisher.pace(self._link, self._stopping), name="pacing"
-        )
+        pacing = asyncio.create_task(self.publisher.pace(self._link, self._stopping), name="pacing")
         linking = asyncio.create_task(self._link.run(), name="link")
         tasks = [pacing, linking]
         if self._voice is not None:
@@ -93,17 +95,17 @@ class Sender:
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
-            self._publisher.close()
+            self.publisher.close()
             if self._giver is not None:
                 await self._giver.close()
         return self.stats()
 
     def stats(self) -> dict[str, Any]:
         """What was sent so far, and the link's side of it."""
-        seconds, counters = self._publisher.seconds_sent, self._link.counters
+        seconds, counters = self.publisher.seconds_sent, self._link.counters
         return {
             "name": self._link.config.name,
-            **self._publisher.stats(),
+            **self.publisher.stats(),
             "voice": None if self._voice is None else self._voice.stats(),
             "replaced": counters.frames_replaced,
             "wire_bytes": counters.sent_wire_bytes,
@@ -116,7 +118,7 @@ class Sender:
         }
 
     def _on_event(self, event: ClientEvent, now: float) -> None:
-        self._publisher.receive_event(event)
+        self.publisher.receive_event(event)
         if self._voice is not None:
             self._voice.receive_event(event)
         if isinstance(event, Joined) and self._giver is not None:
