@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "client" / "voice"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "client" / "voice" / "sound"))
 
 from devices_trial import captured
 

@@ -21,8 +21,8 @@ from pica_client.transport.config import LinkConfig
 from pica_client.transport.link import Link
 from pica_client.transport.receiver import Receiver
 from pica_client.voice import opus
-from pica_client.voice.packet import FRAME_US, VoicePacket
-from pica_client.voice.publisher import VoicePublisher
+from pica_client.voice.packet import FRAME_US, PACKET_FRAMES, VoicePacket
+from pica_client.voice.publisher import PREROLL_FRAMES, VoicePublisher
 from pica_client.voice.source import TURN_S, SoundSource, Turn
 from pica_client.voice.track import VOICE_KEY, VOICE_TRACK, voice_track
 from pica_core.avatar.file import load_avatar
@@ -170,6 +170,33 @@ async def test_a_mute_lets_the_frame_that_was_begun_out_and_says_so() -> None:
             assert [packet.is_first for packet in again[:2]] == [True, False]
             assert again[0].sequence == ben.packets[muted - 1].sequence + 1  # a silence, no loss
             assert again[0].captured_us - ben.packets[muted - 1].captured_us > 1_900_000
+            for person in (ada, ben):
+                person.receiver.stop()
+
+
+@in_virtual_time
+async def test_who_presses_the_key_to_talk_late_is_heard_from_a_little_before() -> None:
+    async with Relay(RelayConfig(port=0)) as relay:
+        ada, ben = Person(relay.url, "ada", speaks=True), Person(relay.url, "ben")
+        assert ada.voice is not None
+        ada.voice.keeps_preroll = True
+        ada.voice.set_muted(True)
+        kept: list[int] = []
+        ada.voice.listeners.append(lambda pcm, captured_us: kept.append(captured_us))
+        async with asyncio.TaskGroup() as tasks:
+            for person in (ada, ben):
+                tasks.create_task(person.receiver.run())
+            await asyncio.sleep(2.0)
+            assert kept == []
+            pressed_us = round(asyncio.get_running_loop().time() * 1e6)
+            before = len(ben.packets)
+            ada.voice.set_muted(False)
+            await asyncio.sleep(1.0)
+            said = [packet.captured_us for packet in ben.packets[before:]]
+            early_us = PREROLL_FRAMES * FRAME_US
+            assert pressed_us - said[0] == pytest.approx(early_us, abs=1.5 * FRAME_US)
+            assert set(np.diff(said)) == {PACKET_FRAMES * FRAME_US}
+            assert kept[: PACKET_FRAMES * len(said) : PACKET_FRAMES] == said
             for person in (ada, ben):
                 person.receiver.stop()
 

@@ -32,6 +32,9 @@ class Participant:
     is_away: bool = False
     is_recording: bool = False
     face: FaceMode = "sent"
+    has_voice: bool = False
+    is_voice_muted: bool = False
+    """Whether its owner has muted it."""
     quality: Quality = "unknown"
     is_verified: bool = False
     """Whether it has proven to know the room's secret, where faces are encrypted."""
@@ -81,6 +84,8 @@ def _listed(member: Member, room: RoomState, quality: Quality, mark: NameMark) -
         is_away=member.is_away,
         is_recording=member.is_recording,
         face=member.face,
+        has_voice=member.has_voice,
+        is_voice_muted=member.is_voice_muted,
         quality=quality,
         is_verified=peer_id in room.verified,
         is_assured=mark.is_assured,

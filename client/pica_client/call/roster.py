@@ -22,6 +22,7 @@ from pica_client.publish.face_track import (
     RECORDS_YES,
     FaceMode,
 )
+from pica_client.voice.track import VOICE_KEY, VOICE_MUTED, voice_of
 from pica_protocol.messages import (
     Joined,
     Peer,
@@ -90,6 +91,16 @@ class Member:
     def face(self) -> FaceMode:
         """What becomes of the face, as far as its owner says."""
         return _FACE_MODES.get(dict(self.peer.metadata).get(FACE_KEY, ""), "sent")
+
+    @property
+    def is_voice_muted(self) -> bool:
+        """Whether the voice is muted, as its owner says."""
+        return dict(self.peer.metadata).get(VOICE_KEY) == VOICE_MUTED
+
+    @property
+    def has_voice(self) -> bool:
+        """Whether a voice is sent."""
+        return voice_of(self.peer) is not None
 
     @property
     def is_recording(self) -> bool:

@@ -45,7 +45,10 @@ class SendOptions:
     range_of_motion."""
     voice: str = "none"
     """Whose voice: a WAV file, played over and over; speech, the sentences that ship; speech#K/N,
-    the K-th of N who take turns with them; none."""
+    the K-th of N who take turns with them; mic, or mic:NAME, a microphone; none."""
+    clean: bool = True
+    """Take noise out of the microphone, and even out how loud it is, where the extra echo is
+    installed."""
     wait: bool = False
     """Wait for a relay that is not there yet, for --seconds if given, instead of giving up after 3
     seconds."""
@@ -92,7 +95,7 @@ def send(options: SendOptions) -> dict[str, Any]:
         pad_to=parse_buckets(options.pad),
     )
     source = open_source(options.source, person=link.name)
-    voice = open_voice(options.voice)
+    voice = open_voice(options.voice, cleans=options.clean)
     is_sealed = link.secret_file is not None
     publisher = None if voice is None else VoicePublisher(voice, is_sealed=is_sealed)
     library = AvatarLibrary()

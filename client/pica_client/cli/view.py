@@ -17,6 +17,7 @@ from pica_client.render.seats import Layout
 from pica_client.signals import on_stop_signal
 from pica_client.transport.config import LinkConfig
 from pica_client.ui.display import has_display
+from pica_client.voice.sound.settings import SoundSettings
 
 WATCH = "none"
 """What ``--send`` is told by who only watches."""
@@ -49,11 +50,15 @@ class ViewOptions:
     """How people sit: line, arc, table or grid; L goes through them. By default as it was left."""
     size: str | None = None
     """Columns x rows of the window or picture; by default as the window was left, or 960x540."""
-    voice: str = "none"
-    """Whose voice is sent: mic, the system's microphone; mic:NAME; or what pica send takes."""
+    voice: str | None = None
+    """Whose voice is sent: mic, the system's microphone; mic:NAME; or what pica send takes;
+    none by default, but mic where a form asks, which can be changed there."""
     speaker: str = ""
     """Loudspeaker by its name; none plays without a sound, off hears nobody; by default the
     system's."""
+    clean: bool | None = None
+    """Take echo and noise out of the microphone, and even out how loud it is, where the extra echo
+    is installed; by default as it was left, which is yes at first."""
     headless: bool = False
     """Draw without a window."""
     record: Path | None = None
@@ -136,6 +141,7 @@ def view(options: ViewOptions) -> dict[str, Any]:
     going = Destination.invited(options.link) if options.link else Destination()
     asks = not options.headless and bool(options.link or not options.url) and has_display()
     face = _face(options, asks=asks)
+    voice, sound = _sound(options, preferences.sound)
     going = replace(
         going,
         url=going.url or options.url,
@@ -145,6 +151,8 @@ def view(options: ViewOptions) -> dict[str, Any]:
         secret_file=str(options.secret_file or ""),
         avatar=options.own_avatar or "",
         source=face.source,
+        voice=voice,
+        sound=sound,
     )
     base = LinkConfig(
         connect_timeout_s=connect_timeout_s(wait=options.wait, seconds=options.seconds),
@@ -167,11 +175,12 @@ def view(options: ViewOptions) -> dict[str, Any]:
             eye_distance_m=EYE_DISTANCE_M if options.stereo else 0.0,
             show_statistics=options.statistics or preferences.show_statistics,
             settings=preferences.settings,
+            sound=sound,
             shows_hint=kept is not None and not preferences.has_seen_hint,
         ),
         seconds=options.seconds,
-        voice=options.voice,
-        speaker=options.speaker,
+        voice=voice or "none",
+        hears=options.speaker != "off",
         expect=options.expect,
         png=options.png,
         png_folder=options.png_folder,
@@ -193,6 +202,22 @@ def view(options: ViewOptions) -> dict[str, Any]:
         library.close()
     say(f"drew {result['frames_rendered']} images at {result['render_fps']} a second")
     return result
+
+
+def _sound(options: ViewOptions, kept: SoundSettings) -> tuple[str | None, SoundSettings]:
+    """Whose voice to send, None where nothing is said of it, and what devices to use.
+
+    Raises:
+        OptionError: A device cannot have such a name.
+    """
+    voice, sound = options.voice, kept
+    if options.speaker not in ("", "off"):
+        sound = replace(sound, speaker=options.speaker)
+    if voice is not None and voice.startswith("mic:"):
+        voice, sound = "mic", replace(sound, microphone=voice.removeprefix("mic:"))
+    if options.clean is not None:
+        sound = replace(sound, cleans=options.clean)
+    return voice, sound
 
 
 def _face(options: ViewOptions, *, asks: bool) -> FaceChoice:

@@ -127,8 +127,8 @@ class Publisher:
         """Let the voice of the face's owner move the mouth while nobody is seen, if it may."""
         if voice is not None and self.config.mouth_by_voice:
             spoken = self._spoken = SpokenFace()
-            voice.on_sound = lambda pcm, captured_us: spoken.hear(
-                pcm, captured_us / 1e6 - self._begin_s
+            voice.listeners.append(
+                lambda pcm, captured_us: spoken.hear(pcm, captured_us / 1e6 - self._begin_s)
             )
 
     def reflect(self) -> Reflection:

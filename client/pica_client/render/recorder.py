@@ -3,10 +3,12 @@
     with Recorder(Path("call.mp4"), (960, 540)) as recorder:
         recorder.write(image, time_s)
 
-Frames keep the times they were drawn at, so a call that was drawn unevenly plays at its true speed.
+Frames keep the times they were drawn at, so a call that was drawn unevenly plays at its true speed;
+sound keeps the times it was heard at.
 Needs PyAV (the `video` extra); importing this module does not.
 """
 
+from collections.abc import Callable
 from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
@@ -17,6 +19,8 @@ import numpy as np
 
 from pica_client.errors import OptionError
 from pica_client.output import writing, writing_whole
+from pica_client.voice.packet import SAMPLE_RATE_HZ
+from pica_client.voice.sound.soundtrack import LATE_S, Soundtrack
 from pica_core.types import Image
 
 TICKS_PER_S = 60
@@ -25,20 +29,30 @@ have, of which the frames that were not drawn are missing: at a finer one they s
 second (chosen: displays seldom do more)."""
 
 
+SOUND_BPS = 128_000
+"""Bits a second of the sound, AAC in stereo (chosen: voices lose nothing that is heard)."""
+
+
 class Recorder:
-    """Writes an MP4: H.264 where this build of FFmpeg has it, else MPEG-4 part 2.
+    """Writes an MP4: H.264 where this build of FFmpeg has it, else MPEG-4 part 2; AAC.
 
     Args:
         path: File to write; replaced if it exists.
         size: Columns and rows of the images. Odd sizes lose their last row or column: video needs
             even ones.
+        begin_sound: Gives the sound to go with it; None: there is none.
 
     Raises:
         OptionError: The file cannot be written.
         ModuleNotFoundError: PyAV is not installed.
     """
 
-    def __init__(self, path: Path, size: tuple[int, int]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        size: tuple[int, int],
+        begin_sound: Callable[[], Soundtrack | None] = lambda: None,
+    ) -> None:
         import av
 
         width, height = size[0] - size[0] % 2, size[1] - size[1] % 2
@@ -47,6 +61,7 @@ class Recorder:
         self._size = (width, height)
         self._path = path
         self._last_tick = -1
+        self._begin_s: float | None = None
         self._av: Any = av
         with writing(path):
             path.open("wb").close()  # FFmpeg would find out with the first frame only
@@ -64,6 +79,11 @@ class Recorder:
         else:
             stream.bit_rate = 8_000_000
         self._stream = stream
+        self._sound = begin_sound()
+        if self._sound is not None:
+            self._sound_stream = self._container.add_stream("aac", rate=SAMPLE_RATE_HZ)
+            self._sound_stream.layout = "stereo"
+            self._sound_stream.bit_rate = SOUND_BPS
 
     def __enter__(self) -> Self:
         return self
@@ -82,13 +102,17 @@ class Recorder:
         Args:
             image: uint8 ``[H, W, 3]``, top row first. One of another size is cropped, or stands on
                 black.
-            time_s: Since the start of the recording. Frames that come within a tick of the last one
-                are dropped, and those that come after `close`.
+            time_s: When it was drawn, on the clock of the sound; the first is the beginning. Frames
+                that come within a tick of the last one are dropped, and those after `close`.
 
         Raises:
             OptionError: The disk is full; the recording is over.
         """
-        tick = round(time_s * TICKS_PER_S)
+        if self._begin_s is None:
+            self._begin_s = time_s
+            if self._sound is not None:
+                self._sound.begin(time_s)
+        tick = round((time_s - self._begin_s) * TICKS_PER_S)
         if tick <= self._last_tick or self._container is None:
             return
         self._last_tick = tick
@@ -100,7 +124,8 @@ class Recorder:
         frame = self._av.VideoFrame.from_ndarray(np.ascontiguousarray(canvas), format="rgb24")
         frame.pts = tick
         frame.time_base = Fraction(1, TICKS_PER_S)
-        self._mux(frame)
+        self._mux(self._stream, frame)
+        self._write_sound(tick / TICKS_PER_S - LATE_S)
 
     def close(self) -> None:
         """Finish the file. Once is enough, twice is harmless.
@@ -110,20 +135,40 @@ class Recorder:
         """
         if self._container is None:
             return
-        self._mux(None)
+        self._mux(self._stream, None)
+        self._write_sound((self._last_tick + 1) / TICKS_PER_S, is_last=True)
         if self._container is not None:
             container, self._container = self._container, None
             with writing(self._path):
                 container.close()
 
-    def _mux(self, frame: Any) -> None:
+    def _write_sound(self, until_s: float, *, is_last: bool = False) -> None:
+        if self._sound is None or self._container is None:
+            return
+        samples, first = self._sound.take(until_s)
+        if len(samples):
+            frame = self._av.AudioFrame.from_ndarray(
+                np.ascontiguousarray(samples.T), format="fltp", layout="stereo"
+            )
+            frame.sample_rate, frame.pts = SAMPLE_RATE_HZ, first
+            frame.time_base = Fraction(1, SAMPLE_RATE_HZ)
+            self._mux(self._sound_stream, frame)
+        if is_last:
+            self._mux(self._sound_stream, None)
+            self._sound.close()
+
+    def _mux(self, stream: Any, frame: Any) -> None:
         """Encode a frame, or what is left with None, into the file."""
+        if self._container is None:
+            return
         with writing(self._path):
             try:
-                self._container.mux(self._stream.encode(frame))
+                self._container.mux(stream.encode(frame))
             except OSError:
                 # FFmpeg crashes when it is to go on with a file whose header it could not write.
                 container, self._container = self._container, None
+                if self._sound is not None:
+                    self._sound.close()
                 with suppress(OSError):
                     container.close()
                 raise

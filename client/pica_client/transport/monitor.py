@@ -72,6 +72,8 @@ class CallMonitor:
             is_away=not self._receiver.is_connected,
             is_recording=self._receiver.is_recording,
             face="sent" if publisher is None else publisher.mode,
+            has_voice=self._receiver.voice is not None,
+            is_voice_muted=self._receiver.voice is not None and self._receiver.voice.is_muted,
             note="muted by an admin" if self._is_muted_by_admin else "",
         )
 

@@ -1,10 +1,17 @@
-"""The voices of a call as the window needs them: one's own to mute, and who is heard how loudly."""
+"""The voices of a call as the window needs them: one's own, those of the others, the devices."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
-from pica_client.ui.controls import OwnVoice
-from pica_client.voice.hearing import Hearing
+from pica_client.call.participants import Participant
+from pica_client.ui.controls import ControlState, OwnVoice
 from pica_client.voice.publisher import VoicePublisher
+from pica_client.voice.sound.process import SoundProcess
+from pica_client.voice.sound.settings import SoundSettings, SoundState
+from pica_client.voice.sound.soundtrack import Soundtrack
+from pica_core.types import FloatArray
+
+TAIL_S = 0.2
+"""How long one is heard after the key to talk was let go: it goes with the last word (chosen)."""
 
 
 class CallSound:
@@ -12,22 +19,99 @@ class CallSound:
 
     Args:
         own: Sends the user's own voice; None: none is sent.
-        hearing: Plays those of the others; None: nobody is heard.
+        sound: Plays those of the others, and captures; None: nobody is heard.
     """
 
-    def __init__(self, own: VoicePublisher | None = None, hearing: Hearing | None = None) -> None:
-        self._own, self._hearing = own, hearing
+    def __init__(
+        self, own: VoicePublisher | None = None, sound: SoundProcess | None = None
+    ) -> None:
+        self._own, self._sound = own, sound
+        self._set: SoundSettings | None = None
+        self._volumes: Mapping[str, float] = {}
+        self._talked_s = -TAIL_S
+        self._trouble = self._speaker = ""
+        self._tracks: list[Soundtrack] = []
 
     @property
     def own_voice(self) -> OwnVoice:
         """What becomes of the user's own voice at first."""
         return "none" if self._own is None else "sent"
 
-    def tell(self, wanted: OwnVoice) -> None:
-        """Mute the user's own voice, or let it go on."""
-        if self._own is not None:
-            self._own.set_muted(wanted == "muted")
+    def state(self) -> SoundState | None:
+        """How sound stands; None: there is none."""
+        return None if self._sound is None else self._sound.state
 
     def levels(self) -> Mapping[str, int]:
         """How loud each is who sends a voice, by peer id; see `VoiceMixer.levels`."""
-        return {} if self._hearing is None else self._hearing.mixer.levels()
+        return {} if self._sound is None else self._sound.state.levels
+
+    def follow(self, wanted: ControlState, people: Iterable[Participant], now: float) -> str:
+        """Do what the user wants; gives what has just gone wrong with a device, else nothing.
+
+        Args:
+            wanted: By the user.
+            people: Who is there.
+            now: Local time, seconds.
+        """
+        if self._own is not None:
+            if wanted.is_heard:
+                self._talked_s = now
+            ends_softly = wanted.own_voice == "sent" and now - self._talked_s < TAIL_S
+            self._own.keeps_preroll = wanted.own_voice == "sent" and wanted.sound.push_to_talk
+            self._own.set_muted(not (wanted.is_heard or ends_softly))
+        if self._sound is None:
+            return ""
+        if wanted.sound != self._set:
+            self._set = wanted.sound
+            self._sound.follow(wanted.sound)
+        volumes = {
+            person.peer_id: wanted.volumes[person.place]
+            for person in people
+            if person.place in wanted.volumes
+        }
+        if volumes != self._volumes:
+            self._volumes = volumes
+            self._sound.set_volumes(volumes)
+        state = self._sound.state
+        before, self._speaker = self._speaker, state.speaker.name or self._speaker
+        is_moved = before not in ("", self._speaker) and not wanted.sound.speaker
+        trouble, self._trouble = self._trouble, state.trouble
+        if self._trouble != trouble:
+            return self._trouble
+        return f"Voices come from {self._speaker!r} now" if is_moved else ""
+
+    def play_test(self) -> None:
+        """Play something to hear that it can be heard."""
+        if self._sound is not None:
+            self._sound.play_test()
+
+    def begin_track(self) -> Soundtrack | None:
+        """Begin to keep all that is heard, and what is sent of one's own voice; None where there
+        is neither."""
+        if self._sound is None and self._own is None:
+            return None
+        track = Soundtrack(self._end_track)
+        if not self._tracks:
+            if self._own is not None:
+                self._own.listeners.append(self._keep_own)
+            if self._sound is not None:
+                self._sound.on_mixed = self._keep_mix
+                self._sound.hand_on(True)
+        self._tracks.append(track)
+        return track
+
+    def _end_track(self, track: Soundtrack) -> None:
+        self._tracks.remove(track)
+        if not self._tracks:
+            if self._own is not None:
+                self._own.listeners.remove(self._keep_own)
+            if self._sound is not None:
+                self._sound.hand_on(False)
+
+    def _keep_own(self, sound: FloatArray, captured_us: int) -> None:
+        for track in tuple(self._tracks):
+            track.add("own", sound, captured_us / 1e6)
+
+    def _keep_mix(self, sound: FloatArray, leaves_s: float) -> None:
+        for track in tuple(self._tracks):
+            track.add("others", sound, leaves_s)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 
 import moderngl
 
-from pica_client.call.participants import notices
+from pica_client.call.participants import Participant, notices
 from pica_client.call.status import CallStatus, PeerStatus
 from pica_client.render.labels import place_labels
 from pica_client.render.scene import Rect, head_rect_px
@@ -31,6 +31,7 @@ from pica_client.ui.panels.waiting import first_hint, hint_share, waiting_page
 from pica_client.ui.settings import OwnChoice, Settings
 from pica_client.ui.surface.painter import Painter
 from pica_client.ui.surface.surface import Surface
+from pica_client.voice.sound.settings import SoundState
 
 PANELS: tuple[Panel, ...] = (
     names,
@@ -136,6 +137,11 @@ class CallSurface:
         return [event for event in events if not self._surface.claims(event)]
 
     @property
+    def participants(self) -> tuple[Participant, ...]:
+        """Who is there, as of the last frame."""
+        return self._status.participants
+
+    @property
     def self_view_px(self) -> int:
         """How high the picture of one's own face is; 0 where there is no room for it."""
         return self_view_px(self._surface.metrics)
@@ -153,6 +159,7 @@ class CallSurface:
         *,
         is_recording: bool,
         own: OwnFaceView = NOTHING,
+        sound: SoundState | None = None,
     ) -> list[UserOrder]:
         """Set the panels, and end the frame; gives what the user ordered."""
         self._times.append(now)
@@ -174,6 +181,7 @@ class CallSurface:
             shows_bar=self._shows_bar(now, state),
             has_pointer=self._has_pointer,
             own=own,
+            sound=sound,
             entered_as=self._entered_as,
             avatars=self._avatars,
             figures=self._figures,
@@ -207,6 +215,7 @@ class CallSurface:
             shares = draw_shares_ms(rects, size, self._draw_ms)
         figures, problems = presenter.figures(now), presenter.problems
         people = []
+        muted = {each.peer_id for each in self._status.participants if each.is_voice_muted}
         heads = [placement.world_from_head for placement in scene.placements]
         labels = place_labels(heads, scene.camera, least_name_px(self._surface.metrics))
         for face, label_px in zip(scene.faces, labels, strict=True):
@@ -219,6 +228,7 @@ class CallSurface:
                     status=face.status,
                     note=problems.get(peer_id) or face.note,
                     is_speaking=found is not None and found.is_speaking,
+                    is_voice_muted=peer_id in muted,
                     quality=stream.quality,
                     is_pinned=face.place == state.pinned,
                     label_px=label_px,

@@ -18,6 +18,7 @@ from pica_client.ui.controls import ControlState, UserOrder
 from pica_client.ui.notice_board import Notice
 from pica_client.ui.settings import OwnChoice
 from pica_client.ui.surface.theme import Metrics
+from pica_client.voice.sound.settings import SoundState
 
 STATUS_NOTE: dict[FaceStatus, str] = {"away": "away"}
 """What stands under a name; of the others the call itself says what is wrong."""
@@ -34,6 +35,7 @@ class PersonView:
     note: str = ""
     """What is wrong with the stream or the avatar, for people."""
     is_speaking: bool = False
+    is_voice_muted: bool = False
     quality: Quality = "unknown"
     is_pinned: bool = False
     label_px: Rect | None = None
@@ -89,6 +91,8 @@ class CallView:
     """Whether there is somebody to steer: a window."""
     own: OwnFaceView = NOTHING
     """One's own face, as others and as the tracker see it."""
+    sound: SoundState | None = None
+    """How sound stands; None: there is none."""
     entered_as: OwnChoice = field(default_factory=OwnChoice)
     """The name, avatar and source that one came in with."""
     avatars: tuple[str, ...] = ()

@@ -3,6 +3,7 @@
 Names count up and say nothing of the time: ``picture-0001.png``, ``recording-0001.mp4``.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Self
 
@@ -10,9 +11,12 @@ from pica_client.errors import OptionError
 from pica_client.output import Outputs, make_folder, writing
 from pica_client.render.recorder import Recorder, save_png
 from pica_client.user_folders import pictures_folder, videos_folder
+from pica_client.voice.sound.soundtrack import Soundtrack
 from pica_core.types import Image
 
 MAX_NUMBER = 9999
+BeginSound = Callable[[], Soundtrack | None]
+"""Gives the sound of a recording that begins; None: there is none."""
 
 
 class Recording:
@@ -23,8 +27,14 @@ class Recording:
         ModuleNotFoundError: PyAV is not installed.
     """
 
-    def __init__(self, path: Path | None, size: tuple[int, int], outputs: Outputs) -> None:
-        self._recorder = None if path is None else Recorder(path, size)
+    def __init__(
+        self,
+        path: Path | None,
+        size: tuple[int, int],
+        outputs: Outputs,
+        begin_sound: BeginSound = lambda: None,
+    ) -> None:
+        self._recorder = None if path is None else Recorder(path, size, begin_sound)
         self._outputs = outputs
 
     @property
@@ -32,10 +42,10 @@ class Recording:
         """Whether `write` is wanted."""
         return self._recorder is not None
 
-    def write(self, image: Image, time_s: float) -> None:
-        """Append a frame, so long after the beginning."""
+    def write(self, image: Image, now: float) -> None:
+        """Append a frame that was drawn now."""
         recorder = self._recorder
-        if recorder and not self._outputs.attempt(lambda: recorder.write(image, time_s)):
+        if recorder and not self._outputs.attempt(lambda: recorder.write(image, now)):
             self._recorder = None
 
     def close(self) -> None:
@@ -52,14 +62,15 @@ class CapturesOnDisk:
 
     Args:
         folder: Where to; None is the system's folders for pictures and for videos.
+        begin_sound: The sound of recordings.
     """
 
-    def __init__(self, folder: Path | None = None) -> None:
+    def __init__(self, folder: Path | None = None, begin_sound: BeginSound = lambda: None) -> None:
+        self._begin_sound = begin_sound
         self._pictures = folder or pictures_folder()
         self._videos = folder or videos_folder()
         self._recorder: Recorder | None = None
         self._path = Path()
-        self._began_s = 0.0
 
     def __enter__(self) -> Self:
         return self
@@ -82,7 +93,7 @@ class CapturesOnDisk:
         save_png(path, image)
         return f"Saved {path.name} in {path.parent}"
 
-    def toggle_recording(self, size: tuple[int, int], now: float) -> str:
+    def toggle_recording(self, size: tuple[int, int]) -> str:
         """Begin a recording of images of this size, or end the one under way.
 
         Raises:
@@ -98,8 +109,7 @@ class CapturesOnDisk:
                 "recording needs PyAV: pip install 'pica-telepresence[video]'", name="av"
             ) from error
         self._path = new_path(self._videos, "recording", ".mp4")
-        self._recorder = Recorder(self._path, size)
-        self._began_s = now
+        self._recorder = Recorder(self._path, size, self._begin_sound)
         return f"Recording into {self._path.name}"
 
     def write(self, image: Image, now: float) -> str:
@@ -111,7 +121,7 @@ class CapturesOnDisk:
         if self._recorder is None:
             return ""
         try:
-            self._recorder.write(image, now - self._began_s)
+            self._recorder.write(image, now)
         except OptionError:
             self._recorder = None
             raise

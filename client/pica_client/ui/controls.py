@@ -11,7 +11,7 @@ closer, and a click pins a head.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum, auto
 from typing import Literal
@@ -21,18 +21,22 @@ from pica_client.ui.events import (
     CloseWanted,
     InputEvent,
     KeyPressed,
+    KeyReleased,
     MouseMoved,
     MousePressed,
     MouseReleased,
     Scrolled,
 )
 from pica_client.ui.settings import OwnChoice, Settings
+from pica_client.voice.sound.settings import SoundSettings
 
 CLICK_PX = 5.0
 """A press that moves less than this before it is let go is a click."""
 KEY_ORBIT_PX = 40.0
 """An arrow key drags the view by so many pixels."""
 MAX_PINNED_BY_KEY = 9
+TALK_KEY = "Space"
+"""Held to be heard, where the settings say so."""
 
 LAYOUT_TITLES: dict[Layout, str] = {
     "line": "Line",
@@ -76,6 +80,7 @@ class Order(Enum):
     """Say what to do for a face that can be muted."""
     EXPLAIN_NO_VOICE = auto()
     """The same for a voice."""
+    TEST_SOUND = auto()
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +106,16 @@ class CopyText:
     notice: str = "Copied"
 
 
-UserOrder = Order | Pin | ChooseLayout | CopyText | Settings | OwnChoice
+@dataclass(frozen=True, slots=True)
+class SetVolume:
+    """Make somebody louder or softer here; 1 is as sent, 0 mutes."""
+
+    place: int
+    """Who is meant; see `Pin`."""
+    volume: float
+
+
+UserOrder = Order | SetVolume | SoundSettings | Pin | ChooseLayout | CopyText | Settings | OwnChoice
 
 OwnFace = Literal["none", "sent", "frozen", "muted"]
 """What becomes of the user's own face. none: there is none to send; frozen: the last expression
@@ -125,12 +139,22 @@ class ControlState:
     asks_to_leave: bool = False
     own_face: OwnFace = "none"
     own_voice: OwnVoice = "none"
+    is_talking: bool = False
+    """Whether the key to talk is held."""
+    sound: SoundSettings = field(default_factory=SoundSettings)
+    volumes: Mapping[int, float] = field(default_factory=dict)
+    """How loud people are here, by place; who is missing is as loud as sent."""
     settings: Settings = field(default_factory=Settings)
     choice: OwnChoice = field(default_factory=OwnChoice)
     """The name, avatar and source that the user wants; a name or avatar only after coming again."""
     shows_hint: bool = False
     """Whether what one needs to know in the first call is shown."""
     wants_close: bool = False
+
+    @property
+    def is_heard(self) -> bool:
+        """Whether one's own voice is to be sent now."""
+        return self.own_voice == "sent" and (self.is_talking or not self.sound.push_to_talk)
 
 
 Change = Callable[[ControlState], ControlState]
@@ -249,6 +273,7 @@ def help_lines(own_face: OwnFace = "none") -> tuple[tuple[str, str], ...]:
         for binding in BINDINGS
         if binding.title and not (binding.needs_own_face and own_face == "none")
     ]
+    keys.insert(0, (TALK_KEY, "hold to talk, if set so"))
     pointer = [
         ("drag, arrows", "look around"),
         ("wheel", "come closer, go back"),
@@ -292,6 +317,8 @@ class Controls:
         match event:
             case KeyPressed():
                 self._press_key(event, places)
+            case KeyReleased(key=key) if key == TALK_KEY:
+                self.state = replace(self.state, is_talking=False)
             case Scrolled(steps=steps) if math.isfinite(steps):
                 self.state = _zoom(steps)(self.state)
             case MousePressed(x_px=x, y_px=y, button=0):
@@ -317,6 +344,11 @@ class Controls:
                 self.state = replace(self.state, layout=layout, view=ViewState())
             case Settings():
                 self.state = replace(self.state, settings=order)
+            case SoundSettings():
+                self.state = replace(self.state, sound=order)
+            case SetVolume(place=place, volume=volume):
+                volumes = {**self.state.volumes, place: volume}
+                self.state = replace(self.state, volumes=volumes)
             case OwnChoice():
                 self.state = replace(self.state, choice=order)
                 self._orders.append(order)
@@ -337,6 +369,9 @@ class Controls:
     def _press_key(self, event: KeyPressed, places: Sequence[int]) -> None:
         if event.has_control:
             return  # the desktop's own
+        if event.key == TALK_KEY:
+            self.state = replace(self.state, is_talking=True)
+            return
         if event.key.isdecimal() and event.key != "0":
             number = int(event.key)
             if not event.is_repeat and number <= len(places):

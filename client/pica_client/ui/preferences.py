@@ -16,6 +16,7 @@ from pica_client.output import say
 from pica_client.render.seats import LAYOUTS, Layout
 from pica_client.ui.settings import Settings
 from pica_client.user_folders import make_private, preferences_folder
+from pica_client.voice.sound.settings import SoundSettings
 from pica_core.files import replacing
 
 FILE_NAME = "preferences.json"
@@ -33,6 +34,7 @@ class Preferences:
     layout: Layout = "arc"
     show_statistics: bool = False
     settings: Settings = field(default_factory=Settings)
+    sound: SoundSettings = field(default_factory=SoundSettings)
     has_seen_hint: bool = False
     """Whether what one needs to know in the first call was dismissed."""
     window_size: tuple[int, int] = DEFAULT_SIZE
@@ -52,6 +54,8 @@ class Preferences:
     """The user's own, by name or file; empty takes one by the name."""
     source: str | None = None
     """What plays the user's face; empty only watches, None has not been chosen yet."""
+    voice: str | None = None
+    """Whose voice is sent; None has not been chosen yet."""
 
     def __post_init__(self) -> None:
         if self.layout not in LAYOUTS:
@@ -64,10 +68,10 @@ class Preferences:
             type(side) is int and MIN_SIDE <= side <= MAX_SIDE for side in sides
         ):
             raise ValueError(f"window_size is {sides!r}; two of {MIN_SIDE} to {MAX_SIDE}")
-        texts = ("url", "room", "name", "keep_in", "ca_file", "secret_file", "avatar", "source")
-        for name in texts:
+        texts = ("url", "room", "name", "keep_in", "ca_file", "secret_file", "avatar")
+        for name in (*texts, "source", "voice"):
             value = getattr(self, name)
-            if name == "source" and value is None:
+            if name not in texts and value is None:
                 continue
             if not isinstance(value, str) or len(value) > MAX_TEXT or not value.isprintable():
                 raise ValueError(f"{name} is no text of up to {MAX_TEXT} characters")
@@ -135,14 +139,15 @@ def _from_json(content: Any) -> Preferences:
         raise ValueError("it holds no object")
     known = {field.name for field in fields(Preferences)}
     values = {name: value for name, value in content.items() if name in known}
-    settings = values.get("settings", {})
-    if not isinstance(settings, dict):
-        raise ValueError("settings is no object")
-    kinds = {field.name for field in fields(Settings)}
-    try:
-        values["settings"] = Settings(**{k: v for k, v in settings.items() if k in kinds})
-    except OptionError as error:
-        raise ValueError(str(error)) from error
+    for name, kind in (("settings", Settings), ("sound", SoundSettings)):
+        part = values.get(name, {})
+        if not isinstance(part, dict):
+            raise ValueError(f"{name} is no object")
+        kinds = {field.name for field in fields(kind)}
+        try:
+            values[name] = kind(**{k: v for k, v in part.items() if k in kinds})
+        except OptionError as error:
+            raise ValueError(str(error)) from error
     size = values.get("window_size")
     if size is not None:
         if not isinstance(size, list):

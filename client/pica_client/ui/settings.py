@@ -43,3 +43,5 @@ class OwnChoice:
     """A name or a file; empty goes by the name."""
     source: str = ""
     """What plays it, for `sources.open_source`; empty only watches."""
+    voice: str = "none"
+    """Whose voice is sent, for `voice.source.open_voice`."""

@@ -30,9 +30,10 @@ from pica_client.ui.settings import OwnChoice
 from pica_client.ui.viewer import Viewer
 from pica_client.ui.viewer_options import ViewerOptions
 from pica_client.ui.window import Window
-from pica_client.voice.hearing import Hearing
 from pica_client.voice.opus import available
 from pica_client.voice.publisher import VoicePublisher
+from pica_client.voice.sound.hearing import Hearing
+from pica_client.voice.sound.process import SoundProcess
 from pica_client.voice.source import open_voice
 from pica_protocol.limits import MAX_PEERS
 
@@ -58,8 +59,8 @@ class ViewConfig:
     """How long to draw; 0 is until stopped."""
     voice: str = "none"
     """Whose voice is sent; see `pica_client.voice.source.open_voice`."""
-    speaker: str = ""
-    """The loudspeaker; ``none`` plays without a sound, ``off`` hears nobody."""
+    hears: bool = True
+    """Whether voices are played."""
     expect: int = 0
     """Begin to draw once this many peers are seen."""
     expect_timeout_s: float = 30.0
@@ -102,6 +103,7 @@ class View:
         choice: FaceChoice | None = None,
         window: Window | None = None,
         waiting: Callable[[], bool] | None = None,
+        sound: SoundProcess | None = None,
     ) -> None:
         """Check what can be checked before anybody is there.
 
@@ -112,6 +114,7 @@ class View:
             choice: What it was made of.
             window: To show it in, which stays open; by default a new one.
             waiting: Called again and again until we are in the room; False gives up.
+            sound: Plays and captures, and goes on afterwards; by default a new one.
 
         Raises:
             OptionError: A file or folder that is to be written cannot be.
@@ -133,15 +136,23 @@ class View:
         self._publisher = None if face is None else face.publisher
         choice = choice or FaceChoice(source="")
         self._entered_as = OwnChoice(
-            name=config.link.name, avatar=choice.avatar or "", source=choice.source
+            name=config.link.name,
+            avatar=choice.avatar or "",
+            source=choice.source,
+            voice=config.voice,
         )
         self.wanted: OwnChoice | None = None
         self._window = window
         self._waiting = waiting
         self.was_cancelled = False
         doing = "looking into" if face is None else f"in, as {config.link.name},"
-        self._hearing, self._trouble = self._make_hearing(), ""
-        voice = open_voice(config.voice)
+        self._own_sound = SoundProcess(config.viewer.sound) if sound is None else None
+        sound = sound or self._own_sound
+        assert sound is not None
+        voice = sound if config.voice == "mic" else open_voice(config.voice)
+        self._hearing, self._trouble = self._make_hearing(sound), ""
+        has_sound = self._hearing is not None or voice is sound
+        self._sound = sound if has_sound else None
         is_sealed = config.link.secret_file is not None
         self._receiver = Receiver(
             config.link,
@@ -183,8 +194,8 @@ class View:
         config = self._config
         self._say_recording(config.viewer.record is not None)
         with self._receiver, ExitStack() as stack:
-            if self._hearing is not None:
-                stack.enter_context(self._hearing.playing())
+            if self._own_sound is not None:
+                stack.callback(self._own_sound.close)
             self._wait_for_peers()
             if self.was_cancelled:
                 return dict(NOTHING_SHOWN)
@@ -200,7 +211,7 @@ class View:
                 status=CallMonitor(self._receiver).status,
                 on_decoded=self._note_decode if config.frame_log is not None else None,
                 desk=desk,
-                sound=CallSound(self._receiver.voice, self._hearing),
+                sound=CallSound(self._receiver.voice, self._sound),
                 on_rejoin=self._come_again,
                 on_recording=self._say_recording,
                 window=self._window,
@@ -237,19 +248,19 @@ class View:
         }
 
     def _say_trouble(self) -> None:
-        """Say once what is wrong with the loudspeaker."""
-        note = "" if self._hearing is None else self._hearing.loudspeaker.state.note
+        """Say once what is wrong with a device."""
+        note = "" if self._sound is None else self._sound.state.trouble
         if note and note != self._trouble:
             say(note)
         self._trouble = note
 
-    def _make_hearing(self) -> Hearing | None:
-        if self._config.speaker == "off":
+    def _make_hearing(self, sound: SoundProcess) -> Hearing | None:
+        if not self._config.hears:
             return None
         if (trouble := available()) is not None:
             say(f"a call without sound: {trouble}")
             return None
-        return Hearing(self._call, self._config.speaker)
+        return Hearing(self._call, sound)
 
     def _make_fetcher(self, library: AvatarLibrary) -> AvatarFetcher:
         config = self._config

@@ -5,7 +5,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,16 +18,21 @@ from pica_client.transport.config import LinkConfig
 from pica_client.ui.joining.form import Fields, JoinForm
 from pica_client.ui.preferences import Preferences, PreferencesFile
 from pica_client.ui.view import NOTHING_SHOWN, View, ViewConfig
+from pica_client.voice.opus import available
+from pica_client.voice.sound.process import SoundProcess
+from pica_client.voice.sound.settings import SoundSettings
 from pica_core.errors import AvatarFileError
 from pica_protocol.invite import parse_link
 
 DEFAULT_URL = "ws://127.0.0.1:8765"
 DEFAULT_ROOM = "lobby"
 DEFAULT_NAME = "viewer"
+MICROPHONE = "mic"
+"""The voice of who joins by the form, until they choose another; see `voice.source.open_voice`."""
 
 JOINING_ERRORS = (RelayError, SourceError, AvatarLookupError, AvatarFileError, OptionError)
 """What can be mended at the form."""
-KEPT_FIELDS = ("ca_file", "secret_file", "avatar", "source")
+KEPT_FIELDS = ("ca_file", "secret_file", "avatar", "source", "voice")
 
 Stopping = Callable[[Callable[[], None]], AbstractContextManager[None]]
 """Makes a signal call what it is given, for the length of a block."""
@@ -45,6 +50,8 @@ class Destination:
     secret_file: str = ""
     avatar: str = ""
     source: str = ""
+    voice: str | None = None
+    sound: SoundSettings = field(default_factory=SoundSettings)
 
     @classmethod
     def invited(cls, link: str) -> "Destination":
@@ -71,6 +78,8 @@ class Destination:
                 for name in ("ca_file", "secret_file", "avatar")
             },
             source=self.source if preferences.source is None else preferences.source,
+            voice=self.voice or preferences.voice or MICROPHONE,
+            sound=self.sound,
         )
 
     def link(self, base: LinkConfig) -> LinkConfig:
@@ -124,7 +133,7 @@ def look(
             _keep(kept, config, looking)
         if wanted is None:
             return result
-        config = replace(config, link=replace(config.link, name=wanted.name))
+        config = replace(config, link=replace(config.link, name=wanted.name), voice=wanted.voice)
         face = replace(face, source=wanted.source, avatar=wanted.avatar or None)
 
 
@@ -148,10 +157,13 @@ def ask_and_look(
 
     with ExitStack() as stack:
         window = stack.enter_context(Window(config.viewer.title, config.viewer.size))
-        lobby = stack.enter_context(Lobby(window, library))
+        sound = None if available() else stack.enter_context(closing(SoundProcess()))
+        lobby = stack.enter_context(Lobby(window, library, sound))
         pool = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="own-face"))
         while lobby.ask(form):
-            stay, chosen = replace(config, link=form.link()), form.face(face)
+            typed, chosen = form.fields, form.face(face)
+            viewer = replace(config.viewer, sound=typed.sound)
+            stay = replace(config, link=form.link(), viewer=viewer, voice=typed.voice)
             try:
                 opening = pool.submit(open_own_face, chosen, stay.link, library, say)
                 if not lobby.wait("Getting your avatar …", opening.done):
@@ -163,6 +175,7 @@ def ask_and_look(
                     face=opening.result(),
                     choice=chosen,
                     window=window,
+                    sound=sound,
                     waiting=lambda: lobby.show_waiting("Connecting …"),
                 )
                 with stopping(looking.stop):
@@ -211,6 +224,7 @@ def _keep(
             layout=before.layout if state is None else state.layout,
             show_statistics=before.show_statistics if state is None else state.show_statistics,
             settings=before.settings if state is None else state.settings,
+            sound=before.sound if state is None else state.sound,
             has_seen_hint=before.has_seen_hint or (state is not None and not state.shows_hint),
             window_size=looking.last_window_size or before.window_size,
             url=config.link.url,

@@ -124,6 +124,7 @@ class Viewer:
                 own_voice=self._sound.own_voice,
                 choice=self.options.entered_as,
                 settings=self.options.settings,
+                sound=self.options.sound,
                 shows_hint=self.options.shows_hint,
             )
         )
@@ -156,9 +157,10 @@ class Viewer:
                 avatars=self.options.avatars,
             )
             stack.callback(self._surface.close)
-            self._recording = Recording(self.options.record, size, self.outputs)
+            begin_sound = self._sound.begin_track
+            self._recording = Recording(self.options.record, size, self.outputs, begin_sound)
             stack.callback(self._recording.close)
-            self._captures = CapturesOnDisk(self.options.keep_in)
+            self._captures = CapturesOnDisk(self.options.keep_in, begin_sound)
             stack.callback(lambda: self.outputs.attempt(self._captures.close))
             self._pool = stack.enter_context(
                 DecodePool(self.options.decode, self._make_decoder, self._clock)
@@ -254,12 +256,15 @@ class Viewer:
             self.controls.state,
             is_recording=self._recording.is_going or self._captures.is_recording,
             own=self._draw_own(now),
+            sound=self._sound.state(),
         )
         for order in orders:
             self.controls.obey(order)
         if self._own_face is not None:
             self._own_face.tell(self.controls.state.own_face)
-        self._sound.tell(self.controls.state.own_voice)
+        trouble = self._sound.follow(self.controls.state, self._surface.participants, now)
+        if trouble:
+            self._surface.notice(trouble, now)
         begin_s = self._clock()
         # What a frame cost is known some frames later, when the GPU is done with it.
         drawn = _DrawnFrame(plan.shaded_px)
@@ -278,7 +283,7 @@ class Viewer:
             self._on_recording(is_recording)
         if is_recording:
             shown = self._renderer.read_image() if image is None else image
-            self._recording.write(shown, now - self._started_s)
+            self._recording.write(shown, now)
             self._keep(lambda: self._captures.write(shown, now))
         if self._window is not None:
             self._window.show(self._show)
@@ -418,7 +423,7 @@ class Viewer:
             case Order.SCREENSHOT:
                 self._keep(lambda: self._captures.save_picture(self._renderer.read_image()))
             case Order.TOGGLE_RECORDING:
-                self._keep(lambda: self._captures.toggle_recording(self._renderer.size, now))
+                self._keep(lambda: self._captures.toggle_recording(self._renderer.size))
             case Order.TOGGLE_FULL_SCREEN:
                 if self._window is not None:
                     self._window.toggle_full_screen()
@@ -427,7 +432,11 @@ class Viewer:
                     "You show no face: choose a face source in the settings (--send)", now
                 )
             case Order.EXPLAIN_NO_VOICE:
-                self._surface.notice("You send no voice: begin with --voice mic", now)
+                self._surface.notice(
+                    "You send no voice: choose a microphone in the settings (--voice mic)", now
+                )
+            case Order.TEST_SOUND:
+                self._sound.play_test()
             case Order.REJOIN:
                 if trouble := self._on_rejoin(self.controls.state.choice):
                     self._surface.notice(trouble, now)

@@ -11,6 +11,7 @@ from pica_client.render.seats import Layout
 from pica_client.render.stereo import MAX_EYE_DISTANCE_M
 from pica_client.schedule.scheduler import SchedulerOptions
 from pica_client.ui.settings import OwnChoice, Settings
+from pica_client.voice.sound.settings import SoundSettings
 
 BUDGET_SHARE = 0.8
 """Part of the time between two frames: the rest is for texts, the window system and recording."""
@@ -43,6 +44,8 @@ class ViewerOptions:
     """Above 0 the picture is side by side for two eyes so far apart, metres."""
     settings: Settings = field(default_factory=Settings)
     """What the user has set, at first."""
+    sound: SoundSettings = field(default_factory=SoundSettings)
+    """What the user has set of sound, at first."""
     shows_hint: bool = False
     """Whether what one needs to know in the first call is shown."""
     entered_as: OwnChoice = field(default_factory=OwnChoice)

@@ -27,6 +27,7 @@ where it stopped and is then spoken faster, as long as it is not `leap_s` behind
 
 from bisect import bisect_left
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Protocol
@@ -41,6 +42,7 @@ from pica_client.voice.comfort_noise import LOUDEST, ComfortNoise
 from pica_client.voice.packet import FRAME_S, VoicePacket
 from pica_client.voice.packet import FRAME_SAMPLES as FRAME
 from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
+from pica_client.voice.sound.settings import Moment
 from pica_core.codec.latent_sample import ReceivedFrame
 from pica_core.types import Array, Float64Array, FloatArray
 from pica_protocol.frames import Frame
@@ -62,6 +64,16 @@ FLOOR_RISE = 1.01
 """How much the noise floor may rise with each frame: threefold in two seconds."""
 HISTORY = 64
 """Ticks whose moment is known: 1.3 s, more than a loudspeaker's latency."""
+
+
+def moment_at(history: Sequence[Moment], now: float) -> int | None:
+    """The moment of a voice that leaves the loudspeaker at `now`, sender's clock, microseconds;
+    None while there is none. The history has what was mixed in the order of leaving."""
+    for leaves_s, first, last in reversed(history):
+        if leaves_s <= now:
+            share = min((now - leaves_s) / FRAME_S, 2.0)
+            return round(first + share * (last - first))
+    return None
 
 
 class Decoder(Protocol):
@@ -172,8 +184,7 @@ class JitterBuffer:
         self._offset_us = 0.0
         self.moments_us: Float64Array = np.zeros(FRAME)
         self._last_arrival_s = -np.inf
-        # (leaves the loudspeaker, first moment, last moment), microseconds of the sender's clock.
-        self._history: deque[tuple[float, float, float]] = deque(maxlen=HISTORY)
+        self._history: deque[Moment] = deque(maxlen=HISTORY)
 
     def receive(self, packet: VoicePacket, now: float) -> None:
         """Take a packet that arrived at `now`."""
@@ -225,11 +236,12 @@ class JitterBuffer:
         """
         if now - self._last_arrival_s > SILENT_S:
             return None
-        for leaves_s, first, last in reversed(self._history):
-            if leaves_s <= now:
-                share = min((now - leaves_s) / FRAME_S, 2.0)
-                return round(first + share * (last - first))
-        return None
+        return moment_at(self._history, now)
+
+    @property
+    def latest(self) -> Moment | None:
+        """What `pull` gave last; None before a packet came."""
+        return self._history[-1] if self._history else None
 
     def report(self) -> JitterBufferReport:
         """Counters since the voice began, and how it stands; do not change it."""

@@ -14,14 +14,13 @@ import numpy as np
 from pica_client.voice.dominant import VoiceActivity, dominant
 from pica_client.voice.jitter_buffer import Decoder, JitterBuffer, JitterBufferConfig
 from pica_client.voice.level import level_of
-from pica_client.voice.packet import FRAME_SAMPLES, VoicePacket
+from pica_client.voice.packet import FRAME_SAMPLES, MAX_LEVEL, VoicePacket
+from pica_client.voice.sound.settings import MAX_VOLUME, Moment
 from pica_client.voice.spatial import Placed
 from pica_core.types import Array, FloatArray
 
 MAX_VOICES = 64
 """People who are heard at most; more are counted, and refused."""
-MAX_VOLUME = 4.0
-"""Loudest that somebody can be made: 12 dB."""
 LIMIT_FROM = 0.7
 """Above it the sum is bent rather than cut."""
 
@@ -40,6 +39,8 @@ class VoiceMixer:
     """Hears everybody.
 
     Attributes:
+        volume: Of all voices, 0 to `MAX_VOLUME`.
+        level: Of the last mix, as `VoicePacket.level`.
         is_spatial: Whether each voice comes from its seat, rather than all from the middle.
         refused: Packets of people beyond `MAX_VOICES`.
         on_mixed: Is given each mixed frame with the time it leaves the loudspeaker, as for a
@@ -49,6 +50,7 @@ class VoiceMixer:
     def __init__(
         self, make_decoder: Callable[[], Decoder], config: JitterBufferConfig | None = None
     ) -> None:
+        self.volume, self.level = 1.0, MAX_LEVEL
         self.is_spatial = True
         self.refused = 0
         self.on_mixed: Callable[[FloatArray, float], None] | None = None
@@ -109,7 +111,8 @@ class VoiceMixer:
                 mixed += volume * voice.placed.place(sound, azimuth)
             activities = {peer_id: voice.activity for peer_id, voice in self._voices.items()}
             self._dominant = dominant(activities, self._dominant)
-        limited = limit(mixed).astype(np.float32)
+        limited = limit(self.volume * mixed).astype(np.float32)
+        self.level = level_of(limited)
         if self.on_mixed is not None:
             self.on_mixed(limited, now + latency_s)
         return limited
@@ -119,6 +122,12 @@ class VoiceMixer:
         with self._lock:
             voice = self._voices.get(peer_id)
             return None if voice is None else voice.buffer.heard_us(now)
+
+    def moments(self) -> dict[str, Moment]:
+        """What was mixed last of each voice that can be heard."""
+        with self._lock:
+            found = {peer_id: voice.buffer.latest for peer_id, voice in self._voices.items()}
+        return {peer_id: moment for peer_id, moment in found.items() if moment is not None}
 
     def levels(self) -> dict[str, int]:
         """How loud each voice was in the last 20 ms: decibels below full scale, 0 to 127."""

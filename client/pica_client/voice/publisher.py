@@ -3,10 +3,12 @@ each.
 
 While it is muted, or its speaker silent, nothing is sent. A mute lets the frame that was begun go
 out, and then one of nothing, which brings out what the encoder held back; nothing that was captured
-later leaves this machine or is kept on it.
+later leaves this machine or is kept on it. Push-to-talk differs: there the last `PREROLL_FRAMES`
+are held while the key is up, and go out, in front of what follows, once it is pressed.
 """
 
 import asyncio
+from collections import deque
 from collections.abc import AsyncIterator, Callable
 from typing import Any, Final, Protocol
 
@@ -28,6 +30,8 @@ from pica_protocol.messages import Joined, StreamMuted
 from pica_protocol.session import ClientEvent
 
 DEFAULT_BITRATE_BPS: Final = 24_000
+PREROLL_FRAMES: Final = 6
+"""What is sent of the time before a key was pressed to talk: 120 ms (chosen: three pictures)."""
 _NOTHING: Final = np.zeros(FRAME_SAMPLES, np.float32)
 _GAP_US: Final = FRAME_US // 2
 """Between the end of a packet and the beginning of the next; more is a silence."""
@@ -52,7 +56,8 @@ class VoicePublisher:
         is_muted: Whether its owner has muted it; `set_muted` changes it.
         is_muted_by_admin: Whether an admin has stopped the stream.
         level: Of the last frame that was captured for sending, as `VoicePacket.level`; None: muted.
-        on_sound: Takes what is captured and not muted: samples, and when the first was captured.
+        listeners: Take what is captured and not muted: samples, and when the first was captured.
+        keeps_preroll: Whether a mute is the key of push-to-talk, which was not pressed yet.
     """
 
     def __init__(
@@ -76,7 +81,9 @@ class VoicePublisher:
         self.track = voice_track()
         self.is_muted = self.is_muted_by_admin = False
         self.level: int | None = None
-        self.on_sound: Callable[[FloatArray, int], None] | None = None
+        self.listeners: list[Callable[[FloatArray, int], None]] = []
+        self.keeps_preroll = False
+        self._preroll: deque[tuple[FloatArray, int]] = deque(maxlen=PREROLL_FRAMES)
         self._source = source
         self._encoder = OpusEncoder(bitrate, is_constant=is_sealed)
         self._stream = 0
@@ -110,20 +117,30 @@ class VoicePublisher:
 
     def send(self, link: Link, pcm: FloatArray, captured_us: int) -> None:
         """Send the next 20 ms, unless there is nothing to say, or nobody to say it to."""
-        reason = VOICE_MUTED if self.is_muted else ""
+        is_muted = self.is_muted  # another thread may change it meanwhile
+        reason = VOICE_MUTED if is_muted else ""
         if reason != self._told:
             self._told = reason
             link.describe(VOICE_KEY, reason)
-        if self.is_muted and self._was_muted:
+        if is_muted and self._was_muted:
             self.level = None
+            if self.keeps_preroll:
+                self._preroll.append((pcm, captured_us))
+            else:
+                self._preroll.clear()
             return
-        if self.is_muted:
-            pcm = _NOTHING
-        elif self._was_muted:
+        frames = [(_NOTHING if is_muted else pcm, captured_us)]
+        if not is_muted and self._was_muted:
             self._encoder.reset()
-        if not self.is_muted and self.on_sound is not None:
-            self.on_sound(pcm, captured_us)
-        self._was_muted = self.is_muted
+            frames = [*self._preroll, *frames]
+            self._preroll.clear()
+        self._was_muted = is_muted
+        for frame in frames:
+            for listen in () if is_muted else tuple(self.listeners):
+                listen(*frame)
+            self._send(link, *frame, is_last=is_muted)
+
+    def _send(self, link: Link, pcm: FloatArray, captured_us: int, *, is_last: bool) -> None:
         if not link.is_joined:
             self._begun.clear()
             self._unheard += 1
@@ -134,7 +151,7 @@ class VoicePublisher:
         if not self._begun:
             self._begun_us = captured_us
         self._begun.append(pcm)
-        if self.is_muted or len(self._begun) == PACKET_FRAMES:
+        if is_last or len(self._begun) == PACKET_FRAMES:
             self._send_packet(link)
 
     def _send_packet(self, link: Link) -> None:

@@ -3,17 +3,19 @@
 import asyncio
 import math
 from collections.abc import AsyncIterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from pica_client.errors import OptionError
+from pica_client.errors import OptionError, VoiceError
 from pica_client.transport.timers import wait_until
-from pica_client.voice.devices import Microphone
 from pica_client.voice.packet import FRAME_S, FRAME_SAMPLES
 from pica_client.voice.publisher import VoiceSource
+from pica_client.voice.sound.devices import Microphone
+from pica_client.voice.sound.echo import EchoCanceller
 from pica_client.voice.wav import read_wav, shipped_speech
 from pica_core.types import FloatArray
 
@@ -68,12 +70,13 @@ class SoundSource:
             index += 1 + (math.floor(late) if late * FRAME_S > _LATEST_S else 0)
 
 
-def open_voice(text: str) -> VoiceSource | None:
+def open_voice(text: str, *, cleans: bool = True) -> VoiceSource | None:
     """Open what the option ``--voice`` names; None: no voice.
 
     Args:
         text: ``none``; ``speech``, the sentences that ship, or ``speech#K/N``, the K-th of N who
             take turns with them; ``mic``, the system's microphone, or ``mic:NAME``; or a WAV file.
+        cleans: Whether to take noise out of a microphone, where the extra ``echo`` is installed.
 
     Raises:
         OptionError: It is a turn that cannot be.
@@ -83,7 +86,10 @@ def open_voice(text: str) -> VoiceSource | None:
         return None
     kind, _, device = text.partition(":")
     if kind == "mic":
-        return Microphone(device)
+        microphone = Microphone(device)
+        with suppress(VoiceError):
+            microphone.clean = EchoCanceller().clean if cleans else None
+        return microphone
     name, mark, turns = text.partition("#")
     if name != "speech":
         return SoundSource(read_wav(Path(text)))

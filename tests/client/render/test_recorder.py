@@ -10,6 +10,8 @@ from PIL import Image
 
 from pica_client.errors import OptionError
 from pica_client.render.recorder import Recorder, save_png
+from pica_client.voice.packet import FRAME_SAMPLES, SAMPLE_RATE_HZ
+from pica_client.voice.sound.soundtrack import Soundtrack
 
 av = pytest.importorskip("av")
 pytestmark = pytest.mark.unit
@@ -113,3 +115,47 @@ def test_a_full_disk_ends_the_recording_with_its_name(num_frames: int) -> None:
         record()
     recorder.write(noise, num_frames / 30)
     recorder.close()
+
+
+def test_sound_is_in_step_with_the_pictures(tmp_path: Path) -> None:
+    track, begin_s, seconds, fps = Soundtrack(), 100.0, 4.0, 30
+    chance = np.random.default_rng(3)
+
+    def tone(hertz: float, from_s: float, at_s: float) -> np.ndarray:
+        times = at_s + np.arange(FRAME_SAMPLES) / SAMPLE_RATE_HZ
+        sound = 0.4 * np.sin(2 * np.pi * hertz * times) * (times >= from_s)
+        return sound.astype(np.float32)
+
+    path = tmp_path / "call.mp4"
+    with Recorder(path, (64, 48), lambda: track) as recorder:
+        sent = 0
+        for picture in range(round(seconds * fps)):
+            now = begin_s + picture / fps
+            shade = 255 if 101.0 <= now < 102.0 else 0
+            recorder.write(np.full((48, 64, 3), shade, np.uint8), now)
+            while (at_s := begin_s + 0.02 * sent) < now + 0.1:
+                sent += 1
+                both = np.stack([tone(1000.0, 101.0, at_s)] * 2, axis=1)
+                # A loudspeaker takes its frames early or late; what is sent comes after its time.
+                track.add("others", both, at_s + chance.uniform(-0.01, 0.01))
+                track.add("own", tone(440.0, 102.5, at_s - 0.04), at_s - 0.04)
+
+    with av.open(str(path)) as container:
+        pictures = [
+            (frame.time, frame.to_ndarray(format="gray").mean())
+            for frame in container.decode(video=0)
+        ]
+    with av.open(str(path)) as container:
+        frames = list(container.decode(audio=0))
+        first_s = frames[0].time
+        sound = np.concatenate([frame.to_ndarray()[0] for frame in frames])
+        rate = container.streams.audio[0].rate
+    flash_s = next(time_s for time_s, shade in pictures if shade > 100)
+    onset_s = first_s + np.argmax(np.abs(sound) > 0.1) / rate
+    assert abs(onset_s - flash_s) <= 1 / fps
+    assert first_s + len(sound) / rate == pytest.approx(seconds, abs=1 / fps)
+    for begin, end, peaks in ((1.2, 2.2, {1000}), (2.8, 3.8, {440, 1000})):
+        piece = sound[round(begin * rate) : round(end * rate)]
+        spectrum = np.abs(np.fft.rfft(piece * np.hanning(len(piece))))
+        loud = set(np.flatnonzero(spectrum > 0.5 * spectrum.max()) * rate // len(piece))
+        assert {round(hertz, -1) for hertz in map(int, loud)} == peaks

@@ -38,11 +38,11 @@ def test_the_folder_is_made_when_it_is_needed(tmp_path: Path) -> None:
 def test_a_recording_begins_and_ends_by_the_same_key(tmp_path: Path) -> None:
     av = pytest.importorskip("av")
     with CapturesOnDisk(tmp_path) as captures:
-        assert captures.toggle_recording((64, 48), 100.0) == "Recording into recording-0001.mp4"
+        assert captures.toggle_recording((64, 48)) == "Recording into recording-0001.mp4"
         assert captures.is_recording
         for step in range(4):
             captures.write(GREY, 100.0 + 0.1 * step)
-        assert captures.toggle_recording((64, 48), 101.0).startswith("Saved recording-0001.mp4")
+        assert captures.toggle_recording((64, 48)).startswith("Saved recording-0001.mp4")
         assert not captures.is_recording
     with av.open(str(tmp_path / "recording-0001.mp4")) as container:
         assert sum(1 for _ in container.decode(video=0)) == 4
@@ -51,7 +51,7 @@ def test_a_recording_begins_and_ends_by_the_same_key(tmp_path: Path) -> None:
 def test_a_recording_under_way_is_finished_at_the_end(tmp_path: Path) -> None:
     av = pytest.importorskip("av")
     with CapturesOnDisk(tmp_path) as captures:
-        captures.toggle_recording((64, 48), 0.0)
+        captures.toggle_recording((64, 48))
         captures.write(GREY, 0.0)
     with av.open(str(tmp_path / "recording-0001.mp4")) as container:
         assert sum(1 for _ in container.decode(video=0)) == 1

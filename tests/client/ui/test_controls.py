@@ -22,6 +22,7 @@ from pica_client.ui.events import (
     CloseWanted,
     InputEvent,
     KeyPressed,
+    KeyReleased,
     MouseMoved,
     MousePressed,
     MouseReleased,
@@ -30,6 +31,7 @@ from pica_client.ui.events import (
 )
 from pica_client.ui.settings import Settings
 from pica_client.ui.window import KEY_NAMES
+from pica_client.voice.sound.settings import SoundSettings
 
 pytestmark = pytest.mark.unit
 
@@ -63,9 +65,25 @@ def test_the_window_knows_every_key_that_means_something() -> None:
     assert {str(number) for number in range(10)} <= known
 
 
+def test_the_key_to_talk_is_held() -> None:
+    controls = Controls(ControlState(own_voice="sent", sound=SoundSettings(push_to_talk=True)))
+    heard = []
+    for event in (KeyPressed("Space"), KeyPressed("Space", is_repeat=True), KeyReleased("Space")):
+        heard.append(controls.state.is_heard)
+        controls.receive(event)
+    assert [*heard, controls.state.is_heard] == [False, True, True, False]
+    controls.receive(KeyPressed("T"))
+    controls.receive(KeyPressed("Space"))
+    assert not controls.state.is_heard  # who has muted oneself is not heard by a key
+    controls.obey(SoundSettings())
+    controls.receive(KeyReleased("Space"))
+    controls.receive(KeyPressed("T"))
+    assert controls.state.is_heard
+
+
 def test_every_order_is_given_by_a_key_or_by_a_button_or_explains_one() -> None:
     by_key = {binding.order for binding in BINDINGS}
-    by_button = {Order.STAY, Order.LEAVE, Order.DISMISS_HINT, Order.REJOIN}
+    by_button = {Order.STAY, Order.LEAVE, Order.DISMISS_HINT, Order.REJOIN, Order.TEST_SOUND}
     explained = {Order.EXPLAIN_NO_FACE, Order.EXPLAIN_NO_VOICE}
     assert set(Order) - by_key == by_button | explained
 

@@ -17,10 +17,13 @@ from pica_client.ui.preferences import (
     without_secrets,
 )
 from pica_client.ui.settings import Settings
+from pica_client.voice.sound.settings import SoundSettings
 
 pytestmark = pytest.mark.unit
 
 KEPT = Preferences(
+    sound=SoundSettings(speaker="Horn", volume=0.5, push_to_talk=True),
+    voice="mic",
     layout="table",
     show_statistics=True,
     window_size=(1280, 720),

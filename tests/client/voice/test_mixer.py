@@ -132,7 +132,7 @@ def test_a_cough_and_a_noisy_room_take_nothing_over():
 
 def test_an_echo_of_what_is_played_is_taken_out_of_the_microphone():
     pytest.importorskip("livekit", reason="extra echo")
-    from pica_client.voice.echo import EchoCanceller
+    from pica_client.voice.sound.echo import EchoCanceller
     from pica_client.voice.wav import shipped_speech
 
     speech = shipped_speech()[: 4 * SAMPLE_RATE_HZ]

@@ -6,7 +6,7 @@ form.obey(JoinOrder.JOIN)
 form.outcome                    # "join" once the fields can be right
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum, auto
 from pathlib import Path
 from typing import Literal
@@ -16,6 +16,7 @@ from pica_client.publish.own_face import FaceChoice
 from pica_client.sources.performances import PERFORMANCES
 from pica_client.transport.config import LinkConfig
 from pica_client.ui.joining.trouble import Trouble, explain
+from pica_client.voice.sound.settings import SoundSettings
 from pica_protocol.invite import is_link, parse_link
 
 MAX_CHARACTERS = 2048
@@ -47,6 +48,9 @@ class Fields:
     """A shipped avatar by its name, or a file; empty takes one by the user's name."""
     source: str = ""
     """What plays the user's face; empty only watches."""
+    voice: str = "none"
+    """Whose voice is sent, for `voice.source.open_voice`."""
+    sound: SoundSettings = field(default_factory=SoundSettings)
 
     def __repr__(self) -> str:
         return f"Fields(url={self.url!r}, room={self.room!r}, name={self.name!r})"
@@ -66,6 +70,9 @@ class JoinOrder(Enum):
 
     JOIN = auto()
     LEAVE = auto()
+    TRY_SOUND = auto()
+    """The meters are shown."""
+    TEST_SOUND = auto()
 
 
 class JoinForm:
@@ -98,6 +105,8 @@ class JoinForm:
                 self.outcome = "leave"
             case JoinOrder.JOIN:
                 self._submit()
+            case _:
+                pass  # sound is tried
 
     def link(self) -> LinkConfig:
         """The connection that was asked for.

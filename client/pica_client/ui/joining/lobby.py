@@ -15,10 +15,12 @@ from pica_client.ui.events import CloseWanted
 from pica_client.ui.joining.form import JoinForm, JoinOrder
 from pica_client.ui.joining.portraits import Portraits
 from pica_client.ui.panels.join import JoinView, connecting_panel, join_panel
+from pica_client.ui.panels.sound import MICROPHONE
 from pica_client.ui.surface.painter import Painter
 from pica_client.ui.surface.surface import Surface
 from pica_client.ui.surface.theme import Metrics
 from pica_client.ui.window import Window
+from pica_client.voice.sound.process import SoundProcess
 from pica_core.camera import Camera
 
 PERIOD_S = 1 / 30
@@ -30,13 +32,17 @@ class Lobby:
     Args:
         window: Stays open; its context is as it was afterwards.
         library: The avatars to choose from.
+        sound: To be tried; None: there is none.
 
     Raises:
         ShaderError: The driver refuses our shaders.
     """
 
-    def __init__(self, window: Window, library: AvatarLibrary) -> None:
+    def __init__(
+        self, window: Window, library: AvatarLibrary, sound: SoundProcess | None = None
+    ) -> None:
         self._window = window
+        self._sound, self._listens = sound, False
         self._library = library
         self._wants_close = False
         with ExitStack() as stack:
@@ -64,11 +70,25 @@ class Lobby:
     def ask(self, form: JoinForm) -> bool:
         """Show the form until the user wants to join, True, or to leave."""
         while form.outcome == "asking":
-            for order in self._frame(lambda metrics: join_panel(self._view(form), metrics)):
+            orders = self._frame(lambda metrics: join_panel(self._view(form), metrics))
+            for order in orders:
                 form.obey(order)
             if self._wants_close:
                 form.obey(JoinOrder.LEAVE)
+            if self._sound is not None:
+                self._try_sound(self._sound, form, orders)
         return form.outcome == "join"
+
+    def _try_sound(self, sound: SoundProcess, form: JoinForm, orders: list[Any]) -> None:
+        """Let the microphone be heard by its owner alone, as long as the meters are shown."""
+        sound.follow(form.fields.sound)
+        is_shown = JoinOrder.TRY_SOUND in orders and form.outcome == "asking"
+        listens = is_shown and form.fields.voice == MICROPHONE
+        if listens != self._listens:
+            self._listens = listens
+            sound.use_microphone(listens)
+        if JoinOrder.TEST_SOUND in orders:
+            sound.play_test()
 
     def wait(self, what: str, is_over: Callable[[], bool]) -> bool:
         """Say what is being waited for until it is over, True, or until the user does not want to
@@ -94,6 +114,7 @@ class Lobby:
             fields=form.fields,
             trouble=form.trouble,
             portraits={name: self._textures.get(name) for name in names},
+            sound=None if self._sound is None else self._sound.state,
             default_avatar=avatar_by_name(form.fields.name, names) if names else "",
         )
 

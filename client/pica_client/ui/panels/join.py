@@ -2,12 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from imgui_bundle import imgui
 
 from pica_client.ui.joining.form import MAX_CHARACTERS, SECRETS, SOURCES, Fields, JoinOrder
 from pica_client.ui.joining.trouble import Trouble
 from pica_client.ui.panels.control_bar import EDGE_PT
+from pica_client.ui.panels.sound import MICROPHONE, microphone_picker, sound_part
 from pica_client.ui.surface import icons
 from pica_client.ui.surface.theme import BUTTON_PT, GAP_PT, PADDING_PT, SMALL_PT, Metrics
 from pica_client.ui.surface.widgets import (
@@ -21,6 +23,7 @@ from pica_client.ui.surface.widgets import (
     title,
     type_size,
 )
+from pica_client.voice.sound.settings import SoundState
 
 WIDTH_PT = 420.0
 PORTRAIT_PT = 62.0
@@ -34,6 +37,7 @@ LABELS = {
     "avatar": ("Avatar file", "instead of one of the pictures"),
 }
 KEYS = imgui.WindowFlags_.no_nav
+FOLDED = imgui.TreeNodeFlags_.no_tree_push_on_open | imgui.TreeNodeFlags_.span_avail_width
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -47,6 +51,8 @@ class JoinView:
     is being drawn."""
     default_avatar: str = ""
     """The avatar that who chooses none gets, by name."""
+    sound: SoundState | None = None
+    """How sound stands; None: there is none."""
 
 
 def join_panel(view: JoinView, metrics: Metrics) -> list[Fields | JoinOrder]:
@@ -66,6 +72,8 @@ def join_panel(view: JoinView, metrics: Metrics) -> list[Fields | JoinOrder]:
         if view.trouble is not None:
             _trouble(view.trouble, metrics)
         fields = _typed(view, metrics)
+        if view.sound is not None:
+            fields = _sound(fields, view.sound, metrics, orders)
         if fields != view.fields:
             orders.append(fields)
         imgui.end_child()
@@ -144,11 +152,26 @@ def _typed(view: JoinView, metrics: Metrics) -> Fields:
         fields = _avatars(fields, view, metrics)
     note("Your face", metrics)
     fields = replace(fields, source=choice_of("##source", SOURCES, fields.source))
-    flags = imgui.TreeNodeFlags_.no_tree_push_on_open | imgui.TreeNodeFlags_.span_avail_width
-    if imgui.tree_node_ex("More", flags):
+    if imgui.tree_node_ex("More", FOLDED):
         for name in ("token", "secret_file", "ca_file", "avatar"):
             fields = _field(fields, name)
     return fields
+
+
+def _sound(
+    fields: Fields, state: SoundState, metrics: Metrics, orders: list[Fields | JoinOrder]
+) -> Fields:
+    """The microphone; and, once they are wanted, meters and loudspeaker to try."""
+    note("Your microphone", metrics)
+    voice, microphone = microphone_picker(fields.voice, fields.sound, state)
+    sound = replace(fields.sound, microphone=microphone)
+    if imgui.tree_node_ex("Try the sound", FOLDED):
+        orders.append(JoinOrder.TRY_SOUND)
+        has_microphone = voice == MICROPHONE
+        sound, wants_test = sound_part(sound, state, metrics, has_microphone=has_microphone)
+        if wants_test:
+            orders.append(JoinOrder.TEST_SOUND)
+    return replace(fields, voice=voice, sound=sound)
 
 
 def _field(fields: Fields, name: str, *, width_px: float = -1.0, focus: bool = False) -> Fields:
@@ -162,7 +185,8 @@ def _field(fields: Fields, name: str, *, width_px: float = -1.0, focus: bool = F
     flags = imgui.InputTextFlags_.password if name in SECRETS else 0
     value = getattr(fields, name)
     _, typed = imgui.input_text_with_hint(f"##{name}", example, value, flags)
-    return replace(fields, **{name: typed[:MAX_CHARACTERS]})
+    texts: dict[str, Any] = {name: typed[:MAX_CHARACTERS]}
+    return replace(fields, **texts)
 
 
 def _avatars(fields: Fields, view: JoinView, metrics: Metrics) -> Fields:

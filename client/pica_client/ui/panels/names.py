@@ -7,6 +7,7 @@ from imgui_bundle import imgui
 from pica_client.render.scene import Rect
 from pica_client.ui.call_view import CallView, PersonView
 from pica_client.ui.controls import UserOrder
+from pica_client.ui.surface import icons
 from pica_client.ui.surface.fonts import TEXT_PT
 from pica_client.ui.surface.theme import SMALL_PT, Metrics, Tone
 from pica_client.ui.surface.widgets import ink, shortened, text_size, type_size
@@ -42,7 +43,8 @@ def _name(person: PersonView, label_px: Rect, metrics: Metrics) -> None:
     points = SMALL_PT if is_narrow else TEXT_PT
     pad, gap = (px(5), px(3)) if is_narrow else (px(8), px(6))
     dot_px = px(8) + gap if dot else 0.0
-    name = shortened(person.name, room - dot_px - 2 * pad, points)
+    title = f"{icons.VOICE_OFF} {person.name}" if person.is_voice_muted else person.name
+    name = shortened(title, room - dot_px - 2 * pad, points)
     width, height = text_size(name, points)
     line_px = text_size("Ag", SMALL_PT)[1]
     num_lines = 0 if is_narrow else max(int((bottom - top - height - px(6)) / line_px), 0)

@@ -7,8 +7,9 @@ from imgui_bundle import imgui
 
 from pica_client.call.participants import Participant, duration_text
 from pica_client.ui.call_view import CallView
-from pica_client.ui.controls import CopyText, Order, Pin, UserOrder
+from pica_client.ui.controls import CopyText, Order, Pin, SetVolume, UserOrder
 from pica_client.ui.panels.side import side_panel
+from pica_client.ui.panels.sound import volume_slider
 from pica_client.ui.surface import icons
 from pica_client.ui.surface.fonts import TEXT_PT
 from pica_client.ui.surface.theme import Metrics, Tone
@@ -25,6 +26,7 @@ from pica_client.ui.surface.widgets import (
 
 CODE_PT: Final = 19.0
 MENU_PT: Final = 24.0
+VOLUME_PT: Final = 180.0
 Sign = tuple[str, Tone, str]
 """An icon, its tone, and what it means."""
 
@@ -51,9 +53,15 @@ def participants_panel(view: CallView, metrics: Metrics) -> list[UserOrder]:
     return orders
 
 
-def signs_of(person: Participant, *, is_encrypted: bool) -> list[Sign]:
+def signs_of(person: Participant, *, is_encrypted: bool, volume: float = 1.0) -> list[Sign]:
     """What is shown beside a name, each with its meaning for who points at it."""
     signs: list[Sign] = []
+    if person.is_voice_muted:
+        signs.append((icons.VOICE_OFF, "alert", "Voice is muted"))
+    if volume == 0:
+        signs.append((icons.SPEAKER_OFF, "alert", "You have muted this person for yourself"))
+    elif volume != 1:
+        signs.append((icons.SPEAKER, "plain", f"As loud as {volume:.0%} here"))
     if person.is_recording:
         signs.append((icons.RECORD, "alert", "Keeps what is seen here"))
     if person.face == "muted":
@@ -78,7 +86,8 @@ def _row(
     px, palette, orders = metrics.px, metrics.palette, list[UserOrder]()
     left, top = imgui.get_cursor_pos()
     width, indent = imgui.get_content_region_avail().x, px(20)
-    signs = signs_of(person, is_encrypted=view.status.is_encrypted)
+    volume = view.state.volumes.get(person.place, 1.0)
+    signs = signs_of(person, is_encrypted=view.status.is_encrypted, volume=volume)
     signs_px = sum(text_size(icon, TEXT_PT)[0] + px(6) for icon, _, _ in signs)
     name = f"{person.name} (you)" if person.is_self else person.name
     if person.peer_id in speaking:
@@ -107,13 +116,13 @@ def _row(
         imgui.set_cursor_pos((left + width - px(MENU_PT), top - px(3)))
         if icon_button(icons.MORE, f"More on {person.name}", metrics, size_pt=MENU_PT):
             imgui.open_popup(f"menu {person.peer_id}")
-        orders += _menu(person, view)
+        orders += _menu(person, view, metrics)
     imgui.set_cursor_pos((left, max(after.y, top + px(MENU_PT))))
     imgui.dummy((0, 0))
     return orders
 
 
-def _menu(person: Participant, view: CallView) -> list[UserOrder]:
+def _menu(person: Participant, view: CallView, metrics: Metrics) -> list[UserOrder]:
     orders: list[UserOrder] = []
     if imgui.begin_popup(f"menu {person.peer_id}"):
         pin = "Unpin" if view.state.pinned == person.place else "Pin"
@@ -123,6 +132,19 @@ def _menu(person: Participant, view: CallView) -> list[UserOrder]:
             orders.append(Order.STATISTICS)
         if imgui.menu_item_simple(f"{icons.RESET}  Reset the view"):
             orders.append(Order.RESET_VIEW)
+        if person.has_voice:
+            imgui.separator()
+            volume = view.state.volumes.get(person.place, 1.0)
+            is_muted = volume == 0
+            icon, what = (
+                (icons.SPEAKER, "Hear again") if is_muted else (icons.SPEAKER_OFF, "Mute for me")
+            )
+            imgui.set_next_item_width(metrics.px(VOLUME_PT))
+            found = volume_slider("##volume", volume)
+            if imgui.menu_item_simple(f"{icon}  {what}"):
+                found = 1.0 if is_muted else 0.0
+            if found != volume:
+                orders.append(SetVolume(person.place, found))
         imgui.end_popup()
     return orders
 

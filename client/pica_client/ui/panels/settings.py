@@ -8,9 +8,11 @@ from pica_client.ui.call_view import CallView
 from pica_client.ui.controls import KEYS_OF, LAYOUT_TITLES, ChooseLayout, Order, UserOrder
 from pica_client.ui.joining.form import SOURCES
 from pica_client.ui.panels.side import side_panel
+from pica_client.ui.panels.sound import MICROPHONE, microphone_picker, sound_part
 from pica_client.ui.settings import MIN_DETAIL, SCALES, Settings
 from pica_client.ui.surface.theme import Metrics
 from pica_client.ui.surface.widgets import action_button, choice_of, note
+from pica_client.voice.sound.settings import SoundState
 
 MAX_NAME = 64
 """Characters of a name that are taken from its field."""
@@ -26,6 +28,9 @@ def settings_panel(view: CallView, metrics: Metrics) -> list[UserOrder]:
     with side_panel("Settings", metrics, orders):
         if view.avatars:
             orders += _own(view, metrics)
+            imgui.separator()
+        if view.sound is not None:
+            orders += _sound(view, view.sound, metrics)
             imgui.separator()
         note("People sit", metrics)
         for number, (layout, title) in enumerate(LAYOUT_TITLES.items()):
@@ -77,10 +82,33 @@ def _own(view: CallView, metrics: Metrics) -> list[UserOrder]:
     if found != chosen:
         orders.append(found)
     entered, comes = view.entered_as, bool(found.source)
-    if (found.name, found.avatar, comes) != (entered.name, entered.avatar, sends):
+    has_other_voice = wanted.voice != entered.voice
+    if has_other_voice or (found.name, found.avatar, comes) != (
+        entered.name,
+        entered.avatar,
+        sends,
+    ):
         note("You leave for a moment and come again.", metrics)
         if action_button("Come again as this", metrics, tone="accent"):
             orders.append(Order.REJOIN)
+    return orders
+
+
+def _sound(view: CallView, state: SoundState, metrics: Metrics) -> list[UserOrder]:
+    """Microphone and loudspeaker; who sends no voice, or no more, comes in again for it."""
+    orders: list[UserOrder] = []
+    settings, wanted = view.state.sound, view.state.choice
+    note("Microphone", metrics)
+    voice, microphone = microphone_picker(wanted.voice, settings, state)
+    if voice != wanted.voice:
+        orders.append(replace(wanted, voice=voice))
+    settings = replace(settings, microphone=microphone)
+    is_open = view.entered_as.voice == MICROPHONE
+    settings, wants_test = sound_part(settings, state, metrics, has_microphone=is_open)
+    if settings != view.state.sound:
+        orders.append(settings)
+    if wants_test:
+        orders.append(Order.TEST_SOUND)
     return orders
 
 

@@ -4,7 +4,7 @@ from imgui_bundle import imgui
 
 from pica_client.call.participants import duration_text, joined_names, recorders
 from pica_client.ui.call_view import CallView
-from pica_client.ui.controls import OwnFace, UserOrder
+from pica_client.ui.controls import TALK_KEY, OwnFace, UserOrder
 from pica_client.ui.surface import icons
 from pica_client.ui.surface.fonts import TEXT_PT
 from pica_client.ui.surface.theme import Metrics, Tone
@@ -40,6 +40,18 @@ def own_sign(view: CallView) -> tuple[str, Tone] | None:
     if state == "sent" and not view.own.has_face:
         return NO_FACE
     return None if view.state.own_face == "none" else OWN_SIGNS[state]
+
+
+def voice_sign(view: CallView) -> tuple[str, Tone] | None:
+    """Whether the user's own voice is heard; None where there is nothing to be said."""
+    state = view.state
+    if state.own_voice == "muted":
+        return "Your voice is muted", "alert"
+    if state.own_voice == "none" or not state.sound.push_to_talk:
+        return None
+    return (
+        ("You are heard", "good") if state.is_talking else (f"Hold {TALK_KEY} to talk", "warning")
+    )
 
 
 def call_signs(view: CallView) -> list[tuple[str, Tone]]:
@@ -86,9 +98,10 @@ def signs(view: CallView, metrics: Metrics) -> list[UserOrder]:
     own = own_sign(view)
     if own is not None:
         _sign(*own, (edge, rows - edge), (0.0, 1.0), metrics)
-    if view.state.own_voice == "muted":
+    voice = voice_sign(view)
+    if voice is not None:
         lift = 0 if own is None else metrics.px(36)
-        _sign("Your voice is muted", "alert", (edge, rows - edge - lift), (0.0, 1.0), metrics)
+        _sign(*voice, (edge, rows - edge - lift), (0.0, 1.0), metrics)
     if view.is_recording:
         _sign("Recording", "alert", (columns - edge, rows - edge), (1.0, 1.0), metrics)
     return []

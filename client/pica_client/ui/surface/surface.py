@@ -176,7 +176,7 @@ class Surface:
         match event:
             case MouseMoved() | MousePressed() | MouseReleased() | Scrolled():
                 return self.wants_mouse
-            case TextTyped() | KeyReleased():
+            case TextTyped():
                 return True
             case KeyPressed(key="Escape"):
                 return False

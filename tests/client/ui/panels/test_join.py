@@ -12,6 +12,7 @@ from pica_client.errors import RelayRefusedError
 from pica_client.ui.joining.form import Fields, JoinForm, JoinOrder
 from pica_client.ui.panels.join import JoinView, connecting_panel, join_panel
 from pica_client.ui.surface.theme import Metrics
+from pica_client.voice.sound.settings import SoundSettings, SoundState
 
 pytestmark = pytest.mark.unit
 
@@ -22,8 +23,8 @@ SIZES = [((320, 240), 1.0), ((1280, 720), 1.0), ((2560, 1440), 1.0), ((2560, 144
 class Shown:
     """A form on a surface, which obeys what is ordered of it."""
 
-    def __init__(self, fields: Fields) -> None:
-        self.form = JoinForm(fields)
+    def __init__(self, fields: Fields, sound: SoundState | None = None) -> None:
+        self.form, self.sound = JoinForm(fields), sound
 
     def __call__(self, metrics: Metrics) -> list[Fields | JoinOrder]:
         view = JoinView(
@@ -31,6 +32,7 @@ class Shown:
             trouble=self.form.trouble,
             portraits=dict.fromkeys(["ines", "sam"]),
             default_avatar="ines",
+            sound=self.sound,
         )
         orders = join_panel(view, metrics)
         for order in orders:
@@ -52,6 +54,34 @@ def test_the_form_is_filled_and_joined_by_mouse_and_keys(hand: Hand) -> None:
     assert shown.form.fields == replace(FILLED, name="Grace", avatar="sam")
     assert hand.click("Join", shown) == [JoinOrder.JOIN]
     assert shown.form.outcome == "join"
+
+
+def test_a_microphone_and_a_loudspeaker_are_chosen_and_tried() -> None:
+    with open_hand((1280, 1400)) as hand:
+        _choose_and_try(hand)
+
+
+def _choose_and_try(hand: Hand) -> None:
+    state = SoundState(microphones=("Desk",), speakers=("Horn",), microphone_level=20)
+    shown = Shown(replace(FILLED, voice="mic"), state)
+    hand.click("##microphone", shown)
+    hand.click("Desk", shown)
+    assert (shown.form.fields.voice, shown.form.fields.sound.microphone) == ("mic", "Desk")
+    assert JoinOrder.TRY_SOUND not in hand.frame(shown)
+    assert JoinOrder.TRY_SOUND in hand.click("Try the sound", shown)
+    hand.click("##speaker", shown)
+    hand.click("Horn", shown)
+    hand.click("Hold Space to talk", shown)
+    assert shown.form.fields.sound == SoundSettings(
+        microphone="Desk", speaker="Horn", push_to_talk=True
+    )
+    assert JoinOrder.TEST_SOUND in hand.click("Play a test sound", shown)
+    hand.click("##microphone", shown)
+    hand.click("Off: only listen", shown)
+    assert shown.form.fields.voice == "none"
+    hand.frame(shown)
+    assert not [label for label in hand.places if "to talk" in label]
+    assert shown.form.outcome == "asking"
 
 
 def test_the_avatar_that_goes_by_the_name_is_had_by_a_second_click(hand: Hand) -> None:

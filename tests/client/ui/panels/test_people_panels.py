@@ -11,7 +11,15 @@ from helpers.hand import Hand, open_hand
 from pica_client.call.participants import Participant
 from pica_client.call.status import CallStatus
 from pica_client.ui.call_view import CallView, OwnFaceView, Panel, PersonView
-from pica_client.ui.controls import ChooseLayout, ControlState, CopyText, Order, Pin
+from pica_client.ui.controls import (
+    ChooseLayout,
+    ControlState,
+    CopyText,
+    Order,
+    Pin,
+    SetVolume,
+    UserOrder,
+)
 from pica_client.ui.notice_board import Notice
 from pica_client.ui.panels.participants import participants_panel, signs_of
 from pica_client.ui.panels.self_view import self_view, self_view_px
@@ -21,7 +29,8 @@ from pica_client.ui.panels.statistics import statistics
 from pica_client.ui.panels.waiting import first_hint, waiting_page
 from pica_client.ui.settings import OwnChoice, Settings
 from pica_client.ui.surface import icons
-from pica_client.ui.surface.theme import metrics_for
+from pica_client.ui.surface.theme import Metrics, metrics_for
+from pica_client.voice.sound.settings import DeviceState, SoundSettings, SoundState
 
 pytestmark = pytest.mark.unit
 
@@ -255,3 +264,49 @@ def test_the_statistics_begin_below_the_signs_of_the_call(hand: Hand) -> None:
         window = imgui.internal.find_window_by_name("statistics")
         tops.append(window.pos.y)
     assert tops[1] > tops[0] > 36
+
+
+def test_the_menu_of_a_person_makes_them_softer_or_silent_and_the_list_shows_it(hand: Hand) -> None:
+    eve = replace(ADA, place=3, has_voice=True, is_voice_muted=True)
+    view = replace(VIEW, status=replace(STATUS, participants=(ME, eve)))
+
+    def show(metrics: Metrics) -> list[UserOrder]:
+        return participants_panel(view, metrics)
+
+    assert [sign[0] for sign in signs_of(eve, is_encrypted=False)] == [icons.VOICE_OFF]
+    hand.click("More on Ada", show)
+    assert hand.click("Mute for me", show) == [SetVolume(3, 0.0)]
+    view = replace(view, state=replace(view.state, volumes={3: 0.0}))
+    assert signs_of(eve, is_encrypted=False, volume=0.0)[1][0] == icons.SPEAKER_OFF
+    hand.click("More on Ada", show)
+    (changed,) = {order for order in hand.click("##volume", show) if order != SetVolume(3, 0.0)}
+    assert changed == SetVolume(3, pytest.approx(1.0, abs=0.05))
+    hand.click("More on Ada", show)
+    assert hand.click("Hear again", show) == [SetVolume(3, 1.0)]
+
+
+def test_devices_are_changed_during_a_call_and_another_voice_needs_coming_again(
+    hand: Hand,
+) -> None:
+    state = SoundState(
+        microphones=("Desk",),
+        speakers=("Horn",),
+        speaker=DeviceState("Horn", "no loudspeaker 'Old'; 'Horn' is used"),
+        cleaning="echo cancellation is missing: pip install 'pica-telepresence[echo]'",
+    )
+    mine = OwnChoice(name="Me", source="performance:talk", voice="mic")
+    control = ControlState(side="settings", own_face="sent", own_voice="sent", choice=mine)
+    view = CallView(now=1.0, state=control, entered_as=mine, avatars=("ines",), sound=state)
+
+    def show(metrics: Metrics) -> list[UserOrder]:
+        return settings_panel(view, metrics)
+
+    assert "no loudspeaker 'Old'" in texts(hand, settings_panel, view)
+    hand.click("##microphone", show)
+    assert hand.click("Desk", show) == [SoundSettings(microphone="Desk")]
+    assert hand.click("Voices come from their seats", show) == [SoundSettings(is_stereo=False)]
+    assert Order.TEST_SOUND in hand.click("Play a test sound", show)
+    hand.click("##microphone", show)
+    assert hand.click("Off: only listen", show) == [replace(mine, voice="none")]
+    view = replace(view, state=replace(control, choice=replace(mine, voice="none")))
+    assert hand.click("Come again as this", show) == [Order.REJOIN]

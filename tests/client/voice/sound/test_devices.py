@@ -33,8 +33,6 @@ def test_what_is_played_is_heard_and_a_call_outlives_its_loudspeakers(tmp_path: 
     assert 10_000 <= said["steps_us"][0] <= 20_000 <= said["steps_us"][1] <= 30_000
     assert said["playing"] == "Speaker"
     assert 0 < said["latency_s"] < 0.3
-    assert said["changed"] == "Mono44k"
-    assert said["unknown"].startswith("no loudspeaker 'nobody'; there are")
     assert said["unplugged"]
     assert said["plugged"]
 
@@ -42,7 +40,7 @@ def test_what_is_played_is_heard_and_a_call_outlives_its_loudspeakers(tmp_path: 
 def test_without_a_sound_system_the_call_is_told_so(tmp_path: Path):
     code = """
 import time
-from pica_client.voice.devices import Loudspeaker
+from pica_client.voice.sound.devices import Loudspeaker
 from pica_client.voice.mixer import VoiceMixer
 from pica_client.voice.opus import OpusDecoder
 loudspeaker = Loudspeaker(VoiceMixer(OpusDecoder))

@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
+sys.path.insert(0, str(Path(__file__).parents[3]))
 
 from helpers.sound_server import pactl, unload
-from pica_client.voice.devices import Loudspeaker, Microphone, speakers
 from pica_client.voice.mixer import VoiceMixer
 from pica_client.voice.opus import OpusDecoder
 from pica_client.voice.packet import SAMPLE_RATE_HZ
+from pica_client.voice.sound.devices import Loudspeaker, Microphone, speakers
 from pica_client.voice.wav import shipped_speech
 
 
@@ -58,7 +58,7 @@ def until(say: Callable[[], str]) -> str:
 
 
 def main() -> None:
-    """Play, capture, unplug, change."""
+    """Play, capture, unplug, plug."""
     speech = shipped_speech()
     said: dict[str, object] = {"speakers": speakers()}
     loudspeaker = Loudspeaker(VoiceMixer(OpusDecoder), "Speaker")
@@ -69,13 +69,6 @@ def main() -> None:
     said["likeness"] = likeness(heard, speech)
     said["steps_us"] = [int(np.diff(times_us).min()), int(np.diff(times_us).max())]
     said["playing"], said["latency_s"] = loudspeaker.state.name, loudspeaker.state.latency_s
-    loudspeaker.choose("Mono44k")
-    time.sleep(1.0)
-    said["changed"] = loudspeaker.state.name
-    loudspeaker.choose("nobody")
-    said["unknown"] = until(lambda: loudspeaker.state.note)
-    loudspeaker.choose("Speaker")
-    time.sleep(1.0)
     unload("old")
     unload("spk")
     said["unplugged"] = until(lambda: loudspeaker.state.note)

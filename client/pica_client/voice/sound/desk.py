@@ -1,0 +1,209 @@
+"""All that makes and takes sound: mixer, loudspeaker, microphone, echo canceller.
+
+It runs in a process of its own (`python -m pica_client.voice.sound.desk`, begun by
+`process.SoundProcess`): there a picture that is being drawn holds up no sound, and a sound library
+that crashes takes nothing else with it. Both ends send each other pickles, through the standard
+input and output:
+
+    in     (method of `SoundDesk`, arguments)
+    out    SoundState, 50 times a second
+           ("captured", samples, captured_us)       while the microphone is open
+           ("mixed", samples, leaves_s)             while that is wanted
+"""
+
+import os
+import pickle
+import queue
+import signal
+import sys
+import threading
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any, BinaryIO, Self
+
+import numpy as np
+
+from pica_client.errors import VoiceError
+from pica_client.voice.mixer import VoiceMixer
+from pica_client.voice.opus import OpusDecoder
+from pica_client.voice.packet import SAMPLE_RATE_HZ, VoicePacket
+from pica_client.voice.sound.devices import RETRY_S, Loudspeaker, Microphone, microphones, speakers
+from pica_client.voice.sound.echo import EchoCanceller
+from pica_client.voice.sound.settings import SoundSettings, SoundState
+from pica_core.types import FloatArray
+
+MAX_WAITING = 500
+"""Messages that wait for the other end, which reads as fast as it can; more are dropped."""
+STATS_TICKS = 25
+NICENESS = -10
+"""Sound must come in time, and takes little of it; where the system lets us say so."""
+
+
+class Outbox:
+    """Writes messages on a thread of its own, so that nobody waits for the other end."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._waiting: queue.Queue[Any] = queue.Queue(MAX_WAITING)
+        self._thread = threading.Thread(target=self._write, name="sound-outbox", daemon=True)
+        self._thread.start()
+
+    def put(self, message: Any) -> None:
+        """Send a message; drops it when too many wait."""
+        with suppress(queue.Full):
+            self._waiting.put_nowait(message)
+
+    def close(self) -> None:
+        """Send what waits, and close the file."""
+        self.put(None)
+        self._thread.join(timeout=1.0)
+        with suppress(OSError):
+            self._file.close()
+
+    def _write(self) -> None:
+        with suppress(OSError, ValueError):  # the other end is gone
+            while (message := self._waiting.get()) is not None:
+                self._file.write(pickle.dumps(message))
+                self._file.flush()
+
+
+class SoundDesk:
+    """The sound of one call; its methods are for one thread.
+
+    Args:
+        outbox: Takes what the module says.
+    """
+
+    def __init__(self, outbox: Outbox) -> None:
+        self._outbox = outbox
+        self._is_playing = False
+        self._mixer = VoiceMixer(OpusDecoder)
+        self._loudspeaker = Loudspeaker(self._mixer)
+        self._loudspeaker.on_played = self._played
+        self._microphone: Microphone | None = None
+        self._canceller: EchoCanceller | None = None
+        self._no_cleaning = ""
+        self._names: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
+        self._ticks = 0
+        self._stopping = threading.Event()
+
+    def __enter__(self) -> Self:
+        threading.Thread(target=self._list_devices, name="device-list", daemon=True).start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stopping.set()
+        for device in (self._loudspeaker, self._microphone):
+            if device is not None:
+                device.stop()
+
+    def follow(self, settings: SoundSettings, has_microphone: bool) -> None:
+        """Do what the user has set; the microphone is opened only if one is wanted."""
+        self._mixer.volume, self._mixer.is_spatial = settings.volume, settings.is_stereo
+        self._loudspeaker.choose(settings.speaker)
+        if not self._is_playing:
+            self._is_playing = True
+            self._loudspeaker.start()
+        if has_microphone and self._microphone is None:
+            self._microphone = Microphone(settings.microphone)
+            self._microphone.on_frame = self._captured
+            self._microphone.start()
+        elif not has_microphone and self._microphone is not None:
+            self._microphone.stop()
+            self._microphone = None
+        if self._microphone is not None:
+            self._microphone.choose(settings.microphone)
+            if settings.cleans and self._canceller is None and not self._no_cleaning:
+                try:
+                    self._canceller = EchoCanceller()
+                except VoiceError as error:
+                    self._no_cleaning = str(error)
+            cleans = settings.cleans and self._canceller is not None
+            self._microphone.clean = self._canceller.clean if cleans and self._canceller else None
+
+    def receive(self, peer_id: str, packet: VoicePacket, arrived_s: float) -> None:
+        """Take a packet of somebody's voice."""
+        self._mixer.receive(peer_id, packet, arrived_s)
+
+    def seat(self, azimuths_rad: Mapping[str, float]) -> None:
+        """Say who is there and from where each voice comes; others are forgotten."""
+        self._mixer.keep(azimuths_rad)
+        self._mixer.seat(dict(azimuths_rad))
+
+    def set_volumes(self, volumes: Mapping[str, float]) -> None:
+        """Make people louder or softer, by peer id."""
+        for peer_id, volume in volumes.items():
+            self._mixer.set_volume(peer_id, volume)
+
+    def play_test(self) -> None:
+        """Play something to hear that it can be heard."""
+        self._loudspeaker.play_test(chime())
+
+    def hand_on(self, is_wanted: bool) -> None:
+        """Send what is mixed, as for a recording, or no longer."""
+        self._mixer.on_mixed = self._mixed if is_wanted else None
+
+    def _mixed(self, sound: FloatArray, leaves_s: float) -> None:
+        self._outbox.put(("mixed", sound, leaves_s))
+
+    def _captured(self, sound: FloatArray, captured_us: int) -> None:
+        self._outbox.put(("captured", sound, captured_us))
+
+    def _played(self, sound: FloatArray) -> None:
+        microphone, canceller = self._microphone, self._canceller
+        speaker, mixer = self._loudspeaker.state, self._mixer
+        if canceller is not None and microphone is not None:
+            canceller.set_delay(speaker.latency_s + microphone.state.latency_s)
+            canceller.play(sound)
+        self._ticks += 1
+        state = SoundState(
+            speaker=speaker,
+            speaker_level=mixer.level,
+            speakers=self._names[0],
+            microphones=self._names[1],
+            cleaning=self._no_cleaning,
+            levels=mixer.levels(),
+            moments=mixer.moments(),
+            stats=mixer.stats() if self._ticks % STATS_TICKS == 0 else {},
+        )
+        if microphone is not None:
+            state = replace(state, microphone=microphone.state, microphone_level=microphone.level)
+        self._outbox.put(state)
+
+    def _list_devices(self) -> None:
+        while not self._stopping.is_set():
+            with suppress(VoiceError):
+                self._names = tuple(speakers()), tuple(microphones())
+            self._loudspeaker.offer(self._names[0])
+            if (microphone := self._microphone) is not None:
+                microphone.offer(self._names[1])
+            self._stopping.wait(RETRY_S)
+
+
+def chime() -> FloatArray:
+    """Two tones that fade, a second in all; float32, mono."""
+    times = np.arange(SAMPLE_RATE_HZ // 2) / SAMPLE_RATE_HZ
+    fade = 0.3 * np.exp(-6 * times) * np.minimum(times / 0.005, 1)
+    tones = [fade * np.sin(2 * np.pi * hertz * times) for hertz in (660.0, 880.0)]
+    sound: FloatArray = np.concatenate(tones).astype(np.float32)
+    return sound
+
+
+def main() -> None:
+    """Do what the parent says until it has nothing more to say, or is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends us
+    with suppress(OSError, AttributeError):
+        os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
+    file = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what a library prints is no message
+    outbox = Outbox(file)
+    with SoundDesk(outbox) as desk, suppress(EOFError, OSError):
+        while True:
+            name, arguments = pickle.load(sys.stdin.buffer)
+            getattr(desk, name)(*arguments)
+    outbox.close()
+
+
+if __name__ == "__main__":
+    main()

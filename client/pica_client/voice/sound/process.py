@@ -1,0 +1,185 @@
+"""The process that sound lives in, as the rest of the call sees it."""
+
+import asyncio
+import contextlib
+import pickle
+import subprocess
+import sys
+import threading
+import time
+from collections import defaultdict, deque
+from collections.abc import AsyncIterator, Callable, Mapping
+from typing import Any, Final
+
+from pica_client.voice.jitter_buffer import HISTORY, SILENT_S, moment_at
+from pica_client.voice.packet import VoicePacket
+from pica_client.voice.sound.desk import Outbox
+from pica_client.voice.sound.devices import OnFrame, captured_frames
+from pica_client.voice.sound.settings import DeviceState, Moment, SoundSettings, SoundState
+from pica_core.types import FloatArray
+
+RESTART_S: Final = 2.0
+"""Until sound that ended by itself is begun again."""
+
+
+class SoundProcess:
+    """Sound in a process of its own, which begins with the first thing that it is told.
+
+    Methods may be called on any thread, and do not wait.
+
+    Attributes:
+        state: How sound stood a moment ago.
+        on_mixed: Is given what is mixed and when it leaves the loudspeaker, as
+            `VoiceMixer.on_mixed`, on a thread of its own; `hand_on` switches it.
+    """
+
+    def __init__(self, settings: SoundSettings | None = None) -> None:
+        self.state = SoundState()
+        self.on_mixed: Callable[[FloatArray, float], None] = lambda sound, leaves_s: None
+        self._stats: Mapping[str, dict[str, Any]] = {}
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._reading: threading.Thread | None = None
+        self._outbox: Outbox | None = None
+        self._is_closed = False
+        self._begin_s = 0.0
+        self._settings, self._users = settings or SoundSettings(), 0
+        # What holds until it is said anew, for a process that has to begin again.
+        self._lasting: dict[str, tuple[Any, ...]] = {}
+        self._on_frame: OnFrame | None = None
+        self._arrived_s: dict[str, float] = {}
+        self._moments: dict[str, deque[Moment]] = defaultdict(lambda: deque(maxlen=HISTORY))
+
+    def follow(self, settings: SoundSettings) -> None:
+        """Do what the user has set."""
+        self._settings = settings
+        wanted = (settings, self._users > 0)
+        if self._lasting.get("follow") != wanted or self._process is None:
+            self._last("follow", *wanted)
+
+    def use_microphone(self, is_used: bool) -> None:
+        """Open the microphone, or close it once nobody uses it any more."""
+        self._users += 1 if is_used else -1
+        self.follow(self._settings)
+
+    def seat(self, azimuths_rad: Mapping[str, float]) -> None:
+        """Say who is there and from where each voice comes; others are forgotten."""
+        for gone in self._arrived_s.keys() - azimuths_rad.keys():
+            self._arrived_s.pop(gone, None)
+            self._moments.pop(gone, None)
+        self._last("seat", dict(azimuths_rad))
+
+    def set_volumes(self, volumes: Mapping[str, float]) -> None:
+        """Make people louder or softer, by peer id: 1 is as sent, 0 mutes them here."""
+        self._last("set_volumes", dict(volumes))
+
+    def hand_on(self, is_wanted: bool) -> None:
+        """Call `on_mixed` from now on, or no longer."""
+        self._last("hand_on", is_wanted)
+
+    def receive(self, peer_id: str, packet: VoicePacket, arrived_s: float) -> None:
+        """Take a packet of somebody's voice."""
+        self._arrived_s[peer_id] = arrived_s
+        self._tell("receive", peer_id, packet, arrived_s)
+
+    def play_test(self) -> None:
+        """Play something to hear that it can be heard."""
+        self._tell("play_test")
+
+    async def frames(self, stopping: asyncio.Event) -> AsyncIterator[tuple[FloatArray, int]]:
+        """What the microphone captures; this is a `publisher.VoiceSource`."""
+        self.use_microphone(True)
+        try:
+            async for frame in captured_frames(self._listen, stopping):
+                yield frame
+        finally:
+            self.use_microphone(False)
+
+    def heard_us(self, peer_id: str, now: float) -> int | None:
+        """The moment of somebody's voice that leaves the loudspeaker; see `JitterBuffer`."""
+        if now - self._arrived_s.get(peer_id, -SILENT_S) > SILENT_S:
+            return None
+        return moment_at(tuple(self._moments.get(peer_id, ())), now)
+
+    def stats(self) -> Mapping[str, dict[str, Any]]:
+        """How each voice came in, by peer id, half a second ago."""
+        return self._stats
+
+    def close(self) -> None:
+        """End it; twice is once."""
+        with self._lock:
+            self._is_closed = True
+            process, self._process = self._process, None
+        if process is not None and self._outbox is not None:
+            self._outbox.close()
+            try:
+                process.wait(timeout=2.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            if self._reading is not None:
+                self._reading.join(timeout=1.0)
+
+    def _listen(self, on_frame: OnFrame | None) -> None:
+        self._on_frame = on_frame
+
+    def _last(self, name: str, *arguments: Any) -> None:
+        with self._lock:
+            self._lasting[name] = arguments
+        self._tell(name, *arguments)
+
+    def _tell(self, name: str, *arguments: Any) -> None:
+        with self._lock:
+            if self._process is None:
+                if self._is_closed or time.monotonic() < self._begin_s:
+                    return
+                self._begin()
+            assert self._outbox is not None
+            self._outbox.put((name, arguments))
+
+    def _begin(self) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "pica_client.voice.sound.desk"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        assert self._process.stdin is not None
+        self._outbox = Outbox(self._process.stdin)  # type: ignore[arg-type]
+        self._lasting.setdefault("follow", (self._settings, False))
+        for said in self._lasting.items():
+            self._outbox.put(said)
+        self._reading = threading.Thread(
+            target=self._read, args=(self._process,), name="sound", daemon=True
+        )
+        self._reading.start()
+
+    def _read(self, process: subprocess.Popen[bytes]) -> None:
+        said = process.stdout
+        assert said is not None
+        with said, contextlib.suppress(EOFError, OSError, ValueError, pickle.UnpicklingError):
+            while True:
+                self._take(pickle.load(said))
+        if self._is_closed:
+            return
+        gone = DeviceState(note="sound ended by itself; it begins again")
+        self.state = SoundState(speaker=gone)
+        process.kill()
+        process.wait()
+        with self._lock:
+            self._process, self._begin_s = None, time.monotonic() + RESTART_S
+        time.sleep(RESTART_S)
+        self.follow(self._settings)
+
+    def _take(self, message: Any) -> None:
+        match message:
+            case SoundState():
+                self.state = message
+                self._stats = message.stats or self._stats
+                for peer_id, moment in message.moments.items():
+                    self._moments[peer_id].append(moment)
+            case ("captured", sound, captured_us) if self._on_frame is not None:
+                self._on_frame(sound, captured_us)
+            case ("mixed", sound, leaves_s):
+                self.on_mixed(sound, leaves_s)
+            case _:
+                pass

@@ -1,0 +1,86 @@
+"""What the user sets of sound, and how sound stands. Pure data, which also travels by pickle."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from pica_client.errors import OptionError
+from pica_client.voice.packet import MAX_LEVEL
+
+MAX_VOLUME: Final = 4.0
+"""Loudest that somebody, or everybody, can be made: 12 dB."""
+MAX_DEVICE_NAME: Final = 256
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SoundSettings:
+    """The user's settings of sound; an order of the panel that shows them."""
+
+    microphone: str = ""
+    """The microphone by its name; empty is the system's."""
+    speaker: str = ""
+    """The loudspeaker by its name; empty is the system's, ``none`` plays without a sound."""
+    volume: float = 1.0
+    """How loud all voices are, 0 to `MAX_VOLUME`; 1 is as sent."""
+    is_stereo: bool = True
+    """Whether each voice comes from its seat."""
+    cleans: bool = True
+    """Whether echo and noise are taken out of the microphone, and its loudness is evened out, where
+    the extra ``echo`` is installed."""
+    push_to_talk: bool = False
+    """Whether one is heard only while a key is held."""
+
+    def __post_init__(self) -> None:
+        for name in ("microphone", "speaker"):
+            text = getattr(self, name)
+            if not isinstance(text, str) or len(text) > MAX_DEVICE_NAME or not text.isprintable():
+                raise OptionError(f"{name} is no text of up to {MAX_DEVICE_NAME} characters")
+        if type(self.volume) not in (int, float) or not 0 <= self.volume <= MAX_VOLUME:
+            raise OptionError(f"volume is {self.volume!r}; 0 to {MAX_VOLUME:g}")
+        for name in ("is_stereo", "cleans", "push_to_talk"):
+            if not isinstance(getattr(self, name), bool):
+                raise OptionError(f"{name} is {getattr(self, name)!r}; true or false")
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceState:
+    """How a device stands, for people."""
+
+    name: str = ""
+    """What it is called; empty while none is open."""
+    note: str = ""
+    """What is wrong; empty: nothing."""
+    latency_s: float = 0.0
+    """What the device and its system say of themselves; 0 where they do not."""
+
+
+Moment = tuple[float, float, float]
+"""When 20 ms of a voice leave the loudspeaker, our clock, and when its first and its last sample
+were captured, microseconds of the sender's."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SoundState:
+    """How sound stands, every 20 ms."""
+
+    speaker: DeviceState = field(default_factory=DeviceState)
+    microphone: DeviceState = field(default_factory=DeviceState)
+    speaker_level: int = MAX_LEVEL
+    """How loud the last 20 ms were, as `VoicePacket.level`."""
+    microphone_level: int = MAX_LEVEL
+    speakers: tuple[str, ...] = ()
+    """Names of all, the default first."""
+    microphones: tuple[str, ...] = ()
+    cleaning: str = ""
+    """Why the microphone cannot be cleaned of echo; empty: it can."""
+    levels: Mapping[str, int] = field(default_factory=dict)
+    """How loud each voice was, by peer id, as `VoicePacket.level`."""
+    moments: Mapping[str, Moment] = field(default_factory=dict)
+    """What was just mixed of each voice, by peer id."""
+    stats: Mapping[str, dict[str, Any]] = field(default_factory=dict)
+    """See `VoiceMixer.stats`; twice a second."""
+
+    @property
+    def trouble(self) -> str:
+        """What is wrong, for people; empty: nothing."""
+        return self.speaker.note or self.microphone.note
