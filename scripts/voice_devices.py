@@ -3,7 +3,9 @@
 What leaves the loudspeaker is recorded and compared with what was said. Needs the extras voice and
 bench, and PulseAudio. Wall-clock: run it on a quiet machine.
 
-python scripts/voice_devices.py
+python scripts/voice_devices.py            a call
+python scripts/voice_devices.py --echo     what of it comes back through a microphone
+python scripts/voice_devices.py --busy     whether the mix comes in time beside drawing
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +27,13 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "client" / "voice" 
 from devices_trial import captured
 
 from helpers.sound_server import sound_server
+from helpers.sound_trial import echo_db
+from pica_client.voice.mixer import VoiceMixer
+from pica_client.voice.opus import OpusDecoder
 from pica_client.voice.packet import SAMPLE_RATE_HZ
+from pica_client.voice.sound.devices import Loudspeaker
+from pica_client.voice.sound.process import SoundProcess
+from pica_client.voice.sound.settings import SoundSettings
 from pica_client.voice.wav import resampled, shipped_speech
 
 PORT, SECONDS = 18799, 15
@@ -53,6 +62,58 @@ def judged(heard: np.ndarray) -> dict[str, float]:
     }
 
 
+def echo() -> None:
+    """Say how much softer the canceller makes what a microphone hears of the loudspeaker."""
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        sound_server(Path(folder)),
+        closing(SoundProcess()) as sound,
+    ):
+        plain, cleaned = (echo_db(sound, SoundSettings(cleans=on)) for on in (False, True))
+    found = {"heard_db": -plain, "cleaned_db": -cleaned, "echo_return_loss_db": cleaned - plain}
+    print(json.dumps({name: round(value, 1) for name, value in found.items()}))
+
+
+def busy() -> None:
+    """Mix beside a thread that works as drawing does, in a process of its own and without one."""
+
+    def work(seconds: float = 6.0) -> None:
+        until_s, table = time.monotonic() + seconds, np.ones((400, 400))
+        while time.monotonic() < until_s:
+            for _ in range(3):
+                table @ table  # lets others run
+            sum(number * number for number in range(60_000))  # does not
+
+    def told(times_s: list[float]) -> dict[str, float]:
+        steps_ms = np.diff(times_s) * 1e3
+        torn_ms = np.maximum(steps_ms - 60, 0)  # a loudspeaker keeps 40 ms, and takes 20
+        return {
+            "p99_ms": round(float(np.percentile(steps_ms, 99)), 1),
+            "torn": int((torn_ms > 0).sum()),
+            "torn_ms": round(float(torn_ms.sum())),
+        }
+
+    found = {}
+    with tempfile.TemporaryDirectory() as folder, sound_server(Path(folder)):
+        with closing(SoundProcess()) as sound:
+            apart: list[float] = []
+            sound.on_mixed = lambda mix, leaves_s: apart.append(leaves_s)
+            sound.hand_on(True)
+            time.sleep(3.5)
+            apart.clear()
+            work()
+            found["own process"] = told(apart)
+        loudspeaker, beside = Loudspeaker(VoiceMixer(OpusDecoder)), []
+        loudspeaker.on_played = lambda mix: beside.append(time.monotonic())
+        loudspeaker.start()
+        time.sleep(3.5)
+        beside.clear()
+        work()
+        found["one process"] = told(beside)
+        loudspeaker.stop()
+    print(json.dumps(found))
+
+
 def main() -> None:
     """Hold the call, and print one JSON object."""
     with tempfile.TemporaryDirectory() as folder, sound_server(Path(folder)):
@@ -79,4 +140,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    {"--echo": echo, "--busy": busy}.get(sys.argv[-1], main)()

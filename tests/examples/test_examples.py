@@ -22,6 +22,7 @@ FILES = {
     "12_look_into_an_avatar_file": ["somebody.pica"],
     "13_import_a_rig": ["rig.png"],
     "19_five_trackers": ["five.png"],
+    "23_a_recording_with_sound": ["flash.mp4"],
 }
 """What each example writes into the folder that it is given; the others write nothing."""
 PATIENCE_S = 120.0

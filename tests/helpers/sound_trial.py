@@ -46,9 +46,9 @@ def echo_db(sound: SoundProcess, settings: SoundSettings, seconds: float = 6.0) 
     sound.follow(settings)
     sound.use_microphone(True)
     until(lambda: sound.state.microphone.name)
-    sound._on_frame = lambda frame, captured_us: heard.append(frame)
+    sound.on_frame = lambda frame, captured_us: heard.append(frame)
     say(sound, seconds)
-    sound._on_frame = None
+    sound.on_frame = None
     sound.use_microphone(False)
     rest = np.concatenate(heard)[len(heard) * FRAME_SAMPLES // 2 :]
     return float(-10 * np.log10(np.mean(np.square(rest, dtype=np.float64)) + 1e-13))

@@ -71,9 +71,7 @@ def join_panel(view: JoinView, metrics: Metrics) -> list[Fields | JoinOrder]:
         imgui.begin_child("fields", (0, 0), imgui.ChildFlags_.auto_resize_y)
         if view.trouble is not None:
             _trouble(view.trouble, metrics)
-        fields = _typed(view, metrics)
-        if view.sound is not None:
-            fields = _sound(fields, view.sound, metrics, orders)
+        fields = _typed(view, metrics, orders)
         if fields != view.fields:
             orders.append(fields)
         imgui.end_child()
@@ -130,7 +128,7 @@ def _trouble(trouble: Trouble, metrics: Metrics) -> None:
     imgui.pop_style_color()
 
 
-def _typed(view: JoinView, metrics: Metrics) -> Fields:
+def _typed(view: JoinView, metrics: Metrics, orders: list[Fields | JoinOrder]) -> Fields:
     """The fields as they stand after this frame."""
     fields = view.fields
     if imgui.is_window_appearing():
@@ -152,6 +150,8 @@ def _typed(view: JoinView, metrics: Metrics) -> Fields:
         fields = _avatars(fields, view, metrics)
     note("Your face", metrics)
     fields = replace(fields, source=choice_of("##source", SOURCES, fields.source))
+    if view.sound is not None:
+        fields = _sound(fields, view.sound, metrics, orders)
     if imgui.tree_node_ex("More", FOLDED):
         for name in ("token", "secret_file", "ca_file", "avatar"):
             fields = _field(fields, name)

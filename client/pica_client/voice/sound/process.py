@@ -31,6 +31,7 @@ class SoundProcess:
         state: How sound stood a moment ago.
         on_mixed: Is given what is mixed and when it leaves the loudspeaker, as
             `VoiceMixer.on_mixed`, on a thread of its own; `hand_on` switches it.
+        on_frame: Takes what the microphone captures while it is used, on that thread.
     """
 
     def __init__(self, settings: SoundSettings | None = None) -> None:
@@ -46,7 +47,7 @@ class SoundProcess:
         self._settings, self._users = settings or SoundSettings(), 0
         # What holds until it is said anew, for a process that has to begin again.
         self._lasting: dict[str, tuple[Any, ...]] = {}
-        self._on_frame: OnFrame | None = None
+        self.on_frame: OnFrame | None = None
         self._arrived_s: dict[str, float] = {}
         self._moments: dict[str, deque[Moment]] = defaultdict(lambda: deque(maxlen=HISTORY))
 
@@ -101,6 +102,12 @@ class SoundProcess:
             return None
         return moment_at(tuple(self._moments.get(peer_id, ())), now)
 
+    @property
+    def pid(self) -> int | None:
+        """The id of the process, while there is one."""
+        process = self._process
+        return None if process is None else process.pid
+
     def stats(self) -> Mapping[str, dict[str, Any]]:
         """How each voice came in, by peer id, half a second ago."""
         return self._stats
@@ -121,7 +128,7 @@ class SoundProcess:
                 self._reading.join(timeout=1.0)
 
     def _listen(self, on_frame: OnFrame | None) -> None:
-        self._on_frame = on_frame
+        self.on_frame = on_frame
 
     def _last(self, name: str, *arguments: Any) -> None:
         with self._lock:
@@ -177,8 +184,8 @@ class SoundProcess:
                 self._stats = message.stats or self._stats
                 for peer_id, moment in message.moments.items():
                     self._moments[peer_id].append(moment)
-            case ("captured", sound, captured_us) if self._on_frame is not None:
-                self._on_frame(sound, captured_us)
+            case ("captured", sound, captured_us) if self.on_frame is not None:
+                self.on_frame(sound, captured_us)
             case ("mixed", sound, leaves_s):
                 self.on_mixed(sound, leaves_s)
             case _:

@@ -81,10 +81,9 @@ def test_what_others_say_is_taken_out_of_the_microphone(sound: SoundProcess) -> 
 def test_sound_that_ends_by_itself_begins_again_as_it_was(sound: SoundProcess) -> None:
     sound.follow(SoundSettings(speaker="none"))
     assert until(lambda: sound.state.speaker.name == "none")
-    process = sound._process
-    assert process is not None
-    os.kill(process.pid, signal.SIGKILL)
+    assert sound.pid is not None
+    os.kill(sound.pid, signal.SIGKILL)
     assert until(lambda: "begins again" in sound.state.trouble)
     assert until(lambda: sound.state.speaker.name == "none")
     sound.close()
-    assert sound._process is None
+    assert sound.pid is None
