@@ -7,7 +7,10 @@ Rows:
 
     model        "pica": the avatar; "baseline": the paper's baseline of the same face, random
                  weights; "block B", "block H2", "block C": the paper's sizes with each candidate
-                 block and exits as the avatar could have them, random weights
+                 block and exits as the avatar could have them, random weights; "talk": the
+                 avatar's full level, frame after frame of a talking head, so that regions which
+                 have not moved are skipped; "frame": the same with its plan before and its upload
+                 after; "baseline frame": the baseline with its upload
     level        texels per side of the maps; None for the baseline
     parts        "both" maps, or the "expression" map alone; "all" for the baseline
     threads      of ONNX Runtime
@@ -20,12 +23,15 @@ Rows:
     plain_ms     median of the straightforward export of the same weights, one operator a layer
     is_equal     whether both exports decode to the same maps, to `EQUAL` of their largest value
     difference   the largest share of it by which they differ
+    regions      of "talk" and "frame": share of the regions that were made, mean; else None
+    upload_bytes of "frame": bytes that went to the GPU for a frame, mean; else None
 
 `summary`, by threads and model, for each level: the baseline over it (`baseline_ratio`), the plain
 export over the fast one (`plain_ratio`), the full level over it (`level_ratio`); and the level that
-the scheduler gives a talking head of `head_px` when it has time (`level_at_head_px`).
+the scheduler gives a talking head of `head_px` when it has time (`level_at_head_px`). `talk_ratio`
+and `frame_ratio`: the baseline over "talk", and with its upload over "frame".
 
-What it does not show: uploads and drawing (`pica bench render`), several avatars at once, other
+What it does not show: drawing (`pica bench render`), several avatars at once, other
 providers than the one chosen.
 """
 
@@ -40,7 +46,8 @@ import numpy.typing as npt
 import tyro
 from tyro.constructors import PrimitiveConstructorSpec
 
-from pica_client.bench.harness import check_ranges, median_ms, spread, take_turns, timed
+from pica_client.bench.harness import check_ranges, gl_context, median_ms, spread, take_turns, timed
+from pica_client.bench.head import FRAME_S, front_camera, textured_mesh
 from pica_client.bench.option_types import Ints, Words
 from pica_client.decode.decoder import (
     BaselineDecoder,
@@ -49,9 +56,11 @@ from pica_client.decode.decoder import (
     open_session,
 )
 from pica_client.decode.onnx_runtime import onnxruntime
-from pica_client.decode.request import Parts
+from pica_client.decode.request import DecodedMaps, Parts
 from pica_client.errors import OptionError
 from pica_client.output import say
+from pica_client.render.renderer import Renderer
+from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.head import Head
 from pica_client.schedule.scheduler import Scheduler
 from pica_client.schedule.visibility import Sight
@@ -74,7 +83,14 @@ NUM_LATENTS = 16
 them)."""
 SOURCE = "performance:talk"
 SOURCE_S = 30.0
+NUM_TALK_FRAMES = 300
+DISTANCE_CM = 65.0
+IMAGE_SIZE = (720, 720)
+FRAME_BUDGET_S = 10.0
+"""More than a frame takes, for the level must not change with the machine's mood."""
 WARM_UP_ROUNDS = 3
+BASELINE_FRAME = "baseline frame"
+TALKING = ("talk", "frame", BASELINE_FRAME)
 AHEAD = np.array([0, 0, 1], np.float32)
 
 Decode = Callable[[FloatArray], object]
@@ -134,12 +150,19 @@ def run_decode_bench(config: DecodeBenchConfig, avatar: Avatar) -> dict[str, Any
 
     Raises:
         OptionError: The provider cannot be had.
+        GraphicsError: No GL context.
     """
+    with gl_context() as context:
+        return _run(config, avatar, Renderer(context, IMAGE_SIZE))
+
+
+def _run(config: DecodeBenchConfig, avatar: Avatar, renderer: Renderer) -> dict[str, Any]:
     latents = bench_latents(avatar)
+    talk = bench_latents(avatar, NUM_TALK_FRAMES, NUM_TALK_FRAMES * FRAME_S)
     models = {"pica": avatar} | {
         f"block {block}": random_decoders(avatar, block, config.seed) for block in config.blocks
     }
-    decodes = dict(_cases(config, models))
+    decodes = dict(_cases(config, models, renderer))
     differences = {}
     for name, model in models.items():
         say(f"comparing the exports of {name}")
@@ -147,7 +170,8 @@ def run_decode_bench(config: DecodeBenchConfig, avatar: Avatar) -> dict[str, Any
             differences[name, level] = export_difference(model, level, latents[:4], config.onnx)
 
     def decode(case: Case, number: int) -> float:
-        return timed(decodes[case], latents[number % len(latents)])[0].wall_s
+        faces = talk if case.model in TALKING else latents
+        return timed(decodes[case], faces[number % len(faces)])[0].wall_s
 
     cases = list(decodes)
     samples = take_turns(
@@ -156,6 +180,7 @@ def run_decode_bench(config: DecodeBenchConfig, avatar: Avatar) -> dict[str, Any
     samples_s = dict(zip(cases, samples, strict=True))
     rows = [
         _row(case, samples_s, models.get(case.model), differences, latents, config)
+        | _skipped(decodes[case])
         for case in cases
         if not case.is_plain
     ]
@@ -171,10 +196,12 @@ def run_decode_bench(config: DecodeBenchConfig, avatar: Avatar) -> dict[str, Any
     }
 
 
-def bench_latents(avatar: Avatar) -> list[FloatArray]:
-    """Faces of a performance, float32 ``[8, 8, 4]`` each."""
+def bench_latents(
+    avatar: Avatar, count: int = NUM_LATENTS, seconds: float = SOURCE_S
+) -> list[FloatArray]:
+    """Faces of a performance, evenly spaced, float32 ``[8, 8, 4]`` each."""
     source, encoder = open_source(SOURCE), ExpressionEncoder(avatar)
-    times_s = np.linspace(0, SOURCE_S, NUM_LATENTS, endpoint=False).tolist()
+    times_s = np.linspace(0, seconds, count, endpoint=False).tolist()
     return [encoder.encode(source.frame_at(time_s).arkit) for time_s in times_s]
 
 
@@ -213,7 +240,7 @@ def export_difference(
     Returns:
         The largest difference of any value of either map, over the largest value of that map.
     """
-    fast = OnnxDecoder(avatar, onnx)
+    fast = OnnxDecoder(avatar, replace(onnx, skip_m=0.0))
     plain = open_session(decoder_graph(avatar, level=level, plain=True), onnx)
     worst = 0.0
     for latent in latents:
@@ -236,7 +263,7 @@ def summarise(
 
     by_threads: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
     for each in samples_s:
-        if each.level is None or each.is_plain or each.parts != "both":
+        if each.level is None or each.is_plain or each.parts != "both" or each.model in TALKING:
             continue
         models = by_threads.setdefault(str(each.threads), {})
         ratios = models.setdefault(
@@ -247,7 +274,21 @@ def summarise(
         ratios["baseline_ratio"][level] = ratio(Case("baseline", None, "all", each.threads), each)
         ratios["plain_ratio"][level] = ratio(replace(each, is_plain=True), each)
         ratios["level_ratio"][level] = ratio(full, each)
-    return {"by_threads": by_threads, "level_at_head_px": level_for(avatar, config.head_px)}
+    whole: dict[str, Any] = {
+        f"{name}_ratio": {
+            str(threads): ratio(
+                Case(baseline, None, "all", threads),
+                Case(name, avatar.spec.map_size, "both", threads),
+            )
+            for threads in config.threads
+        }
+        for name, baseline in (("talk", "baseline"), ("frame", BASELINE_FRAME))
+    }
+    return {
+        "by_threads": by_threads,
+        **whole,
+        "level_at_head_px": level_for(avatar, config.head_px),
+    }
 
 
 def level_for(avatar: Avatar, head_px: float) -> int:
@@ -256,10 +297,81 @@ def level_for(avatar: Avatar, head_px: float) -> int:
     return Scheduler().level(head)
 
 
-def _cases(config: DecodeBenchConfig, models: dict[str, Avatar]) -> Iterator[tuple[Case, Decode]]:
-    baseline = baseline_like(models["pica"], config.seed)
+class _Talk:
+    """The full level of an avatar, frame after frame."""
+
+    def __init__(self, avatar: Avatar, onnx: OnnxOptions) -> None:
+        self.decoder = OnnxDecoder(avatar, onnx)
+        self.num_frames = 0
+
+    def __call__(self, latent: FloatArray) -> object:
+        self.num_frames += 1
+        return self.decoder.decode(latent, AHEAD)
+
+
+class _Frame(_Talk):
+    """What a frame of a talking head costs but for drawing it: plan, decode, upload."""
+
+    def __init__(self, avatar: Avatar, onnx: OnnxOptions, renderer: Renderer, slot: str) -> None:
+        super().__init__(avatar, onnx)
+        self._renderer, self._slot = renderer, slot
+        renderer.add_avatar(slot, avatar)
+        self._head = Head(slot=slot, avatar=avatar)
+        self._camera = front_camera(avatar.manifest, DISTANCE_CM, IMAGE_SIZE)
+        self._planner = FramePlanner(Scheduler())
+
+    def __call__(self, latent: FloatArray) -> object:
+        now = self.num_frames * FRAME_S
+        self._head.latent = latent
+        self._planner.plan([self._head], [self._camera], IMAGE_SIZE, FRAME_BUDGET_S, now)
+        self._planner.requests([self._head], now)  # always decoded here, however little has changed
+        maps = super().__call__(latent)
+        assert isinstance(maps, DecodedMaps)
+        self._renderer.update_maps(
+            self._slot, maps.position_map, maps.expression_map, maps.row_versions
+        )
+        return maps
+
+    @property
+    def bytes_uploaded(self) -> int:
+        return self._renderer.bytes_uploaded(self._slot)
+
+
+def _skipped(decode: Decode) -> dict[str, Any]:
+    """The share of regions that were made, and bytes uploaded, of a frame."""
+    found: dict[str, Any] = dict.fromkeys(("regions", "upload_bytes"))
+    if isinstance(decode, _Talk) and (regions := decode.decoder.regions) is not None:
+        share = regions.num_decoded / max(regions.num_decoded + regions.num_skipped, 1)
+        found["regions"] = round(share, 4)
+    if isinstance(decode, _Frame):
+        found["upload_bytes"] = round(decode.bytes_uploaded / max(decode.num_frames, 1))
+    return found
+
+
+def _baseline_frame(
+    decoder: BaselineDecoder, renderer: Renderer, slot: str, latent: FloatArray
+) -> None:
+    decoded = decoder.decode(latent, AHEAD)
+    renderer.update_textured(slot, decoded.vertices_m, decoded.texture)
+
+
+def _cases(
+    config: DecodeBenchConfig, models: dict[str, Avatar], renderer: Renderer
+) -> Iterator[tuple[Case, Decode]]:
+    baseline, pica = baseline_like(models["pica"], config.seed), models["pica"]
     for threads in config.threads:
         onnx = replace(config.onnx, threads=threads)
+        full, slot = pica.spec.map_size, f"baseline {threads}"
+        yield Case("talk", full, "both", threads), _Talk(pica, onnx)
+        yield (
+            Case("frame", full, "both", threads),
+            _Frame(pica, onnx, renderer, f"pica {threads}"),
+        )
+        renderer.add_textured(slot, textured_mesh(baseline))
+        yield (
+            Case(BASELINE_FRAME, None, "all", threads),
+            partial(_baseline_frame, BaselineDecoder(baseline, onnx), renderer, slot),
+        )
         for name, avatar in models.items():
             decoder = OnnxDecoder(avatar, onnx)
             parts_of: tuple[Parts, ...] = ("both", "expression") if name == "pica" else ("both",)

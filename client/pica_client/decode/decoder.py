@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from pica_client.decode.onnx_runtime import onnxruntime
+from pica_client.decode.regions import SKIP_M, RegionDecoder
 from pica_client.decode.request import DecodedMaps, Parts
 from pica_client.errors import OptionError
 from pica_core.avatar.baseline import BaselineAvatar
@@ -72,6 +73,8 @@ class OnnxOptions:
     """ONNX Runtime execution provider, by its own name."""
     provider_options: Mapping[str, str] = field(default_factory=dict)
     """Options of the provider, handed on as they are."""
+    skip_m: float = SKIP_M
+    """Farthest that vertices of a region that is not made anew may be off, metres."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.threads <= 64:
@@ -139,6 +142,9 @@ class OnnxDecoder:
         avatar: Checked avatar; the graphs are built here.
         options: Threads and provider.
 
+    Attributes:
+        regions: What makes the full level's vertices where bases do, on the CPU; else None.
+
     Raises:
         OptionError: The provider is not in this build of ONNX Runtime, or does not start.
     """
@@ -147,6 +153,9 @@ class OnnxDecoder:
         self._avatar = avatar
         self._options = options or OnnxOptions()
         self._sessions: dict[tuple[int, Parts], Any] = {}  # at most two per level
+        self.regions: RegionDecoder | None = None
+        if avatar.spec.geometry == "bases" and self._options.provider == CPU_PROVIDER:
+            self.regions = RegionDecoder(avatar, self._options.skip_m)
         self.prepare()
 
     def prepare(self, level: int | None = None, parts: Parts = "both") -> None:
@@ -163,14 +172,24 @@ class OnnxDecoder:
         """Decode one latent; see `ObjectDecoder`."""
         session = self._session(level, parts)
         feeds = {"latent": latent[None], "view_direction": view_direction[None]}
-        if parts == "expression":
+        by_regions = parts == "both" and self._is_by_regions(level)
+        if parts == "expression" or by_regions:
             (expression_map,) = session.run(["expression_map"], feeds)
+            if by_regions:
+                assert self.regions is not None
+                sheet, versions = self.regions.decode(latent)
+                return DecodedMaps(sheet, expression_map, len(expression_map), versions)
             return DecodedMaps(None, expression_map, len(expression_map))
         position_map, expression_map = session.run(["position_map", "expression_map"], feeds)
         return DecodedMaps(position_map, expression_map, len(expression_map))
 
+    def _is_by_regions(self, level: int | None) -> bool:
+        return self.regions is not None and level in (None, self._avatar.spec.map_size)
+
     def _session(self, level: int | None, parts: Parts) -> Any:
         size = self._avatar.spec.map_size if level is None else level
+        if self._is_by_regions(level):
+            parts = "expression"
         session = self._sessions.get((size, parts))
         if session is None:
             if size not in self._avatar.levels:

@@ -3,12 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
-from pica_core.types import FloatArray
+from pica_core.types import FloatArray, Int64Array
 
 Parts = Literal["both", "expression"]
 """Maps to make: both, or the expression map alone."""
+
+
+class DecodedSheet(NamedTuple):
+    """Vertices, and which of their rows are the same as before.
+
+    Attributes:
+        position_map: Head-frame metres, float32 ``[R, S, 3]``, C-contiguous.
+        row_versions: ``[R]``; rows of one number, of any two decodes, hold the same vertices.
+    """
+
+    position_map: FloatArray
+    row_versions: Int64Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,6 +33,8 @@ class DecodedMaps:
     """float32 ``[S, S, 4]``, C-contiguous."""
     level: int = 0
     """S, texels per side of what was decoded."""
+    row_versions: Int64Array | None = None
+    """See `DecodedSheet`; None where that is not known, and all rows are to be uploaded."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,4 +92,6 @@ class DecodeResult:
             return self
         if self.maps.position_map is not None or former.maps.position_map is None:
             return self
-        return replace(self, maps=replace(self.maps, position_map=former.maps.position_map))
+        kept = former.maps
+        maps = replace(self.maps, position_map=kept.position_map, row_versions=kept.row_versions)
+        return replace(self, maps=maps)

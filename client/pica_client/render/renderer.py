@@ -50,7 +50,7 @@ from pica_core.avatar.spec import POSITION_CHANNELS
 from pica_core.camera import Camera
 from pica_core.errors import GraphicsError
 from pica_core.gl import GL_VERSION, wait_for_gpu
-from pica_core.types import FloatArray, Image
+from pica_core.types import FloatArray, Image, Int64Array
 
 __all__ = ["DrawStats", "HeadStats", "RenderOptions", "Renderer"]
 
@@ -179,7 +179,11 @@ class Renderer:
             self._context.gc()
 
     def update_maps(
-        self, slot: str, position_map: FloatArray | None, expression_map: FloatArray | None
+        self,
+        slot: str,
+        position_map: FloatArray | None,
+        expression_map: FloatArray | None,
+        row_versions: Int64Array | None = None,
     ) -> None:
         """Upload freshly decoded maps; the two need not be of one level.
 
@@ -188,6 +192,8 @@ class Renderer:
             position_map: Metres, float32 ``[S, S, 3]`` at the full level, the sheet of a coarser
                 one's vertices ``[R, S, 3]``. None keeps the one that is there.
             expression_map: float32 ``[S, S, C]``, or None.
+            row_versions: Of the position map, as `DecodedSheet` has them: rows that are there
+                already are not uploaded again. None uploads all.
 
         Raises:
             ShapeError: Maps of another size than the avatar's levels. Nothing is changed.
@@ -199,9 +205,17 @@ class Renderer:
         for series, array in pairs:
             if array is not None:
                 series.check(array)
-        for series, array in pairs:
-            if array is not None:
-                series.write(array)
+        if position_map is not None:
+            entry.position.write(position_map, row_versions)
+        if expression_map is not None:
+            entry.expression.write(expression_map)
+
+    def bytes_uploaded(self, slot: str) -> int:
+        """Bytes of maps that went to the GPU for a slot; 0 where there is no avatar."""
+        entry = self._slots.get(slot)
+        if entry is None or entry.position is None or entry.expression is None:
+            return 0
+        return entry.position.bytes_written + entry.expression.bytes_written
 
     def update_textured(self, slot: str, vertices_m: FloatArray, texture: FloatArray) -> None:
         """Upload what a baseline's decoder made; see `TexturedHead.update`."""

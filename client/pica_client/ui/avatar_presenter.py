@@ -265,8 +265,9 @@ class AvatarPresenter:
                 self._give_up(entry, result.error or "cannot be decoded")
                 continue
             begin_s = self._clock()
+            maps = result.maps
             self._renderer.update_maps(
-                result.slot, result.maps.position_map, result.maps.expression_map
+                result.slot, maps.position_map, maps.expression_map, maps.row_versions
             )
             upload_s = self._clock() - begin_s
             self._planner.note_decoded(entry.head, result, upload_s, now)

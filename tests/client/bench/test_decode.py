@@ -42,6 +42,9 @@ def test_there_is_a_row_for_every_model_level_and_part(result: dict[str, Any]) -
             *(("pica", level, parts) for level in TOY.levels for parts in ("both", "expression")),
             *(("block C", level, "both") for level in TOY.levels),
             ("baseline", None, "all"),
+            ("talk", 256, "both"),
+            ("frame", 256, "both"),
+            ("baseline frame", None, "all"),
         ],
         key=str,
     )
@@ -71,6 +74,14 @@ def test_the_summary_has_the_ratios_of_every_level(result: dict[str, Any]) -> No
     assert ratios["baseline_ratio"]["256"] > 1
     assert set(ratios["plain_ratio"]) == {"64", "128", "256"}
     assert result["summary"]["level_at_head_px"] == 256
+    assert result["summary"]["talk_ratio"]["1"] > 1
+    assert result["summary"]["frame_ratio"]["1"] > 1
+
+
+def test_a_frame_says_what_it_made_and_uploaded(result: dict[str, Any]) -> None:
+    rows = {row["model"]: row for row in result["rows"]}
+    assert rows["frame"]["upload_bytes"] == 256 * 256 * (3 + 4) * 4
+    assert rows["talk"]["regions"] is None  # this one has a decoder, and no bases
 
 
 def test_an_export_that_differs_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
