@@ -29,7 +29,8 @@ Rows:
 `summary`, by threads and model, for each level: the baseline over it (`baseline_ratio`), the plain
 export over the fast one (`plain_ratio`), the full level over it (`level_ratio`); and the level that
 the scheduler gives a talking head of `head_px` when it has time (`level_at_head_px`). `talk_ratio`
-and `frame_ratio`: the baseline over "talk", and with its upload over "frame".
+and `frame_ratio`: the baseline over "talk", and with its upload over "frame"; `*_cpu_ratio` the
+same in processor time, which says more where others use the machine.
 
 What it does not show: drawing (`pica bench render`), several avatars at once, other
 providers than the one chosen.
@@ -46,7 +47,15 @@ import numpy.typing as npt
 import tyro
 from tyro.constructors import PrimitiveConstructorSpec
 
-from pica_client.bench.harness import check_ranges, gl_context, median_ms, spread, take_turns, timed
+from pica_client.bench.harness import (
+    Took,
+    check_ranges,
+    gl_context,
+    median_ms,
+    spread,
+    take_turns,
+    timed,
+)
 from pica_client.bench.head import FRAME_S, front_camera, textured_mesh
 from pica_client.bench.option_types import Ints, Words
 from pica_client.decode.decoder import (
@@ -169,15 +178,16 @@ def _run(config: DecodeBenchConfig, avatar: Avatar, renderer: Renderer) -> dict[
         for level in model.levels:
             differences[name, level] = export_difference(model, level, latents[:4], config.onnx)
 
-    def decode(case: Case, number: int) -> float:
+    def decode(case: Case, number: int) -> Took:
         faces = talk if case.model in TALKING else latents
-        return timed(decodes[case], faces[number % len(faces)])[0].wall_s
+        return timed(decodes[case], faces[number % len(faces)])[0]
 
     cases = list(decodes)
     samples = take_turns(
         cases, decode, rounds=config.rounds, warm_up=WARM_UP_ROUNDS, seed=config.seed
     )
-    samples_s = dict(zip(cases, samples, strict=True))
+    took = dict(zip(cases, samples, strict=True))
+    samples_s = {case: [each.wall_s for each in every] for case, every in took.items()}
     rows = [
         _row(case, samples_s, models.get(case.model), differences, latents, config)
         | _skipped(decodes[case])
@@ -192,7 +202,7 @@ def _run(config: DecodeBenchConfig, avatar: Avatar, renderer: Renderer) -> dict[
         "head_px": config.head_px,
         "machine": describe_machine() | {"onnxruntime": onnxruntime.__version__},
         "rows": rows,
-        "summary": summarise(samples_s, avatar, config),
+        "summary": summarise(samples_s, avatar, config) | _talk_ratios(took, avatar, config),
     }
 
 
@@ -274,21 +284,24 @@ def summarise(
         ratios["baseline_ratio"][level] = ratio(Case("baseline", None, "all", each.threads), each)
         ratios["plain_ratio"][level] = ratio(replace(each, is_plain=True), each)
         ratios["level_ratio"][level] = ratio(full, each)
-    whole: dict[str, Any] = {
-        f"{name}_ratio": {
-            str(threads): ratio(
-                Case(baseline, None, "all", threads),
-                Case(name, avatar.spec.map_size, "both", threads),
-            )
-            for threads in config.threads
-        }
-        for name, baseline in (("talk", "baseline"), ("frame", BASELINE_FRAME))
-    }
-    return {
-        "by_threads": by_threads,
-        **whole,
-        "level_at_head_px": level_for(avatar, config.head_px),
-    }
+    return {"by_threads": by_threads, "level_at_head_px": level_for(avatar, config.head_px)}
+
+
+def _talk_ratios(
+    took: dict[Case, list[Took]], avatar: Avatar, config: DecodeBenchConfig
+) -> dict[str, dict[str, float]]:
+    """The baseline over a talking head, by the clock and in processor time, by threads."""
+    found: dict[str, dict[str, float]] = {}
+    for name, baseline in (("talk", "baseline"), ("frame", BASELINE_FRAME)):
+        for threads in config.threads:
+            over = took[Case(baseline, None, "all", threads)]
+            under = took[Case(name, avatar.spec.map_size, "both", threads)]
+            pairs = list(zip(over, under, strict=True))
+            wall = median(one.wall_s / other.wall_s for one, other in pairs)
+            cpu = median(one.cpu_s for one in over) / median(one.cpu_s for one in under)
+            found.setdefault(f"{name}_ratio", {})[str(threads)] = round(wall, 2)
+            found.setdefault(f"{name}_cpu_ratio", {})[str(threads)] = round(cpu, 2)
+    return found
 
 
 def level_for(avatar: Avatar, head_px: float) -> int:
