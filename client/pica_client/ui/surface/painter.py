@@ -12,7 +12,7 @@ import numpy as np
 from imgui_bundle import imgui
 
 from pica_client.render.shader_source import compose
-from pica_client.ui.surface.surface import BACKGROUND, Surface
+from pica_client.ui.surface.surface import BACKGROUND, PLAIN, Surface
 from pica_core.gl import link_program
 from pica_core.types import Image
 
@@ -32,16 +32,19 @@ class Painter:
     def __init__(self, context: moderngl.Context, surface: Surface) -> None:
         self._context = context
         self._surface = surface
-        self._program = link_program(
-            context,
-            vertex=compose("shapes.vert").text,
-            fragment=compose("shapes.frag").text,
-        )
+        self._programs = [
+            link_program(
+                context,
+                vertex=compose("shapes.vert", defines=kind).text,
+                fragment=compose("shapes.frag", defines=kind).text,
+            )
+            for kind in ({}, {"PLAIN": ""})
+        ]
         self._textures: dict[int, moderngl.Texture] = {}
         self._adopted: dict[str, int] = {}
         self._vertices = context.buffer(reserve=FIRST_BUFFER_BYTES, dynamic=True)
         self._indices = context.buffer(reserve=FIRST_BUFFER_BYTES, dynamic=True)
-        self._shapes = self._make_shapes()
+        self._shapes, self._areas = self._make_shapes()
 
     def register(self, image: Image) -> int:
         """A picture to show in a panel, uint8 ``[H, W, 3]``; its number is for `ImTextureRef`."""
@@ -88,7 +91,8 @@ class Painter:
         context.viewport = (left, bottom, width, height)
         context.enable_only(moderngl.BLEND)
         context.blend_func = moderngl.SRC_ALPHA, moderngl.ONE_MINUS_SRC_ALPHA
-        self._program["size"] = (columns, rows)
+        for program in self._programs:
+            program["size"] = (columns, rows)
         lists = [
             shapes
             for shapes in data.cmd_lists
@@ -117,10 +121,15 @@ class Painter:
                 int(high_x) - max(int(low_x), 0),
                 int(high_y) - max(int(low_y), 0),
             )
-            self._textures[command.tex_ref.get_tex_id()].use(0)
-            self._shapes.render(
-                moderngl.TRIANGLES, vertices=command.elem_count, first=first + command.idx_offset
-            )
+            part = {"vertices": command.elem_count, "first": first + command.idx_offset}
+            number = command.tex_ref.get_tex_id()
+            if number == PLAIN:
+                self._context.disable(moderngl.BLEND)
+                self._areas.render(moderngl.TRIANGLES, **part)
+                self._context.enable(moderngl.BLEND)
+            else:
+                self._textures[number].use(0)
+                self._shapes.render(moderngl.TRIANGLES, **part)
 
     def _write(self, lists: Sequence[imgui.ImDrawList]) -> None:
         """Bring lists to the GPU, one behind the other; buffers grow by doubling."""
@@ -140,17 +149,21 @@ class Painter:
             if len(content) > buffer.size:
                 size = max(len(content), 2 * buffer.size)
                 setattr(self, name, self._context.buffer(reserve=size, dynamic=True))
-                self._shapes = self._make_shapes()
+                self._shapes, self._areas = self._make_shapes()
             else:
                 buffer.orphan()
             getattr(self, name).write(content)
 
-    def _make_shapes(self) -> moderngl.VertexArray:
-        return self._context.vertex_array(
-            self._program,
-            [(self._vertices, "2f 2f 4f1", "place", "uv", "colour")],
-            index_buffer=self._indices,
+    def _make_shapes(self) -> tuple[moderngl.VertexArray, moderngl.VertexArray]:
+        """The same corners and triangles for both programs."""
+        layouts = (("2f 2f 4f1", "place", "uv", "colour"), ("2f 8x 4f1", "place", "colour"))
+        shapes, areas = (
+            self._context.vertex_array(
+                program, [(self._vertices, *layout)], index_buffer=self._indices
+            )
+            for program, layout in zip(self._programs, layouts, strict=True)
         )
+        return shapes, areas
 
     def _update_textures(self, data: imgui.ImDrawData) -> None:
         """Do to our textures what ImGui wants done to its own."""

@@ -59,7 +59,7 @@ PALETTES: dict[Mode, Palette] = {
     "dark": Palette(
         ink=_hex("f1f3f6"),
         faint=_hex("a7b0bd"),
-        card=_hex("1a1d23", 0.97),
+        card=_hex("1a1d23"),
         plate=_hex("101318", 0.78),
         field=_hex("2b3039"),
         field_hovered=_hex("3a414d"),
@@ -73,7 +73,7 @@ PALETTES: dict[Mode, Palette] = {
     "light": Palette(
         ink=_hex("1b1f26"),
         faint=_hex("5b6472"),
-        card=_hex("fbfcfd", 0.98),
+        card=_hex("fbfcfd"),
         plate=_hex("ffffff", 0.86),
         field=_hex("e9ecf1"),
         field_hovered=_hex("dbe0e8"),

@@ -6,12 +6,14 @@ with card("Settings", (x, y), metrics):
         ...
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
 
 from imgui_bundle import imgui
 
+from pica_client.ui.surface.surface import PLAIN
 from pica_client.ui.surface.text_order import as_drawn
 from pica_client.ui.surface.theme import (
     BUTTON_PT,
@@ -19,6 +21,7 @@ from pica_client.ui.surface.theme import (
     TITLE_PT,
     Colour,
     Metrics,
+    Palette,
     Tone,
 )
 
@@ -61,13 +64,33 @@ def card(
         flags = FITTED if flags == FIXED else flags | imgui.WindowFlags_.always_auto_resize
     else:
         imgui.set_next_window_size(size)
+        flags |= imgui.WindowFlags_.no_background
     if scrolls:
         flags &= ~imgui.WindowFlags_.no_scrollbar
     imgui.begin(name, None, flags)
+    if size is not None:
+        _ground(metrics.palette)
     try:
         yield
     finally:
         imgui.end()
+
+
+def _ground(palette: Palette) -> None:
+    """The area of a large panel and the line around it; between its corners it is `PLAIN`."""
+    shapes, rounding = imgui.get_window_draw_list(), imgui.get_style().window_rounding
+    low, size = imgui.get_window_pos(), imgui.get_window_size()
+    high = low + size
+    round_px = min(math.ceil(rounding), size.x / 2, size.y / 2)
+    colour, corners = ink(palette.card), imgui.ImDrawFlags_
+    shapes.push_clip_rect(low, high)
+    inner = (low.x, low.y + round_px), (high.x, high.y - round_px)
+    above, below = (low, (high.x, inner[0][1])), ((low.x, inner[1][1]), high)
+    shapes.add_rect_filled(*above, colour, rounding, corners.round_top)
+    shapes.add_rect_filled(*below, colour, rounding, corners.round_bottom)
+    shapes.add_image(imgui.ImTextureRef(PLAIN), *inner, col=colour)
+    shapes.add_rect(low, high, ink(palette.line), rounding)
+    shapes.pop_clip_rect()
 
 
 @contextmanager
