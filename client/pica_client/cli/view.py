@@ -108,7 +108,7 @@ class ViewOptions:
     avatar_cache: Path | None = None
     """Where to keep those, instead of this user's folder for such things."""
     register_links: bool = False
-    """Have the desktop open invite links with this command, and stop (Linux)."""
+    """Have the desktop open invite links with this command, and stop."""
     SHARED: ClassVar[tuple[str, ...]] = SHARED_OPTIONS
 
 
