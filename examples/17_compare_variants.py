@@ -15,13 +15,13 @@ print("variant   differs in              parameters  per frame  per pixel")
 for name, row in VARIANTS.items():
     parts = [
         f"{part}={getattr(row, part)}"
-        for part in ("network", "encoding", "topology")
+        for part in ("network", "encoding", "topology", "geometry")
         if getattr(row, part) != getattr(FULL, part)
     ]
     if row.network != FULL.network:
         print(f"{name:9} {', '.join(parts)}: a network of its own, see docs/variants.md")
         continue
-    cost = pixel_codec_cost(replace(SPEC, encoding=row.encoding))
+    cost = pixel_codec_cost(replace(SPEC, encoding=row.encoding, geometry=row.geometry))
     print(
         f"{name:9} {', '.join(parts) or 'nothing':22} {cost.parameters / 1e6:8.3f} M "
         f"{cost.per_object_multiply_adds / 1e6:8.1f} M {cost.per_pixel_multiply_adds:10d}"

@@ -8,7 +8,7 @@ by name in the spec:
     H2   conv 3x3, untied bias at input size, leaky; then B
     C    conv 3x3, untied bias at input size, leaky; conv 1x1 to 4c; pixel shuffle
          (the cheapest: 3-4 times fewer multiply-adds)
-    G    C, and in the geometry decoder a factor per channel and location ("untied gain") at its
+    G    C, and in the decoders of geometry a factor per channel and location ("untied gain") at its
          output: what moves how far, such as lips beside each other that an opening jaw parts, need
          not be made of biases
 
@@ -72,10 +72,10 @@ class Layer:
 
 
 def decoder_layers(spec: AvatarSpec, decoder: str) -> list[Layer]:
-    """The layers of the decoder named ``"geometry"`` or ``"expression"``, in order.
+    """The layers of the decoder named ``"geometry"``, ``"rest"`` or ``"expression"``, in order.
 
     Input is ``[N, C, 8, 8]`` (Z, with the tiled view direction after it for "expression"), output
-    ``[N, C, 256, 256]``.
+    ``[N, C, 256, 256]``, of "rest" twice 8 rows and columns for each of its blocks.
     """
     in_channels, outputs = spec.decoder_channels[decoder]
     layers: list[Layer] = []
@@ -83,7 +83,7 @@ def decoder_layers(spec: AvatarSpec, decoder: str) -> list[Layer]:
     for index, out_channels in enumerate(outputs):
         layers += _block(spec.block, f"{decoder}.{index}", in_channels, out_channels, size)
         size *= 2
-        if spec.block == "G" and decoder == "geometry":
+        if spec.block == "G" and decoder != "expression":
             name = f"{decoder}.{index}.gain"
             layers.append(Layer("untied_gain", name, out_channels, out_channels, size))
         in_channels = out_channels

@@ -165,6 +165,9 @@ def check_finite(tensors: Mapping[str, Array]) -> None:
             )
 
 
+_HALF = ("geometry.", "rest.", "expression.", "encoder.")
+
+
 def _usual(name: str) -> Storage:
     if name.startswith(LEVEL_PREFIX):
         if name.endswith((".geometry.mean", ".geometry.weight")):
@@ -172,7 +175,7 @@ def _usual(name: str) -> Storage:
         return "f16" if name.endswith(".expression.bias") else "f32"
     if name.endswith(".gain.weight"):
         return "u8"
-    return "f16" if name.startswith(("geometry.", "expression.", "encoder.")) else "f32"
+    return "f16" if name.startswith(_HALF) else "f32"
 
 
 def _to_affine(array: Array, dtype: type[np.unsignedinteger[Any]]) -> tuple[Array, dict[str, Any]]:

@@ -19,7 +19,9 @@ STEP = 4
 """Ranks are filled up to multiples of this with directions that are 0."""
 
 
-def bases_graph(graph: GraphBuilder, avatar: Avatar, size: int, *, plain: bool) -> None:
+def bases_graph(
+    graph: GraphBuilder, avatar: Avatar, size: int, *, plain: bool, rest: str | None = None
+) -> None:
     """Add the nodes that make ``position_map`` from ``latent``.
 
     Args:
@@ -27,6 +29,7 @@ def bases_graph(graph: GraphBuilder, avatar: Avatar, size: int, *, plain: bool) 
         avatar: Whose spec says `bases`.
         size: One of its levels.
         plain: Use one product with all vertices, regions put together again.
+        rest: The map that the decoder of what bases cannot has made, ``[1, 3, S, S]``.
     """
     tensors, scale_m = avatar.tensors, avatar.manifest.position_scale_m
     flat = graph.add("Reshape", "latent", graph.sizes(1, NUM_LATENT))
@@ -44,8 +47,22 @@ def bases_graph(graph: GraphBuilder, avatar: Avatar, size: int, *, plain: bool) 
         mean = tensors[f"{PREFIX}mean"].reshape(-1, POSITION_CHANNELS)[places]
         moved = graph.add("MatMul", weights, graph.floats(whole.reshape(len(whole), -1)))
     moved = graph.add("Reshape", moved, shape)
+    if rest is not None:
+        moved = graph.add(
+            "Add", moved, graph.add("Reshape", _at_vertices(graph, avatar, size, rest), shape)
+        )
     mean = mean.reshape(rows, size, POSITION_CHANNELS)
     graph.add("Add", moved, graph.floats(mean), output="position_map")
+
+
+def _at_vertices(graph: GraphBuilder, avatar: Avatar, size: int, rest: str) -> str:
+    """Metres that a map ``[1, 3, S, S]`` adds at each place of a level's sheet, ``[1, P, 3]``."""
+    uv = avatar.tensors["mesh.vertex_uv"][sheet_places(avatar, size)].astype(np.float64)
+    where = graph.floats((2 * uv - 1)[None, None])
+    found = graph.add("GridSample", rest, where, mode="bilinear", padding_mode="border")
+    flat = graph.add("Reshape", found, graph.sizes(1, POSITION_CHANNELS, len(uv)))
+    scaled = graph.add("Mul", flat, graph.floats(avatar.manifest.position_scale_m))
+    return graph.add("Transpose", scaled, perm=[0, 2, 1])
 
 
 def sheet_places(avatar: Avatar, size: int) -> IntArray:

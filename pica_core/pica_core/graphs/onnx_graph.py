@@ -76,7 +76,11 @@ def decoder_graph(
     arrange = _plain if plain else _fast
     if parts != "expression":
         if avatar.spec.geometry == "bases":
-            bases_graph(graph, avatar, size, plain=plain)
+            rest = None
+            if avatar.spec.rest_channels:
+                layers, tensors = decoder_layers(avatar.spec, "rest"), dict(avatar.tensors)
+                rest = arrange(graph, layers, tensors, grid)
+            bases_graph(graph, avatar, size, plain=plain, rest=rest)
         else:
             _position_map(graph, avatar, size, grid, plain=plain)
         outputs["position_map"] = [avatar.position_rows(size), size, POSITION_CHANNELS]

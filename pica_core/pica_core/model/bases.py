@@ -29,6 +29,9 @@ LEAST_FRAMES = 8
 """Fewer good meshes make no bases."""
 MOST_FRAMES = 1024
 """Meshes that the components are found from; of more, evenly spaced ones."""
+BENT_M = 1e-4
+"""Bases are not enough where those of three in four training meshes leave a larger root mean square
+error in any region of the others (measured, `docs/results/linear`: rigs leave a tenth)."""
 JUMP_RATIO = 10.0
 JUMP_M = 2e-3
 """A mesh is bad if the others explain it so much worse than a usual one (both, root mean square:
@@ -99,7 +102,8 @@ def fit_bases(
     while True:
         if len(good) < LEAST_FRAMES:
             raise CaptureError(
-                f"{len(good)} good training meshes ({_named(left_out)}); bases need {LEAST_FRAMES}"
+                f"{len(good)} good training meshes ({_named(left_out)}); "
+                f"bases need {LEAST_FRAMES}, the variant full needs none"
             )
         # From the median, which no single mesh moves; about the mean, they would be dependent.
         products = _products((meshes_m[good] - np.median(meshes_m[good], axis=0)) * root)
@@ -208,6 +212,31 @@ def split_bases(
         basis=round_signed(basis),
         mix_m=np.concatenate([mix_m for _, _, mix_m, _ in found]).astype(np.float32),
     )
+
+
+def unexplained_m(
+    meshes_m: FloatArray, num_bases: int, vertex_weights: FloatArray, vertex_uv: FloatArray
+) -> float:
+    """What bases of three in four meshes leave of every fourth: the root mean square error of the
+    worst region, metres. 0 with fewer than two meshes for each basis: bending cannot be told from
+    a lack of meshes then.
+
+    Args:
+        meshes_m: Good ones, ``[F, V, 3]``.
+        num_bases: As for `fit_bases`.
+        vertex_weights: The same, ``[V]``.
+        vertex_uv: ``[V, 2]``.
+    """
+    if len(meshes_m) < 2 * num_bases:
+        return 0.0
+    apart = np.arange(len(meshes_m)) % 4 == 3
+    bases = fit_bases(meshes_m[~apart], num_bases, vertex_weights)
+    meshes_m = meshes_m[apart]
+    weights, worst = bases.weights_of(meshes_m), 0.0
+    for vertices in _cut(vertex_uv, np.arange(len(vertex_uv), dtype=np.int32)):
+        left = meshes_m[:, vertices] - bases.select(vertices).positions(weights)
+        worst = max(worst, float(np.square(left).sum(2).mean()))
+    return float(np.sqrt(worst))
 
 
 def _cut(vertex_uv: FloatArray, vertices: IntArray) -> list[IntArray]:

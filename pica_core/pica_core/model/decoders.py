@@ -58,7 +58,7 @@ def _module(layer: Layer) -> nn.Module:
 
 
 class MapDecoder(nn.Module):
-    """One of the two decoders: ``[N, C, 8, 8]`` to ``[N, C', 256, 256]``.
+    """A decoder: ``[N, C, 8, 8]`` to ``[N, C', 256, 256]``.
 
     Weights start with He's variance for leaky units (gain over the inputs of one output), and the
     last convolution a hundred times smaller, so that training begins at the mean face.
@@ -79,6 +79,11 @@ class MapDecoder(nn.Module):
                 nn.init.zeros_(step.bias)
         with torch.no_grad():
             convolutions[-1].weight.mul_(0.01)
+
+    def start_at_zero(self) -> None:
+        """Make a map of zeros until it is trained."""
+        last = [step for step in self.steps if isinstance(step, nn.Conv2d)][-1]
+        nn.init.zeros_(last.weight)
 
     def forward(self, grid: Tensor) -> Tensor:
         """``[N, C, 8, 8]`` to ``[N, C', 256, 256]``."""

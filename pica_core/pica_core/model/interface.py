@@ -72,6 +72,7 @@ class LinearPrior(NamedTuple):
         projection: From their three coordinates to the weights, in position scales, ``[K, 3 P]``.
         deviation_m: Root mean square movement of each basis, ``[K]``.
         left_out: Names of training frames whose meshes were not used.
+        unexplained_m: What bases do not explain (`unexplained_m` of `model.bases`), metres.
     """
 
     tracked: Bases
@@ -80,6 +81,7 @@ class LinearPrior(NamedTuple):
     projection: FloatArray
     deviation_m: FloatArray
     left_out: tuple[str, ...] = ()
+    unexplained_m: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -27,6 +27,7 @@ from pica_core.errors import (
     TrainingDivergedError,
     TrainingMemoryError,
 )
+from pica_core.model.bases import BENT_M
 from pica_core.train.checkpoint import NAME, read_checkpoint, write_checkpoint
 from pica_core.train.config import PHASES, TrainConfig
 from pica_core.train.data.training import TrainingData
@@ -96,8 +97,9 @@ class Trainer:
         prior = face_prior(data, config.model.variant)
         self.model = config.model.build(prior).to(self.device)
         geometry, joint, driver = config.schedule.steps
-        if config.model.spec().geometry == "bases":  # nothing to descend: the steps go to colours
-            geometry, joint = 0, joint + geometry // JOINT_COST
+        if (spec := self.model.spec).geometry == "bases":
+            if not spec.rest_channels:  # nothing to descend: the steps go to colours
+                geometry, joint = 0, joint + geometry // JOINT_COST
             driver = min(driver, 1)  # a regression, which a descent from it only makes worse
         self._steps = geometry, joint, driver if data.capture.has_expressions else 0
         self.step = 0
@@ -106,6 +108,12 @@ class Trainer:
         self._rate_scale = 1.0
         self.rasteriser = rasteriser
         self.objectives = Objectives(data, config, self.model, rasteriser, self.ranks, self.device)
+        if prior.linear is not None and prior.linear.unexplained_m > BENT_M:
+            self.objectives.notes.append(
+                f"bases of three in four training meshes leave "
+                f"{1e3 * prior.linear.unexplained_m:.2f} mm in the worst region of the others: "
+                "the face bends much, or more frames are needed"
+            )
         if prior.linear is not None and prior.linear.left_out:
             named = ", ".join(prior.linear.left_out[:8])
             self.objectives.notes.append(
@@ -193,7 +201,7 @@ class Trainer:
             TrainingMemoryError: The batch does not fit into memory.
         """
         phase, index, length = self.phase_of(self.step)
-        if phase == "driver" and index == 0 and self.config.model.spec().geometry == "bases":
+        if phase == "driver" and index == 0 and self.model.spec.geometry == "bases":
             self.objectives.start_driver()
             self._optimisers[phase].param_groups[0]["peak"] = 0.0
         schedule = self.config.schedule
@@ -275,7 +283,7 @@ class Trainer:
                 another capture.
         """
         state = read_checkpoint(self.run_dir / NAME)
-        if state["config"] != json.dumps(self.config.to_json()):
+        if TrainConfig.from_json(json.loads(state["config"])) != self.config:
             raise CheckpointError(
                 f"{self.run_dir}: the checkpoint was made with other options; "
                 "use the same ones, or another --out"

@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.avatar.variants import VARIANTS
-from pica_core.model.bases import fit_bases, split_bases
+from pica_core.model.bases import fit_bases, split_bases, unexplained_m
 from pica_core.model.interface import FacePrior, LinearPrior
 from pica_core.model.linear import CODE_SIZE
 from pica_core.train.data.meshes import vertex_importance
@@ -59,6 +59,7 @@ def linear_prior(data: TrainingData) -> LinearPrior:
     both = fit_bases(np.concatenate([dense_m, tracked_m], 1), CODE_SIZE, counts)
     used = [i for i in range(len(frames)) if i not in both.left_out]
     weights = both.weights_of(np.concatenate([dense_m[used], tracked_m[used]], 1))
+    uv = data.capture.topology.vertex_uv
     dense = both.select(np.arange(num_dense, dtype=np.int32))
     maps = np.stack([meshes.position_maps([frames[i]])[0].flatten(1).numpy() for i in used])
     covered = np.flatnonzero(maps.any((0, 1)))
@@ -68,11 +69,12 @@ def linear_prior(data: TrainingData) -> LinearPrior:
     products += RIDGE * np.trace(products) / len(products) * np.eye(len(products))
     return LinearPrior(
         tracked=both.select(np.arange(num_dense, len(counts), dtype=np.int32)),
-        parts=split_bases(dense, data.capture.topology.vertex_uv),
+        parts=split_bases(dense, uv),
         texels=texels.astype(np.int32),
         projection=_float32(np.linalg.solve(products, weights).T @ read),
         deviation_m=_float32(np.sqrt(np.square(dense.components_m).sum(2).mean(1))),
         left_out=tuple(data.capture.frames[frames[i]].name for i in both.left_out),
+        unexplained_m=unexplained_m(dense_m[used], CODE_SIZE, counts[:num_dense], uv),
     )
 
 

@@ -106,9 +106,10 @@ def evaluate(trainer: Trainer, *, max_frames: int = 25) -> list[dict[str, Any]]:
 
     Returns:
         Rows of {source, view, mse, mse_low, mse_high, psnr_db, ssim, temporal_mse, frames,
-        vertex_error_mm}: "encoder" rows use the model's own encoder, "driver" rows the expression
-        encoder, which is what a live sender runs. The vertex error is the mean distance from the
-        capture's mesh that the model was trained on.
+        vertex_error_mm, lid_error_mm, lip_error_mm}: "encoder" rows use the model's own encoder,
+        "driver" rows the expression encoder, which is what a live sender runs. The vertex
+        errors are mean distances from the capture's mesh that the model was trained on; None where
+        it does not name the region.
     """
     data = trainer.data
     evaluator = ModelEvaluator(data, trainer.model, trainer.rasteriser)
@@ -118,11 +119,16 @@ def evaluate(trainer: Trainer, *, max_frames: int = 25) -> list[dict[str, Any]]:
         sources = ("encoder", "driver")
     rows: list[dict[str, Any]] = []
     for source in sources:
-        distance = float(np.mean([_vertex_error_mm(evaluator, source, frame) for frame in frames]))
+        off_mm = np.mean([_vertex_errors_mm(evaluator, source, frame) for frame in frames], axis=0)
+        regions = data.meshes.topology(trainer.model.topology).regions
+        distances = {"vertex_error_mm": float(off_mm.mean())} | {
+            f"{name}_error_mm": float(off_mm[regions[f"{name}s"]].mean())
+            if np.any(regions.get(f"{name}s", False))
+            else None
+            for name in ("lid", "lip")
+        }
         for view, errors in measure_views(evaluator, frames, source).items():
-            rows.append(
-                {"source": source, "view": view, **errors.row(), "vertex_error_mm": distance}
-            )
+            rows.append({"source": source, "view": view, **errors.row(), **distances})
     return rows
 
 
@@ -136,13 +142,15 @@ def _latent(evaluator: ModelEvaluator, source: Source, frame: int) -> Tensor:
     return evaluator.encode(frame) if source == "encoder" else evaluator.drive(frame)
 
 
-def _vertex_error_mm(evaluator: ModelEvaluator, source: Source, frame: int) -> float:
+def _vertex_errors_mm(evaluator: ModelEvaluator, source: Source, frame: int) -> FloatArray:
+    """How far each vertex of a frame is off, ``[V]``."""
     capture = evaluator.data.capture
     wanted = evaluator.data.meshes.dense_m[frame]
     if evaluator.model.topology == "tracked" and capture.tracked_topology is not capture.topology:
         wanted = evaluator.data.meshes.true_at_tracked(frame)
     found = evaluator.vertices_m(_latent(evaluator, source, frame))
-    return float(np.linalg.norm(found - wanted, axis=1).mean()) * 1000
+    off_mm: FloatArray = 1000 * np.linalg.norm(found - wanted, axis=1)
+    return off_mm
 
 
 def _change(

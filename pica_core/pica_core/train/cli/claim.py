@@ -1,0 +1,165 @@
+"""`pica bench claim`: the default model beside `full` and `baseline`, on any heads."""
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from pica_core.capture.dataset.dataset import Capture
+from pica_core.capture.rig.head import read_rig
+from pica_core.cli.rig import RigOptions, rig
+from pica_core.errors import CaptureError, CheckpointError, TrainingOptionError, check_ranges
+from pica_core.train.checkpoint import read_checkpoint
+from pica_core.train.cli.train import TrainOptions, VariantName, train
+from pica_core.train.eval.run import RUN_FILE
+from pica_core.train.model_card import EVALUATION_FILE
+
+OURS, THEIRS = "linear", "baseline"
+"""What is claimed to lie below what."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ClaimOptions:
+    """Options of `pica bench claim`."""
+
+    rigs: tuple[Path, ...]
+    """Heads: .glb files or folders of OBJ files with blendshapes, or finished captures."""
+    out: Path = Path("claim")
+    """Folder of captures and runs. What is finished there is measured and not made again, and what
+    was stopped goes on."""
+    variants: tuple[VariantName, ...] = ("linear", "full", "baseline")
+    """Models to train, rows of docs/variants.md."""
+    preset: Literal["tiny", "small", "long"] = "small"
+    """How much to train."""
+    seeds: int = 2
+    """Runs of each model on each head, of seeds 0, 1, ..."""
+    frames: int = 256
+    """Frames of a capture that is rendered."""
+    cameras: int = 10
+    """Cameras of a capture that is rendered."""
+    size: str = "384x384"
+    """Image size of a capture that is rendered, columns x rows, pixels."""
+    eval_frames: int = 25
+    """Held-out frames to measure on."""
+    threads: int = 1
+    """CPU threads of torch."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self, TrainingOptionError, seeds=(1, 100))
+        for name in ("rigs", "variants"):
+            if not getattr(self, name):
+                raise TrainingOptionError(f"{name} is empty; name at least one")
+        names = [path.stem for path in self.rigs]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise TrainingOptionError(f"rigs: two are called {twice[0]!r}; rename one")
+        for path in self.rigs:
+            if not path.exists():
+                raise CaptureError(f"{path}: no such rig or capture")
+
+
+def bench_claim(options: ClaimOptions) -> dict[str, Any]:
+    """Train the default model, full and baseline on heads, and count in which views it is best."""
+    rendered = [path for path in options.rigs if not _is_capture(path)]
+    for path in rendered:  # before hours are spent on the others
+        read_rig(path)
+    captures = [_capture(path, options) for path in options.rigs]
+    rows: list[dict[str, Any]] = []
+    for capture in captures:
+        for seed in range(options.seeds):
+            for variant in options.variants:
+                made = _run(capture, variant, seed, options)
+                rows += made
+                mean, live, vertex_mm = (
+                    _mean([row[name] for row in made]) for name in ("mse", "live_mse", "vertex_mm")
+                )
+                told = f"MSE {mean:.1f}" + ("" if live is None else f", live {live:.1f}")
+                told += f", vertices {vertex_mm:.3f} mm, {made[0]['seconds']:.0f} s"
+                print(f"{capture.name} {variant} {seed}: {told}", file=sys.stderr, flush=True)
+    below = views_below(rows)
+    summary = {"views_below": sum(below), "views": len(below)}
+    print(f"{OURS} below {THEIRS}: {sum(below)} of {len(below)} views", file=sys.stderr)
+    return {"preset": options.preset, "rows": rows, "summary": summary}
+
+
+def views_below(rows: list[dict[str, Any]]) -> list[bool]:
+    """Whether the default model lies below the baseline, for each identity, seed and view that both
+    were measured in."""
+    errors = {(r["variant"], r["identity"], r["seed"], r["view"]): r["mse"] for r in rows}
+    views = [key[1:] for key in errors if key[0] == OURS and (THEIRS, *key[1:]) in errors]
+    return [errors[OURS, *view] < errors[THEIRS, *view] for view in views]
+
+
+def _is_capture(path: Path) -> bool:
+    return (path / "topology.npz").exists() or (path / "tracked_mesh").is_dir()
+
+
+def _capture(path: Path, options: ClaimOptions) -> Path:
+    """A finished capture, checked; of a rig it is rendered first."""
+    if _is_capture(path):
+        Capture.open(path)
+        return path
+    out = options.out / "captures" / path.stem
+    if not (out / "capture.json").exists():
+        rig(
+            RigOptions(
+                rig=path,
+                out=out,
+                frames=options.frames,
+                cameras=options.cameras,
+                size=options.size,
+            )
+        )
+    return out
+
+
+def _run(
+    capture: Path, variant: VariantName, seed: int, options: ClaimOptions
+) -> list[dict[str, Any]]:
+    """Rows of one run, which is trained and measured as far as it is not yet."""
+    folder = options.out / f"{capture.name}-{variant}-{seed}"
+    found: list[dict[str, Any]] = []
+    if (folder / EVALUATION_FILE).exists():
+        if (preset := json.loads((folder / RUN_FILE).read_text())["preset"]) != options.preset:
+            raise CheckpointError(
+                f"{folder}: trained with preset {preset}, not {options.preset}; use another --out"
+            )
+        found = json.loads((folder / EVALUATION_FILE).read_text())
+    if not found or "lip_error_mm" not in found[0]:
+        trained = train(
+            TrainOptions(
+                capture=capture,
+                out=folder,
+                variant=variant,
+                preset=options.preset,
+                seed=seed,
+                resume=(folder / "checkpoint.pt").exists(),
+                eval_frames=options.eval_frames,
+                threads=options.threads,
+            )
+        )
+        found = trained["rows"]
+    state = read_checkpoint(folder / "checkpoint.pt")
+    live = {row["view"]: row["mse"] for row in found if row["source"] == "driver"}
+    return [
+        {
+            "identity": capture.name,
+            "variant": variant,
+            "seed": seed,
+            "view": row["view"],
+            "mse": row["mse"],
+            "live_mse": live.get(row["view"]),
+            "vertex_mm": row["vertex_error_mm"],
+            "lid_mm": row["lid_error_mm"],
+            "lip_mm": row["lip_error_mm"],
+            "seconds": round(state["seconds"], 1),
+            "steps": state["step"],
+        }
+        for row in found
+        if row["source"] == "encoder"
+    ]
+
+
+def _mean(values: list[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return sum(known) / len(known) if known else None
