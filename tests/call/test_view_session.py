@@ -234,6 +234,7 @@ def test_who_records_from_the_command_line_is_seen_to_by_those_in_the_room(
 
 
 def test_what_the_command_line_says_comes_before_what_was_kept() -> None:
-    kept = Preferences(url="ws://old", room="old", name="Old")
+    kept = Preferences(url="ws://old", room="old", name="Old", voice="none")
     assert Destination(room="new").fields(kept) == Fields(url="ws://old", room="new", name="Old")
+    assert Destination(voice="speech").fields(kept).voice == "speech"
     assert Destination(room="new").link(LinkConfig()).room == "new"

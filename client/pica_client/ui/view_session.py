@@ -7,6 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import asdict, dataclass, field, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +79,7 @@ class Destination:
                 for name in ("ca_file", "secret_file", "avatar")
             },
             source=self.source if preferences.source is None else preferences.source,
-            voice=self.voice or preferences.voice or MICROPHONE,
+            voice=self.voice or _usual_voice(preferences.voice),
             sound=self.sound,
         )
 
@@ -96,6 +97,13 @@ class Destination:
             token=self.token,
             token_file=None if self.token else base.token_file,
         )
+
+
+def _usual_voice(kept: str | None) -> str:
+    """The voice of the last call, or the microphone, where there can be one."""
+    if available() is not None:
+        return "none"
+    return kept or (MICROPHONE if find_spec("soundcard") else "none")
 
 
 def keep_folder(given: Path | None, preferences: Preferences) -> Path | None:
