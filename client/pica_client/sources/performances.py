@@ -115,8 +115,8 @@ def _talk(rng: np.random.Generator, times_s: Float64Array) -> tuple[Mixer, Float
     mixer.add(brows, {"browInnerUp": 0.45, "browOuterUp": 0.38, "eyeWide": 0.1})
     frown = np.clip(tracks.drift(rng, times_s, period_s=(6, 15)) - 0.25, 0, 1)
     mixer.add(frown, {"browDown": 0.08})
-    mixer.look(*tracks.saccades(rng, times_s, spread=0.075, rest_s=(0.6, 2.5)))
-    mixer.blink(tracks.blinks(rng, times_s))
+    mixer.look(*tracks.saccades(rng, times_s, spread=0.075, rest_s=(0.6, 2.5), away=0.3))
+    mixer.blink(tracks.blinks(rng, times_s, every_s=(2.0, 5.0)))
     pitch = 0.05 * tracks.smooth(speech.stress, 0.2) + 0.06 * tracks.nods(
         rng, times_s, every_s=(8, 16)
     )
@@ -135,7 +135,7 @@ def _listen(rng: np.random.Generator, times_s: Float64Array) -> tuple[Mixer, Flo
     mixer.add(interest, {"browInnerUp": 0.5, "browOuterUp": 0.4, "eyeWide": 0.12})
     doubt = np.clip(1.4 * tracks.drift(rng, times_s, period_s=(8, 18)) - 0.4, 0, 1)
     mixer.add(doubt, {"browDown": 0.4, "mouthPress": 0.25, "mouthPucker": 0.2, "mouthLeft": 0.15})
-    mixer.look(*tracks.saccades(rng, times_s, spread=0.09, rest_s=(1.0, 4.0)))
+    mixer.look(*tracks.saccades(rng, times_s, spread=0.09, rest_s=(1.0, 4.0), away=0.15))
     mixer.blink(tracks.blinks(rng, times_s, every_s=(2.0, 5.0)))
     return mixer, 0.11 * tracks.nods(rng, times_s, every_s=(2.5, 6.0))
 

@@ -76,15 +76,25 @@ def blinks(
 
 
 def saccades(
-    rng: np.random.Generator, times_s: Float64Array, *, spread: float, rest_s: tuple[float, float]
+    rng: np.random.Generator,
+    times_s: Float64Array,
+    *,
+    spread: float,
+    rest_s: tuple[float, float],
+    away: float = 0.0,
 ) -> tuple[Float64Array, Float64Array]:
-    """Where the eyes look: (to the subject's left, up), ±`spread`; jumps of 50 ms, then rest."""
+    """Where the eyes look: (to the subject's left, up), ±`spread`; jumps of 50 ms, then rest.
+
+    `away` is how often a jump leads away from whom they talk with, twice as far to a side.
+    """
     left, up = np.zeros_like(times_s), np.zeros_like(times_s)
     begin_s = EDGE_S
     while begin_s < times_s[-1] - EDGE_S:
         target_left, target_up = spread * rng.normal(size=2).clip(-2, 2) * (1.0, 0.6)
         if rng.random() < 0.4:  # people come back to whom they talk with
             target_left, target_up = 0.0, 0.0
+        elif rng.random() < away:
+            target_left *= 2.0
         after = times_s >= begin_s
         left[after], up[after] = target_left, target_up
         begin_s += rng.uniform(*rest_s)

@@ -40,6 +40,9 @@ class RenderArguments:
     """Side of the average textures, texels."""
     seed: int = 0
     """Fixes performance, head motion and the errors of tracking and depth."""
+    take: Path | None = None
+    """Your own recording (a CSV of Live Link Face, or a take of `pica track`): a fifth of the
+    frames are its moments that differ most."""
 
     def values(self) -> dict[str, Any]:
         """The arguments as `RenderOptions` names them."""
@@ -48,7 +51,8 @@ class RenderArguments:
             raise CaptureError(f"size is {self.size!r}; columns x rows such as 512x384 is needed")
         names = ("frames", "cameras", "texture_size", "seed")
         width, height = (int(number) for number in found.groups())
-        return {name: getattr(self, name) for name in names} | {"width": width, "height": height}
+        more = {"width": width, "height": height, "take": str(self.take or "")}
+        return {name: getattr(self, name) for name in names} | more
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

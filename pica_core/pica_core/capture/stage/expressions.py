@@ -175,6 +175,47 @@ def combinations(random: Generator, frames: int) -> FloatArray:
     return np.clip(strong + talk + lone + _eyes(random, frames), 0, 1).astype(np.float32)
 
 
+def crowded(random: Generator, frames: int) -> FloatArray:
+    """Many shapes at once, whatever the others do, as trackers send them. ``[T, 52]``.
+
+    A tracker spreads one look over many shapes: in a real recording 7 shapes lie above 0.3 at a
+    time and the mouth's add up to 3.1 (medians), in the takes above to 4 and 1.3 (measured).
+    """
+    result = np.zeros((frames, NUM_ARKIT))
+    at = 0
+    while at < frames:
+        length = int(random.integers(4, 8))
+        result[at : at + length] = _crowd(random)
+        at += length
+    return np.clip(_smooth(result, 0.03), 0, 1).astype(np.float32)
+
+
+def _crowd(random: Generator) -> Float64Array:
+    """One moment of `crowded`: half of all shapes, four pairs of five in step. ``[52]``."""
+    on = (random.random(NUM_ARKIT) < 0.5) * random.uniform(0.1, 1.0, NUM_ARKIT) ** 0.8
+    state = dict(zip(ARKIT_NAMES, on, strict=True))
+    for name in ARKIT_NAMES:
+        stem = name.removesuffix("Left")
+        if stem in ("jaw", "mouth"):  # a direction, and the other is its opposite
+            state[f"{stem}{random.choice(['Left', 'Right'])}"] = 0.0
+        elif stem != name and random.random() < 0.8:
+            state[f"{stem}Right"] = state[name] * random.uniform(0.9, 1.1)
+    mouth = [name for name in ARKIT_NAMES if name.startswith(("mouth", "cheekPuff"))]
+    most = random.uniform(3.0, 7.5) / max(sum(state[name] for name in mouth), 1e-9)
+    state |= {name: state[name] * min(most, 1.0) for name in mouth}
+    state["tongueOut"] = (random.random() < 0.12) * random.uniform(0.3, 1.0)
+    if state["tongueOut"]:
+        state["jawOpen"] = max(state["jawOpen"], 0.3)
+    state["mouthClose"] = (random.random() < 0.35) * random.uniform(0.2, 1.0) * state["jawOpen"]
+    across, up = np.clip(random.uniform(-1.2, 1.2, 2), -1, 1)
+    squint = (random.random() < 0.3) * random.uniform(0.0, 0.4)
+    for side, out in (("Left", across - squint), ("Right", -across - squint)):
+        state[f"eyeWide{side}"] *= 1 - min(state[f"eyeBlink{side}"], 1.0)
+        for name, value in (("Out", out), ("In", -out), ("Up", up), ("Down", -up)):
+            state[f"eyeLook{name}{side}"] = max(value, 0.0)
+    return np.array(list(state.values()))
+
+
 def lids_and_gaze(random: Generator, frames: int) -> FloatArray:
     """Eyes alone: lids at every height, together or one at a time, gaze everywhere. ``[T, 52]``.
 
@@ -198,7 +239,9 @@ def lids_and_gaze(random: Generator, frames: int) -> FloatArray:
     return np.clip(mouth + brows + eyes + gaze, 0, 1).astype(np.float32)
 
 
-KINDS = (("ROM", range_of_motion), ("SEN", sentence), ("EXP", combinations))
+KINDS = (
+    ("ROM", range_of_motion), ("SEN", sentence), ("EXP", combinations), ("ODD", crowded),
+)  # fmt: skip
 EYE_SHARE = 1 / 6
 """Share of the frames that go to takes of the eyes alone."""
 TAKE_FRAMES = 40
@@ -221,8 +264,8 @@ def sample_takes(num_frames: int, seed: int, test_share: float = 0.15) -> list[T
     quota = {"train": num_frames - num_eyes - num_test, "test": num_test}
     takes: list[Take] = []
     for split, total in quota.items():
-        # Tests are sentences and combinations; range of motion is there to be learned.
-        kinds = KINDS if split == "train" else KINDS[1:]
+        # Tests are sentences and combinations; the others are there to be learned.
+        kinds = KINDS if split == "train" else KINDS[1:3]
         per_kind = [total // len(kinds) + (k < total % len(kinds)) for k in range(len(kinds))]
         for (label, make), count in zip(kinds, per_kind, strict=True):
             takes += _takes(label, make, count, split, seed)

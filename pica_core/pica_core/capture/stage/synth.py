@@ -31,6 +31,7 @@ from pica_core.capture.stage.expressions import RATE_HZ, STRIDE, blend, sample_t
 from pica_core.capture.stage.gpu import View
 from pica_core.capture.stage.head_motion import HeadMotion
 from pica_core.capture.stage.mvs_depth import MvsErrors, find_depth
+from pica_core.capture.stage.own_take import own_take, read_own_take
 from pica_core.capture.stage.subject import Subject
 from pica_core.capture.stage.tracked_topology import NUM_VERTICES, track_topology
 from pica_core.capture.stage.tracker import SimulatedTracker, lagged_arkit
@@ -77,9 +78,12 @@ class RenderOptions:
     tracked_vertices: int = NUM_VERTICES
     """Vertices that the tracked mesh aims at."""
 
+    take: str = ""
+    """Recording of a user's own face; a fifth of the frames are its most different moments."""
+
     def __post_init__(self) -> None:
         for name, low, high in (
-            ("frames", 4, 100_000),
+            ("frames", 5 if self.take else 4, 100_000),
             ("cameras", 1, 100),
             ("width", 16, 8192),
             ("height", 16, 8192),
@@ -126,14 +130,17 @@ def render_subject(
     used = out.exists() and any(out.iterdir())
     if used and not marker.is_file():
         raise CaptureError(f"{out}: {_USED}")
+    takes = _plan(options)
     subject = make_subject()
     try:
         whole = {"options": asdict(options), "subject": subject.describe()}
+        if not options.take:
+            del whole["options"]["take"]
         fingerprint = json.dumps(whole, sort_keys=True)
         if used and multiface.read_text(marker) != fingerprint:
             raise CaptureError(f"{out}: {_USED}")
         multiface.write_aside(marker, fingerprint.encode())
-        counts = _render(subject, options, out, progress)
+        counts = _render(subject, options, takes, out, progress)
     finally:
         subject.release()
     marker.unlink(missing_ok=True)
@@ -222,10 +229,17 @@ def _millimetres(vertices_m: FloatArray) -> FloatArray:
     return (vertices_m * multiface.MILLIMETRES).astype("<f4")
 
 
+def _plan(options: RenderOptions) -> list[Take]:
+    """What the subject does: takes from the seed, and of the user's own."""
+    if not options.take:
+        return sample_takes(options.frames, options.seed)
+    own = own_take(read_own_take(Path(options.take)), options.frames // 5)
+    return [*sample_takes(options.frames - len(own.arkit), options.seed), own]
+
+
 def _render(
-    subject: Subject, options: RenderOptions, out: Path, progress: Progress
+    subject: Subject, options: RenderOptions, takes: list[Take], out: Path, progress: Progress
 ) -> dict[str, Any]:
-    takes = sample_takes(options.frames, options.seed)
     frames = [(k, take, index) for k, take in enumerate(takes) for index in range(len(take.arkit))]
     sums, errors = TrainingSums(), TrackingErrors()
     resumed = 0

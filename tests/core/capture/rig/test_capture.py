@@ -2,6 +2,7 @@
 
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -43,11 +44,18 @@ def subject(path: Path, albedo: tuple[str, ...] = ()) -> RigSubject:
 
 
 def test_a_rig_becomes_a_capture_that_the_reader_takes(glb: Path, tmp_path: Path) -> None:
-    counts = render_subject(lambda: subject(glb), OPTIONS, tmp_path / "out")
+    take = tmp_path / "me.take"
+    with take.open("wb") as file:
+        np.savez(file, arkit=np.full((2, 52), 0.613, np.float32), has_face=np.ones(2, np.bool_))
+    options = replace(OPTIONS, frames=5, take=str(take))
+
+    counts = render_subject(lambda: subject(glb), options, tmp_path / "out")
     capture = Capture.open(tmp_path / "out")
 
-    assert counts["frames"] == 4
-    assert counts["images"] == 8
+    assert counts["frames"] == 5
+    assert counts["images"] == 10
+    own = next(frame for frame in capture.frames if frame.segment == "OWN000")
+    np.testing.assert_allclose(capture.arkit(own), 0.613, atol=1e-4)
     assert capture.info["rig"]["missing"][0] == "eyeLookDownLeft"
     assert capture.info["rig"]["ignored"] == ["somethingElse"]
     assert capture.info["licence"] == "nobody"
