@@ -201,7 +201,10 @@ class Scheduler:
         before = -1 if head.choice is None else levels.index(head.choice.mesh_level)
         coarsest = top - len(options.mesh_px)
         finer = sum(
-            is_reached(threshold_px, before > coarsest + number)
+            is_reached(
+                threshold_px * head.mesh_scale[max(coarsest + number, 0)],
+                before > coarsest + number,
+            )
             for number, threshold_px in enumerate(options.mesh_px)
         )
         return top, max(coarsest + finer, 0)

@@ -43,8 +43,8 @@ import safetensors.numpy
 
 from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.decoder_layers import decoder_layers
-from pica_core.avatar.level_tensors import PREFIX as LEVEL_PREFIX
 from pica_core.avatar.level_tensors import (
+    JUDGED_NAME,
     check_indices,
     check_sheets,
     faces_name,
@@ -55,6 +55,7 @@ from pica_core.avatar.level_tensors import (
     sheet_rows,
     wanted_shapes,
 )
+from pica_core.avatar.level_tensors import PREFIX as LEVEL_PREFIX
 from pica_core.avatar.levels import LevelErrors
 from pica_core.avatar.linear import check_linear, linear_shapes, mean_vertices
 from pica_core.avatar.manifest import SCHEMA_VERSION, Manifest
@@ -176,6 +177,13 @@ class Avatar:
     def level_errors(self) -> LevelErrors | None:
         """The measured error of its levels; None if it was never measured (`default_errors`)."""
         return read_errors(self.spec, self.tensors)
+
+    @property
+    def judged(self) -> FloatArray | None:
+        """How its levels look where people look, ``[L, 2, 4]`` as `levels.JUDGED` says; None if
+        nobody judged."""
+        found: FloatArray | None = self.tensors.get(JUDGED_NAME)
+        return found
 
     def stream_profile(self) -> StreamProfile | None:
         """The tables of its latent stream; None if it has none and only the plain format can be."""

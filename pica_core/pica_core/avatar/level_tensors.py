@@ -12,12 +12,15 @@ channels of the trunk there, R the rows that hold the vertices of its mesh, T is
     level.head_px                [K] heights of the head on screen, pixels, ascending
     level.errors                 [L, 2, K] MSE by level (ascending, the full one last): of its maps
                                  and its mesh, and of the full maps on its mesh; and by height
+    level.judged                 [L, 2, 4] by level and drawing as above: MSE of eyes, of the mouth
+                                 and of the rest, and the ratio that pokes through, at 350 pixels
     level.sensitivity            [2] MSE per squared radian of view, per squared unit of the latent
 
 Where bases make the vertices (`linear`), a level has no ``geometry`` tensors: its sheet holds the
 same bases' vertices.
 
-A level is there as a whole or not at all, and so is the table of errors. The geometry is a *sheet*:
+A level is there as a whole or not at all, and so is the table of errors; one of judgements may be
+there without it. The geometry is a *sheet*:
 the k-th vertex that the level's mesh uses, counted from the lowest number, stands in row k // S and
 column k % S. What is left of the last row belongs to no vertex.
 """
@@ -27,7 +30,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from pica_core.avatar.decoder_layers import trunk_channels
-from pica_core.avatar.levels import NUM_DRAWINGS, LevelErrors, level_sizes
+from pica_core.avatar.levels import JUDGED, NUM_DRAWINGS, LevelErrors, level_sizes
 from pica_core.avatar.linear import RANK
 from pica_core.avatar.spec import POSITION_CHANNELS, AvatarSpec
 from pica_core.types import Array, FloatArray
@@ -37,6 +40,7 @@ MAX_HEIGHTS = 64
 """Entries of an error table along the height of the head."""
 MAX_TEXELS = 4
 """Most texels of the trunk that a vertex is made of."""
+JUDGED_NAME = PREFIX + "judged"
 _TABLE = ("head_px", "errors", "sensitivity")
 
 
@@ -146,6 +150,8 @@ def wanted_shapes(
         wanted[head_px] = (heights,)
         wanted[errors] = (len(levels), NUM_DRAWINGS, heights)
         wanted[sensitivity] = (2,)
+    if JUDGED_NAME in shapes:
+        wanted[JUDGED_NAME] = (len(levels), NUM_DRAWINGS, len(JUDGED))
     return wanted
 
 
@@ -188,6 +194,9 @@ def read_errors(spec: AvatarSpec, tensors: Mapping[str, Array]) -> LevelErrors |
     Raises:
         ValueError: Heights not above 0 and ascending, or an error below 0 or not finite.
     """
+    judged = tensors.get(JUDGED_NAME)
+    if judged is not None and judged.min() < 0:
+        raise ValueError(f"judged has {judged.min():g}; errors are at least 0")
     if PREFIX + "errors" not in tensors:
         return None
     view, latent = (float(value) for value in tensors[PREFIX + "sensitivity"])

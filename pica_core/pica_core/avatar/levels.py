@@ -39,6 +39,20 @@ LEAST_MSE = 1e-6
 SENSITIVITY_HEAD_PX = 512.0
 """Height of the head at which the two sensitivities were measured, pixels."""
 
+JUDGED = ("eyes", "mouth", "rest", "poke")
+"""Columns of a table of judgements: MSE 0-255 of what people look at most, of the rest, and the
+ratio of the head's pixels that show another piece of it than they should."""
+GAZE = (0.4, 0.3, 0.3)
+"""How much of their time people look at eyes, mouth and the rest of a face that talks (chosen)."""
+POKE_MSE = 2e4
+"""What the ratio of poking pixels counts as: 0.05 % like an MSE of 10 (chosen)."""
+
+
+def judged_mse(row: FloatArray) -> FloatArray:
+    """Judgements ``[..., 4]`` as one error each, by `GAZE` and `POKE_MSE`."""
+    found: FloatArray = row @ np.array([*GAZE, POKE_MSE], np.float32)
+    return found
+
 
 def level_sizes(spec: AvatarSpec) -> tuple[int, ...]:
     """Every level that an avatar of this spec may have, ascending; the full map is the last."""

@@ -6,7 +6,9 @@ import itertools
 import math
 from collections.abc import Sequence
 from copy import copy
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,6 +18,7 @@ from helpers.scheduler_heads import (
     FRAME_S,
     LEVELS,
     NOW_S,
+    TOY,
     choose,
     detail,
     plan,
@@ -361,3 +364,18 @@ def test_an_expression_map_for_an_older_latent_says_its_age() -> None:
     request = head.request(NOW_S)
     assert request is not None
     assert (request.parts, request.captured_us) == ("expression", 0)
+
+
+def test_a_mesh_that_spoils_eyes_is_left_at_smaller_heads() -> None:
+    judged = np.zeros((3, 2, 4), np.float32)
+    judged[:2, 1, 0] = 1000, 70
+    tensors = dict(TOY.tensors) | {"level.judged": judged}
+    spoilt = Head(slot="ada", avatar=replace(TOY, tensors=tensors))
+    usual = Head(slot="ada", avatar=TOY)
+    found = []
+    for head in (usual, spoilt):
+        head.sight = view(head_px=200).sight
+        found.append(choose(head).mesh_level)
+    assert usual.mesh_scale == (1, 1, 1)
+    assert spoilt.mesh_scale[0] == pytest.approx((125 / 400) ** 0.5)
+    assert found == [64, 128]

@@ -17,7 +17,7 @@ from torch import Tensor
 from pica_core.avatar.arkit import ARKIT_NAMES
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.level_tensors import MAX_TEXELS, PREFIX, faces_name, sheet_rows
+from pica_core.avatar.level_tensors import JUDGED_NAME, MAX_TEXELS, PREFIX, faces_name, sheet_rows
 from pica_core.avatar.levels import EXIT_DIVISORS, level_sizes
 from pica_core.avatar.linear import components_of, weights_of_latent
 from pica_core.capture.stage.stream_training_faces import stream_training_performances
@@ -33,6 +33,7 @@ from pica_core.train.lod.exits import (
     fit_convolution,
     fit_sheet,
 )
+from pica_core.train.lod.judge import Judge, judge_levels, looked_at, shown_faces
 from pica_core.train.lod.simplify import Simplifier
 from pica_core.types import Array
 
@@ -43,6 +44,9 @@ MORE_OF = ("eyeBlinkLeft", "eyeBlinkRight", "jawOpen")
 """Faces are drawn the more often the more of these they show: rare, large, and looked at."""
 LEAST_CHANCE = 0.2
 """Chance of a face that shows nothing of them, where the most has 1.2."""
+IMPORTANCE = (30.0, 6.0)
+"""How much errors of a mesh count at eyes and at a mouth, where they count 1 elsewhere (measured on
+one head: docs/levels.md)."""
 METRIC_FACES = 6
 """Faces that the slope of the pixel decoder is averaged over."""
 
@@ -131,10 +135,17 @@ def add_levels(
     faces, check = _draw_faces(bare, options)
     decoders = {name: FrozenDecoder(bare, name) for name in avatar.spec.decoder_channels}
     surface = _Surface(bare, decoders, faces, options)
+
+    def vertices_of(some: FaceSet) -> Array:
+        return _vertices_m(bare, decoders, some, None)
+
     show("meshes")
     levels = level_sizes(avatar.spec)[:-1]
-    meshes = _simplify(bare, surface.moving_vertices_m, options)
+    regions = looked_at(bare, vertices_of)
+    importance = 1 + (np.array(IMPORTANCE) - 1) @ np.stack(regions)
+    meshes = _simplify(bare, surface.moving_vertices_m, importance, options)
     reports = []
+    seen, drawn = shown_faces(bare), []
     for level, mesh, texels in zip(
         levels, meshes[-len(levels) :], options.texels[-len(levels) :], strict=True
     ):
@@ -148,8 +159,20 @@ def add_levels(
             decoders["expression"], faces, level, surface.points, surface.metric, seed=options.seed
         )
         tensors |= _exit_tensors(avatar, level, geometry, expression) | {faces_name(level): mesh}
+        runs = list(decoders["expression"].run(seen, level))
+        own = None
+        if geometry is not None:
+            own = vertices_of(seen).copy()
+            trunks = [trunk for trunk, _ in decoders["geometry"].run(seen, level)]
+            sheet = torch.cat([geometry(trunk) for trunk in trunks]).numpy()
+            own[:, np.unique(mesh)] = avatar.manifest.position_scale_m * sheet
+        drawn.append((own, torch.cat([expression(trunk) for trunk, _ in runs])))
+        full_maps = torch.cat([full for _, full in runs])
         show(f"level {level}: error")
         reports.append(_report(bare, decoders, geometry, expression, level, mesh, check, surface))
+    show("judging")
+    judge = Judge(bare, regions, vertices_of(seen), full_maps)
+    tensors[JUDGED_NAME] = judge_levels(judge, meshes[-len(levels) :], drawn)
     return Avatar(avatar.manifest, tensors), reports
 
 
@@ -267,10 +290,12 @@ def _scatter(
     return torch.from_numpy(uv.astype(np.float32)), xyz_m
 
 
-def _simplify(avatar: Avatar, shapes_m: Array, options: LevelOptions) -> list[Array]:
+def _simplify(
+    avatar: Avatar, shapes_m: Array, importance: Array, options: LevelOptions
+) -> list[Array]:
     """A mesh for each level, the coarsest first; each uses vertices of the next finer one."""
     full = avatar.tensors["mesh.faces"]
-    mesh = Simplifier(shapes_m, np.array(avatar.tensors["mesh.vertex_uv"]), full)
+    mesh = Simplifier(shapes_m, np.array(avatar.tensors["mesh.vertex_uv"]), full, importance)
     meshes: list[Array] = []
     for ratio in reversed(options.mesh_ratios):
         mesh.reduce(round(ratio * len(full)), avatar.spec.map_size)

@@ -46,18 +46,26 @@ class Simplifier:
         shapes_m: The mesh at rest, then in other expressions, metres. ``[K, V, 3]``.
         vertex_uv: ``[V, 2]``.
         faces: int32 ``[F, 3]``.
+        importance: How much an error at each vertex counts, ``[V]``; all alike without.
 
     A *place* is a point of the surface, a *vertex* one of its UVs. Costs are inner products of two
     packed symmetric matrices: what faces a vertex has swallowed, and where it would go.
     """
 
-    def __init__(self, shapes_m: npt.ArrayLike, vertex_uv: npt.ArrayLike, faces: Array) -> None:
+    def __init__(
+        self,
+        shapes_m: npt.ArrayLike,
+        vertex_uv: npt.ArrayLike,
+        faces: Array,
+        importance: Array | None = None,
+    ) -> None:
         shapes, uv = np.asarray(shapes_m, np.float64), np.asarray(vertex_uv, np.float64)
         self._place = weld(shapes[0]).tolist()
         # One shape for all vertices of a place, so that seams stay closed to the last bit.
         shapes = (shapes - shapes[0].mean(axis=0)) / np.ptp(shapes[0], axis=0).max()
         self._shapes = np.ascontiguousarray(shapes[:, self._place].transpose(1, 0, 2))  # [V, K, 3]
         self._uv = uv
+        self._importance = np.ones(len(uv)) if importance is None else importance
         self._triangles: dict[int, list[int]] = {}
         self._around: dict[int, set[int]] = {}
         for corners in faces.tolist():
@@ -119,6 +127,7 @@ class Simplifier:
             corners = flat[triangles]
             area = _area(points[triangles])
             weight = area + UV_AREA_WEIGHT * area.sum() * room / room.sum()
+            weight *= self._importance[triangles].mean(1)
             matrix = _flat_quadrics(corners) * weight[:, None, None]
             for side, is_border in enumerate(borders.T):
                 start, end = corners[is_border, side], corners[is_border, (side + 1) % 3]

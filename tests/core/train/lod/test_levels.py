@@ -14,8 +14,9 @@ from helpers.mesh_edges import boundary_edges
 from helpers.toy import grid_faces, make_toy_avatar, with_toy_levels
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar, avatar_id, load_avatar, save_avatar
+from pica_core.avatar.levels import JUDGED
 from pica_core.avatar.spec import AvatarSpec
-from pica_core.errors import TrainingOptionError
+from pica_core.errors import AvatarFileError, TrainingOptionError
 from pica_core.model.decoders import sample_map
 from pica_core.reference.decoders import decode_expression_map, decode_position_map
 from pica_core.reference.mesh import sample_vertices
@@ -254,3 +255,29 @@ def test_the_command_adds_levels_to_a_file_and_leaves_the_rest_of_it_alone(tmp_p
 def test_the_command_refuses_no_threads(tmp_path: Path) -> None:
     with pytest.raises(TrainingOptionError, match="threads is 0"):
         AvatarLevelsOptions(file=tmp_path / "a", out=tmp_path / "b", threads=0)
+
+
+# Judgements
+
+
+def test_levels_are_judged_where_people_look(tmp_path: Path) -> None:
+    avatar, _ = levelled()
+    judged = avatar.judged
+    assert judged is not None
+    assert judged.shape == (len(avatar.levels), 2, len(JUDGED))
+    assert (judged[-1] == 0).all()
+    assert (judged[:-1, :, :3] > 0).any()
+    assert (judged[..., 3] <= 1).all()
+    save_avatar(tmp_path / "a.pica", avatar)
+    again = load_avatar(tmp_path / "a.pica").judged
+    assert again is not None
+    np.testing.assert_allclose(again, judged, rtol=2e-3, atol=1e-6)
+
+
+@pytest.mark.parametrize("value", [-1.0, np.nan])
+def test_a_judgement_that_is_no_error_is_refused(tmp_path: Path, value: float) -> None:
+    avatar, _ = levelled()
+    judged = np.full((len(avatar.levels), 2, len(JUDGED)), value, np.float32)
+    broken = Avatar(avatar.manifest, dict(avatar.tensors) | {"level.judged": judged})
+    with pytest.raises(AvatarFileError, match="judged"):
+        save_avatar(tmp_path / "a.pica", broken)
