@@ -19,9 +19,10 @@ from pica_client.sources import open_source
 from pica_client.sources.live.opening import open_live
 from pica_client.sources.live.take import TakeRecorder
 from pica_core.avatar.arkit import ARKIT_NAMES, ExpressionFrame
+from pica_core.avatar.shipped import shipped_avatar_files
 
 HERE, PHONES, FPS = "127.0.0.1", ("127.0.0.2", "127.0.0.3"), 60
-AVATARS = ("ines", "karim", "mei", "olav", "sam")
+AVATARS = tuple(path.stem for path in shipped_avatar_files()[:5])
 LIVE_LINK, RECORDED, VMC = 11911, 11912, 39939  # ports that no real tracker of yours uses
 
 

@@ -1,6 +1,6 @@
 """Draw trained avatars beside what the cameras saw, on frames that training did not: a row each.
 
-    python scripts/avatar_sheet.py docs/avatars.png work/sam/run work/ines/run ...
+    python scripts/avatar_sheet.py docs/avatars.png work/amara/run work/tariq/run ...
 
 Columns, true and drawn in pairs: the front, a side, the mouth where it is open widest, the eyes of
 the first frame. Codes are what a live sender makes of ARKit values. Crops are the same pixels as

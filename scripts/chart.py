@@ -12,7 +12,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
-from chart_avatars import chart_avatars
 from chart_calls import chart_impaired_call
 from chart_codec import chart_codec
 from chart_drive import chart_drive
@@ -35,7 +34,6 @@ CHARTS: dict[str, Callable[[], None]] = {
     "receiver": chart_receiver,
     "models": chart_models,
     "tables": chart_tables,
-    "avatars": chart_avatars,
     "recipes": chart_recipes,
     "failures": chart_failures,
     "training-step": chart_step,

@@ -1,9 +1,10 @@
-"""Make the avatars that ship: render, train, export, measure and verify each.
+"""Make the avatars that ship: capture each person of the face model, train, export, measure.
 
-    python scripts/make_avatars.py --work work                # an hour each on a core, two for Sam
-    python scripts/make_avatars.py --work work --names Sam    # one of them
+    python scripts/make_avatars.py --facekit ICT-FaceKit --work work                # all six
+    python scripts/make_avatars.py --facekit ICT-FaceKit --work work --names nora   # one of them
 
-What is done is left alone and what was stopped goes on, so several processes can share the work.
+Ten minutes each on a core. What is done is left alone and what was stopped goes on, so several
+processes can share the work. Who they are stands in `scripts/people`.
 """
 
 from __future__ import annotations
@@ -15,59 +16,44 @@ from pathlib import Path
 
 from claims import give_back, take
 
-FOLDER = Path(__file__).resolve().parent.parent / "pica_core" / "pica_core" / "avatars"
-HEADS = {"Sam": "S1", "Ines": "S2", "Olav": "S3", "Mei": "S4", "Karim": "S5"}
-"""Name of each avatar, and the built-in head that it is made from."""
-TWICE = ("Sam",)
-"""Whose training goes on, with twice the expressions."""
-STAGE = ("--cameras", "12", "--size", "448x448", "--texture-size", "512")
-FRAMES = 384
-PRESET = "long"
+HERE = Path(__file__).resolve().parent
+PEOPLE = {file.stem: file for file in sorted((HERE / "people").glob("*.json"))}
+FOLDER = HERE.parent / "pica_core" / "pica_core" / "avatars"
+STAGE = "--frames 256 --cameras 10 --size 384x384"
+TRAINING = "--variant linear --preset small --threads 1"
+LICENCE = "Apache-2.0; face model ICT-FaceKit: MIT, (c) 2020 USC ICT"
 
 
 def main() -> None:
     """Make what is not there yet."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--facekit", type=Path, required=True, help="clone of ICT-FaceKit")
     parser.add_argument("--work", type=Path, required=True, help="captures and runs")
-    parser.add_argument("--names", nargs="*", default=list(HEADS), choices=list(HEADS))
-    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--names", nargs="*", default=list(PEOPLE), choices=list(PEOPLE))
     options = parser.parse_args()
     for name in options.names:
-        place = options.work / name.lower()
+        place = options.work / name
         if (place / "done").exists() or not take(place):
             continue
-        make(name, place, options.threads)
+        make(name, options.facekit, place)
         (place / "done").touch()
         give_back(place)
 
 
-def make(name: str, place: Path, threads: int) -> None:
-    """Make one avatar."""
-    start = None
-    if name in TWICE:
-        start = train(HEADS[name], place / "first", FRAMES, threads)
-    run = train(HEADS[name], place, FRAMES * (2 if start else 1), threads, start)
-    file = FOLDER / f"{name.lower()}.pica"
-    words = ["--run", str(run), "--capture", str(place / "capture"), "--out", str(file)]
-    pica("export", *words, "--name", name, "--threads", str(threads))
-    pica("avatar", "measure", str(file), "--out", str(file))
-    pica("avatar", "verify", str(file))
-
-
-def train(head: str, place: Path, frames: int, threads: int, start: Path | None = None) -> Path:
-    """Render a capture and train on it, as far as that is not done. Returns the run."""
-    capture, run = place / "capture", place / "run"
-    if not (capture / "capture.json").exists():
-        words = ["--head", head, "--out", str(capture), "--frames", str(frames)]
-        pica("capture", "synth", *words, *STAGE)
+def make(name: str, facekit: Path, place: Path) -> None:
+    """Make one avatar, as far as that is not done."""
+    capture, run, file = place / "capture", place / "run", str(FOLDER / f"{name}.pica")
+    if not (capture / "person.json").exists():
+        words = ["--facekit", str(facekit), "--person", str(PEOPLE[name]), "--out", str(capture)]
+        pica("capture", "person", *words, *STAGE.split())
+    of = ["--capture", str(capture), "--out"]
     if not (run / "evaluation.json").exists():
-        words = ["--capture", str(capture), "--out", str(run), "--preset", PRESET]
-        if (run / "checkpoint.pt").exists():
-            words.append("--resume")
-        elif start is not None:
-            words += ["--start-from", str(start)]
-        pica("train", *words, "--threads", str(threads))
-    return run
+        more = ["--resume"] if (run / "checkpoint.pt").exists() else []
+        pica("train", *of, str(run), *TRAINING.split(), *more)
+    words = ["--run", str(run), *of, file, "--licence", LICENCE, "--threads", "1"]
+    pica("export", *words, "--name", name.title())
+    pica("avatar", "measure", file, "--out", file)
+    pica("avatar", "verify", file)
 
 
 def pica(*words: str) -> None:

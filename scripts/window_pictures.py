@@ -36,9 +36,9 @@ SIZES = ("1280x720", "320x240", "2560x1440", "2560x1440@2")
 ROOM = "standup"
 PEOPLE = (
     ("Ada Lovelace", "sam", "talk"),
-    ("Ольга Петровна", "mei", "listen"),
-    ("李小龍 さくら 김", "karim", "talk"),
-    ("מרים  مريم", "ines", "listen"),
+    ("Ольга Петровна", "amara", "listen"),
+    ("李小龍 さくら 김", "tariq", "talk"),
+    ("מרים  مريم", "amara", "listen"),
     ("Ελένη 😀🎉", "olav", "talk"),
 )
 PATIENCE_S = 60.0
@@ -122,7 +122,7 @@ def room_of_people(children: Children) -> Iterator[tuple[Child, str]]:
     unknown = children.folder / "unknown.pica"
     sam = load_avatar(AvatarLibrary().path(AvatarLibrary().find("sam")))
     save_avatar(unknown, replace(sam, manifest=replace(sam.manifest, name="Nowhere")))
-    start_sender(children, url, "Nobody's friend", "mei", "talk", "--secret-file", str(secret))
+    start_sender(children, url, "Nobody's friend", "amara", "talk", "--secret-file", str(secret))
     start_sender(children, url, "Mina of nowhere", str(unknown), "talk")
     library = AvatarLibrary()
     with ExitStack() as stack:

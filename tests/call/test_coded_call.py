@@ -135,7 +135,7 @@ def witness() -> Iterator[Witness]:
 
 @pytest.fixture(scope="module")
 def avatar() -> Avatar:
-    return load_avatar(Path(str(resources.files("pica_core"))) / "avatars" / "ines.pica")
+    return load_avatar(Path(str(resources.files("pica_core"))) / "avatars" / "amara.pica")
 
 
 def config(url: str, host: str) -> LinkConfig:

@@ -42,7 +42,7 @@ BASE_S = 4 / 30
 
 @pytest.fixture(scope="module")
 def avatar() -> Avatar:
-    return load_avatar(Path(str(resources.files("pica_core"))) / "avatars" / "ines.pica")
+    return load_avatar(Path(str(resources.files("pica_core"))) / "avatars" / "amara.pica")
 
 
 def make_sender(url: str, avatar: Avatar, seconds: float, *, plain: bool = False) -> Sender:

@@ -38,7 +38,7 @@ pytestmark = [
 ]
 
 AVATAR_ID = "5" * 64
-AVATAR = load_avatar(Path(str(resources.files("pica_core"))) / "avatars" / "ines.pica")
+AVATAR = load_avatar(Path(str(resources.files("pica_core"))) / "avatars" / "amara.pica")
 SOUND = (
     np.random.default_rng(1).normal(0, 0.1, 48_000)
     * (0.6 + 0.4 * np.sin(np.arange(48_000) / 48_000 * 2 * np.pi * 4))

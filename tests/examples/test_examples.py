@@ -15,7 +15,7 @@ pytestmark = pytest.mark.realtime
 
 EXAMPLES = sorted((ROOT / "examples").glob("[0-9]*.py"))
 FILES = {
-    "03_avatar_to_png": ["ines-rest.png", "ines-smile.png"],
+    "03_avatar_to_png": ["amara-rest.png", "amara-smile.png"],
     "04_draw_a_head": ["two-heads.png"],
     "10_render_a_capture": ["capture.png"],
     "11_train_a_little": ["nobody.pica"],

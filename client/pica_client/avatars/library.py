@@ -13,7 +13,7 @@ from typing import Protocol
 
 from pica_client.errors import AvatarLookupError
 from pica_core.avatar.file import Avatar, avatar_id, load_avatar
-from pica_core.avatar.shipped import SUFFIX, shipped_avatar_files
+from pica_core.avatar.shipped import FORMER, SUFFIX, shipped_avatar_files
 from pica_core.errors import AvatarFileError
 
 
@@ -83,7 +83,7 @@ class AvatarLibrary:
             AvatarFileError: The file cannot be read.
         """
         for identity, path in self._paths.items():
-            if path.stem.lower() == name.lower():
+            if path.stem.lower() in (name.lower(), FORMER.get(name.lower())):
                 return identity
         path = Path(name).expanduser()
         if path.suffix != SUFFIX:

@@ -7,6 +7,8 @@ from typing import Final
 from pica_core.errors import AvatarFileError
 
 SUFFIX: Final = ".pica"
+FORMER: Final = {"ines": "amara", "karim": "tariq"}
+"""Who is meant by the names of avatars that shipped before: preferences and scripts hold them."""
 
 
 def shipped_avatar_files() -> list[Path]:
@@ -27,9 +29,10 @@ def avatar_file(named: Path) -> Path:
     if named.suffix == SUFFIX or named.exists():
         return named.expanduser()
     shipped = {path.stem: path for path in shipped_avatar_files()}
-    if str(named).lower() not in shipped:
+    name = FORMER.get(str(named).lower(), str(named).lower())
+    if name not in shipped:
         known = ", ".join(shipped) or "none"
         raise AvatarFileError(
             f"avatar {str(named)!r} is unknown; shipped are: {known}; or give a {SUFFIX} file"
         )
-    return shipped[str(named).lower()]
+    return shipped[name]

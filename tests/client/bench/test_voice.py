@@ -15,7 +15,7 @@ pytestmark = [pytest.mark.call, pytest.mark.skipif(available() is not None, reas
 
 def test_a_clean_voice_is_clear_and_fresh_and_a_stalled_one_in_step_with_its_face():
     library = AvatarLibrary()
-    avatar = library.load(library.find("Ines"))
+    avatar = library.load(library.find("Amara"))
     config = BenchVoiceConfig(
         scenarios=("jitter-0", "stall-300"), schedule=Schedule(seconds=9, display_hz=30)
     )

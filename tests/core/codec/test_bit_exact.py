@@ -19,7 +19,7 @@ from pica_core.capture.stage.expressions import sentence
 pytestmark = pytest.mark.unit
 
 SCRIPT = ROOT / "scripts" / "bit_exact.py"
-AVATAR = Path(str(resources.files("pica_core"))) / "avatars" / "ines.pica"
+AVATAR = Path(str(resources.files("pica_core"))) / "avatars" / "amara.pica"
 
 
 def coded(threads: int, *arguments: str) -> list[str]:

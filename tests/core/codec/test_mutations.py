@@ -94,7 +94,7 @@ def mutate(rng: random.Random, kind: str, frame: Sent, other: Sent) -> ReceivedF
 def shipped_profile() -> StreamProfile:
     """The tables of a shipped avatar: larger ones, of 60 components."""
     profile = load_avatar(
-        Path(str(resources.files("pica_core"))) / "avatars" / "ines.pica"
+        Path(str(resources.files("pica_core"))) / "avatars" / "amara.pica"
     ).stream_profile()
     assert profile is not None
     return profile

@@ -98,7 +98,7 @@ def test_frames_with_room_never_make_more_than_the_rate_and_what_the_bucket_hold
 @functools.cache
 def shipped() -> tuple[StreamProfile, dict[str, npt.NDArray[np.float32]]]:
     """The tables of a shipped avatar, and latents of faces that talk and that move all they can."""
-    path = Path(str(resources.files("pica_core"))) / "avatars" / "ines.pica"
+    path = Path(str(resources.files("pica_core"))) / "avatars" / "amara.pica"
     avatar = load_avatar(path)
     profile, encoder = avatar.stream_profile(), ExpressionEncoder(avatar)
     assert profile is not None

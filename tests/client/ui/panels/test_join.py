@@ -30,8 +30,8 @@ class Shown:
         view = JoinView(
             fields=self.form.fields,
             trouble=self.form.trouble,
-            portraits=dict.fromkeys(["ines", "sam"]),
-            default_avatar="ines",
+            portraits=dict.fromkeys(["amara", "sam"]),
+            default_avatar="amara",
             sound=self.sound,
         )
         orders = join_panel(view, metrics)

@@ -182,7 +182,7 @@ def test_source_avatar_and_name_are_chosen_during_the_call(hand: Hand) -> None:
     me = OwnChoice(name="Me", source="livelink")
     state = replace(SETTINGS.state, choice=me)
     own = OwnFaceView(source="livelink", has_tracker=True)
-    view = replace(SETTINGS, state=state, own=own, entered_as=me, avatars=("mei", "sam"))
+    view = replace(SETTINGS, state=state, own=own, entered_as=me, avatars=("amara", "sam"))
 
     def show(metrics: object) -> list[object]:
         return settings_panel(view, metrics)  # type: ignore[arg-type, return-value]
