@@ -37,9 +37,9 @@ ROOM = "standup"
 PEOPLE = (
     ("Ada Lovelace", "sam", "talk"),
     ("Ольга Петровна", "amara", "listen"),
-    ("李小龍 さくら 김", "tariq", "talk"),
+    ("李小龍 さくら 김", "yun", "talk"),
     ("מרים  مريم", "amara", "listen"),
-    ("Ελένη 😀🎉", "olav", "talk"),
+    ("Ελένη 😀🎉", "henrik", "talk"),
 )
 PATIENCE_S = 60.0
 

@@ -7,7 +7,7 @@ from typing import Final
 from pica_core.errors import AvatarFileError
 
 SUFFIX: Final = ".pica"
-FORMER: Final = {"ines": "amara", "karim": "tariq"}
+FORMER: Final = {"ines": "amara", "karim": "tariq", "mei": "yun", "olav": "henrik"}
 """Who is meant by the names of avatars that shipped before: preferences and scripts hold them."""
 
 
