@@ -18,7 +18,7 @@ class RigOptions(RenderArguments):
     """Options of `pica capture rig`."""
 
     rig: Path
-    """A .glb file with morph targets, or a folder of OBJ files of one topology."""
+    """A .glb, .vrm or .gltf file with morph targets, or a folder of OBJ files of one topology."""
     map: Path | None = None
     """JSON file of source names to ARKit names (or null), which goes before the rules."""
     albedo: tuple[str, ...] = ()
