@@ -75,7 +75,7 @@ def side_of(shape: str) -> float:
 
 def vertex_zones(head: ProceduralHead) -> npt.NDArray[np.int64]:
     """Index into `ZONES` of every vertex. ``[V]``."""
-    x, y, z = (head.coordinates.rest_m.astype(np.float64) * 1000.0).T
+    x, y, z = (head.rest_m.astype(np.float64) * 1000.0).T
     x = np.abs(x)
     marks = head.landmarks
     nose_y, mouth_y, half = marks["nose_y"], marks["mouth_y"], marks["mouth_half"]
@@ -149,7 +149,7 @@ def _measure(
     wanted = [ZONES.index(name) for name in zones_of(shape)]
     inside = np.isin(zone, wanted)
     side = side_of(shape)
-    on_side = np.ones_like(inside) if side == 0 else side * head.coordinates.rest_m[:, 0] > 0
+    on_side = np.ones_like(inside) if side == 0 else side * head.rest_m[:, 0] > 0
     by_zone = {name: float(square[zone == i].sum()) / total for i, name in enumerate(ZONES)}
     return Motion(
         shape=shape,

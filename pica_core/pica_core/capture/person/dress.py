@@ -60,7 +60,7 @@ def dress(mesh: RigMesh, person: Person) -> Dressed:
     if not style.bare and np.count_nonzero(coverage > 0.5) < 50:
         notes.append(f"hair {person.hair} does not fit: no scalp was found; bald")
         style, coverage = STYLES["bald"], np.full(len(rest), -1.0)
-    beard, thick = _beard(rest, skin, inside, features, person)
+    beard, thick = grow_beard(rest, skin, inside, features, person.beard)
     cloth = dress_surface(rest[skin], CUTS[person.clothes], person.seed)
     raised = raise_cap(rest, normals, coverage, style, person.seed)
     raised = raised + normals * (thick * smooth(beard * 1.4))[:, None]
@@ -94,15 +94,15 @@ def _normals(points: Float64Array, faces: IntArray) -> Float64Array:
     return found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-12)
 
 
-def _beard(
+def grow_beard(
     points: Float64Array,
     skin: BoolArray,
     inside: BoolArray,
     features: Features,
-    person: Person,
+    style: str,
 ) -> tuple[Float64Array, Float64Array]:
     """How dense a beard is at each vertex ``[P]``, and its thickness in metres ``[P]``."""
-    moustache, cheeks, thick = BEARDS[person.beard]
+    moustache, cheeks, thick = BEARDS[style]
     mouth = features.mouth
     if mouth is None or not moustache:
         return np.zeros(len(points)), np.zeros(len(points))

@@ -24,7 +24,7 @@ GREY = np.array((0.28, 0.27, 0.26))
 
 
 def paint(person: Person) -> dict[str, Any]:
-    """A person's colours and marks, as `rig_appearance.frag` names them."""
+    """A person's colours and marks, as `appearance.frag` names them."""
     tone = np.stack(
         [np.interp(person.skin, np.arange(1, 7), np.array(SKIN_TONES)[:, k]) for k in range(3)]
     )

@@ -12,8 +12,8 @@ import functools
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
-from pica_core.capture.procedural.coordinates import name_regions, surface_coordinates
+from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES, NUM_ARKIT
+from pica_core.capture.procedural.features import chart_features, source_uv
 from pica_core.capture.procedural.hair import build_hair
 from pica_core.capture.procedural.identity import Identity, get_identity
 from pica_core.capture.procedural.layout import MOUTH_ROW, build_charts
@@ -29,7 +29,11 @@ from pica_core.capture.procedural.parts import (
 )
 from pica_core.capture.procedural.shapes import build_motion
 from pica_core.capture.procedural.skin import EyeSurface, Skin, build_skin, smoothstep
-from pica_core.capture.procedural.surface import EYE_Y, HeadField
+from pica_core.capture.procedural.surface import EYE_RADIUS, EYE_Y, HeadField
+from pica_core.capture.rig.drawn import PackedChart
+from pica_core.capture.rig.frame import RigFrame
+from pica_core.capture.rig.mesh import Eyeball, RigMesh
+from pica_core.capture.rig.names import map_names
 from pica_core.capture.stage.gaze import gaze, turn
 from pica_core.errors import ShapeError
 from pica_core.types import Float64Array, FloatArray, IntArray
@@ -52,9 +56,9 @@ class ProceduralHead:
         charts: Charts of the UV square, by name.
         vertex_uv: Texture coordinates on texel centres of the position map. float32 ``[V, 2]``.
         faces: Triangles, counter-clockwise from outside. int32 ``[F, 3]``.
-        regions: Named vertex sets, bool ``[V]`` each (`coordinates.name_regions`).
+        rest_m: Vertices at rest, metres. float32 ``[V, 3]``.
+        features, regions: What `rig.features` says of it; its named vertex sets.
         landmarks: Lateral positions and heights of features, head frame, mm.
-        coordinates: What the appearance is written in.
     """
 
     def __init__(self, identity: Identity) -> None:
@@ -88,14 +92,50 @@ class ProceduralHead:
             "lower_lip": face.lower_lip,
             "mouth_half": skin.mouth_half,
         }
-        neutral = self.vertices(np.zeros(NUM_ARKIT, np.float32))
-        self.coordinates = surface_coordinates(
-            identity, self.charts, skin, neutral, self._eye_centre
-        )
+        self.rest_m = self.vertices(np.zeros(NUM_ARKIT, np.float32))
         lids = np.zeros(self.num_vertices, np.bool_)
         for eye in self._lids:
             lids[chart.first + eye.index[eye.weight > 0.5]] = True
-        self.regions = name_regions(self.charts, self.coordinates, lids)
+        self.features = chart_features(identity, self.charts, skin, self.rest_m, self.faces, lids)
+        self.regions = self.features.regions
+        self.names = map_names(list(ARKIT_NAMES))
+
+    @functools.cached_property
+    def mesh(self) -> RigMesh:
+        """The head as a rig's mesh; what its shapes add is what they add alone."""
+        alone = self.vertices_batch(np.eye(NUM_ARKIT, dtype=np.float32))
+        return RigMesh(
+            rest_m=self.rest_m.astype(np.float64),
+            motion_m=alone - self.rest_m,
+            faces=self.faces,
+            uv=source_uv(self.identity, self.charts, self.vertex_uv),
+            uv_faces=self.faces,
+            part=self.features.part,
+            material=np.full(len(self.faces), -1, np.int32),
+            eyes=tuple(
+                Eyeball(
+                    side=side,
+                    centre_m=0.001 * self._eye_centre * [side, 1.0, 1.0],
+                    radius_m=0.001 * EYE_RADIUS,
+                    vertices=np.arange(*self.charts[name].span.indices(self.num_vertices)),
+                    turned=True,
+                )
+                for side, name in ((1.0, "eye_left"), (-1.0, "eye_right"))
+            ),
+            frame=RigFrame(unit="m", axes=np.eye(3), guessed=()),
+            dropped=(),
+        )
+
+    @functools.cached_property
+    def chart(self) -> PackedChart:
+        """The UV square as it was laid out."""
+        return PackedChart(
+            vertex_uv=self.vertex_uv,
+            faces=self.faces,
+            face_source=np.arange(len(self.faces)),
+            source=np.arange(self.num_vertices),
+            islands=len(self.charts),
+        )
 
     @property
     def num_vertices(self) -> int:

@@ -11,16 +11,16 @@ Meshes without UVs get islands from xatlas first. The flow keeps islands whole a
 """
 
 import itertools
-from dataclasses import dataclass
 
 import numpy as np
 import xatlas
 
 from pica_core.capture.dataset.files import MAP_SIZE
+from pica_core.capture.rig.drawn import PackedChart
 from pica_core.capture.rig.uv_gutter import MAX_GUTTER_TEXELS, add_gutters
 from pica_core.capture.triangles import areas, components, signed_areas, spread_samples
 from pica_core.errors import CaptureError
-from pica_core.types import BoolArray, Float64Array, FloatArray, Int64Array, IntArray
+from pica_core.types import BoolArray, Float64Array, IntArray
 
 FLOW_GRIDS = ((2000, 128), (0, 48))
 """Least triangles, and cells along each side of the grid on which their density spreads."""
@@ -39,25 +39,6 @@ MAX_FOLDED = 0.1
 """Share of an island that may be folded over, at most; more and it gets new coordinates."""
 PADDING_TEXELS = 1
 """Empty texels between islands beyond those that bilinear lookup reads: it never mixes two."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class PackedChart:
-    """A mesh with one chart.
-
-    Attributes:
-        vertex_uv: Texture coordinates in [0, 1], v downwards. float32 ``[V, 2]``.
-        faces: Triangles of the split vertices. int32 ``[F, 3]``.
-        face_source: The triangle of the mesh that each triangle is, or copies. int64 ``[F]``.
-        source: The welded vertex of each split vertex. int64 ``[V]``.
-        islands: Number of islands.
-    """
-
-    vertex_uv: FloatArray
-    faces: IntArray
-    face_source: Int64Array
-    source: Int64Array
-    islands: int
 
 
 def make_islands(points: Float64Array, faces: IntArray) -> tuple[Float64Array, IntArray]:

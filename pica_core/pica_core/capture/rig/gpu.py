@@ -1,12 +1,12 @@
-"""GL side of a rig: paint its appearance, pose it with its shadow."""
+"""GL side of a head: paint its appearance, pose it with its shadow."""
 
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
+from pica_core.capture.rig.drawn import DrawnRig
 from pica_core.capture.rig.features import LID_M
-from pica_core.capture.rig.head import RigHead
 from pica_core.capture.rig.skin import IRIS_RADIUS_M, Albedo, Growth, split_parts, surface
 from pica_core.capture.stage.gpu import BAKE_SIZE, MeshRenderer
 from pica_core.capture.stage.shadow import ShadowPlan
@@ -41,7 +41,7 @@ class RigRenderer(MeshRenderer):
 
     def __init__(
         self,
-        head: RigHead,
+        head: DrawnRig,
         albedo: dict[int, Albedo] | None = None,
         look: dict[str, Any] | None = None,
         growth: Growth | None = None,
@@ -64,13 +64,10 @@ class RigRenderer(MeshRenderer):
         )
         super().__init__(
             head,
-            "rig_stage",
             faces=head.chart.faces,
             vertex_uv=head.chart.vertex_uv,
             material=self._material,
-            moving={"tangent": 3},
             bake_size=bake_size,
-            bleed=_doubling,
             shadows=shadows if occlusion else None,
         )
 
@@ -128,7 +125,7 @@ class RigRenderer(MeshRenderer):
                 **numbers, "albedo": 0, "has_albedo": float(image is not None),
                 "mirrored": mirrored,
             }  # fmt: skip
-            shaders = "rig_bake", "rig_appearance"
+            shaders = "bake", "appearance"
             self._paint_part(shaders, int(painted), vertices, mine, values)
 
     def _source_uv(self) -> FloatArray:
@@ -138,7 +135,7 @@ class RigRenderer(MeshRenderer):
             return np.zeros((3 * len(chart.faces), 2), np.float32)
         return mesh.uv[mesh.uv_faces[chart.face_source]].reshape(-1, 2).astype(np.float32)
 
-    def _more_moving(self, vertices: FloatArray, shade: FloatArray) -> tuple[FloatArray, ...]:
+    def _strands(self, vertices: FloatArray, shade: FloatArray) -> FloatArray:
         """Direction of strands; lids shade the eyeballs."""
         for eyeball, upper, lower in self._lids:
             x, y = vertices[eyeball, 0], vertices[eyeball, 1]
@@ -148,10 +145,10 @@ class RigRenderer(MeshRenderer):
                 0.60 + 0.40 * _ramp(below, -0.0006, 0.0026)
             )
             shade[eyeball] = light[:, None]
-        return (self._hairs[:, 1:4],)
+        return self._hairs[:, 1:4]
 
 
-def _lid_edges(head: RigHead) -> Iterator[tuple[Int64Array, Int64Array, Int64Array]]:
+def _lid_edges(head: DrawnRig) -> Iterator[tuple[Int64Array, Int64Array, Int64Array]]:
     """Find split vertices of each eyeball that has lids, of its upper and of its lower lid."""
     f, rest, source = head.features, head.mesh.rest_m, head.chart.source
     for eye in head.mesh.eyes:
@@ -172,12 +169,3 @@ def _line(points: FloatArray, x: FloatArray) -> FloatArray:
 def _ramp(value: FloatArray, low: float, high: float) -> FloatArray:
     t = np.clip((value - low) / (high - low), 0.0, 1.0)
     return t * t * (3 - 2 * t)
-
-
-def _doubling(reach: int) -> Iterator[int]:
-    """Steps that together reach so far; what is filled is wide enough to be copied."""
-    done = 0
-    while done < reach:
-        step = min(max(done // 2, 1), reach - done)
-        yield step
-        done += step

@@ -12,7 +12,8 @@ import numpy.typing as npt
 from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.capture.dataset.files import Topology
 from pica_core.capture.dataset.multiface import MATERIALS
-from pica_core.capture.rig.chart import PackedChart, make_islands, mend_islands, pack
+from pica_core.capture.rig.chart import make_islands, mend_islands, pack
+from pica_core.capture.rig.drawn import PackedChart
 from pica_core.capture.rig.features import Features, find_features
 from pica_core.capture.rig.gltf import read_glb
 from pica_core.capture.rig.limits import Limits

@@ -1,6 +1,6 @@
 """What the appearance shader needs to know of each vertex of a rig, and the images it brings.
 
-Where a material has no image, `shaders/rig_appearance.frag` paints it: skin with pores, brows,
+Where a material has no image, `shaders/appearance.frag` paints it: skin with pores, brows,
 lips, lids and cropped hair, eyes, teeth, gums and tongue, from what `features` found.
 """
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from pica_core.capture.dataset.files import read_bytes
 from pica_core.capture.dataset.multiface import MATERIALS
-from pica_core.capture.rig.head import RigHead
+from pica_core.capture.rig.drawn import DrawnRig
 from pica_core.capture.rig.images import open_image
 from pica_core.capture.rig.source import RigSource
 from pica_core.capture.rig.zones import hair_coverage
@@ -29,23 +29,24 @@ class Growth:
     Attributes:
         hairs: Coverage of the scalp (0 at the hairline, 1 is 14 mm above), direction of strands,
             density of the beard. float32 ``[P, 5]``.
-        strand: On hair: along 0 to 1, across -1 to 1, number, length in metres. float32 ``[P, 4]``.
+        strand: On hair: along 0 to 1, across -1 to 1, number, length in metres. On teeth: 0, or 1
+            where an arch ends in the dark. float32 ``[P, 4]``.
     """
 
     hairs: FloatArray
     strand: FloatArray
 
 
-def split_parts(head: RigHead) -> IntArray:
+def split_parts(head: DrawnRig) -> IntArray:
     """Part of each split vertex: that of its triangles. ``[V]``."""
-    part = np.zeros(head.num_vertices, np.int32)
+    part = np.zeros(len(head.chart.source), np.int32)
     for corner in range(3):  # where parts share an island, the later part of the table wins
         chart = head.chart
         np.maximum.at(part, chart.faces[:, corner], head.features.part[chart.face_source])
     return part
 
 
-def surface(head: RigHead, growth: Growth | None = None) -> FloatArray:
+def surface(head: DrawnRig, growth: Growth | None = None) -> FloatArray:
     """Four numbers for every split vertex; their meaning depends on the part. ``[V, 4]``."""
     f, mesh, source = head.features, head.mesh, head.chart.source
     rest = mesh.rest_m
@@ -57,7 +58,7 @@ def surface(head: RigHead, growth: Growth | None = None) -> FloatArray:
         coverage = np.full(len(rest), -1.0)
     if growth is not None:
         coverage = growth.hairs[:, 0].astype(np.float64)
-        locks = part == MATERIALS.index("hair")
+        locks = np.isin(part, [MATERIALS.index("hair"), MATERIALS.index("teeth")])
         local[locks] = growth.strand[source[locks]]
     columns = np.stack([f.lips, 1000 * f.eye_gap_m, coverage, f.above_eye], 1)
     local[skin] = columns[source[skin]]

@@ -6,7 +6,7 @@ once.
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
@@ -79,13 +79,10 @@ class MeshRenderer(ABC):
 
     Args:
         head: Poses the mesh.
-        shader: Name of the shaders that light it.
         faces: Triangles. int32 ``[F, 3]``.
         vertex_uv: In [0, 1]. float32 ``[V, 2]``.
         material: `multiface.MATERIALS` by vertex; the last vertex of a triangle counts. ``[V]``.
-        moving: Names and numbers of components of what `_more_moving` gives for each vertex.
         bake_size: Side of the appearance textures, texels.
-        bleed: Steps in which charts bleed so many texels into the empty ones around them.
         shadows: How shadow of the head on itself is measured, which takes seconds; None leaves it
             out.
 
@@ -96,21 +93,18 @@ class MeshRenderer(ABC):
     def __init__(
         self,
         head: PosedMesh,
-        shader: str,
         *,
         faces: IntArray,
         vertex_uv: FloatArray,
         material: Array,
-        moving: dict[str, int],
         bake_size: int,
-        bleed: Callable[[int], Iterable[int]],
         shadows: ShadowPlan | None,
     ) -> None:
         self._context = c = create_context()
         self._mesh = head
         self._framebuffers: dict[tuple[str, int, int], Any] = {}
         self._view_textures: dict[tuple[int, int], tuple[Any, Any]] = {}
-        self._layout = {"position_m": 3, "normal": 3, "occlusion": 2, **moving}
+        self._layout = {"position_m": 3, "normal": 3, "occlusion": 2, "tangent": 3}
         by_face = np.rint(material[faces[:, 2]]).astype(np.int64)
         order = np.argsort(by_face, kind="stable")
         self._faces = c.buffer(np.ascontiguousarray(faces[order], np.int32).tobytes())
@@ -119,12 +113,12 @@ class MeshRenderer(ABC):
         self._static = c.buffer(static.astype(np.float32).tobytes())
         stride = 4 * sum(self._layout.values())
         self._moving = c.buffer(reserve=len(vertex_uv) * stride, dynamic=True)
-        self._shade = {k: self._over_mesh(shader, k) for k in self._spans}
+        self._shade = {k: self._over_mesh("stage", k) for k in self._spans}
         self._depth = self._over_mesh("depth")
         self._unwrap = self._over_mesh("unwrap")
         self._resolve = c.vertex_array(self._program("resolve", "resolve"), [])
         self._vertices: FloatArray = np.zeros((0, 3), np.float32)
-        self._colour, self._relief = self._bake(bake_size, bleed(2 * bake_size // 256 + 2))
+        self._colour, self._relief = self._bake(bake_size, _doubling(2 * bake_size // 256 + 2))
         self._occlusion = Occlusion(head, self._draw_depth_map, shadows) if shadows else None
 
     @abstractmethod
@@ -132,8 +126,8 @@ class MeshRenderer(ABC):
         """Draw colour and relief of every part over the charts, by `_paint_part`."""
 
     @abstractmethod
-    def _more_moving(self, vertices: FloatArray, shade: FloatArray) -> tuple[FloatArray, ...]:
-        """What else moves with vertices ``[V, 3]``; may change their light ``[V, 2]`` in place."""
+    def _strands(self, vertices: FloatArray, shade: FloatArray) -> FloatArray:
+        """Directions of strands ``[V, 3]``; may change the vertices' light ``[V, 2]`` in place."""
 
     def pose(self, arkit: npt.ArrayLike) -> FloatArray:
         """Pose the head for the draws that follow; returns its vertices, metres ``[V, 3]``."""
@@ -145,8 +139,8 @@ class MeshRenderer(ABC):
         return vertices
 
     def _upload(self, vertices: FloatArray, shade: FloatArray) -> None:
-        more = self._more_moving(vertices, shade)
-        values = vertices, self._mesh.normals(vertices), shade, *more
+        tangent = self._strands(vertices, shade)
+        values = vertices, self._mesh.normals(vertices), shade, tangent
         self._moving.write(np.concatenate(values, 1, dtype=np.float32, casting="same_kind"))
         self._vertices = vertices
 
@@ -379,3 +373,12 @@ def _nearby(covered: BoolArray, steps: Iterable[int]) -> Int64Array:
             taken[take] = taken[np.ravel_multi_index(tuple(place), covered.shape)]
             filled.ravel()[take] = True
     return taken
+
+
+def _doubling(reach: int) -> Iterator[int]:
+    """Steps that together reach so far; what is filled is wide enough to be copied."""
+    done = 0
+    while done < reach:
+        step = min(max(done // 2, 1), reach - done)
+        yield step
+        done += step

@@ -19,7 +19,7 @@ DrawDepth = Callable[[FloatArray, FloatArray, int], FloatArray]
 """Draws a depth map of vertices along a clip matrix, so many texels wide."""
 
 KEY_DIRECTION = np.array([0.50, 0.55, 0.80]) / np.linalg.norm([0.50, 0.55, 0.80])
-"""Must agree with shaders/stage.frag and shaders/rig_stage.frag."""
+"""Must agree with shaders/stage.frag."""
 KEY_SPREAD = 0.22
 """Half angle of the key light, radians: a softbox, so shadows have soft edges."""
 DEPTH_MAP_SIZE = 192
@@ -63,8 +63,6 @@ class ShadowPlan:
     """What the depth maps are aimed at, head frame, metres."""
     drivers: Container[str] = ARKIT_NAMES
     """Shapes that the head has; expressions of others are not measured."""
-    smooth: Callable[[Float64Array], Float64Array] = lambda shade: shade
-    """Softens what was measured, ``[V, 2]``."""
 
 
 class Occlusion:
@@ -90,7 +88,7 @@ class Occlusion:
             weight += facing
         disc = _softbox(self._plan.key_directions)
         key = np.mean([self._lit(vertices, normals, direction) for direction in disc], axis=0)
-        return self._plan.smooth(np.stack([sky / weight, key], 1)).astype(np.float32)
+        return np.stack([sky / weight, key], 1).astype(np.float32)
 
     def _lit(self, vertices: FloatArray, normals: FloatArray, direction: Float64Array) -> BoolArray:
         """Which vertices see light from a direction (towards the light, unit length). ``[V]``."""

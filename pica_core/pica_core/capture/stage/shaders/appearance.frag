@@ -1,302 +1,253 @@
 #version 330
-// What each point of a built-in head is made of. Run once per identity into two textures:
+// What each point of a head without textures is made of. Baked once into two textures:
 //   colour  square root of linear diffuse colour; alpha: gloss (0 matt to 1 wet)
-//   relief  red: height (bump), green: how much light passes under the surface (teeth: how deep in the mouth), blue: strand direction noise
-// Lengths are millimetres in the head frame at rest; all chance comes from `seed`.
+//   relief  red: height (bump), green: how much light passes under the surface
+// Lengths are millimetres in the head frame at rest.
 #include "noise.glsl"
 in vec3 rest_mm;
+// skin: depth in the lips (0 border, 1 contact), mm to the eye opening, hair coverage, 1 above the eye
+// eye: direction from the centre, side.   teeth: 1 at an arch's dark end.   tongue: 0 root to 1 tip.   mouth lining: mm behind the lips
 in vec4 surface;
+in vec2 albedo_uv;
+in vec3 strand_way;    // direction of hair
+in vec2 grown;         // coverage by hair, density of beard
 const int material_id = MATERIAL;   // a program each: software GL runs every branch
 layout(location = 0) out vec4 colour_out;
 layout(location = 1) out vec4 relief_out;
+uniform float has_albedo;
+uniform sampler2D albedo;
+uniform vec2 mirrored;      // 1 where the image goes on mirrored, across and down
 uniform float seed;
 uniform vec3 skin_rgb;
-uniform float redness;
 uniform vec3 lip_rgb;
-uniform float freckles;
-uniform float stubble;
-uniform float beard_cover;
-uniform float makeup;
-uniform float age;
-uniform vec3 brow_rgb;
-uniform float brow_thickness;
-uniform vec3 iris_rgb;
-uniform vec3 cloth_rgb;
 uniform vec3 hair_rgb;
-uniform float curl;
-uniform float sweep;
-uniform float grey;
-uniform float eye_x;
-uniform float brow_y;
-uniform float nose_y;   // subnasale
-uniform float nose_half;
-uniform float mouth_y;
-uniform float chin_y;
-uniform float upper_lip;
-uniform float lower_lip;
+uniform vec3 iris_rgb;
+uniform float iris_reach;   // iris radius over eyeball radius
+uniform vec3 eye_mm;        // the subject's left eyeball
+uniform float brow_mm;
+uniform vec3 nose_mm;
+uniform float mouth_mm;
 uniform float mouth_half;
+uniform float has_growth;
+uniform vec3 brow_rgb;
+uniform vec3 cloth_rgb;
+uniform float cloth_knit;
+uniform float redness;
+uniform float age;          // 0 at twenty years, 1 at seventy-five
+uniform float freckles;
+uniform float moles;
+uniform float makeup;
+uniform float grey;
+uniform float stubble;
+uniform float brows;
+uniform float tooth_white;
 
-float bell(float v, float centre, float width) { float d = (v - centre) / width; return exp(-0.5 * d * d); }
 float spot(vec2 p, vec2 centre, vec2 size) { vec2 d = (p - centre) / size; return exp(-0.5 * dot(d, d)); }
 
-// Hairs of a brow: short strokes that fan from upright at the nose to lying at the temple.
+// Streaks along a direction: noise summed up along it.
+float streaks(vec3 p, vec3 way, float reach, float fine) {
+    float sum = 0.0;
+    for (int k = -4; k <= 4; k++) sum += noise((p + way * (reach * float(k) / 4.0)) * fine + seed);
+    return clamp(0.5 + (sum / 9.0 - 0.5) * 2.4, 0.0, 1.0);
+}
+// Strands that have lost their colour lie among the others.
+vec3 hair_colour(float strand) {
+    vec3 lost = vec3(0.24, 0.235, 0.23);
+    return mix(hair_rgb, lost, clamp(grey * (0.75 + 1.1 * (strand - 0.5)), 0.0, 0.92));
+}
+
+// Short strokes that fan from upright at the nose to lying at the temple.
 float brow_hair(vec3 p, out float inside) {
-    float u = abs(p.x) - eye_x;
-    float s = clamp((u + 21.0) / 47.0, 0.0, 1.0);
-    float arch = brow_y + 4.6 * sin(3.14159 * pow(s, 1.25)) * 0.8 - 5.0 * s * s * s;
-    float thick = brow_thickness * mix(4.0, 1.5, s * s) * smoothstep(-0.03, 0.12, s);
-    float ragged = noise(vec3(p.x * 0.9, p.y * 0.5, seed)) - 0.5;
-    float d = (p.y - arch) / max(thick, 0.1) + 0.35 * ragged;
-    inside = (1.0 - smoothstep(0.25, 1.25, abs(d)))
-        * smoothstep(-25.0, -15.0, u + 3.0 * ragged) * (1.0 - smoothstep(18.0, 28.0, u));
-    inside *= step(40.0, p.z) * mix(0.45, 1.0, smoothstep(-24.0, -10.0, u));
-    // Hairs are lines of equal `across` in sheared coordinates along the brow.
-    float lean = mix(0.55, 2.2, smoothstep(0.0, 0.8, s));
-    float rise = p.y - arch;
-    float across = (u - lean * rise) * mix(1.5, 0.8, s) + 0.5 * noise(vec3(u * 0.4, rise * 0.4, seed));
-    float strand = 0.0;
-    for (int k = 0; k < 3; k++) {
-        float shift = float(k) * 7.7 + sign(p.x) * 5.0 + seed;
-        float line = noise(vec3(across * (1.0 + 0.37 * float(k)), rise * (0.16 + 0.07 * float(k)), shift));
-        strand = max(strand, line - 0.03 * float(k));
-    }
-    float dense = sqrt(inside);
-    return smoothstep(0.86 - 0.46 * dense, 1.02 - 0.40 * dense, strand) * smoothstep(0.02, 0.15, inside);
+    float u = abs(p.x) - eye_mm.x;
+    float s = clamp((u + 20.0) / 45.0, 0.0, 1.0);
+    float arch = brow_mm - 1.0 + 4.0 * sin(3.14159 * pow(s, 1.2)) - 6.0 * s * s * s;
+    float thick = brows * mix(4.6, 1.5, s * s);
+    float d = (p.y - arch) / thick;
+    inside = (1.0 - smoothstep(0.45, 1.25, abs(d))) * smoothstep(-22.0, -13.0, u) * (1.0 - smoothstep(19.0, 26.0, u));
+    inside *= step(eye_mm.z - 20.0, p.z);
+    vec2 along = normalize(vec2(mix(0.4, 2.6, s), 1.0 - 1.4 * max(d, 0.0) * s));
+    vec2 q = vec2(abs(p.x), p.y);
+    float strand = noise(vec3(dot(q, vec2(-along.y, along.x)) * 2.1, dot(q, along) * 0.26, seed + sign(p.x) * 5.0));
+    return inside * smoothstep(0.30 - 0.2 * inside, 0.66 - 0.2 * inside, strand);
 }
 
 void skin(out vec3 rgb, out float gloss, out float height, out float translucent) {
     vec3 p = rest_mm;
-    float ax = abs(p.x);
-    vec2 q = vec2(ax, p.y);
-    float front = smoothstep(20.0, 60.0, p.z);
-    bool is_ear = surface.w > 0.5;
-    // Colour of skin: melanin varies slowly, blood shows where skin is thin.
-    float slow = fbm(p * 0.035 + seed) - 0.5;
-    float fine = fbm(p * 0.35 + seed * 1.7) - 0.5;
-    rgb = skin_rgb * (1.0 + 0.10 * slow + (0.10 + 0.12 * age) * fine);
-    float blood = 0.5 * spot(q, vec2(eye_x + 13.0, -9.0), vec2(16.0, 13.0)) * front
-        + 0.6 * spot(vec2(p.x, p.y), vec2(0.0, nose_y + 9.0), vec2(15.0, 9.0)) * front
-        + 0.5 * spot(vec2(p.x, p.y), vec2(0.0, chin_y + 14.0), vec2(16.0, 10.0)) * front
-        + 0.35 * spot(vec2(p.x, p.y), vec2(0.0, 46.0), vec2(20.0, 9.0)) * front
-        + (is_ear ? 0.6 : 0.0);
-    blood *= redness * (0.75 + 0.6 * fbm(p * 0.09 + seed));
-    rgb *= mix(vec3(1.0), vec3(1.06, 0.80, 0.78), clamp(blood, 0.0, 1.2));
-    // Paler, yellower forehead; cooler, darker skin under the eyes.
-    rgb *= mix(vec3(1.0), vec3(1.04, 1.03, 0.97), smoothstep(40.0, 70.0, p.y) * front);
-    float under_eye = spot(q, vec2(eye_x - 4.0, 10.0), vec2(13.0, 4.5)) * front;
-    rgb *= mix(vec3(1.0), vec3(0.88, 0.82, 0.84), (0.30 + 0.5 * age) * under_eye);
-    float lid = spot(q, vec2(eye_x, 27.5), vec2(16.0, 5.0)) * front;
-    rgb *= mix(vec3(1.0), vec3(0.92, 0.80, 0.80), 0.55 * lid);
-    gloss = 0.34 + 0.20 * spot(vec2(p.x, p.y), vec2(0.0, 4.0), vec2(11.0, 22.0)) * front
-        + 0.12 * spot(vec2(p.x, p.y), vec2(0.0, 60.0), vec2(34.0, 18.0)) * front;
-    // Mottling: skin is never one colour over a centimetre.
-    float mottle = fbm(p * 0.16 + seed * 2.3) - 0.5;
-    rgb *= 1.0 + vec3(0.06, 0.16, 0.18) * mottle;
-    // Pores and fine relief.
-    float pores = noise(p * 1.5 + seed) * 0.55 + noise(p * 3.1 + seed) * 0.45;
-    float pore_size = 0.45 + 0.9 * max(spot(q, vec2(18.0, -6.0), vec2(16.0, 14.0)),
-        spot(vec2(p.x, p.y), vec2(0.0, nose_y + 9.0), vec2(14.0, 12.0))) * front
-        + 0.25 * spot(vec2(p.x, p.y), vec2(0.0, chin_y + 16.0), vec2(18.0, 12.0)) * front;
-    height = 0.5 + 0.26 * (pores - 0.5) * pore_size + (0.12 + 0.14 * age) * fine;
-    rgb *= 1.0 - 0.13 * pore_size * smoothstep(0.52, 0.25, pores);
-    gloss *= 0.70 + 0.6 * pores;
-    // Freckles and a few moles.
-    float place = clamp(spot(q, vec2(26.0, -2.0), vec2(22.0, 14.0)) + 0.25, 0.0, 1.0) * front;
-    float marks = spots(p * 0.42 + seed, 0.5 * freckles * place, 0.34);
-    rgb *= mix(vec3(1.0), vec3(0.62, 0.50, 0.42), 0.75 * marks);
-    float mole = spots(p * 0.040 + seed * 3.1, 0.10, 0.040);
-    rgb *= mix(vec3(1.0), vec3(0.42, 0.30, 0.26), mole * front);
-    // Lines of the face grow with age: forehead, crow's feet, under the eyes, above the lips.
-    float wave = p.y + 1.5 * sin(p.x * 0.09) + 2.0 * noise(vec3(p.x * 0.06, 0.0, seed)) - 62.0;
-    float lines = pow(0.5 + 0.5 * cos(wave * 0.72), 14.0) * smoothstep(48.0, 56.0, p.y) * (1.0 - smoothstep(72.0, 84.0, p.y))
-        * (1.0 - smoothstep(26.0, 44.0, ax)) * front * smoothstep(0.3, 0.6, noise(vec3(p.x * 0.09, p.y * 0.3, seed + 4.0)));
-    vec2 from_corner = q - vec2(eye_x + 13.0, 20.5);
-    float ray = atan(from_corner.y, max(from_corner.x, 0.1));
-    float feet = pow(0.5 + 0.5 * cos(ray * 11.0 + 1.5 * noise(p * 0.3)), 6.0) * smoothstep(1.5, 5.0, from_corner.x)
-        * (1.0 - smoothstep(9.0, 17.0, length(from_corner))) * step(abs(ray), 0.95) * front;
-    float crinkle = pow(0.5 + 0.5 * cos((p.y - 0.02 * (ax - eye_x) * (ax - eye_x)) * 1.9 + 3.0 * noise(vec3(p.x * 0.1, p.y * 0.1, seed))), 6.0)
-        * spot(q, vec2(eye_x + 2.0, 8.5), vec2(12.0, 4.0)) * front;
-    float perioral = pow(0.5 + 0.5 * cos(p.x * 1.25 + 2.0 * noise(p * 0.25)), 8.0)
-        * spot(vec2(p.x, p.y), vec2(0.0, mouth_y + 9.0), vec2(17.0, 4.0)) * front;
-    float creased = age * age * (1.4 * lines + 1.2 * feet + 0.7 * crinkle + 0.7 * perioral);
-    rgb *= 1.0 - vec3(0.20, 0.25, 0.25) * min(creased, 1.0);
-    height -= 0.42 * min(creased, 1.2);
-    float spots_of_age = spots(p * 0.13 + seed * 5.0, 0.35 * smoothstep(0.5, 1.0, age), 0.16) * front;
-    rgb *= mix(vec3(1.0), vec3(0.72, 0.60, 0.50), 0.6 * spots_of_age);
-    // Nostrils: their inside is dark.
-    float nostril = spot(q, vec2(0.5 * nose_half - 0.2, nose_y + 3.0), vec2(3.0, 2.4)) * step(nose_y - 2.0, p.y) * step(90.0, p.z);
-    rgb *= 1.0 - 0.88 * smoothstep(0.30, 0.85, nostril);
-    gloss *= 1.0 - smoothstep(0.3, 0.8, nostril);
-    translucent = is_ear ? 1.0 : 0.5;
-    // Beard shadow.
-    float cheek_line = mix(nose_y - 2.0, -4.0, smoothstep(26.0, 62.0, ax));
-    float beard = (1.0 - smoothstep(cheek_line - 12.0, cheek_line, p.y + 4.0 * fbm(p * 0.12)))
-        * smoothstep(chin_y - 34.0, chin_y - 14.0, p.y) * smoothstep(-8.0, 16.0, p.z);
-    beard *= 1.0 - 0.7 * spot(vec2(p.x, p.y), vec2(0.0, mouth_y - 13.0), vec2(20.0, 2.5));
-    beard *= 1.0 - 0.55 * bell(ax, mouth_half + 9.0, 6.0) * smoothstep(mouth_y - 16.0, mouth_y, p.y);
-    float bristle = smoothstep(0.52, 0.72, noise(vec3(p.x * 4.6, p.y * 3.4, p.z * 4.0) + seed));
-    rgb = mix(rgb, mix(rgb * vec3(0.70, 0.71, 0.76), hair_rgb, 0.55 * bristle), stubble * beard * (0.5 + 0.35 * bristle));
-    gloss *= 1.0 - 0.5 * stubble * beard;
-    // A short full beard: hairs that run down and outwards, sparse at its border.
-    float line_y = mix(nose_y - 15.0, nose_y - 2.0, smoothstep(mouth_half + 2.0, mouth_half + 34.0, ax));
-    line_y = mix(line_y, 30.0, smoothstep(14.0, 2.0, p.z));   // joins the hair before the ear
-    float grow = (1.0 - smoothstep(line_y - 9.0, line_y + 2.0, p.y + 6.0 * fbm(p * 0.2) - 2.0))
-        * smoothstep(-15.0, -3.0, p.y + 4.0 * fbm(p * 0.2) - mix(chin_y + 26.0, chin_y, smoothstep(20.0, 88.0, p.z))) * smoothstep(-6.0, 8.0, p.z + 6.0 * fbm(p * 0.25) - 3.0 - 0.12 * min(p.y + 20.0, 0.0));
-    float top = nose_y - 5.5 - 0.010 * ax * ax + 2.0 * fbm(p * 0.5);
-    float moustache = smoothstep(mouth_y - 3.0, mouth_y + 1.0, p.y) * (1.0 - smoothstep(top - 2.0, top + 1.5, p.y))
-        * (1.0 - smoothstep(mouth_half + 2.0, mouth_half + 9.0, ax)) * (1.0 - 0.35 * bell(p.x, 0.0, 1.6));
-    grow = max(grow, moustache * front) * (is_ear ? 0.0 : 1.0);
-    grow *= 1.0 - smoothstep(0.3, 0.8, spot(vec2(p.x, p.y), vec2(0.0, mouth_y - lower_lip - 4.5), vec2(9.0, 2.0))) * 0.45;
-    float lay = noise(vec3((p.x + 0.35 * p.y * sign(p.x)) * 1.7, p.y * 0.35, p.z * 1.1 + seed));
-    float fuzz = noise(vec3(p.x * 3.2, p.y * 1.1, p.z * 2.0 + seed));
-    float hair_here = smoothstep(0.95 - 0.85 * grow, 1.15 - 0.80 * grow, 0.55 * lay + 0.45 * fuzz + 0.25 * grow) * step(0.02, grow);
-    rgb = mix(rgb, hair_rgb * (0.6 + 2.6 * lay * fuzz), beard_cover * max(hair_here, 0.5 * grow * grow));
-    height += beard_cover * grow * 0.35 * (0.5 * lay + 0.5 * fuzz - 0.5);
-    gloss *= 1.0 - 0.5 * beard_cover * grow;
+    float front = smoothstep(eye_mm.z - 50.0, eye_mm.z - 15.0, p.z);
+    vec2 q = vec2(abs(p.x), p.y);
+    float slow = fbm(p * 0.035 + seed) - 0.5, fine = fbm(p * 0.35 + seed * 1.7) - 0.5;
+    rgb = skin_rgb * (1.0 + 0.12 * slow + 0.16 * fine);
+    // Blood shows where skin is thin: cheeks, nose, chin, ears.
+    float blood = 0.55 * spot(q, vec2(eye_mm.x + 12.0, eye_mm.y - 32.0), vec2(16.0, 13.0)) * front
+        + 0.6 * spot(p.xy, nose_mm.xy, vec2(14.0, 10.0)) * front
+        + 0.4 * spot(p.xy, vec2(0.0, mouth_mm - 34.0), vec2(16.0, 10.0)) * front
+        + 0.6 * smoothstep(72.0, 84.0, q.x) * (1.0 - smoothstep(40.0, 60.0, p.y)) * smoothstep(-60.0, -45.0, p.y);
+    rgb *= mix(vec3(1.0), vec3(1.06, 0.80, 0.78), clamp(redness * blood * (0.75 + 0.6 * fbm(p * 0.09 + seed)), 0.0, 1.2));
+    // Melanin and blood are mottled; foreheads are paler and yellower.
+    float mottle = fbm(p * 0.16 + seed * 2.3) - 0.5, patchy = fbm(p * 0.07 + seed * 4.1) - 0.5;
+    rgb *= 1.0 + vec3(0.05, 0.14, 0.16) * mottle * (0.8 + 0.7 * age) + vec3(0.16, 0.17, 0.18) * patchy * (0.5 + age);
+    rgb *= mix(vec3(1.0), vec3(1.03, 1.02, 0.95), smoothstep(brow_mm, brow_mm + 30.0, p.y) * front);
+    rgb *= mix(vec3(1.0), vec3(0.88, 0.82, 0.85), (0.45 + 0.5 * age) * spot(q, vec2(eye_mm.x - 4.0, eye_mm.y - 13.0), vec2(13.0, 4.5)) * front);
+    gloss = 0.34 + 0.20 * spot(p.xy, vec2(0.0, nose_mm.y + 16.0), vec2(11.0, 22.0)) * front
+        + 0.12 * spot(p.xy, vec2(0.0, brow_mm + 24.0), vec2(34.0, 18.0)) * front;
+    float pores = noise(p * 1.9 + seed) * 0.6 + noise(p * 3.7 + seed) * 0.4;
+    float pore_size = 0.4 + 0.8 * max(spot(q, vec2(18.0, nose_mm.y + 4.0), vec2(16.0, 14.0)), spot(p.xy, nose_mm.xy, vec2(14.0, 12.0))) * front;
+    height = 0.5 + 0.20 * (pores - 0.5) * pore_size + 0.10 * fine;
+    rgb *= 1.0 - 0.10 * pore_size * smoothstep(0.55, 0.25, pores);
+    gloss *= 0.75 + 0.5 * pores;
+    rgb *= mix(vec3(1.0), vec3(0.55, 0.42, 0.36), spots(p * 0.05 + seed * 3.1, 0.25 * moles, 0.05) * front);
+    translucent = 0.5;
+    // Freckles; age spots.
+    float freckled = clamp(spot(q, vec2(eye_mm.x - 4.0, eye_mm.y - 24.0), vec2(24.0, 14.0)) + 0.2, 0.0, 1.0) * front;
+    rgb *= mix(vec3(1.0), vec3(0.62, 0.48, 0.40), 0.7 * spots(p * 0.42 + seed, 0.6 * freckles * freckled, 0.36));
+    rgb *= mix(vec3(1.0), vec3(0.74, 0.62, 0.52), 0.6 * spots(p * 0.13 + seed * 5.0, 0.35 * smoothstep(0.55, 1.0, age), 0.16));
+    // Lines that grow with age: forehead, crow's feet, under the eyes, from nose to mouth, over the lips, on the neck.
+    float wave = p.y + 1.5 * sin(p.x * 0.09) + 2.5 * noise(vec3(p.x * 0.06, 0.0, seed)) - brow_mm - 14.0;
+    float lines = pow(0.5 + 0.5 * cos(wave * 0.74), 14.0) * smoothstep(2.0, 8.0, wave) * (1.0 - smoothstep(24.0, 34.0, wave))
+        * (1.0 - smoothstep(26.0, 44.0, q.x)) * front * smoothstep(0.3, 0.6, noise(vec3(p.x * 0.09, p.y * 0.3, seed + 4.0)));
+    vec2 corner = q - vec2(eye_mm.x + 14.0, eye_mm.y - 1.0);
+    float ray = atan(corner.y, max(corner.x, 0.1));
+    float feet = pow(0.5 + 0.5 * cos(ray * 11.0 + 1.5 * noise(p * 0.3)), 6.0) * smoothstep(1.5, 5.0, corner.x)
+        * (1.0 - smoothstep(9.0, 18.0, length(corner))) * step(abs(ray), 0.95) * smoothstep(eye_mm.z - 60.0, eye_mm.z - 30.0, p.z);
+    float bag = pow(0.5 + 0.5 * cos((p.y - eye_mm.y - 0.02 * pow(q.x - eye_mm.x, 2.0)) * 1.7 + 3.0 * noise(vec3(p.x * 0.1, p.y * 0.1, seed))), 6.0)
+        * spot(q, vec2(eye_mm.x + 1.0, eye_mm.y - 14.0), vec2(12.0, 5.0)) * front;
+    float fold_x = mix(14.0, mouth_half + 7.0, smoothstep(nose_mm.y - 2.0, mouth_mm - 4.0, p.y));
+    fold_x = 17.0 + (mouth_half - 9.0) * smoothstep(nose_mm.y, mouth_mm - 8.0, p.y);
+    float fold = exp(-0.5 * pow((q.x - fold_x) / 1.3, 2.0)) * smoothstep(nose_mm.y + 2.0, nose_mm.y - 8.0, p.y) * smoothstep(mouth_mm - 14.0, mouth_mm - 2.0, p.y) * front;
+    float perioral = pow(0.5 + 0.5 * cos(p.x * 1.25 + 2.0 * noise(p * 0.25)), 8.0) * spot(p.xy, vec2(0.0, mouth_mm + 11.0), vec2(17.0, 4.0)) * front;
+    float neck = pow(0.5 + 0.5 * cos(p.y * 0.42 + 2.5 * noise(p * 0.03 + seed)), 12.0) * smoothstep(mouth_mm - 55.0, mouth_mm - 70.0, p.y);
+    float creased = age * age * (1.3 * lines + 1.1 * feet + 0.8 * bag + 0.7 * perioral) + 0.8 * age * fold + 0.5 * age * neck;
+    rgb *= 1.0 - vec3(0.17, 0.22, 0.22) * min(creased, 1.0);
+    height -= 0.40 * min(creased, 1.2) + 0.12 * age * (noise(p * 0.9 + seed) - 0.5);
+    // Shadow of a shaved beard, then one that has grown.
+    float shaved = smoothstep(nose_mm.y - 8.0, nose_mm.y - 18.0, p.y + 0.12 * q.x * step(q.x, 40.0)) * smoothstep(66.0, 50.0, q.x) * smoothstep(mouth_mm - 72.0, mouth_mm - 48.0, p.y) * front;
+    float bristle = smoothstep(0.52, 0.74, noise(p * vec3(4.4, 3.6, 4.0) + 3.0));
+    float no_lip = 1.0 - smoothstep(-0.4, 0.0, surface.x);
+    rgb = mix(rgb, mix(rgb * vec3(0.74, 0.76, 0.80), hair_colour(bristle), 0.6 * bristle), stubble * shaved * no_lip * (0.35 + 0.4 * bristle));
+    gloss *= 1.0 - 0.4 * stubble * shaved;
     // Blush.
-    rgb = mix(rgb, rgb * vec3(1.08, 0.74, 0.78), 0.3 * makeup * spot(q, vec2(eye_x + 16.0, -6.0), vec2(14.0, 9.0)) * front);
-    // Lips: crisp border with a lighter rim, fine vertical lines, darker towards the line of contact.
-    float depth = surface.x + 0.10 * (noise(vec3(p.x * 0.9, p.y * 0.5, seed)) - 0.5);
-    float lips = smoothstep(-0.10, 0.12, depth);
-    float creases = fbm(vec3(p.x * 1.15 + 0.25 * p.y, p.y * 0.10, seed));
-    vec3 lip = lip_rgb * (0.78 + 0.50 * creases);
-    lip *= mix(1.0, 0.62, smoothstep(0.55, 1.1, depth));
-    lip = mix(lip, lip * vec3(1.15, 0.55, 0.62), makeup * 0.8);
-    rgb *= 1.0 + 0.10 * bell(depth, -0.22, 0.12) * front;
-    rgb = mix(rgb, lip, lips * (0.85 + 0.1 * makeup));
-    rgb = mix(rgb, vec3(0.28, 0.07, 0.065), smoothstep(1.05, 1.7, depth));
-    gloss = mix(gloss, 0.62 + 0.25 * makeup - 0.15 * creases, lips);
-    height = mix(height, 0.5 + 0.30 * (creases - 0.5), lips);
-    // Lid margins: wet pink edge, then lashes as a dense dark line that thins outwards.
-    float rows = surface.y;
-    float on_edge = 1.0 - smoothstep(0.5, 1.0, abs(rows));
-    rgb = mix(rgb, 0.5 * skin_rgb * vec3(1.05, 0.72, 0.70) + vec3(0.14, 0.06, 0.05), on_edge * 0.85);
-    gloss = mix(gloss, 0.9, on_edge);
-    float upper = clamp(-surface.w, 0.0, 1.0) * (is_ear ? 0.0 : 1.0);
-    float comb = noise(vec3(p.x * 3.0, seed, 2.0));
-    float reach = mix(1.7, 3.0 + 1.6 * makeup, upper) * (0.65 + 0.6 * comb);
-    float lash = smoothstep(0.55, 1.0, abs(rows)) * (1.0 - smoothstep(0.6 * reach, reach, abs(rows)));
-    rgb = mix(rgb, brow_rgb * 0.35, lash * mix(0.42, 0.96, upper));
-    gloss *= 1.0 - 0.8 * lash;
-    float shadow = upper * (1.0 - smoothstep(3.0, 11.0, abs(rows))) * smoothstep(2.0, 4.0, abs(rows));
-    rgb = mix(rgb, rgb * vec3(0.60, 0.45, 0.45), 0.55 * makeup * shadow);
-    float crease = upper * bell(abs(rows), 9.3, 0.8) * front;
-    rgb *= 1.0 - vec3(0.14, 0.20, 0.22) * crease;
-    float corner = spot(q, vec2(eye_x - 15.0, 20.5), vec2(1.8, 1.5)) * front;
-    rgb = mix(rgb, vec3(0.50, 0.20, 0.17), 0.8 * smoothstep(0.4, 0.9, corner) * (1.0 - smoothstep(2.0, 4.0, abs(rows))));
-    // Brows, then scalp hair that fades into the forehead.
-    float inside;
-    float brow = brow_hair(p, inside);
-    rgb = mix(rgb, mix(rgb, brow_rgb, 0.45), inside * 0.8);
-    rgb = mix(rgb, brow_rgb * (0.7 + 0.6 * noise(p * 2.0)), brow * 0.92);
-    gloss *= 1.0 - 0.6 * brow;
-    float density = is_ear ? 0.0 : smoothstep(-0.42, 0.10, surface.z + 0.10 * (noise(p * 0.22 + seed) - 0.5));
-    float hairs = noise(vec3(p.x * 2.6, p.y * 0.30, p.z * 2.2) + seed) * 0.6 + noise(vec3(p.x * 4.8, p.y * 0.5, p.z * 4.2) + seed) * 0.4;
-    float scalp = smoothstep(0.92 - 0.95 * density, 1.10 - 0.90 * density, hairs) * step(0.004, density);
-    scalp = max(scalp, 0.55 * density * density);
-    vec3 root_rgb = mix(hair_rgb, vec3(0.24, 0.23, 0.22), 0.8 * grey);
-    rgb = mix(rgb, root_rgb * (0.75 + 0.9 * noise(vec3(p.x * 3.0, p.y * 0.4, p.z * 2.0))), 0.94 * scalp);
-    gloss *= 1.0 - 0.8 * scalp;
+    rgb = mix(rgb, rgb * vec3(1.06, 0.76, 0.80), 0.35 * makeup * spot(q, vec2(eye_mm.x + 14.0, eye_mm.y - 28.0), vec2(14.0, 9.0)) * front);
+    // Lids: redder towards the margin, a wet rim, and lashes as a dark line that is stronger above.
+    float gap = surface.y;
+    rgb *= mix(vec3(1.0), vec3(0.90, 0.76, 0.75), 0.55 * (1.0 - smoothstep(1.0, 9.0, gap)));
+    float rim = 1.0 - smoothstep(0.25, 0.9, gap);
+    rgb = mix(rgb, vec3(0.48, 0.22, 0.19), 0.75 * rim);
+    gloss = mix(gloss, 0.85, rim);
+    float above = surface.w;
+    float lash = smoothstep(0.2, 0.6, gap) * (1.0 - smoothstep(mix(0.7, 1.0, above), mix(1.3, 2.1, above), gap));
+    lash *= (0.75 + 0.25 * noise(vec3(p.x * 2.6, gap * 0.5, seed))) * smoothstep(eye_mm.x - 13.0, eye_mm.x - 7.0, q.x);
+    rgb = mix(rgb, min(brow_rgb, vec3(0.05)) * 0.4, lash * mix(0.35 + 0.2 * makeup, 0.95, above));
+    float shadow = above * smoothstep(1.5, 3.0, gap) * (1.0 - smoothstep(5.0, 10.0, gap));
+    rgb = mix(rgb, rgb * vec3(0.62, 0.48, 0.48), 0.5 * makeup * shadow);
+    float crease = exp(-0.5 * pow((gap - 6.0) / 0.8, 2.0)) * above;
+    rgb *= 1.0 - 0.12 * crease * step(gap, 20.0);
+    // Lips: a soft border, fine upright creases, wet towards the line of contact.
+    float d = surface.x + 0.10 * (noise(p * 0.9 + seed) - 0.5);
+    float lip = smoothstep(-0.14, 0.16, d);
+    float creases = noise(vec3(p.x * 1.5, p.y * 0.22, seed)) * 0.6 + noise(vec3(p.x * 3.1, p.y * 0.4, seed + 1.0)) * 0.4;
+    vec3 vermilion = lip_rgb * (0.82 + 0.36 * creases) * mix(vec3(1.0), vec3(0.80, 0.60, 0.60), smoothstep(0.7, 1.25, d));
+    vermilion = mix(vermilion, vermilion * vec3(1.10, 0.50, 0.58), 0.9 * makeup);
+    rgb *= 1.0 + 0.07 * exp(-0.5 * pow((d + 0.22) / 0.12, 2.0)) * front;
+    rgb = mix(rgb, vermilion, lip * (0.86 + 0.14 * makeup));
+    gloss = mix(gloss, 0.52 + 0.30 * creases + 0.2 * smoothstep(0.5, 1.0, d), lip);
+    height = mix(height, 0.5 + 0.35 * (creases - 0.5), lip);
+    float inside, brow = brow_hair(p, inside) * (1.0 - smoothstep(0.05, 0.4, surface.z));
+    rgb = mix(rgb, mix(rgb, brow_rgb, 0.6), inside * has_growth);
+    rgb = mix(rgb, brow_rgb * (0.7 + 0.6 * noise(p * 2.0)), 0.88 * brow);
+    gloss *= 1.0 - 0.4 * brow;
+    // Hair on the scalp, strands along their direction; skin shines through at the edge. Without one: cropped grains.
+    float c = surface.z, dense, tone;
+    if (has_growth > 0.5 && max(c, grown.y) > -0.6) {
+        vec3 way = normalize(strand_way + 1e-4);
+        float fine = streaks(p, way, 3.2, 1.9), wide = streaks(p, way, 11.0, 0.7);
+        tone = 0.6 * fine + 0.4 * wide;
+        float ragged = 0.9 * (fine - 0.5) + 0.35 * (wide - 0.5);
+        float scalp = smoothstep(-0.30, 0.75, c + ragged);
+        dense = scalp * mix(smoothstep(0.35, 0.55, fine + 0.3 * scalp), 1.0, scalp);
+        float bearded = grown.y * no_lip;
+        float chin = smoothstep(0.30, 0.62, bearded + 0.5 * ragged * (1.0 - bearded));
+        dense = max(dense, chin * mix(smoothstep(0.3, 0.5, fine + 0.25 * chin), 1.0, 0.6 * chin));
+    } else {
+        tone = noise(p * vec3(1.4, 1.0, 0.6) + seed) * 0.4 + noise(p * vec3(3.1, 2.4, 1.3)) * 0.35 + noise(p * 0.3) * 0.25;
+        float cover = smoothstep(-0.15, 0.75, c + 0.5 * (tone - 0.5));
+        dense = cover * mix(smoothstep(0.35, 0.6, tone), 1.0, 0.75 * cover);
+    }
+    float hair = dense;
+    rgb = mix(rgb, hair_colour(tone) * (0.35 + 1.3 * tone), hair);
+    gloss = mix(gloss, 0.20, hair);
+    height = mix(height, 0.5 + 0.7 * (tone - 0.5), hair);
+    translucent *= 1.0 - 0.9 * hair;
 }
 
-void eye(out vec3 rgb, out float gloss, out float height) {
+void eye(out vec3 rgb, out float gloss, out float inside) {
     vec3 d = normalize(surface.xyz);
-    float r = length(d.xy) / 0.480;  // iris: 5.8 of 12.1 mm (11.7 mm across: Ruefer et al. 2005)
-    r = d.z < 0.0 ? 3.0 : r;
+    float r = d.z < 0.0 ? 3.0 : length(d.xy) / iris_reach;
     float turn = atan(d.y, d.x);
     vec2 ring = vec2(cos(turn), sin(turn));
-    float fibres = fbm(vec3(ring * 11.0, r * 1.1 + seed));
-    float fine = noise(vec3(ring * 34.0, r * 2.0 + seed));
+    float fibres = fbm(vec3(ring * 11.0, r * 1.1 + seed)), fine = noise(vec3(ring * 34.0, r * 2.0 + seed));
     float crypts = smoothstep(0.55, 0.8, noise(vec3(ring * 5.0, r * 3.5 + seed)));
-    vec3 iris = iris_rgb * (0.35 + 1.05 * fibres + 0.35 * fine) * (1.0 - 0.35 * crypts * smoothstep(0.45, 0.7, r));
-    iris = mix(iris, iris * vec3(1.55, 1.15, 0.72), bell(r, 0.46, 0.09));   // collarette
-    iris *= mix(1.0, 0.22, smoothstep(0.74, 1.0, r));                        // limbal ring
-    iris *= smoothstep(0.36, 0.41, r);                                      // pupil
+    vec3 iris = iris_rgb * (0.40 + 1.15 * fibres + 0.40 * fine) * (1.0 - 0.35 * crypts * smoothstep(0.45, 0.7, r));
+    iris = mix(iris, iris * vec3(1.55, 1.15, 0.75), exp(-0.5 * pow((r - 0.46) / 0.09, 2.0)));   // collarette
+    iris *= mix(1.0, 0.20, smoothstep(0.74, 1.0, r));   // limbal ring
+    iris *= smoothstep(0.33, 0.39, r);                  // pupil
     float vessels = smoothstep(0.58, 0.80, fbm(vec3(d.xy * vec2(9.0, 24.0), seed))) * smoothstep(1.15, 2.0, r);
-    vec3 sclera = vec3(0.40, 0.375, 0.36) * (1.0 - 0.08 * noise(d * 4.0));
-    sclera = mix(sclera, vec3(0.42, 0.25, 0.21), 0.40 * vessels + 0.30 * smoothstep(1.35, 2.1, r));
-    rgb = mix(iris, sclera, smoothstep(0.92, 1.09, r));
-    // Nasal end: the caruncle; the skirt around the ball turns pink.
-    float nasal = -surface.x * surface.w * 12.1;
-    rgb = mix(rgb, vec3(0.36, 0.15, 0.125), smoothstep(11.4, 13.2, nasal));
-    rgb = mix(rgb, vec3(0.34, 0.19, 0.16), 0.7 * smoothstep(11.5, 14.5, -nasal));
+    vec3 sclera = vec3(0.42, 0.39, 0.365) * (1.0 - 0.06 * noise(d * 4.0)) * mix(vec3(1.0), vec3(0.96, 0.92, 0.82), 0.6 * age);
+    sclera = mix(sclera, vec3(0.52, 0.30, 0.25), (0.28 + 0.25 * age) * vessels + 0.26 * smoothstep(1.45, 2.15, r));
+    rgb = mix(iris, sclera, smoothstep(0.93, 1.09, r));
+    rgb = mix(rgb, vec3(0.40, 0.17, 0.14), smoothstep(0.74, 0.88, -d.x * surface.w));   // caruncle
     gloss = 1.0;
-    height = 0.5;
-}
-
-void teeth(out vec3 rgb, out float gloss, out float height) {
-    float along = abs(surface.x);
-    float row = surface.y;
-    const float edges[9] = float[9](0.0, 0.125, 0.225, 0.335, 0.445, 0.555, 0.74, 0.92, 1.05);
-    float gap = 1.0;
-    float inside = 0.5;
-    for (int i = 0; i < 8; i++) {
-        if (along >= edges[i] && along < edges[i + 1]) {
-            inside = (along - edges[i]) / (edges[i + 1] - edges[i]);
-            gap = min(along - edges[i], edges[i + 1] - along) * 55.0;
-        }
-    }
-    float gum_line = 0.30 + 0.05 * (1.0 - pow(abs(2.0 * inside - 1.0), 2.0)) - 0.03;
-    float tooth = smoothstep(gum_line - 0.012, gum_line + 0.012, row);
-    vec3 enamel = mix(vec3(0.78, 0.62, 0.42), vec3(0.86, 0.76, 0.62), smoothstep(0.3, 0.55, row));
-    enamel *= mix(0.50, 1.0, smoothstep(0.0, 0.75, gap)) * (0.96 + 0.08 * noise(rest_mm * 0.8));
-    enamel *= mix(1.0, 0.16, smoothstep(0.28, 0.75, along));   // far from the light
-    vec3 gum = vec3(0.50, 0.17, 0.16) * (0.85 + 0.3 * noise(rest_mm * 0.9));
-    rgb = mix(gum, enamel, tooth);
-    gloss = 0.85;
-    height = 0.5 + 0.1 * noise(rest_mm);
+    inside = 1.0 - smoothstep(0.90, 1.02, r);
 }
 
 void main() {
-    vec3 rgb = skin_rgb;
-    float gloss = 0.3, height = 0.5, translucent = 0.0, strand = 0.5;
     vec3 p = rest_mm;
+    vec3 rgb = vec3(0.3);
+    float gloss = 0.3, height = 0.5, translucent = 0.0, third = 0.5;
     if (material_id == 0) {
         skin(rgb, gloss, height, translucent);
     } else if (material_id == 1) {
-        eye(rgb, gloss, height);
+        eye(rgb, gloss, third);
     } else if (material_id == 2) {
-        teeth(rgb, gloss, height);
-        translucent = smoothstep(0.25, 0.62, abs(surface.x));   // how deep in the mouth
+        rgb = mix(vec3(0.78, 0.69, 0.54), vec3(0.86, 0.82, 0.74), tooth_white) * (0.94 + 0.10 * noise(p * 0.8));
+        rgb *= mix(0.45, 1.0, smoothstep(eye_mm.z - 35.0, eye_mm.z + 12.0, p.z));   // far from the light
+        rgb *= 1.0 - 0.85 * surface.x;
+        gloss = 0.85;
+        height = 0.5 + 0.1 * noise(p);
     } else if (material_id == 3) {
         float papillae = noise(p * 1.6) * 0.6 + noise(p * 3.1) * 0.4;
-        rgb = vec3(0.62, 0.24, 0.21) * (0.75 + 0.5 * papillae);
-        rgb *= mix(1.0, 0.75, bell(p.x, 0.0, 1.2)) * mix(0.25, 1.1, smoothstep(0.1, 0.75, surface.x));
+        rgb = vec3(0.48, 0.17, 0.16) * (0.75 + 0.5 * papillae) * mix(1.0, 0.72, exp(-0.5 * pow(p.x / 1.2, 2.0)));
+        rgb *= mix(0.25, 1.1, smoothstep(0.1, 0.8, surface.x));
         gloss = 0.7;
         height = papillae;
     } else if (material_id == 4) {
-        float reach = length(surface.xy * 2.0 - 1.0);
-        rgb = vec3(0.24, 0.055, 0.05) * mix(0.2, 1.3, reach * reach);
-        gloss = 0.5;
+        rgb = vec3(0.46, 0.16, 0.15) * (0.85 + 0.3 * noise(p * 0.9));
+        rgb *= mix(1.0, 0.15, smoothstep(4.0, 40.0, surface.x));   // deeper is darker
+        gloss = 0.75;
+        height = 0.5 + 0.1 * noise(p);
     } else if (material_id == 5) {
-        float turn = surface.y * 420.0, rows = surface.x * 34.0;
-        float knit = 0.5 + 0.5 * sin(turn * 2.0) * sin(rows * 6.2832);
-        rgb = cloth_rgb * (0.7 + 0.45 * knit) * (0.85 + 0.3 * fbm(p * 0.2));
-        rgb *= 1.0 - 0.35 * bell(surface.x, 0.13, 0.02);
-        gloss = 0.1;
-        height = 0.5 + 0.3 * knit;
+        // Cloth: a fine weave, or a knit of upright ribs; worn a little.
+        float weave = 0.5 + 0.25 * sin(albedo_uv.x * 2800.0) * sin(albedo_uv.y * 2800.0);
+        float knit = 0.5 + 0.5 * sin(albedo_uv.x * 1150.0 + 0.6 * sin(albedo_uv.y * 1600.0));
+        float cloth = mix(weave, knit, cloth_knit);
+        rgb = cloth_rgb * (0.86 + 0.22 * fbm(p * 0.12 + seed)) * (0.80 + 0.30 * cloth);
+        gloss = 0.10;
+        height = 0.5 + 0.30 * (cloth - 0.5) + 0.25 * (fbm(p * 0.06 + seed) - 0.5);
     } else {
-        // Strands run along rows; their place round the head wanders with the curl.
-        float azimuth = surface.y * 6.2832;
-        float t = surface.x;
-        float wander = curl * (0.07 * sin(t * 15.0 + 4.0 * noise(vec3(azimuth * 1.2, 0.0, seed))) + 0.05 * noise(vec3(azimuth * 2.0, t * 3.0, seed)));
-        float a = azimuth + wander - sweep * t;
-        float coarse = noise(vec3(a * 9.0, t * 1.8, seed));
-        float medium = noise(vec3(a * 30.0, t * 2.4, seed + 2.0));
-        float thin = noise(vec3(a * 68.0, t * 3.0, seed + 4.0)) * 0.6 + noise(vec3(a * 88.0, t * 4.0, seed + 6.0)) * 0.4;
-        float coils = 0.45 * noise(p * 0.42 + seed) + 0.55 * noise(p * 1.15 + seed);
-        coils = mix(coils, noise(p * 2.6 + seed), 0.4);
-        float coiled = smoothstep(0.7, 0.9, curl);
-        float hairs = mix(0.26 * coarse + 0.36 * medium + 0.38 * thin, coils, coiled);
-        coarse = mix(coarse, 0.5, coiled);
-        medium = mix(medium, noise(p * 1.1 + 5.0), coiled);
-        rgb = mix(hair_rgb, hair_rgb * vec3(1.25, 1.1, 0.9), medium) * (0.45 + 1.9 * hairs * hairs);
-        rgb = mix(rgb, vec3(0.27, 0.26, 0.25) * (0.55 + 0.75 * hairs), grey * smoothstep(0.75 - 0.6 * grey, 1.05 - 0.6 * grey, 0.75 * thin + 0.25 * medium));
-        rgb *= mix(0.8, 1.1, smoothstep(0.0, 0.5, coarse));
-        gloss = 0.45 + 0.25 * thin;
+        // A lock: strands run along it, darker at the root and between.
+        float along = surface.x, number = floor(surface.z + 0.5) + seed, reach = 1000.0 * surface.w;
+        vec2 at = vec2(albedo_uv.x * 1000.0, along * reach);
+        at.x += 2.5 * sin(at.y * 0.05 + 5.0 * noise(vec3(at.x * 0.03, number, seed))) * along;
+        float broad = noise(vec3(at.x * 0.11, at.y * 0.010, seed)), wide = noise(vec3(at.x * 0.45, at.y * 0.014, number + 3.0));
+        float fine = noise(vec3(at.x * 1.5, at.y * 0.025, number)), thin = noise(vec3(at.x * 3.4, at.y * 0.04, number + 7.0));
+        float hairs = clamp(0.5 + 1.5 * (0.22 * broad + 0.30 * wide + 0.28 * fine + 0.20 * thin - 0.5), 0.0, 1.0);
+        rgb = hair_colour(0.5 * fine + 0.5 * thin) * mix(vec3(0.90, 0.95, 1.0), vec3(1.18, 1.06, 0.95), broad) * (0.32 + 1.3 * hairs);
+        rgb *= mix(1.0, 1.12, along);
+        gloss = 0.30 + 0.30 * thin;
         height = hairs;
-        strand = medium * 0.5 + thin * 0.5;
+        third = 0.5 * fine + 0.5 * thin;
     }
+    vec2 folded = mix(albedo_uv, 1.0 - abs(mod(albedo_uv, 2.0) - 1.0), mirrored);
+    if (has_albedo > 0.5) rgb = pow(texture(albedo, folded).rgb, vec3(2.2));
     colour_out = vec4(sqrt(clamp(rgb, 0.0, 1.0)), gloss);
-    relief_out = vec4(height, translucent, strand, 1.0);
+    relief_out = vec4(height, translucent, third, 1.0);
 }

@@ -1,0 +1,53 @@
+"""What is drawn: a rig, or a built-in head that is drawn as one, with its one chart."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from pica_core.capture.rig.features import Features
+from pica_core.capture.rig.mesh import RigMesh
+from pica_core.capture.rig.names import NameMap
+from pica_core.capture.stage.shadow import PosedMesh
+from pica_core.types import FloatArray, Int64Array, IntArray
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PackedChart:
+    """A mesh with one chart.
+
+    Attributes:
+        vertex_uv: Texture coordinates in [0, 1], v downwards. float32 ``[V, 2]``.
+        faces: Triangles of the split vertices. int32 ``[F, 3]``.
+        face_source: The triangle of the mesh that each triangle is, or copies. int64 ``[F]``.
+        source: The welded vertex of each split vertex. int64 ``[V]``.
+        islands: Number of islands.
+    """
+
+    vertex_uv: FloatArray
+    faces: IntArray
+    face_source: Int64Array
+    source: Int64Array
+    islands: int
+
+
+class DrawnRig(PosedMesh, Protocol):
+    """A head that can be painted and posed: a rig, or one that is made to be drawn as a rig."""
+
+    @property
+    def mesh(self) -> RigMesh:
+        """The welded mesh at rest."""
+        ...
+
+    @property
+    def names(self) -> NameMap:
+        """Which shapes it has."""
+        ...
+
+    @property
+    def features(self) -> Features:
+        """Mouth, eyes and regions of the welded mesh."""
+        ...
+
+    @property
+    def chart(self) -> PackedChart:
+        """What is drawn."""
+        ...
