@@ -10,10 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from pica_core.avatar.arkit import ARKIT_INDEX
-from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.features import LID_M, Features
 from pica_core.capture.rig.mesh import Eyeball, RigMesh
-from pica_core.capture.triangles import unfolded
 from pica_core.types import Float64Array, FloatArray, Int64Array
 
 OVERLAP_M = 0.0004
@@ -23,6 +21,9 @@ ROOM_M, MOVING_ROOM_M = 0.0003, 0.0013
 of which is nearer than both ends."""
 MOVES_M = 0.003
 """What moves so far is a lid that moves."""
+NEAR, GAZE = 0.14, 0.5
+"""Angles, radians: within which an eyeball's surface is taken as level, and that a cornea moves by
+under a lid."""
 MOVERS = ("eyeBlink", "eyeLookDown", "eyeLookUp", "eyeLookIn", "eyeLookOut", "eyeSquint", "eyeWide",
           "cheekSquint")  # fmt: skip
 """Shapes that move lids."""
@@ -35,12 +36,11 @@ def close_lids(mesh: RigMesh, features: Features) -> RigMesh:
     """A mesh whose lids lie on its eyeballs at rest and meet in a blink."""
     rest, motion = mesh.rest_m.copy(), mesh.motion_m.copy()
     skin = np.flatnonzero(mesh.of_part("skin"))
-    faces = mesh.faces[mesh.part == MATERIALS.index("skin")]
     for eye in mesh.eyes:
         offset = rest[skin] - eye.centre_m
         far = np.linalg.norm(offset, axis=1)
         near = skin[(far < 1.9 * eye.radius_m) & (offset[:, 2] > 0)]
-        rest[near] += _out(rest[near], eye, rest, np.full(len(near), ROOM_M))
+        rest[near] += _out(rest[near], eye, rest, np.full(len(near), ROOM_M), moving=False)
         for name in MOVERS:
             shape = ARKIT_INDEX[f"{name}{'Left' if eye.side > 0 else 'Right'}"]
             move = motion[shape, near].astype(np.float64)
@@ -49,24 +49,28 @@ def close_lids(mesh: RigMesh, features: Features) -> RigMesh:
             share = np.clip(np.linalg.norm(move, axis=1) / MOVES_M, 0.0, 1.0)
             room = ROOM_M + (MOVING_ROOM_M - ROOM_M) * share
             moved = rest[near] + move
-            start = rest + motion[shape]
-            after = start.copy()
-            after[near] = moved + _out(moved, eye, rest, room)
-            motion[shape] = (unfolded(start, after, faces) - rest).astype(np.float32)
+            out = _out(moved, eye, rest, room, moving=True)
+            motion[shape, near] = (move + out).astype(np.float32)
     return replace(mesh, rest_m=rest, motion_m=motion)
 
 
 def _out(
-    points: Float64Array, eye: Eyeball, rest: Float64Array, room_m: Float64Array
+    points: Float64Array,
+    eye: Eyeball,
+    rest: Float64Array,
+    room_m: Float64Array,
+    *,
+    moving: bool,
 ) -> Float64Array:
-    """What brings points out of an eyeball, whose cornea may look anywhere near. ``[n, 3]``."""
+    """What brings points out of an eyeball ``[n, 3]``; under a lid that moves it may look aside."""
     offset = points - eye.centre_m
     far = np.maximum(np.linalg.norm(offset, axis=1), 1e-9)
     ball = rest[eye.vertices] - eye.centre_m
     reach = np.linalg.norm(ball, axis=1)
     steps = np.radians(np.arange(0, 95, 5))
     lean = np.arccos(np.clip(ball[:, 2] / np.maximum(reach, 1e-9), -1, 1))
-    widest = [reach[np.abs(lean - step) < 0.14].max(initial=0.0) for step in steps]
+    near = NEAR + (GAZE if moving else 0.0)
+    widest = [reach[np.abs(lean - step) < near].max(initial=0.0) for step in steps]
     surface = np.interp(np.arccos(np.clip(offset[:, 2] / far, -1, 1)), steps, widest)
     # What lies deep inside is the lid's own lining, which nobody sees.
     lack = np.where(far > surface - 0.004, np.maximum(surface + room_m - far, 0.0), 0.0)
