@@ -11,8 +11,7 @@ import numpy as np
 
 from helpers.head_checks import POKE_MM, SMALL_MM2, front_depth
 from pica_core.capture.dataset.multiface import MATERIALS
-from pica_core.capture.rig.features import find_features
-from pica_core.capture.rig.limits import Limits
+from pica_core.capture.rig.features import Limits, find_features
 from pica_core.capture.rig.mesh import RigMesh
 from pica_core.types import BoolArray, Float64Array, FloatArray, Int64Array, IntArray
 

@@ -14,9 +14,8 @@ from pica_core.capture.dataset.files import Topology
 from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.chart import make_islands, mend_islands, pack
 from pica_core.capture.rig.drawn import PackedChart
-from pica_core.capture.rig.features import Features, find_features
+from pica_core.capture.rig.features import Features, Limits, find_features
 from pica_core.capture.rig.gltf import read_glb
-from pica_core.capture.rig.limits import Limits
 from pica_core.capture.rig.mesh import RigMesh, build_mesh
 from pica_core.capture.rig.names import NameMap, map_names
 from pica_core.capture.rig.obj import read_obj_folder

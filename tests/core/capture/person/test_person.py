@@ -18,8 +18,7 @@ from pica_core.capture.person.dress import dress
 from pica_core.capture.person.hair import STYLES, cover, grow, raise_cap
 from pica_core.capture.person.lids import close_lips
 from pica_core.capture.person.model import NUM_MODES, FaceModel, read_model
-from pica_core.capture.rig.features import find_features
-from pica_core.capture.rig.limits import Limits
+from pica_core.capture.rig.features import Limits, find_features
 from pica_core.capture.rig.mesh import RigMesh, build_mesh
 from pica_core.capture.rig.names import map_names
 from pica_core.capture.rig.visibility import front_view
