@@ -11,10 +11,12 @@ figures are of the troubled third of the run unless it says otherwise:
     stoi              of the words: each piece of sound is laid back to the moment when it was
                       captured, and what was never played is silence
     mouth_to_ear_ms   from the microphone to the loudspeaker, without both devices' own latency
-    skew_ms           moment of the face that is shown less moment of the voice that is heard at
-                      every refresh while somebody speaks; p50 and p95 of its size. Below zero
-                      the sound is early: `earliest` is the most negative, `worst` the largest
-                      of either sign. A face that stands still for want of frames has none:
+    skew_ms           moment of the lips that are shown less moment of the voice that is heard at
+                      every refresh while somebody speaks, whatever the face is made of; p50 and
+                      p95 of its size. Below zero the sound is early: `earliest` is the most
+                      negative, `worst` the largest of either sign
+    still_skew_ms     the same p95, had the lips of a face that stands still for want of frames
+                      stood still, too, instead of going on by the voice (`call.held_lips`)
     face_held_ratio   share of refreshes while somebody speaks with such a face
     concealed_ratio   share of frames of speech that were made up
     stretched_ratio   share of ticks of 20 ms that were made shorter or longer
@@ -46,6 +48,7 @@ from pica_client.bench.network.stream_trial import (
 )
 from pica_client.bench.option_types import Words
 from pica_client.bench.playout import open_ends, true_face
+from pica_client.call.held_lips import HeldLips
 from pica_client.errors import OptionError
 from pica_client.output import say
 from pica_client.playout.buffer import Playout
@@ -111,8 +114,9 @@ class _Heard:
     """When each sample was captured; NaN where nothing was heard. ``[ticks, FRAME]``."""
     times: list[float]
     """When each tick was."""
-    skews: list[tuple[float, float, bool]]
-    """(time, skew, whether the face stands still for want of frames), seconds."""
+    skews: list[tuple[float, float, float, bool]]
+    """(time, skew, skew without the voice's lips, whether the face stands still for want of
+    frames), seconds."""
     counted: list[tuple[float, int, int, int]]
     """(time, played, concealed, stretched) after each tick."""
     cpu_s: float
@@ -143,7 +147,7 @@ def run_bench_voice(config: BenchVoiceConfig, avatar: Avatar) -> dict[str, Any]:
         for scenario in chosen:
             ends = open_ends(avatar, "coded", schedule.fps)
             delivery = deliver(face, ends, scenario, schedule, seed=config.seed, voice=voice)
-            heard = _listen(delivery, schedule, is_spoken)
+            heard = _listen(delivery, schedule, is_spoken, avatar)
             rows.append(
                 {
                     "condition": scenario.name,
@@ -193,9 +197,11 @@ def _packets(sound: FloatArray, bitrate: int) -> list[tuple[float, Frame]]:
     return packets
 
 
-def _listen(delivery: Delivery, schedule: Schedule, is_spoken: Callable[[int], bool]) -> _Heard:
+def _listen(
+    delivery: Delivery, schedule: Schedule, is_spoken: Callable[[int], bool], avatar: Avatar
+) -> _Heard:
     """Play what came: ticks of sound and refreshes of the display, in the order of time."""
-    buffer, playout = JitterBuffer(OpusDecoder()), Playout()
+    buffer, playout, lips = JitterBuffer(OpusDecoder()), Playout(), HeldLips(OpusDecoder)
     arrivals: list[tuple[float, Any]] = [
         *((frame.arrived_s, frame) for frame in delivery.arrivals),
         *delivery.voices,
@@ -218,16 +224,22 @@ def _listen(delivery: Delivery, schedule: Schedule, is_spoken: Callable[[int], b
             position += 1
             if isinstance(arrival, Frame):
                 words = (arrival.sequence, arrival.captured_us, arrival.payload)
-                buffer.receive(decode_payload(*words), arrived_s)
+                packet = decode_payload(*words)
+                buffer.receive(packet, arrived_s)
+                lips.receive("", packet)
             else:
                 _receive_face(playout, arrival)
         if not is_sound:
             heard_us = buffer.heard_us(now)
             face = playout.sample_at(now, heard_us)
             is_heard = bool(sounds) and float(np.std(sounds[-1])) > SPOKEN_RMS
-            if face is not None and heard_us is not None and is_heard and is_spoken(heard_us):
-                skew_s = (face.captured_us - heard_us) / 1e6
-                heard.skews.append((now, skew_s, face.is_concealed))
+            if face is None:
+                continue
+            latent, still_us = face.sample.latent, face.captured_us
+            _, shown_us = lips.move("", avatar, latent, still_us, heard_us, now)
+            if heard_us is not None and is_heard and is_spoken(heard_us):
+                skews_s = (shown_us - heard_us) / 1e6, (still_us - heard_us) / 1e6
+                heard.skews.append((now, *skews_s, face.is_concealed))
             continue
         sounds.append(buffer.pull(now))
         heard.cpu_s += time.process_time() - begin_s
@@ -297,8 +309,10 @@ def _timing(heard: _Heard, schedule: Schedule) -> dict[str, Any]:
     is_troubled = (times >= begin_s) & (times < end_s) & ~np.isnan(delays)
     troubled = sorted(delays[is_troubled])
     refreshes = [row for row in heard.skews if begin_s <= row[0] < end_s]
-    skews = [skew for _, skew, is_held in refreshes if not is_held]
+    skews = [skew for _, skew, _, _ in refreshes]
     sizes = sorted(map(abs, skews))
+    still_sizes = sorted(abs(skew) for _, _, skew, _ in refreshes)
+    num_held = sum(is_held for *_, is_held in refreshes)
     counts = np.array([row for row in heard.counted if begin_s <= row[0] < end_s])
     ticks, (played, concealed, stretched) = len(counts), (counts[-1] - counts[0])[1:]
     return {
@@ -308,7 +322,8 @@ def _timing(heard: _Heard, schedule: Schedule) -> dict[str, Any]:
             "worst": round(max(skews, key=abs, default=0.0) * 1e3, 1),
             "earliest": round(min(skews, default=0.0) * 1e3, 1),
         },
-        "face_held_ratio": round(1 - len(skews) / max(len(refreshes), 1), 4),
+        "still_skew_ms": _ms(still_sizes, 95),
+        "face_held_ratio": round(num_held / max(len(refreshes), 1), 4),
         "concealed_ratio": round(float(concealed / max(played + concealed, 1)), 4),
         "stretched_ratio": round(float(stretched / ticks), 4),
         **_recovery(heard, schedule),

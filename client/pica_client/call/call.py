@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 from pica_client.avatars.library import AvatarStore
 from pica_client.call.connection_quality import StreamHealth
 from pica_client.call.faces import FaceState, FaceStatus
+from pica_client.call.held_lips import HeldLips
 from pica_client.call.layer_subscription import LayerSubscriptionConfig
 from pica_client.call.participant import RemoteParticipant, Tell
 from pica_client.call.roster import SECRET_NEEDED, RoomState, Roster
@@ -101,7 +102,9 @@ class Call:
         on_subscription: Called, on any thread, when `tell_subscriptions` has news.
         heard_us: Says which moment of somebody's voice leaves the loudspeaker, by peer id and our
             clock; their face is then led by it.
-        skews_s: By how much each face that was shown was off its voice, either way.
+        lips: Moves the lips of a face that stands still by its voice; None: they stand still, too.
+        skews_s: By how much the lips of each face that was shown were off its voice, either way; of
+            one that stands still for want of frames, too.
         delays_s: How old the sound was that was heard when a face was shown; only where sender and
             receiver share a clock does it say anything.
     """
@@ -129,6 +132,7 @@ class Call:
         self.heard_us: Callable[[str, float], int | None] = lambda peer_id, now: None
         self.skews_s, self.delays_s = Samples(), Samples()
         self._max_layer = MAX_LAYER
+        self.lips: HeldLips | None = None
 
     # The network's side
 
@@ -451,9 +455,6 @@ class Call:
     def _face(self, seat: RemoteParticipant, now: float) -> FaceState:
         heard_us = self.heard_us(seat.peer.peer_id, now)
         played, is_held = seat.play(now, heard_us)
-        if heard_us is not None and played is not None and not (is_held or played.is_concealed):
-            self.skews_s.add(abs(played.captured_us - heard_us) / 1e6)
-            self.delays_s.add(now - heard_us / 1e6)
         peer, avatar_id, note = seat.peer, seat.track.avatar, self._note(seat, now)
         face = FaceState(
             peer_id=peer.peer_id,
@@ -472,10 +473,18 @@ class Call:
             newest = played.newest
             arrived_us = round(newest.arrived_s * 1e6)
             self._shown.append(Shown(peer.name, played.captured_us, newest.captured_us, arrived_us))
-        sample = played.sample
+        sample, shown_us = played.sample, played.captured_us
+        latent = sample.latent
+        avatar = None if self.lips is None else self._avatars.get(avatar_id)
+        if self.lips is not None and avatar is not None:
+            whose = (peer.peer_id, avatar, latent)
+            latent, shown_us = self.lips.move(*whose, shown_us, heard_us, now)
+        if heard_us is not None and (not is_held or shown_us != played.captured_us):
+            self.skews_s.add(abs(shown_us - heard_us) / 1e6)
+            self.delays_s.add(now - heard_us / 1e6)
         return replace(
             face,
-            latent=sample.latent,
+            latent=latent,
             rotation=sample.rotation,
             translation_m=sample.translation_m,
             captured_us=max(played.captured_us, 0),

@@ -22,6 +22,57 @@ KEPT_HOPS: Final = 128
 STEP_S: Final = HOP / SAMPLE_RATE
 
 
+class SpokenMouth:
+    """How the mouth stands by a voice, for some time back.
+
+    Attributes:
+        spoke_s: When it was last open.
+    """
+
+    def __init__(self) -> None:
+        self._net = MouthFromVoice()
+        self._times_s: deque[float] = deque(maxlen=KEPT_HOPS)
+        self._mouths: deque[FloatArray] = deque(maxlen=KEPT_HOPS)
+        self._rest = np.zeros(len(MOUTH), np.float32)
+        self.spoke_s = -np.inf
+
+    @property
+    def newest_s(self) -> float:
+        """Up to when it is known."""
+        return self._times_s[-1] if self._times_s else -np.inf
+
+    def hear(self, pcm: FloatArray, time_s: float) -> None:
+        """Take sound.
+
+        Args:
+            pcm: Whole hops at 48 kHz, within [-1, 1]. float32 ``[480 * n]``.
+            time_s: When its first sample was heard; the mouths have the same clock.
+        """
+        for place, mouth in enumerate(self._net.push(pcm)):
+            at_s = time_s + (place + 1) * STEP_S - DELAY_S
+            if at_s <= self.newest_s:
+                continue
+            self._times_s.append(at_s)
+            self._mouths.append(mouth)
+            if mouth.max() > SPEAKING:
+                self.spoke_s = at_s
+
+    def at(self, time_s: float) -> FloatArray:
+        """The 52 shapes, jaw and mouth set, between two hops; at rest where nothing is heard."""
+        after = bisect_right(self._times_s, time_s)
+        if after == 0:
+            return self._rest
+        if after == len(self._times_s):
+            late = (time_s - self._times_s[-1]) / SEAM_S
+            return self._mouths[-1] * np.float32(max(1 - late, 0.0))
+        begin_s, end_s = self._times_s[after - 1], self._times_s[after]
+        before, behind = self._mouths[after - 1], self._mouths[after]
+        if end_s - begin_s > 2 * STEP_S:  # nothing was sent between: silence
+            return before * np.float32(max(1 - (time_s - begin_s) / SEAM_S, 0.0))
+        share = np.float32((time_s - begin_s) / (end_s - begin_s))
+        return before + share * (behind - before)
+
+
 class SpokenFace:
     """Fills in the losses of a source by the voice of the same person.
 
@@ -35,11 +86,7 @@ class SpokenFace:
     def __init__(self) -> None:
         self.is_on = True
         self._idle = make_performance("listen")
-        self._mouth = MouthFromVoice()
-        self._times_s: deque[float] = deque(maxlen=KEPT_HOPS)
-        self._mouths: deque[FloatArray] = deque(maxlen=KEPT_HOPS)
-        self._rest = np.zeros(len(MOUTH), np.float32)
-        self._spoke_s = -np.inf
+        self._mouth = SpokenMouth()
         self._weight, self._weight_s = 0.0, -np.inf
         self._own_s = -np.inf
 
@@ -50,14 +97,7 @@ class SpokenFace:
             pcm: Whole hops at 48 kHz, within [-1, 1]. float32 ``[480 * n]``.
             time_s: When its first sample was heard, in the source's time.
         """
-        for place, mouth in enumerate(self._mouth.push(pcm)):
-            at_s = time_s + (place + 1) * STEP_S - DELAY_S
-            if self._times_s and at_s <= self._times_s[-1]:
-                continue
-            self._times_s.append(at_s)
-            self._mouths.append(mouth)
-            if mouth.max() > SPEAKING:
-                self._spoke_s = at_s
+        self._mouth.hear(pcm, time_s)
 
     def fill(self, frame: ExpressionFrame, time_s: float) -> ExpressionFrame:
         """The face to show.
@@ -70,7 +110,7 @@ class SpokenFace:
             The source's face, or one that speaks, or something between in the seam; none while
             nobody is seen or heard.
         """
-        fills = self.is_on and not frame.has_face and time_s - self._spoke_s < SILENT_AFTER_S
+        fills = self.is_on and not frame.has_face and time_s - self._mouth.spoke_s < SILENT_AFTER_S
         step = min(max(time_s - self._weight_s, 0.0), SEAM_S) / SEAM_S
         self._weight = min(max(self._weight + (step if fills else -step), 0.0), 1.0)
         self._weight_s = time_s
@@ -80,7 +120,7 @@ class SpokenFace:
         if self._weight == 0.0:
             return frame
         idle = self._idle.frame_at(time_s)
-        spoken = np.where(MOUTH, self._mouth_at(own_s), idle.arkit)
+        spoken = np.where(MOUTH, self._mouth.at(own_s), idle.arkit)
         if self._weight == 1.0:
             arkit, rotation = spoken, idle.rotation
         else:
@@ -94,18 +134,3 @@ class SpokenFace:
             rotation=rotation,
             has_face=True,
         )
-
-    def _mouth_at(self, time_s: float) -> FloatArray:
-        """The mouth by the voice, between two hops; at rest where nothing is heard."""
-        after = bisect_right(self._times_s, time_s)
-        if after == 0:
-            return self._rest
-        if after == len(self._times_s):
-            late = (time_s - self._times_s[-1]) / SEAM_S
-            return self._mouths[-1] * np.float32(max(1 - late, 0.0))
-        begin_s, end_s = self._times_s[after - 1], self._times_s[after]
-        before, behind = self._mouths[after - 1], self._mouths[after]
-        if end_s - begin_s > 2 * STEP_S:  # nothing was sent between: silence
-            return before * np.float32(max(1 - (time_s - begin_s) / SEAM_S, 0.0))
-        share = np.float32((time_s - begin_s) / (end_s - begin_s))
-        return before + share * (behind - before)

@@ -54,6 +54,8 @@ _WHOLE_BINARY: Final = 0x82
 _MASKED: Final = 0x80
 _HEADER_BYTES: Final = 6
 _SHORT_BYTES: Final = 126
+_LONGEST_BYTES: Final = 1024
+"""Messages up to it come the short way (chosen: whole in one read)."""
 _NO_MASK: Final = bytes(4)
 _DATA = (Opcode.BINARY, Opcode.TEXT, Opcode.CONT)
 
@@ -296,9 +298,16 @@ class RelaySocket(ServerConnection):
         ):
             begin = at + _HEADER_BYTES
             length = data[at + 1] - _MASKED
-            if not 0 <= length < _SHORT_BYTES or begin + length > size:
+            if length == _SHORT_BYTES and size > begin + 2:  # two bytes of length follow, as a
+                begin += 2  # voice with its face has
+                length = int.from_bytes(data[at + 2 : at + 4], "big")
+                if not _SHORT_BYTES <= length <= _LONGEST_BYTES:
+                    break
+            elif not 0 <= length < _SHORT_BYTES:
                 break
-            mask, message = data[at + 2 : begin], data[begin : begin + length]
+            if begin + length > size:
+                break
+            mask, message = data[begin - 4 : begin], data[begin : begin + length]
             at = begin + length
             on_message(message if mask == _NO_MASK else apply_mask(message, mask))
         if at < size:

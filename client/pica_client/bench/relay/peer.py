@@ -34,8 +34,8 @@ from pica_protocol.session import State
 CONNECT_TIMEOUT_S: Final = 5.0
 _VOICE: Final = Track(kind="voice", policy="ordered", deadline_ms=200)
 _READ_BYTES: Final = 65_536
-_OUT = struct.Struct(">BBIBHHBBHQ")
-"""Websocket header with a mask of zeros, kind of the message, header of the frame."""
+_OUT = struct.Struct(">IBHHBBHQ")
+"""A mask of zeros, kind of the message, header of the frame."""
 _IN = struct.Struct(">HHBBHQ")
 _BINARY, _CLOSE, _PING, _PONG = 2, 8, 9, 10
 _FIN = 0x80
@@ -118,9 +118,11 @@ class SwarmPeer:
         self, stream: int, sequence: int, layer: int, is_keyframe: bool, payload: bytes, now_us: int
     ) -> bool:
         size = len(payload)
-        head = _OUT.pack(
-            _FIN | _BINARY,
-            _MASK | (1 + HEADER_BYTES + size),
+        length = 1 + HEADER_BYTES + size
+        begin = bytes((_FIN | _BINARY, _MASK | min(length, 126)))
+        if length >= 126:
+            begin += length.to_bytes(2, "big")
+        head = begin + _OUT.pack(
             0,
             MEDIA_KIND,
             stream,

@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 
 from pica_client.call.call import Call
-from pica_client.voice.opus import available
+from pica_client.call.held_lips import HeldLips
+from pica_client.voice.opus import OpusDecoder, available
 from pica_client.voice.packet import VoicePacket
 from pica_client.voice.sound.process import SoundProcess
 
@@ -26,6 +27,7 @@ class Hearing:
         self._call = call
         self._known: set[str] = set()
         call.heard_us = sound.heard_us
+        self._lips = call.lips = HeldLips(OpusDecoder)
 
     def receive(self, peer_id: str, packet: VoicePacket, arrived_s: float) -> None:
         """Take a packet of somebody's voice; who is new takes a place among the others."""
@@ -34,11 +36,13 @@ class Hearing:
             if peer_id not in names:
                 names.append(peer_id)  # a voice without a face
             self._known = set(names)
+            self._lips.keep(self._known)
             places = np.linspace(-1, 1, len(names)) if len(names) > 1 else (0.0,)
             self._sound.seat(
                 {who: WIDTH_RAD * float(at) for who, at in zip(names, places, strict=True)}
             )
         self._sound.receive(peer_id, packet, arrived_s)
+        self._lips.receive(peer_id, packet)
 
     def stats(self) -> dict[str, Any]:
         """How sound and faces went since the call's statistics began.

@@ -1,0 +1,126 @@
+"""Lips that go on by the voice while their face stands still for want of frames.
+
+What the last frame showed stays, brows and head too; the mouth moves on from there by what the
+voice's mouth has done since, in the code of the avatar:
+
+    shown = held + weight * (encoded(mouth that is heard) - encoded(mouth when the face stopped))
+
+So the seam begins with no step, and what was added fades when frames come again. Packets come in on
+the network's thread, faces go out on the drawing one; they meet in a bounded deque.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from pica_client.errors import VoiceError
+from pica_client.voice.jitter_buffer import CODEC_DELAY_S, Decoder
+from pica_client.voice.packet import VoicePacket
+from pica_client.voice.spoken_face import SpokenMouth
+from pica_core.avatar.expression_encoder import ExpressionEncoder, HasTensors
+from pica_core.types import FloatArray
+
+STANDS_US: Final = 30_000
+"""A face this far behind its voice stands still (chosen: below what is seen)."""
+FADE_S: Final = 0.15
+"""How long what was added takes to go, and to come."""
+WARM_PACKETS: Final = 12
+"""What is kept of a voice until it is needed: the network has to have heard half a second."""
+MAX_PEERS: Final = 64
+
+
+@dataclass(slots=True)
+class _Lips:
+    decoder: Decoder
+    mouth: SpokenMouth = field(default_factory=SpokenMouth)
+    packets: deque[VoicePacket] = field(default_factory=lambda: deque(maxlen=WARM_PACKETS))
+    encoder: ExpressionEncoder | None = None
+    held_us: int | None = None
+    """When the face stopped; None while it moves."""
+    before: FloatArray | None = None
+    """The code of the voice's mouth then."""
+    added: FloatArray | None = None
+    weight: float = 0.0
+    now: float = 0.0
+
+
+class HeldLips:
+    """Moves the lips of faces that stand still; one for all peers.
+
+    Attributes:
+        is_on: Whether it does; may be switched at any time.
+    """
+
+    def __init__(self, make_decoder: Callable[[], Decoder]) -> None:
+        self.is_on = True
+        self._make_decoder = make_decoder
+        self._lips: dict[str, _Lips] = {}
+
+    def receive(self, peer_id: str, packet: VoicePacket) -> None:
+        """Take a packet of somebody's voice."""
+        lips = self._lips.get(peer_id)
+        if lips is None:
+            if len(self._lips) >= MAX_PEERS:
+                return
+            lips = self._lips[peer_id] = _Lips(self._make_decoder())
+        lips.packets.append(packet)
+
+    def keep(self, peer_ids: set[str]) -> None:
+        """Forget everybody else."""
+        self._lips = {who: lips for who, lips in self._lips.items() if who in peer_ids}
+
+    def move(
+        self,
+        peer_id: str,
+        avatar: HasTensors,
+        latent: FloatArray,
+        shown_us: int,
+        heard_us: int | None,
+        now: float,
+    ) -> tuple[FloatArray, int]:
+        """The face to show, and the moment that its lips are of.
+
+        Args:
+            peer_id: Whose face.
+            avatar: Whose codes it is of.
+            latent: What the playout shows. float32 ``[8, 8, 4]``.
+            shown_us: The moment that it is of, sender's clock.
+            heard_us: The moment of the voice that is heard; None: there is none.
+            now: Our clock.
+        """
+        lips = self._lips.get(peer_id)
+        if lips is None:
+            return latent, shown_us
+        elapsed_s, lips.now = min(max(now - lips.now, 0.0), FADE_S), now
+        stands = self.is_on and heard_us is not None and heard_us - shown_us > STANDS_US
+        if not stands:
+            lips.held_us = None
+            lips.weight = max(lips.weight - elapsed_s / FADE_S, 0.0)
+            if lips.weight == 0.0 or lips.added is None:
+                return latent, shown_us
+            return latent + np.float32(lips.weight) * lips.added, shown_us
+        assert heard_us is not None
+        self._listen(lips)
+        if lips.encoder is None:
+            lips.encoder = ExpressionEncoder(avatar)
+        if lips.held_us != shown_us or lips.before is None:
+            lips.held_us = shown_us
+            lips.before = lips.encoder.encode(lips.mouth.at(shown_us / 1e6))
+        lips.weight = min(lips.weight + elapsed_s / FADE_S, 1.0)
+        moment_s = min(heard_us / 1e6, max(lips.mouth.newest_s, shown_us / 1e6))
+        lips.added = lips.encoder.encode(lips.mouth.at(moment_s)) - lips.before
+        return latent + np.float32(lips.weight) * lips.added, round(moment_s * 1e6)
+
+    @staticmethod
+    def _listen(lips: _Lips) -> None:
+        """Hear what has come meanwhile, ahead of what leaves the loudspeaker."""
+        while lips.packets:
+            packet = lips.packets.popleft()
+            try:
+                sound = lips.decoder.decode(packet.payload)
+            except VoiceError:
+                continue
+            lips.mouth.hear(sound, packet.captured_us / 1e6 - CODEC_DELAY_S)
