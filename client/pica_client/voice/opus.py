@@ -108,7 +108,10 @@ class OpusEncoder:
         )
         if size < 0:
             raise VoiceError(f"libopus cannot encode a frame: error {size}")
-        return None if size <= _LARGEST_SILENT_BYTES else self._packet.raw[:size]
+        packet = self._packet.raw[:size]
+        # Two frames of nothing are filled up to the constant size all the same.
+        num_bytes = self._opus.opus_packet_unpad(self._packet, size) if size else 0
+        return None if num_bytes <= _LARGEST_SILENT_BYTES else packet
 
     def reset(self) -> None:
         """Forget what came before, as after a mute."""
@@ -218,6 +221,7 @@ def _declare(library: Any) -> None:
         "opus_encoder_create": (pointer, [number, number, number, out]),
         "opus_encoder_destroy": (None, [pointer]),
         "opus_encode_float": (number, [pointer, pointer, number, ctypes.c_char_p, number]),
+        "opus_packet_unpad": (number, [ctypes.c_char_p, ctypes.c_int32]),
         "opus_decoder_create": (pointer, [number, number, out]),
         "opus_decoder_destroy": (None, [pointer]),
         "opus_decode_float": (number, [pointer, ctypes.c_char_p, number, pointer, number, number]),

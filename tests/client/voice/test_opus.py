@@ -50,10 +50,14 @@ def test_the_encoder_falls_silent_with_the_speaker_and_says_nothing_but_now_and_
     assert encoder.encode(vowel(1)[0]) is not None
 
 
-def test_two_frames_in_one_packet_come_back_as_40_ms_and_silence_of_both_is_not_sent() -> None:
-    encoder, decoder = OpusEncoder(), OpusDecoder()
+@pytest.mark.parametrize("is_constant", [False, True])
+def test_two_frames_in_one_packet_come_back_as_40_ms_and_silence_of_both_is_not_sent(
+    is_constant: bool,
+) -> None:
+    encoder, decoder = OpusEncoder(is_constant=is_constant), OpusDecoder()
     pairs = vowel(50).reshape(25, -1)
     packets = [encoder.encode(pair) for pair in pairs]
+    assert (len({len(packet or b"") for packet in packets}) == 1) == is_constant
 
     heard = [decoder.decode(packet) for packet in packets]
 
