@@ -102,6 +102,7 @@ def _table(line: Line) -> str:
         "skew p50 / p95, ms": lambda row: _pair(row["skew_ms"]),
         "worst, ms": lambda row: f"{row['skew_ms']['worst']:+.0f}",
         "earliest, ms": lambda row: f"{row['skew_ms']['earliest']:+.0f}",
+        "p95, lips held": lambda row: _ms(row.get("still_skew_ms", {}).get("p95")),
         "face held": "{face_held_ratio:.1%}",
         "concealed": "{concealed_ratio:.1%}",
         "stretched": "{stretched_ratio:.1%}",

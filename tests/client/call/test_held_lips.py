@@ -19,7 +19,7 @@ pytestmark = [
     pytest.mark.skipif(opus.available() is not None, reason="needs libopus"),
 ]
 
-AVATAR = load_avatar(Path(str(resources.files("pica_core"))) / "avatars" / "ines.pica")
+AVATAR = load_avatar(Path(str(resources.files("pica_core"))) / "avatars" / "amara.pica")
 FACE: FloatArray = np.random.default_rng(0).normal(0, 1, (8, 8, 4)).astype(np.float32)
 PACKET_US, REFRESH_US = PACKET_FRAMES * FRAME_US, 20_000
 AHEAD_US = 60_000
