@@ -29,9 +29,9 @@ from pica_client.publish import publisher as publisher_module
 from pica_client.publish.sender import Sender, SenderConfig
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.receiver import Receiver
+from pica_core.avatar import streams as stream_ends
 from pica_core.avatar.file import Avatar, load_avatar
 from pica_core.avatar.streams import FaceDecoder, FaceEncoder
-from pica_core.avatar import streams as stream_ends
 from pica_core.codec import latent_encoder
 from pica_core.codec.frames import FrameState, encode_frame
 from pica_core.codec.latent_sample import DecodedFrame, EncodedFrame, ReceivedFrame
