@@ -32,12 +32,14 @@ from pica_client.bench.network.impairment import Impairment
 from pica_client.bench.network.proxy import ImpairedProxy
 from pica_client.bench.network.scenarios import BY_NAME
 from pica_client.call.call import Call
+from pica_client.call.held_lips import HeldLips
 from pica_client.local_call.local_call import ROOM, LocalCall, LocalCallConfig
 from pica_client.local_call.processes import Children
 from pica_client.stats import TCP_IP_HEADER_BYTES, describe_machine
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.receiver import Receiver
-from pica_client.voice.hearing import Hearing
+from pica_client.voice.mixer import VoiceMixer
+from pica_client.voice.opus import OpusDecoder
 from pica_client.voice.packet import FRAME_S, PACKET_FRAMES, VoicePacket
 
 SETTLE_S = 4.0
@@ -52,13 +54,16 @@ class Listener:
         self.heard: dict[str, list[tuple[VoicePacket, float]]] = {}
         link = LinkConfig(url=url, room=ROOM, name=name)
         self.receiver = Receiver(link, self.call, on_voice=self._on_voice)
-        self.hearing = Hearing(self.call, "none")
+        self.mixer = VoiceMixer(OpusDecoder)
+        self.call.heard_us = self.mixer.heard_us
+        self.lips = self.call.lips = HeldLips(OpusDecoder)
         self.mixed = 0
         self.ages_ms: list[float] = []
 
     def _on_voice(self, peer_id: str, packet: VoicePacket, arrived_s: float) -> None:
         self.heard.setdefault(peer_id, []).append((packet, arrived_s))
-        self.hearing.receive(peer_id, packet, arrived_s)
+        self.mixer.receive(peer_id, packet, arrived_s)
+        self.lips.receive(peer_id, packet)
 
     def begin(self, now: float) -> None:
         """Count from now on."""
@@ -72,7 +77,7 @@ class Listener:
         """Play what is due of the voices, and note how old the faces on the display are."""
         self.mixed = max(self.mixed, int(now / FRAME_S) - 10)
         while self.mixed * FRAME_S < now:
-            self.hearing.mixer.mix(self.mixed * FRAME_S)
+            self.mixer.mix(self.mixed * FRAME_S)
             self.mixed += 1
         faces = [face for face in self.call.faces(now) if face.latent is not None]
         self.ages_ms += [now * 1e3 - face.captured_us / 1e3 for face in faces]
@@ -94,13 +99,14 @@ class Listener:
             for packet, arrived_s in voice
         ]
         stats = self.call.stats(now)
+        concealed = [each["concealed_ratio"] for each in self.mixer.stats().values()]
         return {
             "packets": len(delays_ms),
             "lost": lost,
             "voice_delay_ms": summary(delays_ms),
             "mouth_to_ear_ms": self.call.delays_s.summary_ms(),
             "skew_ms": self.call.skews_s.summary_ms(),
-            "concealed_ratio": self.hearing.stats()["concealed_ratio"],
+            "concealed_ratio": float(np.mean(concealed)),
             "face_age_ms": summary(self.ages_ms),
             "faces_lost": stats["dropped"],
             "faces_concealed": stats["concealed"],
