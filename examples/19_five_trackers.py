@@ -1,8 +1,7 @@
 """Hold a call of five people who use five different trackers, and draw it.
 
-You learn what each tracker sends: the packets are made here, from a performance, and go over UDP
-to five real senders (`pica send --source ...`); the fifth plays a take that was recorded of such
-packets. Replace the pretended phones by real ones and it is a call.
+You learn what each tracker sends: packets are made here, from a performance, and go over UDP to
+real senders (`pica send --source ...`); the fifth plays a take that was recorded of such packets.
 """
 
 import socket

@@ -7,17 +7,19 @@ from typing import Final
 from pica_core.errors import AvatarFileError
 
 SUFFIX: Final = ".pica"
+SCULPTED: Final = "sam"
+"""A procedural head among people of a face model."""
 FORMER: Final = {"ines": "amara", "karim": "tariq", "mei": "yun", "olav": "henrik"}
 """Who is meant by the names of avatars that shipped before: preferences and scripts hold them."""
 
 
 def shipped_avatar_files() -> list[Path]:
-    """The avatar files inside the package, by name."""
+    """The avatar files inside the package, by name; people before the sculpted head."""
     folder = resources.files("pica_core") / "avatars"
     if not folder.is_dir():
         return []
     files = [Path(str(item)) for item in folder.iterdir() if item.name.endswith(SUFFIX)]
-    return sorted(files)
+    return sorted(files, key=lambda file: (file.stem == SCULPTED, file.stem))
 
 
 def avatar_file(named: Path) -> Path:
