@@ -17,7 +17,7 @@ from pica_client.render.gpu_program import (
 )
 from pica_client.render.shader_source import AXIS_ROW, axis_levels, compose
 from pica_client.render.shader_weights import pack_weights, siren_source
-from pica_core.avatar.bust import WHOLE_M, bust_of, fade_heights_m
+from pica_core.avatar.bust import WHOLE_M, bust_of, fade_heights_m, seen_faces
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.level_tensors import sheet_uv
 from pica_core.avatar.spec import AvatarSpec
@@ -141,7 +141,7 @@ def upload_avatar(
         weights = context.buffer(pack_weights(avatar.spec, tensors))
     fade_m = fade_heights_m(bust_of(avatar).lower_m) if fades else WHOLE_M
     return Body(
-        meshes=_level_meshes(context, mesh_programs, avatar),
+        meshes=_level_meshes(context, mesh_programs, avatar, fade_m[0]),
         shade=program,
         shade_rect=context.vertex_array(program, []),
         textures=textures,
@@ -205,10 +205,10 @@ def upload_placeholder(context: moderngl.Context, mesh_programs: MeshPrograms) -
 
 
 def _level_meshes(
-    context: moderngl.Context, programs: MeshPrograms, avatar: Avatar
+    context: moderngl.Context, programs: MeshPrograms, avatar: Avatar, gone_m: float
 ) -> dict[tuple[int, int], Mesh]:
-    """The triangles of each level, with the vertices that they use and no others: for the full
-    positions, and for the level's own."""
+    """The triangles of each level that do not end below `gone_m`, with the vertices that the level
+    uses and no others: for the full positions, and for the level's own."""
     vertex_uv = avatar.tensors["mesh.vertex_uv"]
     full = avatar.levels[-1]
     meshes = {}
@@ -217,7 +217,8 @@ def _level_meshes(
         # draw.
         ordered = order_faces(avatar.level_faces(level), vertex_uv)
         used, renumbered = np.unique(ordered, return_inverse=True)
-        faces, uv = renumbered.reshape(-1, 3), vertex_uv[used]
+        uv, rest_m = vertex_uv[used], avatar.mean_vertices_m[used]
+        faces = seen_faces(renumbered.reshape(-1, 3), rest_m, gone_m)
         sheet = avatar.sheet_vertices(full)
         at_full = uv if sheet is None else sheet_uv(len(sheet), full)[used]
         meshes[full, level] = upload_mesh(context, programs, level, faces, uv, at_full)

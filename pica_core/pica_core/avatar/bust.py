@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pica_core.avatar.file import Avatar
+from pica_core.types import Array
 
 WHOLE_M = (-1e6, -1e6 + 1.0)
 """Heights of what does not fade."""
@@ -14,6 +15,8 @@ FADE_M = 0.085
 """Over which height it fades (chosen: shoulders are seen, and no edge)."""
 LOWEST_M = -0.3
 """Longer busts end here, too: in a call all are of one size."""
+BEND = 0.9
+"""Metres by which it ends higher for each square metre aside; `bust.glsl` has the same."""
 CHIN_M = -0.12
 """Nothing above fades, however short a bust is."""
 
@@ -35,6 +38,20 @@ def bust_of(avatar: Avatar) -> Bust:
     if not len(used):
         return Bust(width_m=0.0, lower_m=0.0)
     return Bust(width_m=2 * float(np.abs(used[:, 0]).max()), lower_m=float(used[:, 1].min()))
+
+
+def seen_faces(faces: Array, vertices_m: Array, gone_m: float) -> Array:
+    """The triangles whose middle is where something is left of a bust: the others would only hide
+    what is behind them.
+
+    Args:
+        faces: ``[F, 3]``.
+        vertices_m: Of the mesh at rest, ``[V, 3]``.
+        gone_m: See `fade_heights_m`.
+    """
+    heights_m = vertices_m[:, 1] - BEND * vertices_m[:, 0] ** 2
+    is_seen: Array = heights_m[faces].mean(axis=1) > gone_m
+    return faces[is_seen]
 
 
 def fade_heights_m(lower_m: float) -> tuple[float, float]:

@@ -54,7 +54,7 @@ def context() -> Iterator[moderngl.Context]:
 
 @pytest.fixture(scope="module")
 def person() -> tuple[Avatar, DecodedMaps]:
-    avatar = load_avatar(shipped_avatar_files()[-1])
+    avatar = load_avatar(shipped_avatar_files()[0])
     latent = ExpressionEncoder(avatar).encode(np.zeros(52, np.float32))
     return avatar, OnnxDecoder(avatar).decode(latent, np.array([0, 0, 1], np.float32), 64)
 
@@ -98,6 +98,28 @@ def test_a_bust_is_whole_at_the_face_and_gone_at_its_lower_border(
     covered = plain.read_surface()[2] >= 0
     room = picture(plain)
     assert_fades(picture(with_person(context, person, FADING), REST), whole, room, covered)
+
+
+def test_where_nothing_is_left_of_a_bust_one_sees_who_is_behind(
+    context: moderngl.Context, person: tuple[Avatar, DecodedMaps]
+) -> None:
+    renderer = with_person(context, person, FADING)
+    renderer.add_placeholder("behind")
+    pose = np.eye(4, dtype=np.float32)
+    pose[:3, 3] = (0.0, -0.42, -0.3)
+    behind = Placement(slot="behind", world_from_head=pose)
+    camera = look_at(
+        name="viewer",
+        centre_m=np.array([0, -0.2, 1.6]),
+        target_m=np.array([0, -0.2, 0]),
+        vertical_fov=0.5,
+        width=SIZE[0],
+        height=SIZE[1],
+    )
+    below = slice(135, 170), slice(60, 100)
+    alone = picture(renderer, behind, camera=camera)[below]
+    assert np.abs(alone.astype(int) - picture(renderer, camera=camera)[below]).mean() > 10
+    np.testing.assert_array_equal(picture(renderer, REST, behind, camera=camera)[below], alone)
 
 
 def test_a_textured_head_fades_as_a_decoded_one(context: moderngl.Context) -> None:
