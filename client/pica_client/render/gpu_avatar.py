@@ -209,7 +209,7 @@ def _level_meshes(
 ) -> dict[tuple[int, int], Mesh]:
     """The triangles of each level that do not end below `gone_m`, with the vertices that the level
     uses and no others: for the full positions, and for the level's own."""
-    vertex_uv = avatar.tensors["mesh.vertex_uv"]
+    vertex_uv, rest_m = avatar.tensors["mesh.vertex_uv"], avatar.mean_vertices_m
     full = avatar.levels[-1]
     meshes = {}
     for level in avatar.levels:
@@ -217,8 +217,8 @@ def _level_meshes(
         # draw.
         ordered = order_faces(avatar.level_faces(level), vertex_uv)
         used, renumbered = np.unique(ordered, return_inverse=True)
-        uv, rest_m = vertex_uv[used], avatar.mean_vertices_m[used]
-        faces = seen_faces(renumbered.reshape(-1, 3), rest_m, gone_m)
+        uv = vertex_uv[used]
+        faces = seen_faces(renumbered.reshape(-1, 3), rest_m[used], gone_m)
         sheet = avatar.sheet_vertices(full)
         at_full = uv if sheet is None else sheet_uv(len(sheet), full)[used]
         meshes[full, level] = upload_mesh(context, programs, level, faces, uv, at_full)

@@ -4,7 +4,6 @@ Packets come in on the network's thread, sound goes out on the loudspeaker's, an
 what is heard on its own. `mix` is called every 20 ms; who left is forgotten by `keep`.
 """
 
-import math
 import threading
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -154,11 +153,6 @@ def limit(sound: Array) -> Array:
     bent = np.sign(sound) * (LIMIT_FROM + room * np.tanh(np.maximum(over, 0) / room))
     limited: Array = np.where(over > 0, bent, sound)
     return limited
-
-
-def seat_azimuth(x_m: float, z_m: float) -> float:
-    """The direction of a seat, as the camera's frame has it: x right, z ahead; radians."""
-    return math.atan2(x_m, max(z_m, 1e-3))
 
 
 def _stats(buffer: JitterBuffer) -> dict[str, Any]:
