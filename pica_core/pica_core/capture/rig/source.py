@@ -20,10 +20,6 @@ MAX_SHAPE_VALUES = 300_000_000
 """Vertices times shapes, at most (1.2 GB as float32 triples is three times that number)."""
 
 
-WRAPS = ("repeat", "mirror", "clamp")
-"""How an image goes on beyond its edges."""
-
-
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RigImage:
     """An encoded base colour image, and how it goes on beyond its edges, across and down."""
