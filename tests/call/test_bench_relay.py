@@ -1,12 +1,16 @@
 """The load generator against real relays: what can be counted, never how fast it was."""
 
 import os
+from pathlib import Path
 
 import pytest
 
+from malice import clients
+from malice.beside import HostileConfig
+from malice.soak import SoakConfig, run_soak
 from pica_client.bench.relay.bench import Load, RelayBenchConfig, relay_target, run_relay_bench
 from pica_client.bench.relay.processes import Workers, memory_bytes, relay_metrics
-from pica_client.bench.relay.soak import SoakConfig, run_soak
+from pica_client.errors import OptionError
 from pica_client.local_call.processes import Children
 
 pytestmark = pytest.mark.realtime
@@ -18,6 +22,7 @@ KEYS = {
     *("rooms", "peers", "fps", "seconds", "delivered_per_s", "forward_ms", "dropped"),
     *("relay_cpu_s_per_1000", "bytes_per_connection", "errors"),
 }
+OFFENDERS = Path(clients.__file__)
 QUICK = ("--stall-timeout-s", "1", "--handshake-timeout-s", "1", "--close-timeout-s", "0.5")
 OFFENCE_S = 4.0
 MAX_GROWTH_BYTES = 32_000_000
@@ -44,7 +49,7 @@ def test_offenders_get_their_close_codes_and_healthy_rooms_their_frames() -> Non
         load.connect(config.rooms)
         before = memory_bytes(target.pid) or 0
         offenders = {
-            kind: workers.start("misbehaving", kind, target.url, load.first_room, str(OFFENCE_S))
+            kind: workers.start(OFFENDERS, kind, target.url, load.first_room, str(OFFENCE_S))
             for kind in kinds
         }
         beside = load.measure(config.rooms, config.seconds)
@@ -70,7 +75,7 @@ def test_a_slow_reader_stays_while_it_reads_and_costs_nobody_else_a_frame() -> N
     with Workers() as workers, Children() as children, relay_target(config, children) as target:
         load = Load(config, target, workers)
         load.connect(config.rooms)
-        slow = workers.start("misbehaving", "slow-reader", target.url, load.first_room, "4")
+        slow = workers.start(OFFENDERS, "slow-reader", target.url, load.first_room, "4")
         beside = load.measure(config.rooms, config.seconds)
         report = slow.answer(30.0)
         load.leave()
@@ -86,3 +91,13 @@ def test_a_stopped_relay_loses_no_control_message_and_sends_everybody_away() -> 
     assert drain["whispers_passed"] >= 1
     assert (drain["lost_control"], drain["still_open"]) == (0, 0)
     assert len(result["soak"]) == 3
+
+
+def test_offenders_go_only_to_a_relay_of_our_own() -> None:
+    elsewhere = RelayBenchConfig(url="ws://example.org")
+    with pytest.raises(OptionError, match="relay of one's own"):
+        HostileConfig(load=elsewhere)
+    with pytest.raises(OptionError, match="hostile 'rude' is unknown"):
+        HostileConfig(load=RelayBenchConfig(), kinds=("rude",))
+    with pytest.raises(OptionError, match="leave out url"):
+        SoakConfig(load=elsewhere)

@@ -47,17 +47,9 @@ import numpy.typing as npt
 import tyro
 from tyro.constructors import PrimitiveConstructorSpec
 
-from pica_client.bench.harness import (
-    Took,
-    check_ranges,
-    gl_context,
-    median_ms,
-    spread,
-    take_turns,
-    timed,
-)
+from pica_client.bench.harness import Took, gl_context, median_ms, spread, take_turns, timed
 from pica_client.bench.head import FRAME_S, front_camera, textured_mesh
-from pica_client.bench.option_types import Ints, Words
+from pica_client.bench.option_types import Ints, Words, check_names, check_ranges
 from pica_client.decode.decoder import (
     BaselineDecoder,
     OnnxDecoder,
@@ -138,9 +130,7 @@ class DecodeBenchConfig:
         check_ranges(self, rounds=(1, 10_000), head_px=(1, 1e5))
         if not self.threads or not all(1 <= threads <= 64 for threads in self.threads):
             raise OptionError(f"threads is {self.threads}; one or more of 1 to 64 are needed")
-        for block in self.blocks:
-            if block not in BLOCKS:
-                raise OptionError(f"block is {block!r}; known are {', '.join(BLOCKS)}")
+        check_names("block", self.blocks, BLOCKS)
 
 
 @dataclass(frozen=True, slots=True)

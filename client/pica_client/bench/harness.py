@@ -1,4 +1,4 @@
-"""What all benches share: fair turns, times with their spread, limits of settings, GL contexts.
+"""What all benches share: fair turns, times with their spread, GL contexts.
 
 Cases of a bench take turns, round after round, so that a busy machine treats all alike; the
 first rounds warm up and are not counted. Results are medians with quartiles.
@@ -13,7 +13,6 @@ from typing import Any, NamedTuple, TypeVar
 import moderngl
 import numpy as np
 
-from pica_client.errors import OptionError
 from pica_client.output import say
 from pica_core.gl import create_context
 
@@ -88,18 +87,6 @@ def spread(samples: Sequence[float]) -> float:
         return 0.0
     low, middle, high = quantiles(samples, n=4)
     return round((high - low) / middle, 3)
-
-
-def check_ranges(config: object, **ranges: tuple[float, float]) -> None:
-    """Refuse settings out of range.
-
-    Raises:
-        OptionError: The attribute of that name is not between these two values.
-    """
-    for name, (low, high) in ranges.items():
-        value = getattr(config, name)
-        if not low <= value <= high:
-            raise OptionError(f"{name} is {value:g}; {low:g} to {high:g} is allowed")
 
 
 @contextmanager

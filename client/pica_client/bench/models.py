@@ -44,10 +44,10 @@ from typing import Any, NamedTuple
 import moderngl
 
 from pica_client.bench.eval_rows import EvalRows, HeldOutError
-from pica_client.bench.harness import Took, check_ranges, gl_context, median_ms, take_turns, timed
+from pica_client.bench.harness import Took, gl_context, median_ms, take_turns, timed
 from pica_client.bench.head import check_distances, front_camera, talk_frames
 from pica_client.bench.model_files import Model
-from pica_client.bench.option_types import Floats
+from pica_client.bench.option_types import Floats, check_ranges
 from pica_client.bench.pareto import mark_best
 from pica_client.decode.decoder import OnnxOptions
 from pica_client.decode.onnx_runtime import onnxruntime

@@ -1,15 +1,19 @@
-"""How settings of benches are spelled on the command line: lists as one word, with commas."""
+"""How settings of benches are spelled on the command line, lists as one word, and their limits."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable
 from typing import Annotated, Any
 
 from tyro.constructors import PrimitiveConstructorSpec
 
+from pica_client.errors import OptionError
 
-def _commas(kind: Callable[[str], Any], metavar: str) -> PrimitiveConstructorSpec[Any]:
+
+def _listed(
+    kind: Callable[[str], Any], metavar: str, between: str = ","
+) -> PrimitiveConstructorSpec[Any]:
     def read(words: list[str]) -> tuple[Any, ...]:
         try:
-            return tuple(kind(part.strip()) for part in words[0].split(",") if part.strip())
+            return tuple(kind(part.strip()) for part in words[0].split(between) if part.strip())
         except ValueError as error:
             raise ValueError(f"{words[0]!r} is given; write numbers with commas") from error
 
@@ -19,11 +23,35 @@ def _commas(kind: Callable[[str], Any], metavar: str) -> PrimitiveConstructorSpe
         instance_from_str=read,
         is_instance=lambda value: isinstance(value, tuple),
         str_from_instance=lambda values: [
-            ",".join(f"{value}".removesuffix(".0") for value in values)
+            between.join(f"{value}".removesuffix(".0") for value in values)
         ],
     )
 
 
-Floats = Annotated[tuple[float, ...], _commas(float, "NUMBERS")]
-Ints = Annotated[tuple[int, ...], _commas(int, "NUMBERS")]
-Words = Annotated[tuple[str, ...], _commas(str, "NAMES")]
+Floats = Annotated[tuple[float, ...], _listed(float, "NUMBERS")]
+Ints = Annotated[tuple[int, ...], _listed(int, "NUMBERS")]
+Words = Annotated[tuple[str, ...], _listed(str, "NAMES")]
+Arguments = Annotated[tuple[str, ...], _listed(str, "ARGUMENTS", between=" ")]
+
+
+def check_ranges(config: object, **ranges: tuple[float, float]) -> None:
+    """Refuse settings out of range.
+
+    Raises:
+        OptionError: The attribute of that name is not between these two values.
+    """
+    for name, (low, high) in ranges.items():
+        value = getattr(config, name)
+        if not low <= value <= high:
+            raise OptionError(f"{name} is {value:g}; {low:g} to {high:g} is allowed")
+
+
+def check_names(option: str, names: Iterable[str], known: Collection[str]) -> None:
+    """Refuse names that an option does not have.
+
+    Raises:
+        OptionError: Names it, and those that are known.
+    """
+    for name in names:
+        if name not in known:
+            raise OptionError(f"{option} {name!r} is unknown; known are {', '.join(known)}")

@@ -44,7 +44,6 @@ from typing import Any
 import numpy as np
 import tyro
 
-from pica_client.bench.harness import check_ranges
 from pica_client.bench.head import FaceRenderer
 from pica_client.bench.network.policies import POLICIES
 from pica_client.bench.network.scenarios import BY_NAME, SCENARIOS
@@ -56,7 +55,7 @@ from pica_client.bench.network.stream_trial import (
     deliver,
     play,
 )
-from pica_client.bench.option_types import Words
+from pica_client.bench.option_types import Words, check_names, check_ranges
 from pica_client.errors import OptionError
 from pica_client.output import say
 from pica_client.playout.buffer import Playout
@@ -99,11 +98,8 @@ class BenchPlayoutConfig:
 
     def __post_init__(self) -> None:
         check_ranges(self, renders_per_s=(0.5, self.schedule.display_hz))
-        if self.codec not in CODECS:
-            raise OptionError(f"codec {self.codec!r} is unknown; known are {', '.join(CODECS)}")
-        for name in self.scenarios:
-            if name not in BY_NAME:
-                raise OptionError(f"scenario {name!r} is unknown; known are {', '.join(BY_NAME)}")
+        check_names("codec", [self.codec], CODECS)
+        check_names("scenario", self.scenarios, BY_NAME)
 
 
 def open_ends(avatar: Avatar, codec: str, fps: float) -> tuple[FaceEncoder, FaceDecoder]:

@@ -41,17 +41,9 @@ from typing import Any, Literal, NamedTuple
 import moderngl
 import numpy as np
 
-from pica_client.bench.harness import (
-    Took,
-    check_ranges,
-    gl_context,
-    median_ms,
-    spread,
-    take_turns,
-    timed,
-)
+from pica_client.bench.harness import Took, gl_context, median_ms, spread, take_turns, timed
 from pica_client.bench.head import FIELD_OF_VIEW, check_distances, front_camera, textured_mesh
-from pica_client.bench.option_types import Floats
+from pica_client.bench.option_types import Floats, check_ranges
 from pica_client.bench.relay.processes import memory_bytes
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.render.drawing import HEAD

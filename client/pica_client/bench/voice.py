@@ -36,7 +36,6 @@ from typing import Any
 import numpy as np
 import tyro
 
-from pica_client.bench.harness import check_ranges
 from pica_client.bench.network.scenarios import BY_NAME, SCENARIOS
 from pica_client.bench.network.stream_trial import (
     CLOCK_OFFSET_US,
@@ -46,7 +45,7 @@ from pica_client.bench.network.stream_trial import (
     Schedule,
     deliver,
 )
-from pica_client.bench.option_types import Words
+from pica_client.bench.option_types import Words, check_ranges
 from pica_client.bench.playout import open_ends, true_face
 from pica_client.call.held_lips import HeldLips
 from pica_client.errors import OptionError

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import pytest
 
-from pica_client.bench.harness import check_ranges, median_ms, spread, take_turns
+from pica_client.bench.harness import median_ms, spread, take_turns
+from pica_client.bench.option_types import check_ranges
 from pica_client.errors import OptionError
 
 pytestmark = pytest.mark.unit

@@ -33,9 +33,8 @@ from pica_client.bench.drive.steps import (
     stage_values,
     values_of,
 )
-from pica_client.bench.harness import check_ranges
 from pica_client.bench.head import FaceRenderer, evaluation_cameras
-from pica_client.bench.option_types import Words
+from pica_client.bench.option_types import Words, check_ranges
 from pica_client.errors import OptionError
 from pica_client.output import make_folder, say, writing
 from pica_client.render.drawing import masked_mse

@@ -28,7 +28,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pica_client.bench.harness import check_ranges
+from pica_client.bench.option_types import check_ranges
 from pica_client.errors import OptionError
 
 JITTER_MEMORY_S = 0.1

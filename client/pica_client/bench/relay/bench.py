@@ -25,14 +25,16 @@ What it does not show: real networks, TLS (unless --url says wss), slow receiver
 """
 
 import json
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Final
+from typing import Annotated, Any, Final
 from urllib.parse import urlsplit
 
+import tyro
+
+from pica_client.bench.option_types import Arguments, Words, check_names, check_ranges
 from pica_client.bench.relay.figures import (
     close_codes,
     describe,
@@ -56,6 +58,7 @@ from pica_client.bench.relay.processes import (
 from pica_client.bench.relay.swarm import DRAIN_S, SwarmConfig
 from pica_client.errors import CallProcessError, OptionError
 from pica_client.local_call.processes import Child, Children
+from pica_client.output import say
 from pica_client.stats import describe_machine
 
 SETTLE_S: Final = 1.5
@@ -63,6 +66,8 @@ SETTLE_S: Final = 1.5
 OWN_JOINS_PER_S: Final = 400.0
 PATIENCE_S: Final = 30.0
 """Seconds that a swarm's answer may take beyond the time of its order."""
+PROBE_S: Final = 3.0
+"""Measured time of each try when capacity is looked for."""
 GROWTH: Final = 1.25
 """Factor between the numbers of rooms of two tries, when capacity is looked for."""
 NO_LIMITS: Final = (
@@ -82,64 +87,58 @@ COMPARISONS: Final = ("naive", "naive-uvloop", "echo")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RelayBenchConfig:
-    """What to load, and how."""
+    """What to load, and how; the options of `pica bench relay`."""
 
-    url: str | None = None
-    """A relay that runs already; by default one is started."""
     rooms: int = 20
+    """Number of rooms."""
     peers: int = 5
-    """Number of peers in each room."""
+    """Peers in each room, each a websocket that sends to all others of the room."""
     fps: float = 30.0
     """Frames a second of each peer."""
     seconds: float = 10.0
-    """Seconds that are measured."""
+    """Measured time, seconds."""
+    url: str | None = None
+    """Address of a relay that runs already, ws:// or wss://; by default one is started, pinned to
+    one core."""
     processes: int = 1
-    """Number of processes of the load generator."""
+    """Processes of the load generator."""
     joins_per_s: float | None = None
-    """How fast peers come; by default 40, as many as a relay lets in, 400 for one of our own."""
+    """How fast peers come in; by default 40 a second, which a relay's limits allow, and 400 for the
+    relay that is started."""
     voices: bool = False
     """Let the peers of each room speak in turn as well, 25 packets a second."""
     capacity: bool = False
-    """Look for the most rooms within the bar."""
-    bar_ms: float = 10.0
-    """Longest 99th percentile of the forwarding latency that is good enough."""
-    probe_s: float = 3.0
-    """Measured time of each try when capacity is looked for."""
+    """Look for the most rooms that stay within the bar."""
+    bar_ms: Annotated[float, tyro.conf.arg(name="bar")] = 10.0
+    """The bar: longest 99th percentile of the forwarding latency, milliseconds."""
     max_rooms: int = 400
     """Where looking for capacity ends."""
-    compare: tuple[str, ...] = ()
-    """Servers that get the same load in the same run, of `COMPARISONS`."""
-    ablate: tuple[str, ...] = ()
-    """Parts of the relay's fast path, of `ABLATIONS`: the same load for a relay without each."""
-    relay_arguments: tuple[str, ...] = ()
-    """Further arguments of the relay that is started."""
+    compare: Words = ()
+    """Give the same load to others as well: naive (read and broadcast, same library), naive-uvloop,
+    echo (what the load generator can do at most); separated by commas."""
+    ablate: Words = ()
+    """Give the same load to the relay without one part of its fast path, for each of: short-read,
+    direct-write, flow, ride; all of them: all."""
+    relay_arguments: Arguments = ()
+    """Further arguments of the relay that is started: --relay-arguments="--port 8765"."""
     seed: int = 0
+    """Seed of phases and payload sizes."""
 
     def __post_init__(self) -> None:
-        _check("rooms", self.rooms, 1, 10_000)
-        _check("peers", self.peers, 2, 64)
-        _check("fps", self.fps, 1, 240)
-        _check("seconds", self.seconds, 0.5, 7200)
-        _check("processes", self.processes, 1, min(64, self.rooms))
-        _check("bar", self.bar_ms, 0.1, 10_000)
-        _check("max-rooms", self.max_rooms, self.rooms, 10_000)
+        check_ranges(self, rooms=(1, 10_000), peers=(2, 64), fps=(1, 240), seconds=(0.5, 7200))
+        check_ranges(self, processes=(1, min(64, self.rooms)), max_rooms=(1, 10_000))
+        check_ranges(self, bar_ms=(0.1, 10_000))
         if self.joins_per_s is not None:
-            _check("joins-per-s", self.joins_per_s, 0.1, 10_000)
-        for name in self.compare:
-            if name not in COMPARISONS:
-                raise OptionError(
-                    f"compare {name!r} is unknown; known are {', '.join(COMPARISONS)}"
-                )
-        for name in self.ablate:
-            if name not in ABLATIONS:
-                raise OptionError(f"ablate {name!r} is unknown; known are {', '.join(ABLATIONS)}")
+            check_ranges(self, joins_per_s=(0.1, 10_000))
+        check_names("compare", self.compare, COMPARISONS)
+        check_names("ablate", self.ablate, ("all", *ABLATIONS))
         if self.url is not None:
             check_url(self.url)
 
     @property
     def most_rooms(self) -> int:
         """Rooms that may be needed."""
-        return self.max_rooms if self.capacity else self.rooms
+        return max(self.max_rooms, self.rooms) if self.capacity else self.rooms
 
 
 def check_url(url: str) -> None:
@@ -151,11 +150,6 @@ def check_url(url: str) -> None:
         is_usable = False
     if not is_usable:
         raise OptionError(f"url {url!r} is no relay address; write ws://HOST:PORT")
-
-
-def _check(name: str, value: float, low: float, high: float) -> None:
-    if not low <= value <= high:
-        raise OptionError(f"{name} is {value:g}; {low:g} to {high:g} is allowed")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -370,7 +364,7 @@ def run_relay_bench(config: RelayBenchConfig) -> dict[str, Any]:
             with _rival(name, result, config, workers) as target:
                 result["compare"][name] = _measure(config, target, workers, name)
         result["ablate"] = {}
-        for name in config.ablate:
+        for name in ABLATIONS if "all" in config.ablate else config.ablate:
             lacking = replace(config, relay_arguments=(*config.relay_arguments, *ABLATIONS[name]))
             with relay_target(lacking, children) as target:
                 result["ablate"][name] = _measure(lacking, target, workers, f"without {name}")
@@ -436,9 +430,9 @@ def _measure(
     load = Load(config, target, workers)
     try:
         load.connect(config.rooms)
-        _say(f"{name}: {load.num_connections} peers in {config.rooms} rooms")
+        say(f"{name}: {load.num_connections} peers in {config.rooms} rooms")
         result = load.measure(config.rooms, config.seconds)
-        _say(f"{name}: {describe(result)}")
+        say(f"{name}: {describe(result)}")
         if config.capacity:
             result["capacity"] = _find_capacity(config, load, result, name)
     finally:
@@ -453,15 +447,15 @@ def _find_capacity(
     tries: list[dict[str, Any]] = []
 
     def is_good(rooms: int) -> bool:
-        row = load.measure(rooms, config.probe_s)
-        _say(f"{name}: {describe(row)}{'' if row['within_bar'] else ' - too much'}")
+        row = load.measure(rooms, PROBE_S)
+        say(f"{name}: {describe(row)}{'' if row['within_bar'] else ' - too much'}")
         tries.append(row)
         return bool(row["within_bar"])
 
     good, bad = (config.rooms, None) if first["within_bar"] else (0, config.rooms)
     rooms = config.rooms
-    while bad is None and rooms < config.max_rooms:
-        rooms = min(max(round(rooms * GROWTH), rooms + 1), config.max_rooms)
+    while bad is None and rooms < config.most_rooms:
+        rooms = min(max(round(rooms * GROWTH), rooms + 1), config.most_rooms)
         good, bad = (rooms, None) if is_good(rooms) else (good, rooms)
     while good == 0 and bad is not None and bad > 1:
         rooms = max(round(bad / GROWTH / GROWTH), 1)
@@ -480,7 +474,3 @@ def _find_capacity(
 
 def _sleep_until(when_s: float) -> None:
     time.sleep(max(when_s - time.monotonic(), 0.0))
-
-
-def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)

@@ -23,15 +23,15 @@ STOP_TIMEOUT_S = 5.0
 
 
 class Worker:
-    """A Python module in a process of its own, spoken to over its standard input and output.
+    """A Python program in a process of its own, spoken to over its standard input and output.
 
     It ends when its input does.
     """
 
-    def __init__(self, module: str, *arguments: str, core: int | None = None) -> None:
-        self.name = module.rpartition(".")[2]
+    def __init__(self, name: str, words: Sequence[str], core: int | None = None) -> None:
+        self.name = name
         self._process = subprocess.Popen(
-            [sys.executable, "-m", module, *arguments],
+            [sys.executable, *words],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             # Ctrl-C in a terminal goes to the parent, which ends its children in good order.
@@ -113,9 +113,11 @@ class Workers:
     def __init__(self) -> None:
         self._workers: list[Worker] = []
 
-    def start(self, module: str, *arguments: str, core: int | None = None) -> Worker:
-        """Start a module of this package."""
-        worker = Worker(f"pica_client.bench.relay.{module}", *arguments, core=core)
+    def start(self, program: str | Path, *arguments: str, core: int | None = None) -> Worker:
+        """Start a module of this package, by its name, or a file."""
+        is_file = isinstance(program, Path)
+        words = (str(program),) if is_file else ("-m", f"pica_client.bench.relay.{program}")
+        worker = Worker(Path(program).stem, (*words, *arguments), core)
         self._workers.append(worker)
         return worker
 

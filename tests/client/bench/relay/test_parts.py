@@ -4,8 +4,6 @@ from collections import Counter
 import pytest
 
 from pica_client.bench.relay.bench import RelayBenchConfig
-from pica_client.bench.relay.hostile import HostileConfig
-from pica_client.bench.relay.soak import SoakConfig
 from pica_client.bench.relay.traffic import KEYFRAME_INTERVAL_S, KEYFRAME_PAUSE_S, Traffic
 from pica_client.errors import OptionError
 from pica_protocol.frames import FLAG_KEYFRAME, Frame, decode_media, encode_frame, media_message
@@ -79,12 +77,3 @@ def test_options_out_of_range_are_named_with_their_limits(
 ) -> None:
     with pytest.raises(OptionError, match=words):
         RelayBenchConfig(**options)  # type: ignore[arg-type]
-
-
-def test_offenders_go_only_to_a_relay_of_our_own() -> None:
-    with pytest.raises(OptionError, match="relay of one's own"):
-        HostileConfig(load=RelayBenchConfig(url="ws://example.org"))
-    with pytest.raises(OptionError, match="hostile 'rude' is unknown"):
-        HostileConfig(load=RelayBenchConfig(), kinds=("rude",))
-    with pytest.raises(OptionError, match="leave out url"):
-        SoakConfig(load=RelayBenchConfig(url="ws://example.org"))

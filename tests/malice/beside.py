@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from malice import clients
+from malice.clients import KINDS
 from pica_client.bench.relay.bench import Load, RelayBenchConfig, Target, relay_target
 from pica_client.bench.relay.figures import describe
-from pica_client.bench.relay.misbehaving import KINDS
 from pica_client.bench.relay.processes import (
     START_TIMEOUT_S,
     Workers,
@@ -84,7 +85,7 @@ def _beside(
     _, cores = share_cores()
     duration_s = seconds + EXTRA_S
     offender = workers.start(
-        "misbehaving",
+        Path(clients.__file__),
         *(kind, target.url, load.first_room, f"{duration_s:g}"),
         core=cores[-1],
     )

@@ -1,9 +1,8 @@
 """Clients that misbehave, which a relay must outlast.
 
-``python -m pica_client.bench.relay.misbehaving KIND URL ROOM SECONDS`` does one bad thing to a
-relay for a bounded time and prints what became of it as JSON: how often it tried, and the close
-codes that it saw. A peer that does not read sees none; the relay's own counters have them. Only
-for relays of one's own.
+``python tests/malice/clients.py KIND URL ROOM SECONDS`` does one bad thing to a relay for a bounded
+time and prints what became of it as JSON: how often it tried, and the close codes that it saw. A
+peer that does not read sees none; the relay's own counters have them. Only for relays of one's own.
 """
 
 import contextlib

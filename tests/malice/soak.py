@@ -13,9 +13,9 @@ import time
 from dataclasses import dataclass
 from typing import Any, Final
 
+from malice.clients import MisbehavingClient
 from pica_client.bench.relay.bench import Load, RelayBenchConfig, start_relay
 from pica_client.bench.relay.figures import describe
-from pica_client.bench.relay.misbehaving import MisbehavingClient
 from pica_client.bench.relay.processes import Workers, memory_bytes
 from pica_client.errors import OptionError
 from pica_client.local_call.processes import Children
