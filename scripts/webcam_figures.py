@@ -55,7 +55,7 @@ class Studio:
 
     def __init__(self, avatar: Avatar, context: Any) -> None:
         self._encoder, self._decoder = ExpressionEncoder(avatar), OnnxDecoder(avatar)
-        plan = plan_seats("arc", 1, SIZE[0] / SIZE[1])
+        plan = plan_seats("grid", 1, SIZE[0] / SIZE[1])
         self._seat, self._camera = plan.seats[0], plan_camera(plan, ViewState(), *SIZE)
         self._renderer = Renderer(context, SIZE, RenderOptions(fade_busts=True))
         self._renderer.add_avatar("avatar", avatar)

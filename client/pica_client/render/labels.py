@@ -67,7 +67,7 @@ def place_labels(
             continue
         faces.append(own.face)
         others = [each.face for number, each in enumerate(seen) if each and number != index]
-        room = _room(own, [*others, *taken], camera, least_px)
+        room = _room(own, others, taken, camera, least_px)
         if room is not None:
             taken.append((room[0], room[1], room[2], room[1] + least_px[1]))
             rooms[index] = room
@@ -111,11 +111,19 @@ def _common(first: Rect, second: Rect) -> float:
 
 
 def _room(
-    own: _Seen, obstacles: Sequence[Rect], camera: Camera, least_px: tuple[float, float]
+    own: _Seen,
+    faces: Sequence[Rect],
+    names: Sequence[Rect],
+    camera: Camera,
+    least_px: tuple[float, float],
 ) -> Rect | None:
     """What is left of the chest beside faces and other names, the middle of it the owner's."""
-    gap = GAP_SHARE * least_px[1]
-    half = min(max(own.half_width_px, least_px[0] / 2), camera.width / 2 - gap)
+    gap, obstacles = GAP_SHARE * least_px[1], [*faces, *names]
+    half = own.half_width_px
+    for left, top, right, bottom in faces:
+        if top < own.face[3] and own.face[1] < bottom:  # a neighbour: each has half the way
+            half = min(half, abs((left + right) / 2 - own.x_px) / 2 - gap)
+    half = min(max(half, least_px[0] / 2), camera.width / 2 - gap)
     # At the picture's edge a name moves inwards, as far as its owner is wide.
     x = min(max(own.x_px, half + gap), camera.width - half - gap)
     if not own.face[0] <= x <= own.face[2]:

@@ -133,8 +133,8 @@ class DrawPasses:
                 self._background,
                 lens=lens_of(camera),
                 eye_m=tuple(camera.centre_m.tolist()),
-                floor_m=room.floor_m,
-                ring_m=room.ring_m,
+                table_m=room.table_m,
+                brightness=float(room.is_light),
                 num_seats=min(len(room.seats_m), len(seats)),
                 rect=(-1.0, -1.0, 1.0, 1.0),
             )

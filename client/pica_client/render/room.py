@@ -4,21 +4,15 @@ A `Room` is drawn when it or the camera changes, and copied otherwise: so it cos
 as long as nobody turns the view.
 """
 
-import math
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
 from pica_core.camera import Camera, look_at
 from pica_core.types import Float64Array
 
-SITTING_M = 0.46
-"""How high the middle of a head is above the floor (chosen: it is felt, not seen)."""
-
-WIDEST_RING_M = 0.215
-RING_SHARE = 0.44
-"""A ring's radius against the way to the next seat, at most; the rest is its breadth."""
+TABLE_M = 0.31
+"""How far the table is below the middle of the lowest head: busts have faded there."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -28,18 +22,14 @@ class Room:
     seats_m: tuple[tuple[float, float, float], ...] = ()
     """The middle of each head at rest, world."""
     speaking: tuple[float, ...] = ()
-    """How bright the ring around each of them is, 0 to 1."""
+    """How bright the glow around each of them is, 0 to 1."""
+    is_light: bool = False
+    """Whether its walls are bright, as the surface's light look is."""
 
     @property
-    def ring_m(self) -> float:
-        """The radius of those rings: neighbours' do not cross."""
-        apart = [math.dist(one, other) for one, other in combinations(self.seats_m, 2)]
-        return min(WIDEST_RING_M, RING_SHARE * min(apart, default=1.0))
-
-    @property
-    def floor_m(self) -> float:
-        """The height of the floor, below the lowest seat."""
-        return min((place[1] for place in self.seats_m), default=0.0) - SITTING_M
+    def table_m(self) -> float:
+        """The height of the table, below the lowest seat."""
+        return min((place[1] for place in self.seats_m), default=0.0) - TABLE_M
 
 
 EMPTY_ROOM = Room()

@@ -7,8 +7,9 @@ World: metres, +y up; the viewer is on the +z side and looks towards -z. Four la
     table   around the far side of a round table, seen from a little above
     grid    rows and columns, everybody facing the viewer
 
-Neighbours sit as far apart as the broadest shoulders need. Where that makes the faces of a row much
-smaller than those of a grid, as on a narrow picture, the grid is taken.
+Neighbours sit as far apart as the broadest shoulders need; where a row would be small for that,
+every second one moves back a little and they close up. Where a grid shows larger faces than the row
+all the same, as on a narrow picture, the grid is taken.
 
 In each of them one participant may be pinned: that one stands large in the middle, and the others
 look on from a strip at the side.
@@ -38,19 +39,14 @@ MIN_SHOULDERS_M, MAX_SHOULDERS_M = 0.22, 0.56
 """A head alone keeps room for its movements, and no file from a stranger pushes everybody aside."""
 SHOULDER_GAP_M = 0.025
 """Between the shoulders of neighbours: heads move (chosen)."""
-SEAT_RADIUS_M = 1.1
-"""From the viewer to each seat of the arc, at least: where people sit when they talk (chosen; 0.7
-to 1.2 m is usual)."""
-MAX_ARC = math.radians(62)
-"""Between the ends of the arc: with more people its radius grows, so that nobody is seen from the
-side (chosen)."""
 SHOULDER_DEPTH_M = 0.07
 """Seats that are turned to each other come closer at the front of the shoulders, which reach so far
 before the middle of the head."""
-GRID_INSTEAD = 1.4
+GRID_INSTEAD = 1.12
 """A row gives way to the grid where that makes the heads so many times larger (chosen: five people
 sit in a row on a picture of 16:9, and in a grid on one of 4:3)."""
-TABLE_RADIUS_M = 0.62
+TABLE_RADIUS_M, TABLE_ARC = 0.62, 2.7
+"""The table's, and how many radians of it people sit around at most: the rest is the viewer's."""
 TABLE_PITCH = math.radians(9)
 """How far from above the table is seen (chosen: a person who sits at it)."""
 VERTICAL_FOV = math.radians(32)
@@ -58,25 +54,28 @@ VERTICAL_FOV = math.radians(32)
 HEAD_HALF_WIDTH_M = 0.115
 HEAD_HALF_HEIGHT_M = 0.165
 """What is framed around each seat: a head with room for its movements."""
-GROUP_HALF_WIDTH_M = 0.15
-"""More of the shoulders of several people is framed: nobody looks cut off at the edge."""
-FRAME_FILL = 0.9
-"""Part of the picture that the framed heads may fill."""
-LABEL_SHARE = 0.1
+HALF_WIDTH_M, BUST_M = 0.15, 0.3
+"""How far aside of the middle of its head a bust is framed, and below: it has faded there."""
+FRAME_FILL, FRAME_FILL_ACROSS = 0.9, 0.96
+"""Part of the picture's height and width that the framed heads may fill."""
+ROW_FILL = 0.7
+"""Part of the picture's height that busts in a row may fill: heads are three eighths of it then
+(chosen: as people are filmed who talk)."""
+EYES_SHARE = 0.36
+"""Where the eyes of a row are best, from the top of what it may fill (chosen: the upper third)."""
+CLOSE_SHARE = 0.72
+"""People move so much closer than their shoulders are wide, every second one behind the others,
+where that makes their heads larger."""
+LABEL_SHARE = 0.075
 """Part of the picture's height that is kept free below each head: a name and a line under it."""
 GRID_FROM = 4
 """People from whom on a grid has two rows or more."""
-MAX_GRID_HEIGHT_M = 8.0
-"""So many rows that no room is left for their names stand closer."""
-MAX_GRID_GAP_M = 0.1
-"""Where the picture is wide enough, columns stand further apart, so that names have room."""
 STRIP_BESIDE = 1.25
 """Pictures at least so wide for their height have the strip of those who are not pinned at the
 right; others have it below."""
 STRIP_COLUMN_SHARE = 0.17
 """Part of the picture's longer side for each column or row of it."""
-STRIP_PER_COLUMN = 4
-STRIP_PER_ROW = 4
+STRIP_PER_LINE = 4
 STRIP_HEAD_SHARE = 0.26
 """Height of their heads, as part of the picture's height, at most."""
 MAX_STRIP_SHARE = 0.4
@@ -84,9 +83,7 @@ MAX_STRIP_SHARE = 0.4
 CENTRING_LOSS = 1.35
 """Whoever is pinned stands in the middle of the picture unless the strip makes the head this many
 times smaller there than in the middle of what it leaves."""
-STRIP_LABEL_SHARE = 0.06
-"""Part of the picture's height that is kept free below each of their heads: a name alone."""
-PINNED_CHEST_M = 0.29
+PINNED_CHEST_M = 0.36
 """How far below the middle of a pinned head nothing of the strip may begin."""
 MAX_FREE = 0.5
 
@@ -99,6 +96,8 @@ SOFT_SHARE = 0.4
 """The last part of the way to a limit, over which a drag moves the view less and less."""
 NEAREST_M = 0.3
 """The camera stays so far from the middle of any head: hair, nose, movements lie within 0.2."""
+SETTLED_M = 0.002
+"""Who is nearer than this to where they should be, is there: nobody sees a difference."""
 MIN_ZOOM, MAX_ZOOM = 0.4, 12.0
 ORBIT_PER_PIXEL = 0.005
 """Radians (chosen: half a turn is a drag over 630 pixels)."""
@@ -159,6 +158,25 @@ class SeatPlan:
     target_m: Float64Array
     """What it looks at, and turns around. float64 ``[3]``."""
 
+    def nearing(self, goal: SeatPlan, share: float) -> SeatPlan:
+        """This plan, moved by a share of the way to another one for the same people; that one,
+        where nobody would see a difference."""
+        start, end = (
+            np.array([plan.camera_m, plan.target_m, *plan.places_m]) for plan in (self, goal)
+        )
+        if np.abs(end - start).max() < SETTLED_M:
+            return goal
+        camera_m, target_m, *places = start + share * (end - start)
+        turns = zip(places, self.seats, goal.seats, strict=True)
+        return SeatPlan(
+            seats=tuple(
+                _seat(place, place + seat[:3, 2] + share * (to[:3, 2] - seat[:3, 2]))
+                for place, seat, to in turns
+            ),
+            camera_m=camera_m,
+            target_m=target_m,
+        )
+
     @property
     def places_m(self) -> tuple[tuple[float, float, float], ...]:
         """The middle of each head at rest, world."""
@@ -205,18 +223,17 @@ def plan_seats(
     if pinned is not None and 0 <= pinned < count and count > 1:
         return _plan_pinned(count, pinned, aspect, frame, shoulders_m)
     spacing_m = shoulders_m + SHOULDER_GAP_M
-    places, pitch, faced = _ARRANGEMENTS[layout](max(count, 1), frame, spacing_m)
-    half_width = HEAD_HALF_WIDTH_M if count < 2 else GROUP_HALF_WIDTH_M
-    camera_m, target_m = _framing(places, pitch, frame, half_width=half_width)
-    if layout != "grid" and count > 1:
-        grid, level, _ = _grid(count, frame, spacing_m)
-        instead = _framing(grid, level, frame, half_width=half_width)
-        if _distance(camera_m, target_m) > GRID_INSTEAD * _distance(*instead):
-            places, pitch, faced, (camera_m, target_m) = grid, level, None, instead
-    if faced is None:
-        seats = [_seat(place, camera_m) for place in places]
-    else:
-        seats = [_seat(place, at) for place, at in zip(places, faced, strict=True)]
+    places, pitch, faced = _grid(max(count, 1), frame, spacing_m)
+    camera_m, target_m = _framing(places, pitch, frame, half_width=HALF_WIDTH_M)
+    if layout != "grid":
+        inner, eyes = _row_frame(frame)
+        row = _ARRANGEMENTS[layout](max(count, 1), inner, spacing_m)
+        framed = _framing(*row[:2], inner, half_width=HALF_WIDTH_M, below_m=BUST_M, eyes=eyes)
+        has_rows = bool(np.ptp(places[:, 1]) > 0)
+        if not has_rows or _distance(*framed) <= GRID_INSTEAD * _distance(camera_m, target_m):
+            (places, pitch, faced), (camera_m, target_m) = row, framed
+    towards = [camera_m] * len(places) if faced is None else faced
+    seats = [_seat(place, at) for place, at in zip(places, towards, strict=True)]
     return SeatPlan(seats=tuple(seats[:count]), camera_m=camera_m, target_m=target_m)
 
 
@@ -226,13 +243,8 @@ def plan_camera(plan: SeatPlan, view: ViewState, width: int, height: int) -> Cam
     distance = float(np.linalg.norm(offset))
     yaw = min(max(math.atan2(offset[0], offset[2]) + view.yaw, -MAX_YAW), MAX_YAW)
     pitch = min(max(math.asin(offset[1] / distance) + view.pitch, MIN_PITCH), MAX_PITCH)
-    direction = np.array(
-        [
-            math.sin(yaw) * math.cos(pitch),
-            math.sin(pitch),
-            math.cos(yaw) * math.cos(pitch),
-        ]
-    )
+    level = math.cos(pitch)
+    direction = np.array([math.sin(yaw) * level, math.sin(pitch), math.cos(yaw) * level])
     # The nearer the camera comes to a head, the less a notch of the wheel moves it.
     nearest = min(_nearest_m(plan, direction), distance)
     zoom = min(max(view.zoom, MIN_ZOOM), MAX_ZOOM)
@@ -253,57 +265,67 @@ camera."""
 
 
 def _line(count: int, frame: _Frame, spacing_m: float) -> Arrangement:
-    places = np.zeros((count, 3))
-    places[:, 0] = _centred(count) * spacing_m
+    across, behind = _closed_up(count, frame, spacing_m)
+    places = np.stack([across, np.zeros(count), -behind], axis=-1)
     return places, 0.0, places + np.array([0.0, 0.0, 1.0])
 
 
 def _arc(count: int, frame: _Frame, spacing_m: float) -> Arrangement:
-    radius = max(SEAT_RADIUS_M, (count - 1) * spacing_m / MAX_ARC + SHOULDER_DEPTH_M)
-    angles = _centred(count) * spacing_m / (radius - SHOULDER_DEPTH_M)
-    places = np.stack(
-        [radius * np.sin(angles), np.zeros(count), radius * (1 - np.cos(angles))], axis=-1
+    """About the viewer, who sees everybody's face from the front and of one size."""
+    across, behind = _closed_up(count, frame, spacing_m)
+    radius = max(
+        (BUST_M + HEAD_HALF_HEIGHT_M) / (frame.top - frame.bottom),
+        (float(across.max()) + HALF_WIDTH_M) / math.atan((frame.right - frame.left) / 2),
     )
-    return places, 0.0, np.tile([0.0, 0.0, radius], (count, 1))
+    angles, away = across / (radius - SHOULDER_DEPTH_M), radius + behind
+    places = np.stack(
+        [away * np.sin(angles), np.zeros(count), radius - away * np.cos(angles)], axis=-1
+    )
+    return places, 0.0, None
+
+
+def _closed_up(count: int, frame: _Frame, spacing_m: float) -> tuple[Float64Array, Float64Array]:
+    """Where people in a row are from left to right, and how far behind the first ones: as close as
+    makes their heads as large as `ROW_FILL` wants, down to `CLOSE_SHARE`."""
+    shape = (frame.right - frame.left) / (frame.top - frame.bottom)
+    room_m = (shape * (BUST_M + HEAD_HALF_HEIGHT_M) - 2 * HALF_WIDTH_M) / max(count - 1, 1)
+    closer = min(max(room_m / spacing_m, CLOSE_SHARE), 1.0)
+    # Shoulders are ellipses, seen from above: so far behind, they just pass each other.
+    behind_m = 2.2 * SHOULDER_DEPTH_M * math.sqrt(1 - closer**2)
+    return _centred(count) * closer * spacing_m, np.where(np.arange(count) % 2, behind_m, 0.0)
 
 
 def _table(count: int, frame: _Frame, spacing_m: float) -> Arrangement:
-    """On a circle about the origin, evenly spaced as the viewer sees them; the viewer's side stays
-    empty. They look at the middle of the table's near edge: half at each other, half at us."""
-    across = _centred(count) * spacing_m
-    radius = max(TABLE_RADIUS_M, 1.25 * float(across.max()))
-    places = np.stack([across, np.zeros(count), -np.sqrt(radius**2 - across**2)], axis=-1)
+    """On a circle about the origin; the viewer's side stays empty. They look at the middle of the
+    table's near edge: half at each other, half at us."""
+    radius = max(TABLE_RADIUS_M, (count - 1) * spacing_m / TABLE_ARC)
+    angles = _centred(count) * spacing_m / radius
+    places = radius * np.stack([np.sin(angles), np.zeros(count), -np.cos(angles)], axis=-1)
     return places, TABLE_PITCH, np.tile([0.0, 0.0, radius], (count, 1))
 
 
 def _grid(count: int, frame: _Frame, spacing_m: float) -> Arrangement:
     """A grid of as many columns as make the heads largest; the last row stands in the middle."""
     fewest_rows = 2 if count >= GRID_FROM else 1
-    height_m, columns = min(
-        (_grid_height_m(count, columns, frame, spacing_m), columns)
-        for columns in range(1, math.ceil(count / fewest_rows) + 1)
+    columns = min(
+        range(1, math.ceil(count / fewest_rows) + 1),
+        key=lambda columns: _grid_distance_m(count, columns, frame, spacing_m),
     )
     rows = math.ceil(count / columns)
-    pitch_m = 2 * HEAD_HALF_HEIGHT_M + LABEL_SHARE * min(height_m, MAX_GRID_HEIGHT_M)
-    width_m = height_m * (frame.right - frame.left) / (2 * math.tan(VERTICAL_FOV / 2))
-    room_m = (width_m - 2 * HEAD_HALF_WIDTH_M) / max(columns - 1, 1)
-    spacing_m = min(max(room_m, spacing_m), spacing_m + MAX_GRID_GAP_M)
     places = np.zeros((count, 3))
     for row in range(rows):
         first, last = row * columns, min((row + 1) * columns, count)
         places[first:last, 0] = _centred(last - first) * spacing_m
-        places[first:last, 1] = ((rows - 1) / 2 - row) * pitch_m
+        places[first:last, 1] = ((rows - 1) / 2 - row) * (BUST_M + HEAD_HALF_HEIGHT_M)
     return places, 0.0, None
 
 
-def _grid_height_m(count: int, columns: int, frame: _Frame, spacing_m: float) -> float:
-    """How many metres at the grid the whole picture is high."""
+def _grid_distance_m(count: int, columns: int, frame: _Frame, spacing_m: float) -> float:
+    """How far away a grid is wholly in the picture."""
     rows = math.ceil(count / columns)
-    whole = 2 * math.tan(VERTICAL_FOV / 2)
-    left = (frame.top - frame.bottom) / whole - (rows - 1) * LABEL_SHARE
-    high = rows * 2 * HEAD_HALF_HEIGHT_M / left if left > 0 else math.inf
-    span_m = (columns - 1) * spacing_m + 2 * HEAD_HALF_WIDTH_M
-    return max(high, span_m * whole / (frame.right - frame.left))
+    high_m = (rows - 1) * (BUST_M + HEAD_HALF_HEIGHT_M) + 2 * HEAD_HALF_HEIGHT_M
+    wide_m = (columns - 1) * spacing_m + 2 * HALF_WIDTH_M
+    return max(high_m / (frame.top - frame.bottom), wide_m / (frame.right - frame.left))
 
 
 _ARRANGEMENTS: dict[Layout, Callable[[int, _Frame, float], Arrangement]] = {
@@ -321,10 +343,10 @@ def _plan_pinned(
     others = [index for index in range(count) if index != pinned]
     tangent = math.tan(VERTICAL_FOV / 2)
     is_wide = aspect >= STRIP_BESIDE
-    lines = math.ceil(len(others) / (STRIP_PER_COLUMN if is_wide else STRIP_PER_ROW))
+    lines = math.ceil(len(others) / STRIP_PER_LINE)
     per_line = math.ceil(len(others) / lines)
     longer = 2 * tangent * (aspect if is_wide else 1.0)
-    floor, label = frame.bottom - 2 * tangent * LABEL_SHARE, 2 * tangent * STRIP_LABEL_SHARE
+    floor = frame.bottom - 2 * tangent * LABEL_SHARE
     across, along = frame.right - frame.left, frame.top - floor
     if not is_wide:
         across, along = along, across
@@ -333,10 +355,10 @@ def _plan_pinned(
     if not is_wide:
         width, height = height, width
     head_per_width = 2 * HEAD_HALF_HEIGHT_M / (shoulders_m + SHOULDER_GAP_M)
-    head = min(height - label, width * head_per_width, STRIP_HEAD_SHARE * 2 * tangent)
-    head = max(head, 1e-3)
+    bust_per_head = (BUST_M + HEAD_HALF_HEIGHT_M) / (2 * HEAD_HALF_HEIGHT_M)
+    head = min(height / bust_per_head, width * head_per_width, STRIP_HEAD_SHARE * 2 * tangent)
     # No broader than its heads need.
-    strip = min(strip, lines * (head / head_per_width if is_wide else head + label))
+    strip = min(strip, lines * head * (1 / head_per_width if is_wide else bust_per_head))
     edge = frame.right - strip if is_wide else floor + strip
     camera_m, target_m = _framing_pinned(frame, edge, is_wide=is_wide, shoulders_m=shoulders_m)
     seats = [_seat(np.zeros(3), camera_m)] * count
@@ -348,8 +370,9 @@ def _plan_pinned(
             x, y = edge + inwards, frame.top - onwards
         else:
             x, y = frame.left + onwards, edge - inwards
-        # The head and its name together stand in the middle of the cell.
-        at = np.array([x, y + label / 2, -1.0]) * 2 * HEAD_HALF_HEIGHT_M / head
+        # The bust stands in the middle of the cell.
+        at = np.array([x, y + head * (bust_per_head - 1) / 2, -1.0])
+        at *= 2 * HEAD_HALF_HEIGHT_M / head
         seats[index] = _seat(camera_m + at, camera_m)
     return SeatPlan(seats=tuple(seats), camera_m=camera_m, target_m=target_m)
 
@@ -372,12 +395,20 @@ def _framing_pinned(
     return centred if _distance(*centred) <= CENTRING_LOSS * _distance(*beside) else beside
 
 
+def _row_frame(frame: _Frame) -> tuple[_Frame, float]:
+    """The part of it for busts in a row, who need no room below for their names, and where the
+    eyes are best."""
+    low, high = frame.bottom - 2 * math.tan(VERTICAL_FOV / 2) * LABEL_SHARE, frame.top
+    margin = (high - low) / 2 * (1 - ROW_FILL / FRAME_FILL)
+    return replace(frame, bottom=low + margin, top=high - margin), high - (high - low) * EYES_SHARE
+
+
 def _frame(aspect: float, free: FreeShares) -> _Frame:
     tangent = math.tan(VERTICAL_FOV / 2)
     wide = tangent * aspect
     return _Frame(
-        left=-wide * FRAME_FILL,
-        right=wide * (FRAME_FILL - 2 * free.right),
+        left=-wide * FRAME_FILL_ACROSS,
+        right=wide * (FRAME_FILL_ACROSS - 2 * free.right),
         bottom=tangent * (2 * LABEL_SHARE - FRAME_FILL + 2 * free.bottom),
         top=tangent * (FRAME_FILL - 2 * free.top),
     )
@@ -390,9 +421,10 @@ def _framing(
     *,
     half_width: float = HEAD_HALF_WIDTH_M,
     below_m: float = HEAD_HALF_HEIGHT_M,
+    eyes: float | None = None,
 ) -> tuple[Float64Array, Float64Array]:
     """The nearest camera, looking down by `pitch`, that has all heads within `frame`, and what it
-    looks at.
+    looks at; with the eyes as near to a height of the picture as may be, else all in its middle.
 
     A point at x, y, z in the camera's axes about the origin (right, up, towards the camera) is
     within the frame of a camera at (c, d, D) if left <= (x - c) / (D - z) <= right, which is linear
@@ -413,10 +445,12 @@ def _framing(
         *((most - least) / (high - low) for most, least, low, high in bounds),
         float(z.max()) + HEAD_HALF_WIDTH_M * 2,
     )
-    across, up = (
-        ((most - high * distance) + (least - low * distance)) / 2
-        for most, least, low, high in bounds
+    (left, right), (low, high) = (
+        (most - high * distance, least - low * distance) for most, least, low, high in bounds
     )
+    across, up = (left + right) / 2, (low + high) / 2
+    if eyes is not None:
+        up = min(max(float(y.mean()) - eyes * distance, low), high)
     camera = np.array([across, up, distance]) @ axes
     middle = np.array([across, up, float(z.mean())]) @ axes
     return camera, middle

@@ -45,7 +45,7 @@ def draw_thumbnail(
     """
     expression = np.zeros(NUM_ARKIT, np.float32) if arkit is None else arkit
     latent = ExpressionEncoder(avatar).encode(expression)
-    plan = plan_seats("arc", 1, size[0] / size[1])
+    plan = plan_seats("grid", 1, size[0] / size[1])
     camera = plan_camera(plan, view or ViewState(), *size)
     matrix = head_matrix(plan.seats[0], np.zeros(3), np.zeros(3))
     maps = (decoder or OnnxDecoder(avatar)).decode(latent, view_direction(matrix, camera.centre_m))

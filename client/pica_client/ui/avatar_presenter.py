@@ -43,12 +43,16 @@ from pica_client.stats import Samples, Summary
 from pica_core.avatar.bust import bust_of
 from pica_core.camera import Camera
 from pica_core.errors import AvatarFileError
+from pica_core.types import Float64Array
 
 FADE_OF_STATUS = {"waiting": 0.6, "stale": 0.8, "away": 0.4}
 FADE_S = 0.5
 """How long a face takes to fade all the way, and to come back (chosen: seen, and not a flash)."""
-RING_STEPS = 4
-"""Between no ring around a speaker and a bright one."""
+GLOW_STEPS = 4
+"""Between no glow around a speaker and a bright one."""
+SETTLE_S = 0.15
+"""In which seats and camera go most of the way to where they should be when somebody comes, goes or
+is pinned (chosen: seen as a movement, and over soon)."""
 AUDIBLE_LEVEL = 45
 """Decibels below full scale: a louder voice speaks (chosen: a quiet room is below 60)."""
 VOICE_HOLD_S = 0.4
@@ -93,6 +97,8 @@ class Seating:
     pinned: int | None = None
     """The place of who fills the picture; see `FaceState.place`."""
     free: FreeShares = field(default_factory=FreeShares)
+    is_light: bool = False
+    """Whether the room is bright."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -130,7 +136,7 @@ class _Peer:
     speaking: SpeakingMeter = field(default_factory=SpeakingMeter)
     heard_s: float | None = None
     """When its voice was last loud, on our clock; None: it sends none."""
-    ring_share: float = 0.0
+    glow_share: float = 0.0
     on_leave: ExitStack = field(default_factory=ExitStack)
     """Gives back what the decode pool and the renderer hold of it."""
 
@@ -140,11 +146,11 @@ class _Peer:
             return self.speaking.is_speaking(now)
         return now - self.heard_s < VOICE_HOLD_S
 
-    def ring(self, now: float, step: float) -> float:
-        """How bright the ring around it is, in a few steps: each draws the room anew."""
+    def glow(self, now: float, step: float) -> float:
+        """How bright the glow around it is, in a few steps: each draws the room anew."""
         goal = float(self.is_speaking(now))
-        self.ring_share = _towards(goal, self.ring_share, step)
-        return math.ceil(RING_STEPS * self.ring_share) / RING_STEPS
+        self.glow_share = _towards(goal, self.glow_share, step)
+        return math.ceil(GLOW_STEPS * self.glow_share) / GLOW_STEPS
 
 
 class AvatarPresenter:
@@ -184,7 +190,10 @@ class AvatarPresenter:
         self._clock = clock
         self._peers: dict[str, _Peer] = {}
         self._seen: set[str] = set()
-        self._faded_s: float | None = None
+        self._arranged_s: float | None = None
+        self._seats: dict[str, Float64Array] = {}
+        self._plan: SeatPlan | None = None
+        self._size = (0, 0)
 
     def arrange(self, now: float, seating: Seating, size: tuple[int, int]) -> CallScene:
         """Who is here, where each sits, and from where they are seen, on a picture of this size;
@@ -203,8 +212,9 @@ class AvatarPresenter:
             free=seating.free,
             shoulders_m=max((entry.shoulders_m for entry in entries), default=SHOULDERS_M),
         )
-        step = 1.0 if self._faded_s is None else max(now - self._faded_s, 0.0) / FADE_S
-        self._faded_s = now
+        since_s = math.inf if self._arranged_s is None else max(now - self._arranged_s, 0.0)
+        self._arranged_s, step = now, since_s / FADE_S
+        plan = self._settled(plan, [face.peer_id for face in faces], size, since_s)
         placements, levels = [], self._levels()
         for face, entry, seat in zip(faces, entries, plan.seats, strict=True):
             entry.fade = _towards(FADE_OF_STATUS.get(face.status, 0.0), entry.fade, step)
@@ -223,7 +233,8 @@ class AvatarPresenter:
         camera = plan_camera(plan, seating.view, width, height)
         room = Room(
             seats_m=plan.places_m,
-            speaking=tuple(entry.ring(now, step) for entry in entries),
+            speaking=tuple(entry.glow(now, step) for entry in entries),
+            is_light=seating.is_light,
         )
         return CallScene(
             now=now, faces=faces, placements=placements, camera=camera, plan=plan, room=room
@@ -333,6 +344,20 @@ class AvatarPresenter:
     def num_decoded(self) -> dict[str, int]:
         """Decodes so far, by peer id."""
         return {peer_id: entry.num_decoded for peer_id, entry in self._peers.items()}
+
+    def _settled(
+        self, goal: SeatPlan, peer_ids: list[str], size: tuple[int, int], since_s: float
+    ) -> SeatPlan:
+        """The seats on their way to a plan; at once on a picture of another size."""
+        plan = goal
+        if self._plan is not None and self._seats and peer_ids and size == self._size:
+            whose = zip(peer_ids, goal.seats, strict=True)
+            seats = tuple(self._seats.get(peer_id, seat) for peer_id, seat in whose)
+            before = replace(self._plan, seats=seats)
+            plan = before.nearing(goal, 1 - math.exp(-since_s / SETTLE_S))
+        self._plan, self._size = plan, size
+        self._seats = dict(zip(peer_ids, plan.seats, strict=True))
+        return plan
 
     def _make_ready(self, face: FaceState) -> _Peer:
         """What is kept of a peer; its avatar is on the GPU and in the pool once that is there."""

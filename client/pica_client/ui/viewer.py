@@ -344,7 +344,11 @@ class Viewer:
     def _arrange(self, now: float) -> CallScene:
         state = self.controls.state
         seating = Seating(
-            layout=state.layout, view=state.view, pinned=state.pinned, free=self._surface.free
+            layout=state.layout,
+            view=state.view,
+            pinned=state.pinned,
+            free=self._surface.free,
+            is_light=state.settings.mode == "light",
         )
         return self._presenter.arrange(now, seating, self._eye_size)
 

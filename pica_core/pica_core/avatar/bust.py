@@ -9,14 +9,12 @@ from pica_core.types import Array
 
 WHOLE_M = (-1e6, -1e6 + 1.0)
 """Heights of what does not fade."""
-BORDER_M = 0.014
-"""So far above its lower border a bust is gone: the border itself is ragged."""
-FADE_M = 0.085
+BORDER_M = 0.045
+"""So far above its lower border a bust is gone: that is ragged, and higher at the arms."""
+FADE_M = 0.1
 """Over which height it fades (chosen: shoulders are seen, and no edge)."""
-LOWEST_M = -0.3
+LOWEST_M = -0.31
 """Longer busts end here, too: in a call all are of one size."""
-BEND = 0.9
-"""Metres by which it ends higher for each square metre aside; `bust.glsl` has the same."""
 CHIN_M = -0.12
 """Nothing above fades, however short a bust is."""
 
@@ -41,7 +39,7 @@ def bust_of(avatar: Avatar) -> Bust:
 
 
 def seen_faces(faces: Array, vertices_m: Array, gone_m: float) -> Array:
-    """The triangles whose middle is where something is left of a bust: the others would only hide
+    """The triangles that reach up to where something is left of a bust: the others would only hide
     what is behind them.
 
     Args:
@@ -49,8 +47,7 @@ def seen_faces(faces: Array, vertices_m: Array, gone_m: float) -> Array:
         vertices_m: Of the mesh at rest, ``[V, 3]``.
         gone_m: See `fade_heights_m`.
     """
-    heights_m = vertices_m[:, 1] - BEND * vertices_m[:, 0] ** 2
-    is_seen: Array = heights_m[faces].mean(axis=1) > gone_m
+    is_seen: Array = vertices_m[faces, 1].max(axis=1) > gone_m
     return faces[is_seen]
 
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pica_client.render.room import WIDEST_RING_M, Room
 from pica_client.render.scene import (
     NEAR_M,
     Placement,
@@ -28,7 +26,6 @@ from pica_client.render.seats import (
     MAX_ZOOM,
     MIN_PITCH,
     MIN_ZOOM,
-    SEAT_RADIUS_M,
     SHOULDERS_M,
     ViewState,
     plan_camera,
@@ -50,33 +47,25 @@ def view_camera(view: ViewState, count: int, width: int, height: int) -> Camera:
     return plan_camera(plan_seats("arc", count, width / height), view, width, height)
 
 
-VIEWER_M = np.array([0.0, 0.0, SEAT_RADIUS_M])
 BOX_LOW, BOX_HIGH = (-0.1, -0.15, -0.1), (0.1, 0.15, 0.1)
 small = st.floats(-3, 3, allow_nan=False)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5])
-def test_every_seat_of_the_arc_faces_one_point_at_the_same_distance(count: int) -> None:
-    seats = np.array(arrange_seats(count))
-    ends = seats[0, 0, 2]
-    radius = SEAT_RADIUS_M if count == 1 else abs(seats[0, 0, 3] / ends)
-    assert radius >= SEAT_RADIUS_M - 1e-9
-    for seat in seats:
-        point = seat[:3, 3] + radius * seat[:3, 2]
-        np.testing.assert_allclose(point, [0, 0, radius], atol=1e-9)
+def test_every_seat_of_the_arc_faces_the_viewer_from_about_the_same_distance(count: int) -> None:
+    plan = plan_seats("arc", count, WIDE)
+    ways = plan.camera_m - [seat[:3, 3] for seat in plan.seats]
+    distances = np.linalg.norm(ways, axis=1)
+    np.testing.assert_allclose([seat[:3, 2] for seat in plan.seats], ways / distances[:, None])
+    assert distances.max() < 1.12 * distances.min()
 
 
-def test_neighbours_sit_from_left_to_right_a_shoulders_width_apart() -> None:
-    places = np.array([seat[:3, 3] for seat in arrange_seats(5)])
-    assert (np.diff(places[:, 0]) > 0).all()
-    gaps = np.linalg.norm(np.diff(places, axis=0), axis=1)
-    assert (gaps > SHOULDERS_M).all()
-    assert (gaps < 1.2 * SHOULDERS_M).all()
-
-
-def test_a_single_seat_is_the_origin() -> None:
-    (seat,) = arrange_seats(1)
-    np.testing.assert_allclose(seat, np.eye(4), atol=1e-15)
+def test_neighbours_sit_from_left_to_right_and_close_up_where_they_are_many() -> None:
+    for count, least, most in ((2, 1.0, 1.2), (5, 0.7, 0.9)):
+        places = np.array([seat[:3, 3] for seat in arrange_seats(count)])
+        apart = np.diff(places[:, 0]) / SHOULDERS_M
+        assert (apart >= least).all()
+        assert (apart < most).all()
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 9])
@@ -119,21 +108,23 @@ def test_a_head_that_turns_to_its_left_faces_the_seats_plus_x() -> None:
 
 
 def test_a_head_moves_along_the_axes_of_its_seat() -> None:
-    seat = arrange_seats(2)[0]
-    matrix = head_matrix(seat, [0, 0, 0], [0, 0, 0.3])
-    towards = VIEWER_M - matrix[:3, 3]
-    assert np.linalg.norm(towards) == pytest.approx(SEAT_RADIUS_M - 0.3, abs=1e-6)
+    plan = plan_seats("arc", 2, WIDE)
+    seat = plan.seats[0]
+    moved = head_matrix(seat, [0, 0, 0], [0, 0, 0.3])[:3, 3]
+    nearer = np.linalg.norm(plan.camera_m - seat[:3, 3]) - np.linalg.norm(plan.camera_m - moved)
+    assert nearer == pytest.approx(0.3, abs=1e-6)
 
 
-def test_a_viewer_straight_ahead_is_seen_along_plus_z_whatever_the_seat() -> None:
-    for seat in arrange_seats(3):
-        direction = view_direction(seat.astype(np.float32), VIEWER_M)
+def test_the_viewer_is_seen_along_plus_z_whatever_the_seat_of_the_arc() -> None:
+    plan = plan_seats("arc", 3, WIDE)
+    for seat in plan.seats:
+        direction = view_direction(seat.astype(np.float32), plan.camera_m)
         np.testing.assert_allclose(direction, [0, 0, 1], atol=1e-6)
 
 
 def test_a_head_turned_to_its_left_sees_the_viewer_on_its_right() -> None:
     matrix = head_matrix(np.eye(4), [0, math.radians(30), 0], [0, 0, 0])
-    direction = view_direction(matrix, VIEWER_M)
+    direction = view_direction(matrix, [0, 0, 1])
     np.testing.assert_allclose(direction, [-0.5, 0, math.cos(math.radians(30))], atol=1e-6)
     assert np.linalg.norm(direction) == pytest.approx(1)
 
@@ -237,12 +228,3 @@ def test_a_head_behind_the_camera_covers_nothing_and_cannot_be_clicked() -> None
     assert head_rect_px(camera, behind) is None
     placement = Placement(slot="p", world_from_head=behind)
     assert pick_head([placement], camera, 480, 270) is None
-
-
-def test_rings_of_neighbours_do_not_cross() -> None:
-    plan = plan_seats("arc", 5, 16 / 9)
-    places = tuple(tuple(seat[:3, 3].tolist()) for seat in plan.seats)
-    room = Room(seats_m=places)  # type: ignore[arg-type]
-    least = min(math.dist(one, other) for one, other in pairwise(places))
-    assert 0.1 < room.ring_m < least / 2
-    assert Room(seats_m=places[:1]).ring_m == WIDEST_RING_M  # type: ignore[arg-type]

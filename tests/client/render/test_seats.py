@@ -27,12 +27,14 @@ from pica_client.render.seats import (
     plan_seats,
 )
 from pica_core.camera import Camera
+from pica_core.types import Float64Array
 
 pytestmark = pytest.mark.unit
 
 WIDTH = 1280
 LABEL_PX_OF_HEIGHT = 0.055
 """A name of one line, as part of the picture's height."""
+SIZES = [(320, 240), (480, 800), (640, 360), (1280, 720), (2560, 1080), (3840, 2160)]
 layouts = st.sampled_from(LAYOUTS)
 counts = st.integers(1, 5)
 aspects = st.floats(0.5, 2.6)
@@ -134,7 +136,7 @@ def test_seats_are_proper_frames_that_face_the_viewers_side(
 
 @pytest.mark.parametrize("shoulders_m", [0.25, SHOULDERS_M, 0.5])
 def test_a_line_is_a_row_as_far_apart_as_shoulders_need(shoulders_m: float) -> None:
-    plan = plan_seats("line", 5, 3.0, shoulders_m=shoulders_m)
+    plan = plan_seats("line", 5, 5.0, shoulders_m=shoulders_m)
     places = np.array([seat[:3, 3] for seat in plan.seats])
     np.testing.assert_allclose(np.diff(places[:, 0]), shoulders_m + SHOULDER_GAP_M)
     np.testing.assert_allclose(places[:, 1:], 0)
@@ -168,6 +170,69 @@ def test_an_avatar_of_odd_breadth_moves_nobody_out_of_sight(shoulders_m: float) 
     plan = plan_seats("line", 2, 16 / 9, shoulders_m=shoulders_m)
     apart = plan.seats[1][0, 3] - plan.seats[0][0, 3]
     assert MIN_SHOULDERS_M < apart < MAX_SHOULDERS_M + 0.1
+
+
+def head_px(camera: Camera, seat: Float64Array) -> Rect:
+    """Where a head at rest is, chin to hair, without room for its movements."""
+    corners = np.array([[-0.095, 0.15, 0.0], [0.095, -0.125, 0.0]]) @ seat[:3, :3].T
+    (left, top), (right, bottom) = camera.project(corners + seat[:3, 3])[0].tolist()
+    return left, top, right, bottom
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_up_to_sixteen_heads_are_whole_and_free_on_any_picture(
+    layout: Layout, size: tuple[int, int]
+) -> None:
+    for count in range(1, 17):
+        for pinned in (None, 0, count - 1):
+            plan = plan_seats(layout, count, size[0] / size[1], pinned=pinned)
+            camera = plan_camera(plan, ViewState(), *size)
+            heads = [head_px(camera, seat) for seat in plan.seats]
+            for left, top, right, bottom in heads:
+                assert 0 <= left < right <= size[0]
+                assert 0 <= top < bottom <= size[1]
+            assert not any(overlap(*pair) for pair in combinations(heads, 2))
+
+
+@pytest.mark.parametrize("size", [(320, 240), (640, 360), (1280, 720), (3840, 2160), (2560, 1080)])
+@pytest.mark.parametrize("layout", ["line", "arc", "table"])
+def test_few_people_are_filmed_as_those_who_talk_are(layout: Layout, size: tuple[int, int]) -> None:
+    for count in (1, 2):
+        plan = plan_seats(layout, count, size[0] / size[1])
+        camera = plan_camera(plan, ViewState(), *size)
+        for seat in plan.seats:
+            _, top, _, bottom = head_px(camera, seat)
+            assert 0.3 < (bottom - top) / size[1] < 0.45
+            assert 0.28 < (top + bottom) / 2 / size[1] < 0.42  # the eyes are in the middle
+
+
+def test_five_people_on_a_wide_picture_are_large_and_in_the_upper_half() -> None:
+    for layout in LAYOUTS:
+        plan = plan_seats(layout, 5, 16 / 9, shoulders_m=0.375)
+        camera = plan_camera(plan, ViewState(), 1280, 720)
+        heads = [head_px(camera, seat) for seat in plan.seats]
+        assert all(bottom - top > 0.23 * 720 for _, top, _, bottom in heads)
+        assert layout == "grid" or all(top + bottom < 720 for _, top, _, bottom in heads)
+
+
+@given(layout=layouts, other=layouts, count=st.integers(1, 9), aspect=aspects, pinned=pins)
+def test_people_move_to_another_plan_step_by_step_and_arrive(
+    layout: Layout, other: Layout, count: int, aspect: float, pinned: int | None
+) -> None:
+    plan = plan_seats(layout, count, aspect)
+    goal = plan_seats(other, count, aspect, pinned=pinned)
+    left_m = math.inf
+    for _ in range(60):
+        before, plan = plan, plan.nearing(goal, 0.2)
+        step = np.subtract([*plan.places_m, plan.camera_m], [*before.places_m, before.camera_m])
+        to_go = np.subtract([*plan.places_m, plan.camera_m], [*goal.places_m, goal.camera_m])
+        assert np.abs(step).max() <= max(0.26 * np.abs(to_go).max(), 0.002)
+        assert np.abs(to_go).max() <= left_m
+        left_m = float(np.abs(to_go).max())
+        for seat in plan.seats:
+            np.testing.assert_allclose(seat[:3, :3] @ seat[:3, :3].T, np.eye(3), atol=1e-9)
+    assert plan is goal
 
 
 @pytest.mark.parametrize("size", [(320, 240), (300, 500), (480, 270), (1280, 720), (3840, 2160)])

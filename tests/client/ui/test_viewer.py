@@ -226,14 +226,14 @@ def test_a_key_changes_how_people_sit_and_the_picture_with_it(two: tuple[Faces, 
 def test_a_click_on_a_head_brings_it_forward() -> None:
     with Viewer(Faces("ada", "grace"), replace(SMALL, size=(640, 360))) as viewer:
         step_until_decoded(viewer)
-        viewer.receive(MousePressed(460, 180))
-        viewer.receive(MouseReleased(460, 180))
+        viewer.receive(MousePressed(400, 150))
+        viewer.receive(MouseReleased(400, 150))
         step_until_decoded(viewer, 2.0)
         assert viewer.controls.state.pinned == 1
 
 
 def test_a_click_on_the_bar_is_not_one_on_the_head_behind_it() -> None:
-    with Viewer(Faces("ada"), replace(SMALL, size=(640, 360))) as viewer:
+    with Viewer(Faces("ada"), replace(SMALL, size=(640, 360), layout="grid")) as viewer:
         viewer.receive(Scrolled(40))
         viewer.receive(MouseMoved(320, 340))
         step_until_decoded(viewer)
@@ -443,7 +443,7 @@ def test_a_viewer_short_of_time_gives_up_detail_and_says_which() -> None:
     for budget_ms in (0.01, 10_000.0):
         source = Faces("ada")
         source.avatars["toy"] = with_toy_levels(TOY)
-        options = replace(SMALL, size=(640, 360), frame_budget_ms=budget_ms)
+        options = replace(SMALL, size=(640, 360), layout="grid", frame_budget_ms=budget_ms)
         with Viewer(source, options) as viewer:
             for frame in range(12):
                 source.latent = np.full((8, 8, 4), 0.1 * frame, np.float32)

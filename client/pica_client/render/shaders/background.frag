@@ -1,53 +1,49 @@
-// The room: a wall that is lit behind the people, a floor that runs up into it without an edge, a
-// shadow under each of them, and a ring of light around whoever speaks. Nothing in it is sharp, so it
-// is drawn small (enlarge.frag).
+// The room: a wall in soft light from the upper left, a little lighter behind each of the people, and
+// a table that they sit at, whose far edge melts into it where busts have faded, with their shadows. A
+// glow stands around whoever speaks. Nothing in it is sharp, so it is drawn small (enlarge.frag).
 
 in vec2 place;
 
 uniform vec4 lens; // slopes of the picture's edges: left, bottom, right, top
 uniform mat3 world_from_view; // columns: right, up, forward
 uniform vec3 eye_m;
-uniform float floor_m; // height of the floor
-uniform float ring_m; // radius of the rings
+uniform float table_m; // height of the table
+uniform float brightness; // 0 is the dark room, 1 the light one
 uniform int num_seats;
 uniform vec4 seats[16]; // those after them are without; middle of the head, metres; how much its owner speaks
 
 layout(location = 0) out vec4 colour;
 
-const vec3 WALL_DARK = vec3(0.098, 0.116, 0.140);
-const vec3 WALL_LIT = vec3(0.392, 0.416, 0.436);
-const vec3 FLOOR_DARK = vec3(0.120, 0.124, 0.132);
-const vec3 FLOOR_LIT = vec3(0.318, 0.312, 0.304);
-const vec3 RING = vec3(0.36, 0.70, 0.54);
-const vec3 LIGHT_M = vec3(0.0, 0.15, -1.6); // middle of the lit part of the wall
-const float SHADOW_M = -0.40; // below the middle of the head
+const vec3 SHADE = vec3(0.170, 0.172, 0.178), LIT = vec3(0.550, 0.538, 0.522); // of the dark wall
+const vec3 LIGHT_SHADE = vec3(0.520, 0.515, 0.510), LIGHT_LIT = vec3(0.870, 0.858, 0.840);
+const vec3 GLOW = vec3(0.36, 0.74, 0.55);
+const vec3 LAMP = normalize(vec3(-0.55, 0.40, -1.0));
 
 void main() {
     vec2 slope = mix(lens.xy, lens.zw, place);
     vec3 ray = normalize(world_from_view * vec3(slope, 1.0));
-    float facing = dot(ray, normalize(LIGHT_M - eye_m));
-    vec3 rgb = mix(WALL_DARK, WALL_LIT, exp(-9.0 * (1.0 - facing)));
-    if (ray.y < 0.0) {
-        vec2 at = (eye_m + ray * ((floor_m - eye_m.y) / ray.y)).xz;
-        vec2 off = vec2(0.5 * at.x, max(at.y - 0.1, 0.0));
-        vec3 ground = mix(FLOOR_DARK, FLOOR_LIT, exp(-dot(off, off)));
-        rgb = mix(rgb, ground, smoothstep(2.2, 0.0, -at.y));
-    }
+    float light = exp(-2.6 * (1.0 - dot(ray, LAMP)));
+    float unlit = 1.0, shadow = 0.0, glow = 0.0;
     for (int index = 0; index < num_seats; ++index) {
         vec3 away = seats[index].xyz - eye_m;
-        float reach = (away.y + SHADOW_M) / ray.y;
-        vec2 aside = reach > 0.0 ? (ray * reach - away).xz : vec2(1e3);
-        // None where the ground would be seen from its edge: under the upper rows of a grid.
-        float depth = 0.4 * smoothstep(0.06, 0.16, -ray.y);
-        rgb *= 1.0 - depth * exp(-dot(aside, aside) / 0.05);
-        // How far the ray passes from a point a little below the middle of the head.
-        float past = length(cross(away - vec3(0.0, 0.04, 0.0), ray));
-        float ring = exp(-pow((past - ring_m) / 0.014, 2.0)) + 0.4 * exp(-past * past / 0.07);
-        // Around a large face a little is enough.
-        float bright = 0.5 * smoothstep(0.2, 1.7, length(away));
-        rgb = mix(rgb, RING, bright * seats[index].w * min(ring, 1.0));
+        vec3 past = ray * dot(away, ray) - away; // from the head to where the ray passes it
+        float nearness = dot(past, past);
+        unlit *= 1.0 - 0.6 * exp(-10.0 * nearness);
+        glow = max(glow, seats[index].w * exp(-28.0 * nearness));
+        vec3 under = (past + vec3(0.0, 0.31, 0.0)) / vec3(0.33, 0.06, 0.33);
+        shadow = max(shadow, exp(-dot(under, under)));
     }
+    vec3 low = mix(SHADE, LIGHT_SHADE, brightness), high = mix(LIT, LIGHT_LIT, brightness);
+    vec3 rgb = mix(low, high, 0.75 * light + 0.25 * (1.0 - unlit));
+    if (ray.y < 0.0) {
+        vec2 at = (eye_m + ray * ((table_m - eye_m.y) / ray.y)).xz;
+        float sheen = exp(-1.2 * dot(at - vec2(-0.3, 0.2), at - vec2(-0.3, 0.2)));
+        vec3 table = mix(low, high, 0.18 + 0.42 * sheen) * vec3(1.0, 0.965, 0.925);
+        rgb = mix(rgb, table, smoothstep(-0.30, 0.16, at.y));
+    }
+    rgb *= 1.0 - 0.35 * shadow;
+    rgb = mix(rgb, GLOW, 0.42 * glow);
     vec2 corner = 2.0 * place - 1.0;
-    rgb *= 1.0 - 0.16 * dot(corner, corner);
+    rgb *= 1.0 - 0.10 * dot(corner, corner);
     colour = vec4(rgb, 1.0);
 }

@@ -10,7 +10,7 @@ import moderngl
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.own_avatar import avatar_by_name
 from pica_client.render.renderer import Renderer, RenderOptions
-from pica_client.render.seats import ViewState, plan_camera, plan_seats
+from pica_client.render.room import STILL
 from pica_client.ui.events import CloseWanted
 from pica_client.ui.joining.form import JoinForm, JoinOrder
 from pica_client.ui.joining.portraits import Portraits
@@ -21,7 +21,6 @@ from pica_client.ui.surface.surface import Surface
 from pica_client.ui.surface.theme import Metrics
 from pica_client.ui.window import Window
 from pica_client.voice.sound.process import SoundProcess
-from pica_core.camera import Camera
 
 PERIOD_S = 1 / 30
 
@@ -128,7 +127,7 @@ class Lobby:
             self._wants_close |= isinstance(event, CloseWanted)
         with surface.frame(now):
             found = show(surface.metrics)
-        self._renderer.draw([], empty_room())
+        self._renderer.draw([], STILL)
         window.show(self._show)
         time.sleep(max(PERIOD_S - (time.monotonic() - now), 0.0))
         return found
@@ -136,8 +135,3 @@ class Lobby:
     def _show(self, screen: moderngl.Framebuffer) -> None:
         self._renderer.present(screen)
         self._painter.paint(screen)
-
-
-def empty_room() -> Camera:
-    """A camera for a picture without people."""
-    return plan_camera(plan_seats("line", 0, 1.0), ViewState(), 16, 16)
