@@ -21,9 +21,8 @@ from PIL import Image
 
 from pica_core.avatar.arkit import ARKIT_NAMES, NUM_ARKIT
 from pica_core.camera import Camera, look_at
-from pica_core.capture.procedural.gpu import ProceduralRenderer
-from pica_core.capture.procedural.heads import make_head
-from pica_core.capture.procedural.identity import IDENTITIES
+from pica_core.capture.procedural.heads import HEADS, make_head
+from pica_core.capture.procedural.subject import draw_head
 from pica_core.capture.stage.expressions import blend, sample_takes
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -58,8 +57,8 @@ def camera(azimuth: float, size: int, reach_m: float = 0.32) -> Camera:
 def draw_sheet() -> bytes:
     """One row per head; PNG with at most 256 colours."""
     rows = []
-    for name in IDENTITIES:
-        renderer = ProceduralRenderer(make_head(name))
+    for name in HEADS:
+        renderer = draw_head(make_head(name))
         tiles = []
         for azimuth, arkit in VIEWS:
             renderer.pose(arkit)
@@ -75,7 +74,7 @@ def draw_sheet() -> bytes:
 
 def motion_table() -> list[str]:
     """Worst of all heads per shape, left standing for right."""
-    motions = [all_motions(make_head(name)) for name in IDENTITIES]
+    motions = [all_motions(make_head(name)) for name in HEADS]
     lines = ["| shape | zones | moves at least, mm | in its zones | on its side | elsewhere, mm |"]
     lines.append("|---|---|---|---|---|---|")
     for index, shape in enumerate(ARKIT_NAMES):
@@ -97,9 +96,9 @@ def count_faults(combinations: int, worst: Path | None) -> list[str]:
     lines = ["| head | full shapes | faults | combinations | faults | least room, mm |"]
     lines.append("|---|---|---|---|---|---|")
     closest: tuple[float, str, npt.NDArray[np.float32]] | None = None
-    for index, name in enumerate(IDENTITIES):
+    for index, name in enumerate(HEADS):
         checks = HeadChecks(make_head(name))
-        part = arkit[index :: len(IDENTITIES)]
+        part = arkit[index :: len(HEADS)]
         alone = [checks.faults(values) for values in singles]
         mixed = [checks.faults(values) for values in part]
         room = [fault.clearance_mm for fault in mixed]
@@ -110,7 +109,7 @@ def count_faults(combinations: int, worst: Path | None) -> list[str]:
         if closest is None or min(room) < closest[0]:
             closest = (min(room), name, part[int(np.argmin(room))])
     if worst is not None and closest is not None:
-        renderer = ProceduralRenderer(make_head(closest[1]))
+        renderer = draw_head(make_head(closest[1]))
         renderer.pose(closest[2])
         tiles = [renderer.draw_image(camera(azimuth, 640, 0.2)) for azimuth in (0.0, 30.0)]
         renderer.release()

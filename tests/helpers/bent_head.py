@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.avatar.arkit import ARKIT_INDEX
-from pica_core.capture.procedural.heads import ProceduralHead, make_head
+from pica_core.capture.procedural.heads import ProceduralHead
 from pica_core.capture.procedural.subject import ProceduralSubject
 from pica_core.capture.stage.synth import RenderOptions, render_subject
 from pica_core.types import FloatArray
@@ -79,8 +79,7 @@ class BentSubject(ProceduralSubject):
     """S1, bent, on the stage."""
 
     def __init__(self, *, bake_size: int = 512) -> None:
-        super().__init__("S1", bake_size=bake_size, self_shadow=False)
-        self.head = BentHead(make_head("S1").identity)
+        super().__init__(BentHead("S1"), bake_size=bake_size, self_shadow=False)
         self.name = "bent S1"
 
 

@@ -51,7 +51,7 @@ class HeadChecks:
     def __init__(self, head: ProceduralHead) -> None:
         self.head = head
         skin = head.charts["skin"]
-        on_skin = (head.faces < skin.first + skin.count).all(1) & (head.faces >= skin.first).all(1)
+        on_skin = ((head.faces >= skin.span.start) & (head.faces < skin.span.stop)).all(1)
         self._skin = head.faces[on_skin].astype(np.int64)
         self._pairs = _edge_neighbours(self._skin)
         rest = head.vertices(np.zeros(52)).astype(np.float64) * 1000.0
@@ -65,7 +65,7 @@ class HeadChecks:
         self._around_mouth = self._skin[(z > 40) & (np.abs(y - mouth_y) < 42)]
         teeth = np.flatnonzero(head.regions["teeth"])
         rows = np.concatenate(
-            [np.repeat(head.charts[n].unit[0][:, 0], head.charts[n].shape[1]) for n in _ARCHES]
+            [np.repeat(np.linspace(0, 1, 17), head.charts[n].shape[1]) for n in _ARCHES]
         )
         front = np.zeros(head.num_vertices, np.bool_)
         front[teeth[rows < 0.8]] = True

@@ -9,13 +9,14 @@ import numpy.typing as npt
 
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES, NUM_ARKIT
 from pica_core.capture.procedural.heads import ProceduralHead
-from pica_core.capture.procedural.surface import EYE_Y
 from pica_core.types import Float64Array
 
 ZONES = ("brow", "eye", "nose", "cheek", "mouth", "jaw", "rest", "eyeball", "inside", "tongue")
 """Zones: parts of the skin, then what is not skin. `inside`: lower teeth and mouth cavity; `jaw`
 reaches to the throat; `rest`: everything that no expression should move."""
 
+EYE_Y = 22.0
+"""Height of the eyes of every head, mm."""
 LEAST_SHARE = 0.9
 """Share of a shape's squared motion that must lie in its zones, and on its side."""
 MOST_ELSEWHERE_MM = 4.0

@@ -51,9 +51,8 @@ from pica_client.sources import open_source
 from pica_client.stats import describe_machine, wire_bytes
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.capture.procedural.gpu import ProceduralRenderer
-from pica_core.capture.procedural.heads import make_head
-from pica_core.capture.procedural.identity import IDENTITIES
+from pica_core.capture.procedural.heads import HEADS, make_head
+from pica_core.capture.procedural.subject import draw_head
 from pica_core.capture.stage.stream_training_faces import stream_training_performances
 from pica_core.codec.latent_sample import LatentSample, ReceivedFrame
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
@@ -188,10 +187,10 @@ def _draw_truth(
     avatar: Avatar, arkit: FloatArray, moments: Sequence[int], config: CodecConfig
 ) -> list[Image] | None:
     """The head itself at some moments, if the stage knows it. uint8 ``[views, H, W, 3]`` each."""
-    if avatar.manifest.identity not in IDENTITIES:
+    if avatar.manifest.identity not in HEADS:
         return None
     # One GL context at a time on this thread: the stage's is gone before the renderer's comes.
-    stage = ProceduralRenderer(make_head(avatar.manifest.identity))
+    stage = draw_head(make_head(avatar.manifest.identity))
     try:
         images = []
         for moment in moments:

@@ -41,7 +41,7 @@ from pica_client.render.drawing import masked_mse
 from pica_client.stats import describe_machine
 from pica_core.avatar.file import Avatar
 from pica_core.capture.dataset.files import Topology
-from pica_core.capture.procedural.identity import IDENTITIES
+from pica_core.capture.procedural.heads import HEADS
 from pica_core.capture.procedural.subject import ProceduralSubject
 from pica_core.capture.stage.subject import Subject
 from pica_core.capture.triangles import signed_areas, spread_samples
@@ -204,7 +204,7 @@ def _subject(config: DriveBenchConfig, avatar: Avatar) -> Subject:
         from pica_core.capture.rig.subject import RigSubject
 
         subject = RigSubject(config.rig)
-    elif identity in IDENTITIES:
+    elif identity in HEADS:
         subject = ProceduralSubject(identity)
     else:
         raise OptionError(f"avatar {identity!r} is of no built-in head; name its rig with --rig")

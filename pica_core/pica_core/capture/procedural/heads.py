@@ -1,43 +1,39 @@
-"""The built-in heads: 52 ARKit values in, a posed mesh out.
+"""The built-in heads: stored rigs, 52 ARKit values in, a posed mesh out.
 
-    skin = rest + fields(arkit)  ->  lids slide over the eyeballs  ->  everything below turns with
+    skin = rest + motion(arkit)  ->  lids slide over the eyeballs  ->  everything below turns with
     the jaw
 
-The mesh is one topology for every identity (`layout`), so an avatar trained on one head has the
-UVs of all others. Lengths are metres at this module's boundary and millimetres inside the package.
+The mesh is one topology for every head, its vertices on texel centres of the position map, so an
+avatar trained on one head has the UVs of all others. Lengths are metres at this module's boundary
+and millimetres inside. Of `heads.npz`, docs/heads.md says how it was made.
 """
 
 import functools
+import json
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES, NUM_ARKIT
-from pica_core.capture.procedural.features import chart_features, source_uv
-from pica_core.capture.procedural.hair import build_hair
-from pica_core.capture.procedural.identity import Identity, get_identity
-from pica_core.capture.procedural.layout import MOUTH_ROW, build_charts
-from pica_core.capture.procedural.lids import LidPose, Lids
-from pica_core.capture.procedural.parts import (
-    collar,
-    ear,
-    eye_fixed,
-    eyeball,
-    mouth_bag,
-    teeth,
-    tongue,
-)
-from pica_core.capture.procedural.shapes import build_motion
-from pica_core.capture.procedural.skin import EyeSurface, Skin, build_skin, smoothstep
-from pica_core.capture.procedural.surface import EYE_RADIUS, EYE_Y, HeadField
+from pica_core.capture.dataset.files import MAP_SIZE, Topology
 from pica_core.capture.rig.drawn import PackedChart
+from pica_core.capture.rig.features import Features, Mouth
 from pica_core.capture.rig.frame import RigFrame
 from pica_core.capture.rig.mesh import Eyeball, RigMesh
 from pica_core.capture.rig.names import map_names
+from pica_core.capture.rig.skin import Growth
 from pica_core.capture.stage.gaze import gaze, turn
-from pica_core.errors import ShapeError
-from pica_core.types import Float64Array, FloatArray, IntArray
+from pica_core.capture.triangles import vertex_normals
+from pica_core.errors import CaptureError, ShapeError
+from pica_core.types import Array, Float64Array, FloatArray, Int64Array
 
+HEADS = ("S1", "S2", "S3", "S4", "S5", "S6")
+REST_MM, MOTION_MM, SHARE, UV_M = 0.002, 0.005, 1 / 4095, 1e-5
+"""Steps in which places, motion, weights and coordinates along weaves are stored."""
+EYE_RADIUS_M = 0.012
 JAW_PIVOT = (0.0, 2.0, 8.0)
 """The condyle axis, mm: a little below and ahead of the ear axis."""
 JAW_OPEN = np.radians(20.5)
@@ -46,59 +42,118 @@ JAW_TONGUE = np.radians(6.0)
 """Rotation that tongueOut brings along, so that the tongue finds a gap."""
 JAW_SLIDE = (6.5, 5.0)
 """jawLeft/jawRight and jawForward at 1, mm."""
+LIDS_MEET = 0.16
+"""Where the lids meet: at this share of the opening above the lower lid."""
+LID_SHIFTS_MM = -18.0, 0.5
+"""Least shift in the table of a lid's depths, and its step."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Chart:
+    """A rectangle of the UV square; its vertices are the crossings of texel rows and columns.
+
+    Attributes:
+        rows, columns: Texels of the grid lines, ascending. int64 ``[R]`` and ``[C]``.
+        first: Index of the chart's first vertex.
+    """
+
+    rows: Int64Array
+    columns: Int64Array
+    first: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Grid lines along rows and columns."""
+        return len(self.rows), len(self.columns)
+
+    @property
+    def span(self) -> slice:
+        """The chart's vertices in the head's vertex arrays."""
+        return slice(self.first, self.first + len(self.rows) * len(self.columns))
+
+
+def _sum(changes: Array, step: float) -> Float64Array:
+    """Undo differences along the last axis."""
+    return step * np.cumsum(changes, axis=-1, dtype=np.int64).astype(np.float64)
 
 
 class ProceduralHead:
-    """One identity's head.
+    """One built-in head, that is drawn as a rig.
 
     Attributes:
-        name, identity: Whose head.
+        name: Which head.
         charts: Charts of the UV square, by name.
         vertex_uv: Texture coordinates on texel centres of the position map. float32 ``[V, 2]``.
         faces: Triangles, counter-clockwise from outside. int32 ``[F, 3]``.
         rest_m: Vertices at rest, metres. float32 ``[V, 3]``.
         features, regions: What `rig.features` says of it; its named vertex sets.
+        growth: Its hair and beard.
+        paint: Colours and marks, as `appearance.frag` names them.
         landmarks: Lateral positions and heights of features, head frame, mm.
+
+    Raises:
+        CaptureError: No built-in head has this name.
     """
 
-    def __init__(self, identity: Identity) -> None:
-        self.identity = identity
-        self.name = identity.name
-        self.charts = build_charts()
-        face = identity.face
-        field = HeadField(face)
-        self._eye_surface = EyeSurface(field)
-        chart = self.charts["skin"]
-        skin = build_skin(field, chart)
-        self._motion = build_motion(field, skin, chart)
-        self._lids = [Lids(face, self._eye_surface, skin, chart, side) for side in (1.0, -1.0)]
-        self.vertex_uv: FloatArray = np.concatenate([c.vertex_uv for c in self.charts.values()])
-        slits = {"skin": skin.mouth_hole | skin.eye_hole}
-        self.faces: IntArray = np.concatenate(
-            [c.faces(slits.get(name)) for name, c in self.charts.items()]
+    def __init__(self, name: str) -> None:
+        if name not in HEADS:
+            raise CaptureError(f"head {name!r} is unknown; built in are {', '.join(HEADS)}")
+        self.name = name
+        with np.load(str(files("pica_core.capture.procedural") / "heads.npz")) as stored:
+            about = json.loads(stored["about"].tobytes())
+            mine = {
+                key.removeprefix(f"{name}."): stored[key]
+                for key in stored.files
+                if key.startswith(f"{name}.") or "." not in key
+            }
+        own: dict[str, Any] = about[name]
+        self.charts: dict[str, Chart] = {}
+        texels, first = [], 0
+        for chart, lines in about["charts"].items():
+            rows, columns = np.array(lines["rows"]), np.array(lines["columns"])
+            self.charts[chart] = Chart(rows=rows, columns=columns, first=first)
+            texels.append(np.stack(np.meshgrid(columns, rows), -1).reshape(-1, 2))
+            first += len(texels[-1])
+        self.vertex_uv = ((np.concatenate(texels) + 0.5) / MAP_SIZE).astype(np.float32)
+        self.faces = _sum(mine["faces"], 1).T.astype(np.int32)
+        self._weld = _sum(mine["weld"], 1).astype(np.int32)
+        self._rest = _sum(mine["rest"], REST_MM).T
+        rows_of = np.cumsum(mine["motion"], axis=-2, dtype=np.int32)
+        motion = np.moveaxis(_sum(rows_of, MOTION_MM), 1, -1)
+        self._motion = motion.reshape(NUM_ARKIT, -1).astype(np.float32)
+        self._jaw, self._jaw_closed = _sum(mine["jaw"], SHARE).astype(np.float32)
+        self._uv = _sum(mine["uv"], UV_M).T
+        self._eye_turns: FloatArray = mine["turns"]
+        self._lid_index = self.charts["skin"].first + mine["lid_index"].astype(np.int64)
+        self._lid_is_upper, self._lid = mine["lid_upper"], mine["lid_numbers"].astype(np.float64)
+        self._lid_depth = _sum(mine["lid_depth"], REST_MM)
+        self._eye_mm, self._lip_z = np.array(own["eye_mm"]), own["lip_z"]
+        self.paint, self.landmarks = own["look"], own["landmarks"]
+        hairs, strand = (mine[key].T.astype(np.float32) for key in ("hairs", "strand"))
+        self.growth = Growth(hairs=hairs, strand=strand)
+        bits = np.unpackbits(mine["regions"], axis=1, count=first).astype(np.bool_)
+        x, y, z = mine["mouth"]
+        self.features = Features(
+            mouth=Mouth(half_m=own["mouth_half_m"], x=x, y=y, z=z, centre_x=0.0),
+            lips=mine["lips"].astype(np.float64),
+            eye_gap_m=mine["eye_gap_m"].astype(np.float64),
+            above_eye=mine["above_eye"],
+            brow_y=own["brow_y"],
+            nose_tip=np.array(own["nose_tip"]),
+            part=mine["part"].astype(np.int32),
+            regions=dict(zip(about["regions"], bits, strict=True)),
         )
-        self._rest = self._build_rest(field, skin)
-        self._jaw, self._jaw_closed = self._jaw_weights(field)
-        self._fields = self._motion.fields.reshape(NUM_ARKIT, -1).astype(np.float32)
-        self._incident, self._weld = self._normal_tables()
-        self.landmarks: dict[str, float] = {
-            "eye_x": 0.5 * face.eye_distance,
-            "brow_y": EYE_Y + face.brow_height,
-            "nose_y": field.subnasale_y,
-            "nose_half": 0.5 * face.nose_breadth,
-            "mouth_y": field.mouth_y,
-            "chin_y": field.chin_y,
-            "upper_lip": face.upper_lip,
-            "lower_lip": face.lower_lip,
-            "mouth_half": skin.mouth_half,
-        }
-        self.rest_m = self.vertices(np.zeros(NUM_ARKIT, np.float32))
-        lids = np.zeros(self.num_vertices, np.bool_)
-        for eye in self._lids:
-            lids[chart.first + eye.index[eye.weight > 0.5]] = True
-        self.features = chart_features(identity, self.charts, skin, self.rest_m, self.faces, lids)
         self.regions = self.features.regions
         self.names = map_names(list(ARKIT_NAMES))
+        self.topology = Topology(vertex_uv=self.vertex_uv, faces=self.faces, regions=self.regions)
+        self.chart = PackedChart(
+            vertex_uv=self.vertex_uv,
+            faces=self.faces,
+            face_source=np.arange(len(self.faces)),
+            source=np.arange(first),
+            islands=len(self.charts),
+        )
+        self.rest_m = self.vertices(np.zeros(NUM_ARKIT, np.float32))
 
     @functools.cached_property
     def mesh(self) -> RigMesh:
@@ -108,15 +163,15 @@ class ProceduralHead:
             rest_m=self.rest_m.astype(np.float64),
             motion_m=alone - self.rest_m,
             faces=self.faces,
-            uv=source_uv(self.identity, self.charts, self.vertex_uv),
+            uv=self._uv,
             uv_faces=self.faces,
             part=self.features.part,
             material=np.full(len(self.faces), -1, np.int32),
             eyes=tuple(
                 Eyeball(
                     side=side,
-                    centre_m=0.001 * self._eye_centre * [side, 1.0, 1.0],
-                    radius_m=0.001 * EYE_RADIUS,
+                    centre_m=0.001 * self._eye_mm * [side, 1.0, 1.0],
+                    radius_m=EYE_RADIUS_M,
                     vertices=np.arange(*self.charts[name].span.indices(self.num_vertices)),
                     turned=True,
                 )
@@ -126,56 +181,10 @@ class ProceduralHead:
             dropped=(),
         )
 
-    @functools.cached_property
-    def chart(self) -> PackedChart:
-        """The UV square as it was laid out."""
-        return PackedChart(
-            vertex_uv=self.vertex_uv,
-            faces=self.faces,
-            face_source=np.arange(len(self.faces)),
-            source=np.arange(self.num_vertices),
-            islands=len(self.charts),
-        )
-
     @property
     def num_vertices(self) -> int:
         """Number of vertices, V."""
         return len(self.vertex_uv)
-
-    def _build_rest(self, field: HeadField, skin: Skin) -> Float64Array:
-        inner_z = float(skin.points[..., 2][self.charts["skin"].rows == MOUTH_ROW].max())
-        front = inner_z - 1.0
-        self._lip_z = np.float32(skin.points[..., 2][self.charts["skin"].rows == 134].max())
-        mouth_y = field.mouth_y
-        parts = {
-            "skin": skin.points,
-            "teeth_upper": teeth(self.charts["teeth_upper"], front, mouth_y - 1.5, upper=True),
-            "teeth_lower": teeth(
-                self.charts["teeth_lower"], front - 3.4, mouth_y - 2.6, upper=False
-            ),
-            "tongue": tongue(self.charts["tongue"], mouth_y, front),
-            "mouth_bag": mouth_bag(self.charts["mouth_bag"], mouth_y, front, field),
-            "collar": collar(self.charts["collar"], field),
-            "hair": build_hair(self.identity, field, self.charts["hair"]),
-        }
-        for side, name in ((1.0, "left"), (-1.0, "right")):
-            parts[f"eye_{name}"] = eyeball(self.charts[f"eye_{name}"], self._eye_surface, side)
-            parts[f"ear_{name}"] = ear(self.charts[f"ear_{name}"], field, side)
-        self._eye_centre = np.asarray(field.eye_centre)
-        self._eye_turns = 1.0 - eye_fixed(self.charts["eye_left"]).ravel().astype(np.float32)
-        return np.concatenate([parts[name].reshape(-1, 3) for name in self.charts])
-
-    def _jaw_weights(self, field: HeadField) -> tuple[FloatArray, FloatArray]:
-        free = np.zeros(self.num_vertices)
-        free[self.charts["teeth_lower"].span] = 1.0
-        y, z = self._rest[:, 1], self._rest[:, 2]
-        tongue_span, bag = self.charts["tongue"].span, self.charts["mouth_bag"].span
-        free[tongue_span] = smoothstep(20.0, 60.0, z[tongue_span])
-        free[bag] = smoothstep(field.mouth_y + 6, field.mouth_y - 10, y[bag])
-        closed = free.copy()
-        free[self.charts["skin"].span] = self._motion.jaw
-        closed[self.charts["skin"].span] = self._motion.jaw_closed
-        return free.astype(np.float32), closed.astype(np.float32)
 
     def vertices(self, arkit: npt.ArrayLike) -> FloatArray:
         """Vertices at the 52 shapes ``[52]``, about [0, 1]; metres, head frame. float32 ``[V, 3]``.
@@ -199,53 +208,82 @@ class ProceduralHead:
             raise ShapeError(f"arkit is {values.shape}; [N, {NUM_ARKIT}] is needed")
         count = len(values)
         points = np.broadcast_to(self._rest.astype(np.float32), (count, *self._rest.shape)).copy()
-        skin = self.charts["skin"]
         # What the skin adds to an opening jaw (a raised upper lip) is taken back as the lips close
         # over it.
         strokes = values.copy()
         strokes[:, ARKIT_INDEX["jawOpen"]] *= 1.0 - self._closing(values)
-        points[:, skin.span] += (strokes @ self._fields).reshape(count, -1, 3)
-        self._turn_eyes(points, values)
+        points[:, self.charts["skin"].span] += (strokes @ self._motion).reshape(count, -1, 3)
+        for eye, side, name in ((0, 1.0, "Left"), (1, -1.0, "Right")):
+            pitch = self._turn_eye(points, values, side, name)
+            self._slide_lids(points, values, self._lid_index[eye], name, pitch)
         self._move_tongue(points, values)
         self._turn_jaw(points, values)
         points *= 0.001
         return points
 
     def _shape(self, values: FloatArray, name: str) -> FloatArray:
-        return values[:, ARKIT_INDEX[name]]
+        return values[:, ARKIT_INDEX[name], None]
 
     def _closing(self, values: FloatArray) -> FloatArray:
         """How far the lips are closed over an open jaw, 0 to 1: mouthClose / jawOpen. ``[N]``."""
-        opening = np.maximum(self._shape(values, "jawOpen"), 1e-3)
-        return np.clip(self._shape(values, "mouthClose") / opening, 0.0, 1.0)
+        opening = np.maximum(values[:, ARKIT_INDEX["jawOpen"]], 1e-3)
+        return np.clip(values[:, ARKIT_INDEX["mouthClose"]] / opening, 0.0, 1.0)
 
-    def _turn_eyes(self, points: FloatArray, values: FloatArray) -> None:
-        for lids, side, name in zip(self._lids, (1.0, -1.0), ("Left", "Right"), strict=True):
-            out, inwards, up, down = (
-                self._shape(values, f"eyeLook{key}{name}") for key in ("Out", "In", "Up", "Down")
-            )
-            yaw, pitch = gaze(side, out=out, inwards=inwards, up=up, down=down)
-            span = self.charts[f"eye_{name.lower()}"].span
-            centre = self._eye_centre * [side, 1.0, 1.0]
-            local = (self._rest[span] - centre).astype(np.float32)
-            turned = turn(local, yaw[:, None] * self._eye_turns, pitch[:, None] * self._eye_turns)
-            points[:, span] = turned + centre.astype(np.float32)
-            pose = LidPose(
-                blink=self._shape(values, f"eyeBlink{name}").astype(np.float64),
-                wide=self._shape(values, f"eyeWide{name}").astype(np.float64),
-                squint=self._shape(values, f"eyeSquint{name}").astype(np.float64),
-                pitch=pitch.astype(np.float64),
-            )
-            index = self.charts["skin"].first + lids.index
-            weight = lids.weight[:, None]
-            blended = points[:, index] * (1 - weight) + lids.points(pose) * weight
-            points[:, index] = blended
+    def _turn_eye(
+        self, points: FloatArray, values: FloatArray, side: float, name: str
+    ) -> FloatArray:
+        """Turn an eyeball against its fixed skirt; returns its pitch ``[N, 1]``."""
+        out, inwards, up, down = (
+            self._shape(values, f"eyeLook{key}{name}") for key in ("Out", "In", "Up", "Down")
+        )
+        yaw, pitch = gaze(side, out=out, inwards=inwards, up=up, down=down)
+        span = self.charts[f"eye_{name.lower()}"].span
+        centre = (self._eye_mm * [side, 1.0, 1.0]).astype(np.float32)
+        local = self._rest[span].astype(np.float32) - centre
+        points[:, span] = turn(local, yaw * self._eye_turns, pitch * self._eye_turns) + centre
+        return pitch
+
+    def _slide_lids(
+        self, points: FloatArray, values: FloatArray, index: Int64Array, name: str, pitch: Array
+    ) -> None:
+        """Slide the lids over the eyeball, through which they can never be pushed.
+
+        A lid's vertex keeps its place between margin and fold; what moves is the height of the
+        margin. Depth follows from a table, so any sum of blink, squint, wide and gaze is safe.
+        """
+        weight, upper0, lower0, slide, at_edge = self._lid
+        blink, wide, squint = (
+            np.clip(self._shape(values, f"eye{key}{name}"), 0.0, 1.0).astype(np.float64)
+            for key in ("Blink", "Wide", "Squint")
+        )
+        opening = np.maximum(upper0 - lower0, 0.0)
+        shape = opening / 10.0  # corners do not move
+        down, up = np.minimum(pitch, 0.0), np.maximum(pitch, 0.0)
+        upper = upper0 + shape * (2.4 * wide - 0.5 * squint + 5.5 * down + 2.6 * up)
+        lower = lower0 + shape * (2.2 * squint + 2.2 * down - 0.4 * wide)
+        meet = lower0 + LIDS_MEET * opening
+        upper, lower = upper + blink * (meet - upper), lower + blink * (meet - lower)
+        middle, crossed = 0.5 * (upper + lower), lower > upper
+        upper, lower = np.where(crossed, middle, upper), np.where(crossed, middle, lower)
+        shift = np.where(self._lid_is_upper, upper - upper0, lower - lower0)
+        # Closed lids overlap by a quarter of a millimetre, so that no eye shines through.
+        shift = shift - 0.25 * blink**4 * at_edge
+        low, step = LID_SHIFTS_MM
+        place = np.clip((shift - low) / step, 0.0, self._lid_depth.shape[1] - 1.001)
+        at = place.astype(np.int64)
+        vertex = np.arange(len(index))
+        nearer, farther = self._lid_depth[vertex, at], self._lid_depth[vertex, at + 1]
+        x, y, _ = self._rest[index].T
+        z = nearer + (place - at) * (farther - nearer)
+        slid = np.stack(np.broadcast_arrays(x, y + shift * slide, z), -1)
+        points[:, index] += weight[:, None] * (slid - points[:, index])
 
     def _move_tongue(self, points: FloatArray, values: FloatArray) -> None:
         span = self.charts["tongue"].span
-        out = self._shape(values, "tongueOut")[:, None]
+        out = self._shape(values, "tongueOut")
         rest = self._rest[span]
-        forward = smoothstep(rest[:, 2].min() + 8, rest[:, 2].max(), rest[:, 2]).astype(np.float32)
+        t = np.clip((rest[:, 2] - rest[:, 2].min() - 8) / (np.ptp(rest[:, 2]) - 8), 0.0, 1.0)
+        forward = (t * t * (3 - 2 * t)).astype(np.float32)
         # Up over the teeth and the lower lip, then down where the lip ends.
         y, z = points[:, span, 1], points[:, span, 2] + 36.0 * out * forward
         past_lip = np.maximum(z - self._lip_z, 0.0)
@@ -256,56 +294,31 @@ class ProceduralHead:
         points[:, span, 0] *= 1 - 0.18 * out * forward
 
     def _turn_jaw(self, points: FloatArray, values: FloatArray) -> None:
-        opening = self._shape(values, "jawOpen")
         weight = self._jaw + self._closing(values)[:, None] * (self._jaw_closed - self._jaw)
-        angle = JAW_OPEN * opening + JAW_TONGUE * self._shape(values, "tongueOut")
-        turn = angle[:, None] * weight
-        sine, cosine = np.sin(turn), np.cos(turn)
+        angle = JAW_OPEN * self._shape(values, "jawOpen")
+        angle = (angle + JAW_TONGUE * self._shape(values, "tongueOut")) * weight
+        sine, cosine = np.sin(angle), np.cos(angle)
         y = points[..., 1] - JAW_PIVOT[1]
         z = points[..., 2] - JAW_PIVOT[2]
         points[..., 1] = cosine * y - sine * z + JAW_PIVOT[1]
         points[..., 2] = cosine * z + sine * y + JAW_PIVOT[2]
         sideways = self._shape(values, "jawLeft") - self._shape(values, "jawRight")
-        points[..., 0] += JAW_SLIDE[0] * sideways[:, None] * weight
-        points[..., 2] += JAW_SLIDE[1] * self._shape(values, "jawForward")[:, None] * weight
-
-    def _normal_tables(self) -> tuple[IntArray, list[tuple[IntArray, IntArray]]]:
-        """Faces around each vertex (padded with F), and vertices that share a normal."""
-        flat = self.faces.ravel()
-        order = np.argsort(flat, kind="stable")
-        corner_vertex, corner_face = flat[order], (order // 3).astype(np.int32)
-        count = np.bincount(flat, minlength=self.num_vertices).astype(np.int32)
-        start = np.cumsum(count) - count
-        table = np.full((self.num_vertices, int(count.max())), len(self.faces), np.int32)
-        table[corner_vertex, np.arange(len(flat)) - start[corner_vertex]] = corner_face
-        weld: list[tuple[IntArray, IntArray]] = []
-        for name in ("skin", "collar", "hair", "ear_left", "ear_right"):
-            chart = self.charts[name]
-            index = (chart.first + np.arange(chart.count, dtype=np.int32)).reshape(chart.shape)
-            around = index if name.startswith("ear") else index.T  # rows run round an ear
-            weld.append((around[0], around[-1]))
-        return table, weld
+        points[..., 0] += JAW_SLIDE[0] * sideways * weight
+        points[..., 2] += JAW_SLIDE[1] * self._shape(values, "jawForward") * weight
 
     def normals(self, vertices: FloatArray) -> FloatArray:
         """Unit vertex normals, area weighted and smooth across seams. float32 ``[V, 3]``."""
-        a, b, c = (vertices[self.faces[:, corner]] for corner in range(3))
-        face_normals = np.zeros((len(self.faces) + 1, 3), np.float32)
-        face_normals[:-1] = np.cross(b - a, c - a)
-        normals = face_normals[self._incident].sum(1)
-        for first, last in self._weld:
-            both = normals[first] + normals[last]
-            normals[first] = both
-            normals[last] = both
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-        return normals / np.maximum(length, 1e-20)
+        total = vertex_normals(vertices, self._weld[self.faces])
+        length = np.linalg.norm(total, axis=1, keepdims=True)
+        unit: FloatArray = (total / np.maximum(length, 1e-20)).astype(np.float32)
+        return unit[self._weld]
 
 
 @functools.lru_cache(maxsize=8)
 def make_head(name: str) -> ProceduralHead:
-    """Build a built-in head by identity name (``S1`` to ``S6``). Heads do not change, so calls
-    share them.
+    """Read a built-in head (``S1`` to ``S6``). Heads do not change, so calls share them.
 
     Raises:
-        CaptureError: No identity has this name.
+        CaptureError: No built-in head has this name.
     """
-    return ProceduralHead(get_identity(name))
+    return ProceduralHead(name)

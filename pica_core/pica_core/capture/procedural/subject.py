@@ -4,49 +4,50 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pica_core.capture.dataset.files import MAP_SIZE, Topology
+from pica_core.capture.dataset.files import MAP_SIZE
 from pica_core.capture.dataset.multiface import describe_masks
-from pica_core.capture.procedural.gpu import ProceduralRenderer
-from pica_core.capture.procedural.heads import make_head
+from pica_core.capture.procedural.heads import ProceduralHead, make_head
+from pica_core.capture.rig.gpu import RigRenderer
 from pica_core.capture.stage.gpu import BAKE_SIZE
 from pica_core.capture.stage.subject import Subject
 from pica_core.capture.stage.synth import Progress, RenderOptions, check_range, render_subject
 
 
 class ProceduralSubject(Subject):
-    """A built-in head on the stage.
+    """A built-in head on the stage, drawn as rigs are.
+
+    `self_shadow` False leaves out shadow of the face on itself, which takes seconds to measure.
 
     Raises:
         CaptureError: No such head.
     """
 
-    def __init__(self, head: str, *, bake_size: int = BAKE_SIZE, self_shadow: bool = True) -> None:
-        self.head = make_head(head)
+    def __init__(
+        self, head: str | ProceduralHead, *, bake_size: int = BAKE_SIZE, self_shadow: bool = True
+    ) -> None:
+        self.head = make_head(head) if isinstance(head, str) else head
         self._bake_size, self._self_shadow = bake_size, self_shadow
-        self.name = head
-        self.topology = Topology(
-            vertex_uv=self.head.vertex_uv, faces=self.head.faces, regions=self.head.regions
-        )
+        self.name, self.topology = self.head.name, self.head.topology
 
     def describe(self) -> dict[str, Any]:
-        """Source, licence, materials and charts."""
+        """Source, licence and materials."""
         return {
             "head": self.name,
             "source": "synthetic: a built-in head of PiCA Telepresence; an invented person",
             "licence": "Apache-2.0",
             "position_map_size": MAP_SIZE,
             "mask": describe_masks(),
-            "charts": {
-                name: {
-                    "rows": [int(chart.rows[0]), int(chart.rows[-1])],
-                    "columns": [int(chart.columns[0]), int(chart.columns[-1])],
-                }
-                for name, chart in self.head.charts.items()
-            },
         }
 
-    def _make_renderer(self) -> ProceduralRenderer:
-        return ProceduralRenderer(self.head, bake_size=self._bake_size, occlusion=self._self_shadow)
+    def _make_renderer(self) -> RigRenderer:
+        return draw_head(self.head, bake_size=self._bake_size, occlusion=self._self_shadow)
+
+
+def draw_head(
+    head: ProceduralHead, *, bake_size: int = BAKE_SIZE, occlusion: bool = True
+) -> RigRenderer:
+    """Open a context and put a built-in head into it."""
+    return RigRenderer(head, {}, head.paint, head.growth, bake_size=bake_size, occlusion=occlusion)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -19,7 +19,7 @@ import numpy as np
 
 from pica_core.camera import Camera, look_at
 from pica_core.capture.dataset.dataset import Capture, Topology
-from pica_core.capture.procedural.identity import IDENTITIES
+from pica_core.capture.procedural.heads import HEADS
 from pica_core.capture.procedural.subject import ProceduralSubject
 from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.metrics import mse
@@ -212,7 +212,7 @@ def _on_stage(
     """The capture's subject, or why nobody can draw it."""
     capture = data.capture
     name = str(capture.info.get("head", ""))
-    if name not in IDENTITIES or not capture.has_truth:
+    if name not in HEADS or not capture.has_truth:
         yield "nobody can draw this capture's subject from a place without a camera"
         return
     subject = make_subject(name)

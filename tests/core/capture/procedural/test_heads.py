@@ -7,16 +7,17 @@ import pytest
 
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
 from pica_core.capture.dataset.files import MAP_SIZE
-from pica_core.capture.procedural.heads import ProceduralHead, make_head
-from pica_core.capture.procedural.identity import IDENTITIES, get_identity
-from pica_core.capture.procedural.layout import EYE_ROW
-from pica_core.capture.procedural.skin import LOWER_CONTACT_ROW, UPPER_CONTACT_ROW
+from pica_core.capture.procedural.heads import HEADS, ProceduralHead, make_head
 from pica_core.capture.stage.expressions import blend, sample_takes
 from pica_core.errors import CaptureError, ShapeError
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
-NAMES = sorted(IDENTITIES)
+NAMES = sorted(HEADS)
+EYE_ROW = 70
+"""Skin row of the upper lid's inner edge; the lower lid's is the next row."""
+UPPER_CONTACT_ROW, LOWER_CONTACT_ROW = 119, 130
+"""Skin rows where the lips touch."""
 
 
 @functools.cache
@@ -94,7 +95,7 @@ def test_a_full_blink_leaves_less_than_a_third_of_a_millimetre_open(head: Proced
 @pytest.mark.parametrize("blink", [0.0, 0.3, 0.6, 1.0])
 def test_lids_stay_outside_the_eyeball(head: ProceduralHead, blink: float) -> None:
     vertices = posed_mm(head, eyeBlink=blink)
-    centre = np.array([0.5 * head.identity.face.eye_distance, 22.0, 76.5])
+    centre = np.array([head.landmarks["eye_x"], 22.0, 76.5])
     lids = vertices[head.regions["lids"] & head.regions["left"]]
     assert np.linalg.norm(lids - centre, axis=1).min() > 12.1
 
@@ -103,7 +104,7 @@ def test_looks_turn_both_eyes_to_the_same_side(head: ProceduralHead) -> None:
     vertices = posed_mm(head, eyeLookOutLeft=1.0, eyeLookInRight=1.0) - posed_mm(head)
     for name in ("eye_left", "eye_right"):
         chart = head.charts[name]
-        middle = chart.first + chart.count // 2 + chart.shape[1] // 2
+        middle = chart.first + chart.shape[0] * chart.shape[1] // 2 + chart.shape[1] // 2
         assert vertices[middle, 0] > 3.0  # the subject's left is +x
 
 
@@ -196,7 +197,7 @@ def test_identities_share_one_topology() -> None:
 
 
 def test_two_builds_of_a_head_are_bit_identical() -> None:
-    again = ProceduralHead(get_identity("S1"))
+    again = ProceduralHead("S1")
     arkit = blend(jawOpen=0.4, mouthSmile=0.5)
     assert again.vertices(arkit).tobytes() == head_of("S1").vertices(arkit).tobytes()
 

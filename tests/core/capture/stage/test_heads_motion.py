@@ -14,13 +14,12 @@ from helpers.head_zones import (
     zones_of,
 )
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
-from pica_core.capture.procedural.heads import make_head
-from pica_core.capture.procedural.identity import IDENTITIES
+from pica_core.capture.procedural.heads import HEADS, make_head
 from pica_core.capture.stage.expressions import sample_takes
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
-NAMES = sorted(IDENTITIES)
+NAMES = sorted(HEADS)
 ONE_SIDED = [name for name in ARKIT_NAMES if not name.endswith("Right")]
 """Right shapes mirror left ones (`test_mirrored_expressions_make_mirrored_skin`)."""
 
@@ -43,7 +42,7 @@ def one(shape: str) -> np.ndarray:
 
 def test_every_shape_names_the_zones_that_it_moves() -> None:
     assert all(zones_of(name) for name in ARKIT_NAMES)
-    assert len(IDENTITIES) == 6
+    assert len(HEADS) == 6
 
 
 @pytest.mark.parametrize("name", NAMES)

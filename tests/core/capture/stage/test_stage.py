@@ -12,9 +12,9 @@ from pica_core.capture.dataset.files import load_image
 from pica_core.capture.dataset.multiface import MATERIALS, krt_text, read_krt
 from pica_core.capture.dataset.sheet import write_sheet
 from pica_core.capture.dataset.writer import BackgroundWriter
-from pica_core.capture.procedural.gpu import ProceduralRenderer
 from pica_core.capture.procedural.heads import make_head
-from pica_core.capture.procedural.subject import StageOptions, render_capture
+from pica_core.capture.procedural.subject import StageOptions, draw_head, render_capture
+from pica_core.capture.rig.gpu import RigRenderer
 from pica_core.capture.stage.dome import EVALUATION_VIEWS, dome_cameras
 from pica_core.capture.stage.expressions import blend
 from pica_core.capture.stage.gpu import DEPTH_TOLERANCE_M
@@ -38,8 +38,8 @@ OPTIONS = StageOptions(
 
 
 @pytest.fixture(scope="module")
-def renderer() -> ProceduralRenderer:
-    return ProceduralRenderer(make_head("S1"), bake_size=256, occlusion=False)
+def renderer() -> RigRenderer:
+    return draw_head(make_head("S1"), bake_size=256, occlusion=False)
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +69,7 @@ def files_of(root: Path) -> dict[str, bytes]:
     }
 
 
-def test_projected_vertices_meet_the_rendered_depth(renderer: ProceduralRenderer) -> None:
+def test_projected_vertices_meet_the_rendered_depth(renderer: RigRenderer) -> None:
     camera = dome_cameras(1, 256, 256)[0]
     vertices = renderer.pose(blend(jawOpen=0.3))
     view = renderer.draw(camera)
@@ -92,7 +92,7 @@ def test_projected_vertices_meet_the_rendered_depth(renderer: ProceduralRenderer
     assert (off > -0.003).mean() > 0.995
 
 
-def test_closed_lids_hide_the_eyes(renderer: ProceduralRenderer) -> None:
+def test_closed_lids_hide_the_eyes(renderer: RigRenderer) -> None:
     camera = dome_cameras(1, 384, 384)[0]
     eye = MATERIALS.index("eye") + 1
     renderer.pose(blend())
@@ -103,7 +103,7 @@ def test_closed_lids_hide_the_eyes(renderer: ProceduralRenderer) -> None:
     assert (closed_mask == eye).sum() <= 6
 
 
-def test_teeth_show_when_the_mouth_opens_and_not_at_rest(renderer: ProceduralRenderer) -> None:
+def test_teeth_show_when_the_mouth_opens_and_not_at_rest(renderer: RigRenderer) -> None:
     camera = dome_cameras(1, 384, 384)[0]
     teeth = MATERIALS.index("teeth") + 1
     renderer.pose(blend())
@@ -115,7 +115,7 @@ def test_teeth_show_when_the_mouth_opens_and_not_at_rest(renderer: ProceduralRen
 
 
 def test_an_unwrapped_texture_covers_the_face_and_matches_the_image(
-    renderer: ProceduralRenderer,
+    renderer: RigRenderer,
 ) -> None:
     cameras = dome_cameras(5, 192, 192)
     renderer.pose(blend())
