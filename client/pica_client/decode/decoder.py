@@ -154,9 +154,7 @@ class OnnxDecoder:
         self._options = options or OnnxOptions()
         self._sessions: dict[tuple[int, Parts], Any] = {}  # at most two per level
         self.regions: RegionDecoder | None = None
-        # A rest moves every region with any change of the latent: nothing could be left as it is.
-        only_bases = avatar.spec.geometry == "bases" and not avatar.spec.rest_channels
-        if only_bases and self._options.provider == CPU_PROVIDER:
+        if avatar.spec.geometry == "bases" and self._options.provider == CPU_PROVIDER:
             self.regions = RegionDecoder(avatar, self._options.skip_m)
         self.prepare()
 

@@ -72,10 +72,10 @@ class Layer:
 
 
 def decoder_layers(spec: AvatarSpec, decoder: str) -> list[Layer]:
-    """The layers of the decoder named ``"geometry"``, ``"rest"`` or ``"expression"``, in order.
+    """The layers of the decoder named ``"geometry"`` or ``"expression"``, in order.
 
     Input is ``[N, C, 8, 8]`` (Z, with the tiled view direction after it for "expression"), output
-    ``[N, C, 256, 256]``, of "rest" twice 8 rows and columns for each of its blocks.
+    ``[N, C, 256, 256]``.
     """
     in_channels, outputs = spec.decoder_channels[decoder]
     layers: list[Layer] = []

@@ -8,9 +8,7 @@ chart with as many directions of its own as its movement needs:
     local     = linear.mix . w                                    L weights, region after region
     sheet[r]  = linear.mean[r] + scale * (its local . its rows of linear.basis)
 
-and, where the spec has `rest_channels`, scale times what a small decoder of the latent, ``rest.*``,
-makes at each vertex's UV, bilinear: folds, and whatever else is no sum of a few directions. Here
-scale is the manifest's `position_scale_m`. Float32 in memory unless stated:
+Scale is the manifest's `position_scale_m`. Float32 in memory unless stated:
 
     linear.weight [K, 256]   linear.bias [K]   linear.mix [L, K]
     linear.basis  [L, REGION, 3]               1 is the farthest that a direction moves; 8 bits

@@ -44,7 +44,7 @@ SHEET_COLUMNS = 256
 """Vertices in a row of the sheet that bases make."""
 GEOMETRIES = ("decoder", "bases")
 """Where vertices come from: a map that a decoder makes, or bases (`pica_core.avatar.linear`)."""
-_ADDED_LATER: Mapping[str, Any] = {"encoding": "full", "geometry": "decoder", "rest_channels": ()}
+_ADDED_LATER: Mapping[str, Any] = {"encoding": "full", "geometry": "decoder"}
 """Fields that the first files lack, and what they mean by that. Left out where they say nothing
 new, so that older programs still read the files that they can draw."""
 
@@ -77,9 +77,6 @@ class AvatarSpec:
     """What the pixel decoder is told about the surface point; one of `ENCODINGS`."""
     geometry: str = "decoder"
     """Where vertices come from; one of `GEOMETRIES` (the paper has a decoder)."""
-    rest_channels: tuple[int, ...] = ()
-    """Output channels of all blocks but the last of the decoder that adds what bases cannot; empty
-    where bases are all there is."""
 
     def __post_init__(self) -> None:
         if self.block not in BLOCKS:
@@ -96,8 +93,6 @@ class AvatarSpec:
             )
         if self.geometry == "bases" and self.map_size != SHEET_COLUMNS:
             raise ValueError(f"map_size is {self.map_size}; bases need {SHEET_COLUMNS}")
-        if self.rest_channels and self.geometry != "bases":
-            raise ValueError(f"rest_channels is {self.rest_channels}; {self.geometry} has no rest")
         check_ranges(
             self,
             expression_channels=(1, 16),
@@ -106,24 +101,17 @@ class AvatarSpec:
             axis_encoding_size=(1, 16_384),
             axis_encoding_channels=(1, 2),
         )
-        for name, few, most in (
-            ("hidden_channels", 1, 8),
-            ("rest_channels", 0, 4),
-            ("xyz_channels", 1, 8),
-            ("pixel_channels", 1, 8),
-        ):
+        for name in ("hidden_channels", "xyz_channels", "pixel_channels"):
             widths = getattr(self, name)
-            if not few <= len(widths) <= most or not all(1 <= width <= 64 for width in widths):
-                raise ValueError(
-                    f"{name} is {widths}; allowed are {few} to {most} layers of width 1 to 64"
-                )
+            if not 1 <= len(widths) <= 8 or not all(1 <= width <= 64 for width in widths):
+                raise ValueError(f"{name} is {widths}; allowed are 1 to 8 layers of width 1 to 64")
         if self.pixel_channels[-1] != RGB_CHANNELS:
             raise ValueError(f"pixel_channels ends in {self.pixel_channels[-1]}; colours have 3")
 
     @property
     def decoder_channels(self) -> dict[str, tuple[int, tuple[int, ...]]]:
-        """Input channels and each block's output channels of the decoders, by name: "geometry",
-        or where bases make the vertices "rest" if there is one, and "expression"."""
+        """Input channels and each block's output channels of the decoders, by name: "geometry"
+        where no bases make the vertices, and "expression"."""
         channels = {
             "geometry": (LATENT_CHANNELS, (*self.hidden_channels, POSITION_CHANNELS)),
             "expression": (
@@ -133,8 +121,6 @@ class AvatarSpec:
         }
         if self.geometry == "bases":
             del channels["geometry"]
-        if self.rest_channels:
-            channels["rest"] = (LATENT_CHANNELS, (*self.rest_channels, POSITION_CHANNELS))
         return channels
 
     @property

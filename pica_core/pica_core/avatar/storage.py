@@ -165,7 +165,7 @@ def check_finite(tensors: Mapping[str, Array]) -> None:
             )
 
 
-_HALF = ("geometry.", "rest.", "expression.", "encoder.")
+_HALF = ("geometry.", "expression.", "encoder.")
 
 
 def _usual(name: str) -> Storage:

@@ -19,9 +19,7 @@ STEP = 4
 """Ranks are filled up to multiples of this with directions that are 0."""
 
 
-def bases_graph(
-    graph: GraphBuilder, avatar: Avatar, size: int, *, plain: bool, rest: str | None = None
-) -> None:
+def bases_graph(graph: GraphBuilder, avatar: Avatar, size: int, *, plain: bool) -> None:
     """Add the nodes that make ``position_map`` from ``latent``.
 
     Args:
@@ -29,14 +27,12 @@ def bases_graph(
         avatar: Whose spec says `bases`.
         size: One of its levels.
         plain: Use one product with all vertices, regions put together again.
-        rest: The map that the decoder of what bases cannot has made, ``[1, 3, S, S]``.
     """
     tensors, scale_m = avatar.tensors, avatar.manifest.position_scale_m
     flat = graph.add("Reshape", "latent", graph.sizes(1, NUM_LATENT))
     weight, bias = (graph.floats(tensors[f"{PREFIX}{part}"]) for part in ("weight", "bias"))
     weights = graph.add("Gemm", flat, weight, bias, transB=1)
     rows = avatar.position_rows(size)
-    shape = graph.sizes(rows, size, POSITION_CHANNELS)
     is_full = size == avatar.spec.map_size
     if is_full and not plain:
         moved = _by_regions(graph, tensors, scale_m, weights)
@@ -46,23 +42,9 @@ def bases_graph(
         whole = components_of(tensors, scale_m, places)
         mean = tensors[f"{PREFIX}mean"].reshape(-1, POSITION_CHANNELS)[places]
         moved = graph.add("MatMul", weights, graph.floats(whole.reshape(len(whole), -1)))
-    moved = graph.add("Reshape", moved, shape)
-    if rest is not None:
-        moved = graph.add(
-            "Add", moved, graph.add("Reshape", _at_vertices(graph, avatar, size, rest), shape)
-        )
+    moved = graph.add("Reshape", moved, graph.sizes(rows, size, POSITION_CHANNELS))
     mean = mean.reshape(rows, size, POSITION_CHANNELS)
     graph.add("Add", moved, graph.floats(mean), output="position_map")
-
-
-def _at_vertices(graph: GraphBuilder, avatar: Avatar, size: int, rest: str) -> str:
-    """Metres that a map ``[1, 3, S, S]`` adds at each place of a level's sheet, ``[1, P, 3]``."""
-    uv = avatar.tensors["mesh.vertex_uv"][sheet_places(avatar, size)].astype(np.float64)
-    where = graph.floats((2 * uv - 1)[None, None])
-    found = graph.add("GridSample", rest, where, mode="bilinear", padding_mode="border")
-    flat = graph.add("Reshape", found, graph.sizes(1, POSITION_CHANNELS, len(uv)))
-    scaled = graph.add("Mul", flat, graph.floats(avatar.manifest.position_scale_m))
-    return graph.add("Transpose", scaled, perm=[0, 2, 1])
 
 
 def sheet_places(avatar: Avatar, size: int) -> IntArray:

@@ -76,11 +76,7 @@ def decoder_graph(
     arrange = _plain if plain else _fast
     if parts != "expression":
         if avatar.spec.geometry == "bases":
-            rest = None
-            if avatar.spec.rest_channels:
-                layers, tensors = decoder_layers(avatar.spec, "rest"), dict(avatar.tensors)
-                rest = arrange(graph, layers, tensors, grid)
-            bases_graph(graph, avatar, size, plain=plain, rest=rest)
+            bases_graph(graph, avatar, size, plain=plain)
         else:
             _position_map(graph, avatar, size, grid, plain=plain)
         outputs["position_map"] = [avatar.position_rows(size), size, POSITION_CHANNELS]

@@ -82,9 +82,7 @@ class PixelCodecAvatar(AvatarModel):
         if spec.geometry == "bases":
             assert prior.linear is not None  # whoever makes the prior asks the variant
             self.encoder = LinearEncoder(self.encoder, prior.linear)
-            self.geometry = LinearGeometry(
-                prior.linear, prior.position_scale_m, spec, (self._drawn_uv, self._tracked_uv)
-            )
+            self.geometry = LinearGeometry(prior.linear, prior.position_scale_m)
         else:
             self.geometry = MapDecoder(spec, "geometry")
         self.expression = MapDecoder(spec, "expression")

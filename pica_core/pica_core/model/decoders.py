@@ -80,11 +80,6 @@ class MapDecoder(nn.Module):
         with torch.no_grad():
             convolutions[-1].weight.mul_(0.01)
 
-    def start_at_zero(self) -> None:
-        """Make a map of zeros until it is trained."""
-        last = [step for step in self.steps if isinstance(step, nn.Conv2d)][-1]
-        nn.init.zeros_(last.weight)
-
     def forward(self, grid: Tensor) -> Tensor:
         """``[N, C, 8, 8]`` to ``[N, C', 256, 256]``."""
         for step in self.steps:

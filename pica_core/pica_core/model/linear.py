@@ -3,8 +3,7 @@
 Bases are not trained by descent. The first channel of the latent holds their weights, each by the
 root of its deviation, so that what moves little takes little of the code; the encoder writes them
 there by a matrix found by ridge regression from maps to weights, and the decoder reads them back.
-The other channels are the trained encoder's, for the expression decoder and, where bases leave too
-much, for the rest: a small decoder whose map is added at the vertices.
+The other channels are the trained encoder's, for the expression decoder.
 """
 
 import numpy as np
@@ -12,9 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from pica_core.avatar.linear import components_of
-from pica_core.avatar.spec import AvatarSpec
 from pica_core.latent import LATENT_SIZE, NUM_LATENT
-from pica_core.model.decoders import MapDecoder, sample_map
 from pica_core.model.interface import LatentEncoder, LinearPrior, flat_latent
 from pica_core.types import FloatArray
 
@@ -31,9 +28,7 @@ class LinearGeometry(nn.Module):
 
     Args:
         prior: Of the capture.
-        scale_m: Unit of the file's directions and of the rest, the manifest's `position_scale_m`.
-        spec: Says whether there is a rest, and of which size.
-        uv: Where the vertices lie in the chart, dense ``[V, 2]`` and tracked ``[Vt, 2]``.
+        scale_m: Unit of the file's directions, the manifest's `position_scale_m`.
     """
 
     weight: Tensor
@@ -45,15 +40,8 @@ class LinearGeometry(nn.Module):
     tracked: Tensor
     tracked_mean: Tensor
 
-    def __init__(
-        self, prior: LinearPrior, scale_m: float, spec: AvatarSpec, uv: tuple[Tensor, Tensor]
-    ) -> None:
+    def __init__(self, prior: LinearPrior, scale_m: float) -> None:
         super().__init__()
-        self.rest: MapDecoder | None = None
-        if spec.rest_channels:
-            self.rest = MapDecoder(spec, "rest")
-            self.rest.start_at_zero()
-        self._uv = uv
         self.scale_m = scale_m
         scale = code_scale(prior)
         weight = np.zeros((len(scale), NUM_LATENT), np.float32)
@@ -76,23 +64,18 @@ class LinearGeometry(nn.Module):
         """Latents ``[N, 4, 8, 8]`` to dense vertices ``[N, V, 3]`` and tracked ``[N, Vt, 3]``."""
         weights = flat_latent(latent) @ self.weight.T
         dense = self._mean_m + torch.tensordot(weights, self._dense_components(), 1)
-        tracked = self.tracked_mean + torch.tensordot(weights, self.tracked, 1)
-        if self.rest is None:
-            return dense, tracked
-        added_m = self.scale_m * self.rest(latent)
-        uv = [places.to(added_m.device) for places in self._uv]
-        return dense + sample_map(added_m, uv[0]), tracked + sample_map(added_m, uv[1])
+        return dense, self.tracked_mean + torch.tensordot(weights, self.tracked, 1)
 
     def named_tensors(self) -> dict[str, Tensor]:
         """The tensors under their names in the avatar file; vertices by places of the sheet."""
         names = ("weight", "mix", "basis", "mean", "rank")
         tensors = {f"linear.{name}": getattr(self, name) for name in names}
         tensors["linear.bias"] = self.weight.new_zeros(len(self.weight))
-        return tensors | (self.rest.named_tensors() if self.rest else {})
+        return tensors
 
     @property
     def cost(self) -> tuple[int, int]:
-        """Parameters, and multiply-adds of a frame, of all but the rest."""
+        """Parameters, and multiply-adds of a frame."""
         parts = (self.weight, self.mix, self.basis)
         multiply_adds = sum(part.numel() for part in parts)
         return multiply_adds + self.mean.numel() + len(self.weight), multiply_adds

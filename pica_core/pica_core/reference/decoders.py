@@ -12,7 +12,6 @@ from pica_core.avatar.file import Avatar
 from pica_core.avatar.linear import weights_of_latent
 from pica_core.avatar.spec import LEAKY_SLOPE, POSITION_CHANNELS
 from pica_core.latent import LATENT_SIZE
-from pica_core.reference.sampling import sample_bilinear
 from pica_core.types import Array
 
 
@@ -72,12 +71,6 @@ def _sheet(avatar: Avatar, latent: Array, level: int | None) -> Array:
         rows.append(mean + avatar.manifest.position_scale_m * moved)
         start += int(rank)
     sheet = np.stack(rows)
-    if avatar.spec.rest_channels:
-        rest = _decode(avatar, "rest", latent, None)[0].transpose(1, 2, 0)
-        uv = tensors["mesh.vertex_uv"]
-        places = np.minimum(np.arange(sheet.size // POSITION_CHANNELS), len(uv) - 1)
-        moved = sample_bilinear(rest, uv[places], np.float64).reshape(sheet.shape)
-        sheet += avatar.manifest.position_scale_m * moved
     if size == avatar.spec.map_size:
         return sheet
     used = avatar.sheet_vertices(size)

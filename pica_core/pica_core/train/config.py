@@ -14,22 +14,17 @@ import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from types import MappingProxyType
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import VARIANTS
 from pica_core.errors import CheckpointError, TrainingOptionError, check_ranges
-from pica_core.model.bases import BENT_M
 from pica_core.model.interface import AvatarModel, FacePrior
 from pica_core.model.pixel_decoder import FIRST_FREQUENCY
 from pica_core.model.variants import make_model
 
 MeshSource = Literal["truth", "tracked"]
-RestChoice = Literal["auto", "on", "off"]
 _FINITE = sys.float_info.max
-REST_CHANNELS = (16, 8, 8)
-"""Output channels of all blocks but the last of the rest's decoder, which makes 128 x 128 texels
-(chosen: a sixth of what `full`'s geometry decoder costs)."""
 PHASES = ("geometry", "joint", "driver")
 
 
@@ -57,19 +52,11 @@ class ModelConfig:
     start, as the paper."""
     texture_size: int = 512
     """Rows and columns of the baseline's texture; 1024 in the paper."""
-    rest: RestChoice = "off"
-    """Whether a small decoder adds what bases cannot: "on", "off", or "auto", where they leave more
-    than `BENT_M` of meshes that they were not made of. It has not paid yet (docs/results/linear);
-    models without bases have none."""
 
     def __post_init__(self) -> None:
         if self.variant not in VARIANTS:
             raise TrainingOptionError(
                 f"variant is {self.variant!r}; known are {', '.join(VARIANTS)}"
-            )
-        if self.rest not in get_args(RestChoice):
-            raise TrainingOptionError(
-                f"rest is {self.rest!r}; known are {', '.join(get_args(RestChoice))}"
             )
 
     def spec(self) -> AvatarSpec:
@@ -84,13 +71,9 @@ class ModelConfig:
 
     def build(self, prior: FacePrior) -> AvatarModel:
         """A model with fresh weights, for the person that the prior describes."""
-        spec, linear = self.spec(), prior.linear
-        is_bent = linear is not None and linear.unexplained_m > BENT_M
-        if spec.geometry == "bases" and (self.rest == "on" or (self.rest == "auto" and is_bent)):
-            spec = replace(spec, rest_channels=REST_CHANNELS)
         return make_model(
             self.variant,
-            spec,
+            self.spec(),
             prior,
             encoder=self.encoder,
             encoding_amplitude=self.encoding_amplitude,
@@ -253,7 +236,8 @@ class TrainConfig:
         """
         try:
             parts = {
-                "model": ModelConfig(**values["model"]),
+                # Runs of before say whether a decoder adds to bases; those with one do not fit.
+                "model": ModelConfig(**{k: v for k, v in values["model"].items() if k != "rest"}),
                 "losses": LossConfig(**values["losses"]),
                 "schedule": ScheduleConfig(**values["schedule"]),
             }

@@ -97,9 +97,8 @@ class Trainer:
         prior = face_prior(data, config.model.variant)
         self.model = config.model.build(prior).to(self.device)
         geometry, joint, driver = config.schedule.steps
-        if (spec := self.model.spec).geometry == "bases":
-            if not spec.rest_channels:  # nothing to descend: the steps go to colours
-                geometry, joint = 0, joint + geometry // JOINT_COST
+        if self.model.spec.geometry == "bases":  # nothing to descend: the steps go to colours
+            geometry, joint = 0, joint + geometry // JOINT_COST
             driver = min(driver, 1)  # a regression, which a descent from it only makes worse
         self._steps = geometry, joint, driver if data.capture.has_expressions else 0
         self.step = 0

@@ -31,28 +31,16 @@ MEAN_ROUNDING_M = 5e-6
 """16 bits over a head."""
 
 
-@pytest.fixture(scope="module", params=["C", "G"])
-def model(request: pytest.FixtureRequest) -> PixelCodecAvatar:
-    """Bases alone with block C, and with a rest with block G."""
+@pytest.fixture(scope="module")
+def model() -> PixelCodecAvatar:
     torch.manual_seed(1)
-    spec = AvatarSpec(
-        uv_encoding_size=16,
-        axis_encoding_size=20,
-        geometry="bases",
-        block=request.param,
-        rest_channels=(8, 4, 4) if request.param == "G" else (),
-    )
-    made = PixelCodecAvatar(spec, toy_linear_prior(dense=GRID))
-    if made.geometry.rest is not None:  # type: ignore[union-attr]
-        last = list(made.geometry.rest.named_tensors().values())[-3]  # type: ignore[union-attr]
-        assert not last.any(), "a rest begins as nothing"
-        torch.nn.init.normal_(last, std=0.1)
-    return made
+    spec = AvatarSpec(uv_encoding_size=16, axis_encoding_size=20, geometry="bases", block="G")
+    return PixelCodecAvatar(spec, toy_linear_prior(dense=GRID))
 
 
 @pytest.fixture(scope="module")
 def avatar(model: PixelCodecAvatar) -> Avatar:
-    toy = make_toy_avatar(spec=replace(model.spec, geometry="decoder", rest_channels=()))
+    toy = make_toy_avatar(spec=replace(model.spec, geometry="decoder"))
     manifest = replace(
         toy.manifest,
         spec=model.spec,
@@ -114,16 +102,7 @@ def test_a_file_holds_the_bases_to_the_last_bit(
     for name in ("weight", "bias", "mix", "basis", "rank"):
         assert np.array_equal(loaded.tensors[f"linear.{name}"], avatar.tensors[f"linear.{name}"])
     difference = decode_position_map(loaded, latent) - decode_position_map(avatar, latent)
-    # Weights of a rest are stored in 16 bits, its factors in 8.
-    limit_m = 10 * MEAN_ROUNDING_M if avatar.spec.rest_channels else MEAN_ROUNDING_M
-    assert np.abs(difference).max() <= limit_m
-
-
-def test_a_rest_moves_what_bases_do_not(avatar: Avatar, latent: Array) -> None:
-    still = np.where(np.arange(4) == 0, 0, latent)  # no weight of any basis
-    moved = decode_position_map(avatar, still).reshape(-1, 3)[: GRID * GRID]
-    has_rest = bool(avatar.spec.rest_channels)
-    assert (np.abs(moved - avatar.mean_vertices_m).max() > 1e-4) == has_rest
+    assert np.abs(difference).max() <= MEAN_ROUNDING_M
 
 
 def test_the_encoders_first_channel_is_the_closed_forms(model: PixelCodecAvatar) -> None:
@@ -208,9 +187,7 @@ def test_bases_belong_to_the_linear_variant_alone(avatar: Avatar, tmp_path: Path
     manifest = replace(avatar.manifest, variant="full")
     with pytest.raises(AvatarFileError, match=r"geometry is 'bases'; variant full has 'decoder'"):
         save_avatar(tmp_path / "bad.pica", Avatar(manifest, avatar.tensors))
-    with pytest.raises(ValueError, match="decoder has no rest"):
-        AvatarSpec(rest_channels=(8,))
-    with pytest.raises(ValueError, match="0 to 4 layers of width 1 to 64"):
-        AvatarSpec(geometry="bases", rest_channels=(65,))
+    with pytest.raises(ValueError, match="1 to 8 layers of width 1 to 64"):
+        AvatarSpec(geometry="bases", hidden_channels=(65, 16, 16, 8))
     with pytest.raises(ValueError, match="bases need 256"):
         AvatarSpec(geometry="bases", map_size=128, hidden_channels=(8, 8, 8))

@@ -22,7 +22,7 @@ from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.baseline import DeepAppearanceModel
 from pica_core.train.checkpoint import read_checkpoint
 from pica_core.train.cli.levels import describe
-from pica_core.train.config import PRESETS, RestChoice, TrainConfig
+from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.evaluate import evaluate, mean_mse
 from pica_core.train.eval.model_evaluator import ModelEvaluator
@@ -60,9 +60,6 @@ class TrainOptions:
     """Block of the decoders, if not the preset's."""
     encoder: Literal["light", "paper"] | None = None
     """Encoder, if not the preset's."""
-    rest: RestChoice = "off"
-    """Whether linear learns by a small decoder what its bases cannot: off, on, or auto, where bases
-    of three in four training meshes leave more than 0.1 mm in any region of the others."""
     seed: int = 0
     """Seed of initial weights, batches and noise."""
     threads: int = 2
@@ -124,9 +121,7 @@ def train(options: TrainOptions) -> dict[str, Any]:
         raise CheckpointError(f"{options.out}: a run is there already; --resume goes on with it")
     for before in [options.out] if options.resume else [options.start_from]:
         if before is not None:
-            # A run goes on, or another begins, with a rest or without as it was.
-            rest = _check_variant(before, config.model.variant).model.rest
-            config = config.changed(model={"rest": rest})
+            _check_variant(before, config.model.variant)
     with (
         open_ranks(os.environ) as ranks,
         open_trainer(
@@ -223,8 +218,8 @@ def _device(wished: str, ranks: Ranks) -> torch.device:
     return torch.device("cuda", ranks.rank % torch.cuda.device_count())
 
 
-def _check_variant(run: Path, variant: str) -> TrainConfig:
-    """Refuse to go on from another model; returns the options of the run.
+def _check_variant(run: Path, variant: str) -> None:
+    """Refuse to go on from another model.
 
     Raises:
         CheckpointError: No readable checkpoint, or one of another variant.
@@ -236,7 +231,6 @@ def _check_variant(run: Path, variant: str) -> TrainConfig:
             f"{run}: the checkpoint is of variant {found!r}, not {variant!r}; "
             f"use --variant {found}, or another --out"
         )
-    return config
 
 
 def _note_run(options: TrainOptions, config: TrainConfig, identity: str) -> None:
@@ -256,9 +250,7 @@ def _config(options: TrainOptions) -> TrainConfig:
     chosen = {"block": options.block, "encoder": options.encoder}
     changes = {name: value for name, value in chosen.items() if value is not None}
     usual = config.model.variant if options.preset == "paper" else "linear"
-    return config.changed(
-        model={"variant": options.variant or usual, "rest": options.rest, **changes}
-    )
+    return config.changed(model={"variant": options.variant or usual, **changes})
 
 
 def _run_with_progress(trainer: Trainer, *, is_shown: bool) -> None:
