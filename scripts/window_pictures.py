@@ -9,6 +9,8 @@ server. Where buttons are is noted by the window's process as it draws them. Pic
 the screen: OUT/NAME-COLUMNSxROWS@SCALE.png.
 """
 
+from __future__ import annotations
+
 import argparse
 import json
 import os
@@ -20,6 +22,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from PIL import ImageGrab
 
@@ -31,25 +34,25 @@ from pica_client.transport.receiver import Receiver
 from pica_core.avatar.file import load_avatar, save_avatar
 from pica_protocol.invite import Invite, make_link
 
+if TYPE_CHECKING:
+    from pica_client.ui.call_view import CallView
+    from pica_client.ui.controls import UserOrder
+    from pica_client.ui.surface.theme import Metrics
+
 ROOT = Path(__file__).resolve().parents[1]
 SIZES = ("1280x720", "320x240", "2560x1440", "2560x1440@2")
 ROOM = "standup"
-PEOPLE = (
-    ("Ada Lovelace", "sam", "talk"),
-    ("Ольга Петровна", "amara", "listen"),
-    ("李小龍 さくら 김", "yun", "talk"),
-    ("מרים  مريم", "amara", "listen"),
-    ("Ελένη 😀🎉", "henrik", "talk"),
-)
-PATIENCE_S = 60.0
+PEOPLE = ("Ada Lovelace", "Ольга Петровна", "李小龍 さくら 김", "מרים  مريم", "Ελένη 😀🎉")
+FIRST = PEOPLE[0]
+PATIENCE_S = 120.0
 
 
 class Desk:
     """An X server with a pointer, and one window on it."""
 
     def __init__(self, size: tuple[int, int], scale: float, folder: Path) -> None:
-        self.places = folder / "places.json"
-        self._folder = folder
+        self.notes = folder / "notes.json"
+        self._size = size
         read, write = os.pipe()
         screen = f"{size[0]}x{size[1]}x24"
         self._server = subprocess.Popen(
@@ -71,41 +74,99 @@ class Desk:
         self._server.wait(10)
 
     def click(self, label: str) -> None:
-        """Click on what is labelled so, once it is there and stands still."""
-        left, top, right, bottom = self._where(label)
-        self.point((left + right) / 2, (top + bottom) / 2)
-        time.sleep(0.4)
-        self._run("xdotool", "click", "1")
+        """Click on what is labelled so: move there, see that it stays, press, let go.
+
+        Each step waits for frames that show it, so a busy machine only takes longer. What is not
+        in sight may be hidden until the pointer moves, so it moves.
+        """
+        end, away = time.monotonic() + PATIENCE_S, 0
+        while (place := self._find(label)) is None or not self._reaches(label, place):
+            if time.monotonic() > end:
+                raise TimeoutError(f"nothing is labelled {label!r}; {self.seen()}")
+            if place is None:
+                away = 3 - away
+                self.point(self._size[0] / 2 + away, 0.6 * self._size[1])
+                self.wait_frames(1)
+        for step in ("mousedown", "mouseup"):
+            self._run("xdotool", step, "1")
+            self.wait_frames(2)
+
+    def type(self, label: str, text: str) -> None:
+        """Type into a field until it holds a text."""
+        for _ in range(5):
+            self.click(label)
+            self._run("xdotool", "key", "ctrl+a")
+            self._run("xdotool", "type", "--delay", "150", text)
+            self.wait_frames(4)
+            if self.seen().get("typed", {}).get(label) == text:
+                return
+        raise TimeoutError(f"{label!r} does not take {text!r}: {self.seen()}")
 
     def point(self, x: float, y: float) -> None:
         """Move the pointer."""
         self._run("xdotool", "mousemove", str(round(x)), str(round(y)))
 
+    def seen(self) -> dict[str, Any]:
+        """What the window's process noted of its latest frame; see `show_window`."""
+        try:
+            found: dict[str, Any] = json.loads(self.notes.read_text())
+        except FileNotFoundError:
+            return {"frame": 0, "places": {}}
+        return found
+
     def is_shown(self, label: str) -> bool:
         """Whether something is labelled so in the latest frame."""
-        try:
-            return any(label in known for known in json.loads(self.places.read_text()))
-        except (OSError, ValueError):
-            return False
+        return self._find(label) is not None
+
+    def wait(self, what: str, **wanted: Any) -> None:
+        """Wait until frames say so of a call; a number is the least one."""
+        end = time.monotonic() + PATIENCE_S
+        while True:
+            seen = self.seen()
+            if all(
+                seen.get(name) == value
+                if isinstance(value, bool | str)
+                else seen.get(name, 0) >= value
+                for name, value in wanted.items()
+            ):
+                self.wait_frames(2)
+                return
+            if time.monotonic() > end:
+                raise TimeoutError(f"{what}: {wanted} is wanted, {seen} is seen")
+            time.sleep(0.1)
+
+    def wait_frames(self, count: int) -> None:
+        """Wait until so many frames were drawn from now on."""
+        end, last = time.monotonic() + PATIENCE_S, self.seen()["frame"] + count
+        while self.seen()["frame"] < last:
+            if time.monotonic() > end:
+                raise TimeoutError("the window draws no more")
+            time.sleep(0.05)
+
+    def click_head(self, name: str) -> None:
+        """Click on somebody, a little above the name."""
+        left, top, right, _ = self.seen()["heads"][name]
+        self.point((left + right) / 2, top - (right - left) / 3)
+        self.wait_frames(2)
+        for step in ("mousedown", "mouseup"):
+            self._run("xdotool", step, "1")
+            self.wait_frames(2)
 
     def take(self, path: Path) -> None:
         """Take a picture of the screen."""
         ImageGrab.grab(xdisplay=self.display).save(path)
         print(path.name, flush=True)
 
-    def _where(self, label: str) -> list[float]:
-        end, before = time.monotonic() + PATIENCE_S, None
-        while time.monotonic() < end:
-            try:
-                places = json.loads(self.places.read_text())
-            except (OSError, ValueError):
-                places = {}
-            found = next((rect for known, rect in places.items() if label in known), None)
-            if found is not None and found == before:
-                return list(found)
-            before = found
-            time.sleep(0.3)
-        raise TimeoutError(f"nothing is labelled {label!r}; there are {sorted(places)}")
+    def _find(self, label: str) -> list[float] | None:
+        places = self.seen()["places"]
+        return next((rect for known, rect in places.items() if label in known), None)
+
+    def _reaches(self, label: str, place: list[float]) -> bool:
+        """Point at a place; whether what is labelled so is still there then."""
+        left, top, right, bottom = place
+        self.point((left + right) / 2, (top + bottom) / 2)
+        self.wait_frames(2)
+        return self._find(label) == place
 
     def _run(self, *command: str) -> None:
         subprocess.run(command, env=self.environment, check=True, timeout=20)
@@ -117,14 +178,17 @@ def room_of_people(children: Children) -> Iterator[tuple[Child, str]]:
     relay, url = children.start_relay()
     secret = children.folder / "secret"
     children.start("secret", "secret", str(secret)).wait(time.monotonic() + 20)
-    for name, avatar, source in PEOPLE:
-        start_sender(children, url, name, avatar, source)
-    unknown = children.folder / "unknown.pica"
-    sam = load_avatar(AvatarLibrary().path(AvatarLibrary().find("sam")))
-    save_avatar(unknown, replace(sam, manifest=replace(sam.manifest, name="Nowhere")))
-    start_sender(children, url, "Nobody's friend", "amara", "talk", "--secret-file", str(secret))
-    start_sender(children, url, "Mina of nowhere", str(unknown), "talk")
     library = AvatarLibrary()
+    avatars = library.names
+    for number, name in enumerate(PEOPLE):
+        source = ("talk", "listen")[number % 2]
+        start_sender(children, url, name, avatars[number % len(avatars)], source)
+    unknown = children.folder / "unknown.pica"
+    first = load_avatar(library.path(library.find(avatars[0])))
+    save_avatar(unknown, replace(first, manifest=replace(first.manifest, name="Nowhere")))
+    encrypts = ("--secret-file", str(secret))
+    start_sender(children, url, "Nobody's friend", avatars[-1], "talk", *encrypts)
+    start_sender(children, url, "Mina of nowhere", str(unknown), "talk")
     with ExitStack() as stack:
         for name in ("Watching Wanda", "Watching Walter"):
             link = LinkConfig(url=url, room=ROOM, name=name, connect_timeout_s=20)
@@ -150,68 +214,100 @@ def photograph(out: Path, size: tuple[int, int], scale: float) -> None:
         relay, url = stack.enter_context(room_of_people(children))
         link = make_link(Invite(url=url, room=ROOM))
         columns, rows = size if scale == 1 else (round(size[0]), round(size[1]))
-        view = [sys.executable, __file__, "--window", str(desk.places)]
+        view = [sys.executable, __file__, "--window", str(desk.notes)]
         view += ["view", link, "--size", f"{columns}x{rows}"]
         window = subprocess.Popen(view, env=desk.environment, cwd=ROOT)
         stack.callback(window.kill)
 
-        def take(name: str, seconds: float = 1.5) -> None:
-            time.sleep(seconds)
+        def take(name: str) -> None:
+            desk.wait_frames(3)
             desk.take(out / f"{name}-{suffix}")
 
-        time.sleep(3.0)
-        desk.click("##name")
-        time.sleep(1.0)
-        subprocess.run(["xdotool", "type", "--delay", "80", "Me"], env=desk.environment, check=True)
-        take("01-join", 5.0)
+        desk.type("##name", "Me")
+        take("01-join")
         desk.click("Join")
-        take("02-connecting", 0.2)
-        # Seven people in an arc: the one in the middle.
-        desk.point(size[0] / 2, size[1] * 0.36)
-        take("03-call", 8.0)
-        subprocess.run(["xdotool", "click", "1"], env=desk.environment, check=True)
-        take("04-pinned", 3.0)
-        desk.point(size[0] / 2, size[1] * 0.2)
+        desk.take(out / f"02-connecting-{suffix}")
+        desk.wait("everybody", faces=len(PEOPLE), here=len(PEOPLE) + 5)
+        take("03-call")
+        desk.click_head(FIRST)
+        desk.wait("pinned", is_pinned=True)
+        take("04-pinned")
         if desk.is_shown("Got it"):
             desk.click("Got it")
         for number, panel in enumerate(("Participants", "Settings", "Help"), 5):
             desk.click(panel)
+            desk.wait("open", side=panel.lower())
             take(f"{number:02}-{panel.lower()}")
             desk.click("Close")
+            desk.wait("closed", side="none")
         desk.click("Record")
-        desk.point(size[0] / 2, size[1] * 0.7)
-        take("08-recording", 2.5)
+        desk.wait("recording", is_recording=True)
+        take("08-recording")
         desk.click("Stop recording")
-        take("09-recorded", 0.7)
+        desk.wait("recorded", is_recording=False)
+        take("09-recorded")
         desk.click("Next layout")
         take("10-layout")
         relay.let_go()
-        desk.point(size[0] / 2, size[1] * 0.4)
-        take("11-relay-gone", 5.0)
-        desk.point(size[0] / 2, size[1] * 0.6)
+        desk.wait("the relay is gone", is_connected=False, away_s=2)
+        take("11-relay-gone")
+        port = url.rpartition(":")[2]
+        again = children.start("relay again", "relay", "--port", port)
+        desk.wait("back", is_connected=True, faces=len(PEOPLE))
+        take("12-back")
         desk.click("Leave the call")
-        take("12-leaving", 1.0)
+        take("13-leaving")
         desk.click("Leave")
-        window.wait(20)
+        window.wait(60)
+        again.let_go()
 
 
-def show_window(places: Path, arguments: list[str]) -> None:
-    """Be the window's process: run a command, and note where its buttons are."""
+def show_window(notes: Path, arguments: list[str]) -> None:
+    """Be the window's process: run a command, and note of each frame where its buttons are, what
+    its fields hold, where the heads are, and how the call stands."""
     sys.path.insert(0, str(ROOT / "tests"))
     import pytest
     from imgui_bundle import imgui
 
     from helpers.hand import note_places
+    from pica_client.ui import call_surface
     from pica_command.main import main as pica
 
-    noted = note_places(pytest.MonkeyPatch())
-    render = imgui.render
+    typed: dict[str, str] = {}
+    state: dict[str, Any] = {"frame": 0}
+
+    def note_call(view: CallView, metrics: Metrics) -> list[UserOrder]:
+        faces = [person.figures is not None for person in view.people]
+        labels = {person.name: person.label_px for person in view.people if person.label_px}
+        state.update(
+            faces=sum(faces),
+            here=len(view.status.participants),
+            heads=labels,
+            is_pinned=any(person.is_pinned for person in view.people),
+            side=view.state.side,
+            is_recording=view.is_recording,
+            is_connected=view.status.is_connected,
+            away_s=view.status.away_s,
+        )
+        return []
+
+    call_surface.PANELS = (*call_surface.PANELS, note_call)
+    render, field = imgui.render, imgui.input_text_with_hint
+
+    def note_field(label: str, *arguments: Any) -> tuple[bool, str]:
+        found = field(label, *arguments)
+        typed[label] = found[1]
+        return found
+
+    imgui.input_text_with_hint = note_field
+    places = note_places(pytest.MonkeyPatch())
 
     def render_and_note() -> None:
-        part = places.with_suffix(".part")
-        part.write_text(json.dumps(noted))
-        part.replace(places)
-        noted.clear()
+        state["frame"] += 1
+        part = notes.with_suffix(".part")
+        part.write_text(json.dumps({**state, "places": places, "typed": typed}))
+        part.replace(notes)
+        places.clear()
         render()
 
     imgui.render = render_and_note
