@@ -3,8 +3,9 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 DEMO ?=
+WINDOW ?= 320x240
 
-.PHONY: demo test quick lint types imports docs pages pytest extras fuzz images clean
+.PHONY: demo test quick lint types imports docs pages window pytest extras fuzz images clean
 
 demo: .venv/.ready-demo
 	@sh scripts/system_libraries.sh
@@ -40,6 +41,12 @@ docs: .venv/.ready-test
 pages: .venv/.ready-test
 	@sh scripts/system_libraries.sh
 	$(BIN)/python scripts/run_pages.py README.md docs/quick-start.md docs/tutorial.md
+
+# A call in a real window, steered by mouse on an X server of its own; pictures into out/window.
+window: .venv/.ready-test
+	@sh scripts/system_libraries.sh
+	@sh scripts/system_libraries.sh --window
+	$(BIN)/python scripts/window_pictures.py out/window $(WINDOW)
 
 # Tests on a real clock run alone: two at once would slow each other down.
 pytest: .venv/.ready-test

@@ -1,6 +1,7 @@
 #!/bin/sh
 # Makes sure of what pip cannot bring: OpenGL through EGL, with --venv PYTHON the venv module, with
-# --nats the NATS server that the tests of a cluster start for themselves.
+# --nats the NATS server that the tests of a cluster start for themselves, with --window an X server
+# without a screen and a hand for it.
 # Installs through apt-get when that is allowed, else prints the exact line and stops.
 set -eu
 
@@ -13,6 +14,10 @@ elif [ "${1:-}" = "--nats" ]; then
     if ! command -v nats-server >/dev/null && [ ! -x /usr/sbin/nats-server ]; then
         packages="nats-server"
     fi
+elif [ "${1:-}" = "--window" ]; then
+    for program in Xvfb xdotool xprop; do
+        command -v "$program" >/dev/null || packages="xvfb xdotool x11-utils"
+    done
 elif [ "$(uname -s)" = "Linux" ]; then
     libraries=$( (ldconfig -p || /sbin/ldconfig -p) 2>/dev/null || true)
     for library in libEGL.so.1 libGL.so.1; do

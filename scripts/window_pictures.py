@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -56,7 +57,17 @@ class Desk:
         read, write = os.pipe()
         screen = f"{size[0]}x{size[1]}x24"
         self._server = subprocess.Popen(
-            ["Xvfb", "-displayfd", str(write), "-screen", "0", screen, "-nolisten", "tcp"],
+            [
+                "Xvfb",
+                "-displayfd",
+                str(write),
+                "-screen",
+                "0",
+                screen,
+                "-nolisten",
+                "tcp",
+                "-noreset",
+            ],
             pass_fds=[write],
             stderr=subprocess.DEVNULL,
         )
@@ -213,9 +224,8 @@ def photograph(out: Path, size: tuple[int, int], scale: float) -> None:
         stack.callback(desk.close)
         relay, url = stack.enter_context(room_of_people(children))
         link = make_link(Invite(url=url, room=ROOM))
-        columns, rows = size if scale == 1 else (round(size[0]), round(size[1]))
         view = [sys.executable, __file__, "--window", str(desk.notes)]
-        view += ["view", link, "--size", f"{columns}x{rows}"]
+        view += ["view", link, "--size", f"{size[0]}x{size[1]}"]
         window = subprocess.Popen(view, env=desk.environment, cwd=ROOT)
         stack.callback(window.kill)
 
@@ -225,15 +235,19 @@ def photograph(out: Path, size: tuple[int, int], scale: float) -> None:
 
         desk.type("##name", "Me")
         take("01-join")
+        os.kill(relay.pid, signal.SIGSTOP)  # so that there is something to wait for
         desk.click("Join")
-        desk.take(out / f"02-connecting-{suffix}")
+        while not desk.is_shown("Cancel"):
+            desk.wait_frames(1)
+        desk.wait_frames(20)
+        take("02-connecting")
+        os.kill(relay.pid, signal.SIGCONT)
         desk.wait("everybody", faces=len(PEOPLE), here=len(PEOPLE) + 5)
         take("03-call")
+        desk.click("Got it")
         desk.click_head(FIRST)
         desk.wait("pinned", is_pinned=True)
         take("04-pinned")
-        if desk.is_shown("Got it"):
-            desk.click("Got it")
         for number, panel in enumerate(("Participants", "Settings", "Help"), 5):
             desk.click(panel)
             desk.wait("open", side=panel.lower())
@@ -248,7 +262,7 @@ def photograph(out: Path, size: tuple[int, int], scale: float) -> None:
         take("09-recorded")
         desk.click("Next layout")
         take("10-layout")
-        relay.let_go()
+        os.kill(relay.pid, signal.SIGKILL)
         desk.wait("the relay is gone", is_connected=False, away_s=2)
         take("11-relay-gone")
         port = url.rpartition(":")[2]
@@ -277,7 +291,7 @@ def show_window(notes: Path, arguments: list[str]) -> None:
     state: dict[str, Any] = {"frame": 0}
 
     def note_call(view: CallView, metrics: Metrics) -> list[UserOrder]:
-        faces = [person.figures is not None for person in view.people]
+        faces = [bool(each.figures and each.figures.num_decoded) for each in view.people]
         labels = {person.name: person.label_px for person in view.people if person.label_px}
         state.update(
             faces=sum(faces),

@@ -43,6 +43,7 @@ NOTED = (
     "tree_node_ex",
     "radio_button",
     "slider_int",
+    "begin_tab_item",
 )
 
 

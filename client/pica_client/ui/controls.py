@@ -162,7 +162,7 @@ Change = Callable[[ControlState], ControlState]
 
 def _next_layout(state: ControlState) -> ControlState:
     following = LAYOUTS[(LAYOUTS.index(state.layout) + 1) % len(LAYOUTS)]
-    return replace(state, layout=following, view=ViewState())
+    return replace(state, layout=following, pinned=None, view=ViewState())
 
 
 def _own_face(wanted: OwnFace) -> Change:
@@ -341,7 +341,7 @@ class Controls:
             case Pin(place=place):
                 self._toggle_pin(place)
             case ChooseLayout(layout=layout):
-                self.state = replace(self.state, layout=layout, view=ViewState())
+                self.state = replace(self.state, layout=layout, pinned=None, view=ViewState())
             case Settings():
                 self.state = replace(self.state, settings=order)
             case SoundSettings():
@@ -358,6 +358,8 @@ class Controls:
                 self._orders.append(Order.EXPLAIN_NO_VOICE)
             case Order() if order in CHANGES:
                 self.state = CHANGES[order](self.state)
+                if order is Order.NEXT_LAYOUT:
+                    self._orders.append(order)  # its name is shown
             case _:
                 self._orders.append(order)
 

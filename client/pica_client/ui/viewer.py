@@ -39,6 +39,7 @@ from pica_client.ui.call_surface import CallSurface
 from pica_client.ui.call_view import NOTHING, OwnFaceView
 from pica_client.ui.captures_on_disk import CapturesOnDisk, Recording
 from pica_client.ui.controls import (
+    LAYOUT_TITLES,
     Controls,
     ControlState,
     CopyText,
@@ -439,6 +440,9 @@ class Viewer:
                 self._surface.notice(
                     "You send no voice: choose a microphone in the settings (--voice mic)", now
                 )
+            case Order.NEXT_LAYOUT:
+                layout = LAYOUT_TITLES[self.controls.state.layout]
+                self._surface.notice(f"People sit: {layout}", now)
             case Order.TEST_SOUND:
                 self._sound.play_test()
             case Order.REJOIN:

@@ -20,6 +20,7 @@ from pica_client.ui.surface.widgets import (
     hint,
     ink,
     note,
+    ringed,
     title,
     type_size,
 )
@@ -88,8 +89,12 @@ def join_panel(view: JoinView, metrics: Metrics) -> list[Fields | JoinOrder]:
 
 def connecting_panel(what: str, metrics: Metrics, now: float) -> bool:
     """Say what is being waited for; True once the user does not want to wait."""
-    columns, rows = metrics.size
-    with card("connecting", (columns / 2, rows / 2), metrics, pivot=(0.5, 0.5)):
+    (columns, rows), px = metrics.size, metrics.px
+    # Of a size that is known: ImGui shows no card while it learns its size, and there may be one
+    # frame alone.
+    height = 2 * px(PADDING_PT) + imgui.get_frame_height() + px(2 + 38) + 2 * px(GAP_PT)
+    size = (px(240) + 2 * px(PADDING_PT), height)
+    with card("connecting", (columns / 2, rows / 2), metrics, pivot=(0.5, 0.5), size=size):
         _spinner(metrics, now)
         imgui.same_line()
         imgui.align_text_to_frame_padding()
@@ -184,7 +189,8 @@ def _field(fields: Fields, name: str, *, width_px: float = -1.0, focus: bool = F
         imgui.set_keyboard_focus_here()
     flags = imgui.InputTextFlags_.password if name in SECRETS else 0
     value = getattr(fields, name)
-    _, typed = imgui.input_text_with_hint(f"##{name}", example, value, flags)
+    with ringed():
+        _, typed = imgui.input_text_with_hint(f"##{name}", example, value, flags)
     texts: dict[str, Any] = {name: typed[:MAX_CHARACTERS]}
     return replace(fields, **texts)
 

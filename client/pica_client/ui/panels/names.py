@@ -48,7 +48,7 @@ def _name(person: PersonView, label_px: Rect, metrics: Metrics) -> None:
     width, height = text_size(name, points)
     line_px = text_size("Ag", SMALL_PT)[1]
     num_lines = 0 if is_narrow else max(int((bottom - top - height - px(6)) / line_px), 0)
-    lines = _note_lines(person.remark, room - 2 * pad)[:num_lines]
+    lines = _note_lines(person.remark, room - 2 * pad, min(num_lines, MAX_NOTE_LINES))
     widths = [text_size(line, SMALL_PT)[0] for line in lines]
     plate = max([width + dot_px, *widths]) + 2 * pad
     total = height + len(lines) * line_px + px(6)
@@ -67,10 +67,10 @@ def _name(person: PersonView, label_px: Rect, metrics: Metrics) -> None:
             shapes.add_text(at, ink(palette.faint), line)
 
 
-def _note_lines(note: str, width_px: float) -> list[str]:
-    """A note in a few lines that are no wider than so many pixels."""
-    if not note:
+def _note_lines(note: str, width_px: float, num_lines: int) -> list[str]:
+    """A note in at most so many lines that are no wider than so many pixels."""
+    if not note or not num_lines:
         return []
     wide = max(text_size(note, SMALL_PT)[0] / len(note), 1.0)
     columns = max(int(width_px / wide), 8)
-    return textwrap.wrap(note, columns, max_lines=MAX_NOTE_LINES, placeholder=" …")
+    return textwrap.wrap(note, columns, max_lines=num_lines, placeholder=" …")

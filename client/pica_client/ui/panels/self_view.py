@@ -10,7 +10,8 @@ from pica_client.ui.surface.fonts import TEXT_PT
 from pica_client.ui.surface.theme import SMALL_PT, Metrics
 from pica_client.ui.surface.widgets import FIXED, Place, ink, text_size, type_size
 
-HEIGHT_PT = 104.0
+HEIGHT_PT, SMALL_HEIGHT_PT = 104.0, 64.0
+"""The smaller one beside a panel while somebody is pinned: their shoulder is there then."""
 BARS_PT, BAR_PT = 132.0, 44.0
 """Width of what a tracker says, and of a bar in it."""
 PICTURE_ONLY = imgui.WindowFlags_.no_inputs | imgui.WindowFlags_.no_background
@@ -28,9 +29,12 @@ def self_view(view: CallView, metrics: Metrics) -> list[UserOrder]:
     height, edge, gap = self_view_px(metrics), px(EDGE_PT), px(8)
     if not height or (own.texture is None and not own.has_tracker):
         return []
+    is_small = view.state.side != "none" and view.state.pinned is not None
+    height = round(px(SMALL_HEIGHT_PT)) if is_small else height
     width = round(ASPECT * height)
     camera_px = round(own.camera_aspect * height) + gap if own.camera is not None else 0
-    bars_px = px(BARS_PT) + gap if own.has_tracker and not camera_px else 0
+    has_bars = own.has_tracker and not (camera_px or is_small)
+    bars_px = px(BARS_PT) + gap if has_bars else 0
     bottom = metrics.size[1] - edge - gap - text_size("Ag", TEXT_PT)[1] - px(12)
     low, high = (edge, bottom - height), (edge + width, bottom)
     imgui.set_next_window_pos(low)
@@ -55,7 +59,7 @@ def self_view(view: CallView, metrics: Metrics) -> list[UserOrder]:
         texture = imgui.ImTextureRef(own.camera)
         corners = ((left, low[1]), (right, bottom))
         shapes.add_image_rounded(texture, *corners, (0, 0), (1, 1), WHITE, px(8))
-    elif own.has_tracker:
+    elif has_bars:
         _bars(own, (left, low[1]), (px(BARS_PT), height), metrics)
     imgui.end()
     return []

@@ -5,7 +5,14 @@ from dataclasses import replace
 from imgui_bundle import imgui
 
 from pica_client.ui.call_view import CallView
-from pica_client.ui.controls import KEYS_OF, LAYOUT_TITLES, ChooseLayout, Order, UserOrder
+from pica_client.ui.controls import (
+    KEYS_OF,
+    LAYOUT_TITLES,
+    ChooseLayout,
+    ControlState,
+    Order,
+    UserOrder,
+)
 from pica_client.ui.joining.form import SOURCES
 from pica_client.ui.panels.side import side_panel
 from pica_client.ui.panels.sound import MICROPHONE, microphone_picker, sound_part
@@ -19,54 +26,32 @@ MAX_NAME = 64
 
 
 def settings_panel(view: CallView, metrics: Metrics) -> list[UserOrder]:
-    """How people sit, what is shown, how the surface looks, and what a picture may cost."""
+    """Who one is, one's sound, and how the call is shown: a tab for each that there is."""
     orders: list[UserOrder] = []
-    state = view.state
-    if state.side != "settings":
+    if view.state.side != "settings":
         return orders
-    settings = state.settings
     with side_panel("Settings", metrics, orders):
-        if view.avatars:
+        if not imgui.begin_tab_bar("parts"):
+            return orders
+        if view.avatars and imgui.begin_tab_item("You")[0]:
             orders += _own(view, metrics)
-            imgui.separator()
-        if view.sound is not None:
+            imgui.end_tab_item()
+        if view.sound is not None and imgui.begin_tab_item("Sound")[0]:
             orders += _sound(view, view.sound, metrics)
-            imgui.separator()
-        note("People sit", metrics)
-        for number, (layout, title) in enumerate(LAYOUT_TITLES.items()):
-            if number % 2:
-                imgui.same_line(metrics.px(130))
-            if imgui.radio_button(title, layout == state.layout):
-                orders.append(ChooseLayout(layout))
-        imgui.separator()
-        note("Shown", metrics)
-        has_changed, _ = imgui.checkbox("Statistics", state.show_statistics)
-        if has_changed:
-            orders.append(Order.STATISTICS)
-        if state.own_face != "none":
-            _, shows_self = imgui.checkbox("My own face", settings.shows_self)
-            settings = replace(settings, shows_self=shows_self)
-        imgui.separator()
-        settings = _look(settings, metrics)
-        imgui.separator()
-        note("Detail. Less leaves more of this machine to others.", metrics)
-        imgui.set_next_item_width(-1)
-        percent = round(100 * settings.detail)
-        has_changed, percent = imgui.slider_int(
-            "##detail", percent, round(100 * MIN_DETAIL), 100, "%d %%"
-        )
-        if has_changed:
-            least = 100 * MIN_DETAIL
-            settings = replace(settings, detail=min(max(percent, least), 100) / 100)
-    if settings != state.settings:
-        orders.append(settings)
+            imgui.end_tab_item()
+        if imgui.begin_tab_item("View")[0]:
+            orders += _shown(view.state, metrics)
+            imgui.end_tab_item()
+        imgui.end_tab_bar()
+        if view.avatars:
+            orders += _coming_again(view, metrics)
     return orders
 
 
 def _own(view: CallView, metrics: Metrics) -> list[UserOrder]:
     """Face source, avatar and name; the last two hold once one has come in again."""
     orders: list[UserOrder] = []
-    wanted, sends = view.state.choice, view.state.own_face != "none"
+    wanted = view.state.choice
     chosen = replace(wanted, source=view.own.source or wanted.source)
     note("Your face", metrics)
     source = choice_of("##source", SOURCES, chosen.source)
@@ -81,17 +66,21 @@ def _own(view: CallView, metrics: Metrics) -> list[UserOrder]:
     found = replace(chosen, source=source, avatar=avatar, name=name[:MAX_NAME])
     if found != chosen:
         orders.append(found)
-    entered, comes = view.entered_as, bool(found.source)
-    has_other_voice = wanted.voice != entered.voice
-    if has_other_voice or (found.name, found.avatar, comes) != (
+    return orders
+
+
+def _coming_again(view: CallView, metrics: Metrics) -> list[UserOrder]:
+    """A button, where something was chosen that holds only once one has come in again."""
+    entered, wanted = view.entered_as, view.state.choice
+    sends = view.state.own_face != "none"
+    if (wanted.name, wanted.avatar, wanted.voice) == (
         entered.name,
         entered.avatar,
-        sends,
-    ):
-        note("You leave for a moment and come again.", metrics)
-        if action_button("Come again as this", metrics, tone="accent"):
-            orders.append(Order.REJOIN)
-    return orders
+        entered.voice,
+    ) and sends == bool(view.own.source or wanted.source):
+        return []
+    note("You leave for a moment and come again.", metrics)
+    return [Order.REJOIN] if action_button("Come again as this", metrics, tone="accent") else []
 
 
 def _sound(view: CallView, state: SoundState, metrics: Metrics) -> list[UserOrder]:
@@ -109,6 +98,36 @@ def _sound(view: CallView, state: SoundState, metrics: Metrics) -> list[UserOrde
         orders.append(settings)
     if wants_test:
         orders.append(Order.TEST_SOUND)
+    return orders
+
+
+def _shown(state: ControlState, metrics: Metrics) -> list[UserOrder]:
+    """How people sit, what is shown, how the surface looks, and what a picture may cost."""
+    orders: list[UserOrder] = []
+    settings = state.settings
+    note("People sit", metrics)
+    for number, (layout, title) in enumerate(LAYOUT_TITLES.items()):
+        if number % 2:
+            imgui.same_line(metrics.px(130))
+        if imgui.radio_button(title, layout == state.layout):
+            orders.append(ChooseLayout(layout))
+    note("Shown", metrics)
+    has_changed, _ = imgui.checkbox("Statistics", state.show_statistics)
+    if has_changed:
+        orders.append(Order.STATISTICS)
+    if state.own_face != "none":
+        _, shows_self = imgui.checkbox("My own face", settings.shows_self)
+        settings = replace(settings, shows_self=shows_self)
+    settings = _look(settings, metrics)
+    note("Detail. Less leaves more of this machine to others.", metrics)
+    imgui.set_next_item_width(-1)
+    percent = round(100 * settings.detail)
+    least = round(100 * MIN_DETAIL)
+    has_changed, percent = imgui.slider_int("##detail", percent, least, 100, "%d %%")
+    if has_changed:
+        settings = replace(settings, detail=min(max(percent, least), 100) / 100)
+    if settings != state.settings:
+        orders.append(settings)
     return orders
 
 

@@ -86,6 +86,8 @@ def signs(view: CallView, metrics: Metrics) -> list[UserOrder]:
     found = banner(view)
     lines = [found] if found is not None else []
     lines += [(notice.text, notice.tone) for notice in view.notices]
+    if metrics.is_compact:
+        lines = lines[:1] if found is not None else lines[-1:]  # each covers a face
     top = edge
     for text, tone in call_signs(view):
         top += _sign(text, tone, (edge, top), (0.0, 0.0), metrics) + metrics.px(6)

@@ -190,6 +190,21 @@ def button_colours(fill: Colour, ink: Colour) -> Iterator[None]:
         imgui.pop_style_color(4)
 
 
+@contextmanager
+def ringed() -> Iterator[None]:
+    """A field with a ring on its edge while it is typed in; ImGui's own is cut off at a panel's."""
+    colour = imgui.get_color_u32(imgui.Col_.nav_cursor)
+    imgui.push_style_color(imgui.Col_.nav_cursor, 0)
+    try:
+        yield
+    finally:
+        imgui.pop_style_color()
+    if imgui.is_item_focused():
+        style, shapes = imgui.get_style(), imgui.get_window_draw_list()
+        low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
+        shapes.add_rect(low, high, colour, style.frame_rounding, 1.5 * style.font_scale_dpi)
+
+
 def hint(text: str) -> None:
     """What is said of the last thing while the pointer rests on it."""
     if imgui.is_item_hovered(_POINTED_AT):

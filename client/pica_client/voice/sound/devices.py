@@ -52,6 +52,7 @@ NO_DEVICE = "none"
 """The loudspeaker that makes no sound: voices are played all the same, and can be recorded."""
 OnFrame = Callable[[FloatArray, int], None]
 """Takes 20 ms and when the first of its samples was captured, microseconds."""
+_IMPORTING = threading.Lock()
 NO_SOUND = "no sound system: {}; install the extra voice, and on Linux PulseAudio or PipeWire"
 
 
@@ -339,9 +340,11 @@ async def captured_frames(
 
 
 def _soundcard() -> Any:
-    """The library; it connects to the sound system when it is imported."""
+    """The library; it connects to the sound system when it is imported. Where that fails for one
+    thread, another that waits for the same import would be given half of the library."""
     try:
-        import soundcard
+        with _IMPORTING:
+            import soundcard
     except Exception as error:  # AssertionError without a server, OSError without its library
         raise VoiceError(NO_SOUND.format(str(error) or "no server answers")) from error
     return soundcard

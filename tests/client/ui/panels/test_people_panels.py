@@ -168,6 +168,7 @@ def test_each_setting_is_one_click(hand: Hand) -> None:
         return settings_panel(SETTINGS, metrics)  # type: ignore[arg-type, return-value]
 
     given = Settings()
+    hand.click("View", show)
     assert hand.click("Grid", show) == [ChooseLayout("grid")]
     assert hand.click("Statistics", show) == [Order.STATISTICS]
     assert hand.click("My own face", show) == [replace(given, shows_self=False)]
@@ -301,6 +302,7 @@ def test_devices_are_changed_during_a_call_and_another_voice_needs_coming_again(
     def show(metrics: Metrics) -> list[UserOrder]:
         return settings_panel(view, metrics)
 
+    hand.click("Sound", show)
     assert "no loudspeaker 'Old'" in texts(hand, settings_panel, view)
     hand.click("##microphone", show)
     assert hand.click("Desk", show) == [SoundSettings(microphone="Desk")]
