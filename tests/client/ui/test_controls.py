@@ -90,8 +90,8 @@ def test_every_order_is_given_by_a_key_or_by_a_button_or_explains_one() -> None:
 
 def test_a_button_gives_the_orders_of_keys_and_some_that_name_somebody() -> None:
     controls = Controls()
-    controls.obey(Pin(4))
     controls.obey(ChooseLayout("grid"))
+    controls.obey(Pin(4))
     controls.obey(CopyText("pica://relay"))
     assert (controls.state.pinned, controls.state.layout) == (4, "grid")
     assert controls.take_orders() == [CopyText("pica://relay")]
@@ -119,13 +119,15 @@ def test_a_key_of_the_help_does_what_the_help_says() -> None:
 
 
 def test_layouts_follow_each_other_and_come_round() -> None:
-    controls = Controls(ControlState(layout=LAYOUTS[0]))
+    controls = Controls(ControlState(layout=LAYOUTS[0], pinned=2))
     seen = []
     for _ in LAYOUTS:
         seen.append(controls.state.layout)
         press(controls, "L")
     assert seen == list(LAYOUTS)
     assert controls.state.layout == LAYOUTS[0]
+    assert controls.state.pinned is None  # else nothing would be seen of them
+    assert controls.take_orders() == [Order.NEXT_LAYOUT] * len(LAYOUTS)
 
 
 @pytest.mark.parametrize("key", ["Q", "Escape"])

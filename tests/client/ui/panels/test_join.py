@@ -120,6 +120,14 @@ def test_the_form_keeps_to_the_window_also_with_an_error(
         assert 0 <= left < right <= size[0]
 
 
+def test_what_is_waited_for_is_seen_in_the_first_frame(hand: Hand) -> None:
+    hand.frame(lambda metrics: [connecting_panel("Connecting …", metrics, 1.0)])
+    shapes = {
+        each._owner_name: each.vtx_buffer.size() for each in hand.surface.draw_data().cmd_lists
+    }
+    assert shapes["connecting"] > 0
+
+
 @pytest.mark.parametrize("way", ["button", "key"])
 def test_waiting_can_be_given_up(hand: Hand, way: str) -> None:
     given_up: list[bool] = []
