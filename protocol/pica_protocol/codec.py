@@ -6,6 +6,7 @@ ignored, missing ones take their default). Sizes are bounded before msgpack sees
 default settings turn 10 kB of hostile input into 68 MB of memory.
 """
 
+import functools
 import types
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, fields, is_dataclass
@@ -165,32 +166,18 @@ def _read_record(cls: type, value: object, path: str) -> object:
     return cls(**values)
 
 
-def _read_int(value: object, path: str) -> int:
-    if type(value) is not int:  # not isinstance: True is an int to Python, not to the protocol
-        raise _wrong(path, "an integer", value)
+_PLAIN: Final = {int: "an integer", bool: "true or false", str: "text", bytes: "bytes"}
+"""The types of single values, and what errors call them."""
+
+
+def _read_value(kind: type, value: object, path: str) -> object:
+    if type(value) is not kind:  # not isinstance: True is an int to Python, not to the protocol
+        raise _wrong(path, _PLAIN[kind], value)
     return value
 
 
-def _read_bool(value: object, path: str) -> bool:
-    if not isinstance(value, bool):
-        raise _wrong(path, "true or false", value)
-    return value
-
-
-def _read_int_or_none(value: object, path: str) -> int | None:
-    return None if value is None else _read_int(value, path)
-
-
-def _read_text(value: object, path: str) -> str:
-    if not isinstance(value, str):
-        raise _wrong(path, "text", value)
-    return value
-
-
-def _read_bytes(value: object, path: str) -> bytes:
-    if not isinstance(value, bytes):
-        raise _wrong(path, "bytes", value)
-    return value
+def _read_int_or_none(value: object, path: str) -> object:
+    return None if value is None else _read_value(int, value, path)
 
 
 def _read_metadata(value: object, path: str) -> Metadata:
@@ -198,21 +185,18 @@ def _read_metadata(value: object, path: str) -> Metadata:
         raise _wrong(path, "a map", value)
     # msgpack lets binary keys through too.
     return tuple(
-        (_read_text(key, f"{path} key"), _read_text(item, f"{path}.{quoted(key)}"))
+        (
+            cast(str, _read_value(str, key, f"{path} key")),
+            cast(str, _read_value(str, item, f"{path}.{quoted(key)}")),
+        )
         for key, item in value.items()
     )
 
 
 def _reader(hint: Any) -> _Reader:
     """Return what reads a field of this annotation; records met on the way get their schema too."""
-    if hint is int:
-        return _read_int
-    if hint is bool:
-        return _read_bool
-    if hint is str:
-        return _read_text
-    if hint is bytes:
-        return _read_bytes
+    if hint in _PLAIN:
+        return functools.partial(_read_value, hint)
     if get_origin(hint) in (Union, types.UnionType) and set(get_args(hint)) == {int, type(None)}:
         return _read_int_or_none
     if hint == Metadata:

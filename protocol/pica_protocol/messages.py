@@ -2,13 +2,17 @@
 
 Direction and bytes of each are shown in ``docs/protocol.md``. The annotations are the schema that
 ``codec.py`` reads: ``int``, ``bool``, ``str``, ``bytes``, ``int | None``, another record, a tuple
-of one of these, or ``Metadata``. A later version may add a field with a default; it never reorders,
-retypes or removes one. A field made by ``_added`` travels only where it is not its default, so the
-bytes of a message without it stay those of before.
+of one of these, or ``Metadata``; what an annotation adds to a type is the field's limit. A later
+version may add a field with a default; it never reorders, retypes or removes one. A field made by
+``_added`` travels only where it is not its default, so the bytes of a message without it stay those
+of before.
 """
 
+import functools
+import re
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Annotated, Any, Final, cast, get_args, get_type_hints
 
 from pica_protocol import PROTOCOL_VERSION
 from pica_protocol.limits import (
@@ -46,6 +50,77 @@ BYE_CODES: Final = (1000, 1001, 1009, 1011)
 LEFT_OUT: Final = "left out where it is the default"
 """Stands in the metadata of such a field."""
 
+Check = Callable[[str, Any], None]
+"""Takes the name of a field and its value; raises ``ValueError``."""
+
+
+def within(low: int, high: int) -> Check:
+    """Limit an integer."""
+    return lambda name, value: check_range(name, value, low, high)
+
+
+def _text(max_bytes: int) -> Check:
+    return lambda name, value: check_text(name, value, max_bytes)
+
+
+def _at_most(limit: int) -> Check:
+    return lambda name, items: check_count(name, items, limit)
+
+
+def _bytes(max_bytes: int) -> Check:
+    return lambda name, value: check_bytes(name, value, max_bytes)
+
+
+def _tracks(lowest: int, highest: int) -> Check:
+    """Limit tracks in their number, and their streams."""
+
+    def check(name: str, tracks: tuple["Track", ...]) -> None:
+        check_count(name, tracks, MAX_TRACKS)
+        for track in tracks:
+            check_range(f"{name}.stream", track.stream, lowest, highest)
+
+    return check
+
+
+Token = Annotated[str, check_token]
+Sha256 = Annotated[str, check_sha256]
+Pass = Annotated[str, check_pass]
+Name = Annotated[str, _text(MAX_NAME_BYTES)]
+Reason = Annotated[str, _text(MAX_REASON_BYTES)]
+Said = Annotated[Metadata, check_metadata]
+Stream = Annotated[int, within(1, MAX_STREAM)]
+Count = Annotated[int, within(0, MAX_COUNTER)]
+
+
+def wire_name(cls: type) -> str:
+    """The name of a record on the wire and in errors: that of its class, with underscores."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", cls.__name__).lower()
+
+
+@functools.cache
+def _checks(cls: type) -> tuple[tuple[str, str, Check], ...]:
+    """Field, its name in errors, and check, for all limits in the annotations of a record."""
+    return tuple(
+        (name, f"{wire_name(cls)}.{name}", check)
+        for name, hint in get_type_hints(cls, include_extras=True).items()
+        for check in getattr(hint, "__metadata__", ())
+    )
+
+
+class Checked:
+    """A record that holds its fields against the limits in their annotations when it is made.
+
+    Raises:
+        ValueError: A field is out of its limits; names it, its value and the limit.
+    """
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        cls: type = type(self)
+        for name, said, check in _checks(cls):
+            check(said, getattr(self, name))
+
 
 def _added(default: Any) -> Any:
     """Return a field that a later version has added."""
@@ -53,47 +128,44 @@ def _added(default: Any) -> Any:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Track:
+class Track(Checked):
     """One thing a peer publishes. The relay looks at ``stream`` and ``policy`` only."""
 
-    kind: str
+    kind: Token
     """What the payloads are, for receivers: ``face`` today. A short word of a-z, 0-9, _ . -"""
     policy: str = "latest"
     """Drop policy, one of ``DROP_POLICIES``."""
-    avatar: str = ""
+    avatar: Sha256 = ""
     """SHA-256 of the avatar file a receiver needs to draw this track, in hexadecimal, or empty."""
-    stream: int = 0
+    stream: Annotated[int, within(0, MAX_STREAM)] = 0
     """The stream its frames travel on; 0 in ``Join``, allotted by the relay in ``Joined``."""
-    profile: str = ""
+    profile: Sha256 = ""
     """SHA-256 of the stream profile the payloads are encoded with, in hexadecimal; empty: plain."""
     deadline_ms: int = 0
     """Says, with ``ordered``, how long a frame may wait for a receiver, milliseconds; else 0."""
 
     def __post_init__(self) -> None:
-        check_token("track.kind", self.kind)
+        Checked.__post_init__(self)
         check_text("track.kind", self.kind, MAX_TRACK_KIND_BYTES)
         if self.policy not in DROP_POLICIES:
             raise ValueError(
                 f"track.policy must be one of {DROP_POLICIES}, got {quoted(self.policy)}"
             )
-        check_sha256("track.avatar", self.avatar)
-        check_range("track.stream", self.stream, 0, MAX_STREAM)
-        check_sha256("track.profile", self.profile)
         is_ordered = self.policy == "ordered"
         longest_ms = MAX_DEADLINE_MS if is_ordered else 0
         check_range("track.deadline_ms", self.deadline_ms, int(is_ordered), longest_ms)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Peer:
+class Peer(Checked):
     """Somebody in the room, as the others see them."""
 
-    peer_id: str
+    peer_id: Token
     """Opaque, unique in the room for its lifetime; made by the relay."""
     name: str
     """What the person is called; not unique, and a mere claim unless ``is_name_assured``."""
-    tracks: tuple[Track, ...] = ()
-    metadata: Metadata = ()
+    tracks: Annotated[tuple[Track, ...], _tracks(1, MAX_STREAM)] = ()
+    metadata: Said = ()
     """What it says of itself; not to be trusted."""
     identity: str = _added("")
     """Who it is by the token that it came in with; empty without tokens."""
@@ -101,265 +173,192 @@ class Peer:
     """Whether the name stands in that token, and is not what its owner would like to be called."""
 
     def __post_init__(self) -> None:
+        Checked.__post_init__(self)
+        check_text("peer.name", self.name, MAX_NAME_BYTES, required=True)
         if self.identity:
             check_token("peer.identity", self.identity)
-        check_token("peer.peer_id", self.peer_id)
-        check_metadata("peer.metadata", self.metadata)
-        check_text("peer.name", self.name, MAX_NAME_BYTES, required=True)
-        check_count("peer.tracks", self.tracks, MAX_TRACKS)
-        for track in self.tracks:
-            check_range("peer.tracks.stream", track.stream, 1, MAX_STREAM)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Hello:
+class Hello(Checked):
     """First message of a client."""
 
-    version: int = PROTOCOL_VERSION
-    software: str = ""
-
-    def __post_init__(self) -> None:
-        check_range("hello.version", self.version, 0, MAX_COUNTER)
-        check_text("hello.software", self.software, MAX_NAME_BYTES)
+    version: Count = PROTOCOL_VERSION
+    software: Name = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Welcome:
+class Welcome(Checked):
     """The relay's answer to ``Hello``."""
 
-    version: int = PROTOCOL_VERSION
-    software: str = ""
-
-    def __post_init__(self) -> None:
-        check_range("welcome.version", self.version, 0, MAX_COUNTER)
-        check_text("welcome.software", self.software, MAX_NAME_BYTES)
+    version: Count = PROTOCOL_VERSION
+    software: Name = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Join:
+class Join(Checked):
     """Ask for a place in a room, naming what this client will publish (nothing: a mere viewer)."""
 
-    room: str
-    name: str
-    tracks: tuple[Track, ...] = ()
-    token: str = field(default="", repr=False)
+    room: Token
+    name: Annotated[str, check_name]
+    tracks: Annotated[tuple[Track, ...], _tracks(0, 0)] = ()
+    token: Pass = field(default="", repr=False)
     """Proof that its owner may come in, where the relay wants one; a secret."""
-    metadata: Metadata = ()
+    metadata: Said = ()
     """What this client says of itself."""
     resumable: bool = False
     """Whether it comes back when the connection breaks: its place is kept for a while."""
-    resume: str = field(default="", repr=False)
+    resume: Pass = field(default="", repr=False)
     """The secret of the last ``Joined``, which opens the place again if that is still there."""
-
-    def __post_init__(self) -> None:
-        check_token("join.room", self.room)
-        check_pass("join.token", self.token)
-        check_pass("join.resume", self.resume)
-        check_metadata("join.metadata", self.metadata)
-        check_name("join.name", self.name)
-        check_count("join.tracks", self.tracks, MAX_TRACKS)
-        for track in self.tracks:
-            check_range("join.tracks.stream", track.stream, 0, 0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Joined:
+class Joined(Checked):
     """The place in the room: own id, own tracks with their streams, and everybody present."""
 
-    room: str
-    peer_id: str
-    tracks: tuple[Track, ...] = ()
+    room: Token
+    peer_id: Token
+    tracks: Annotated[tuple[Track, ...], _tracks(1, MAX_STREAM)] = ()
     """The tracks of the ``Join`` in the same order, each with its stream."""
-    peers: tuple[Peer, ...] = ()
+    peers: Annotated[tuple[Peer, ...], _at_most(MAX_PEERS)] = ()
     """The others who are here already."""
     resumed: bool = False
     """Whether this is the old place: own id and streams are those of before, and the others have
     seen nobody come or go."""
-    resume: str = field(default="", repr=False)
+    resume: Pass = field(default="", repr=False)
     """What to come back with, once; empty: the place is not kept. A secret."""
-    resume_ms: int = 0
+    resume_ms: Count = 0
     """How long the place is kept after the connection broke, milliseconds."""
-    name: str = _added("")
+    name: Annotated[str, _text(MAX_NAME_BYTES)] = _added("")
     """What the others are shown, where the token says it; empty: the name of the ``Join``."""
-
-    def __post_init__(self) -> None:
-        check_text("joined.name", self.name, MAX_NAME_BYTES)
-        check_token("joined.room", self.room)
-        check_token("joined.peer_id", self.peer_id)
-        check_count("joined.tracks", self.tracks, MAX_TRACKS)
-        for track in self.tracks:
-            check_range("joined.tracks.stream", track.stream, 1, MAX_STREAM)
-        check_count("joined.peers", self.peers, MAX_PEERS)
-        check_pass("joined.resume", self.resume)
-        check_range("joined.resume_ms", self.resume_ms, 0, MAX_COUNTER)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class PeerJoined:
+class PeerJoined(Checked):
     """Somebody came in."""
 
     peer: Peer
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class PeerLeft:
+class PeerLeft(Checked):
     """Somebody went, on purpose or not. Their streams end with it."""
 
-    peer_id: str
-    reason: str = ""
-
-    def __post_init__(self) -> None:
-        check_token("peer_left.peer_id", self.peer_id)
-        check_text("peer_left.reason", self.reason, MAX_REASON_BYTES)
+    peer_id: Token
+    reason: Reason = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class PeerAway:
+class PeerAway(Checked):
     """Somebody lost the connection and may come back: their seat and streams are kept."""
 
-    peer_id: str
-
-    def __post_init__(self) -> None:
-        check_token("peer_away.peer_id", self.peer_id)
+    peer_id: Token
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class PeerBack:
+class PeerBack(Checked):
     """Somebody has come back on a new connection; also without a ``PeerAway`` before it."""
 
-    peer_id: str
-
-    def __post_init__(self) -> None:
-        check_token("peer_back.peer_id", self.peer_id)
+    peer_id: Token
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class PeerUpdated:
+class PeerUpdated(Checked):
     """Somebody says something else of themselves."""
 
-    peer_id: str
-    metadata: Metadata = ()
+    peer_id: Token
+    metadata: Said = ()
     """All of it: it replaces what was said before."""
-
-    def __post_init__(self) -> None:
-        check_token("peer_updated.peer_id", self.peer_id)
-        check_metadata("peer_updated.metadata", self.metadata)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class StreamMuted:
+class StreamMuted(Checked):
     """An admin has stopped a stream, or lets it go on; the publisher is told too."""
 
-    stream: int
+    stream: Stream
     is_muted: bool
 
-    def __post_init__(self) -> None:
-        check_range("stream_muted.stream", self.stream, 1, MAX_STREAM)
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class UpdateMetadata:
+class UpdateMetadata(Checked):
     """A client says something else of itself; the relay tells the others with ``PeerUpdated``."""
 
-    metadata: Metadata = ()
+    metadata: Said = ()
     """All of it: it replaces what was said before."""
-
-    def __post_init__(self) -> None:
-        check_metadata("update_metadata.metadata", self.metadata)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Leave:
+class Leave(Checked):
     """A client goes; the relay answers ``Bye`` with code 1000 and closes."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Want:
+class Want(Checked):
     """A receiver's subscription to one stream: frames up to ``layer``, or none.
 
     Without one it gets everything.
     """
 
-    stream: int
+    stream: Stream
     layer: int | None = None
     """Highest layer to forward; None stops the stream."""
 
     def __post_init__(self) -> None:
-        check_range("want.stream", self.stream, 1, MAX_STREAM)
+        Checked.__post_init__(self)
         if self.layer is not None:
             check_range("want.layer", self.layer, 0, MAX_LAYER)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class KeyframeRequest:
+class KeyframeRequest(Checked):
     """A receiver asks for a keyframe; the relay passes it on to the publisher at a limited rate."""
 
-    stream: int
-
-    def __post_init__(self) -> None:
-        check_range("keyframe_request.stream", self.stream, 1, MAX_STREAM)
+    stream: Stream
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Whisper:
+class Whisper(Checked):
     """Opaque bytes for one peer in the room; the relay does not look into them.
 
     On its way to the relay it names the receiver, on its way from the relay the sender.
     """
 
-    peer_id: str
-    data: bytes
-
-    def __post_init__(self) -> None:
-        check_token("whisper.peer_id", self.peer_id)
-        check_bytes("whisper.data", self.data, MAX_WHISPER_BYTES)
+    peer_id: Token
+    data: Annotated[bytes, _bytes(MAX_WHISPER_BYTES)]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class StreamReport:
+class StreamReport(Checked):
     """How one stream arrived since the last report."""
 
-    stream: int
-    received: int
-    lost: int = 0
+    stream: Stream
+    received: Count
+    lost: Count = 0
     """Holes in the sequence: dropped by the relay, or never sent."""
-    concealed: int = 0
+    concealed: Count = 0
     """Display times for which there was no fresh frame."""
 
-    def __post_init__(self) -> None:
-        check_range("report.stream", self.stream, 1, MAX_STREAM)
-        for counter, value in (
-            ("received", self.received),
-            ("lost", self.lost),
-            ("concealed", self.concealed),
-        ):
-            check_range(f"report.{counter}", value, 0, MAX_COUNTER)
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Report:
+class Report(Checked):
     """What a receiver saw, for the relay's statistics."""
 
-    streams: tuple[StreamReport, ...] = ()
-
-    def __post_init__(self) -> None:
-        check_count("report.streams", self.streams, MAX_REPORT_STREAMS)
+    streams: Annotated[tuple[StreamReport, ...], _at_most(MAX_REPORT_STREAMS)] = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Bye:
+class Bye(Checked):
     """Last message of either side; the websocket close frame repeats code and reason."""
 
     code: int
-    reason: str = ""
-    url: str = ""
+    reason: Reason = ""
+    url: Annotated[str, check_url] = ""
     """Another relay, where the same join will be taken; a client may try there at once."""
 
     def __post_init__(self) -> None:
+        Checked.__post_init__(self)
         if self.code not in BYE_CODES and not 3000 <= self.code <= 4999:
             raise ValueError(f"bye.code must be one a close frame may carry, got {self.code}")
-        check_text("bye.reason", self.reason, MAX_REASON_BYTES)
-        check_url("bye.url", self.url)
 
 
 Message = (
@@ -382,23 +381,7 @@ Message = (
     | Bye
 )
 
-MESSAGE_TYPES: Final[dict[str, type[Message]]] = {
-    "hello": Hello,
-    "welcome": Welcome,
-    "join": Join,
-    "joined": Joined,
-    "peer_joined": PeerJoined,
-    "peer_left": PeerLeft,
-    "peer_away": PeerAway,
-    "peer_back": PeerBack,
-    "peer_updated": PeerUpdated,
-    "stream_muted": StreamMuted,
-    "update_metadata": UpdateMetadata,
-    "leave": Leave,
-    "want": Want,
-    "keyframe_request": KeyframeRequest,
-    "report": Report,
-    "whisper": Whisper,
-    "bye": Bye,
-}
+MESSAGE_TYPES: Final = cast(
+    "dict[str, type[Message]]", {wire_name(cls): cls for cls in get_args(Message)}
+)
 """The name each message has on the wire, in its ``type`` field."""

@@ -111,34 +111,17 @@ ServerEvent = Join | Want | KeyframeRequest | Report | Whisper | UpdateMetadata 
 
 _Table = Mapping[State, Mapping[type, State]]
 
+_OF_A_ROOM: Final[tuple[type, ...]] = (
+    *(PeerJoined, PeerLeft, PeerAway, PeerBack, PeerUpdated),
+    *(StreamMuted, KeyframeRequest, Whisper, Media),
+)
+
 CLIENT_TABLE: Final[_Table] = {
     State.GREETING: {Welcome: State.JOINING},
     State.JOINING: {Joined: State.JOINED},
-    State.JOINED: {
-        PeerJoined: State.JOINED,
-        PeerLeft: State.JOINED,
-        PeerAway: State.JOINED,
-        PeerBack: State.JOINED,
-        PeerUpdated: State.JOINED,
-        StreamMuted: State.JOINED,
-        KeyframeRequest: State.JOINED,
-        Whisper: State.JOINED,
-        Media: State.JOINED,
-    },
+    State.JOINED: dict.fromkeys(_OF_A_ROOM, State.JOINED),
     # What was under way when Leave went out still arrives.
-    State.LEAVING: {
-        Welcome: State.LEAVING,
-        Joined: State.LEAVING,
-        PeerJoined: State.LEAVING,
-        PeerLeft: State.LEAVING,
-        PeerAway: State.LEAVING,
-        PeerBack: State.LEAVING,
-        PeerUpdated: State.LEAVING,
-        StreamMuted: State.LEAVING,
-        KeyframeRequest: State.LEAVING,
-        Whisper: State.LEAVING,
-        Media: State.LEAVING,
-    },
+    State.LEAVING: dict.fromkeys((Welcome, Joined, *_OF_A_ROOM), State.LEAVING),
     State.CLOSED: {},
 }
 
@@ -147,12 +130,9 @@ SERVER_TABLE: Final[_Table] = {
     State.JOINING: {Join: State.DECIDING, Leave: State.CLOSED},
     State.DECIDING: {Leave: State.CLOSED},
     State.JOINED: {
-        Want: State.JOINED,
-        KeyframeRequest: State.JOINED,
-        Report: State.JOINED,
-        Whisper: State.JOINED,
-        UpdateMetadata: State.JOINED,
-        Media: State.JOINED,
+        **dict.fromkeys(
+            (Want, KeyframeRequest, Report, Whisper, UpdateMetadata, Media), State.JOINED
+        ),
         Leave: State.CLOSED,
     },
     State.CLOSED: {},

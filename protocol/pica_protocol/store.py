@@ -10,17 +10,11 @@ Getting a file back is plain HTTP: ``GET /avatars/ID``, see ``docs/protocol.md``
 
 import re
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Annotated, Final, cast, get_args
 
 from pica_protocol.errors import RemoteProtocolError
-from pica_protocol.limits import (
-    MAX_CLIENT_MESSAGE_BYTES,
-    check_pass,
-    check_range,
-    check_sha256,
-    quoted,
-)
-from pica_protocol.messages import Bye
+from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES, quoted
+from pica_protocol.messages import Bye, Checked, Pass, Sha256, wire_name, within
 
 STORE_SUBPROTOCOL: Final = "pica.store.1"
 """The websocket sub-protocol of uploads; the digit changes when old peers could not follow."""
@@ -45,31 +39,29 @@ _CHUNK_PREFIX: Final = bytes([CHUNK_KIND])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Offer:
+class Offer(Checked):
     """First message of an upload: which file comes."""
 
-    sha256: str
+    sha256: Sha256
     """SHA-256 of the file's bytes, in hexadecimal: its id."""
-    size: int
+    size: Annotated[int, within(1, MAX_OFFER_BYTES)]
     """Its length in bytes."""
-    token: str = field(default="", repr=False)
+    token: Pass = field(default="", repr=False)
     """A join token that allows to publish with this avatar; a relay with keys wants one."""
 
     def __post_init__(self) -> None:
-        check_sha256("offer.sha256", self.sha256)
+        Checked.__post_init__(self)
         if not self.sha256:
             raise ValueError("offer.sha256 must not be empty")
-        check_range("offer.size", self.size, 1, MAX_OFFER_BYTES)
-        check_pass("offer.token", self.token)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Ready:
+class Ready(Checked):
     """The relay does not have it: send it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Stored:
+class Stored(Checked):
     """The relay has it, and whoever knows its id can get it."""
 
     checked: str = ""
@@ -82,12 +74,9 @@ class Stored:
 
 StoreMessage = Offer | Ready | Stored | Bye
 
-STORE_MESSAGE_TYPES: Final[dict[str, type[StoreMessage]]] = {
-    "offer": Offer,
-    "ready": Ready,
-    "stored": Stored,
-    "bye": Bye,
-}
+STORE_MESSAGE_TYPES: Final = cast(
+    "dict[str, type[StoreMessage]]", {wire_name(cls): cls for cls in get_args(StoreMessage)}
+)
 """The messages of this sub-protocol, as ``messages.MESSAGE_TYPES``."""
 
 
