@@ -60,9 +60,10 @@ class SealCounters:
 
 
 class Guard:
-    """Seals what a link sends and opens what it receives: a `transport.frame_guard.FrameGuard`.
+    """Stands between the session of a `transport.link.Link` and everybody else on this side.
 
-    One for each link. Pure but for its source of chance.
+    The link asks it before a frame goes out and before an event is handed on, and carries its
+    whispers. One for each link. Pure but for its source of chance.
 
     Attributes:
         counters: What it did.
@@ -109,11 +110,14 @@ class Guard:
         }
 
     def begin(self, room: str, name: str) -> None:
-        """Learn which room is asked for, and our name; see `FrameGuard.begin`."""
+        """We are about to join a room, and will be shown under this name.
+
+        Called before each join; what the relay answers cannot change it.
+        """
         self._keys.begin(room, name)
 
     def seal(self, frame: Frame) -> bytes:
-        """See `FrameGuard.seal`.
+        """Return the payload to send instead of the frame's own, once its header is final.
 
         Raises:
             SealError: We are in no room.
@@ -128,7 +132,7 @@ class Guard:
         return sealed
 
     def receive_event(self, event: ClientEvent, now: float) -> list[ClientEvent]:
-        """See `FrameGuard.receive_event`.
+        """Take an event of the session and return what the owner of the link gets instead.
 
         Whispers end here and frames come out plain. A newcomer who can read our frames from now on
         needs one to begin with: that shows as a `KeyframeRequest` for each of our streams.
@@ -171,18 +175,19 @@ class Guard:
         return [event]
 
     def messages_to_send(self, now: float) -> list[tuple[str, bytes]]:
-        """Take the key messages that must go out; see `FrameGuard.messages_to_send`."""
+        """Take the whispers that must go out now, peer ids and data: before every frame that was
+        sealed before this call."""
         notes = self._keys.messages_to_send(now)
         if notes:
             self.status = self._keys.status()
         return notes
 
     def next_timer(self) -> float | None:
-        """Say when to be woken; see `FrameGuard.next_timer`."""
+        """Return when `handle_timer` is due, or None."""
         return self._keys.next_timer()
 
     def handle_timer(self, now: float) -> None:
-        """Do what is due by now; see `FrameGuard.handle_timer`."""
+        """Do what is due by now."""
         self._keys.handle_timer(now)
 
     def _note_streams(self, peer: Peer) -> None:

@@ -10,7 +10,7 @@ matter, that is the suite to take.
 
 import hmac
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives.ciphers import Cipher as BlockCipher
@@ -24,20 +24,6 @@ NONCE_BYTES: Final = 12
 _AES_KEY_BYTES: Final = 16
 
 
-class Aead(Protocol):
-    """Authenticated encryption under one key."""
-
-    def encrypt(self, nonce: bytes, data: bytes, associated: bytes) -> bytes:
-        """Return the encrypted data with the tag behind it."""
-
-    def decrypt(self, nonce: bytes, data: bytes, associated: bytes) -> bytes:
-        """Return the plain data.
-
-        Raises:
-            ForgedFrameError: The tag does not fit.
-        """
-
-
 class GcmAead:
     """AES-GCM with a tag of 16 bytes."""
 
@@ -45,11 +31,11 @@ class GcmAead:
         self._cipher = AESGCM(key)
 
     def encrypt(self, nonce: bytes, data: bytes, associated: bytes) -> bytes:
-        """Encrypt and authenticate; see `Aead.encrypt`."""
+        """Return the encrypted data with the tag behind it."""
         return self._cipher.encrypt(nonce, data, associated)
 
     def decrypt(self, nonce: bytes, data: bytes, associated: bytes) -> bytes:
-        """Check and decrypt; see `Aead.decrypt`."""
+        """Return the plain data, or raise `ForgedFrameError` if the tag does not fit."""
         try:
             return self._cipher.decrypt(nonce, data, associated)
         except InvalidTag:
@@ -64,12 +50,12 @@ class CtrHmacAead:
         self._tag_bytes = tag_bytes
 
     def encrypt(self, nonce: bytes, data: bytes, associated: bytes) -> bytes:
-        """Encrypt and authenticate; see `Aead.encrypt`."""
+        """Return the encrypted data with the tag behind it."""
         encrypted = self._apply_keystream(nonce, data)
         return encrypted + self._tag(nonce, encrypted, associated)
 
     def decrypt(self, nonce: bytes, data: bytes, associated: bytes) -> bytes:
-        """Check and decrypt; see `Aead.decrypt`."""
+        """Return the plain data, or raise `ForgedFrameError` if the tag does not fit."""
         encrypted, tag = data[: -self._tag_bytes], data[-self._tag_bytes :]
         if not hmac.compare_digest(tag, self._tag(nonce, encrypted, associated)):
             raise ForgedFrameError("the tag does not fit")
@@ -84,6 +70,10 @@ class CtrHmacAead:
         message = b"".join(length.to_bytes(8) for length in lengths)
         message += nonce + associated + encrypted
         return hmac.digest(self._tag_key, message, "sha256")[: self._tag_bytes]
+
+
+Aead = GcmAead | CtrHmacAead
+"""Authenticated encryption under one key."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

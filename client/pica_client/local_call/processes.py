@@ -8,9 +8,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from pica_client.errors import CallProcessError
@@ -29,22 +28,18 @@ def bare_environment() -> dict[str, str]:
     return ours | {"PICA_PROFILE": "none"}
 
 
-class Child:
-    """One `pica` command in a process of its own."""
+class ChildProcess:
+    """A Python program in a process of its own, which ends when its standard input does."""
 
-    def __init__(self, name: str, arguments: Sequence[str], folder: Path) -> None:
+    def __init__(self, name: str, words: Sequence[str], **streams: Any) -> None:
         self.name = name
-        self._out, self._err = folder / f"{name}.out", folder / f"{name}.err"
-        with self._out.open("wb") as out, self._err.open("wb") as err:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", PARENT_WATCHDOG, *arguments, "--json"],
-                stdin=subprocess.PIPE,
-                stdout=out,
-                stderr=err,
-                env=bare_environment(),
-                # Ctrl-C in a terminal goes to the parent, which ends its children in good order.
-                start_new_session=True,
-            )
+        self._process = subprocess.Popen(
+            [sys.executable, *words],
+            stdin=subprocess.PIPE,
+            # Ctrl-C in a terminal goes to the parent, which ends its children in good order.
+            start_new_session=True,
+            **streams,
+        )
 
     @property
     def pid(self) -> int:
@@ -69,6 +64,26 @@ class Child:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+
+
+def end_all(processes: Iterable[ChildProcess], timeout_s: float) -> None:
+    """Ask processes to end, wait, and kill those that did not in time."""
+    ending = list(processes)
+    for process in ending:
+        process.let_go()
+    deadline = time.monotonic() + timeout_s
+    for process in ending:
+        process.wait(deadline)
+
+
+class Child(ChildProcess):
+    """One `pica` command in a process of its own."""
+
+    def __init__(self, name: str, arguments: Sequence[str], folder: Path) -> None:
+        self._out, self._err = folder / f"{name}.out", folder / f"{name}.err"
+        words = ("-m", PARENT_WATCHDOG, *arguments, "--json")
+        with self._out.open("wb") as out, self._err.open("wb") as err:
+            super().__init__(name, words, stdout=out, stderr=err, env=bare_environment())
 
     def result(self) -> dict[str, Any]:
         """What it printed as its result.
@@ -152,22 +167,9 @@ class Children:
         if first.exit_code is not None:
             raise CallProcessError(f"{first.name} ended early: {first.last_words()}")
 
-    def stop(self) -> None:
-        """Ask all to end, wait, and kill who did not."""
-        for child in self._children:
-            child.let_go()
-        deadline = time.monotonic() + STOP_TIMEOUT_S
-        for child in self._children:
-            child.wait(deadline)
-
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.stop()
+    def __exit__(self, *_: object) -> None:
+        end_all(self._children, STOP_TIMEOUT_S)
         self._folder.cleanup()

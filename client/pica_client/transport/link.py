@@ -21,6 +21,7 @@ import logging
 import random
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from websockets.exceptions import ConnectionClosed
 
@@ -34,17 +35,19 @@ from pica_client.transport.backoff import Backoff
 from pica_client.transport.config import LinkConfig, read_token
 from pica_client.transport.connect import SOFTWARE, RelayWebsocket, open_websocket
 from pica_client.transport.dialer import Connector, Dialer
-from pica_client.transport.frame_guard import FrameGuard, shown_name
 from pica_client.transport.lookout import Lookout
 from pica_client.transport.redirects import refused_redirect
 from pica_client.transport.refusals import Refusals, breaks_protocol, refusal_of
-from pica_client.transport.self_description import SelfDescription
+from pica_client.transport.self_description import SelfDescription, shown_name
 from pica_client.transport.silence import Silence
 from pica_client.transport.timers import time_after, wait_until
 from pica_protocol.client_session import ClientSession, Ticket
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import Joined, Report, Track
 from pica_protocol.session import ClientEvent, Closed, State
+
+if TYPE_CHECKING:  # who does not encrypt needs no cryptography
+    from pica_client.e2ee.guard import Guard
 
 _log = logging.getLogger(__name__)
 
@@ -86,7 +89,7 @@ class Link:
         on_event: EventHandler | None = None,
         connector: Connector | None = None,
         rng: random.Random | None = None,
-        guard: FrameGuard | None = None,
+        guard: "Guard | None" = None,
     ) -> None:
         """Prepare; `run` does the work.
 

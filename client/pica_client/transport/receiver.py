@@ -9,7 +9,6 @@ import contextlib
 import random
 import threading
 from collections.abc import Callable, Sequence
-from types import TracebackType
 from typing import Any, Self
 
 from pica_client.avatars.upload import AvatarGiver
@@ -182,12 +181,7 @@ class Receiver:
         started.wait()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
         if self._thread is not None:
             self._thread.join(timeout=JOIN_TIMEOUT_S)

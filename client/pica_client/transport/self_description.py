@@ -1,6 +1,9 @@
 """What we say of ourselves to everybody in the room, no faster than a relay lets us. Pure."""
 
+import binascii
+import json
 import math
+from base64 import urlsafe_b64decode
 from typing import Final
 
 from pica_protocol.limits import check_metadata
@@ -40,3 +43,14 @@ class SelfDescription:
     def note_told(self, now: float) -> None:
         """Note that the relay was told all of it."""
         self._told, self._told_s = self.metadata, now
+
+
+def shown_name(name: str, token: str) -> str:
+    """Return the name that others are shown: that of the join token, if it has one, or the given
+    one. Who signed the token does not matter here: we ask what our own pass says of us."""
+    try:
+        claims = json.loads(urlsafe_b64decode(token.split(".")[1] + "=="))
+        said = claims.get("name", "")
+    except (IndexError, binascii.Error, ValueError, AttributeError):
+        said = ""
+    return said if isinstance(said, str) and said else name

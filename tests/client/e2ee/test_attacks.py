@@ -13,7 +13,7 @@ from pica_client.e2ee.keys import FIRST_WAIT_S, SILENT_S, YOUNG_KEY_S
 from pica_client.e2ee.notes import NOTE_BYTES
 from pica_client.e2ee.secret import RoomSecret
 from pica_client.e2ee.status import SealState
-from pica_client.transport.frame_guard import shown_name
+from pica_client.transport.self_description import shown_name
 from pica_protocol.frames import Frame
 from pica_protocol.messages import (
     Peer,

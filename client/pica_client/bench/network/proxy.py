@@ -20,7 +20,6 @@ network.
 import asyncio
 import contextlib
 import socket
-from types import TracebackType
 from typing import Self
 from urllib.parse import urlsplit
 
@@ -79,12 +78,7 @@ class ImpairedProxy:
         self.url = urlsplit(self.url)._replace(netloc=f"127.0.0.1:{port}").geturl()
         return self
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         if self._listener is not None:
             self._listener.close()
         for task in self._connections:

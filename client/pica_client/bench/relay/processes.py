@@ -1,20 +1,17 @@
 """The processes of a relay bench: servers and swarms, each on its core, and what they cost."""
 
-import contextlib
 import json
 import os
 import select
 import subprocess
-import sys
-import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any, Self
 
 from pica_client.errors import CallProcessError, OptionError
+from pica_client.local_call.processes import ChildProcess, end_all
 
 START_TIMEOUT_S = 20.0
 """Seconds that a process has to say its first word."""
@@ -22,27 +19,12 @@ STOP_TIMEOUT_S = 5.0
 """Seconds that all processes together have to end when asked; then they are killed."""
 
 
-class Worker:
-    """A Python program in a process of its own, spoken to over its standard input and output.
-
-    It ends when its input does.
-    """
+class Worker(ChildProcess):
+    """A process that is spoken to over its standard input and output."""
 
     def __init__(self, name: str, words: Sequence[str], core: int | None = None) -> None:
-        self.name = name
-        self._process = subprocess.Popen(
-            [sys.executable, *words],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            # Ctrl-C in a terminal goes to the parent, which ends its children in good order.
-            start_new_session=True,
-        )
-        pin(self._process.pid, core)
-
-    @property
-    def pid(self) -> int:
-        """Its process id."""
-        return self._process.pid
+        super().__init__(name, words, stdout=subprocess.PIPE)
+        pin(self.pid, core)
 
     def order(self, **order: Any) -> None:
         """Send an order.
@@ -81,18 +63,9 @@ class Worker:
             raise self._failure()
         return line.decode().strip()
 
-    def let_go(self) -> None:
-        """End its input."""
-        with contextlib.suppress(OSError):
-            self._in.close()
-
     def wait(self, deadline: float) -> None:
         """Wait for its end until `deadline` (`time.monotonic`), then kill it."""
-        try:
-            self._process.wait(max(deadline - time.monotonic(), 0.0))
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        super().wait(deadline)
         assert self._process.stdout is not None
         self._process.stdout.close()
 
@@ -102,7 +75,7 @@ class Worker:
         return self._process.stdin
 
     def _failure(self) -> CallProcessError:
-        code = self._process.poll()
+        code = self.exit_code
         how = "says nothing" if code is None else f"ended with status {code}"
         return CallProcessError(f"{self.name} {how}")
 
@@ -124,22 +97,14 @@ class Workers:
     def stop(self, workers: Iterable[Worker]) -> None:
         """End some of them."""
         ending = list(workers)
+        end_all(ending, STOP_TIMEOUT_S)
         for worker in ending:
-            worker.let_go()
-        deadline = time.monotonic() + STOP_TIMEOUT_S
-        for worker in ending:
-            worker.wait(deadline)
             self._workers.remove(worker)
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop(self._workers)
 
 
