@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from pica_client.errors import OptionError, RelayRefusedError, RelayUnreachableError
-from pica_client.transport.dialer import Addresses
 from pica_client.transport.backoff import BackoffConfig
 from pica_client.transport.config import LinkConfig
+from pica_client.transport.dialer import Addresses
 from pica_client.transport.refusals import RETURN_S, Refusals, refusal_of
 from pica_client.transport.silence import FORGET_S, GIVE_UP_S, QUIET_S, Silence
 from pica_protocol.errors import CloseCode
