@@ -1,32 +1,8 @@
 """Bits against the error of the rendered face, for our stream and for what one would take instead.
 
-Each row is one profile on one source. A profile codes a performance frame by frame at 30 frames a
-second; its latents are decoded and drawn by the real decoder and renderer at some moments, and
-compared with the drawing of the latent as the expression encoder gave it (`mse`) and, where the
-avatar is of a head that the stage can draw, with that head itself (`psnr_loss_db`).
-
-    quality-N            our stream at quality N, all layers
-    quality-N-layer-L    the same with only the layers up to L: what is left after thinning, faces
-                         in between interpolated
-    rate-N               our stream told to keep to N bits a second of payload
-    plain-8-bit          the plain format
-    float-16             latent and pose as 16-bit floats
-    zlib                 each plain frame compressed on its own
-    zstd-dictionary      the same with a dictionary of 110 KB trained on other performances
-
-    payload_bps          payload bits a second over the whole performance, head pose included
-    wire_bps             with media header, websocket frame, and TCP and IP headers, one message a
-                         frame, as a sender's uplink has it
-    mse                  mean over moments and views, 0-255, over covered pixels
-    change_mse           the same of the *change* to the next frame: flicker hides from `mse`
-    psnr_loss_db         PSNR against the truth of the uncoded latent less that of the coded one,
-                         mean over moments; worst_frame_loss_db the largest. Null without a truth
-    pose_mrad, pose_mm   mean error of the head pose, per axis; it is in none of the above errors
-    encode_us, decode_us median time of a frame on this machine
-
-What it does not show: networks (`pica bench playout`), and people: the avatars are synthetic, and
-only the recording is of a face. An error of 8 bits and of the pixels that change owner at edges is
-in every `mse`: about 0.2.
+The fields of its rows stand in ``docs/benches.md``. What it does not show: networks (`pica bench
+playout`), and people: the avatars are synthetic, and only the recording is of a face. An error of 8
+bits and of the pixels that change owner at edges is in every `mse`: about 0.2.
 """
 
 import struct

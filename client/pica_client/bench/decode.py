@@ -1,39 +1,7 @@
 """What decoding one face costs: every level, the straightforward export, the baseline, the blocks.
 
-All cases take turns, one decode each in an order drawn anew for every round; a ratio is the median
-over rounds of two decodes of the same round.
-
-Rows:
-
-    model        "pica": the avatar; "baseline": the paper's baseline of the same face, random
-                 weights; "block B", "block H2", "block C": the paper's sizes with each candidate
-                 block and exits as the avatar could have them, random weights; "talk": the
-                 avatar's full level, frame after frame of a talking head, so that regions which
-                 have not moved are skipped; "frame": the same with its plan before and its upload
-                 after; "baseline frame": the baseline with its upload
-    level        texels per side of the maps; None for the baseline
-    parts        "both" maps, or the "expression" map alone; "all" for the baseline
-    threads      of ONNX Runtime
-    ms           median of a decode
-    p95, spread  95th percentile, milliseconds; (upper quartile - lower quartile) / median
-    mse          rendered error of the level at `head_px`, as the avatar's file tells it: 0-255,
-                 over covered pixels, full resolution; None where it was not measured
-    vertex_mm    mean distance of the level's vertices from the full level's, over the latents used;
-                 None where weights are random
-    plain_ms     median of the straightforward export of the same weights, one operator a layer
-    is_equal     whether both exports decode to the same maps, to `EQUAL` of their largest value
-    difference   the largest share of it by which they differ
-    regions      of "talk" and "frame": share of the regions that were made, mean; else None
-    upload_bytes of "frame": bytes that went to the GPU for a frame, mean; else None
-
-`summary`, by threads and model, for each level: the baseline over it (`baseline_ratio`), the plain
-export over the fast one (`plain_ratio`), the full level over it (`level_ratio`); and the level that
-the scheduler gives a talking head of `head_px` when it has time (`level_at_head_px`). `talk_ratio`
-and `frame_ratio`: the baseline over "talk", and with its upload over "frame"; `*_cpu_ratio` the
-same in processor time, which says more where others use the machine.
-
-What it does not show: drawing (`pica bench render`), several avatars at once, other
-providers than the one chosen.
+The fields of its rows stand in ``docs/benches.md``. What it does not show: drawing (`pica bench
+render`), several avatars at once, other providers than the one chosen.
 """
 
 from collections.abc import Callable, Iterator, Sequence

@@ -1,38 +1,11 @@
 """Error against milliseconds for trained models: the rows of the paper's tables, and blocks.
 
-Every file is what `pica export` wrote: avatars of any variant and block, and baselines. All of them
-decode and draw the same talking performance in one process, each with its own expression encoder,
-with the renderer of the product; they take turns, frame by frame, in an order drawn anew for every
-frame. Avatars are shown at their full level.
-
 The error is not measured here: it is the held-out MSE that `pica eval` measured of the same models,
 by the model's own encoder, and comes in with its rows (`eval_rows`).
 
-Models:
-
-    identity variant block      whose, which row of the paper's tables, which decoder block
-    file_bytes parameters macs macs_per_pixel triangles
-    mse mse_low mse_high psnr_db ssim views frames steps seed
-                                means over views of what `pica eval` said; MSE on 0-255 values over
-                                rasterised pixels
-
-Rows, one for each model and distance:
-
-    distance_cm      from the camera to the front of the head's bounding box, as in `bench.render`
-    pixels           coloured in the last frame; a baseline colours some twice
-    decode_ms        ONNX Runtime
-    upload_ms        maps, or vertices and texture; not part of the total, for how it is done
-                     depends on the driver, and a texture's conversion to 8 bits on us
-    draw_ms          until the GPU is done
-    total_ms         decode and draw of a frame; each of the four is a median over frames, with its
-                     quartiles in `*_low` and `*_high`
-    *_cpu_ms         medians of the processor time of all threads of this process: with software GL
-                     what the work costs whoever else runs; meaningless with a GPU
-    is_best          nothing of the same person is both cheaper and better here (`mark_best`)
-
-What it does not show: levels of detail (`pica bench pareto`), what the file's rounding adds to the
-error (`pica avatar precision`), and caches that are warm from the frame before: whoever else is
-measured in between has emptied them.
+The fields of its rows stand in ``docs/benches.md``. What it does not show: levels of detail (`pica
+bench pareto`), what the file's rounding adds to the error (`pica avatar precision`), and caches
+that are warm from the frame before: whoever else is measured in between has emptied them.
 """
 
 import os

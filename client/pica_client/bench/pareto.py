@@ -1,28 +1,9 @@
 """Error against milliseconds for every way to show a face: level, mesh, precision of the weights,
 block of the decoders.
 
-A talking head at several distances, laid out as in `bench.render`. The truth of a frame is the full
-level of the avatar as it is in memory, drawn with `SAMPLES` x `SAMPLES` samples a pixel. Every
-candidate decodes the same latents and draws the same frames; they take turns, frame by frame.
-
-Rows:
-
-    model            "pica": the avatar; "block B" and so on: the paper's sizes with another block
-                     and random weights: they have a cost and no error
-    level            texels per side of the maps
-    mesh             level of the triangles; other than `level` with the full maps alone
-    precision        of the decoders' weights: "f32" as in memory, "f16", "u8" as a file may hold
-                     them; they are widened when the file is read, so they cost the same time
-    file_bytes       of an avatar file that stores them so; null where there is no such file
-    distance_cm
-    decode_ms draw_ms total_ms     medians over frames
-    mse              0-255, over covered pixels, mean over frames
-    change_mse       of the change from frame to frame: flicker, which `mse` does not see
-    is_best          whether no other candidate at this distance is both cheaper and better; cost is
-                     compared in steps of `SAME_COST`, which is what a busy machine can tell
-
-What it does not show: the trained errors of other blocks and of the paper's ablations, which need
-those models; several heads (`pica bench scene`).
+The fields of its rows stand in ``docs/benches.md``. What it does not show: the trained errors of
+other blocks and of the paper's ablations, which need those models; several heads (`pica bench
+scene`).
 """
 
 import tempfile

@@ -2,36 +2,9 @@
 the rendered face. On a virtual clock, so every figure comes out the same on every machine with the
 same renderer.
 
-Each row is one scenario (`network.scenarios`) under one policy (`network.policies.POLICIES`).
-Unless it says otherwise a figure is of the troubled third of the run:
-
-    mse_shown        against the true face at the moment that the policy means to show: the refresh
-                     less the fastest transit less the policy's own delay. What interpolation,
-                     concealment and missing frames cost; a constant delay costs nothing.
-    mse_expression   the same with the head where it truly was: what is wrong with the face itself.
-                     A head that is off by a tenth of a pixel already costs more MSE than anybody
-                     sees.
-    mse_now          against the true face now, so with the delay of network and playout in it.
-    added_delay_ms   age of the face on the display beyond the fastest transit, over all refreshes.
-    concealed_ratio  share of refreshes for which the frame to show was not there.
-    longest_gap_ms   the longest time without such a frame.
-    late             frames that came after a newer one had been shown.
-    recovery_ms      from the end of the trouble to the last refresh that was still concealed; 0 if
-                     there was none, None if that lasts to the end of the run.
-    delay_recovery_ms   the same for the last refresh whose face was more than a frame interval
-                     older than before the trouble.
-    largest_step     largest change of the picture from one refresh to the next, from the beginning
-                     of the trouble to the end of the run, over the largest that the true face makes
-                     there (root mean square); above 1 the face jumps as it never does.
-    payload_bps, wire_bps   over the whole run: what was sent, and what the relay passed on with the
-                     headers of websocket and TCP/IP.
-
-MSE is on 0-255 values over covered pixels of a front view of 192 x 192 pixels, at some refreshes a
-second. Which steps are largest is decided between latents and head poses, the steps themselves are
-rendered.
-
-What it does not show: real networks (see `network.impairment` for what is modelled), displays that
-miss refreshes, and people: performances and avatars are synthetic.
+The fields of its rows stand in ``docs/benches.md``. What it does not show: real networks (see
+`network.impairment` for what is modelled), displays that miss refreshes, and people: performances
+and avatars are synthetic.
 """
 
 import itertools

@@ -1,35 +1,7 @@
 """What drawing a head costs: near and far, at every level, beside a textured baseline.
 
-The layout is that of the paper's Table 3: one head before a square eye buffer, 18, 65 and 120 cm
-from the camera to the front of its bounding box, looked at from the front. `FIELD_OF_VIEW` is
-chosen so that the three distances cover pixels in about the paper's ratios (2.7 : 0.9 : 0.2
-million). A frame is all that the product draws but texts: surfaces, pixel decoder, smoothed edges;
-its time ends when the GPU is done, and reading the image back is not in it. Cases take turns, one
-frame each; medians over the rounds.
-
-Rows:
-
-    model, level    "pica" at one of the avatar's levels, or "baseline": the same head as a textured
-                    mesh drawn in one pass, as `pica_core.reference.baseline` describes it
-    mesh            level of the triangles, where that is another one
-    weights         where the pixel decoder's weights stand, see `RenderOptions`
-    distance_cm
-    pixels          pixels that the head coloured
-    triangles
-    draw_ms         a frame
-    vertex_ms       the meshes of a frame with a scissor of one pixel: vertices, clipping and the
-                    setup of triangles run, pixels do not; nothing is cleared or copied. The
-                    difference of doing it nine times in one call and once, so that calls and
-                    bookkeeping are not in it
-    draw_cpu_ms, vertex_cpu_ms
-                    the same as processor time of all threads of this process: with software GL
-                    what the work costs whoever else runs, and steadier; meaningless with a GPU
-    spread          (upper quartile - lower quartile) / median of draw_ms
-
-Then a sweep over distances of every level and of the baseline, with the line time = intercept_ms +
-ns_per_pixel * pixels fitted to each, and `summary` with the ratios.
-
-What it does not show: decoding and uploads (`pica bench decode`), several heads, window systems.
+The fields of its rows stand in ``docs/benches.md``. What it does not show: decoding and uploads
+(`pica bench decode`), several heads, window systems.
 """
 
 import math

@@ -1,36 +1,8 @@
 """What a scene of several talking heads costs with and without the scheduler, and what error it
 leaves.
 
-Heads stand in a line, `SPACING_M` apart as in the paper's last experiment, the middle one so far
-from the camera; everybody talks, each from elsewhere in a shipped performance. A frame is all that
-follows the latents: plan, decode, upload and draw, one after the other on one thread, so that their
-times add up and none hides behind another (the viewer decodes beside drawing). Reading back is not
-in it. Cases take turns, `TURN_FRAMES` frames each, round after round. Times are means over a turn,
-for a scheduler that decodes now and then has no typical frame, and of the turns the mean of the
-middle half.
-
-Rows:
-
-    avatars, distance_cm    of the middle one, from the camera to the front of its bounding box
-    scheduler               false: everybody is decoded whole, at the full level, in every frame
-    budget_ms               what the scheduler may spend; null is as much as it likes
-    floor_ms                the least that everybody gets costs so much, by what it has learned
-    decode_ms upload_ms draw_ms plan_ms total_ms    of a frame, wall clock
-    cpu_ms                  of a frame, processor time of all threads together
-    spread                  (upper quartile - lower quartile) / median of a turn's total_ms
-    error                   MSE (0-255, over pixels that heads cover) against the same frame drawn
-                            from full-level maps of the newest latents: what the scheduler gave up
-    payload_bps             of all streams, only the layers that were asked for
-    decodes                 of a frame; expression maps alone count one half
-    limited                 share of visible heads from which the budget kept something
-    levels, meshes          how often what was chosen for a visible head
-    pixels                  covered by heads
-    triangles
-
-`summary` compares: many heads near and far against one that fills the screen, with and without the
-scheduler; half of the unconstrained cost; no head on the screen.
-
-What it does not show: networks and playout (`pica bench call`), windows, several threads.
+The fields of its rows stand in ``docs/benches.md``. What it does not show: networks and playout
+(`pica bench call`), windows, several threads.
 """
 
 import math

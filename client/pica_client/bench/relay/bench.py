@@ -1,27 +1,11 @@
 """`pica bench relay`: rooms full of simulated peers, and what they cost the relay.
 
 Every peer is a real websocket that publishes one stream and receives those of the others in its
-room (`peer`); payloads have the sizes and layers of a coded face
-(`traffic`). Without an address the bench starts a relay of its own on a core of its
-own, and keeps the load on the others.
+room (`peer`); payloads have the sizes and layers of a coded face (`traffic`). Without an address
+the bench starts a relay of its own on a core of its own, and keeps the load on the others.
 
-What the figures are:
-
-- ``forward_ms``: from just before a peer's send call to just after another's receive call, of all
-  frames captured in the window (`swarm`). It includes the network, and the time that
-  frames wait in a busy load generator: ``generator.turn_ms`` bounds that.
-- ``voice_ms``: the same of the packets of voices, with --voices.
-- ``relay_forward_ms``: the relay's own, from receipt to the socket's taking it, as the upper bounds
-  of its histogram's buckets.
-- ``dropped``: frames that the relay says it dropped, or, if it says nothing, that did not arrive.
-- ``late``: how many of those as it had too much to do; ``brake_level``: how hard it braked at the
-  end.
-- ``relay_cpu_s_per_1000``: processor time of the relay's process for 1,000 delivered frames; what
-  the kernel does for it elsewhere is not in it.
-- ``bytes_per_connection``: growth of the relay's resident memory by this many peers in their rooms;
-  the kernel's socket buffers are not in it.
-
-What it does not show: real networks, TLS (unless --url says wss), slow receivers.
+The fields of its rows stand in ``docs/benches.md``. What it does not show: real networks, TLS
+(unless --url says wss), slow receivers.
 """
 
 import json
