@@ -398,9 +398,10 @@ def _framing_pinned(
 def _row_frame(frame: _Frame) -> tuple[_Frame, float]:
     """The part of it for busts in a row, who need no room below for their names, and where the
     eyes are best."""
-    low, high = frame.bottom - 2 * math.tan(VERTICAL_FOV / 2) * LABEL_SHARE, frame.top
-    margin = (high - low) / 2 * (1 - ROW_FILL / FRAME_FILL)
-    return replace(frame, bottom=low + margin, top=high - margin), high - (high - low) * EYES_SHARE
+    tangent = math.tan(VERTICAL_FOV / 2)
+    low, high = frame.bottom - 2 * tangent * LABEL_SHARE, frame.top
+    inner = replace(frame, bottom=max(low, -tangent * ROW_FILL), top=min(high, tangent * ROW_FILL))
+    return inner, high - (high - low) * EYES_SHARE
 
 
 def _frame(aspect: float, free: FreeShares) -> _Frame:

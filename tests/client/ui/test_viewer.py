@@ -232,6 +232,29 @@ def test_a_click_on_a_head_brings_it_forward() -> None:
         assert viewer.controls.state.pinned == 1
 
 
+def middle_of(viewer: Viewer, place: int) -> float:
+    """Where a head is from left to right, pixels of a picture 640 wide."""
+    return float(np.mean([x for x in range(640) if viewer.pick(x, 150) == place]))
+
+
+def test_who_comes_moves_the_others_aside_step_by_step() -> None:
+    source = Faces("ada")
+    with Viewer(source, replace(SMALL, size=(640, 360)), clock=lambda: 5.0) as viewer:
+        viewer.step(1.0)
+        assert middle_of(viewer, 0) == pytest.approx(320, abs=1)
+        source.present.append("grace")
+        source.avatar_of["grace"] = "toy"
+        ways = []
+        for frame in range(40):
+            viewer.step(1.05 + frame / 30)
+            ways.append(middle_of(viewer, 0))
+        steps = -np.diff([320.0, *ways])
+        assert (steps >= -1).all()
+        assert steps.max() < 0.35 * (320 - ways[-1])
+        assert ways[20] == pytest.approx(ways[-1], abs=1)
+        assert middle_of(viewer, 1) == pytest.approx(640 - ways[-1], abs=2)
+
+
 def test_a_click_on_the_bar_is_not_one_on_the_head_behind_it() -> None:
     with Viewer(Faces("ada"), replace(SMALL, size=(640, 360), layout="grid")) as viewer:
         viewer.receive(Scrolled(40))
