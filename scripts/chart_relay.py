@@ -59,7 +59,7 @@ def chart_relay() -> None:
 
 def _servers(line: Line) -> dict[str, Row]:
     """What was measured of each server under one load."""
-    return {"relay": line["result"], **line["result"]["compare"]}
+    return {"relay": line["result"], **line["result"].get("compare", {})}
 
 
 def _draw_load(lines: Sequence[Line]) -> Figure:

@@ -8,10 +8,11 @@ import pytest
 from malice import clients
 from malice.beside import HostileConfig
 from malice.soak import SoakConfig, run_soak
-from pica_client.bench.relay.bench import Load, RelayBenchConfig, relay_target, run_relay_bench
+from pica_client.bench.relay.bench import Load, RelayBenchConfig, relay_target
 from pica_client.bench.relay.processes import Workers, memory_bytes, relay_metrics
 from pica_client.errors import OptionError
 from pica_client.local_call.processes import Children
+from rivals.comparison import run_comparison
 
 pytestmark = pytest.mark.realtime
 
@@ -30,10 +31,10 @@ MAX_GROWTH_BYTES = 32_000_000
 
 
 def test_everybody_gets_every_frame_from_relay_naive_relay_and_echo() -> None:
-    config = RelayBenchConfig(rooms=2, seconds=1.0, compare=("naive", "echo"))
-    result = run_relay_bench(config)
+    config = RelayBenchConfig(rooms=2, seconds=1.0)
+    result = run_comparison(config, compare=("naive", "echo"), ablate=("flow",))
     assert result.keys() >= KEYS
-    for row in (result, *result["compare"].values()):
+    for row in (result, *result["compare"].values(), *result["ablate"].values()):
         assert row["connections"] == 10
         assert row["sent_per_s"] == pytest.approx(300, rel=0.1)
         assert (row["missing"], row["errors"]) == (0, 0)
@@ -101,3 +102,5 @@ def test_offenders_go_only_to_a_relay_of_our_own() -> None:
         HostileConfig(load=RelayBenchConfig(), kinds=("rude",))
     with pytest.raises(OptionError, match="leave out url"):
         SoakConfig(load=elsewhere)
+    with pytest.raises(OptionError, match="compare 'fast' is unknown; known are naive"):
+        run_comparison(elsewhere, compare=("fast",))

@@ -6,7 +6,6 @@ saw itself.
 """
 
 import sys
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -137,11 +136,6 @@ def _forget_peak(pid: int) -> None:
     """Let the peak of a process's memory begin anew, where the system can."""
     with suppress(OSError):
         Path(f"/proc/{pid}/clear_refs").write_text("5")
-
-
-def parse_kinds(words: str) -> Sequence[str]:
-    """The kinds that an option names."""
-    return tuple(KINDS) if words == "all" else tuple(word for word in words.split(",") if word)
 
 
 def _say(text: str) -> None:

@@ -12,13 +12,13 @@ import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Final
 from urllib.parse import urlsplit
 
 import tyro
 
-from pica_client.bench.option_types import Arguments, Words, check_names, check_ranges
+from pica_client.bench.option_types import Arguments, check_ranges
 from pica_client.bench.relay.figures import (
     close_codes,
     describe,
@@ -29,7 +29,6 @@ from pica_client.bench.relay.figures import (
 )
 from pica_client.bench.relay.processes import (
     START_TIMEOUT_S,
-    Worker,
     Workers,
     cpu_s,
     memory_bytes,
@@ -59,14 +58,6 @@ NO_LIMITS: Final = (
     *("--limits.handshakes", "4096"),
 )
 """Arguments of a relay whose limits on joins are not what is measured."""
-ABLATIONS: Final = {
-    "short-read": ("--without", "short-read"),
-    "direct-write": ("--without", "direct-write"),
-    "flow": ("--without", "flow"),
-    "ride": ("--without", "ride"),
-}
-"""Arguments of a relay that lacks one part of its fast path."""
-COMPARISONS: Final = ("naive", "naive-uvloop", "echo")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -97,12 +88,6 @@ class RelayBenchConfig:
     """The bar: longest 99th percentile of the forwarding latency, milliseconds."""
     max_rooms: int = 400
     """Where looking for capacity ends."""
-    compare: Words = ()
-    """Give the same load to others as well: naive (read and broadcast, same library), naive-uvloop,
-    echo (what the load generator can do at most); separated by commas."""
-    ablate: Words = ()
-    """Give the same load to the relay without one part of its fast path, for each of: short-read,
-    direct-write, flow, ride; all of them: all."""
     relay_arguments: Arguments = ()
     """Further arguments of the relay that is started: --relay-arguments="--port 8765"."""
     seed: int = 0
@@ -114,8 +99,6 @@ class RelayBenchConfig:
         check_ranges(self, bar_ms=(0.1, 10_000))
         if self.joins_per_s is not None:
             check_ranges(self, joins_per_s=(0.1, 10_000))
-        check_names("compare", self.compare, COMPARISONS)
-        check_names("ablate", self.ablate, ("all", *ABLATIONS))
         if self.url is not None:
             check_url(self.url)
 
@@ -335,25 +318,13 @@ class Load:
 
 
 def run_relay_bench(config: RelayBenchConfig) -> dict[str, Any]:
-    """Measure a relay, and what it is compared with.
+    """Measure a relay.
 
     Raises:
         ClientError: The relay does not answer, or does not let everybody in.
     """
-    with Workers() as workers, Children() as children:
-        with relay_target(config, children) as target:
-            result = _measure(config, target, workers, "relay")
-        result["compare"] = {}
-        for name in config.compare:
-            with _rival(name, result, config, workers) as target:
-                result["compare"][name] = _measure(config, target, workers, name)
-        result["ablate"] = {}
-        for name in ABLATIONS if "all" in config.ablate else config.ablate:
-            lacking = replace(config, relay_arguments=(*config.relay_arguments, *ABLATIONS[name]))
-            with relay_target(lacking, children) as target:
-                result["ablate"][name] = _measure(lacking, target, workers, f"without {name}")
-    result["machine"] = describe_machine()
-    return result
+    with Workers() as workers, Children() as children, relay_target(config, children) as target:
+        return measure(config, target, workers, "relay") | {"machine": describe_machine()}
 
 
 @contextmanager
@@ -388,29 +359,10 @@ def start_relay(
     return relay, Target(url=url, pid=relay.pid, has_metrics=True)
 
 
-@contextmanager
-def _rival(
-    name: str, result: dict[str, Any], config: RelayBenchConfig, workers: Workers
-) -> Iterator[Target]:
-    """A server to compare with."""
-    core, _ = share_cores()
-    worker: Worker
-    if name == "echo":
-        copies = config.peers - 1
-        per_message = result["frames_per_message"] or 1
-        # As many in a message as the relay puts there, rounded down to what divides.
-        fitting = [n for n in range(1, copies + 1) if copies % n == 0 and n <= per_message + 0.25]
-        worker = workers.start("echo", str(copies), str(fitting[-1]), core=core)
-    else:
-        loop = ["uvloop"] if name == "naive-uvloop" else []
-        worker = workers.start("naive", *loop, core=core)
-    yield Target(url=worker.line(START_TIMEOUT_S), pid=worker.pid)
-    workers.stop([worker])
-
-
-def _measure(
+def measure(
     config: RelayBenchConfig, target: Target, workers: Workers, name: str
 ) -> dict[str, Any]:
+    """Load one server as the configuration says; `name` is what it is called on stderr."""
     load = Load(config, target, workers)
     try:
         load.connect(config.rooms)

@@ -68,7 +68,6 @@ def test_simulated_frames_are_frames_of_the_protocol() -> None:
         ({"fps": 0.5}, "fps is 0.5"),
         ({"seconds": 0}, "seconds is 0"),
         ({"processes": 30}, "processes is 30; 1 to 20"),
-        ({"compare": ("fast",)}, "compare 'fast' is unknown; known are naive"),
         ({"url": "http://x"}, "url 'http://x' is no relay address"),
     ],
 )

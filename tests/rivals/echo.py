@@ -1,6 +1,6 @@
 """What the load generator can do at most: a server that costs next to nothing.
 
-``python -m pica_client.bench.relay.echo COPIES FRAMES_PER_MESSAGE`` lets everybody in and sends
+``python tests/rivals/echo.py COPIES FRAMES_PER_MESSAGE`` lets everybody in and sends
 every frame back to its sender, as many copies as other peers would get, so many in a message. No
 rooms, no queues, no limits: a relay that comes near these figures has reached the generator's, not
 its own.

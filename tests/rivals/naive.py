@@ -1,6 +1,6 @@
 """A relay as one would write it first, to compare with: read a message, ``broadcast`` it.
 
-``python -m pica_client.bench.relay.naive`` uses the same websockets library and the same protocol,
+``python tests/rivals/naive.py`` uses the same websockets library and the same protocol,
 so that the same load can join, and nothing else: no queue of its own, no drop rule, no layers, no
 keyframes for latecomers, no limits, no shared messages. A receiver that does not read makes it
 grow. It is no server to run.

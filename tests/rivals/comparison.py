@@ -1,0 +1,75 @@
+"""A relay beside other servers, and beside itself without a part, under one load in one run.
+
+naive, naive-uvloop   read a message and broadcast it, with the same library
+echo                  what the load generator can do at most
+short-read, direct-write, flow, ride
+                      the relay without this part of its fast path
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+from pica_client.bench.option_types import check_names
+from pica_client.bench.relay.bench import RelayBenchConfig, Target, measure, relay_target
+from pica_client.bench.relay.processes import START_TIMEOUT_S, Workers, share_cores
+from pica_client.local_call.processes import Children
+from pica_client.stats import describe_machine
+
+RIVALS: Final = ("naive", "naive-uvloop", "echo")
+PARTS: Final = ("short-read", "direct-write", "flow", "ride")
+HERE: Final = Path(__file__).parent
+
+
+def run_comparison(
+    config: RelayBenchConfig, compare: Sequence[str] = (), ablate: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Measure the relay, other servers, and the relay without each of some parts.
+
+    Args:
+        config: The load.
+        compare: Some of `RIVALS`.
+        ablate: Some of `PARTS`.
+
+    Returns:
+        What `pica bench relay` gives, and the same by name under ``compare`` and ``ablate``.
+
+    Raises:
+        ClientError: A name is unknown, or a server does not let everybody in.
+    """
+    check_names("compare", compare, RIVALS)
+    check_names("ablate", ablate, PARTS)
+    with Workers() as workers, Children() as children:
+        with relay_target(config, children) as target:
+            result = measure(config, target, workers, "relay")
+        result["compare"] = {}
+        for name in compare:
+            with _rival(name, result, config, workers) as target:
+                result["compare"][name] = measure(config, target, workers, name)
+        result["ablate"] = {}
+        for name in ablate:
+            lacking = replace(config, relay_arguments=(*config.relay_arguments, "--without", name))
+            with relay_target(lacking, children) as target:
+                result["ablate"][name] = measure(lacking, target, workers, f"without {name}")
+    return result | {"machine": describe_machine()}
+
+
+@contextmanager
+def _rival(
+    name: str, result: dict[str, Any], config: RelayBenchConfig, workers: Workers
+) -> Iterator[Target]:
+    """A server to compare with, on the relay's core."""
+    core, _ = share_cores()
+    if name == "echo":
+        copies = config.peers - 1
+        per_message = result["frames_per_message"] or 1
+        # As many in a message as the relay puts there, rounded down to what divides.
+        fitting = [n for n in range(1, copies + 1) if copies % n == 0 and n <= per_message + 0.25]
+        worker = workers.start(HERE / "echo.py", str(copies), str(fitting[-1]), core=core)
+    else:
+        words = name.split("-")[1:]
+        worker = workers.start(HERE / "naive.py", *words, core=core)
+    yield Target(url=worker.line(START_TIMEOUT_S), pid=worker.pid)
+    workers.stop([worker])
