@@ -74,8 +74,8 @@ class Body:
 
     meshes: dict[tuple[int, int], Mesh]
     """Meshes keyed by the levels of the positions and of the triangles; a placeholder has one."""
-    shade: moderngl.Program
-    shade_rect: moderngl.VertexArray
+    shade: moderngl.VertexArray
+    """A rectangle of the screen, drawn by the program of the second pass."""
     textures: dict[int, moderngl.Texture]
     """Textures keyed by texture unit."""
     weights: moderngl.Buffer | None
@@ -142,8 +142,7 @@ def upload_avatar(
     fade_m = fade_heights_m(bust_of(avatar).lower_m) if fades else WHOLE_M
     return Body(
         meshes=_level_meshes(context, mesh_programs, avatar, fade_m[0]),
-        shade=program,
-        shade_rect=context.vertex_array(program, []),
+        shade=context.vertex_array(program, []),
         textures=textures,
         weights=weights,
         low_m=tuple(value - BOUNDS_MARGIN_M for value in manifest.bounds_min_m),
@@ -194,8 +193,7 @@ def upload_placeholder(context: moderngl.Context, mesh_programs: MeshPrograms) -
     low_m, high_m = bust.min(axis=(0, 1)), bust.max(axis=(0, 1))
     return Body(
         meshes={(0, 0): upload_mesh(context, mesh_programs, 0, faces, vertex_uv, vertex_uv)},
-        shade=program,
-        shade_rect=context.vertex_array(program, []),
+        shade=context.vertex_array(program, []),
         textures={UNIT_POSITION: texture},
         weights=None,
         low_m=tuple(low_m.tolist()),

@@ -105,14 +105,10 @@ class DrawPasses:
         self.textured_program = build_program(
             context, compose("textured.vert"), compose("textured.frag")
         )
-        self._background = self._screen_program("background.frag")
-        self._enlarge = self._screen_program("enlarge.frag")
-        self._near_edges = self._screen_program("near_edges.frag")
-        self._smooth = self._screen_program("smooth_edges.frag")
-        self._background_rect = context.vertex_array(self._background, [])
-        self._enlarge_rect = context.vertex_array(self._enlarge, [])
-        self._near_edges_rect = context.vertex_array(self._near_edges, [])
-        self._smooth_rect = context.vertex_array(self._smooth, [])
+        self._background = self._screen("background.frag")
+        self._enlarge = self._screen("enlarge.frag")
+        self._near_edges = self._screen("near_edges.frag")
+        self._smooth = self._screen("smooth_edges.frag")
         self.placeholder = upload_placeholder(context, self.mesh_programs)
         self._queries: list[moderngl.Query] = []
 
@@ -121,7 +117,8 @@ class DrawPasses:
     ) -> None:
         """Draw the room as each view sees it into the image that frames begin with."""
         self._context.disable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
-        members: dict[str, Any] = {name: self._background[name] for name in self._background}
+        program = self._background.program
+        members: dict[str, Any] = {name: program[name] for name in program}
         seats = np.zeros((members["seats"].array_length, 4), np.float32)
         for row, place, speaking in zip(seats, room.seats_m, room.speaking, strict=False):
             row[:] = (*place, speaking)
@@ -130,7 +127,7 @@ class DrawPasses:
             turned = np.ascontiguousarray(world_from_view(camera).T, np.float32)
             members["world_from_view"].write(turned.tobytes())
             set_values(
-                self._background,
+                program,
                 lens=lens_of(camera),
                 eye_m=tuple(camera.centre_m.tolist()),
                 table_m=room.table_m,
@@ -139,11 +136,11 @@ class DrawPasses:
                 rect=(-1.0, -1.0, 1.0, 1.0),
             )
             targets.small_room.use()
-            self._background_rect.render(moderngl.TRIANGLE_STRIP, vertices=4)
+            self._background.render(moderngl.TRIANGLE_STRIP, vertices=4)
             targets.room.use()
             targets.small_room_image.use(0)
-            set_values(self._enlarge, rect=clip_rect(rect, targets.size))
-            self._enlarge_rect.render(moderngl.TRIANGLE_STRIP, vertices=4)
+            set_values(self._enlarge.program, rect=clip_rect(rect, targets.size))
+            self._enlarge.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
     def surfaces(
         self, targets: RenderTargets, heads: Sequence[DecodedHead], *, clear: bool
@@ -275,36 +272,36 @@ class DrawPasses:
         context.disable(moderngl.CULL_FACE)
         context.enable(moderngl.DEPTH_TEST)
         targets.shaded_image.use(0)
-        set_values(self._smooth, texel=(1 / size[0], 1 / size[1]))
+        set_values(self._smooth.program, texel=(1 / size[0], 1 / size[1]))
         targets.depth.use()
         targets.depth.clear(depth=0.0)
-        for target, program, rectangle, depth_func in (
-            (targets.depth, self._near_edges, self._near_edges_rect, "1"),
-            (targets.marked, self._smooth, self._smooth_rect, "=="),
+        for target, screen, depth_func in (
+            (targets.depth, self._near_edges, "1"),
+            (targets.marked, self._smooth, "=="),
         ):
             target.use()
             context.depth_func = depth_func
             for place in places:
-                set_values(program, rect=clip_rect(inset_rect(place.rect, size), size))
-                rectangle.render(moderngl.TRIANGLE_STRIP, vertices=4)
+                set_values(screen.program, rect=clip_rect(inset_rect(place.rect, size), size))
+                screen.render(moderngl.TRIANGLE_STRIP, vertices=4)
         context.depth_func = "<"
         context.disable(moderngl.DEPTH_TEST)
 
     def _shade_one(self, targets: RenderTargets, head: DecodedHead) -> None:
-        body, program = head.body, head.body.shade
+        body = head.body
         body.bind()
         if head.expression is not None:
             head.expression.use(UNIT_EXPRESSION)
         targets.textured.use()
         self._context.depth_func = ">"
         set_values(
-            program,
+            body.shade.program,
             slot=float(head.number),
             mark=float(head.mark),
             shown=head.place.shown,
             rect=clip_rect(head.place.rect, targets.size),
         )
-        body.shade_rect.render(moderngl.TRIANGLE_STRIP, vertices=4)
+        body.shade.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
     def _queries_for(
         self, heads: Sequence[object], count: bool
@@ -316,8 +313,10 @@ class DrawPasses:
             self._queries.append(self._context.query(samples=True))
         return self._queries[: len(heads)]
 
-    def _screen_program(self, name: str) -> moderngl.Program:
-        return build_program(self._context, compose("rect.vert"), compose(name))
+    def _screen(self, name: str) -> moderngl.VertexArray:
+        """A rectangle of the screen, drawn by a program of its own."""
+        program = build_program(self._context, compose("rect.vert"), compose(name))
+        return self._context.vertex_array(program, [])
 
 
 def _samples(query: moderngl.Query | nullcontext[None]) -> int | None:

@@ -22,6 +22,7 @@ change: an avatar's maps have a texture for each of its levels from the start.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import moderngl
@@ -226,8 +227,7 @@ class Renderer:
     def draw(
         self,
         placements: Sequence[Placement],
-        camera: Camera,
-        *,
+        *cameras: Camera,
         room: Room = EMPTY_ROOM,
         count_pixels: bool = False,
     ) -> DrawStats:
@@ -235,37 +235,41 @@ class Renderer:
 
         Args:
             placements: Heads; unknown slots are left out. The order does not matter.
-            camera: World to image; its size should be the renderer's.
+            cameras: World to image. Those of several eyes share its columns from left to right;
+                all see the same maps: one decode serves them.
             room: What is behind them.
             count_pixels: Count shaded pixels; waits for the GPU.
         """
-        whole = (0, 0, *self.size)
-        return self._draw(placements, [View(camera, whole)], room, count_pixels)
-
-    def draw_stereo(
-        self,
-        placements: Sequence[Placement],
-        cameras: tuple[Camera, Camera],
-        *,
-        room: Room = EMPTY_ROOM,
-        count_pixels: bool = False,
-    ) -> DrawStats:
-        """Draw one frame for two eyes, the left one into the left half of the image. Both see the
-        same maps: one decode serves them.
-
-        Args:
-            placements: Heads.
-            cameras: Left and right; each is half as wide as the image.
-            room: What is behind them.
-            count_pixels: Count shaded pixels; waits for the GPU.
-        """
-        width, height = self.size
-        middle = width // 2
+        passes, targets = self._passes, self._targets
+        (width, height), count = self.size, len(cameras)
+        edges = [width * number // count for number in range(count + 1)]
         views = [
-            View(cameras[0], (0, 0, middle, height)),
-            View(cameras[1], (middle, 0, width, height)),
+            View(camera, (left, 0, right, height))
+            for camera, (left, right) in zip(cameras, pairwise(edges), strict=True)
         ]
-        return self._draw(placements, views, room, count_pixels)
+        seen = [(view.camera if room != EMPTY_ROOM else STILL, view.rect) for view in views]
+        drawn = (
+            room,
+            [
+                (lens_of(eye), eye.rotation.tobytes(), eye.translation_m.tobytes(), rect)
+                for eye, rect in seen
+            ],
+        )
+        if drawn != self._drawn_room:  # only when it looks different; else it is copied
+            self._drawn_room = drawn
+            passes.draw_room(targets, seen, room)
+        heads = list_heads(self._slots, placements, views, passes.placeholder)
+        # With both kinds of heads depth does not tell whose a pixel is.
+        has_both = bool(heads.decoded and heads.painted)
+        passes.surfaces(targets, heads.decoded, clear=has_both)
+        self._num_decoded = len(heads.decoded)
+        counts = passes.shade(targets, heads.decoded, count=count_pixels)
+        painted_counts = passes.texture(targets, heads.painted, count=count_pixels)
+        self._context.copy_framebuffer(targets.final, targets.shaded)
+        is_smooth = self._options.smooth_edges
+        if is_smooth:
+            passes.smooth(targets, heads.places)
+        return count_draws(heads, counts, painted_counts, is_smooth=is_smooth)
 
     def draw_vertices(
         self, placements: Sequence[Placement], camera: Camera, times: int = 1
@@ -338,7 +342,7 @@ class Renderer:
         for entry in self._slots.values():
             other, body = entry.avatar, entry.body
             if other and body and (other.spec, other.manifest.variant) == kind:
-                return body.shade
+                return body.shade.program
         return None
 
     def _choose_weights(self) -> WeightsPlace:
@@ -347,35 +351,3 @@ class Renderer:
         name = self.gl_renderer.lower()
         is_software = any(word in name for word in ("llvmpipe", "softpipe", "swiftshader"))
         return "turns" if is_software else "block"
-
-    def _draw(
-        self,
-        placements: Sequence[Placement],
-        views: Sequence[View],
-        room: Room,
-        count_pixels: bool,
-    ) -> DrawStats:
-        passes, targets = self._passes, self._targets
-        seen = [(view.camera if room != EMPTY_ROOM else STILL, view.rect) for view in views]
-        drawn = (
-            room,
-            [
-                (lens_of(eye), eye.rotation.tobytes(), eye.translation_m.tobytes(), rect)
-                for eye, rect in seen
-            ],
-        )
-        if drawn != self._drawn_room:  # only when it looks different; else it is copied
-            self._drawn_room = drawn
-            passes.draw_room(targets, seen, room)
-        heads = list_heads(self._slots, placements, views, passes.placeholder)
-        # With both kinds of heads depth does not tell whose a pixel is.
-        has_both = bool(heads.decoded and heads.painted)
-        passes.surfaces(targets, heads.decoded, clear=has_both)
-        self._num_decoded = len(heads.decoded)
-        counts = passes.shade(targets, heads.decoded, count=count_pixels)
-        painted_counts = passes.texture(targets, heads.painted, count=count_pixels)
-        self._context.copy_framebuffer(targets.final, targets.shaded)
-        is_smooth = self._options.smooth_edges
-        if is_smooth:
-            passes.smooth(targets, heads.places)
-        return count_draws(heads, counts, painted_counts, is_smooth=is_smooth)

@@ -372,13 +372,7 @@ class Viewer:
 
     def _draw(self, scene: CallScene) -> DrawStats:
         """Draw a scene for one eye, or for two, with what is written on the picture."""
-        eyes = self._eyes(scene)
-        if len(eyes) == 1:
-            stats = self._renderer.draw(scene.placements, eyes[0], room=scene.room)
-        else:
-            stats = self._renderer.draw_stereo(
-                scene.placements, (eyes[0], eyes[1]), room=scene.room
-            )
+        stats = self._renderer.draw(scene.placements, *self._eyes(scene), room=scene.room)
         self._paint(self._renderer.image, panels=self._window is None)
         return stats
 

@@ -150,7 +150,7 @@ def test_both_eyes_see_the_fade_and_the_room(
     renderer.add_avatar("p", person[0])
     renderer.update_maps("p", person[1].position_map, person[1].expression_map)
     eyes = stereo_cameras(camera_at(), 0.0, 1.2)
-    renderer.draw_stereo([REST], eyes, room=ROOM)
+    renderer.draw([REST], *eyes, room=ROOM)
     both = renderer.read_image().astype(int)
     left, right = both[:, : SIZE[0]], both[:, SIZE[0] :]
     assert (np.abs(left - right) > 2).mean() < 0.002  # but for noise, and edges of thin hair

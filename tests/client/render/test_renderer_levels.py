@@ -254,7 +254,7 @@ def test_an_eye_sees_what_one_camera_would(
     rest = (size[0] - half[0], size[1])
     eyes = (camera_at(-0.03, 0, 0.6, size=half), camera_at(0.03, 0, 0.6, size=rest))
     stereo = renderer_with(context, maps, 256, size=size)
-    stats = stereo.draw_stereo([placed()], eyes, count_pixels=True)
+    stats = stereo.draw([placed()], *eyes, count_pixels=True)
     image, heads = stereo.read_image(), stereo.read_surface()[2]
     assert [head.slot for head in stats.heads] == ["p0", "p0"]
     assert stats.shaded_pixels == (heads >= 0).sum()
@@ -274,13 +274,13 @@ def test_after_the_first_frames_nothing_is_made_whatever_changes(
     renderer = renderer_with(context, maps, 64, 256, options=RenderOptions())
     eyes = (camera_at(-0.03, 0, 0.6, size=(80, 120)), camera_at(0.03, 0, 0.6, size=(80, 120)))
     renderer.draw([placed(blend=0.5)], NEAR, count_pixels=True)
-    renderer.draw_stereo([placed(blend=0.5)], eyes, count_pixels=True)
+    renderer.draw([placed(blend=0.5)], *eyes, count_pixels=True)
     before = gpu_objects()
     for index in range(12):
         renderer.update_maps("p0", *maps[TOY.levels[index % 3]])
         one = placed(mesh_level=TOY.levels[index % 2], blend=0.25 * (index % 5))
         renderer.draw([one], NEAR, count_pixels=True)
-        renderer.draw_stereo([one], eyes, count_pixels=True)
+        renderer.draw([one], *eyes, count_pixels=True)
     assert gpu_objects() == before
 
 

@@ -14,7 +14,7 @@ uniform vec4 seats[16]; // those after them are without; middle of the head, met
 
 layout(location = 0) out vec4 colour;
 
-const vec3 SHADE = vec3(0.170, 0.172, 0.178), LIT = vec3(0.550, 0.538, 0.522); // of the dark wall
+const vec3 SHADE = vec3(0.178, 0.175, 0.172), LIT = vec3(0.550, 0.538, 0.522); // of the dark wall
 const vec3 LIGHT_SHADE = vec3(0.520, 0.515, 0.510), LIGHT_LIT = vec3(0.870, 0.858, 0.840);
 const vec3 GLOW = vec3(0.36, 0.74, 0.55);
 const vec3 LAMP = normalize(vec3(-0.55, 0.40, -1.0));
