@@ -9,6 +9,7 @@ the decoders is a setting.
 
 from dataclasses import replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -91,7 +92,9 @@ class PixelCodecAvatar(AvatarModel):
         )
         if texture_contrast:
             texture = torch.as_tensor(prior.texture_mean, dtype=torch.float32).permute(2, 0, 1)
-            self.pixel_decoder.encoding.start_from(texture, texture_contrast)
+            xyz_m = sample_map(self.position_mean[None], self._drawn_uv)[0]
+            uv = torch.from_numpy(np.ascontiguousarray(drawn, np.float32))
+            self.pixel_decoder.start_from(texture, texture_contrast, xyz_m, uv)
         self.expression_encoder = ExpressionEncoder()
 
     def decode_geometry(self, latent: Tensor) -> Tensor:

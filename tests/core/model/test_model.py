@@ -192,3 +192,21 @@ def test_a_flat_latent_runs_by_row_column_and_channel() -> None:
 
     assert grid[0, 3, 2, 5] == (2 * 8 + 5) * 4 + 3
     assert torch.equal(flat_latent(grid), flat)
+
+
+def test_the_pixel_decoder_starts_near_the_mean_texture_whatever_the_seed() -> None:
+    torch.manual_seed(4)
+    uv = torch.rand(500, 2)
+    xyz_m = 0.1 * torch.cat([uv, torch.zeros(500, 1)], 1)
+    texture = torch.nn.functional.interpolate(torch.rand(1, 3, 4, 4), 64, mode="bilinear")[0]
+    wanted = sample_map(texture[None], uv)[0]
+    for seed in range(6):
+        torch.manual_seed(seed)
+        decoder = PixelDecoder(SMALL)
+        left = []
+        for _ in range(2):
+            with torch.no_grad():
+                shown = decoder(torch.zeros(500, 4), xyz_m, uv)
+            left.append(float((shown - wanted).square().mean() / wanted.var(0).mean()))
+            decoder.start_from(texture, 0.3, xyz_m, uv)
+        assert left[1] < 0.75 < 1 < left[0]
