@@ -31,8 +31,9 @@ from pica_core.train.trials.failures import Failure, far_codes_reach_mm, spoil
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
-LEARNED_FACTOR = 8.0
-"""How far the held-out error must fall in the smallest preset (seen: more than 20)."""
+LEARNED_FACTOR = 4.0
+"""How far the held-out error must fall in the smallest preset (seen: 6, from a start that
+shows the mean texture already)."""
 
 
 @pytest.fixture(scope="module")
