@@ -1,14 +1,15 @@
 """Avatars under live drive, against the head itself at the same values.
 
-The truth is a built-in head, or a rig, posed by what a source does. The avatar is driven by the
-same values through each step of a live call (`drive.steps`) and shown at each level of detail.
+The truth is a built-in head, a rig, or a person of the face model, posed by what a source does. The
+avatar is driven by the same values through each step of a live call (`drive.steps`) and shown at
+each level of detail.
 
     mse         over the pixels that the avatar covers, 0-255, mean over moments and views
     p95_mse     95th percentile of single pictures
     lid_mm      mean distance of the lids' vertices from the truth
     lip_mm      the same of the lips
     poke_ratio  share of the head's pixels that show another part than the truth within a pixel
-                (`reference.face_errors`)
+                (`reference.face_errors`), p95 and most of single pictures
 
 What it does not show: people. The truth is synthetic, a tracker's own mistakes are none of it but
 in the stage ``webcam``, and delay is no error here.
@@ -46,7 +47,7 @@ from pica_core.capture.procedural.subject import ProceduralSubject
 from pica_core.capture.stage.subject import Subject
 from pica_core.capture.triangles import signed_areas, spread_samples
 from pica_core.reference.face_errors import poking, region_errors_mm, vertex_parts
-from pica_core.types import ByteArray, FloatArray, Image
+from pica_core.types import ByteArray, FloatArray, Image, IntArray
 
 VIEWS = ("front", "left")
 REGIONS = ("lids", "lips")
@@ -73,6 +74,10 @@ class DriveBenchConfig:
     setup."""
     rig: Path | None = None
     """The rig that the avatar was made of; without it the built-in head of its identity."""
+    person: Path | None = None
+    """Instead of a rig, the JSON file of a person that the avatar was made of; needs `facekit`."""
+    facekit: Path | None = None
+    """Folder of the face model (docs/people.md), for `person`."""
     seconds: float = 20.0
     """Length of each source."""
     moments: int = 24
@@ -204,14 +209,45 @@ def _subject(config: DriveBenchConfig, avatar: Avatar) -> Subject:
         from pica_core.capture.rig.subject import RigSubject
 
         subject = RigSubject(config.rig)
+    elif config.person is not None and config.facekit is not None:
+        from pica_core.capture.person.choices import read_person
+        from pica_core.capture.person.model import read_model
+        from pica_core.capture.person.subject import PersonSubject
+
+        subject = PersonSubject(read_model(config.facekit), read_person(config.person)[0])
     elif identity in HEADS:
         subject = ProceduralSubject(identity)
     else:
-        raise OptionError(f"avatar {identity!r} is of no built-in head; name its rig with --rig")
-    uv, wanted = avatar.tensors["mesh.vertex_uv"], subject.topology.vertex_uv
-    if uv.shape != wanted.shape or np.abs(uv - wanted).max() > SAME_UV:
+        raise OptionError(
+            f"avatar {identity!r} is of no built-in head; name its --rig, or --person and --facekit"
+        )
+    if same_vertices(avatar.tensors["mesh.vertex_uv"], subject.topology.vertex_uv) is None:
         raise OptionError(f"avatar {identity!r} has another mesh than {subject.name!r}")
     return subject
+
+
+def same_vertices(uv: FloatArray, wanted: FloatArray) -> IntArray | None:
+    """The vertex of the truth at each vertex of an avatar, whose bases may have reordered them.
+
+    Args:
+        uv: Texture coordinates of the avatar's vertices. float32 ``[V, 2]``.
+        wanted: Of the truth's. float32 ``[V, 2]``.
+
+    Returns:
+        int32 ``[V]``; None if they are not the same within `SAME_UV`.
+    """
+    if uv.shape != wanted.shape:
+        return None
+    if np.abs(uv - wanted).max() <= SAME_UV:
+        return np.arange(len(uv), dtype=np.int32)
+    along = np.argsort(wanted[:, 0], kind="stable")
+    first, last = (np.searchsorted(wanted[along, 0], uv[:, 0] + by) for by in (-SAME_UV, SAME_UV))
+    found = np.zeros(len(uv), np.int32)
+    for vertex, (start, end) in enumerate(zip(first.tolist(), last.tolist(), strict=True)):
+        if start < end:
+            near = along[start:end]
+            found[vertex] = near[np.square(wanted[near] - uv[vertex]).sum(1).argmin()]
+    return found if np.abs(wanted[found] - uv).max() <= SAME_UV else None
 
 
 def _draw_truth(subject: Subject, arkit: FloatArray, config: DriveBenchConfig) -> _Truth:
@@ -233,7 +269,10 @@ class _Comparison:
         self._used = {
             level: np.unique(avatar.level_faces(level)) for level in avatar.levels[:-1]
         } | {avatar.levels[-1]: np.arange(len(topology.vertex_uv))}
-        self._regions = {name: topology.regions[name] for name in REGIONS}
+        order = same_vertices(avatar.tensors["mesh.vertex_uv"], topology.vertex_uv)
+        assert order is not None  # `_subject` has looked
+        self._order = order
+        self._regions = {name: topology.regions[name][order] for name in REGIONS}
 
     def __call__(self, latent: FloatArray, level: int, truth: _Truth) -> _Shown:
         """One moment at a level."""
@@ -257,7 +296,7 @@ class _Comparison:
         used = self._used[level]
         vertices_m = self._avatar.vertices_of(position_map, level)
         regions = {name: mask[used] for name, mask in self._regions.items()}
-        return region_errors_mm(vertices_m, truth_m[used], regions)
+        return region_errors_mm(vertices_m, truth_m[self._order[used]], regions)
 
 
 def part_map(topology: Topology, size: int = PART_MAP_SIZE) -> ByteArray:
@@ -297,6 +336,7 @@ def _row(shown: Sequence[_Shown]) -> dict[str, Any]:
         "lip_mm": round(float(mm["lips"]), 4),
         "poke_ratio": round(float(pokes.mean()), 6),
         "p95_poke_ratio": round(float(np.percentile(pokes, 95)), 6),
+        "most_poke_ratio": round(float(pokes.max()), 6),
     }
 
 

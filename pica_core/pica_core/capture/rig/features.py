@@ -226,6 +226,7 @@ def find_features(mesh: RigMesh) -> Features:
         "teeth": of("teeth"),
         "tongue": of("tongue"),
         "hair": of("hair"),
+        "collar": of("collar"),
         "scalp": skin & (hair_coverage(rest) > 0),
         "left": rest[:, 0] > 0,
     }

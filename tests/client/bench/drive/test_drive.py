@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.bench.drive.bench import DriveBenchConfig, part_map, read_parts, run_drive_bench
+from pica_client.bench.drive.bench import (
+    DriveBenchConfig,
+    part_map,
+    read_parts,
+    run_drive_bench,
+    same_vertices,
+)
 from pica_client.bench.drive.steps import (
     LIDS,
     OFFSET,
@@ -97,6 +103,18 @@ def test_the_map_of_parts_says_of_every_vertex_what_it_is() -> None:
     topology = Topology(vertex_uv=head.vertex_uv, faces=head.faces, regions=head.regions)
     found = read_parts(part_map(topology), head.vertex_uv)
     assert (found == vertex_parts(head.regions, head.num_vertices)).mean() > 0.97
+
+
+def test_vertices_of_an_avatar_are_found_in_any_order_and_no_others() -> None:
+    rng = np.random.default_rng(3)
+    wanted = rng.random((3000, 2)).astype(np.float32)
+    order = rng.permutation(3000)
+    rounded = np.round(wanted[order] * 65535).astype(np.float32) / 65535
+    assert np.array_equal(same_vertices(rounded, wanted), order)
+    assert np.array_equal(same_vertices(wanted, wanted), np.arange(3000))
+    rounded[7] += 0.1
+    assert same_vertices(rounded, wanted) is None
+    assert same_vertices(wanted[1:], wanted) is None
 
 
 def test_a_webcam_sees_a_drawn_jaw_open_and_eyes_close() -> None:
