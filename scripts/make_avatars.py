@@ -19,7 +19,7 @@ from claims import give_back, take
 HERE = Path(__file__).resolve().parent
 PEOPLE = {file.stem: file for file in sorted((HERE / "people").glob("*.json"))}
 FOLDER = HERE.parent / "pica_core" / "pica_core" / "avatars"
-STAGE = "--frames 256 --cameras 10 --size 384x384"
+STAGE = "--frames 160 --cameras 10 --size 384x384"
 TRAINING = "--variant linear --preset small --threads 1"
 LICENCE = "Apache-2.0; face model ICT-FaceKit: MIT, (c) 2020 USC ICT"
 

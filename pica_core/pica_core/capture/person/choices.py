@@ -32,8 +32,8 @@ HAIR_COLOURS: dict[str, Rgb] = {
     "red": (0.145, 0.042, 0.014), "grey": (0.20, 0.19, 0.18), "white": (0.46, 0.45, 0.43),
 }  # fmt: skip
 EYE_COLOURS: dict[str, Rgb] = {
-    "brown": (0.085, 0.038, 0.016), "dark": (0.040, 0.019, 0.010), "hazel": (0.13, 0.085, 0.034),
-    "green": (0.10, 0.13, 0.060), "blue": (0.10, 0.17, 0.25), "grey": (0.15, 0.17, 0.19),
+    "brown": (0.070, 0.030, 0.012), "dark": (0.034, 0.016, 0.008), "hazel": (0.085, 0.052, 0.019),
+    "green": (0.046, 0.062, 0.026), "blue": (0.036, 0.068, 0.112), "grey": (0.058, 0.068, 0.078),
 }  # fmt: skip
 BEARDS = ("none", "stubble", "moustache", "goatee", "short", "full")
 CLOTHES = ("tee", "vneck", "shirt", "turtleneck", "hoodie")

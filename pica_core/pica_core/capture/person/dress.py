@@ -63,7 +63,7 @@ def dress(mesh: RigMesh, person: Person) -> Dressed:
     beard, thick = grow_beard(rest, skin, inside, features, person.beard)
     cloth = dress_surface(rest[skin], CUTS[person.clothes], person.seed)
     raised = raise_cap(rest, normals, coverage, style, person.seed)
-    raised = raised + normals * (thick * smooth(beard * 1.4))[:, None]
+    raised = raised + normals * (thick * smooth(1.35 * beard - 0.2))[:, None]
     raised = unfolded(rest, raised, skin_faces)
     hidden = cloth.hides(rest)
     under = hidden[mesh.faces].any(1) & (mesh.part == MATERIALS.index("skin"))

@@ -67,8 +67,8 @@ STYLES: dict[str, Style] = {
     "receding": Style(cap=5, sides=0.9, flow=(0.1, -0.6, -0.6), recession=30, clumps=0.7),
     "curly": Style(cap=20, sides=0.7, quiff=4, flow=(0.0, -0.6, 0.3), curl=3.6, clumps=0.8),
     "afro": Style(cap=46, rise=3.2, sides=0.85, radial=True, curl=3.0, clumps=0.6),
-    "bob": Style(cap=12, sides=0.8, parting=12, hang=82, wave=1.6),
-    "long": Style(cap=13, sides=0.8, parting=-8, hang=215, wave=3.0),
+    "bob": Style(cap=12, sides=0.8, parting=12, recession=9, hang=82, wave=1.6),
+    "long": Style(cap=13, sides=0.8, parting=-8, recession=9, hang=215, wave=3.0),
     "tied": Style(cap=6, sides=0.8, tail=170, clumps=0.6),
 }  # fmt: skip
 TIE_Y = 0.0
@@ -78,7 +78,7 @@ FRONT_DEG, CLEAR_M, THICK_M = 50.0, 0.003, 0.009
 """Azimuth of the front edges of hair that hangs, its distance from what is under it, thickness."""
 HANG_FROM_M = 0.122
 """Height at which hanging hair leaves the cap."""
-SHOULDER_M = 0.112
+SHOULDER_M = 0.100
 """Where shoulders begin: hair that hangs at the sides ends there."""
 INWARDS = 0.30
 """How far hair falls inwards below the widest place, per unit of height."""
@@ -116,7 +116,8 @@ def cover(points: Float64Array, skin: BoolArray, ears: BoolArray, style: Style) 
     back = style.recession / 1000 * (
         np.exp(-0.5 * ((azimuth - 36) / 13) ** 2) + 0.35 * np.exp(-0.5 * (azimuth / 18) ** 2)
     )  # fmt: skip
-    high = (points[:, 1] - line - back) / EDGE_M
+    ragged = 0.0030 * lumps(points, 0.022, 11) + 0.0015 * lumps(points, 0.009, 12)
+    high = (points[:, 1] - line - back - ragged) / EDGE_M
     # Over the forehead height says little of distance: the surface leans back.
     coverage = np.where(skin, np.clip(high, -1.0, 6.0), -1.0)
     if ears.any():
@@ -238,6 +239,7 @@ def _curtain(points: Float64Array, style: Style, seed: int, body: Float64Array) 
     s = np.linspace(-1.0, 1.0, COLUMNS)
     angle = np.radians(180 - s * (180 - FRONT_DEG))  # from the subject's left over the back
     uneven = 0.010 * lumps(np.stack([0.4 * s, 0 * s, 0 * s], 1), 0.05, seed + 5)
+    uneven += 0.005 * lumps(np.stack([0.4 * s, 0 * s, 0 * s], 1), 0.012, seed + 9)  # locks
     low = -style.hang / 1000 + uneven + 0.012 * np.abs(s) ** 3
     # Hair ends on the shoulders where they begin, and goes on down the back.
     for y in np.arange(-0.06, low.min(), -0.006):
@@ -258,9 +260,10 @@ def _curtain(points: Float64Array, style: Style, seed: int, body: Float64Array) 
     inner = reach - 0.006 + (0.006 + CLEAR_M * (0.2 + 0.8 * centre)) * full
     outer = inner.copy()
     height = (HANG_FROM_M - low) / (ROWS - 1)
+    inwards = INWARDS + 0.7 * (1 - centre)  # and the front edges beside the cheek
     for row in range(1, ROWS):
         thick = THICK_M * edge * (1.0 - 0.55 * t[row] ** 3) * full[row]
-        outer[row] = np.maximum(inner[row] + thick, outer[row - 1] - INWARDS * height)
+        outer[row] = np.maximum(inner[row] + thick, outer[row - 1] - inwards * height)
     wander = np.stack([np.broadcast_to(0.5 * s, y.shape), 0.25 * y, 0 * y], -1).reshape(-1, 3)
     clump = lumps(wander, 0.035, seed + 6).reshape(y.shape)
     ripple = np.sin(2 * np.pi * (y / 0.075) + 2.0 * lumps(wander, 0.12, seed + 7).reshape(y.shape))

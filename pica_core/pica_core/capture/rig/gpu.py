@@ -141,7 +141,7 @@ class RigRenderer(MeshRenderer):
             x, y = vertices[eyeball, 0], vertices[eyeball, 1]
             above = _line(vertices[upper], x) - y
             below = y - _line(vertices[lower], x)
-            light = (0.18 + 0.82 * _ramp(above, -0.0008, 0.0050)) * (
+            light = (0.12 + 0.88 * _ramp(above, -0.0008, 0.0060)) * (
                 0.60 + 0.40 * _ramp(below, -0.0006, 0.0026)
             )
             shade[eyeball] = light[:, None]

@@ -71,7 +71,7 @@ float brow_hair(vec3 p, out float inside) {
     return inside * smoothstep(0.30 - 0.2 * inside, 0.66 - 0.2 * inside, strand);
 }
 
-void skin(out vec3 rgb, out float gloss, out float height, out float translucent) {
+void skin(out vec3 rgb, out float gloss, out float height, out float translucent, out float third) {
     vec3 p = rest_mm;
     float front = smoothstep(eye_mm.z - 50.0, eye_mm.z - 15.0, p.z);
     vec2 q = vec2(abs(p.x), p.y);
@@ -82,12 +82,12 @@ void skin(out vec3 rgb, out float gloss, out float height, out float translucent
         + 0.6 * spot(p.xy, nose_mm.xy, vec2(14.0, 10.0)) * front
         + 0.4 * spot(p.xy, vec2(0.0, mouth_mm - 34.0), vec2(16.0, 10.0)) * front
         + 0.6 * smoothstep(72.0, 84.0, q.x) * (1.0 - smoothstep(40.0, 60.0, p.y)) * smoothstep(-60.0, -45.0, p.y);
-    rgb *= mix(vec3(1.0), vec3(1.06, 0.80, 0.78), clamp(redness * blood * (0.75 + 0.6 * fbm(p * 0.09 + seed)), 0.0, 1.2));
+    rgb *= mix(vec3(1.0), vec3(1.08, 0.74, 0.72), clamp(redness * blood * (0.75 + 0.6 * fbm(p * 0.09 + seed)), 0.0, 1.2));
     // Melanin and blood are mottled; foreheads are paler and yellower.
     float mottle = fbm(p * 0.16 + seed * 2.3) - 0.5, patchy = fbm(p * 0.07 + seed * 4.1) - 0.5;
     rgb *= 1.0 + vec3(0.05, 0.14, 0.16) * mottle * (0.8 + 0.7 * age) + vec3(0.16, 0.17, 0.18) * patchy * (0.5 + age);
     rgb *= mix(vec3(1.0), vec3(1.03, 1.02, 0.95), smoothstep(brow_mm, brow_mm + 30.0, p.y) * front);
-    rgb *= mix(vec3(1.0), vec3(0.88, 0.82, 0.85), (0.45 + 0.5 * age) * spot(q, vec2(eye_mm.x - 4.0, eye_mm.y - 13.0), vec2(13.0, 4.5)) * front);
+    rgb *= mix(vec3(1.0), vec3(0.84, 0.80, 0.88), (0.55 + 0.5 * age) * spot(q, vec2(eye_mm.x - 4.0, eye_mm.y - 13.0), vec2(13.0, 4.5)) * front);
     gloss = 0.34 + 0.20 * spot(p.xy, vec2(0.0, nose_mm.y + 16.0), vec2(11.0, 22.0)) * front
         + 0.12 * spot(p.xy, vec2(0.0, brow_mm + 24.0), vec2(34.0, 18.0)) * front;
     float pores = noise(p * 1.9 + seed) * 0.6 + noise(p * 3.7 + seed) * 0.4;
@@ -161,11 +161,15 @@ void skin(out vec3 rgb, out float gloss, out float height, out float translucent
         vec3 way = normalize(strand_way + 1e-4);
         float fine = streaks(p, way, 3.2, 1.9), wide = streaks(p, way, 11.0, 0.7);
         tone = 0.6 * fine + 0.4 * wide;
-        float ragged = 0.9 * (fine - 0.5) + 0.35 * (wide - 0.5);
-        float scalp = smoothstep(-0.30, 0.75, c + ragged);
-        dense = scalp * mix(smoothstep(0.35, 0.55, fine + 0.3 * scalp), 1.0, scalp);
+        float locks = streaks(p, way, 16.0, 0.26);
+        float ragged = 0.8 * (fine - 0.5) + 0.6 * (wide - 0.5) + 0.9 * (locks - 0.5);
+        tone = clamp(tone + 0.45 * (locks - 0.5), 0.0, 1.0);
+        float scalp = smoothstep(-0.55, 1.25, c + ragged);   // strands thin out, skin shines through
+        dense = scalp * mix(smoothstep(0.30, 0.62, fine + 0.35 * scalp), 1.0, scalp);
+        rgb = mix(rgb, mix(rgb, hair_rgb, 0.45), smoothstep(-0.9, 0.3, c));
         float bearded = grown.y * no_lip;
-        float chin = smoothstep(0.30, 0.62, bearded + 0.5 * ragged * (1.0 - bearded));
+        float chin = smoothstep(0.12, 0.92, bearded + 0.6 * ragged * (1.0 - bearded));
+        rgb = mix(rgb, mix(rgb, hair_rgb, 0.5), smoothstep(0.0, 0.5, bearded));   // stubble beneath
         dense = max(dense, chin * mix(smoothstep(0.3, 0.5, fine + 0.25 * chin), 1.0, 0.6 * chin));
     } else {
         tone = noise(p * vec3(1.4, 1.0, 0.6) + seed) * 0.4 + noise(p * vec3(3.1, 2.4, 1.3)) * 0.35 + noise(p * 0.3) * 0.25;
@@ -173,6 +177,7 @@ void skin(out vec3 rgb, out float gloss, out float height, out float translucent
         dense = cover * mix(smoothstep(0.35, 0.6, tone), 1.0, 0.75 * cover);
     }
     float hair = dense;
+    third = mix(0.5, tone, hair);
     rgb = mix(rgb, hair_colour(tone) * (0.35 + 1.3 * tone), hair);
     gloss = mix(gloss, 0.20, hair);
     height = mix(height, 0.5 + 0.7 * (tone - 0.5), hair);
@@ -186,13 +191,14 @@ void eye(out vec3 rgb, out float gloss, out float inside) {
     vec2 ring = vec2(cos(turn), sin(turn));
     float fibres = fbm(vec3(ring * 11.0, r * 1.1 + seed)), fine = noise(vec3(ring * 34.0, r * 2.0 + seed));
     float crypts = smoothstep(0.55, 0.8, noise(vec3(ring * 5.0, r * 3.5 + seed)));
-    vec3 iris = iris_rgb * (0.40 + 1.15 * fibres + 0.40 * fine) * (1.0 - 0.35 * crypts * smoothstep(0.45, 0.7, r));
+    vec3 iris = iris_rgb * (0.20 + 1.50 * fibres + 0.50 * fine) * (1.0 - 0.35 * crypts * smoothstep(0.45, 0.7, r));
     iris = mix(iris, iris * vec3(1.55, 1.15, 0.75), exp(-0.5 * pow((r - 0.46) / 0.09, 2.0)));   // collarette
-    iris *= mix(1.0, 0.20, smoothstep(0.74, 1.0, r));   // limbal ring
+    iris *= mix(1.0, 0.10, smoothstep(0.66, 0.98, r));   // limbal ring
     iris *= smoothstep(0.33, 0.39, r);                  // pupil
     float vessels = smoothstep(0.58, 0.80, fbm(vec3(d.xy * vec2(9.0, 24.0), seed))) * smoothstep(1.15, 2.0, r);
-    vec3 sclera = vec3(0.42, 0.39, 0.365) * (1.0 - 0.06 * noise(d * 4.0)) * mix(vec3(1.0), vec3(0.96, 0.92, 0.82), 0.6 * age);
+    vec3 sclera = vec3(0.43, 0.39, 0.355) * (1.0 - 0.06 * noise(d * 4.0)) * mix(vec3(1.0), vec3(0.96, 0.92, 0.82), 0.6 * age);
     sclera = mix(sclera, vec3(0.52, 0.30, 0.25), (0.28 + 0.25 * age) * vessels + 0.26 * smoothstep(1.45, 2.15, r));
+    sclera *= mix(1.0, 0.62, smoothstep(1.15, 2.1, abs(d.x) / iris_reach));   // rounds away into the corners
     rgb = mix(iris, sclera, smoothstep(0.93, 1.09, r));
     rgb = mix(rgb, vec3(0.40, 0.17, 0.14), smoothstep(0.74, 0.88, -d.x * surface.w));   // caruncle
     gloss = 1.0;
@@ -204,12 +210,13 @@ void main() {
     vec3 rgb = vec3(0.3);
     float gloss = 0.3, height = 0.5, translucent = 0.0, third = 0.5;
     if (material_id == 0) {
-        skin(rgb, gloss, height, translucent);
+        skin(rgb, gloss, height, translucent, third);
     } else if (material_id == 1) {
         eye(rgb, gloss, third);
     } else if (material_id == 2) {
-        rgb = mix(vec3(0.78, 0.69, 0.54), vec3(0.86, 0.82, 0.74), tooth_white) * (0.94 + 0.10 * noise(p * 0.8));
-        rgb *= mix(0.45, 1.0, smoothstep(eye_mm.z - 35.0, eye_mm.z + 12.0, p.z));   // far from the light
+        rgb = mix(vec3(0.84, 0.72, 0.53), vec3(0.92, 0.85, 0.73), tooth_white) * (0.94 + 0.10 * noise(p * 0.8));
+        rgb *= mix(0.30, 1.0, smoothstep(eye_mm.z - 22.0, eye_mm.z + 8.0, p.z));   // far from the light
+        rgb *= mix(vec3(1.0), vec3(0.52, 0.42, 0.36), smoothstep(9.0, 26.0, abs(p.x)));
         rgb *= 1.0 - 0.85 * surface.x;
         gloss = 0.85;
         height = 0.5 + 0.1 * noise(p);
@@ -221,7 +228,7 @@ void main() {
         height = papillae;
     } else if (material_id == 4) {
         rgb = vec3(0.46, 0.16, 0.15) * (0.85 + 0.3 * noise(p * 0.9));
-        rgb *= mix(1.0, 0.15, smoothstep(4.0, 40.0, surface.x));   // deeper is darker
+        rgb *= mix(vec3(1.0), vec3(0.42, 0.30, 0.30), smoothstep(4.0, 40.0, surface.x));   // deeper is darker
         gloss = 0.75;
         height = 0.5 + 0.1 * noise(p);
     } else if (material_id == 5) {

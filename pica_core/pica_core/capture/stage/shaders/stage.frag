@@ -52,10 +52,11 @@ void main() {
     vec3 v = normalize(camera_m - point_m);
     float sky = max(open_sky.x, 0.0), key = max(open_sky.y, 0.0);   // rounding goes below 0, roots do not
     // Shadow is known per vertex for a few expressions only; inside the mouth keep what bounces around.
-    if (material_id == 2) { sky = max(sky, 0.42); key = max(key, 0.24); }
+    if (material_id == 2) { sky = max(sky, 0.62); key = max(key, 0.42); }
     else if (material_id == 1) { sky = max(sky, 0.16); key = max(key, 0.10); }
     else if (material_id == 3) { sky = max(sky, 0.30); key = max(key, 0.12); }
-    else if (material_id == 4) { sky = max(sky, 0.20); }
+    else if (material_id == 4) { sky = max(sky, 0.34); }
+    else if (material_id == 6) { sky = max(sky, 0.22); }
     vec3 nb = bumped(n, relief.r, material_id == 0 ? 0.0008 : (material_id == 6 ? 0.0006 : (material_id == 5 ? 0.0006 : 0.0002)));
     vec3 wrap = relief.g * vec3(0.42, 0.16, 0.08);
     vec3 occluded = pow(vec3(sky), mix(vec3(1.0), vec3(0.72, 1.0, 1.08), relief.g));   // light bleeds red in creases
@@ -74,8 +75,7 @@ void main() {
     if (material_id == 1) {
         // Cornea: a sharp picture of softbox and window.
         vec3 r = reflect(-v, n);
-        float boxes = smoothstep(0.80, 0.90, dot(r, key_direction)) + 0.22 * smoothstep(0.92, 0.97, dot(r, fill_direction))
-            + 0.10 * smoothstep(-0.2, 0.9, r.y);
+        float boxes = smoothstep(0.91, 0.96, dot(r, key_direction)) + 0.05 * smoothstep(-0.2, 0.9, r.y);
         shine = vec3(boxes * (0.335 + 0.6 * grazing) * smoothstep(0.05, 0.5, sky) * 1.4);
     } else if (material_id == 6) {
         strands(nb, strand_tangent, v, relief, diffuse, gloss, sky, key, lit, shine);
@@ -89,6 +89,13 @@ void main() {
         float tight = lobe(nb, h, 42.0) * key + lobe(nb, hf, 42.0) * sky * 0.35;
         float wet = smoothstep(0.58, 0.95, gloss);
         shine = vec3(f * gloss * (1.5 * broad + 1.1 * tight + 4.0 * wet * lobe(nb, h, 130.0) * key));
+        float hair = material_id == 0 ? clamp((0.5 - relief.g) / 0.45, 0.0, 1.0) : 0.0;
+        if (hair > 0.0 && dot(strand_tangent, strand_tangent) > 0.01) {   // the raised scalp
+            vec3 hair_lit, hair_shine;
+            strands(nb, strand_tangent, v, relief, diffuse, gloss, sky, key, hair_lit, hair_shine);
+            lit = mix(lit, hair_lit, hair);
+            shine = mix(shine, 0.6 * hair_shine, hair);
+        }
     }
     vec3 linear = max(lit + shine, 0.0) * 0.92;
     linear = linear * (1.0 + linear * 0.16) / (1.0 + 0.42 * linear);
