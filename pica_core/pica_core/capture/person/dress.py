@@ -71,6 +71,8 @@ def dress(mesh: RigMesh, person: Person) -> Dressed:
     sheet = grow(raised, style, person.seed, body)
     strand = np.zeros((len(rest), 4))
     hairs = np.concatenate([coverage[:, None], flow(rest, normals, style), beard[:, None]], axis=1)
+    if style.curl:  # curls have no one direction to shine along
+        hairs[:, 1:4] *= 0.05
     facial = beard > 0.02
     hairs[facial, 1:4] = [0.0, -0.9, 0.45]
     mesh = _without(replace(mesh, rest_m=raised), under)

@@ -66,7 +66,7 @@ STYLES: dict[str, Style] = {
     "parted": Style(cap=13, sides=0.5, quiff=5, flow=(0, -0.6, -0.35), parting=28),
     "receding": Style(cap=5, sides=0.9, flow=(0.1, -0.6, -0.6), recession=30, clumps=0.7),
     "curly": Style(cap=20, sides=0.7, quiff=4, flow=(0.0, -0.6, 0.3), curl=3.6, clumps=0.8),
-    "afro": Style(cap=46, rise=3.2, sides=0.85, radial=True, curl=3.0, clumps=0.6),
+    "afro": Style(cap=46, rise=3.2, sides=0.85, radial=True, curl=1.6, clumps=0.25),
     "bob": Style(cap=12, sides=0.8, parting=12, recession=9, hang=82, wave=1.6),
     "long": Style(cap=13, sides=0.8, parting=-8, recession=9, hang=215, wave=3.0),
     "tied": Style(cap=6, sides=0.8, tail=170, clumps=0.6),
@@ -117,7 +117,9 @@ def cover(points: Float64Array, skin: BoolArray, ears: BoolArray, style: Style) 
         np.exp(-0.5 * ((azimuth - 36) / 13) ** 2) + 0.35 * np.exp(-0.5 * (azimuth / 18) ** 2)
     )  # fmt: skip
     ragged = 0.0030 * lumps(points, 0.022, 11) + 0.0015 * lumps(points, 0.009, 12)
-    high = (points[:, 1] - line - back - ragged) / EDGE_M
+    high = (points[:, 1] - line - back) / EDGE_M
+    if not style.radial:  # where hair rises steeply, an uneven line would fold it
+        high -= ragged / EDGE_M * np.exp(-(np.maximum(high, 0.0) ** 2))
     # Over the forehead height says little of distance: the surface leans back.
     coverage = np.where(skin, np.clip(high, -1.0, 6.0), -1.0)
     if ears.any():
@@ -143,8 +145,11 @@ def lumps(points: Float64Array, size_m: float, seed: int) -> Float64Array:
     return np.sin(points @ waves.T + phase).sum(1) / np.sqrt(12)
 
 
-def flow(points: Float64Array, normals: Float64Array, style: Style) -> Float64Array:
+def flow(
+    points: Float64Array, normals: Float64Array, style: Style, curl: float | None = None
+) -> Float64Array:
     """Direction of strands over the head, unit length, along the surface. ``[P, 3]``."""
+    curl = style.curl if curl is None else curl
     way = np.broadcast_to(np.array(style.flow), points.shape).copy()
     if style.tail:
         way = tie(points) - points
@@ -155,7 +160,8 @@ def flow(points: Float64Array, normals: Float64Array, style: Style) -> Float64Ar
         way = points - [0.0, 0.13, -0.02]
     way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
     way -= normals * (way * normals).sum(1, keepdims=True)
-    way += 0.12 * np.stack([lumps(points, 0.03, k) for k in range(3)], 1)
+    amount, size = (0.6, 0.012) if curl else (0.12, 0.03)  # curls break the highlight
+    way += amount * np.stack([lumps(points, size, k) for k in range(3)], 1)
     return way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
 
 
@@ -169,7 +175,7 @@ def raise_cap(
     fore = smooth((points[:, 2] - 0.02) / 0.06) * smooth((points[:, 1] - 0.06) / 0.04)
     thick = thick * top + style.quiff / 1000 * fore * smooth(coverage / style.rise)
     # Clumps run along the strands: noise that is drawn out along them.
-    way = flow(points, normals, style)
+    way = flow(points, normals, style, curl=0.0)
     drawn = sum(lumps(points + way * k, 0.011, seed) for k in (-0.012, -0.006, 0.0, 0.006, 0.012))
     thick = thick * (1 + 0.055 * style.clumps * drawn)
     if style.parting is not None:
@@ -178,6 +184,9 @@ def raise_cap(
     if style.curl:
         bumps = lumps(points, 0.012, seed + 1)
         thick += 0.001 * style.curl * bumps * smooth(coverage / style.rise)
+    if style.radial:  # from a point inside the head: nothing crosses
+        normals = points - [0.0, 0.03, -0.015]
+        normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     return points + normals * np.maximum(thick, 0.0)[:, None]
 
 

@@ -94,7 +94,7 @@ void main() {
             vec3 hair_lit, hair_shine;
             strands(nb, strand_tangent, v, relief, diffuse, gloss, sky, key, hair_lit, hair_shine);
             lit = mix(lit, hair_lit, hair);
-            shine = mix(shine, 0.6 * hair_shine, hair);
+            shine = mix(shine, 0.4 * hair_shine, hair);
         }
     }
     vec3 linear = max(lit + shine, 0.0) * 0.92;
