@@ -105,6 +105,7 @@ def _shown(state: ControlState, metrics: Metrics) -> list[UserOrder]:
     """How people sit, what is shown, how the surface looks, and what a picture may cost."""
     orders: list[UserOrder] = []
     settings = state.settings
+    imgui.push_style_var(imgui.StyleVar_.frame_padding, (metrics.px(12), metrics.px(4)))
     note("People sit", metrics)
     for number, (layout, title) in enumerate(LAYOUT_TITLES.items()):
         if number % 2:
@@ -119,6 +120,7 @@ def _shown(state: ControlState, metrics: Metrics) -> list[UserOrder]:
         _, shows_self = imgui.checkbox("My own face", settings.shows_self)
         settings = replace(settings, shows_self=shows_self)
     settings = _look(settings, metrics)
+    imgui.pop_style_var()
     note("Detail. Less leaves more of this machine to others.", metrics)
     imgui.set_next_item_width(-1)
     percent = round(100 * settings.detail)

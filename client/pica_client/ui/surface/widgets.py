@@ -13,6 +13,7 @@ from functools import lru_cache
 
 from imgui_bundle import imgui
 
+from pica_client.ui.surface import icons
 from pica_client.ui.surface.surface import PLAIN
 from pica_client.ui.surface.text_order import as_drawn
 from pica_client.ui.surface.theme import (
@@ -35,6 +36,8 @@ FIXED = (
 FITTED = FIXED | imgui.WindowFlags_.always_auto_resize
 _POINTED_AT = imgui.HoveredFlags_.for_tooltip | imgui.HoveredFlags_.allow_when_disabled
 Place = tuple[float, float]
+REFERENCE_PX = 64.0
+"""The size at which glyphs are measured."""
 
 
 @contextmanager
@@ -141,18 +144,36 @@ def icon_button(
         tone: "alert" for what ends or warns.
         size_pt: Its diameter.
     """
-    side = metrics.px(size_pt)
-    palette = metrics.palette
+    side, palette = metrics.px(size_pt), metrics.palette
     fill = palette.tone(tone) if tone != "plain" else palette.accent if is_on else palette.field
     is_filled = tone != "plain" or is_on
-    with button_colours(fill, palette.on_accent if is_filled else palette.ink):
-        imgui.push_style_var(imgui.StyleVar_.frame_rounding, side / 2)
-        imgui.push_style_var(imgui.StyleVar_.frame_padding, (0, 0))
-        with type_size(0.42 * size_pt):
-            is_pressed = imgui.button(f"{icon}##{tooltip}", (side, side))
-        imgui.pop_style_var(2)
+    is_pressed = imgui.invisible_button(f"{icon}##{tooltip}", (side, side))
+    if imgui.is_item_hovered():
+        fill = _lighter(fill)
+    low, shapes = imgui.get_item_rect_min(), imgui.get_window_draw_list()
+    middle = (low.x + side / 2, low.y + side / 2)
+    # A disc that is a glyph has two triangles, and not forty: on software GL they are what counts.
+    _draw_icon(shapes, icons.RECORD, middle, side / _icon_box(icons.RECORD, 1.0)[2], ink(fill))
+    colour = ink(palette.on_accent if is_filled else palette.ink)
+    _draw_icon(shapes, icon, middle, round(0.42 * side), colour)
     hint(f"{tooltip}   [{keys}]" if keys else tooltip)
     return is_pressed
+
+
+def _draw_icon(
+    shapes: imgui.ImDrawList, icon: str, middle: Place, size_px: float, colour: int
+) -> None:
+    x, y, _ = _icon_box(icon, size_px)
+    shapes.add_text(imgui.get_font(), size_px, (middle[0] - x, middle[1] - y), colour, icon)
+
+
+@lru_cache(maxsize=256)
+def _icon_box(icon: str, size_px: float) -> tuple[float, float, float]:
+    """The middle of an icon's glyph, from where its text begins, and its width, pixels."""
+    scale = size_px / REFERENCE_PX
+    glyph = imgui.get_font().get_font_baked(REFERENCE_PX).find_glyph(ord(icon))
+    middle = (glyph.x0 + glyph.x1) / 2 * scale, (glyph.y0 + glyph.y1) / 2 * scale
+    return *middle, (glyph.x1 - glyph.x0) * scale
 
 
 def action_button(
@@ -179,15 +200,19 @@ def choice_of(label: str, titles: Sequence[tuple[str, str]], chosen: str) -> str
 @contextmanager
 def button_colours(fill: Colour, ink: Colour) -> Iterator[None]:
     """Buttons of another colour, a little lighter under the pointer."""
-    red, green, blue = (0.88 * part + 0.12 for part in fill[:3])
     imgui.push_style_color(imgui.Col_.button, fill)
-    imgui.push_style_color(imgui.Col_.button_hovered, (red, green, blue, fill[3]))
+    imgui.push_style_color(imgui.Col_.button_hovered, _lighter(fill))
     imgui.push_style_color(imgui.Col_.button_active, fill)
     imgui.push_style_color(imgui.Col_.text, ink)
     try:
         yield
     finally:
         imgui.pop_style_color(4)
+
+
+def _lighter(colour: Colour) -> Colour:
+    red, green, blue = (0.88 * part + 0.12 for part in colour[:3])
+    return red, green, blue, colour[3]
 
 
 @contextmanager
