@@ -156,8 +156,11 @@ def _extra(extra: str, modules: tuple[str, ...], load: Callable[[str], Any]) -> 
         try:
             load(module)
         except Exception as error:  # a broken install fails in ways of its own
-            kind = "" if isinstance(error, ModuleNotFoundError) else f" ({error})"
-            lacking.append(f"{module}{kind}")
+            is_absent = isinstance(error, ModuleNotFoundError)
+            if module == "soundcard" and not is_absent:  # it connects when it is imported
+                detail = "installed, but no sound system answers"
+                return Finding(f"extra {extra}", "missing", detail, "start PulseAudio or PipeWire")
+            lacking.append(module if is_absent else f"{module} ({error})")
     if not lacking:
         return Finding(f"extra {extra}", "ready", "installed")
     return Finding(f"extra {extra}", "missing", f"no {', '.join(lacking)}", install_line(extra))

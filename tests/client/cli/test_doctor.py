@@ -111,6 +111,20 @@ def load_core_alone(name: str) -> Any:
     raise ModuleNotFoundError(name=name)
 
 
+def load_without_sound(name: str) -> Any:
+    """Import as on a machine whose sound server is away: that library connects at once."""
+    if name == "soundcard":
+        raise AssertionError
+    return importlib.import_module(name)
+
+
+def test_a_sound_server_that_is_away_is_not_a_missing_extra() -> None:
+    found = examine(load_without_sound, has_display=lambda: False)
+    voice = next(finding for finding in found if finding.subject == "extra voice")
+    assert voice.detail == "installed, but no sound system answers"
+    assert voice.fix == "start PulseAudio or PipeWire"
+
+
 class BrokenGraphics:
     @staticmethod
     def create_context() -> None:
