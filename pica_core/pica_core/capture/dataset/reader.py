@@ -15,9 +15,9 @@ import logging
 from collections import OrderedDict, deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
-from threading import RLock
+from itertools import islice
 
 import numpy as np
 
@@ -57,7 +57,7 @@ class CaptureReader(AbstractContextManager["CaptureReader"]):
 
     Attributes:
         bad: What is wrong with requests that could not be read.
-        peak_bytes: Most that was kept at any time.
+        peak_bytes: Most that was kept, or reserved for what is being decoded, at any time.
         decoded: How many arrays were decoded.
     """
 
@@ -72,33 +72,26 @@ class CaptureReader(AbstractContextManager["CaptureReader"]):
         self.capture = capture
         self.max_bytes = max_bytes
         self.bad: dict[Request, str] = {}
-        self.peak_bytes = 0
-        self.decoded = 0
+        self.peak_bytes = self.decoded = 0
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="decode")
-        self._lock = RLock()
-        self._kept: OrderedDict[Request, Array] = OrderedDict()
+        self._kept: OrderedDict[Request, Future[Array]] = OrderedDict()
         self._kept_bytes = 0
-        self._running: dict[Request, Future[Array]] = {}
-        self._reserved_bytes = 0
         self._unread: set[Request] = set()
         self._waiting: deque[Request] = deque()
         self._sizes = _sizes(capture)
 
     def __exit__(self, *error: object) -> None:
-        with self._lock:
-            self._waiting.clear()
         self._pool.shutdown(wait=True, cancel_futures=True)
 
     def ask(self, requests: Iterable[Request]) -> None:
         """Have arrays decoded that will be read soon, in this order."""
-        with self._lock:
-            for request in requests:
-                self._check(request)
-                if request not in self._unread and request not in self.bad:
-                    self._unread.add(request)
-                    if request not in self._kept:
-                        self._waiting.append(request)
-            self._start_waiting()
+        for request in requests:
+            self._check(request)
+            if request not in self._unread and request not in self.bad:
+                self._unread.add(request)
+                if request not in self._kept:
+                    self._waiting.append(request)
+        self._start_waiting()
 
     def read(self, request: Request) -> Array:
         """An array; do not write into it.
@@ -107,29 +100,26 @@ class CaptureReader(AbstractContextManager["CaptureReader"]):
             CaptureError: It cannot be read; counted in `bad`.
         """
         self._check(request)
-        with self._lock:
-            self._unread.discard(request)
+        self._unread.discard(request)
+        if request not in self._kept and request in self._waiting:
+            self._waiting.remove(request)
+        try:
             if request in self._kept:
                 self._kept.move_to_end(request)
-                array = self._kept[request]
-                self._start_waiting()
-                return array
-            running = self._running.get(request)
-            if running is None and request in self._waiting:
-                self._waiting.remove(request)
-        try:
-            array = self._decode(request) if running is None else running.result()
+                return self._kept[request].result()
+            if self._keep(request):
+                return self._kept[request].result()
+            self.decoded += 1  # larger than the cache, or that is full of what will be read
+            return self._decode(request)
         except CaptureError as error:
+            if self._kept.pop(request, None) is not None:
+                self._kept_bytes -= self._sizes[request.kind]
             if request not in self.bad:
                 self.bad[request] = str(error)
                 log.warning("%s; left out, %d so far", error, len(self.bad))
             raise
         finally:
-            with self._lock:
-                self._start_waiting()
-        if running is None:
-            self._keep(request, array)
-        return array
+            self._start_waiting()
 
     def stream(
         self, requests: Iterable[Request], ahead: int = AHEAD
@@ -138,20 +128,13 @@ class CaptureReader(AbstractContextManager["CaptureReader"]):
         coming: deque[Request] = deque()
         rest = iter(requests)
         while True:
-            for request in rest:
-                coming.append(request)
-                self.ask([request])
-                if len(coming) > ahead:
-                    break
+            coming.extend(more := list(islice(rest, ahead + 1 - len(coming))))
+            self.ask(more)
             if not coming:
                 return
             request = coming.popleft()
-            try:
-                array = self.read(request)
-            except CaptureError:
-                continue
-            yield request, array
-            del array
+            with suppress(CaptureError):
+                yield request, self.read(request)
 
     def _check(self, request: Request) -> None:
         if request.kind not in READS or not 0 <= request.frame < len(self.capture.frames):
@@ -164,55 +147,35 @@ class CaptureReader(AbstractContextManager["CaptureReader"]):
         frame = self.capture.frames[request.frame]
         read = getattr(self.capture, READS[request.kind])
         array: Array = read(frame, request.camera) if request.kind in OF_CAMERAS else read(frame)
-        with self._lock:
-            self.decoded += 1
+        array.flags.writeable = False
         return array
 
     def _start_waiting(self) -> None:
-        """Start what waits, in order, as far as it fits; the lock is held."""
-        while self._waiting and self._make_room(self._sizes[self._waiting[0].kind]):
-            request = self._waiting.popleft()
-            size = self._sizes[request.kind]
-            self._reserved_bytes += size
-            self._running[request] = self._pool.submit(self._work, request, size)
+        """Have decoded what waits, in order, as far as it fits."""
+        while self._waiting and self._keep(self._waiting[0]):
+            self._waiting.popleft()
 
-    def _work(self, request: Request, size: int) -> Array:
-        try:
-            array = self._decode(request)
-        except BaseException:
-            with self._lock:
-                self._reserved_bytes -= size
-                del self._running[request]
-            raise
-        with self._lock:
-            self._reserved_bytes -= size
-            del self._running[request]
-            self._keep(request, array)
-        return array
-
-    def _keep(self, request: Request, array: Array) -> None:
-        with self._lock:
-            if request in self._kept or not self._make_room(array.nbytes):
-                return  # larger than the cache, or it is full of what was asked for before
-            array.flags.writeable = False
-            self._kept[request] = array
-            self._kept_bytes += array.nbytes
-            self.peak_bytes = max(self.peak_bytes, self._kept_bytes)
-
-    def _make_room(self, size: int) -> bool:
-        """Let go of what was read until `size` bytes fit; the lock is held."""
-        excess = self._kept_bytes + self._reserved_bytes + size - self.max_bytes
+    def _keep(self, request: Request) -> bool:
+        """Have an array decoded and keep it, if it fits once the oldest that were read go."""
+        size = self._sizes[request.kind]
+        excess = self._kept_bytes + size - self.max_bytes
+        let_go = []
+        for other in self._kept if excess > 0 else ():
+            if other not in self._unread:
+                let_go.append(other)
+                excess -= self._sizes[other.kind]
+                if excess <= 0:
+                    break
         if excess > 0:
-            let_go = []
-            for request, array in self._kept.items():
-                if request not in self._unread:
-                    let_go.append(request)
-                    excess -= array.nbytes
-                    if excess <= 0:
-                        break
-            for request in let_go:
-                self._kept_bytes -= self._kept.pop(request).nbytes
-        return excess <= 0
+            return False
+        for other in let_go:
+            del self._kept[other]
+            self._kept_bytes -= self._sizes[other.kind]
+        self._kept[request] = self._pool.submit(self._decode, request)
+        self._kept_bytes += size
+        self.decoded += 1
+        self.peak_bytes = max(self.peak_bytes, self._kept_bytes)
+        return True
 
 
 def _sizes(capture: Capture) -> dict[str, int]:
