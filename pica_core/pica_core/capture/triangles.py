@@ -1,6 +1,9 @@
 """What the capture rooms ask of triangle meshes: areas, edges, normals, samples and pieces."""
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 
 from pica_core.types import Array, Float64Array, FloatArray, Int64Array, IntArray
 
@@ -51,27 +54,15 @@ def spread_samples(count: Int64Array) -> tuple[Int64Array, Float64Array, Float64
 
 
 def components(faces: IntArray, count: int) -> Int64Array:
-    """Label of each vertex's connected component (its smallest vertex). int64 ``[count]``."""
-    label = np.arange(count)
-    while True:
-        lowest = label[faces].min(1)
-        spread = label.copy()
-        np.minimum.at(spread, faces.ravel(), np.repeat(lowest, 3))
-        spread = spread[spread]
-        if (spread == label).all():
-            return label
-        label = spread
+    """Label of each vertex's connected component. int64 ``[count]``."""
+    start, end = edges(faces).T
+    graph = coo_array((np.ones(len(start), np.bool_), (start, end)), (count, count))
+    return connected_components(graph, directed=False)[1].astype(np.int64)
 
 
 def nearest(points: Array, others: Array) -> tuple[Int64Array, Float64Array]:
-    """The nearest of `others` to each point, and how far it is; a part of the table at a time."""
-    index = np.empty(len(points), np.int64)
-    distance = np.empty(len(points))
-    rows = max(1_000_000 // len(others), 1)
-    for first in range(0, len(points), rows):
-        apart = np.linalg.norm(points[first : first + rows, None] - others[None], axis=2)
-        index[first : first + rows] = apart.argmin(1)
-        distance[first : first + rows] = apart.min(1)
+    """The nearest of `others` to each point, and how far it is."""
+    distance, index = KDTree(others).query(points)
     return index, distance
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 from PIL import Image, ImageDraw
+from scipy.ndimage import maximum_filter
 
 from pica_core.camera import Camera
 from pica_core.capture.triangles import vertex_normals
@@ -43,7 +44,7 @@ def silhouette_problem(
     # An open mesh covers nothing from within, such as a collar from below.
     facing = _facing(camera, vertices_m, faces) > 0
     row, column = _inside(camera, pixels[facing], distance[facing])
-    wide = grow(mask > 0, max(2, round(0.01 * min(mask.shape))))
+    wide = maximum_filter(mask > 0, 2 * max(2, round(0.01 * min(mask.shape))) + 1)
     outside = float((~wide[row, column]).mean()) if len(row) else 0.0
     if outside > MOST_OUTSIDE:
         return f"{outside:.1%} of the tracked mesh in the picture lies beside the mask"
@@ -102,19 +103,6 @@ def _facing(camera: Camera, vertices_m: FloatArray, faces: IntArray) -> Float64A
     way = camera.centre_m - vertices_m
     size = np.linalg.norm(normal, axis=1) * np.linalg.norm(way, axis=1)
     return (normal * way).sum(axis=1) / np.maximum(size, 1e-20)
-
-
-def grow(mask: BoolArray, reach: int) -> BoolArray:
-    """The mask and what lies within `reach` pixels along rows and columns."""
-    for axis in (0, 1):
-        grown = mask.copy()
-        for step in range(1, reach + 1):
-            low, high = [slice(None)] * 2, [slice(None)] * 2
-            low[axis], high[axis] = slice(step, None), slice(None, -step)
-            grown[tuple(low)] |= mask[tuple(high)]
-            grown[tuple(high)] |= mask[tuple(low)]
-        mask = grown
-    return mask
 
 
 def _overlap(

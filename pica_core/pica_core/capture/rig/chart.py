@@ -14,6 +14,7 @@ import itertools
 
 import numpy as np
 import xatlas
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from pica_core.capture.dataset.files import MAP_SIZE
 from pica_core.capture.rig.drawn import PackedChart
@@ -91,15 +92,10 @@ def _density_modes(size: int) -> tuple[Float64Array, Float64Array, Float64Array]
 
 def _bilinear(fields: Float64Array, at: Float64Array) -> Float64Array:
     """Values of ``[H, W, C]`` at grid positions (x, y) in cells. ``[n, C]``."""
-    size = len(fields)
-    q = np.clip(at - 0.5, 0.0, size - 1.001)
-    low = q.astype(np.int64)
-    t = q - low
-    x, y = low[:, 0], low[:, 1]
-    tx, ty = t[:, :1], t[:, 1:]
-    top = fields[y, x] * (1 - tx) + fields[y, x + 1] * tx
-    bottom = fields[y + 1, x] * (1 - tx) + fields[y + 1, x + 1] * tx
-    return top * (1 - ty) + bottom * ty
+    place = at.T[::-1] - 0.5
+    return np.stack(
+        [map_coordinates(f, place, order=1, mode="nearest") for f in fields.transpose(2, 0, 1)], 1
+    )
 
 
 def equalise(uv: Float64Array, faces: IntArray, need: Float64Array) -> Float64Array:
@@ -167,17 +163,10 @@ def _need_density(
         for value in (need, area)
     )
     # Both are spread a little, so that their ratio is smooth where triangles are larger than cells.
-    for _ in range(2):
-        wanted, covered = _spread(wanted), _spread(covered)
+    wanted, covered = (gaussian_filter(field, 1.0, mode="nearest") for field in (wanted, covered))
     mean = need.sum() / area.sum()
     density = (wanted + 0.02 * mean) / (covered + 0.02)
     return np.clip(density / mean, 1 / FLOW_CONTRAST, FLOW_CONTRAST)
-
-
-def _spread(field: Float64Array) -> Float64Array:
-    padded = np.pad(field, 1, mode="edge")
-    rows = 0.25 * padded[:-2] + 0.5 * padded[1:-1] + 0.25 * padded[2:]
-    return 0.25 * rows[:, :-2] + 0.5 * rows[:, 1:-1] + 0.25 * rows[:, 2:]
 
 
 def pack(

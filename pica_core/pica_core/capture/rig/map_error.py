@@ -6,11 +6,11 @@ take away; it depends on the chart alone.
 """
 
 import numpy as np
+from scipy.sparse import csc_array, eye_array
+from scipy.sparse.linalg import factorized
 
 from pica_core.capture.dataset.files import MAP_SIZE
 from pica_core.types import Float64Array, FloatArray
-
-ITERATIONS = 60
 
 
 def map_error_m(vertex_uv: FloatArray, poses_m: FloatArray, size: int = MAP_SIZE) -> Float64Array:
@@ -33,34 +33,12 @@ def map_error_m(vertex_uv: FloatArray, poses_m: FloatArray, size: int = MAP_SIZE
     flat = rows * size + columns
     tx, ty = t[:, 0], t[:, 1]
     weight = np.stack([(1 - tx) * (1 - ty), tx * (1 - ty), (1 - tx) * ty, tx * ty], 1)
-    # Texels that nothing reads would be free: a vertex on a texel centre reads one only.
-    weight = np.maximum(weight, 1e-9)
-    texels, flat = np.unique(flat, return_inverse=True)
-    flat = flat.reshape(count, 4)
-    order = np.argsort(flat, axis=None, kind="stable")
-    starts = np.searchsorted(flat.ravel()[order], np.arange(len(texels)))
-    from_vertex, from_weight = order // 4, weight.ravel()[order][:, None]
-
-    def read(values: Float64Array) -> Float64Array:
-        return np.einsum("vk,vkc->vc", weight, values[flat])
-
-    def spread(values: Float64Array) -> Float64Array:
-        return np.add.reduceat(values[from_vertex] * from_weight, starts, axis=0)
-
+    vertex = np.repeat(np.arange(count), 4)
+    read = csc_array((weight.ravel(), (vertex, flat.ravel())), (count, size * size))
+    # Texels that nothing reads are free; a vertex on a texel centre reads one only.
+    solve = factorized((read.T @ read + 1e-9 * eye_array(size * size)).tocsc())
     wanted = poses_m.astype(np.float64).transpose(1, 0, 2).reshape(count, -1)
-    # Conjugate gradients on the normal equations (CGLS), all columns at once.
-    solution = spread(wanted) / spread(np.ones((count, 1)))
-    residual = wanted - read(solution)
-    gradient = spread(residual)
-    direction = gradient.copy()
-    norm = (gradient * gradient).sum(0)
-    for _ in range(ITERATIONS):
-        image = read(direction)
-        step = norm / np.maximum((image * image).sum(0), 1e-30)
-        solution += step * direction
-        residual -= step * image
-        gradient = spread(residual)
-        after = (gradient * gradient).sum(0)
-        direction = gradient + after / np.maximum(norm, 1e-30) * direction
-        norm = after
+    spread = read.T @ wanted
+    solution = np.stack([solve(column) for column in spread.T], 1)
+    residual = wanted - read @ solution
     return np.linalg.norm(residual.reshape(count, -1, 3), axis=2).T

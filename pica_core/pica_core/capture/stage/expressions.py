@@ -8,6 +8,7 @@ for testing, so no test frame has a neighbour in the training set.
 from collections.abc import Callable
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES, NUM_ARKIT
 from pica_core.capture.dataset.files import Take
@@ -66,12 +67,8 @@ MOODS: tuple[Float64Array, ...] = (
 def _smooth(values: Float64Array, seconds: float) -> Float64Array:
     """Gaussian smoothing over time with the ends held; `seconds` is the standard deviation."""
     sigma = seconds * RATE_HZ
-    half = max(int(3 * sigma), 1)
-    kernel = np.exp(-0.5 * (np.arange(-half, half + 1) / sigma) ** 2)
-    kernel /= kernel.sum()
-    padded = np.pad(values, ((half, half), (0, 0)), mode="edge")
-    stacked = [np.convolve(padded[:, k], kernel, mode="valid") for k in range(values.shape[1])]
-    return np.stack(stacked, 1)
+    radius = max(int(3 * sigma), 1)
+    return gaussian_filter1d(values, sigma, axis=0, mode="nearest", radius=radius)
 
 
 def _hold(

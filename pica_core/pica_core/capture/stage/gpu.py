@@ -6,7 +6,7 @@ once.
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
@@ -14,6 +14,7 @@ from typing import Any
 import moderngl
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import distance_transform_edt
 
 from pica_core.camera import Camera
 from pica_core.capture.stage.shadow import Occlusion, PosedMesh, ShadowPlan
@@ -118,7 +119,7 @@ class MeshRenderer(ABC):
         self._unwrap = self._over_mesh("unwrap")
         self._resolve = c.vertex_array(self._program("resolve", "resolve"), [])
         self._vertices: FloatArray = np.zeros((0, 3), np.float32)
-        self._colour, self._relief = self._bake(bake_size, _doubling(2 * bake_size // 256 + 2))
+        self._colour, self._relief = self._bake(bake_size)
         self._occlusion = Occlusion(head, self._draw_depth_map, shadows) if shadows else None
 
     @abstractmethod
@@ -165,7 +166,7 @@ class MeshRenderer(ABC):
         content = [_attributes(program, *pair) for pair in buffers]
         return self._context.vertex_array(program, [each for each in content if each], self._faces)
 
-    def _bake(self, size: int, steps: Iterable[int]) -> tuple[Any, Any]:
+    def _bake(self, size: int) -> tuple[Any, Any]:
         """Paint the textures ``colour_map`` and ``relief_map``, and let charts bleed."""
         c = self._context
         colour, relief = c.texture((size, size), 4), c.texture((size, size), 4)
@@ -174,7 +175,7 @@ class MeshRenderer(ABC):
         c.enable_only(moderngl.NOTHING)
         framebuffer.clear(0, 0, 0, 0)
         self._paint()
-        _settle((colour, relief), steps)
+        _settle((colour, relief))
         del framebuffer
         c.gc()
         return colour, relief
@@ -325,15 +326,16 @@ class MeshRenderer(ABC):
         return image, geometry
 
 
-def _settle(targets: tuple[Any, ...], steps: Iterable[int]) -> None:
-    """Make baked textures fit for filtering: charts bleed in these steps (`_nearby`).
+def _settle(targets: tuple[Any, ...]) -> None:
+    """Make baked textures fit for filtering: empty texels take the nearest of a chart.
 
     Alpha of the last texture says where charts are; all have four bytes per texel.
     """
     size = targets[0].width
     texels = [np.frombuffer(target.read(), np.uint32) for target in targets]
     covered = texels[-1].view(np.uint8)[3::4].reshape(size, size) > 0
-    nearby = _nearby(covered, steps)
+    row, column = distance_transform_edt(~covered, return_distances=False, return_indices=True)
+    nearby = row.ravel() * size + column.ravel()
     for target, values in zip(targets, texels, strict=True):
         target.write(values[nearby])
         target.build_mipmaps(max_level=4)
@@ -355,30 +357,3 @@ def _spans(materials: Int64Array) -> dict[int, tuple[int, int]]:
         int(name): (3 * int(begin), 3 * int(number))
         for name, begin, number in zip(names, first, count, strict=True)
     }
-
-
-def _nearby(covered: BoolArray, steps: Iterable[int]) -> Int64Array:
-    """Which texel each texel takes: itself, or a covered one next to an empty one. ``[S * S]``.
-
-    So charts ``[S, S]`` bleed into the empty texels around them, one step (in texels) after the
-    other, and filtering finds no background.
-    """
-    filled = covered.copy()
-    taken = np.arange(covered.size)
-    for step in steps:
-        for axis, shift in ((0, step), (0, -step), (1, step), (1, -step)):
-            take = np.flatnonzero(np.roll(filled, shift, axis) & ~filled)
-            place = list(np.unravel_index(take, covered.shape))
-            place[axis] = (place[axis] - shift) % covered.shape[axis]
-            taken[take] = taken[np.ravel_multi_index(tuple(place), covered.shape)]
-            filled.ravel()[take] = True
-    return taken
-
-
-def _doubling(reach: int) -> Iterator[int]:
-    """Steps that together reach so far; what is filled is wide enough to be copied."""
-    done = 0
-    while done < reach:
-        step = min(max(done // 2, 1), reach - done)
-        yield step
-        done += step

@@ -1,7 +1,7 @@
 """Small motion of the head on the stage, which the cameras do not follow."""
 
 import numpy as np
-import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from pica_core.capture.stage.waves import TimeWaves
 from pica_core.types import Float64Array
@@ -28,18 +28,7 @@ class HeadMotion:
     def head_to_world(self, time_s: float) -> Float64Array:
         """Rotation and translation (metres) from head frame to world. float64 ``[3, 4]``."""
         values = LIMIT * np.tanh(self._signals.at(time_s) / LIMIT)
-        rotation = rotation_matrix(np.radians(TURN_DEG) * values[:3])
+        rotation = Rotation.from_rotvec(np.radians(TURN_DEG) * values[:3]).as_matrix()
         pivot = np.array(PIVOT_M)
         shift = pivot - rotation @ pivot + SHIFT_M * values[3:]
         return np.concatenate([rotation, shift[:, None]], axis=1)
-
-
-def rotation_matrix(rotation_vector: npt.ArrayLike) -> Float64Array:
-    """Axis times angle (radians) as a matrix (Rodrigues' formula). float64 ``[3, 3]``."""
-    vector = np.asarray(rotation_vector, np.float64)
-    angle = float(np.linalg.norm(vector))
-    if angle < 1e-12:
-        return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross

@@ -12,9 +12,10 @@ Amounts are chosen; `docs/capture.md` shows what comes of them.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import maximum_filter, uniform_filter
+from scipy.special import ndtri
 
 from pica_core.camera import Camera
-from pica_core.capture.dataset.check_geometry import grow
 from pica_core.types import BoolArray, ByteArray, FloatArray, Int64Array
 
 
@@ -78,15 +79,14 @@ def find_depth(
     ratio = np.full(256, ELSEWHERE_RATIO, np.float32)
     for value, name in materials.items():
         ratio[value] = HOLE_RATIO.get(name, ELSEWHERE_RATIO)
-    found = seen & (blotches >= _normal_quantile(ratio)[mask])
+    found = seen & (blotches >= ndtri(ratio)[mask])
     noise = _smooth_noise(random, depth_m.shape, window) * e.noise_m / np.maximum(cosine, 0.1)
     result = depth_m + noise
     size = max(2.0, 0.5 * e.blotch_px * side)
     cells = _cell_index(depth_m.shape, size)
     count = int(cells[-1, -1]) + 1
     offset = random.uniform(*e.outlier_m, count) * random.choice((-1.0, 1.0), count)
-    least = _normal_quantile(np.array([e.outlier_ratio], np.float32))
-    wrong = _blotches(random, depth_m.shape, size) < least
+    wrong = _blotches(random, depth_m.shape, size) < ndtri(e.outlier_ratio)
     result[wrong] += offset.astype(np.float32)[cells[wrong]]
     return np.where(found, result, 0.0).astype(np.float32)
 
@@ -119,27 +119,14 @@ def _near_step(depth_m: FloatArray, step_m: float, reach: int) -> BoolArray:
     step[:-1] |= down
     step[:, 1:] |= across
     step[:, :-1] |= across
-    return grow(step, reach)
-
-
-def _box_mean(values: FloatArray, reach: int) -> FloatArray:
-    """Mean over a square window, edges repeated."""
-    size = 2 * reach + 1
-    result = values
-    for axis in (0, 1):
-        pad = [(reach + 1, reach) if a == axis else (0, 0) for a in (0, 1)]
-        total = np.cumsum(np.pad(result, pad, mode="edge"), axis=axis, dtype=np.float64)
-        low, high = [slice(None)] * 2, [slice(None)] * 2
-        low[axis], high[axis] = slice(0, -size), slice(size, None)
-        result = ((total[tuple(high)] - total[tuple(low)]) / size).astype(np.float32)
-    return result
+    return maximum_filter(step, 2 * reach + 1)
 
 
 def _smooth_noise(random: np.random.Generator, shape: tuple[int, int], reach: int) -> FloatArray:
     """Noise of unit variance: half of its variance per pixel, half shared within a window."""
     fine = random.standard_normal(shape, np.float32)
-    shared = _box_mean(random.standard_normal(shape, np.float32), reach)
-    shared *= 2 * reach + 1
+    size = 2 * reach + 1
+    shared = size * uniform_filter(random.standard_normal(shape, np.float32), size, mode="nearest")
     return np.sqrt(np.float32(0.5)) * (fine + shared)
 
 
@@ -163,18 +150,3 @@ def _blotches(random: np.random.Generator, shape: tuple[int, int], size: float) 
     value: FloatArray = along[r0] * (1 - fr) + along[r0 + 1] * fr
     value /= np.sqrt(((1 - fr) ** 2 + fr**2) * ((1 - fc) ** 2 + fc**2))
     return value
-
-
-def _normal_quantile(share: FloatArray) -> FloatArray:
-    """What `share` of a normal distribution lies below; to about 1e-3 of the share.
-
-    Its distribution function is a logistic in z and z^3 (Bowling et al. 2009).
-    """
-    cubic, linear = 0.07056, 1.5976
-    p = share.astype(np.float64)
-    with np.errstate(divide="ignore"):  # nothing lies below minus infinity
-        logit = np.log(p) - np.log1p(-p)
-    # The real root of cubic z^3 + linear z = logit (Cardano, in hyperbolic form).
-    half = np.sqrt(linear / (3 * cubic))
-    root: FloatArray = 2 * half * np.sinh(np.arcsinh(1.5 * logit / (linear * half)) / 3)
-    return root.astype(np.float32)
