@@ -10,9 +10,9 @@ border only, so lips and lids keep their slits and seams do not open. A surface 
 covers the mouth (`mouth_cover`); its vertices are vertices of the lips once more.
 """
 
-from typing import Any
-
 import numpy as np
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import connected_components, dijkstra
 
 from pica_core.capture.dataset.files import Topology
 from pica_core.capture.stage.mouth_cover import cover_mouth
@@ -58,13 +58,16 @@ def track_topology(
     faces = topology.faces.astype(np.int64)
     untracked = topology.region(UNTRACKED)
     faces = faces[~untracked[faces].any(axis=1)]
-    border, border_edges = _borders(faces, len(places))
+    unique, uses = np.unique(np.sort(edges(faces), axis=1), axis=0, return_counts=True)
+    border_edges = unique[uses == 1]  # those of seams are among them
+    border = np.zeros(len(places), np.bool_)
+    border[border_edges] = True
     used = np.zeros(len(places), np.bool_)
     used[faces] = True
     weight = topology.by_region(DENSITY, 1.0) * np.where(border, BORDER_DENSITY, 1.0)
     twins = _same_places(places)
     seeds = _spread(places, used, weight.astype(np.float32), twins, num_vertices)
-    owner = _patches(places, faces, border, border_edges, seeds)
+    owner = _patches(places, faces, border_edges, seeds)
     corners = owner[faces]
     a, b, c = corners.T
     corners = corners[(a != b) & (b != c) & (c != a) & (corners >= 0).all(axis=1)]
@@ -102,15 +105,6 @@ def _with_mouth_cover(
         ),
         chosen[every],
     )
-
-
-def _borders(faces: Int64Array, count: int) -> tuple[BoolArray, Int64Array]:
-    """Vertices and edges that have a triangle on one side only; UV seams are among them."""
-    unique, uses = np.unique(np.sort(edges(faces), axis=1), axis=0, return_counts=True)
-    alone = unique[uses == 1]
-    border = np.zeros(count, np.bool_)
-    border[alone] = True
-    return border, alone
 
 
 def _same_places(places: FloatArray) -> Int64Array:
@@ -151,39 +145,20 @@ def _spread(
 
 
 def _patches(
-    places: FloatArray,
-    faces: Int64Array,
-    border: BoolArray,
-    border_edges: Int64Array,
-    seeds: Int64Array,
+    places: FloatArray, faces: Int64Array, border_edges: Int64Array, seeds: Int64Array
 ) -> Int64Array:
     """The seed that each vertex joins, -1 where it reaches none. int64 ``[V]``."""
-    owner = np.full(len(places), -1, np.int64)
-    owner[seeds] = seeds
-    distance = np.full(len(places), np.inf, np.float32)
-    distance[seeds] = 0.0
+    count = len(places)
+    ring = coo_array((np.ones(len(border_edges), np.bool_), tuple(border_edges.T)), (count, count))
+    label = connected_components(ring, directed=False)[1]
+    # A border with a seed is joined along itself; the rest from everywhere.
+    alone = np.isin(label, label[seeds]) & (np.bincount(label)[label] > 1)
     sides = np.unique(np.sort(edges(faces), axis=1), axis=0)
-    # Borders first, by themselves; then the rest, which leaves the borders as they are.
-    _relax(places, border_edges, owner, distance, np.zeros(len(places), np.bool_))
-    _relax(places, sides, owner, distance, border & (owner >= 0))
-    return owner
-
-
-def _relax(
-    places: FloatArray, edges: Int64Array, owner: Int64Array, distance: FloatArray, fixed: BoolArray
-) -> None:
-    """Shortest ways from the owned vertices along edges, in place."""
-    start = np.concatenate([edges[:, 0], edges[:, 1]])
-    end = np.concatenate([edges[:, 1], edges[:, 0]])
-    length: Any = np.linalg.norm(places[start] - places[end], axis=1)
-    open_end = ~fixed[end]
-    start, end, length = start[open_end], end[open_end], length[open_end]
-    while True:
-        reached = distance[start] + length
-        better = reached < distance[end]
-        if not better.any():
-            return
-        start_b, end_b, reached = start[better], end[better], reached[better]
-        np.minimum.at(distance, end_b, reached)
-        best = reached == distance[end_b]
-        owner[end_b[best]] = owner[start_b[best]]
+    ways = np.concatenate([sides, sides[:, ::-1]])
+    along = border_edges[alone[border_edges[:, 0]]]
+    ways = np.concatenate([ways[~alone[ways[:, 1]]], along, along[:, ::-1]])
+    start, end = ways.T
+    length = np.linalg.norm(places[start] - places[end], axis=1).astype(np.float64) + 1e-12
+    graph = csr_array((length, (start, end)), (count, count))
+    owner = dijkstra(graph, indices=seeds, return_predecessors=True, min_only=True)[2]
+    return np.maximum(owner, -1).astype(np.int64)
