@@ -30,14 +30,12 @@ def signed_areas(points: Array, faces: Array) -> Array:
 
 
 def vertex_normals(points: FloatArray, faces: IntArray) -> Float64Array:
-    """Normals of vertices, as long as twice the area around them. float64 ``[V, 3]``."""
+    """Unit normals of vertices, area weighted; 0 where no face is. float64 ``[V, 3]``."""
     a, b, c = (points[faces[:, k]].astype(np.float64) for k in range(3))
-    cross = np.cross(b - a, c - a)
-    total = np.zeros((len(points), 3))
-    for corner in range(3):
-        for axis in range(3):
-            total[:, axis] += np.bincount(faces[:, corner], cross[:, axis], len(points))
-    return total
+    across = np.repeat(np.cross(b - a, c - a), 3, axis=0)
+    sums = [np.bincount(faces.ravel(), across[:, axis], len(points)) for axis in range(3)]
+    total = np.stack(sums, 1)
+    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-20)
 
 
 def spread_samples(count: Int64Array) -> tuple[Int64Array, Float64Array, Float64Array]:

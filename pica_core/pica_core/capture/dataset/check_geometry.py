@@ -101,8 +101,7 @@ def _facing(camera: Camera, vertices_m: FloatArray, faces: IntArray) -> Float64A
     """Cosine between each vertex's normal and its way to the camera."""
     normal = vertex_normals(vertices_m, faces)
     way = camera.centre_m - vertices_m
-    size = np.linalg.norm(normal, axis=1) * np.linalg.norm(way, axis=1)
-    return (normal * way).sum(axis=1) / np.maximum(size, 1e-20)
+    return (normal * way).sum(axis=1) / np.linalg.norm(way, axis=1)
 
 
 def _overlap(

@@ -308,10 +308,8 @@ class ProceduralHead:
 
     def normals(self, vertices: FloatArray) -> FloatArray:
         """Unit vertex normals, area weighted and smooth across seams. float32 ``[V, 3]``."""
-        total = vertex_normals(vertices, self._weld[self.faces])
-        length = np.linalg.norm(total, axis=1, keepdims=True)
-        unit: FloatArray = (total / np.maximum(length, 1e-20)).astype(np.float32)
-        return unit[self._weld]
+        unit = vertex_normals(vertices, self._weld[self.faces])
+        return unit[self._weld].astype(np.float32)
 
 
 @functools.lru_cache(maxsize=8)

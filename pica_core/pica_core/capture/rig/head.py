@@ -22,7 +22,7 @@ from pica_core.capture.rig.obj import read_obj_folder
 from pica_core.capture.rig.source import RigSource
 from pica_core.capture.rig.visibility import visibility
 from pica_core.capture.stage.gaze import gaze, turn
-from pica_core.capture.triangles import areas
+from pica_core.capture.triangles import areas, vertex_normals
 from pica_core.errors import CaptureError
 from pica_core.types import Float64Array, FloatArray, Int64Array
 
@@ -117,6 +117,9 @@ class RigHead:
         self.topology = Topology(
             vertex_uv=self.chart.vertex_uv, faces=self.chart.faces, regions=regions
         )
+        one_of = np.zeros(len(mesh.rest_m), np.int32)
+        one_of[source] = np.arange(len(source))
+        self._welded, self._welded_faces = one_of[source], one_of[mesh.faces]
         self._rest = mesh.rest_m[source].astype(np.float32)
         moving = np.abs(mesh.motion_m).max((1, 2)) > 0
         self._shapes = np.flatnonzero(moving)
@@ -164,19 +167,7 @@ class RigHead:
 
     def normals(self, vertices: FloatArray) -> FloatArray:
         """Unit vertex normals, area weighted, smooth across seams of the chart. ``[V, 3]``."""
-        faces = self.mesh.faces
-        first = np.zeros(len(self.mesh.rest_m), np.int64)
-        first[self.chart.source] = np.arange(len(self.chart.source))
-        welded = vertices[first]
-        a, b, c = (welded[faces[:, k]] for k in range(3))
-        normal = np.cross(b - a, c - a).astype(np.float64)
-        total = np.stack(
-            [np.bincount(faces.ravel(), np.repeat(normal[:, k], 3), len(welded)) for k in range(3)],
-            1,
-        )
-        length = np.linalg.norm(total, axis=1, keepdims=True)
-        unit: FloatArray = (total / np.maximum(length, 1e-20)).astype(np.float32)
-        return unit[self.chart.source]
+        return vertex_normals(vertices, self._welded_faces)[self._welded].astype(np.float32)
 
 
 def _turned(eye: _Turn, values: FloatArray) -> FloatArray:

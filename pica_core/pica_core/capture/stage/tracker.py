@@ -82,7 +82,6 @@ class SimulatedTracker:
         strengths = np.sqrt(LASTING_SHARE) * self._lasting + np.sqrt(1 - LASTING_SHARE) * drift
         error = self._field.mix(strengths) * self._spread_m
         normals = vertex_normals(exact_m, self._faces)
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
         error -= (1 - ACROSS) * (error * normals).sum(axis=1, keepdims=True) * normals
         error += self.lag_weight[:, None] * (lagged_m.astype(np.float64) - exact_m)
         limit = 0.001 * LIMIT_MM
