@@ -9,6 +9,7 @@ So the seam begins with no step, and what was added fades when frames come again
 the network's thread, faces go out on the drawing one; they meet in a bounded deque.
 """
 
+import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -18,7 +19,7 @@ import numpy as np
 
 from pica_client.errors import VoiceError
 from pica_client.voice.jitter_buffer import CODEC_DELAY_S, Decoder
-from pica_client.voice.packet import VoicePacket
+from pica_client.voice.packet import FRAME_S, SAMPLE_RATE_HZ, VoicePacket
 from pica_client.voice.spoken_face import SpokenMouth
 from pica_core.avatar.expression_encoder import ExpressionEncoder, HasTensors
 from pica_core.types import FloatArray
@@ -29,6 +30,8 @@ FADE_S: Final = 0.15
 """How long what was added takes to go, and to come."""
 WARM_PACKETS: Final = 12
 """What is kept of a voice until it is needed: the network has to have heard half a second."""
+MAX_MADE_UP: Final = 5
+"""Frames of concealment in a row, as in the jitter buffer."""
 MAX_PEERS: Final = 64
 
 
@@ -37,6 +40,10 @@ class _Lips:
     decoder: Decoder
     mouth: SpokenMouth = field(default_factory=SpokenMouth)
     packets: deque[VoicePacket] = field(default_factory=lambda: deque(maxlen=WARM_PACKETS))
+    end_s: float = -math.inf
+    """Where the sound that has come ends."""
+    num_made_up: int = 0
+    """Frames of concealment that were heard after it."""
     encoder: ExpressionEncoder | None = None
     held_us: int | None = None
     """When the face stopped; None while it moves."""
@@ -103,7 +110,7 @@ class HeldLips:
                 return latent, shown_us
             return latent + np.float32(lips.weight) * lips.added, shown_us
         assert heard_us is not None
-        self._listen(lips)
+        self._listen(lips, heard_us / 1e6)
         if lips.encoder is None:
             lips.encoder = ExpressionEncoder(avatar)
         if lips.held_us != shown_us or lips.before is None:
@@ -115,12 +122,22 @@ class HeldLips:
         return latent + np.float32(lips.weight) * lips.added, round(moment_s * 1e6)
 
     @staticmethod
-    def _listen(lips: _Lips) -> None:
-        """Hear what has come meanwhile, ahead of what leaves the loudspeaker."""
+    def _listen(lips: _Lips, heard_s: float) -> None:
+        """Hear what has come meanwhile, ahead of what leaves the loudspeaker.
+
+        The mouth is known `DELAY_S` after its sound: at the end of what has come, the codec's
+        concealment stands for what follows, as it does in the loudspeaker.
+        """
         while lips.packets:
             packet = lips.packets.popleft()
             try:
                 sound = lips.decoder.decode(packet.payload)
             except VoiceError:
                 continue
-            lips.mouth.hear(sound, packet.captured_us / 1e6 - CODEC_DELAY_S)
+            begin_s = packet.captured_us / 1e6 - CODEC_DELAY_S
+            lips.mouth.hear(sound, begin_s)
+            lips.end_s, lips.num_made_up = begin_s + len(sound) / SAMPLE_RATE_HZ, 0
+        while lips.mouth.newest_s < heard_s <= lips.end_s and lips.num_made_up < MAX_MADE_UP:
+            begin_s = lips.end_s + lips.num_made_up * FRAME_S
+            lips.mouth.hear(lips.decoder.decode(None), begin_s)
+            lips.num_made_up += 1
