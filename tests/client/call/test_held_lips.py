@@ -29,8 +29,8 @@ AHEAD_US = 60_000
 class Display:
     """Shows a face whose frames end at a moment, and come again at another."""
 
-    def __init__(self, lips: HeldLips) -> None:
-        self.lips, self.now_us = lips, 0
+    def __init__(self, lips: HeldLips, ahead_us: int = AHEAD_US) -> None:
+        self.lips, self.now_us, self._ahead_us = lips, 0, ahead_us
         sound, encoder = shipped_speech(), OpusEncoder()
         size = PACKET_FRAMES * FRAME_SAMPLES
         self._packets = [
@@ -44,7 +44,7 @@ class Display:
         shown = []
         while self.now_us < until_us:
             self.now_us += REFRESH_US
-            while (self._num_sent + 1) * PACKET_US <= self.now_us + AHEAD_US:
+            while (self._num_sent + 1) * PACKET_US <= self.now_us + self._ahead_us:
                 self.lips.receive("ada", self._packets[self._num_sent])
                 self._num_sent += 1
             face_us = self.now_us if held_us is None else held_us
@@ -71,6 +71,13 @@ def test_lips_go_on_by_the_voice_in_step_and_without_a_step_at_the_seams() -> No
     assert steps[:2].max() < 0.2 * max(sizes)
     assert steps[len(held) - 1 :].max() < 0.3 * max(sizes)
     assert sizes[-1] == 0.0
+
+
+def test_lips_keep_step_up_to_the_end_of_what_has_come() -> None:
+    display = Display(HeldLips(OpusDecoder), ahead_us=48_000)
+    display.run(600_000)
+    held = display.run(1_000_000, held_us=600_000)
+    assert all(off_us == 0 for _, off_us in held[2:])
 
 
 def test_it_can_be_turned_off_and_forgets_who_left() -> None:
