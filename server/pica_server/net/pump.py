@@ -68,12 +68,12 @@ class Pump:
         self._inbox: dict[Connection, list[tuple[bytes, float]]] = {}
         # Who sent so much of it that no more is read of them for now; as many as connections.
         self._unread: dict[Connection, asyncio.Transport] = {}
-        self._loop_time: Callable[[], float] = time.monotonic
+        self._now: Callable[[], float] = time.monotonic
         self._soon: asyncio.Handle | None = None
 
     def start(self) -> None:
         """Take the time from the running loop from now on."""
-        self._loop_time = asyncio.get_running_loop().time
+        self._now = asyncio.get_running_loop().time
 
     def stop(self) -> None:
         """Do nothing more; all websockets have ended."""
@@ -140,7 +140,7 @@ class Pump:
 
     def _on_message(self, connection: Connection, data: bytes) -> None:
         """Keep a message that came the short way until all sockets have been read in this turn."""
-        now = self._loop_time()
+        now = self._now()
         waiting = self._inbox.get(connection)
         if waiting is not None:
             waiting.append((data, now))
@@ -259,7 +259,7 @@ class Pump:
     def _send_all(self, connections: Iterable[Connection]) -> None:
         """Send what waits for some as far as the kernel takes it; the rest is for the writers."""
         # Once for every message that goes out: written for speed.
-        wakers, now = self._wakers, self._loop_time()
+        wakers, now = self._wakers, self._now()
         written: list[OutboundMessage] = []
         last, framed = None, b""
         for connection in connections:
@@ -294,7 +294,7 @@ class Pump:
             waker.wake()
             if connection.closed is not None:
                 waker.cut_after(self._close_timeout_s())
-        self._hub.all_sent(written, self._loop_time())
+        self._hub.all_sent(written, self._now())
 
     def _on_timer(self) -> None:
         # A loop may fire a timer up to its clock's resolution too early; a deadline that is not met
@@ -310,9 +310,6 @@ class Pump:
             return self._config.close_timeout_s
         # Nobody needs the place, and what waits for a slow reader is to reach it.
         return max(self._drain_ends_s - self._now(), self._config.close_timeout_s)
-
-    def _now(self) -> float:
-        return self._loop_time()
 
 
 class _Waker:
