@@ -99,7 +99,7 @@ class Pump:
 
     async def serve(self, websocket: RelaySocket) -> None:
         """Serve one websocket of a call until it has ended."""
-        _bound_kernel_buffer(websocket, self._config.send_buffer_bytes)
+        _bound_kernel_buffer(websocket, _UNSENT_LIMIT_BYTES, self._config.send_buffer_bytes)
         began_s = self._now()
         connection = self._hub.connect(began_s, websocket.address)
         waker = self._wakers[connection] = _Waker(websocket)
@@ -349,26 +349,21 @@ class _Waker:
     def tighten(self) -> None:
         """Keep less in the kernel from now on: a voice behind it would come late."""
         self.is_tight = True
-        _bound_unsent(self.websocket, _VOICE_UNSENT_BYTES)
+        _bound_kernel_buffer(self.websocket, _VOICE_UNSENT_BYTES)
 
     def cancel_cut(self) -> None:
         if self._cut is not None:
             self._cut.cancel()
 
 
-def _bound_kernel_buffer(websocket: ServerConnection, send_buffer_bytes: int) -> None:
+def _bound_kernel_buffer(
+    websocket: ServerConnection, unsent_bytes: int, send_buffer_bytes: int | None = None
+) -> None:
     sock = websocket.transport.get_extra_info("socket")
     if sock is None or sock.family not in (socket.AF_INET, socket.AF_INET6):
         return
     with suppress(OSError):  # the peer may be gone already; the reader will find out
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, send_buffer_bytes)
-        _bound_unsent(websocket, _UNSENT_LIMIT_BYTES)
-
-
-def _bound_unsent(websocket: ServerConnection, num_bytes: int) -> None:
-    sock = websocket.transport.get_extra_info("socket")
-    if sock is None or sock.family not in (socket.AF_INET, socket.AF_INET6):
-        return
-    with suppress(OSError):  # as above
+        if send_buffer_bytes is not None:
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, send_buffer_bytes)
         if hasattr(socket, "TCP_NOTSENT_LOWAT"):
-            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, num_bytes)
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, unsent_bytes)
