@@ -269,15 +269,11 @@ class Pump:
             websocket, outbox = waker.websocket, connection.outbox
             if outbox.has_voices and not waker.is_tight:
                 waker.tighten()
-            if connection.closed is None and (due_s := outbox.due_s(now)) > now:
+            is_over = connection.closed is not None
+            if not is_over and (due_s := outbox.due_s(now)) > now:
                 self._hub.hold(connection, due_s)
                 continue
-            if (
-                waker.is_idle
-                and connection.closed is None
-                and websocket.is_writable
-                and self._writes_at_once
-            ):
+            if waker.is_idle and not is_over and websocket.is_writable and self._writes_at_once:
                 message = outbox.take(now)
                 if message is not None:
                     if message is not last:  # many get the very same
@@ -292,7 +288,7 @@ class Pump:
                 if not outbox.is_waiting:
                     continue
             waker.wake()
-            if connection.closed is not None:
+            if is_over:
                 waker.cut_after(self._close_timeout_s())
         self._hub.all_sent(written, self._now())
 
