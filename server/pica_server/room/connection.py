@@ -53,15 +53,9 @@ class Connection:
     ) -> None:
         # What piled up while the relay or the way to it stood still was sent at a good rate: who
         # has been here for so long may send that much at once. Who has just come has saved nothing.
-        messages_per_s, bytes_per_s, burst_s = (
-            limits.messages_per_s,
-            limits.bytes_per_s,
-            limits.burst_s,
-        )
-        self.messages_in = TokenBucket(
-            messages_per_s, messages_per_s * burst_s, now, messages_per_s
-        )
-        self.bytes_in = TokenBucket(bytes_per_s, bytes_per_s * burst_s, now, bytes_per_s)
+        messages, num_bytes, burst_s = limits.messages_per_s, limits.bytes_per_s, limits.burst_s
+        self.messages_in = TokenBucket(messages, messages * burst_s, now, messages)
+        self.bytes_in = TokenBucket(num_bytes, num_bytes * burst_s, now, num_bytes)
         self.address = address
         self.has_joined = False
         self.held_s = math.inf  # when what waits for more to come goes at the latest
