@@ -21,19 +21,19 @@ def cache_folder(system: type[PlatformDirs] = PlatformDirs) -> Path:
     return system(_NAME, appauthor=False).user_cache_path / "avatars"
 
 
-def models_folder(system: type[PlatformDirs] = PlatformDirs) -> Path:
+def models_folder() -> Path:
     """The folder for networks of others that this user has fetched."""
-    return system(_NAME, appauthor=False).user_data_path / "models"
+    return PlatformDirs(_NAME, appauthor=False).user_data_path / "models"
 
 
-def pictures_folder(system: type[PlatformDirs] = PlatformDirs) -> Path:
+def pictures_folder() -> Path:
     """The folder for pictures that this user takes of a call."""
-    return system(_NAME, appauthor=False).user_pictures_path / _TITLE
+    return PlatformDirs(_NAME, appauthor=False).user_pictures_path / _TITLE
 
 
-def videos_folder(system: type[PlatformDirs] = PlatformDirs) -> Path:
+def videos_folder() -> Path:
     """The folder for recordings that this user makes of a call."""
-    return system(_NAME, appauthor=False).user_videos_path / _TITLE
+    return PlatformDirs(_NAME, appauthor=False).user_videos_path / _TITLE
 
 
 def preferences_folder(system: type[PlatformDirs] = PlatformDirs) -> Path:

@@ -33,8 +33,7 @@ from pica_server.net.pump import Pump
 from pica_server.net.socket import RelaySocket, bound_receive_buffer
 from pica_server.ops.certificate import Certificate
 from pica_server.ops.descriptors import Descriptors, most_descriptors
-from pica_server.ops.loop_watch import PERIOD_S, LoopWatch
-from pica_server.ops.status_pages import StatusPages
+from pica_server.ops.status_pages import PERIOD_S, LoopWatch, StatusPages
 from pica_server.room.hub import Hub
 from pica_server.store.downloads import Downloads
 from pica_server.store.store import open_store

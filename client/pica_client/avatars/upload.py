@@ -111,25 +111,13 @@ class AvatarGiver:
             why not.
     """
 
-    def __init__(
-        self,
-        push: Push,
-        say: Callable[[str], None],
-        *,
-        rng: random.Random | None = None,
-    ) -> None:
-        """Prepare.
-
-        Args:
-            push: The file to give.
-            say: Takes a line for the user.
-            rng: Spreads further attempts.
-        """
+    def __init__(self, push: Push, say: Callable[[str], None]) -> None:
+        """Prepare to give a file; `say` takes a line for the user."""
         self.outcome = ""
         self._push = push
         self._url = ""
         self._say = say
-        self._backoff = Backoff((rng or random.Random()).random)
+        self._backoff = Backoff(random.random)
         self._task: asyncio.Task[None] | None = None
 
     def begin(self, url: str) -> None:

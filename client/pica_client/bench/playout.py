@@ -18,8 +18,7 @@ import numpy as np
 import tyro
 
 from pica_client.bench.head import FaceRenderer
-from pica_client.bench.network.policies import POLICIES
-from pica_client.bench.network.scenarios import BY_NAME, SCENARIOS
+from pica_client.bench.network.scenarios import BY_NAME, POLICIES, SCENARIOS
 from pica_client.bench.network.stream_trial import (
     Delivery,
     Face,

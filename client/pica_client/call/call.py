@@ -21,7 +21,6 @@ from pica_client.call.held_lips import HeldLips
 from pica_client.call.layer_subscription import LayerSubscriptionConfig
 from pica_client.call.participant import RemoteParticipant, Tell
 from pica_client.call.roster import SECRET_NEEDED, RoomState, Roster
-from pica_client.call.seal_note import seal_note
 from pica_client.e2ee.status import PeerSeal, SealState, SealStatus
 from pica_client.errors import OptionError
 from pica_client.playout.config import PlayoutConfig
@@ -437,13 +436,13 @@ class Call:
 
     def _notes(self, now: float) -> dict[str, str]:
         """What is wrong with each peer, by peer id; watchers have no face that could be missing."""
-        notes = {peer_id: seal_note(seal) for peer_id, seal in self._seals().items()}
+        notes = {peer_id: seal.note for peer_id, seal in self._seals().items()}
         return notes | {peer_id: self._note(seat, now) for peer_id, seat in self._seats.items()}
 
     def _note(self, seat: RemoteParticipant, now: float) -> str:
         """Why a face is not to be seen, or not as it should be; empty when nothing is wrong."""
         peer_id = seat.peer.peer_id
-        note = seal_note(self._seals().get(peer_id)) or seat.note
+        note = self._seals().get(peer_id, PeerSeal()).note or seat.note
         if note:
             return note
         if self._lacks_secret(peer_id):

@@ -53,8 +53,7 @@ from pica_client.e2ee.notes import (
     encode_note,
     fingerprint,
 )
-from pica_client.e2ee.peer_keys import FIRST_WAIT_S, OpeningKey, OwnKey, PeerKeys
-from pica_client.e2ee.replay import ReplayWindow
+from pica_client.e2ee.peer_keys import FIRST_WAIT_S, OpeningKey, OwnKey, PeerKeys, ReplayWindow
 from pica_client.e2ee.secret import RandomBytes, RoomSecret
 from pica_client.e2ee.status import PeerSeal, SealState, SealStatus
 from pica_client.e2ee.suites import AES_128_GCM_SHA256_128, SUITES, Suite

@@ -34,6 +34,14 @@ class SealState(Enum):
     """Its encryption is of another version than ours."""
 
 
+_NOTES: Final = {
+    SealState.PLAIN: "not encrypted",
+    SealState.SECRET_DIFFERS: "secret differs: compare the secret files",
+    SealState.RELABELLED: "not who the relay says it is",
+    SealState.OTHER_VERSION: "encrypted by another version",
+}
+
+
 @dataclass(frozen=True, slots=True)
 class PeerSeal:
     """How the encryption of one peer stands. Only who is VERIFIED is shown and counted."""
@@ -41,6 +49,11 @@ class PeerSeal:
     state: SealState = SealState.WAITING
     reason: str = "keys are on their way"
     """One line for people: what is wrong, and the remedy if there is one."""
+
+    @property
+    def note(self) -> str:
+        """What is wrong in the few words that fit under a name; empty if nothing is known to be."""
+        return _NOTES.get(self.state, "")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -90,6 +90,7 @@ class ClusterNode:
 
     Attributes:
         liveness: Which nodes live.
+        standing: What this node is to the cluster.
     """
 
     def __init__(self, hub: Hub, me: NodeId, capacity: int, now: float) -> None:
@@ -106,7 +107,7 @@ class ClusterNode:
         self._me = me
         self._capacity = capacity
         self._stats = hub.stats
-        self._standing = Standing.CLUSTERED
+        self.standing = Standing.CLUSTERED
         self._rooms: dict[str, SharedRoom] = {}
         self._exchanges = ClusterExchanges(hub, me)
         self._places: dict[str, _Place] = {}  # bounded by the number of connections
@@ -132,19 +133,14 @@ class ClusterNode:
         return len(self._rooms)
 
     @property
-    def standing(self) -> Standing:
-        """What this node is to the cluster."""
-        return self._standing
-
-    @property
     def num_nodes(self) -> int:
         """Nodes that live, this one included."""
-        return 1 if self._standing is Standing.LOCAL else 1 + len(self._alive)
+        return 1 if self.standing is Standing.LOCAL else 1 + len(self._alive)
 
     @property
     def trouble(self) -> str:
         """What is wrong, in a few words, or empty."""
-        match self._standing:
+        match self.standing:
             case Standing.CLUSTERED:
                 return ""
             case Standing.UNCERTAIN:
@@ -297,7 +293,7 @@ class ClusterNode:
             return
         shared = self._rooms.get(message.room)
         room = None if shared is None else self._hub.room(shared.name)
-        if shared is None or room is None or self._standing is Standing.LOCAL:
+        if shared is None or room is None or self.standing is Standing.LOCAL:
             return
         match message:
             case Interest():
@@ -355,7 +351,7 @@ class ClusterNode:
             shared = self._rooms.get(key)
             if shared is None:
                 continue
-            shared.advance(self._standing, self.liveness, now)
+            shared.advance(self.standing, self.liveness, now)
             for event in shared.take_events():
                 self._handle(shared, event, now)
             request = shared.take_request()
@@ -439,10 +435,10 @@ class ClusterNode:
         """See who lives, and what this node is; bring rooms up to date that depend on it."""
         standing = self.liveness.standing(now)
         alive = self.liveness.alive(now)
-        has_changed = standing is not self._standing or alive != self._alive
-        if standing is not self._standing:
+        has_changed = standing is not self.standing or alive != self._alive
+        if standing is not self.standing:
             self._count(standing.value)
-        self._standing, self._alive = standing, alive
+        self.standing, self._alive = standing, alive
         for key, shared in self._rooms.items():
             if has_changed or shared.is_unsettled or self._exchanges.is_due(key, now):
                 self._dirty[key] = None

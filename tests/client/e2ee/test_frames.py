@@ -24,7 +24,7 @@ from pica_client.e2ee.frames import (
     open_,
     seal,
 )
-from pica_client.e2ee.replay import WINDOW, ReplayWindow
+from pica_client.e2ee.peer_keys import WINDOW, ReplayWindow
 from pica_client.e2ee.suites import (
     AES_128_CTR_HMAC_SHA256_64,
     AES_128_CTR_HMAC_SHA256_80,

@@ -20,7 +20,7 @@ from helpers.playout_trial import (
     play,
     steps,
 )
-from pica_client.bench.network.policies import ADAPTIVE, FIXED, UNBUFFERED
+from pica_client.bench.network.scenarios import ADAPTIVE, FIXED, UNBUFFERED
 from pica_client.playout.buffer import Playout
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]

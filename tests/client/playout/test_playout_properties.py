@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from helpers.playout_trial import FAR_CLOCK_US, arrive, face, value_of
-from pica_client.bench.network.policies import POLICIES
+from pica_client.bench.network.scenarios import POLICIES
 from pica_client.playout.buffer import PlayedFace, Playout
 from pica_client.playout.config import PlayoutConfig
 

@@ -19,8 +19,7 @@ from helpers.paths import ROOT
 from helpers.relay_options import read_relay_options
 from pica_command.errors import UsageError
 from pica_server.config.relay import RelayConfig
-from pica_server.ops.loop_watch import LoopWatch
-from pica_server.ops.status_pages import StatusPages
+from pica_server.ops.status_pages import LoopWatch, StatusPages
 from pica_server.room.hub import Hub
 
 pytestmark = pytest.mark.unit

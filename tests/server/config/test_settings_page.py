@@ -7,8 +7,7 @@ import pytest
 
 from helpers.paths import ROOT
 from pica_server.config.relay import RelayConfig
-from pica_server.ops.loop_watch import LoopWatch
-from pica_server.ops.status_pages import StatusPages
+from pica_server.ops.status_pages import LoopWatch, StatusPages
 from pica_server.room.hub import Hub
 
 pytestmark = pytest.mark.unit

@@ -5,10 +5,9 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from helpers.members import Member
 from pica_server.config.relay import LimitsConfig, RelayConfig
-from pica_server.ops.loop_watch import LoopWatch
 from pica_server.ops.metrics import BOUNDS_S, metrics_text
 from pica_server.ops.stats import RelayStats
-from pica_server.ops.status_pages import Page, StatusPages
+from pica_server.ops.status_pages import LoopWatch, Page, StatusPages
 from pica_server.room.hub import Hub
 
 pytestmark = pytest.mark.unit

@@ -10,8 +10,7 @@ from pica_protocol.frames import Frame
 from pica_protocol.limits import MAX_LAYER
 from pica_protocol.messages import KeyframeRequest
 from pica_server.config.relay import RelayConfig
-from pica_server.ops.loop_watch import LoopWatch
-from pica_server.ops.status_pages import StatusPages
+from pica_server.ops.status_pages import LoopWatch, StatusPages
 from pica_server.room.brake import CALM_S, LATE_S, LONGEST_CALM_S, SPARE_CALM_S, Brake
 from pica_server.room.hub import Hub
 

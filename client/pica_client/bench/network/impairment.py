@@ -87,12 +87,17 @@ class Impairment:
 
 
 class Way:
-    """One direction of one connection: when does what is sent now arrive?"""
+    """One direction of one connection: when does what is sent now arrive?
+
+    Attributes:
+        impairment: What it does now.
+        free_s: When the next piece can leave, seconds.
+    """
 
     def __init__(self, impairment: Impairment, rng: np.random.Generator) -> None:
         self.impairment = impairment
         self._rng = rng
-        self._free_s = -math.inf
+        self.free_s = -math.inf
         self._last_arrival_s = -math.inf
         self._jitter_state = float(rng.standard_normal())
         self._jitter_time_s = -math.inf
@@ -103,18 +108,13 @@ class Way:
         self.impairment = impairment
         self._stall = None
 
-    @property
-    def free_s(self) -> float:
-        """When the next piece can leave, seconds."""
-        return self._free_s
-
     def transmit(self, num_bytes: int, now: float) -> float | None:
         """When a piece arrives that leaves now, or once the way is free; None if never."""
         way, rng = self.impairment, self._rng
-        self._free_s = max(self._free_s, now)
+        self.free_s = max(self.free_s, now)
         if way.rate_bps is not None:
-            self._free_s += num_bytes * 8 / way.rate_bps
-        arrival_s = self._free_s + way.delay_s + self._jitter_at(self._free_s)
+            self.free_s += num_bytes * 8 / way.rate_bps
+        arrival_s = self.free_s + way.delay_s + self._jitter_at(self.free_s)
         if way.is_ordered:
             timeout_s = max(RETRANSMISSION_TIMEOUT_S, 2 * way.delay_s)
             for _ in range(MAX_RETRANSMISSIONS):

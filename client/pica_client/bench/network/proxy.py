@@ -50,13 +50,12 @@ class ImpairedProxy:
         url: Where to connect; as the server's, but for host and port.
     """
 
-    def __init__(self, url: str, impairment: Impairment, *, seed: int = 0) -> None:
+    def __init__(self, url: str, impairment: Impairment) -> None:
         """Prepare.
 
         Args:
             url: Of the server, ws://HOST:PORT.
             impairment: What the way from the server to us is like; must be ordered.
-            seed: Of what chance there is. Times are real, so runs are alike and not the same.
         """
         if not impairment.is_ordered:
             raise ValueError("bytes of a stream cannot be reordered")
@@ -66,7 +65,7 @@ class ImpairedProxy:
         self.url = url
         self._server_address = (parts.hostname, parts.port or 80)
         self._impairment = impairment
-        self._rng = np.random.default_rng(seed)
+        self._rng = np.random.default_rng(0)  # times are real: runs are alike, and not the same
         self._listener: asyncio.Server | None = None
         self._connections: set[asyncio.Task[None]] = set()
 

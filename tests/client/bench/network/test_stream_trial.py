@@ -8,8 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from pica_client.bench.network.policies import POLICIES
-from pica_client.bench.network.scenarios import BY_NAME, CALM, SCENARIOS, Scenario
+from pica_client.bench.network.scenarios import BY_NAME, CALM, POLICIES, SCENARIOS, Scenario
 from pica_client.bench.network.stream_trial import Delivery, Schedule, deliver, play
 from pica_client.errors import OptionError
 from pica_client.playout.buffer import Playout
