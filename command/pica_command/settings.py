@@ -32,20 +32,14 @@ _SWITCHES: Final = {
     **dict.fromkeys(("true", "yes", "on", "1"), True),
     **dict.fromkeys(("false", "no", "off", "0"), False),
 }
-_WORDS: Final[dict[Any, str]] = {
-    bool: "true or false",
-    int: "a whole number",
-    float: "a number",
-    str: "text",
-    Path: "the name of a file",
+_WORDS: Final[dict[Any, tuple[str, str]]] = {
+    bool: ("true or false", "switches"),
+    int: ("a whole number", "whole numbers"),
+    float: ("a number", "numbers"),
+    str: ("text", "text"),
+    Path: ("the name of a file", "names of files"),
 }
-_LISTS: Final[dict[Any, str]] = {
-    bool: "switches",
-    int: "whole numbers",
-    float: "numbers",
-    str: "text",
-    Path: "names of files",
-}
+"""What errors call one value of a type, and several."""
 _SECRET_NAMES: Final = ("secret", "password", "token", "credentials")
 _USER_IN_URL: Final = re.compile(r"(?<=://)[^/@\s]*@")
 _HIDDEN: Final = "***"
@@ -350,8 +344,8 @@ def _wanted(kind: Any, form_of_list: str) -> str:
     if get_origin(kind) is Literal:
         return "one of " + ", ".join(map(str, get_args(kind)))
     if get_origin(kind) is tuple:
-        return f"a list of {_LISTS[get_args(kind)[0]]}, {form_of_list}"
-    return _WORDS[kind]
+        return f"a list of {_WORDS[get_args(kind)[0]][1]}, {form_of_list}"
+    return _WORDS[kind][0]
 
 
 @contextmanager

@@ -16,7 +16,6 @@ import numpy as np
 from pica_client.bench.harness import Took, gl_context, median_ms, spread, take_turns, timed
 from pica_client.bench.head import FIELD_OF_VIEW, check_distances, front_camera, textured_mesh
 from pica_client.bench.option_types import Floats, check_ranges
-from pica_client.bench.relay.processes import memory_bytes
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.render.drawing import HEAD
 from pica_client.render.renderer import Renderer, RenderOptions
@@ -52,8 +51,6 @@ class RenderBenchConfig:
     """Frames drawn of each case."""
     sweep_points: int = 12
     """Distances of the sweep over pixels."""
-    soak_frames: int = 0
-    """Then draw so many small frames and watch the memory."""
 
     def __post_init__(self) -> None:
         check_ranges(
@@ -61,7 +58,6 @@ class RenderBenchConfig:
             image_size=(64, 4096),
             rounds=(3, 1000),
             sweep_points=(3, 100),
-            soak_frames=(0, 10_000_000),
         )
         check_distances(self.distances_cm)
 
@@ -99,7 +95,7 @@ def run_render_bench(config: RenderBenchConfig, avatar: Avatar) -> dict[str, Any
                 lines.append(
                     {"model": kind[0], "level": kind[1], "time": name, **fit_line(own, name)}
                 )
-        result = {
+        return {
             "avatar": avatar.manifest.identity,
             "gl_renderer": bench.gl_renderer,
             "gl_threads": os.environ.get("LP_NUM_THREADS"),
@@ -112,9 +108,6 @@ def run_render_bench(config: RenderBenchConfig, avatar: Avatar) -> dict[str, Any
             "summary": summarise(rows, lines, bench.weights),
             "machine": describe_machine(),
         }
-        if config.soak_frames:
-            result["soak"] = bench.soak(config.soak_frames)
-        return result
 
 
 class _Bench:
@@ -127,13 +120,13 @@ class _Bench:
         latent = ExpressionEncoder(avatar).encode(np.zeros(NUM_ARKIT, np.float32))
         direction = view_direction(HEAD, self._camera(100.0).centre_m)
         decoder, size = OnnxDecoder(avatar), (config.image_size, config.image_size)
-        self._maps = [decoder.decode(latent, direction, level) for level in avatar.levels]
+        decoded = [decoder.decode(latent, direction, level) for level in avatar.levels]
         self._renderers: dict[str, Renderer] = {}
         for place in WEIGHTS:
             renderer = self._renderers[place] = Renderer(
                 context, size, RenderOptions(weights=place)
             )
-            for maps in self._maps:
+            for maps in decoded:
                 slot = f"pica-{maps.level}"
                 renderer.add_avatar(slot, avatar)
                 renderer.update_maps(slot, maps.position_map, maps.expression_map)
@@ -206,38 +199,14 @@ class _Bench:
         vertex = ((a - b) / EXTRA_TIMES for a, b in zip(many, once, strict=True))
         return _Times(frame, Took(*vertex))
 
-    def soak(self, frames: int, size: int = 64) -> dict[str, Any]:
-        """Draw many small frames with fresh maps and read them back; memory before and after.
-
-        The first tenth is not counted: pools of the driver fill up.
-        """
-        renderer = Renderer(self._context, (size, size))
-        renderer.add_avatar("soak", self._avatar)
-        samples: list[tuple[int, int]] = []
-        for index in range(frames):
-            fresh = self._maps[index % len(self._maps)]
-            renderer.update_maps("soak", fresh.position_map, fresh.expression_map)
-            placement = Placement(slot="soak", world_from_head=HEAD, blend=0.5 + 0.5 * (index % 2))
-            renderer.draw([placement], self._camera(60 + index % 90, size))
-            renderer.read_image()
-            if index % max(frames // 50, 1) == 0:
-                samples.append((index, memory_bytes(os.getpid()) or 0))
-        settled = [size for index, size in samples if index >= frames / 10]
-        return {
-            "frames": frames,
-            "resident_mb_after_a_tenth": round(settled[0] / 1e6, 2),
-            "resident_mb_at_the_end": round(settled[-1] / 1e6, 2),
-            "growth_bytes_a_frame": round((settled[-1] - settled[0]) / (0.9 * frames), 1),
-        }
-
     def _scene(self, case: _Case) -> tuple[Renderer, list[Placement], Camera]:
         placement = Placement(
             slot=f"{case.model}-{case.level}", world_from_head=HEAD, mesh_level=case.mesh or None
         )
         return self._renderers[case.weights], [placement], self._camera(case.distance_cm)
 
-    def _camera(self, distance_cm: float, size: int | None = None) -> Camera:
-        pixels = size or self._config.image_size
+    def _camera(self, distance_cm: float) -> Camera:
+        pixels = self._config.image_size
         return front_camera(self._avatar.manifest, distance_cm, (pixels, pixels))
 
 

@@ -18,24 +18,14 @@ def rotation_vector_from_yaw_pitch_roll(
     Returns:
         Rotation vectors (axis times angle, angle at most π). float32 ``[T, 3]``.
     """
-    half = yaw_pitch_roll / 2
-    (cos_y, cos_p, cos_r), (sin_y, sin_p, sin_r) = np.cos(half).T, np.sin(half).T
-    # Quaternion product y(yaw) * x(pitch) * z(roll), written out.
-    real = cos_y * cos_p * cos_r + sin_y * sin_p * sin_r
-    imaginary = np.stack(
-        (
-            cos_y * sin_p * cos_r + sin_y * cos_p * sin_r,
-            sin_y * cos_p * cos_r - cos_y * sin_p * sin_r,
-            cos_y * cos_p * sin_r - sin_y * sin_p * cos_r,
-        ),
-        axis=1,
-    )
-    flip = np.where(real < 0, -1.0, 1.0)  # q and -q are one rotation; take the shorter way round
-    real, imaginary = real * flip, imaginary * flip[:, None]
-    sine = np.linalg.norm(imaginary, axis=1)
-    # angle / sin(angle / 2) tends to 2 where the head does not turn at all.
-    scale = np.where(sine > 1e-12, 2 * np.arctan2(sine, real) / np.maximum(sine, 1e-12), 2.0)
-    return (imaginary * scale[:, None]).astype(np.float32)
+    turns = []
+    for yaw, pitch, roll in (yaw_pitch_roll / 2).tolist():
+        tilted = _product(
+            (math.cos(yaw), 0.0, math.sin(yaw), 0.0), (math.cos(pitch), math.sin(pitch), 0.0, 0.0)
+        )
+        rolled = _product(tilted, (math.cos(roll), 0.0, 0.0, math.sin(roll)))
+        turns.append(rotation_vector_from_quaternion(rolled))
+    return np.array(turns, np.float32).reshape(-1, 3)
 
 
 def blend_rotations(
