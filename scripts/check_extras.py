@@ -1,8 +1,8 @@
 """Install each part alone in a fresh environment and start it there.
 
     base    `pica relay` starts, and neither numpy nor torch is installed
-    view    every module of `pica_client` imports, and torch and cryptography are not installed;
-            those of `pica_client.e2ee` alone need the extra seal
+    view    every module of `pica_client` imports, and torch, SciPy and cryptography are not there;
+            only those of `pica_client.e2ee` need the extra seal, and the benches the extra bench
     seal    with it, a sender's install imports them too
     cluster with it, and without numpy, the relay's way to NATS imports
 
@@ -88,10 +88,11 @@ def import_modules(python: Path, inside: str, *left_out: str) -> str:
 
 
 def check_client(folder: Path) -> None:
-    """The viewer's install imports the whole client without torch and without cryptography."""
+    """The viewer's install imports the client, benches apart, without torch, SciPy, cryptography."""
     python = make_environment(folder, "view")
-    assert_absent(python, "torch", "cryptography")
-    print(f"view: {import_modules(python, 'pica_client', 'pica_client.e2ee.')}")
+    assert_absent(python, "torch", "scipy", "cryptography")
+    others = ("pica_client.e2ee.", "pica_client.bench.", "pica_client.cli.bench.")
+    print(f"view: {import_modules(python, 'pica_client', *others)}")
 
 
 def check_seal(folder: Path) -> None:
