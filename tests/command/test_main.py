@@ -85,7 +85,7 @@ def test_a_missing_file_is_bad_input_and_named(
 
 @pytest.mark.parametrize(
     ("module", "extra"),
-    [("torch", "train"), ("PIL", "capture"), ("numpy.linalg", "send"), ("av", "video")],
+    [("torch", "train"), ("xatlas", "capture"), ("numpy.linalg", "send"), ("av", "video")],
 )
 def test_a_missing_module_names_the_smallest_extra_that_brings_it(
     run: Callable[..., int], capsys: pytest.CaptureFixture[str], module: str, extra: str

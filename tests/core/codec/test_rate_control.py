@@ -97,8 +97,8 @@ def test_frames_with_room_never_make_more_than_the_rate_and_what_the_bucket_hold
 
 @functools.cache
 def shipped() -> tuple[StreamProfile, dict[str, npt.NDArray[np.float32]]]:
-    """The tables of a shipped avatar, and latents of faces that talk and that move all they can."""
-    path = Path(str(resources.files("pica_core"))) / "avatars" / "amara.pica"
+    """The tables of the avatar that benches keep, and latents of faces that talk and that move all they can."""
+    path = Path(str(resources.files("pica_core"))) / "avatars" / "sam.pica"
     avatar = load_avatar(path)
     profile, encoder = avatar.stream_profile(), ExpressionEncoder(avatar)
     assert profile is not None
@@ -139,7 +139,7 @@ def test_every_second_keeps_to_the_target(name: str, target_bps: int) -> None:
     # Base frames come whatever happens; of the others some do not, most of a face that moves all
     # it can through twice the bits that there are for it.
     assert (layer == 0).sum() == len(layer) // 4
-    most_left_out = {("talk", 1000): 0.2, ("motion", 1000): 0.4, ("motion", 2000): 0.08}
+    most_left_out = {("talk", 1000): 0.2, ("motion", 1000): 0.3, ("motion", 2000): 0.03}
     assert (layer < 0).mean() <= most_left_out.get((name, target_bps), 0.01)
 
 
@@ -150,7 +150,7 @@ def test_quality_does_not_swing(name: str, target_bps: int) -> None:
     base = quality[layer == 0]
     assert np.diff(base).max() <= 2  # one up at the frame itself, and none between
     by_second = quality[2 * FPS : RESTS_AT_S * FPS].reshape(-1, FPS).mean(axis=1)
-    assert np.abs(np.diff(by_second)).max() <= 2.5
+    assert np.abs(np.diff(by_second)).max() <= 2
 
 
 def rest_bits(config: StreamConfig, seconds: int) -> npt.NDArray[np.int64]:
