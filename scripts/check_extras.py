@@ -88,7 +88,7 @@ def import_modules(python: Path, inside: str, *left_out: str) -> str:
 
 
 def check_client(folder: Path) -> None:
-    """The viewer's install imports the client, benches apart, without torch, SciPy, cryptography."""
+    """The viewer's install imports the client but its benches: no torch, SciPy, cryptography."""
     python = make_environment(folder, "view")
     assert_absent(python, "torch", "scipy", "cryptography")
     others = ("pica_client.e2ee.", "pica_client.bench.", "pica_client.cli.bench.")
