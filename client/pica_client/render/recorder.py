@@ -30,6 +30,11 @@ second (chosen: displays seldom do more)."""
 
 SOUND_BPS = 128_000
 """Bits a second of the sound, AAC in stereo (chosen: voices lose nothing that is heard)."""
+CONTAINER = {"movflags": "hybrid_fragmented+delay_moov", "flush_packets": "1"}
+"""A file that plays up to its last key frame if the process is killed, and is a plain MP4 once it
+is closed (FFmpeg 7.1)."""
+KEY_FRAMES = 60
+"""A key frame after so many frames, two seconds of a call: the most that a kill costs (chosen)."""
 
 
 class Recorder:
@@ -64,7 +69,7 @@ class Recorder:
         self._av: Any = av
         with writing(path):
             path.open("wb").close()  # FFmpeg would find out with the first frame only
-            self._container: Any = av.open(str(path), "w", format="mp4")
+            self._container: Any = av.open(str(path), "w", format="mp4", options=CONTAINER)
         has_h264 = "libx264" in av.codecs_available
         self.codec = "libx264" if has_h264 else "mpeg4"
         stream: Any = self._container.add_stream(self.codec, rate=TICKS_PER_S)
@@ -73,6 +78,7 @@ class Recorder:
         stream.codec_context.time_base = Fraction(1, TICKS_PER_S)
         # One thread: the cores belong to the rasteriser. "veryfast" costs 4 ms for 960x540.
         stream.thread_count = 1
+        stream.gop_size = KEY_FRAMES
         if has_h264:
             stream.options = {"preset": "veryfast", "crf": "20"}
         else:
@@ -125,7 +131,7 @@ class Recorder:
         """Finish the file. Once is enough, twice is harmless.
 
         Raises:
-            OptionError: The disk is full; the file cannot be played.
+            OptionError: The disk is full, or there is not one frame and therefore no file.
         """
         if self._container is None:
             return
@@ -135,6 +141,9 @@ class Recorder:
             container, self._container = self._container, None
             with writing(self._path):
                 container.close()
+        if self._last_tick < 0:
+            self._path.unlink(missing_ok=True)
+            raise OptionError(f"{self._path}: no picture was drawn, so there is no recording")
 
     def _write_sound(self, until_s: float, *, is_last: bool = False) -> None:
         if self._sound is None or self._container is None:

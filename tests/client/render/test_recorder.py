@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +11,7 @@ import pytest
 from PIL import Image
 
 from pica_client.errors import OptionError
-from pica_client.render.recorder import Recorder, save_png
+from pica_client.render.recorder import KEY_FRAMES, Recorder, save_png
 from pica_client.voice.packet import FRAME_SAMPLES, SAMPLE_RATE_HZ
 from pica_client.voice.sound.soundtrack import Soundtrack
 
@@ -75,10 +77,29 @@ def test_a_frame_of_the_same_tick_is_dropped(tmp_path: Path) -> None:
     assert len(frames_of(tmp_path / "a.mp4")) == 2
 
 
-def test_a_recording_without_frames_can_be_closed_twice(tmp_path: Path) -> None:
+def test_a_recording_without_frames_leaves_no_file_and_can_be_closed_twice(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "empty.mp4", (64, 48))
+    with pytest.raises(OptionError, match=r"empty\.mp4: no picture was drawn"):
+        recorder.close()
     recorder.close()
-    recorder.close()
+    assert list(tmp_path.iterdir()) == []
+
+
+KILLED = """
+import os, sys, numpy as np
+from pathlib import Path
+from pica_client.render.recorder import Recorder
+recorder = Recorder(Path(sys.argv[1]), (64, 48))
+for index in range(300):
+    recorder.write(np.full((48, 64, 3), index % 200, np.uint8), index / 30)
+os._exit(9)
+"""
+
+
+def test_what_was_recorded_before_the_process_was_killed_can_be_played(tmp_path: Path) -> None:
+    path = tmp_path / "a.mp4"
+    assert subprocess.run([sys.executable, "-c", KILLED, str(path)], timeout=60).returncode == 9
+    assert len(frames_of(path)) >= 300 - 2 * KEY_FRAMES - 20
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:

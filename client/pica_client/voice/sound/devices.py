@@ -53,7 +53,8 @@ NO_DEVICE = "none"
 OnFrame = Callable[[FloatArray, int], None]
 """Takes 20 ms and when the first of its samples was captured, microseconds."""
 _IMPORTING = threading.Lock()
-NO_SOUND = "no sound system: {}; install the extra voice, and on Linux PulseAudio or PipeWire"
+NO_SOUND = "no sound system: {}; on Linux start PulseAudio or PipeWire"
+NO_LIBRARY = "no sound system: SoundCard is not installed; install the extra voice"
 
 
 def speakers() -> list[str]:
@@ -345,6 +346,8 @@ def _soundcard() -> Any:
     try:
         with _IMPORTING:
             import soundcard
+    except ModuleNotFoundError as error:
+        raise VoiceError(NO_LIBRARY) from error
     except Exception as error:  # AssertionError without a server, OSError without its library
         raise VoiceError(NO_SOUND.format(str(error) or "no server answers")) from error
     return soundcard
