@@ -260,7 +260,7 @@ PRESETS: dict[str, TrainConfig] = {
     ),
     "small": TrainConfig(),
     "long": TrainConfig().changed(
-        schedule={"geometry_steps": 6000, "joint_steps": 8000, "driver_steps": 3000}
+        schedule={"geometry_steps": 4800, "joint_steps": 4000, "driver_steps": 2000}
     ),
     "paper": TrainConfig(
         model=ModelConfig(
@@ -289,5 +289,6 @@ PRESETS: dict[str, TrainConfig] = {
         watch_every=2000,
     ),
 }
-"""tiny: seconds, for tests. small: minutes on two cores. long: half an hour. paper: the paper's
-settings to the letter (section 5, appendix A): days on a GPU; only the driver phase is ours."""
+"""tiny: seconds, for tests. small: minutes on two cores. long: two or three times
+that. paper: the paper's settings to the letter (section 5, appendix A): days on a GPU; only the
+driver phase is ours."""

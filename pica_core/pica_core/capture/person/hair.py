@@ -66,18 +66,24 @@ STYLES: dict[str, Style] = {
     "parted": Style(cap=13, sides=0.5, quiff=5, flow=(0, -0.6, -0.35), parting=28),
     "receding": Style(cap=5, sides=0.9, flow=(0.1, -0.6, -0.6), recession=30, clumps=0.7),
     "curly": Style(cap=20, sides=0.7, quiff=4, flow=(0.0, -0.6, 0.3), curl=3.6, clumps=0.8),
-    "afro": Style(cap=46, rise=3.2, sides=0.85, radial=True, curl=1.6, clumps=0.25),
+    "afro": Style(cap=36, rise=2.6, sides=0.8, radial=True, curl=1.6, clumps=0.25),
     "bob": Style(cap=12, sides=0.8, parting=12, recession=9, hang=82, wave=1.6),
     "long": Style(cap=13, sides=0.8, parting=-8, recession=9, hang=215, wave=3.0),
     "tied": Style(cap=6, sides=0.8, tail=170, clumps=0.6),
 }  # fmt: skip
 TIE_Y = 0.0
 """Height at which a tail is tied."""
-COLUMNS, ROWS = 48, 18
-FRONT_DEG, CLEAR_M, THICK_M = 50.0, 0.003, 0.009
-"""Azimuth of the front edges of hair that hangs, its distance from what is under it, thickness."""
-HANG_FROM_M = 0.122
-"""Height at which hanging hair leaves the cap."""
+COLUMNS, ROWS, TAIL_ROWS = 48, 28, 18
+FRONT_DEG = (
+    (-0.09, 46.0), (-0.03, 42.0), (0.020, 45.0), (0.050, 43.0), (0.070, 35.0), (0.085, 21.0),
+    (0.105, 5.0), (0.130, 2.0),
+)  # fmt: skip
+"""Azimuth of the front edges of hair that hangs, over the height: it parts above the forehead and
+frames the face."""
+CLEAR_M, THICK_M = 0.003, 0.009
+"""Distance of hair that hangs from what is under it, and its thickness."""
+CROWN_M = 0.016
+"""How far below the crown hanging hair leaves the cap."""
 SHOULDER_M = 0.100
 """Where shoulders begin: hair that hangs at the sides ends there."""
 INWARDS = 0.30
@@ -246,33 +252,36 @@ def _curtain(points: Float64Array, style: Style, seed: int, body: Float64Array) 
     """Hair from over the ears down, round the back. ``[ROWS, 2 COLUMNS, 3]``."""
     t = np.linspace(0.0, 1.0, ROWS)
     s = np.linspace(-1.0, 1.0, COLUMNS)
-    angle = np.radians(180 - s * (180 - FRONT_DEG))  # from the subject's left over the back
-    uneven = 0.010 * lumps(np.stack([0.4 * s, 0 * s, 0 * s], 1), 0.05, seed + 5)
-    uneven += 0.005 * lumps(np.stack([0.4 * s, 0 * s, 0 * s], 1), 0.012, seed + 9)  # locks
+    crown = float(points[:, 1].max()) - CROWN_M
+    uneven = 0.006 * lumps(np.stack([0.4 * s, 0 * s, 0 * s], 1), 0.05, seed + 5)
+    uneven += 0.003 * lumps(np.stack([0.4 * s, 0 * s, 0 * s], 1), 0.012, seed + 9)  # locks
     low = -style.hang / 1000 + uneven + 0.012 * np.abs(s) ** 3
     # Hair ends on the shoulders where they begin, and goes on down the back.
     for y in np.arange(-0.06, low.min(), -0.006):
-        wide = _reach(body, angle, np.full(COLUMNS, y)) > SHOULDER_M
+        wide = _reach(body, _azimuth(s, np.full(COLUMNS, y)), np.full(COLUMNS, y)) > SHOULDER_M
         low = np.where(wide, np.maximum(low, y + 0.008), low)
     for _ in range(3):
         padded = np.pad(low, 1, mode="edge")
         low = np.maximum(low, 0.25 * padded[:-2] + 0.5 * low + 0.25 * padded[2:])
-    y = HANG_FROM_M + (low - HANG_FROM_M) * t[:, None]
-    reach = np.stack([_reach(body, angle, each) for each in y])
+    y = crown + (low - crown) * t[:, None]
+    angle = _azimuth(s, y)
+    # Where the head leans back the widest place near a height lies below it.
+    steep = 0.008 * smooth((y - 0.07) / 0.04)
+    reach = np.stack([_reach(body, *each) for each in zip(angle, y + steep, strict=True)])
     centre = np.minimum(1.0, 8 * (1 - np.abs(s)))  # the front edges lie close to the skin
     for _ in range(3):
         padded = np.pad(reach, ((1, 1), (1, 1)), mode="edge")
         mean = 0.25 * (padded[1:-1, :-2] + padded[1:-1, 2:] + padded[:-2, 1:-1] + padded[2:, 1:-1])
         reach = np.maximum(reach, centre * mean + (1 - centre) * reach)
-    full = smooth((HANG_FROM_M - y) / 0.060)
+    full = smooth((crown - y) / 0.030)
     edge = np.minimum(1.0, (1 - np.abs(s)) * 6 + 0.10)
-    inner = reach - 0.006 + (0.006 + CLEAR_M * (0.2 + 0.8 * centre)) * full
+    inner = reach - 0.006 + (0.006 + CLEAR_M * (0.4 + 0.6 * centre)) * full
     outer = inner.copy()
-    height = (HANG_FROM_M - low) / (ROWS - 1)
+    height = -np.diff(y, axis=0)
     inwards = INWARDS + 0.7 * (1 - centre)  # and the front edges beside the cheek
     for row in range(1, ROWS):
         thick = THICK_M * edge * (1.0 - 0.55 * t[row] ** 3) * full[row]
-        outer[row] = np.maximum(inner[row] + thick, outer[row - 1] - inwards * height)
+        outer[row] = np.maximum(inner[row] + thick, outer[row - 1] - inwards * height[row - 1])
     wander = np.stack([np.broadcast_to(0.5 * s, y.shape), 0.25 * y, 0 * y], -1).reshape(-1, 3)
     clump = lumps(wander, 0.035, seed + 6).reshape(y.shape)
     ripple = np.sin(2 * np.pi * (y / 0.075) + 2.0 * lumps(wander, 0.12, seed + 7).reshape(y.shape))
@@ -286,9 +295,16 @@ def _curtain(points: Float64Array, style: Style, seed: int, body: Float64Array) 
     middle = 0.5 * (inner[-1] + outer[-1])
     outer[-1], inner[-1] = middle + 0.0015, middle - 0.0015
     both = np.concatenate([outer, inner[:, ::-1]], 1)
-    angles, heights = np.concatenate([angle, angle[::-1]]), np.concatenate([y, y[:, ::-1]], 1)
+    angles, heights = (np.concatenate([each, each[:, ::-1]], 1) for each in (angle, y))
     # The front edges lie a little towards the face, more where hair is long.
     return np.stack([both * np.sin(angles), heights, both * np.cos(angles) - 0.005], -1)
+
+
+def _azimuth(s: Float64Array, y: Float64Array) -> Float64Array:
+    """Where columns are at these heights, from the subject's left over the back, radians."""
+    front = np.interp(y, *np.array(FRONT_DEG).T)
+    azimuth: Float64Array = np.radians(180 - s * (180 - front))
+    return azimuth
 
 
 def _reach(body: Float64Array, angle: Float64Array, y: Float64Array) -> Float64Array:
@@ -303,13 +319,13 @@ def _reach(body: Float64Array, angle: Float64Array, y: Float64Array) -> Float64A
 
 
 def _tail(points: Float64Array, style: Style, seed: int, body: Float64Array) -> Float64Array:
-    """A tail from the tie. ``[ROWS, 24, 3]``."""
-    t = np.linspace(0.0, 1.0, ROWS)
+    """A tail from the tie. ``[TAIL_ROWS, 24, 3]``."""
+    t = np.linspace(0.0, 1.0, TAIL_ROWS)
     start = tie(points)
     length = style.tail / 1000
     y = start[1] + 0.010 * np.sin(np.pi * np.minimum(3 * t, 1)) - length * t**1.25
     back = start[2] + 0.006 - 0.038 * smooth(3.0 * t)
-    for row in range(ROWS):  # outside of neck and clothes
+    for row in range(TAIL_ROWS):  # outside of neck and clothes
         here = (np.abs(body[:, 1] - y[row]) < 0.012) & (np.abs(body[:, 0]) < 0.03)
         if here.any() and row > 2:
             back[row] = min(back[row], body[here, 2].min() - 0.016)
@@ -317,7 +333,7 @@ def _tail(points: Float64Array, style: Style, seed: int, body: Float64Array) -> 
     radius = 0.021 * np.minimum(0.45 + 2.2 * t, 1.0) * (1 - 0.88 * t**3)
     wander = np.stack(np.broadcast_arrays(np.cos(turn)[None] * 0.03, 0.4 * y[:, None],
                                           np.sin(turn)[None] * 0.03), -1)  # fmt: skip
-    thick = 1 + 0.10 * lumps(wander.reshape(-1, 3), 0.02, seed + 8).reshape(ROWS, 24)
+    thick = 1 + 0.10 * lumps(wander.reshape(-1, 3), 0.02, seed + 8).reshape(TAIL_ROWS, 24)
     r = radius[:, None] * thick
     return np.stack(
         [r * np.cos(turn), y[:, None] + 0 * r, back[:, None] + 0.8 * r * np.sin(turn)], -1

@@ -120,7 +120,7 @@ class MeshRenderer(ABC):
         self._resolve = c.vertex_array(self._program("resolve", "resolve"), [])
         self._vertices: FloatArray = np.zeros((0, 3), np.float32)
         self._colour, self._relief = self._bake(bake_size)
-        self._occlusion = Occlusion(head, self._draw_depth_map, shadows) if shadows else None
+        self._occlusion = Occlusion(head, faces, self._draw_depth_map, shadows) if shadows else None
 
     @abstractmethod
     def _paint(self) -> None:

@@ -11,9 +11,11 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import coo_array
 
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES, NUM_ARKIT
-from pica_core.types import BoolArray, Float64Array, FloatArray
+from pica_core.capture.triangles import edges
+from pica_core.types import BoolArray, Float64Array, FloatArray, IntArray
 
 DrawDepth = Callable[[FloatArray, FloatArray, int], FloatArray]
 """Draws a depth map of vertices along a clip matrix, so many texels wide."""
@@ -22,6 +24,8 @@ KEY_DIRECTION = np.array([0.50, 0.55, 0.80]) / np.linalg.norm([0.50, 0.55, 0.80]
 """Must agree with shaders/stage.frag."""
 KEY_SPREAD = 0.22
 """Half angle of the key light, radians: a softbox, so shadows have soft edges."""
+SOFTENED = 2
+"""How often a vertex takes half of its neighbours' light: no shadow is a saw of triangles."""
 DEPTH_MAP_SIZE = 192
 BIAS_M, LIFT_M = 0.0022, 0.0015
 POSES: tuple[tuple[str, ...], ...] = (
@@ -68,8 +72,13 @@ class ShadowPlan:
 class Occlusion:
     """Shadow of one head as a function of its expression."""
 
-    def __init__(self, head: PosedMesh, draw_depth: DrawDepth, plan: ShadowPlan) -> None:
+    def __init__(
+        self, head: PosedMesh, faces: IntArray, draw_depth: DrawDepth, plan: ShadowPlan
+    ) -> None:
         self._head, self._draw_depth, self._plan = head, draw_depth, plan
+        ends = edges(faces).T
+        self._neighbours = coo_array((np.ones(ends.shape[1]), tuple(ends))).tocsr()
+        self._neighbours += self._neighbours.T
         self._poses = [p for p in POSES if all(name in plan.drivers for name in p)]
         self._rest = self._measure(())
         changes = [self._measure(names) - self._rest for names in self._poses]
@@ -88,7 +97,11 @@ class Occlusion:
             weight += facing
         disc = _softbox(self._plan.key_directions)
         key = np.mean([self._lit(vertices, normals, direction) for direction in disc], axis=0)
-        return np.stack([sky / weight, key], 1).astype(np.float32)
+        light = np.stack([sky / weight, key], 1)
+        count = np.maximum(self._neighbours.sum(1), 1)[:, None]
+        for _ in range(SOFTENED):
+            light = 0.5 * light + 0.5 * (self._neighbours @ light) / count
+        return light.astype(np.float32)
 
     def _lit(self, vertices: FloatArray, normals: FloatArray, direction: Float64Array) -> BoolArray:
         """Which vertices see light from a direction (towards the light, unit length). ``[V]``."""

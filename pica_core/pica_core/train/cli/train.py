@@ -51,8 +51,8 @@ class TrainOptions:
     """Which model: linear, full, the baseline, or full with one part replaced (docs/variants.md).
     Without it linear, and full with the preset paper."""
     preset: Literal["tiny", "small", "long", "paper"] = "small"
-    """How much to train: tiny (seconds), small (minutes on two cores), long (half an hour), paper
-    (its settings to the letter; days on a GPU)."""
+    """How much to train: tiny (seconds), small (minutes on two cores), long (two or three times
+    that), paper (its settings to the letter; days on a GPU)."""
     start_from: Path | None = None
     """Folder of another run whose weights to start from: to go on with another preset, or on
     another capture."""

@@ -164,7 +164,7 @@ void skin(out vec3 rgb, out float gloss, out float height, out float translucent
         float locks = streaks(p, way, 16.0, 0.26);
         float ragged = 0.8 * (fine - 0.5) + 0.6 * (wide - 0.5) + 0.9 * (locks - 0.5);
         tone = clamp(tone + 0.45 * (locks - 0.5), 0.0, 1.0);
-        float scalp = smoothstep(-0.55, 1.25, c + ragged) * smoothstep(-0.75, -0.25, c);   // strands thin out, skin shines through
+        float scalp = smoothstep(-0.55, 0.6, c + ragged) * smoothstep(-0.75, -0.25, c);   // strands thin out, skin shines through
         dense = scalp * mix(smoothstep(0.30, 0.62, fine + 0.35 * scalp), 1.0, scalp);
         rgb = mix(rgb, mix(rgb, hair_rgb, 0.45), smoothstep(-0.9, 0.3, c));
         float bearded = grown.y * no_lip;

@@ -52,7 +52,8 @@ void main() {
     vec3 v = normalize(camera_m - point_m);
     float sky = max(open_sky.x, 0.0), key = max(open_sky.y, 0.0);   // rounding goes below 0, roots do not
     // Shadow is known per vertex for a few expressions only; inside the mouth keep what bounces around.
-    if (material_id == 2) { sky = max(sky, 0.62); key = max(key, 0.42); }
+    if (material_id == 0) { sky = max(sky, 0.12); }
+    else if (material_id == 2) { sky = max(sky, 0.62); key = max(key, 0.42); }
     else if (material_id == 1) { sky = max(sky, 0.16); key = max(key, 0.10); }
     else if (material_id == 3) { sky = max(sky, 0.30); key = max(key, 0.12); }
     else if (material_id == 4) { sky = max(sky, 0.34); }
