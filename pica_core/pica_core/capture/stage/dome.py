@@ -43,9 +43,10 @@ FILLING_AIMS = ("head", "bust", "head", "eyes", "head", "mouth")
 """Aims of the cameras after the named ones, in turn."""
 
 
-def _camera(
+def aimed_camera(
     name: str, azimuth: float, elevation: float, aim: str, *, width: int, height: int
 ) -> Camera:
+    """Return a camera on the dome, at so many degrees, that one of `AIMS` fills."""
     a, e = np.radians(azimuth), np.radians(elevation)
     target, reach = np.array(AIMS[aim][0]), AIMS[aim][1]
     away = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
@@ -81,6 +82,6 @@ def dome_cameras(count: int, width: int, height: int, lenses: str = "mixed") -> 
             azimuth, elevation = 0.5 * azimuth, 0.5 * elevation
         plan.append((f"dome{index:02d}", azimuth, elevation, aim))
     return tuple(
-        _camera(name, azimuth, elevation, aim, width=width, height=height)
+        aimed_camera(name, azimuth, elevation, aim, width=width, height=height)
         for name, azimuth, elevation, aim in plan[:count]
     )
