@@ -139,8 +139,8 @@ def _menu(person: Participant, view: CallView, metrics: Metrics) -> list[UserOrd
             icon, what = (
                 (icons.SPEAKER, "Hear again") if is_muted else (icons.SPEAKER_OFF, "Mute for me")
             )
-            imgui.set_next_item_width(metrics.px(VOLUME_PT))
-            found = volume_slider("##volume", volume)
+            width = metrics.px(VOLUME_PT)
+            found = volume_slider("##volume", volume, metrics, width_px=width)
             if imgui.menu_item_simple(f"{icon}  {what}"):
                 found = 1.0 if is_muted else 0.0
             if found != volume:

@@ -121,11 +121,10 @@ def _shown(state: ControlState, metrics: Metrics) -> list[UserOrder]:
         settings = replace(settings, shows_self=shows_self)
     settings = _look(settings, metrics)
     imgui.pop_style_var()
-    note("Detail. Less leaves more of this machine to others.", metrics)
+    percent, least = round(100 * settings.detail), round(100 * MIN_DETAIL)
+    note(f"Detail {percent} %. Less leaves more of this machine to others.", metrics)
     imgui.set_next_item_width(-1)
-    percent = round(100 * settings.detail)
-    least = round(100 * MIN_DETAIL)
-    has_changed, percent = imgui.slider_int("##detail", percent, least, 100, "%d %%")
+    has_changed, percent = imgui.slider_int("##detail", percent, least, 100, "")
     if has_changed:
         settings = replace(settings, detail=min(max(percent, least), 100) / 100)
     if settings != state.settings:

@@ -5,11 +5,14 @@ from imgui_bundle import imgui
 from pica_client.call.participants import duration_text, joined_names, recorders
 from pica_client.ui.call_view import CallView
 from pica_client.ui.controls import TALK_KEY, OwnFace, UserOrder
+from pica_client.ui.panels.waiting import shows_hint
 from pica_client.ui.surface import icons
 from pica_client.ui.surface.fonts import TEXT_PT
 from pica_client.ui.surface.theme import Metrics, Tone
 from pica_client.ui.surface.widgets import ink, shortened, text_size
 
+SIGN_PT = 36.0
+"""Height of a sign with the gap below it."""
 BANNER_AFTER_S = 1.0
 """A connection that comes back sooner is not worth a word."""
 OWN_SIGNS: dict[OwnFace, tuple[str, Tone]] = {
@@ -69,34 +72,41 @@ def call_signs(view: CallView) -> list[tuple[str, Tone]]:
     return found
 
 
-def call_signs_pt(view: CallView) -> float:
-    """How much of the upper edge they take, points."""
-    return 36.0 * len(call_signs(view))
-
-
 def signs_share(view: CallView, metrics: Metrics) -> float:
     """The part of the picture's height that the signs at the upper left take from the people."""
-    return 0.0 if metrics.is_compact else metrics.px(call_signs_pt(view)) / metrics.size[1]
+    num_lines = 1 if metrics.is_compact else len(call_signs(view))
+    return metrics.px(SIGN_PT * num_lines) / metrics.size[1]
+
+
+def compact_sign(view: CallView) -> tuple[str, Tone] | None:
+    """The line that a small picture has room for: what is wrong, news, who records, the room."""
+    if shows_hint(view) or view.state.side != "none":
+        return None
+    news = [(notice.text, notice.tone) for notice in view.notices]
+    return banner(view) or next(reversed([*call_signs(view), *news]), None)
 
 
 def signs(view: CallView, metrics: Metrics) -> list[UserOrder]:
     """Write the signs on the picture."""
     columns, rows = metrics.size
     edge = metrics.px(12)
-    found = banner(view)
-    lines = [found] if found is not None else []
-    lines += [(notice.text, notice.tone) for notice in view.notices]
     if metrics.is_compact:
-        lines = lines[:1] if found is not None else lines[-1:]  # each covers a face
-    top = edge
-    for text, tone in call_signs(view):
-        top += _sign(text, tone, (edge, top), (0.0, 0.0), metrics) + metrics.px(6)
-    # Where both do not fit side by side, news stand below what is always there.
-    top = top if metrics.is_compact else edge
-    for text, tone in lines:
-        top += _sign(text, tone, (columns / 2, top), (0.5, 0.0), metrics) + metrics.px(6)
-    if metrics.is_compact and view.shows_bar:
-        return []  # the bar stands there, and its buttons say the same
+        line = compact_sign(view)
+        if line is not None:
+            _sign(*line, (columns / 2, metrics.px(4)), (0.5, 0.0), metrics)
+        if view.shows_bar:
+            return []  # the bar stands there, and its buttons say the same
+    else:
+        found = banner(view)
+        lines = [found] if found is not None else []
+        lines += [(notice.text, notice.tone) for notice in view.notices]
+        for (across, pivot), signs_ in (
+            ((edge, 0.0), call_signs(view)),
+            ((columns / 2, 0.5), lines),
+        ):
+            top = edge
+            for text, tone in signs_:
+                top += _sign(text, tone, (across, top), (pivot, 0.0), metrics) + metrics.px(6)
     own = own_sign(view)
     if own is not None:
         _sign(*own, (edge, rows - edge), (0.0, 1.0), metrics)
@@ -120,13 +130,13 @@ def _sign(
     pixels."""
     shapes, palette, px = imgui.get_background_draw_list(), metrics.palette, metrics.px
     dot, pad = px(5), px(12)
-    text = shortened(text, metrics.size[0] - 4 * pad - 4 * dot, TEXT_PT)
+    text = shortened(text, metrics.size[0] - 4 * pad - 5 * dot, TEXT_PT)
     width, height = text_size(text, TEXT_PT)
-    size = (width + 2 * pad + 3 * dot, height + px(12))
+    size = (width + 2 * pad + 4 * dot, height + px(12))
     left, top = place[0] - pivot[0] * size[0], place[1] - pivot[1] * size[1]
     shapes.add_rect_filled(
         (left, top), (left + size[0], top + size[1]), ink(palette.plate), size[1] / 2
     )
     shapes.add_circle_filled((left + pad + dot, top + size[1] / 2), dot, ink(palette.tone(tone)))
-    shapes.add_text((left + pad + 3 * dot, top + px(6)), ink(palette.ink), text)
+    shapes.add_text((left + pad + 4 * dot, top + px(6)), ink(palette.ink), text)
     return size[1]

@@ -36,7 +36,7 @@ def sound_part(
         _meter(state.microphone_level, metrics)
         _remark(state.microphone.note, metrics)
         if state.cleaning:
-            note(state.cleaning, metrics)
+            note(state.cleaning[0].upper() + state.cleaning[1:], metrics)
         else:
             _, cleans = imgui.checkbox("Take out echo and noise", settings.cleans)
             settings = replace(settings, cleans=cleans)
@@ -47,17 +47,18 @@ def sound_part(
     settings = replace(settings, speaker=choice_of("##speaker", devices, settings.speaker))
     _meter(state.speaker_level, metrics)
     _remark(state.speaker.note, metrics)
-    imgui.set_next_item_width(-1)
-    settings = replace(settings, volume=volume_slider("##volume", settings.volume))
+    settings = replace(settings, volume=volume_slider("##volume", settings.volume, metrics))
     _, is_stereo = imgui.checkbox("Voices come from their seats", settings.is_stereo)
     settings = replace(settings, is_stereo=is_stereo)
     return settings, action_button(f"{icons.SPEAKER}  Play a test sound", metrics)
 
 
-def volume_slider(label: str, volume: float) -> float:
+def volume_slider(label: str, volume: float, metrics: Metrics, *, width_px: float = -1.0) -> float:
     """How loud something is, 0 to twice as loud as it comes."""
     percent = round(100 * volume)
-    has_changed, percent = imgui.slider_int(label, percent, 0, MAX_PERCENT, "Volume %d %%")
+    note(f"Volume {percent} %", metrics)
+    imgui.set_next_item_width(width_px)
+    has_changed, percent = imgui.slider_int(label, percent, 0, MAX_PERCENT, "")
     return min(max(percent, 0), MAX_PERCENT) / 100 if has_changed else volume
 
 

@@ -11,7 +11,7 @@ from imgui_bundle import imgui
 from pica_client.ui.call_view import CallView, PersonView
 from pica_client.ui.controls import UserOrder
 from pica_client.ui.panels.control_bar import EDGE_PT
-from pica_client.ui.panels.signs import call_signs_pt
+from pica_client.ui.panels.signs import signs_share
 from pica_client.ui.surface.theme import SMALL_PT, Metrics
 from pica_client.ui.surface.widgets import card, note, shortened, text_size, type_size
 
@@ -32,7 +32,7 @@ def statistics(view: CallView, metrics: Metrics) -> list[UserOrder]:
     limit = imgui.ImVec2(metrics.size[0] - 2 * edge, 0.45 * metrics.size[1])
     imgui.set_next_window_size_constraints((0, 0), limit)
     imgui.push_style_var(imgui.StyleVar_.window_padding, (metrics.px(12), metrics.px(8)))
-    top = edge + metrics.px(call_signs_pt(view))
+    top = edge + signs_share(view, metrics) * metrics.size[1]
     with card("statistics", (edge, top), metrics, scrolls=True), type_size(SMALL_PT):
         flags = imgui.TableFlags_.sizing_fixed_fit | imgui.TableFlags_.row_bg
         if imgui.begin_table("figures", len(HEAD), flags):
@@ -58,7 +58,7 @@ def statistics_share(view: CallView, metrics: Metrics) -> float:
         return 0.0
     rows = min(len(view.people), MAX_ROWS) + 2
     height = rows * metrics.px(1.35 * SMALL_PT + 6) + 2 * metrics.px(EDGE_PT)
-    height += metrics.px(call_signs_pt(view))
+    height += signs_share(view, metrics) * metrics.size[1]
     return min(height / metrics.size[1], 0.45)
 
 

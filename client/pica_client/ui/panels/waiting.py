@@ -43,21 +43,33 @@ def waiting_page(view: CallView, metrics: Metrics) -> list[UserOrder]:
 
 def hint_share(view: CallView, metrics: Metrics) -> float:
     """The part of the picture's height that the hint takes from the people."""
-    if not _shows_hint(view) or metrics.is_compact:
+    if not shows_hint(view) or metrics.is_compact:
         return 0.0
     return metrics.px(HINT_PT) / metrics.size[1]
 
 
-def _shows_hint(view: CallView) -> bool:
+def shows_hint(view: CallView) -> bool:
+    """Whether it is to be seen."""
     return view.state.shows_hint and not view.state.asks_to_leave and view.state.side == "none"
 
 
 def first_hint(view: CallView, metrics: Metrics) -> list[UserOrder]:
     """What one needs to know in the first call, until it is dismissed."""
-    if not _shows_hint(view):
+    if not shows_hint(view):
         return []
     orders: list[UserOrder] = []
     edge = metrics.px(EDGE_PT)
+    if metrics.is_compact:  # in the line of the signs, where nobody's face is
+        small = metrics.px(3)
+        imgui.push_style_var(imgui.StyleVar_.window_padding, (edge, small))
+        with card("hint", (metrics.size[0] / 2, small), metrics, pivot=(0.5, 0.0)):
+            imgui.align_text_to_frame_padding()
+            note("Click somebody to see them large", metrics, wrap_px=metrics.size[0])
+            imgui.same_line()
+            if imgui.small_button("Got it"):
+                orders.append(Order.DISMISS_HINT)
+        imgui.pop_style_var()
+        return orders
     place = (metrics.size[0] / 2, metrics.size[1] - 2 * edge - metrics.px(BAR_PT))
     width = min(metrics.px(420), metrics.size[0] - 2 * edge)
     imgui.set_next_window_size_constraints((width, 0), (width, metrics.size[1] - 2 * edge))

@@ -4,12 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
 from helpers.hand import Hand, open_hand
 from pica_client.call.participants import Participant
 from pica_client.call.status import CallStatus
+from pica_client.render.scene import head_rect_px
+from pica_client.render.seats import (
+    LAYOUTS,
+    FreeShares,
+    Layout,
+    ViewState,
+    plan_camera,
+    plan_seats,
+)
 from pica_client.ui.call_view import CallView, OwnFaceView, Panel, PersonView
 from pica_client.ui.controls import (
     ChooseLayout,
@@ -21,10 +31,18 @@ from pica_client.ui.controls import (
     UserOrder,
 )
 from pica_client.ui.notice_board import Notice
+from pica_client.ui.panels.control_bar import bar_share
 from pica_client.ui.panels.participants import participants_panel, signs_of
 from pica_client.ui.panels.self_view import self_view, self_view_px
 from pica_client.ui.panels.settings import settings_panel
-from pica_client.ui.panels.signs import NO_FACE, call_signs, own_sign, signs
+from pica_client.ui.panels.signs import (
+    NO_FACE,
+    call_signs,
+    compact_sign,
+    own_sign,
+    signs,
+    signs_share,
+)
 from pica_client.ui.panels.statistics import statistics
 from pica_client.ui.panels.waiting import first_hint, waiting_page
 from pica_client.ui.settings import OwnChoice, Settings
@@ -215,6 +233,38 @@ def test_the_first_hint_is_dismissed_by_a_button(hand: Hand) -> None:
     sending = replace(view, state=ControlState(shows_hint=True, own_face="sent"))
     assert "join with a face source" not in texts(hand, first_hint, sending)
     assert texts(hand, first_hint, ALONE) == ""
+
+
+def test_a_small_picture_has_one_line_for_what_matters_most() -> None:
+    call = replace(VIEW, state=ControlState())
+    assert compact_sign(VIEW) is None  # a panel stands there
+    told = replace(call, notices=(Notice("Saved", "accent"), Notice("Ada left", "plain")))
+    assert compact_sign(call) == ("Ben records", "alert")
+    assert compact_sign(told) == ("Ada left", "plain")
+    lost = replace(told, status=replace(STATUS, is_connected=False, away_s=3.0))
+    assert compact_sign(lost) == ("Connection lost – coming back … 3 s", "alert")
+    assert compact_sign(replace(call, status=CallStatus())) is None
+    hinted = replace(VIEW, state=ControlState(shows_hint=True))
+    assert compact_sign(hinted) is None
+    with open_hand((320, 240)) as small:
+        show = partial(first_hint, hinted)
+        assert small.click("Got it", show) == [Order.DISMISS_HINT]
+        assert small.where("Got it")[3] <= signs_share(VIEW, metrics_for((320, 240))) * 240
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("count", [1, 2, 5, 7])
+def test_on_a_small_picture_no_head_reaches_into_that_line(layout: Layout, count: int) -> None:
+    metrics = metrics_for((320, 240))
+    share = signs_share(VIEW, metrics)
+    free = FreeShares(top=share, bottom=bar_share(metrics))
+    for pinned in (None, 0):
+        plan = plan_seats(layout, count, 320 / 240, pinned=pinned, free=free)
+        camera = plan_camera(plan, ViewState(), 320, 240)
+        for seat in plan.seats:
+            rect = head_rect_px(camera, seat)
+            assert rect is not None
+            assert rect[1] >= share * 240 - 4
 
 
 def test_where_one_is_and_who_records_stands_on_the_picture() -> None:
