@@ -225,7 +225,7 @@ def photograph(out: Path, size: tuple[int, int], scale: float) -> None:
         relay, url = stack.enter_context(room_of_people(children))
         link = make_link(Invite(url=url, room=ROOM))
         view = [sys.executable, __file__, "--window", str(desk.notes)]
-        view += ["view", link, "--size", f"{size[0]}x{size[1]}"]
+        view += ["view", link, "--wait", "--size", f"{size[0]}x{size[1]}"]
         window = subprocess.Popen(view, env=desk.environment, cwd=ROOT)
         stack.callback(window.kill)
 

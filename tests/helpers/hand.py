@@ -41,7 +41,6 @@ NOTED = (
     "menu_item_simple",
     "tree_node",
     "tree_node_ex",
-    "radio_button",
     "slider_int",
     "begin_tab_item",
 )

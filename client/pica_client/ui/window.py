@@ -69,7 +69,7 @@ class Window:
 
     Args:
         title: Of the window.
-        size: Columns and rows to open with, in the screen's units.
+        size: Columns and rows to open with, in the screen's units; at least `MIN_SIZE`.
         vertical_sync: Wait for the display in `show`.
 
     Raises:
@@ -87,7 +87,8 @@ class Window:
         glfw.window_hint(glfw.CONTEXT_VERSION_MINOR, GL_VERSION % 100 // 10)
         glfw.window_hint(glfw.OPENGL_PROFILE, glfw.OPENGL_CORE_PROFILE)
         glfw.window_hint(glfw.OPENGL_FORWARD_COMPAT, glfw.TRUE)
-        self._window: Any = glfw.create_window(*size, title, None, None)
+        width, height = max(size[0], MIN_SIZE[0]), max(size[1], MIN_SIZE[1])
+        self._window: Any = glfw.create_window(width, height, title, None, None)
         if not self._window:
             glfw.terminate()
             raise GraphicsError(

@@ -18,7 +18,7 @@ from pica_client.ui.panels.side import side_panel
 from pica_client.ui.panels.sound import MICROPHONE, microphone_picker, sound_part
 from pica_client.ui.settings import MIN_DETAIL, SCALES, Settings
 from pica_client.ui.surface.theme import Metrics
-from pica_client.ui.surface.widgets import action_button, choice_of, note
+from pica_client.ui.surface.widgets import action_button, choice_of, note, radio
 from pica_client.voice.sound.settings import SoundState
 
 MAX_NAME = 64
@@ -110,7 +110,7 @@ def _shown(state: ControlState, metrics: Metrics) -> list[UserOrder]:
     for number, (layout, title) in enumerate(LAYOUT_TITLES.items()):
         if number % 2:
             imgui.same_line(metrics.px(130))
-        if imgui.radio_button(title, layout == state.layout):
+        if radio(title, metrics, is_on=layout == state.layout):
             orders.append(ChooseLayout(layout))
     note("Shown", metrics)
     has_changed, _ = imgui.checkbox("Statistics", state.show_statistics)
@@ -137,12 +137,12 @@ def _look(settings: Settings, metrics: Metrics) -> Settings:
     for number, mode in enumerate(("dark", "light")):
         if number:
             imgui.same_line(metrics.px(130))
-        if imgui.radio_button(mode.title(), mode == settings.mode):
+        if radio(mode.title(), metrics, is_on=mode == settings.mode):
             settings = replace(settings, mode=mode)  # type: ignore[arg-type]
     note("Size of type and buttons", metrics)
     for number, scale in enumerate(SCALES):
         if number % 2:
             imgui.same_line(metrics.px(130))
-        if imgui.radio_button(f"{scale:.0%}", scale == settings.scale):
+        if radio(f"{scale:.0%}", metrics, is_on=scale == settings.scale):
             settings = replace(settings, scale=scale)
     return settings

@@ -67,12 +67,10 @@ def card(
         flags = FITTED if flags == FIXED else flags | imgui.WindowFlags_.always_auto_resize
     else:
         imgui.set_next_window_size(size)
-        flags |= imgui.WindowFlags_.no_background
     if scrolls:
         flags &= ~imgui.WindowFlags_.no_scrollbar
-    imgui.begin(name, None, flags)
-    if size is not None:
-        _ground(metrics.palette)
+    imgui.begin(name, None, flags | imgui.WindowFlags_.no_background)
+    _ground(metrics.palette)
     try:
         yield
     finally:
@@ -80,20 +78,46 @@ def card(
 
 
 def _ground(palette: Palette) -> None:
-    """The area of a large panel and the line around it; between its corners it is `PLAIN`."""
+    """The area of a panel and the line around it; all but its corners is `PLAIN`."""
     shapes, rounding = imgui.get_window_draw_list(), imgui.get_style().window_rounding
     low, size = imgui.get_window_pos(), imgui.get_window_size()
-    high = low + size
-    round_px = min(math.ceil(rounding), size.x / 2, size.y / 2)
-    colour, corners = ink(palette.card), imgui.ImDrawFlags_
-    shapes.push_clip_rect(low, high)
-    inner = (low.x, low.y + round_px), (high.x, high.y - round_px)
-    above, below = (low, (high.x, inner[0][1])), ((low.x, inner[1][1]), high)
-    shapes.add_rect_filled(*above, colour, rounding, corners.round_top)
-    shapes.add_rect_filled(*below, colour, rounding, corners.round_bottom)
-    shapes.add_image(imgui.ImTextureRef(PLAIN), *inner, col=colour)
-    shapes.add_rect(low, high, ink(palette.line), rounding)
+    (left, top), (right, bottom) = low, low + size
+    side = min(math.ceil(rounding), size.x / 2, size.y / 2)
+    colour, edge = ink(palette.card), ink(_over(palette.line, palette.card))
+    shapes.push_clip_rect((left, top), (right, bottom))
+    texture = imgui.ImTextureRef(PLAIN)
+    x_in, x_out, y_in, y_out = left + side, right - side, top + side, bottom - side
+    for corner, end, fill in (
+        ((x_in, top), (x_out, top + 1), edge),
+        ((x_in, bottom - 1), (x_out, bottom), edge),
+        ((left, y_in), (left + 1, y_out), edge),
+        ((right - 1, y_in), (right, y_out), edge),
+        ((x_in, top + 1), (x_out, y_in), colour),
+        ((left + 1, y_in), (right - 1, y_out), colour),
+        ((x_in, y_out), (x_out, bottom - 1), colour),
+    ):
+        shapes.add_image(texture, corner, end, col=fill)
+    flags = imgui.ImDrawFlags_
+    for x, y, flag in (
+        (left, top, flags.round_top_left),
+        (x_out, top, flags.round_top_right),
+        (left, y_out, flags.round_bottom_left),
+        (x_out, y_out, flags.round_bottom_right),
+    ):
+        inner = max(x, left + 1), max(y, top + 1)
+        inner_end = min(x + side, right - 1), min(y + side, bottom - 1)
+        shapes.add_rect_filled((x, y), (x + side, y + side), edge, rounding, flag)
+        shapes.add_rect_filled(inner, inner_end, colour, rounding - 1, flag)
     shapes.pop_clip_rect()
+
+
+def _over(upper: Colour, lower: Colour) -> Colour:
+    """What is seen of a colour on an opaque one."""
+    share = upper[3]
+    red, green, blue = (
+        share * a + (1 - share) * b for a, b in zip(upper[:3], lower[:3], strict=True)
+    )
+    return red, green, blue, 1.0
 
 
 @contextmanager
@@ -152,12 +176,34 @@ def icon_button(
         fill = _lighter(fill)
     low, shapes = imgui.get_item_rect_min(), imgui.get_window_draw_list()
     middle = (low.x + side / 2, low.y + side / 2)
-    # A disc that is a glyph has two triangles, and not forty: on software GL they are what counts.
-    _draw_icon(shapes, icons.RECORD, middle, side / _icon_box(icons.RECORD, 1.0)[2], ink(fill))
+    _draw_disc(shapes, middle, side, fill)
     colour = ink(palette.on_accent if is_filled else palette.ink)
     _draw_icon(shapes, icon, middle, round(0.42 * side), colour)
     hint(f"{tooltip}   [{keys}]" if keys else tooltip)
     return is_pressed
+
+
+def radio(label: str, metrics: Metrics, *, is_on: bool) -> bool:
+    """One of several to choose from; whether it was chosen now. ImGui's own costs four times as
+    many triangles."""
+    side, gap, palette = metrics.px(18), metrics.px(6), metrics.palette
+    width, height = imgui.calc_text_size(label)
+    room = imgui.get_frame_height()
+    is_pressed = imgui.invisible_button(label, (side + gap + width, room))
+    low, shapes = imgui.get_item_rect_min(), imgui.get_window_draw_list()
+    middle = (low.x + side / 2, low.y + room / 2)
+    is_pointed = imgui.is_item_hovered()
+    _draw_disc(shapes, middle, side, palette.field_hovered if is_pointed else palette.field)
+    if is_on:
+        _draw_disc(shapes, middle, 0.55 * side, palette.accent)
+    place = (low.x + side + gap, low.y + (room - height) / 2)
+    shapes.add_text(place, imgui.get_color_u32(imgui.Col_.text), label)
+    return is_pressed
+
+
+def _draw_disc(shapes: imgui.ImDrawList, middle: Place, side: float, colour: Colour) -> None:
+    """A disc that is a glyph has two triangles, and not forty: on software GL they count most."""
+    _draw_icon(shapes, icons.RECORD, middle, side / _icon_box(icons.RECORD, 1.0)[2], ink(colour))
 
 
 def _draw_icon(

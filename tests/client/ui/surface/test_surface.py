@@ -94,3 +94,12 @@ def test_text_can_be_read_on_what_it_stands_on(mode: str) -> None:
     ):
         light, dark = sorted((luminance(ink), luminance(ground)), reverse=True)
         assert (light + 0.05) / (dark + 0.05) >= 4.5  # (WCAG 2.2, 1.4.3)
+
+
+@pytest.mark.parametrize("mode", ["dark", "light"])
+def test_a_ticked_box_stands_on_the_palettes_ground(mode: str) -> None:
+    surface = Surface((640, 360), mode=mode)  # type: ignore[arg-type]
+    with surface.frame(1.0):
+        found = imgui.get_style().color_(imgui.Col_.checkbox_selected_bg)
+    surface.close()
+    assert tuple(found) == pytest.approx(PALETTES[mode].field)  # type: ignore[index]
