@@ -42,6 +42,7 @@ class Connections:
         stats: What the relay has done so far.
         by_peer: Those that are not over, by the id of their peer; to be read only.
         ready: Those that have got something to send, or have closed.
+        first: Those that have got a voice to send: they go before the rest of the turn.
         timers: When which connection is to be looked at, a heap with the soonest first; to be read
             only.
         on_over: Told of every connection that is over, once or more, to clear up after it; it
@@ -57,6 +58,7 @@ class Connections:
         self.stats = stats
         self.by_peer: dict[str, Connection] = {}
         self.ready: dict[Connection, None] = {}
+        self.first: dict[Connection, None] = {}
         self.timers: list[tuple[float, int, Connection]] = []
         self.on_over: Callable[[Connection, float], None] = _nothing_more
         self.brake = Brake()
@@ -80,7 +82,8 @@ class Connections:
         session = ServerSession(software=SOFTWARE, now=now, timeout_s=config.handshake_timeout_s)
         flows = "flow" not in config.without
         rides = "ride" not in config.without
-        outbox = Outbox(config.max_control_bytes, self.stats.dropped, flows=flows, rides=rides)
+        drops = self.stats.dropped
+        outbox = Outbox(config.max_control_bytes, drops, flows=flows, rides=rides, brake=self.brake)
         connection = Connection(next(self._serials), session, outbox, limits, address, now)
         connection.peer_id = f"{self.prefix}{connection.serial}"
         self.stats.connections += 1

@@ -58,12 +58,12 @@ class Forwarding:
         """
         needed: dict[tuple[int, Put], None] = {}
         connections, stats = self._connections, self._stats
-        by_peer, ready = connections.by_peer, connections.ready
+        by_peer = connections.by_peer
         highest_layer = connections.brake.highest_layer
         for number, layer, flags, start, end in media.spans:
             stream = room.stream(number)
             assert stream is not None  # its publisher is in the room
-            receivers = room.receivers(number, layer)
+            receivers, ready = room.receivers(number, layer), connections.ready
             if stream.is_muted:
                 stats.frames_in += 1
                 stats.frames_in_by_layer[layer] += 1
@@ -77,6 +77,7 @@ class Forwarding:
             if layer == 0:
                 stream.remember(frame.data, frame.is_keyframe)
             if stream.deadline_s is not None:
+                ready = connections.first
                 outboxes = [by_peer[peer_id].outbox for peer_id in receivers]
                 for outbox in outboxes + [link.outbox for link in room.links.values()]:
                     outbox.open_ordered(number, stream.deadline_s)

@@ -236,10 +236,13 @@ class Hub:
         self._send_rooms_away(now)
 
     def take_ready(self) -> list[Connection]:
-        """Take the list of connections that have got something to send, or have closed."""
-        ready = list(self._ready)
-        self._ready.clear()
-        return ready
+        """Take the list of connections that have got something to send, voices first, or have
+        closed."""
+        first, ready = self._connections.first, self._ready
+        taken = list(first | ready) if first else list(ready)
+        first.clear()
+        ready.clear()
+        return taken
 
     def hold(self, connection: Connection, due_s: float) -> None:
         """Bring a connection among those that are ready when what waits for it is due."""

@@ -10,13 +10,16 @@ While a receiver keeps up, nothing is ever dropped from those queues. Streams wh
 is full, or anything else is asked of a stream, its frames move into its queue, and from there on
 all is as if they had always been there.
 
-What surrounds a message (48 bytes with TCP/IP) is more than a face, so faces ride with voices:
+Frames of ordered streams, voices, go first and take along all that waits. Nothing waits for more,
+except where that saves what is short, as what surrounds a message (48 bytes with TCP/IP) is more
+than a face:
 
-1. Frames of ordered streams, voices, go first, at once, and take along all that waits. While one
-   speaks, others wait for its next packet, `RIDE_S` at most.
-2. A receiver whose socket did not take a message at once is *narrow* for `NARROW_S`. It gets faces
-   alone only every `NARROW_RIDE_S`, and beside a voice no more than `YIELDING_BYTES` of them, none
-   once it is late: what does not fit is thinned in the queues.
+1. A receiver whose socket did not take a message at once is *narrow* for `NARROW_S`. While somebody
+   speaks, faces wait for the next packet of the voice, `RIDE_S` at most. Faces alone come only
+   every `NARROW_RIDE_S`, and beside a voice no more than `YIELDING_BYTES` of them, none once it is
+   late: what does not fit is thinned in the queues.
+2. While the core of the relay is full (`Brake.is_full`), faces wait for the next packet of a voice,
+   too: a message costs more than a frame.
 """
 
 import math
@@ -30,6 +33,7 @@ from pica_protocol.limits import MAX_MEDIA_MESSAGE_BYTES
 from pica_protocol.ordered_queue import OrderedQueue
 from pica_protocol.stream_queue import Put, StreamQueue, Waiting
 from pica_server.errors import OutboxFullError
+from pica_server.room.brake import Brake
 
 MAX_FLOWING_FRAMES: Final = 4
 """Frames of each flowing stream that may wait in the list, on average: one more than the upper
@@ -91,6 +95,7 @@ class Outbox:
         *,
         flows: bool = True,
         rides: bool = True,
+        brake: Brake | None = None,
     ) -> None:
         """Begin empty.
 
@@ -99,10 +104,12 @@ class Outbox:
             drops: Where frames that are dropped for slowness are counted, by reason.
             flows: Whether streams may flow; if not, every frame goes through its queue.
             rides: Whether frames may wait for others to share a message with.
+            brake: Knows whether the core of the relay is full; by default it never is.
         """
         self._max_control_bytes = max_control_bytes
         self._drops = drops
         self._may_flow, self._rides = flows, rides
+        self._brake = brake or Brake()
         self._control: deque[bytes] = deque()
         self._control_bytes = 0
         self._queues: dict[int, StreamQueue | OrderedQueue] = {}
@@ -253,7 +260,8 @@ class Outbox:
         voices = self._take_voices(room_left, now) if self._voices else []
         is_narrow = now < self._narrow_until_s
         if voices:
-            self._ride_ends_s = now + RIDE_S
+            if is_narrow or self._brake.is_full:
+                self._ride_ends_s = now + RIDE_S
             room_left -= sum([len(item.frame) for item in voices])
             if is_narrow:
                 is_late = now - min([item.received_s for item in voices]) > LATE_S

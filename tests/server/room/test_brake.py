@@ -11,7 +11,15 @@ from pica_protocol.limits import MAX_LAYER
 from pica_protocol.messages import KeyframeRequest
 from pica_server.config.relay import RelayConfig
 from pica_server.ops.status_pages import LoopWatch, StatusPages
-from pica_server.room.brake import CALM_S, LATE_S, LONGEST_CALM_S, SPARE_CALM_S, Brake
+from pica_server.room.brake import (
+    AMPLE_BUSY_RATIO,
+    CALM_S,
+    FULL_BUSY_RATIO,
+    LATE_S,
+    LONGEST_CALM_S,
+    SPARE_CALM_S,
+    Brake,
+)
 from pica_server.room.hub import Hub
 
 pytestmark = pytest.mark.unit
@@ -74,6 +82,17 @@ def test_a_loop_with_time_to_spare_lets_go_soon() -> None:
     now = turns(brake, 0.0, 1.0, LATE_S)
     turns(brake, now, 2 * SPARE_CALM_S + 0.2, 0.0, SPARE)
     assert brake.level == 0
+
+
+def test_a_core_is_full_from_a_busy_time_until_there_is_time_to_spare() -> None:
+    brake = Brake()
+    ratios = (0.9, FULL_BUSY_RATIO, 0.9, AMPLE_BUSY_RATIO, 0.7, 0.9)
+    assert [full_after(brake, ratio) for ratio in ratios] == [False, True, True, True, False, False]
+
+
+def full_after(brake: Brake, busy_ratio: float) -> bool:
+    brake.note_turn(0.0, busy_ratio, now=0.0)
+    return brake.is_full
 
 
 def braking(hub: Hub, level: int, now: float) -> None:

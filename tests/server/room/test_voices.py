@@ -2,12 +2,14 @@
 
 import math
 from collections import Counter
+from typing import Any
 
 import pytest
 
 from pica_protocol.client_session import RIDE_S
 from pica_protocol.frames import FLAG_KEYFRAME, Frame, decode_media, encode_frame
 from pica_server.config.relay import RelayConfig
+from pica_server.room.brake import FULL_BUSY_RATIO, Brake
 from pica_server.room.hub import HOLD_STEP_S, Hub
 from pica_server.room.outbox import (
     NARROW_MEMORY_S,
@@ -25,7 +27,7 @@ FACE, OTHER_FACE, VOICE, OTHER_VOICE = 1, 2, 3, 4
 DEADLINE_S = 0.2
 
 
-def outbox_with_voices(**options: bool) -> tuple[Outbox, Counter[str]]:
+def outbox_with_voices(**options: Any) -> tuple[Outbox, Counter[str]]:
     drops: Counter[str] = Counter()
     outbox = Outbox(1000, drops, **options)
     for stream in (VOICE, OTHER_VOICE):
@@ -59,8 +61,22 @@ def test_a_voice_goes_at_once_before_the_faces_that_it_takes_along() -> None:
     assert streams(outbox.take(0.001)) == [VOICE, FACE, OTHER_FACE]
 
 
-def test_faces_wait_for_the_next_packet_of_who_speaks_but_not_for_long() -> None:
+def test_nothing_waits_where_way_and_relay_are_ample() -> None:
     outbox, _ = outbox_with_voices()
+    put(outbox, VOICE, 1.0)
+    outbox.take(1.0)
+    put(outbox, FACE, 1.005)
+    assert outbox.due_s(1.005) == 1.005
+
+
+@pytest.mark.parametrize("short", ["way", "core"])
+def test_faces_wait_for_the_next_packet_of_who_speaks_but_not_for_long(short: str) -> None:
+    brake = Brake()
+    outbox, _ = outbox_with_voices(brake=brake)
+    if short == "way":
+        outbox.note_full(0.9)
+    else:
+        brake.note_turn(0.0, FULL_BUSY_RATIO, now=0.0)
     put(outbox, FACE, 0.0)
     assert outbox.due_s(0.0) == 0.0  # nobody speaks
     outbox.take(0.0)
@@ -76,6 +92,7 @@ def test_faces_wait_for_the_next_packet_of_who_speaks_but_not_for_long() -> None
 
 def test_a_control_message_waits_for_nobody() -> None:
     outbox, _ = outbox_with_voices()
+    outbox.note_full(0.9)
     put(outbox, VOICE, 1.0)
     outbox.take(1.0)
     put(outbox, FACE, 1.005)
@@ -131,6 +148,7 @@ def test_faces_alone_come_together_to_a_narrow_receiver() -> None:
 
 def test_nothing_waits_where_frames_may_not_share() -> None:
     outbox, _ = outbox_with_voices(rides=False)
+    outbox.note_full(0.9)
     put(outbox, VOICE, 1.0)
     outbox.take(1.0)
     put(outbox, FACE, 1.005)

@@ -9,7 +9,7 @@ waits in the relay, and what waits there together leaves as one message.
 upper layers pay first, and what refers to a dropped frame is dropped with it.
 
 A voice shares the way with its face, leaves first, and takes along what waits of the face; while
-it speaks, the face waits for its next packet (`RIDE_S`), as at the real relay.
+it speaks, the face waits for its next packet (`RIDE_S`), as at the real sender.
 
 Unrealistic: the sender's own way to the relay is perfect; a message carries the frames of one
 stream only, where a relay puts those of several senders together.
