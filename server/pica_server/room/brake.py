@@ -35,6 +35,9 @@ FULL_BUSY_RATIO: Final = 0.95
 AMPLE_BUSY_RATIO: Final = 0.75
 """A loop that works for the first part of the time is full, until it works for less than the second
 (chosen: where faces shared messages with voices, 0.88 of a core became 0.74)."""
+FULL_LATE_S: Final = 0.02
+"""A turn that is so late says so, too: others may have the core (chosen: half a packet of a
+voice)."""
 _HIGHEST_LAYERS: Final = (MAX_LAYER, 1, 0, -1)
 _LATE_ENOUGH_S: Final = (LATE_S, LATE_S, 5 * LATE_S)
 """How late a turn must be for the step up from each level."""
@@ -69,7 +72,7 @@ class Brake:
         """Note how late the loop has just been, and how much of the time it works."""
         before_s, self._late_s = self._late_s, late_s
         full_ratio = AMPLE_BUSY_RATIO if self.is_full else FULL_BUSY_RATIO
-        self.is_full = bool(self.level) or busy_ratio >= full_ratio
+        self.is_full = late_s >= FULL_LATE_S or busy_ratio >= full_ratio or self.level > 0
         if late_s >= LATE_S:
             self._late_at_s = now
             is_no_better = late_s >= BETTER * before_s and before_s >= LATE_S

@@ -15,6 +15,7 @@ from pica_server.room.brake import (
     AMPLE_BUSY_RATIO,
     CALM_S,
     FULL_BUSY_RATIO,
+    FULL_LATE_S,
     LATE_S,
     LONGEST_CALM_S,
     SPARE_CALM_S,
@@ -88,10 +89,11 @@ def test_a_core_is_full_from_a_busy_time_until_there_is_time_to_spare() -> None:
     brake = Brake()
     ratios = (0.9, FULL_BUSY_RATIO, 0.9, AMPLE_BUSY_RATIO, 0.7, 0.9)
     assert [full_after(brake, ratio) for ratio in ratios] == [False, True, True, True, False, False]
+    assert full_after(brake, SPARE, FULL_LATE_S)
 
 
-def full_after(brake: Brake, busy_ratio: float) -> bool:
-    brake.note_turn(0.0, busy_ratio, now=0.0)
+def full_after(brake: Brake, busy_ratio: float, late_s: float = 0.0) -> bool:
+    brake.note_turn(late_s, busy_ratio, now=0.0)
     return brake.is_full
 
 
