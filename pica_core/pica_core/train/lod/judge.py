@@ -18,14 +18,14 @@ from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.levels import JUDGED, NUM_DRAWINGS
 from pica_core.camera import Camera
-from pica_core.capture.stage.dome import dome_cameras
+from pica_core.capture.stage.dome import NAMED_VIEWS, dome_cameras
 from pica_core.model.decoders import sample_map
 from pica_core.reference.face_errors import poking
 from pica_core.reference.pixel import decode_pixels
 from pica_core.train.lod.exits import FaceSet
 from pica_core.train.lod.simplify import weld
 from pica_core.train.rasterise import Rasteriser, interpolate
-from pica_core.types import Array, FloatArray, IntArray
+from pica_core.types import Array, BoolArray, FloatArray, IntArray
 
 SHOWN: tuple[dict[str, float], ...] = (
     {},
@@ -43,6 +43,11 @@ IMAGE_SIZE = 384
 """Rows of a picture; heads are about 350 high."""
 LEAST_SHARE = 0.3
 """A vertex belongs to eyes or mouth if it moves by so much of what the most moved one does."""
+
+SEEN_SIZE = 768
+"""Rows of the pictures that tell which vertices can be seen."""
+SEEN_RINGS = 2
+"""How many neighbours further a vertex counts as seen: the next shape shows them."""
 
 
 def shown_faces(avatar: Avatar) -> FaceSet:
@@ -77,6 +82,28 @@ def looked_at(avatar: Avatar, vertices_of: Callable[[FaceSet], Array]) -> tuple[
         share.append(by / max(float(by.max()), 1e-9))
     eyes, mouth = share
     return (eyes >= LEAST_SHARE) & (eyes > mouth), (mouth >= LEAST_SHARE) & (mouth >= eyes)
+
+
+def seen_vertices(shapes_m: Array, faces: Array) -> BoolArray:
+    """Which vertices the stage's named views see, bool ``[V]``.
+
+    The views reach beyond the viewer's orbit; backs of eyeballs and of teeth, and skin below hair
+    or cloth, are seen from nowhere.
+
+    Args:
+        shapes_m: The mesh in several faces, metres, ``[K, V, 3]``.
+        faces: int32 ``[F, 3]``.
+    """
+    seen = np.zeros(shapes_m.shape[1], bool)
+    with Rasteriser(faces.astype(np.int32), len(seen)) as raster:
+        for shape in shapes_m:
+            points = np.ascontiguousarray(shape, np.float32)
+            for camera in dome_cameras(len(NAMED_VIEWS), SEEN_SIZE, SEEN_SIZE):
+                ids = raster.triangle_ids(points, camera)
+                seen[faces[np.unique(ids[ids >= 0])]] = True
+    for _ in range(SEEN_RINGS):
+        seen[faces[seen[faces].any(1)]] = True
+    return seen
 
 
 class Judge:

@@ -23,6 +23,7 @@ from pica_core.reference.mesh import sample_vertices
 from pica_core.reference.pixel import decode_pixels, sample_bilinear
 from pica_core.train.cli.levels import AvatarLevelsOptions, avatar_levels
 from pica_core.train.lod.exits import fit_map
+from pica_core.train.lod.judge import seen_vertices
 from pica_core.train.lod.levels import LevelOptions, LevelReport, add_levels
 from pica_core.train.lod.simplify import Simplifier, weld
 from pica_core.types import Array
@@ -272,6 +273,18 @@ def test_levels_are_judged_where_people_look(tmp_path: Path) -> None:
     again = load_avatar(tmp_path / "a.pica").judged
     assert again is not None
     np.testing.assert_allclose(again, judged, rtol=2e-3, atol=1e-6)
+
+
+def test_what_another_surface_hides_from_every_view_is_not_seen() -> None:
+    across = np.linspace(-1, 1, 9)
+    flat = np.stack([*np.meshgrid(across, across), np.zeros((9, 9))], -1).reshape(-1, 3)
+    shape = np.concatenate([0.08 * flat, 0.02 * flat - [0, 0, 0.01]])[None]
+    sheet = grid_faces(9, 9)
+    seen = [
+        seen_vertices(shape, np.concatenate([way, way + 81])) for way in (sheet, sheet[:, ::-1])
+    ]
+    assert [side[81:].any() for side in seen] == [False, False]
+    assert sorted(side[:81].all() for side in seen) == [False, True], "one side faces the views"
 
 
 @pytest.mark.parametrize("value", [-1.0, np.nan])
