@@ -17,13 +17,14 @@ from pica_client.voice.packet import FRAME_SAMPLES, VoicePacket, decode_payload,
 
 @cache
 def payloads() -> list[bytes]:
-    """Twenty real payloads: noise that swells, at three bitrates."""
+    """Real payloads of 20 and 40 ms: noise that swells, at three bitrates."""
     chance = np.random.default_rng(1)
     found = []
     for bitrate in (12_000, 24_000, 48_000):
         encoder = OpusEncoder(bitrate, fec=bitrate == 24_000, dtx=False)
         for loudness in (0.001, 0.01, 0.05, 0.1, 0.3, 0.5, 0.02):
-            pcm = chance.normal(0, loudness, FRAME_SAMPLES).astype(np.float32)
+            num_frames = 1 + len(found) % 2
+            pcm = chance.normal(0, loudness, num_frames * FRAME_SAMPLES).astype(np.float32)
             found.append(encode_payload(VoicePacket(0, 0, encoder.encode(pcm) or b"\0", 20)))
     return found
 

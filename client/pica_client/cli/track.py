@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
@@ -14,20 +15,27 @@ from tyro.conf import Positional
 
 from pica_client.errors import OptionError, SourceError
 from pica_client.output import check_writable, say
-from pica_client.sources.live.calibration import MAX_GAIN
+from pica_client.sources.live.calibration import MAX_GAIN, Calibration
 from pica_client.sources.live.calibration import calibrate as calibration_of_samples
 from pica_client.sources.live.opening import LIVE_HELP, TRACKER_KINDS, open_live
 from pica_client.sources.live.report import TrackReport
 from pica_client.sources.live.sample import TrackerSample
+from pica_client.sources.live.sound_offset import sound_offset
 from pica_client.sources.live.take import TakeRecorder
 from pica_client.sources.live.tracker import SampleTap, Tracker
-from pica_client.sources.registry import calibrations, split_source
-from pica_core.avatar.arkit import ARKIT_NAMES
+from pica_client.sources.registry import calibration_of, calibrations, split_source
+from pica_client.voice.packet import FRAME_S, SAMPLE_RATE_HZ
+from pica_client.voice.sound.devices import Microphone
+from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
 from pica_core.types import FloatArray
 
 REDRAW_S = 0.1
 BAR_CELLS = 20
 SHOWN_SHAPES = 16
+SETTLE_S, PLOSIVE_S = 1.0, 1.2
+"""How long a microphone takes to begin, and somebody to say "pa" and wait."""
+OPENING = ("jawOpen", "mouthClose")
+"""A mouth is open by the first less the second."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -58,6 +66,11 @@ class CalibrateOptions:
     gain: float = 1.0
     """Stronger movements of all but lids and gaze, 1 to 2: shapes are multiplied by it and stay
     within 1. It makes what the tracker takes for a movement stronger, too."""
+    plosives: int = 0
+    """How many times to say "pa" after that, as 5: how much later than the microphone the tracker
+    is. It is taken off all that is sent, so that voice and lips fit. 0 leaves it as it was."""
+    microphone: str = ""
+    """The microphone that hears it; the system's by default."""
     wait: float = 30.0
     """How long to wait for the first face, seconds."""
 
@@ -98,7 +111,7 @@ def track(options: TrackOptions) -> dict[str, Any]:
 
 
 def calibrate(options: CalibrateOptions) -> dict[str, Any]:
-    """Learn your face at rest, and your closed eyes, for a tracker.
+    """Learn your face at rest, your closed eyes, and when you are seen, for a tracker.
 
     `pica send` and `pica view` use it whenever you join under the same name with that tracker.
     """
@@ -106,6 +119,10 @@ def calibrate(options: CalibrateOptions) -> dict[str, Any]:
         raise OptionError(f"seconds is {options.seconds:g}; above 0 is needed")
     if not 1 <= options.gain <= MAX_GAIN:
         raise OptionError(f"gain is {options.gain:g}; 1 (off) to {MAX_GAIN:g} is allowed")
+    if not 0 <= options.plosives <= 60:
+        raise OptionError(f"plosives is {options.plosives}; 0 to 60 is allowed")
+    kind, _ = split_source(options.source)
+    offset_s = (calibration_of(options.name, kind) or Calibration()).sound_offset_s
     samples: list[FloatArray] = []
 
     def tap(sample: TrackerSample, arrived_s: float, process_s: float) -> None:
@@ -127,8 +144,11 @@ def calibrate(options: CalibrateOptions) -> dict[str, Any]:
             time.sleep(1.0)
             closed = gather(options.eyes_closed)
             say("open them again")
-    calibration = replace(calibration_of_samples(at_rest, closed), gain=options.gain)
-    kind, _ = split_source(options.source)
+        if options.plosives:
+            offset_s = _sound_offset(source, options)
+    calibration = replace(
+        calibration_of_samples(at_rest, closed), gain=options.gain, sound_offset_s=offset_s
+    )
     path = calibrations().save(options.name, kind, calibration)
     taken = {
         name: round(value, 3)
@@ -143,7 +163,36 @@ def calibrate(options: CalibrateOptions) -> dict[str, Any]:
         "lid_open": list(calibration.lid_open),
         "lid_closed": list(calibration.lid_closed),
         "gain": calibration.gain,
+        "sound_offset_ms": round(offset_s * 1e3, 1),
     }
+
+
+def _sound_offset(source: Tracker, options: CalibrateOptions) -> float:
+    """How much later than the microphone the tracker is, from plosives."""
+    frames: list[tuple[FloatArray, int]] = []
+    opening: list[tuple[float, float]] = []
+    microphone = Microphone(options.microphone)
+    microphone.on_frame = lambda frame, captured_us: frames.append((frame, captured_us))
+    microphone.start()
+    try:
+        say(f'say "pa" {options.plosives} times: lips closed, "pa", closed again, wait a second')
+        end_s = time.monotonic() + SETTLE_S + PLOSIVE_S * options.plosives
+        while (now := time.monotonic()) < end_s:
+            face = source.frame_at(now)
+            if not opening or face.captured_us * 1e-6 > opening[-1][0]:
+                jaw, lips = (float(face.arkit[ARKIT_INDEX[name]]) for name in OPENING)
+                opening.append((face.captured_us * 1e-6, jaw - lips))
+            time.sleep(0.005)
+    finally:
+        microphone.stop()
+    if not frames:
+        raise SourceError(f"no microphone: {microphone.state.note or 'it gives no sound'}")
+    sound = np.concatenate([frame for frame, _ in frames])
+    # Its clock only comes too late, while the machine is busy.
+    begin_s = min(us * 1e-6 - index * FRAME_S for index, (_, us) in enumerate(frames))
+    offset_s, num_used = sound_offset(opening, sound, begin_s, SAMPLE_RATE_HZ)
+    say(f"seen {offset_s * 1e3:.0f} ms after it is heard, by {num_used} plosives")
+    return offset_s
 
 
 def _open(text: str, tap: SampleTap) -> Tracker:

@@ -152,7 +152,7 @@ class FaceDesk:
         before = self._store.load(self._person, kind) or Calibration()
         try:
             found = calibrate(list(face.recent), ())
-            found = replace(found, lid_closed=before.lid_closed, gain=before.gain)
+            found = replace(before, neutral=found.neutral, lid_open=found.lid_open)
             self._store.save(self._person, kind, found)
         except SourceError as error:
             return f"Not calibrated: {error}"

@@ -39,7 +39,8 @@ def read_wav(path: Path) -> FloatArray:
                 )
             if num_frames > MAX_SECONDS * rate_hz:
                 raise SourceError(f"{path}: {num_frames / rate_hz:.0f} s; {MAX_SECONDS} at most")
-            data = np.frombuffer(file.readframes(num_frames), "<i2")
+            read = file.readframes(num_frames)
+            data = np.frombuffer(read[: len(read) // 2 * 2], "<i2")  # it may be cut off
             channels = file.getnchannels()
     except (OSError, EOFError, wave.Error) as error:
         raise SourceError(

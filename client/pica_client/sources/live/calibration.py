@@ -27,6 +27,7 @@ MIN_LID_RANGE: Final = 0.2
 """Least difference between open and closed lids; less is no closed eye."""
 MAX_GAIN: Final = 2.0
 """More would make cross-talk of the tracker into a movement."""
+MAX_SOUND_OFFSET_S: Final = 0.5
 _LIDS = list(BLINKS)
 _KEPT = GAZE.copy()
 _KEPT[_LIDS] = True
@@ -48,6 +49,8 @@ class Calibration:
     """The same with closed eyes."""
     gain: float = 1.0
     """What all shapes but lids and gaze are multiplied by, 1 to 2."""
+    sound_offset_s: float = 0.0
+    """How much later the tracker sees a mouth than the microphone hears it (`sound_offset`)."""
 
     def __post_init__(self) -> None:
         numbers = np.array([*self.neutral, *self.lid_open, *self.lid_closed, self.gain])
@@ -57,6 +60,8 @@ class Calibration:
             raise SourceError(
                 f"a calibration holds a value beyond ±{MAX_GAIN:g}, or a gain below 1"
             )
+        if not abs(self.sound_offset_s) <= MAX_SOUND_OFFSET_S:
+            raise SourceError(f"a sound offset of {self.sound_offset_s:g} s is no tracker's")
         if np.min(np.subtract(self.lid_closed, self.lid_open)) < MIN_LID_RANGE:
             raise SourceError("closed and open lids of a calibration are too near to each other")
 
@@ -122,8 +127,9 @@ class CalibrationStore:
         path = self._path(person, kind)
         try:
             values: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-            gain = values.pop("gain")
-            return Calibration(gain=gain, **{name: tuple(each) for name, each in values.items()})
+            for name in values.keys() - {"gain", "sound_offset_s"}:
+                values[name] = tuple(values[name])
+            return Calibration(**values)
         except FileNotFoundError:
             return None
         except (OSError, LookupError, ValueError, TypeError, AttributeError, SourceError) as error:

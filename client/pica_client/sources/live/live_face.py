@@ -172,7 +172,7 @@ class LiveFace:
             now: On our clock, seconds; rising from call to call.
 
         Returns:
-            The face; `captured_us` is when it was seen on our clock, which is in the past.
+            The face; `captured_us` is when a microphone heard what was seen, on our clock.
         """
         shown_s = max(now - self.delay_s, self._shown_s)
         self._shown_s = shown_s
@@ -180,7 +180,7 @@ class LiveFace:
         if pose is not None:
             self._shown = pose
         return ExpressionFrame(
-            captured_us=round(shown_s * 1e6),
+            captured_us=round((shown_s - self.calibration.sound_offset_s) * 1e6),
             arkit=self._shown.arkit,
             rotation=self._shown.rotation,
             translation_m=self._shown.offset_m,

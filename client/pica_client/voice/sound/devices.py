@@ -244,22 +244,14 @@ class Microphone(_Device):
 
     Attributes:
         clean: Takes each frame through echo cancellation and the like; None: nothing does.
-        offset_us: Is added to each capture time: how much later a tracker sees than this hears.
         on_frame: Takes each frame.
         level: Of the last frame, as `VoicePacket.level`.
     """
 
-    def __init__(
-        self,
-        name: str = "",
-        *,
-        clean: Callable[[FloatArray], FloatArray] | None = None,
-        offset_us: int = 0,
-    ) -> None:
-        """Prepare the device of a name, empty for the system's default; see the attributes."""
+    def __init__(self, name: str = "") -> None:
+        """Prepare the device of a name, empty for the system's default."""
         super().__init__(name)
-        self.clean = clean
-        self.offset_us = offset_us
+        self.clean: Callable[[FloatArray], FloatArray] | None = None
         self.on_frame: OnFrame | None = None
         self.level = MAX_LEVEL
         self._captured_s: float | None = None
@@ -301,7 +293,7 @@ class Microphone(_Device):
             frame = clean(frame)
         self.level = level_of(frame)
         if (on_frame := self.on_frame) is not None:
-            on_frame(frame, round(due_s * 1e6) + self.offset_us)
+            on_frame(frame, round(due_s * 1e6))
 
 
 async def captured_frames(

@@ -1,0 +1,68 @@
+"""Sounds of files that are sent as a voice: of any rate and number of channels, or refused."""
+
+import wave
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pica_client.errors import SourceError
+from pica_client.voice.source import open_voice
+from pica_client.voice.wav import MAX_SECONDS, read_wav
+
+pytestmark = pytest.mark.unit
+
+
+def wav(path: Path, rate_hz: int = 44_100, channels: int = 2, width: int = 2) -> Path:
+    """Half a second of a tone of 440 Hz, in all channels."""
+    tone = 0.5 * np.sin(2 * np.pi * 440 * np.arange(rate_hz // 2) / rate_hz)
+    data = np.repeat(np.round(tone * 32767).astype("<i2"), channels).tobytes()
+    with wave.open(str(path), "wb") as file:
+        file.setparams((channels, width, rate_hz, 0, "NONE", ""))
+        file.writeframes(data)
+    return path
+
+
+@pytest.mark.parametrize(("rate_hz", "channels"), [(44_100, 2), (48_000, 1), (16_000, 1)])
+def test_any_rate_and_number_of_channels_become_48_khz_of_one(
+    tmp_path: Path, rate_hz: int, channels: int
+) -> None:
+    sound = read_wav(wav(tmp_path / "a.wav", rate_hz, channels))
+    assert sound.dtype == np.float32
+    assert len(sound) == pytest.approx(24_000, abs=2)
+    expected = 0.5 * np.sin(2 * np.pi * 440 * np.arange(len(sound)) / 48_000)
+    assert np.abs(sound - expected)[1000:-1000].max() < 0.01
+
+
+def cut(path: Path, num_bytes: int) -> None:
+    path.write_bytes(path.read_bytes()[:num_bytes])
+
+
+def test_what_is_no_wav_file_is_refused_in_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "a.wav"
+    for data in (b"", b"RIFF", b"\0" * 100, b"ID3 an MP3" * 20, b"RIFF\xff\xff\xff\xffWAVEfmt "):
+        path.write_bytes(data)
+        with pytest.raises(SourceError, match=r"a\.wav: no WAV file of PCM sound"):
+            open_voice(str(path))
+    with pytest.raises(SourceError, match="no WAV file"):
+        open_voice(str(tmp_path / "nowhere.wav"))
+    with pytest.raises(SourceError, match="24 bits a sample; 16 are needed"):
+        read_wav(wav(path, channels=3, width=3))
+    with pytest.raises(SourceError, match="4000 Hz"):
+        read_wav(wav(path, rate_hz=4_000))
+    with wave.open(str(path), "wb") as file:
+        file.setparams((1, 2, 8_000, 0, "NONE", ""))
+        file.writeframes(bytes(2 * 8_000 * (MAX_SECONDS + 1)))
+    with pytest.raises(SourceError, match=f"{MAX_SECONDS} at most"):
+        read_wav(path)
+
+
+def test_a_file_that_is_cut_off_is_played_as_far_as_it_goes_or_refused(tmp_path: Path) -> None:
+    for num_bytes in (44, 45, 46, 47, 1001):
+        path = wav(tmp_path / "a.wav")
+        cut(path, num_bytes)
+        try:
+            sound = read_wav(path)
+        except SourceError:
+            continue
+        assert np.isfinite(sound).all()
