@@ -8,7 +8,10 @@ Theory of operation. Sequence, capture time and transit are judged by what the p
 judges them by (`playout.sender_clock`, `clock_map`, `jitter`), so jumps, drift and tricks of
 strangers end there. What was captured at t should be played at
 
-    t + fastest transit + base + delay        delay = one frame + jitter, 20 to 200 ms
+    t + fastest transit + base + delay        delay = one frame + jitter, 30 to 200 ms
+
+A delay that is no longer needed is given up slowly, in `release_s`: one that goes down in each
+pause, and up again with the next late packet, tears more words than it saves time.
 
     what is there                            what is played                        its time
     ---------------------------------------  ------------------------------------  ----------------
@@ -25,6 +28,7 @@ periods of the pitch (`stretch`), and only once it is clearly wrong. After a sta
 where it stopped and is then spoken faster, as long as it is not `leap_s` behind.
 """
 
+import math
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Sequence
@@ -89,8 +93,12 @@ class JitterBufferConfig:
 
     ceiling_s: float = 0.2
     """Longest delay, one frame included."""
-    jitter_quantile: float = 0.95
+    least_jitter_s: float = 0.01
+    """Jitter that is always waited for (chosen: docs/results/voice.md)."""
+    jitter_quantile: float = 0.97
     """Share of delays that are waited for."""
+    release_s: float = 5.0
+    """Time in which two thirds of a delay that is no longer needed are given up."""
     window_s: float = 6.0
     """Time over which jitter is measured."""
     leap_s: float = 0.35
@@ -106,7 +114,9 @@ class JitterBufferConfig:
     def __post_init__(self) -> None:
         for name, low, high in (
             ("ceiling_s", FRAME_S, 2.0),
+            ("least_jitter_s", 0.0, 0.2),
             ("jitter_quantile", 0.5, 1.0),
+            ("release_s", 0.01, 60.0),
             ("window_s", 0.5, 60.0),
             ("leap_s", 0.1, 10.0),
             ("quiet_error_s", 0.001, 1.0),
@@ -168,6 +178,7 @@ class JitterBuffer:
         self._decoder = decoder
         self._sender = SenderClock()
         self._jitter = JitterEstimate(quantile=config.jitter_quantile, window_s=config.window_s)
+        self._target_s = FRAME_S + config.least_jitter_s  # beyond the fastest transit
         self._noise = ComfortNoise()
         self._report = JitterBufferReport()
         self._waiting: list[ReceivedFrame] = []  # by number; at most MAX_PACKETS
@@ -183,7 +194,7 @@ class JitterBuffer:
         self._behind_s, self._rest_ticks = 0.0, 0
         self._offset_us = 0.0
         self.moments_us: Float64Array = np.zeros(FRAME)
-        self._last_arrival_s = -np.inf
+        self._last_arrival_s = self._aimed_s = -math.inf
         self._history: deque[Moment] = deque(maxlen=HISTORY)
 
     def receive(self, packet: VoicePacket, now: float) -> None:
@@ -261,11 +272,14 @@ class JitterBuffer:
         """Packets that fit nowhere in time, or that the codec does not take."""
         return self._report.refused + self._sender.num_refused
 
-    @property
-    def _target_s(self) -> float:
-        """What should be waited beyond the fastest transit."""
-        wait_s = min(FRAME_S + self._jitter.jitter_s, self.config.ceiling_s)
-        return self._jitter.base_s + wait_s
+    def _aim(self, now: float) -> None:
+        """Wait longer at once, and less slowly."""
+        config, jitter = self.config, self._jitter
+        elapsed_s, self._aimed_s = max(now - self._aimed_s, 0.0), now
+        wait_s = FRAME_S + max(jitter.jitter_s, config.least_jitter_s)
+        needed_s = jitter.base_s + min(wait_s, config.ceiling_s)
+        excess_s = max(self._target_s - needed_s, 0.0)
+        self._target_s = needed_s + excess_s * math.exp(-elapsed_s / config.release_s)
 
     def _place(self, received: ReceivedFrame) -> None:
         clock, last, report = self._sender.map, self._last_number, self._report
@@ -275,6 +289,7 @@ class JitterBuffer:
             self._last_number = last = None
         transit_s = clock.receive(received.media_s, received.arrived_s)
         self._jitter.receive(received.arrived_s, received.media_s, transit_s, clock)
+        self._aim(received.arrived_s)
         place = bisect_left(self._waiting, received.number, key=attrgetter("number"))
         if last is not None and received.number <= last:
             report.late += 1

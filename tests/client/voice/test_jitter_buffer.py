@@ -27,6 +27,7 @@ from pica_core.types import FloatArray
 
 pytestmark = pytest.mark.unit
 
+WAIT_S = FRAME_S + JitterBufferConfig().least_jitter_s
 Arrivals = Iterable[tuple[float, VoicePacket]]
 
 
@@ -58,13 +59,13 @@ def on_time(num_frames: int, *, skip: Iterable[int] = ()) -> list[tuple[float, V
     return [(usual_arrival_s(i), packet(i)) for i in range(num_frames) if i not in left_out]
 
 
-def test_a_calm_voice_is_played_as_it_is_one_frame_after_the_fastest():
+def test_a_calm_voice_is_played_as_it_is_a_frame_and_a_half_after_the_fastest():
     sound = hum(3)
     buffer = JitterBuffer(SpokenDecoder(sound))
 
     played, delays_s = play(buffer, on_time(140), 2.5)
 
-    expected_s = FRAME_S + NETWORK_S + FRAME_S + CODEC_DELAY_S
+    expected_s = FRAME_S + NETWORK_S + WAIT_S + CODEC_DELAY_S
     assert max(delays_s) == pytest.approx(expected_s, abs=0.003)
     report = buffer.report()
     assert (report.concealed, report.lost, report.late, report.leaps) == (0, 0, 0, 0)
@@ -94,6 +95,19 @@ def test_the_delay_grows_with_the_lateness_of_packets_and_stays_below_the_ceilin
     assert report.concealed_ratio < 0.05
 
 
+def test_a_delay_that_is_no_longer_needed_is_given_up_slowly():
+    buffer = JitterBuffer(SpokenDecoder(with_pauses(hum(32))))
+    late = {i: 0.06 for i in range(100, 300, 9)}
+    arrivals = [(usual_arrival_s(i) + late.get(i, 0.0), packet(i)) for i in range(1490)]
+
+    _, delays_s = play(buffer, arrivals, 29.5)
+
+    calm_s, late_s, later_s = delays_s[80], delays_s[600], delays_s[-1]
+    assert delays_s[320] > calm_s + 0.04
+    assert calm_s + 0.015 < late_s  # 6 s after the last one that was late
+    assert later_s == pytest.approx(calm_s, abs=0.01)
+
+
 def test_a_delay_that_changes_is_changed_in_silence_where_there_is_one():
     sound = with_pauses(hum(10))
     buffer = JitterBuffer(SpokenDecoder(sound))
@@ -120,7 +134,7 @@ def test_lost_packets_are_concealed_by_the_codec_and_time_goes_on():
     assert max(delays_s[100:]) - min(delays_s[:40]) < JitterBufferConfig().voiced_error_s
 
 
-def test_packets_of_40_ms_are_played_one_frame_after_the_fastest_and_lost_ones_concealed_whole():
+def test_packets_of_40_ms_are_played_as_soon_and_lost_ones_concealed_whole():
     def pair(index: int) -> tuple[float, VoicePacket]:
         whole = packet(2 * index, sequence=index)
         both = VoicePacket(whole.sequence, whole.captured_us, whole.payload + b"+")
@@ -133,7 +147,7 @@ def test_packets_of_40_ms_are_played_one_frame_after_the_fastest_and_lost_ones_c
 
     assert 4 <= decoder.concealed <= 5  # the stretching may take part of another
     assert (buffer.report().lost, buffer.report().noise) == (2, 1)  # noise at the beginning
-    expected_s = 2 * FRAME_S + NETWORK_S + FRAME_S + CODEC_DELAY_S
+    expected_s = 2 * FRAME_S + NETWORK_S + WAIT_S + CODEC_DELAY_S
     assert np.median(delays_s) == pytest.approx(expected_s, abs=0.005)
 
 
@@ -227,7 +241,7 @@ def test_the_moment_that_is_heard_counts_the_latency_of_the_loudspeaker():
     now = usual_arrival_s(39)
     heard_s = (buffer.heard_us(now) - CLOCK_OFFSET_US) / 1e6  # type: ignore[operator]
     assert now - heard_s == pytest.approx(
-        0.1 + FRAME_S + NETWORK_S + FRAME_S + CODEC_DELAY_S, abs=0.005
+        0.1 + FRAME_S + NETWORK_S + WAIT_S + CODEC_DELAY_S, abs=0.012
     )
 
 
