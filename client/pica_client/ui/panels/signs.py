@@ -74,7 +74,8 @@ def call_signs(view: CallView) -> list[tuple[str, Tone]]:
 
 def signs_share(view: CallView, metrics: Metrics) -> float:
     """The part of the picture's height that the signs at the upper left take from the people."""
-    num_lines = 1 if metrics.is_compact else len(call_signs(view))
+    num_lines = len(call_signs(view))
+    num_lines = min(num_lines, 1) if metrics.is_compact else num_lines
     return metrics.px(SIGN_PT * num_lines) / metrics.size[1]
 
 
