@@ -289,6 +289,6 @@ PRESETS: dict[str, TrainConfig] = {
         watch_every=2000,
     ),
 }
-"""tiny: seconds, for tests. small: minutes on two cores. long: two or three times
-that. paper: the paper's settings to the letter (section 5, appendix A): days on a GPU; only the
-driver phase is ours."""
+"""tiny: seconds, for tests. small: minutes on two cores. long: two or three times that. paper: the
+paper's settings to the letter (section 5, appendix A): days on a GPU; only the driver phase is
+ours."""

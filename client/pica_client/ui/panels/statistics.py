@@ -58,8 +58,7 @@ def statistics_share(view: CallView, metrics: Metrics) -> float:
         return 0.0
     rows = min(len(view.people), MAX_ROWS) + 2
     height = rows * metrics.px(1.35 * SMALL_PT + 6) + 2 * metrics.px(EDGE_PT)
-    height += signs_share(view, metrics) * metrics.size[1]
-    return min(height / metrics.size[1], 0.45)
+    return min(height / metrics.size[1] + signs_share(view, metrics), 0.45)
 
 
 def row_of(person: PersonView, metrics: Metrics) -> tuple[str, ...]:

@@ -258,7 +258,8 @@ def _curtain(points: Float64Array, style: Style, seed: int, body: Float64Array) 
     low = -style.hang / 1000 + uneven + 0.012 * np.abs(s) ** 3
     # Hair ends on the shoulders where they begin, and goes on down the back.
     for y in np.arange(-0.06, low.min(), -0.006):
-        wide = _reach(body, _azimuth(s, np.full(COLUMNS, y)), np.full(COLUMNS, y)) > SHOULDER_M
+        level = np.full(COLUMNS, y)
+        wide = _reach(body, _azimuth(s, level), level) > SHOULDER_M
         low = np.where(wide, np.maximum(low, y + 0.008), low)
     for _ in range(3):
         padded = np.pad(low, 1, mode="edge")
