@@ -18,7 +18,8 @@ from pica_client.render.scene import (
     head_matrix,
     view_direction,
 )
-from pica_client.render.seats import ViewState, plan_camera, plan_seats
+from pica_client.render.seats import plan_seats
+from pica_client.render.views import ViewState, plan_camera
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar

@@ -24,7 +24,8 @@ from pica_client.decode.decoder import OnnxDecoder
 from pica_client.playout.rotation import rotation_vector_from_yaw_pitch_roll, turn_between
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement, head_matrix, view_direction
-from pica_client.render.seats import ViewState, plan_camera, plan_seats
+from pica_client.render.seats import plan_seats
+from pica_client.render.views import ViewState, plan_camera
 from pica_client.sources.webcam.face_finder import FaceFinder
 from pica_client.sources.webcam.model import load_networks
 from pica_client.sources.webcam.networks import FaceNetworks

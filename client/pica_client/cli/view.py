@@ -124,7 +124,7 @@ def view(options: ViewOptions) -> dict[str, Any]:
         say(f"invite links are opened with pica view now, says {path}")
         return {"registered": str(path)}
     from pica_client.call.call import CallConfig
-    from pica_client.render.stereo import EYE_DISTANCE_M
+    from pica_client.render.views import EYE_DISTANCE_M
     from pica_client.ui.joining.form import JoinForm
     from pica_client.ui.preferences import Preferences, PreferencesFile
     from pica_client.ui.view import ViewConfig

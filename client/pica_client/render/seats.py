@@ -1,4 +1,4 @@
-"""Who sits where, and the camera that shows them all: pure geometry.
+"""Who sits where, and from where all are seen: pure geometry. `views` has the camera.
 
 World: metres, +y up; the viewer is on the +z side and looks towards -z. Four layouts:
 
@@ -15,7 +15,6 @@ In each of them one participant may be pinned: that one stands large in the midd
 look on from a strip at the side.
 
     plan = plan_seats("table", 5, aspect=16 / 9)
-    camera = plan_camera(plan, ViewState(), 1280, 720)
 """
 
 from __future__ import annotations
@@ -23,11 +22,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Literal, get_args
 
 import numpy as np
 
-from pica_core.camera import Camera, look_at
 from pica_core.types import Float64Array
 
 Layout = Literal["line", "arc", "table", "grid"]
@@ -86,49 +85,8 @@ times smaller there than in the middle of what it leaves."""
 PINNED_CHEST_M = 0.36
 """How far below the middle of a pinned head nothing of the strip may begin."""
 MAX_FREE = 0.5
-
-MAX_YAW = math.radians(45)
-MIN_PITCH, MAX_PITCH = math.radians(-26), math.radians(32)
-"""From where faces may be seen. The built-in captures have cameras 75 degrees to both sides, 30
-below and 36 above; the ends of an arc are turned 31 degrees already (chosen: what lies beyond what
-an avatar was trained on is torn)."""
-SOFT_SHARE = 0.4
-"""The last part of the way to a limit, over which a drag moves the view less and less."""
-NEAREST_M = 0.3
-"""The camera stays so far from the middle of any head: hair, nose, movements lie within 0.2."""
 SETTLED_M = 0.002
 """Who is nearer than this to where they should be, is there: nobody sees a difference."""
-MIN_ZOOM, MAX_ZOOM = 0.4, 12.0
-ORBIT_PER_PIXEL = 0.005
-"""Radians (chosen: half a turn is a drag over 630 pixels)."""
-ZOOM_PER_STEP = 1.1
-"""Distance ratio of one notch of the wheel."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ViewState:
-    """What the user has done to the view. Angles in radians, about the middle of the seats."""
-
-    yaw: float = 0.0
-    """Positive moves the camera to the right, +x."""
-    pitch: float = 0.0
-    """Positive moves the camera up."""
-    zoom: float = 1.0
-    """The camera's way to the nearest place before the heads is divided by this; below 1 its
-    distance."""
-
-    def orbited(self, right_px: float, down_px: float) -> ViewState:
-        """The view after dragging the scene by so many pixels; limits are met softly."""
-        return replace(
-            self,
-            yaw=_towards_limit(self.yaw, -right_px * ORBIT_PER_PIXEL, -MAX_YAW, MAX_YAW),
-            pitch=_towards_limit(self.pitch, down_px * ORBIT_PER_PIXEL, MIN_PITCH, MAX_PITCH),
-        )
-
-    def zoomed(self, steps: float) -> ViewState:
-        """The view after turning the wheel; positive comes closer."""
-        zoom = self.zoom * ZOOM_PER_STEP ** min(max(steps, -50.0), 50.0)
-        return replace(self, zoom=min(max(zoom, MIN_ZOOM), MAX_ZOOM))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -193,6 +151,7 @@ class _Frame:
     top: float
 
 
+@lru_cache(maxsize=8)
 def plan_seats(
     layout: Layout,
     count: int,
@@ -235,28 +194,6 @@ def plan_seats(
     towards = [camera_m] * len(places) if faced is None else faced
     seats = [_seat(place, at) for place, at in zip(places, towards, strict=True)]
     return SeatPlan(seats=tuple(seats[:count]), camera_m=camera_m, target_m=target_m)
-
-
-def plan_camera(plan: SeatPlan, view: ViewState, width: int, height: int) -> Camera:
-    """The viewer's camera: that of the plan, turned and moved closer as the user wants."""
-    offset = plan.camera_m - plan.target_m
-    distance = float(np.linalg.norm(offset))
-    yaw = min(max(math.atan2(offset[0], offset[2]) + view.yaw, -MAX_YAW), MAX_YAW)
-    pitch = min(max(math.asin(offset[1] / distance) + view.pitch, MIN_PITCH), MAX_PITCH)
-    level = math.cos(pitch)
-    direction = np.array([math.sin(yaw) * level, math.sin(pitch), math.cos(yaw) * level])
-    # The nearer the camera comes to a head, the less a notch of the wheel moves it.
-    nearest = min(_nearest_m(plan, direction), distance)
-    zoom = min(max(view.zoom, MIN_ZOOM), MAX_ZOOM)
-    distance = nearest + (distance - nearest) / zoom if zoom > 1 else distance / zoom
-    return look_at(
-        name="viewer",
-        centre_m=plan.target_m + distance * direction,
-        target_m=plan.target_m,
-        vertical_fov=VERTICAL_FOV,
-        width=width,
-        height=height,
-    )
 
 
 Arrangement = tuple[Float64Array, float, Float64Array | None]
@@ -477,23 +414,3 @@ def _centred(count: int) -> Float64Array:
 def _distance(camera_m: Float64Array, target_m: Float64Array) -> float:
     """How far a camera is from what it looks at, metres."""
     return float(np.linalg.norm(camera_m - target_m))
-
-
-def _towards_limit(value: float, step: float, low: float, high: float) -> float:
-    """A value after a step that shrinks on the last part of the way to a limit."""
-    way = high - value if step > 0 else value - low
-    soft = SOFT_SHARE * (high if step > 0 else -low)
-    moved = value + step * min(max(way / soft, 0.0), 1.0)
-    return min(max(moved, low), high)
-
-
-def _nearest_m(plan: SeatPlan, direction: Float64Array) -> float:
-    """From the middle of the view along a direction to where no head is nearer than `NEAREST_M`
-    from there on: the farther root of |target + t direction - head| = NEAREST_M, of all heads."""
-    if not plan.seats:
-        return NEAREST_M
-    towards = np.array([seat[:3, 3] for seat in plan.seats]) - plan.target_m
-    along = np.matmul(towards, direction)
-    inside = NEAREST_M**2 - np.square(towards).sum(axis=1) + np.square(along)
-    roots = along + np.sqrt(np.maximum(inside, 0.0))
-    return max(float(np.where(inside > 0, roots, 0.0).max()), NEAREST_M)

@@ -32,15 +32,21 @@ from pica_client.render.seats import (
     FreeShares,
     Layout,
     SeatPlan,
-    ViewState,
-    plan_camera,
     plan_seats,
+)
+from pica_client.render.views import (
+    USUAL_SPAN,
+    OrbitLimits,
+    ViewState,
+    orbit_limits,
+    plan_camera,
 )
 from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.head import Head
 from pica_client.schedule.scheduler import Plan
 from pica_client.stats import Samples, Summary
 from pica_core.avatar.bust import bust_of
+from pica_core.avatar.manifest import ViewSpan
 from pica_core.camera import Camera
 from pica_core.errors import AvatarFileError
 from pica_core.types import Float64Array
@@ -111,6 +117,8 @@ class CallScene:
     """Where their heads are, in the order of the faces."""
     camera: Camera
     plan: SeatPlan
+    limits: OrbitLimits
+    """How far the view may turn."""
     room: Room
     """What is behind them."""
 
@@ -123,6 +131,8 @@ class _Peer:
     head: Head | None = None
     """Its avatar before the cameras; None until that is there."""
     shoulders_m: float = SHOULDERS_M
+    span: ViewSpan = USUAL_SPAN
+    """From where its avatar may be seen."""
     problem: str = ""
     """Why there is a placeholder instead of the avatar."""
     captured_us: int = 0
@@ -212,6 +222,7 @@ class AvatarPresenter:
             free=seating.free,
             shoulders_m=max((entry.shoulders_m for entry in entries), default=SHOULDERS_M),
         )
+        limits = orbit_limits(plan, tuple(entry.span for entry in entries))
         since_s = math.inf if self._arranged_s is None else max(now - self._arranged_s, 0.0)
         self._arranged_s, step = now, since_s / FADE_S
         plan = self._settled(plan, [face.peer_id for face in faces], size, since_s)
@@ -230,14 +241,20 @@ class AvatarPresenter:
                     fade=entry.fade,
                 )
             )
-        camera = plan_camera(plan, seating.view, width, height)
+        camera = plan_camera(plan, seating.view, width, height, limits)
         room = Room(
             seats_m=plan.places_m,
             speaking=tuple(entry.glow(now, step) for entry in entries),
             is_light=seating.is_light,
         )
         return CallScene(
-            now=now, faces=faces, placements=placements, camera=camera, plan=plan, room=room
+            now=now,
+            faces=faces,
+            placements=placements,
+            camera=camera,
+            plan=plan,
+            limits=limits,
+            room=room,
         )
 
     def decide(self, scene: CallScene, cameras: Sequence[Camera], budget_s: float) -> Plan:
@@ -387,6 +404,7 @@ class AvatarPresenter:
         alike = (each for each in self._peers.values() if each.head and each.head.avatar is avatar)
         shared = next(alike, None)
         entry.head = Head(slot=peer_id, avatar=avatar)
+        entry.span = avatar.manifest.view_span or USUAL_SPAN
         entry.shoulders_m = shared.shoulders_m if shared else bust_of(avatar).width_m
         # Some frames' worth of work (25 ms), so peers who look alike share it.
         entry.jaw = shared.jaw if shared is not None else JawReader(avatar)

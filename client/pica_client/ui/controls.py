@@ -16,7 +16,8 @@ from dataclasses import dataclass, field, replace
 from enum import Enum, auto
 from typing import Literal
 
-from pica_client.render.seats import LAYOUTS, Layout, ViewState
+from pica_client.render.seats import LAYOUTS, Layout
+from pica_client.render.views import OrbitLimits, ViewState
 from pica_client.ui.events import (
     CloseWanted,
     InputEvent,
@@ -132,6 +133,8 @@ class ControlState:
 
     layout: Layout = "arc"
     view: ViewState = field(default_factory=ViewState)
+    limits: OrbitLimits = field(default_factory=OrbitLimits)
+    """How far the view may turn: where people sit, and from where their avatars may be seen."""
     pinned: int | None = None
     """The place of who fills the picture, also while that one is away."""
     show_statistics: bool = False
@@ -184,7 +187,7 @@ def _side(wanted: Side) -> Change:
 
 
 def _orbit(right_px: float, down_px: float) -> Change:
-    return lambda state: replace(state, view=state.view.orbited(right_px, down_px))
+    return lambda state: replace(state, view=state.view.orbited(right_px, down_px, state.limits))
 
 
 def _zoom(steps: float) -> Change:

@@ -30,7 +30,7 @@ from pica_client.render.draw_clock import DrawClock
 from pica_client.render.recorder import save_png
 from pica_client.render.renderer import DrawStats, Renderer
 from pica_client.render.scene import pick_head
-from pica_client.render.stereo import stereo_cameras
+from pica_client.render.views import stereo_cameras
 from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Plan, Scheduler
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter, Seating
@@ -351,7 +351,10 @@ class Viewer:
             free=self._surface.free,
             is_light=state.settings.mode == "light",
         )
-        return self._presenter.arrange(now, seating, self._eye_size)
+        scene = self._presenter.arrange(now, seating, self._eye_size)
+        if scene.limits != state.limits:
+            self.controls.state = replace(state, limits=scene.limits)
+        return scene
 
     @property
     def _eye_size(self) -> tuple[int, int]:

@@ -8,7 +8,7 @@ from pica_client.decode.pool import DecodePoolOptions
 from pica_client.errors import OptionError
 from pica_client.render.renderer import RenderOptions
 from pica_client.render.seats import Layout
-from pica_client.render.stereo import MAX_EYE_DISTANCE_M
+from pica_client.render.views import MAX_EYE_DISTANCE_M
 from pica_client.schedule.scheduler import SchedulerOptions
 from pica_client.ui.settings import OwnChoice, Settings
 from pica_client.voice.sound.settings import SoundSettings

@@ -4,7 +4,7 @@ trust."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import astuple, dataclass, field, fields
 from types import MappingProxyType
 from typing import Any
 
@@ -30,6 +30,18 @@ DRAWN_VARIANTS = tuple(name for name, row in VARIANTS.items() if row.network == 
 """Variants that an avatar file may hold."""
 
 
+@dataclass(frozen=True, slots=True)
+class ViewSpan:
+    """From where a head was seen in training, degrees about its middle, in its own axes."""
+
+    min_yaw: float
+    max_yaw: float
+    """Positive is towards +x, the head's left."""
+    min_pitch: float
+    max_pitch: float
+    """Positive is from above."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Manifest:
     """What an avatar file says about itself."""
@@ -53,6 +65,8 @@ class Manifest:
     """One of `DRAWN_VARIANTS`; its encoding must be the spec's."""
     model_card: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     """What it was trained on, with which command, how well it does; free text by key."""
+    view_span: ViewSpan | None = None
+    """From where it may be seen; None in files of before that was measured."""
     schema_version: int = SCHEMA_VERSION
 
     def to_json(self) -> dict[str, Any]:
@@ -60,6 +74,10 @@ class Manifest:
         values = {item.name: getattr(self, item.name) for item in fields(self)}
         for name in ("latent_scale", "bounds_min_m", "bounds_max_m"):
             values[name] = list(values[name])
+        if self.view_span is None:
+            del values["view_span"]
+        else:
+            values["view_span"] = list(astuple(self.view_span))
         return values | {"spec": self.spec.to_json(), "model_card": dict(self.model_card)}
 
     @classmethod
@@ -77,7 +95,7 @@ class Manifest:
                 f"manifest.schema_version is {version!r:.40}; this program reads {SCHEMA_VERSION}"
             )
         known = {item.name for item in fields(cls)}
-        if wrong := sorted(known.symmetric_difference(values)):
+        if wrong := sorted(known.symmetric_difference({"view_span": None, **values})):
             raise ValueError(f"manifest field {wrong[0]!r:.80} is missing or unknown")
         try:
             spec = AvatarSpec.from_json(values["spec"])
@@ -106,6 +124,11 @@ class Manifest:
         }
         if not all(a < b for a, b in zip(*corners.values(), strict=True)):
             raise ValueError("manifest.bounds_min_m is not below bounds_max_m")
+        if "view_span" in values:
+            span = ViewSpan(*_numbers(values, "view_span", 4, -180.0, 180.0))
+            if not (span.min_yaw < 0 < span.max_yaw and span.min_pitch < 0 < span.max_pitch):
+                raise ValueError("manifest.view_span does not hold the view from the front")
+            found["view_span"] = span
         scale_m = values["position_scale_m"]
         found |= {
             **corners,

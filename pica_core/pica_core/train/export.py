@@ -10,13 +10,14 @@ from torch import Tensor
 from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.linear import RANK
-from pica_core.avatar.manifest import Manifest
+from pica_core.avatar.manifest import Manifest, ViewSpan
 from pica_core.codec.profile import StreamProfile
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.baseline import DeepAppearanceModel
 from pica_core.model.interface import AvatarModel
 from pica_core.model.linear import LinearGeometry
 from pica_core.model.pixel_decoder import XYZ_UNIT_M
+from pica_core.train.data.images import view_direction
 from pica_core.train.data.training import TrainingData
 from pica_core.types import FloatArray, IntArray
 
@@ -100,6 +101,7 @@ def make_avatar(
         bounds_max_m=high_m,
         variant=variant,
         model_card=dict(model_card),
+        view_span=_view_span(data),
     )
     topology = data.meshes.topology(model.topology)
     tensors = avatar_tensors(model, topology.vertex_uv, topology.faces)
@@ -139,6 +141,23 @@ def _bounds_m(
     train = data.meshes.dense_m[data.train_frames]
     low, high = train.min((0, 1)) - MARGIN_M, train.max((0, 1)) + MARGIN_M
     return _three(low.tolist()), _three(high.tolist())
+
+
+def _view_span(data: TrainingData) -> ViewSpan:
+    """From where the cameras saw the head in training, but for the outermost hundredth of images,
+    and at least a degree to each side of the front."""
+    images = data.images
+    x, y, z = np.array(
+        [
+            view_direction(images.camera(frame, name))
+            for frame in data.train_frames
+            for name in images.cameras_of(frame)
+        ]
+    ).T
+    angles = np.degrees([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))])
+    low, high = np.percentile(angles, [1, 99], axis=1).round(1)
+    low, high = np.minimum(low, -1.0), np.maximum(high, 1.0)
+    return ViewSpan(float(low[0]), float(high[0]), float(low[1]), float(high[1]))
 
 
 def _three(values: list[float]) -> tuple[float, float, float]:

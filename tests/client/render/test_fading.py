@@ -17,7 +17,7 @@ from pica_client.render.gpu_textured import TexturedMesh
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.room import Room
 from pica_client.render.scene import Placement
-from pica_client.render.stereo import stereo_cameras
+from pica_client.render.views import stereo_cameras
 from pica_core.avatar.bust import CHIN_M, LOWEST_M, WHOLE_M, bust_of, fade_heights_m
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar, load_avatar

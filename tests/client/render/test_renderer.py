@@ -25,9 +25,10 @@ from pica_client.render.scene import (
     head_matrix,
     view_direction,
 )
-from pica_client.render.seats import ViewState, plan_camera, plan_seats
+from pica_client.render.seats import plan_seats
 from pica_client.render.shader_source import compose
 from pica_client.render.shader_weights import siren_source
+from pica_client.render.views import ViewState, plan_camera
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.camera import Camera, look_at

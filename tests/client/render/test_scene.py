@@ -21,15 +21,15 @@ from pica_client.render.scene import (
     view_direction,
 )
 from pica_client.render.seats import (
-    MAX_PITCH,
-    MAX_YAW,
-    MAX_ZOOM,
-    MIN_PITCH,
-    MIN_ZOOM,
     SHOULDERS_M,
+    plan_seats,
+)
+from pica_client.render.views import (
+    MAX_ZOOM,
+    MIN_ZOOM,
+    OrbitLimits,
     ViewState,
     plan_camera,
-    plan_seats,
 )
 from pica_core.camera import Camera
 from pica_core.types import Float64Array
@@ -37,6 +37,7 @@ from pica_core.types import Float64Array
 pytestmark = pytest.mark.unit
 
 WIDE = 16 / 9
+LIMITS = OrbitLimits()
 
 
 def arrange_seats(count: int, aspect: float = WIDE) -> tuple[Float64Array, ...]:
@@ -138,22 +139,22 @@ def test_from_inside_the_head_the_view_is_straight_ahead() -> None:
 def test_no_drag_turns_the_view_over(drags: list[tuple[float, float]]) -> None:
     view = ViewState()
     for right, down in drags:
-        view = view.orbited(right, down)
-    assert MIN_PITCH <= view.pitch <= MAX_PITCH
-    assert abs(view.yaw) <= MAX_YAW
+        view = view.orbited(right, down, LIMITS)
+    assert LIMITS.min_pitch <= view.pitch <= LIMITS.max_pitch
+    assert LIMITS.min_yaw <= view.yaw <= LIMITS.max_yaw
     view_camera(view, 5, 960, 540)
 
 
 def test_a_drag_moves_the_view_less_and_less_towards_its_limit() -> None:
     view, moved = ViewState(), []
     for _ in range(60):
-        before, view = view, view.orbited(-10, 0)
+        before, view = view, view.orbited(-10, 0, LIMITS)
         moved.append(view.yaw - before.yaw)
     assert moved[0] == pytest.approx(0.05)
     assert (np.diff(moved) <= 1e-12).all()
     assert max(-np.diff(moved)) < 0.01  # no jolt
-    assert 0.95 * MAX_YAW < view.yaw < MAX_YAW
-    assert view.orbited(10, 0).yaw == pytest.approx(view.yaw - 0.05)  # back at once
+    assert 0.95 * LIMITS.max_yaw < view.yaw < LIMITS.max_yaw
+    assert view.orbited(10, 0, LIMITS).yaw == pytest.approx(view.yaw - 0.05)  # back at once
 
 
 @given(steps=st.floats(allow_nan=False))
@@ -162,7 +163,7 @@ def test_zoom_keeps_its_limits(steps: float) -> None:
 
 
 def test_dragging_to_the_right_turns_the_scene_with_the_hand() -> None:
-    view = ViewState().orbited(100, 0)
+    view = ViewState().orbited(100, 0, LIMITS)
     camera = view_camera(view, 1, 960, 540)
     nose, _ = camera.project([0, 0, 0.1])
     middle, _ = camera.project([0, 0, 0])

@@ -10,22 +10,28 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pica_client.render.scene import NEAR_M, Rect, head_rect_px, overlap
+from pica_client.render.scene import NEAR_M, Rect, head_rect_px, overlap, view_direction
 from pica_client.render.seats import (
     LAYOUTS,
     MAX_SHOULDERS_M,
     MIN_SHOULDERS_M,
-    NEAREST_M,
     SHOULDER_DEPTH_M,
     SHOULDER_GAP_M,
     SHOULDERS_M,
     FreeShares,
     Layout,
     SeatPlan,
-    ViewState,
-    plan_camera,
     plan_seats,
 )
+from pica_client.render.views import (
+    KEPT_DEGREES,
+    NEAREST_M,
+    USUAL_SPAN,
+    ViewState,
+    orbit_limits,
+    plan_camera,
+)
+from pica_core.avatar.manifest import ViewSpan
 from pica_core.camera import Camera
 from pica_core.types import Float64Array
 
@@ -297,7 +303,7 @@ def test_the_camera_never_enters_a_head_and_sees_no_face_from_behind(
         assert np.linalg.norm(camera.centre_m - seat[:3, 3]) >= NEAREST_M - 1e-9
     seen = camera.centre_m - plan.target_m
     assert abs(math.degrees(math.atan2(seen[0], seen[2]))) <= 45.1
-    assert -26.1 <= math.degrees(math.asin(seen[1] / np.linalg.norm(seen))) <= 32.1
+    assert -26.1 <= math.degrees(math.asin(seen[1] / np.linalg.norm(seen))) <= 35.1
 
 
 def test_coming_closer_ends_softly() -> None:
@@ -369,3 +375,40 @@ def test_any_view_is_a_camera(
     camera = plan_camera(plan, ViewState(yaw=yaw, pitch=pitch, zoom=zoom), 1280, 720)
     assert np.isfinite(camera.rotation).all()
     assert float(np.linalg.norm(camera.centre_m - plan.target_m)) > NEAR_M
+
+
+spans = st.builds(
+    ViewSpan, st.floats(-90, -1), st.floats(1, 90), st.floats(-60, -1), st.floats(1, 60)
+)
+
+
+@given(layout=layouts, span=spans, yaw=st.floats(-2, 2), pitch=st.floats(-2, 2))
+def test_nobody_is_turned_further_than_their_avatar_was_seen(
+    layout: Layout, span: ViewSpan, yaw: float, pitch: float
+) -> None:
+    plan = plan_seats(layout, 3, 16 / 9)
+    limits = orbit_limits(plan, (USUAL_SPAN, span, USUAL_SPAN))
+
+    def seen(view: ViewState) -> tuple[float, float]:
+        camera = plan_camera(plan, view, 640, 360, limits)
+        x, y, z = view_direction(plan.seats[1].astype(np.float32), camera.centre_m)
+        return math.degrees(math.atan2(x, z)), math.degrees(math.asin(y))
+
+    home = seen(ViewState())
+    for view in (ViewState(yaw=yaw), ViewState(pitch=pitch)):
+        turned = seen(view)
+        for k, (low, high) in enumerate(
+            ((span.min_yaw, span.max_yaw), (span.min_pitch, span.max_pitch))
+        ):
+            assert min(low, home[k]) - 0.01 <= turned[k] <= max(high, home[k]) + 0.01
+
+
+def test_a_view_turns_as_far_as_all_avatars_allow() -> None:
+    plan = plan_seats("line", 1, 16 / 9)
+    usual, narrow = (
+        orbit_limits(plan, (span,)) for span in (USUAL_SPAN, ViewSpan(-40, 60, -30, 36))
+    )
+    assert math.degrees(usual.max_yaw) == pytest.approx(60 - KEPT_DEGREES, abs=1.01)
+    assert math.degrees(narrow.max_yaw) == pytest.approx(60 - KEPT_DEGREES, abs=1.01)
+    assert math.degrees(narrow.min_yaw) == pytest.approx(KEPT_DEGREES - 40, abs=1.01)
+    assert narrow.max_pitch == usual.max_pitch

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pica_client.render.seats import LAYOUTS, Layout, ViewState, plan_camera, plan_seats
-from pica_client.render.stereo import stereo_cameras
+from pica_client.render.seats import LAYOUTS, Layout, plan_seats
+from pica_client.render.views import ViewState, plan_camera, stereo_cameras
 from pica_core.camera import Camera
 
 pytestmark = pytest.mark.unit

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pica_client.render.seats import LAYOUTS, ViewState
+from pica_client.render.seats import LAYOUTS
+from pica_client.render.views import ViewState
 from pica_client.ui.controls import (
     BINDINGS,
     CHANGES,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from pica_core.errors import CheckpointError, TrainingDivergedError, TrainingOpt
 from pica_core.model.decoders import sample_map
 from pica_core.train.checkpoint import read_checkpoint
 from pica_core.train.config import PRESETS, TrainConfig
+from pica_core.train.data.images import view_direction
 from pica_core.train.data.training import TrainingData
 from pica_core.train.data.uv_raster import rasterise_uv
 from pica_core.train.eval.evaluate import evaluate, mean_mse
@@ -271,6 +273,11 @@ def test_an_exported_avatar_encodes_as_the_model_does(data: TrainingData, tmp_pa
         )
         with torch.no_grad():
             wanted = trainer.model.expression_encoder(data.arkit[:1])[0].permute(1, 2, 0).numpy()
+    span = avatar.manifest.view_span
+    assert span is not None
+    seen = [view_direction(data.images.camera(0, name)) for name in data.images.cameras_of(0)]
+    yaws = [math.degrees(math.atan2(x, z)) for x, _, z in seen]
+    assert span.min_yaw - 5 < min(yaws) < max(yaws) < span.max_yaw + 5
     save_avatar(tmp_path / "t.pica", avatar)
 
     latent = ExpressionEncoder(load_avatar(tmp_path / "t.pica")).encode(data.arkit[0].numpy())

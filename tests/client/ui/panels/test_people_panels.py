@@ -16,9 +16,11 @@ from pica_client.render.seats import (
     LAYOUTS,
     FreeShares,
     Layout,
+    plan_seats,
+)
+from pica_client.render.views import (
     ViewState,
     plan_camera,
-    plan_seats,
 )
 from pica_client.ui.call_view import CallView, OwnFaceView, Panel, PersonView
 from pica_client.ui.controls import (

@@ -1,0 +1,219 @@
+"""The viewer's cameras: turned and moved closer by hand, one or one for each eye. Pure geometry.
+
+    plan = plan_seats("table", 5, aspect=16 / 9)
+    limits = orbit_limits(plan, (USUAL_SPAN,) * 5)
+    view = ViewState().orbited(right_px=40, down_px=0, limits=limits)
+    camera = plan_camera(plan, view, 1280, 720, limits=limits)
+    left, right = stereo_cameras(camera, EYE_DISTANCE_M, screen_distance_m=1.2)
+
+The two eyes' cameras look the same way, half an eye distance to the left and to the right of the
+one in the middle, with their pictures shifted so that what lies as far away as the seats is at the
+same place in both: it appears at the depth of the screen, and nothing is turned inwards (which
+would shift pixels up and down between the eyes).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import astuple, dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from pica_client.render.seats import VERTICAL_FOV, SeatPlan
+from pica_core.avatar.manifest import ViewSpan
+from pica_core.camera import Camera, look_at
+from pica_core.types import Float64Array
+
+USUAL_SPAN = ViewSpan(-60.0, 60.0, -30.0, 36.0)
+"""From where an avatar may be seen whose file does not say: as from our own captures."""
+KEPT_DEGREES = 4.0
+"""Kept free of what an avatar was seen from, as people turn their heads themselves (chosen: hair at
+the far side tears 10 degrees beyond)."""
+MAX_YAW, MAX_PITCH = 70, 50
+"""Degrees that a view turns at most, whatever avatars can show (chosen: the room has no back)."""
+SOFT_SHARE = 0.4
+"""The last part of the way to a limit, over which a drag moves the view less and less."""
+NEAREST_M = 0.3
+"""The camera stays so far from the middle of any head: hair, nose, movements lie within 0.2."""
+MIN_ZOOM, MAX_ZOOM = 0.4, 12.0
+ORBIT_PER_PIXEL = 0.005
+"""Radians (chosen: half a turn is a drag over 630 pixels)."""
+ZOOM_PER_STEP = 1.1
+"""Distance ratio of one notch of the wheel."""
+EYE_DISTANCE_M = 0.063
+"""Between the pupils of an adult, on average."""
+MAX_EYE_DISTANCE_M = 0.2
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class OrbitLimits:
+    """How far a view may turn, radians about the middle of the seats; see `ViewState`."""
+
+    min_yaw: float = -math.radians(45)
+    max_yaw: float = math.radians(45)
+    min_pitch: float = -math.radians(26)
+    max_pitch: float = math.radians(26)
+
+    def __post_init__(self) -> None:
+        if not (self.min_yaw <= 0 <= self.max_yaw and self.min_pitch <= 0 <= self.max_pitch):
+            raise ValueError(f"{self} does not hold the view that nobody has turned")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ViewState:
+    """What the user has done to the view. Angles in radians, about the middle of the seats."""
+
+    yaw: float = 0.0
+    """Positive moves the camera to the right, +x."""
+    pitch: float = 0.0
+    """Positive moves the camera up."""
+    zoom: float = 1.0
+    """The camera's way to the nearest place before the heads is divided by this; below 1 its
+    distance."""
+
+    def orbited(self, right_px: float, down_px: float, limits: OrbitLimits) -> ViewState:
+        """The view after dragging the scene by so many pixels; limits are met softly."""
+        yaw, pitch = -right_px * ORBIT_PER_PIXEL, down_px * ORBIT_PER_PIXEL
+        return replace(
+            self,
+            yaw=_towards_limit(self.yaw, yaw, limits.min_yaw, limits.max_yaw),
+            pitch=_towards_limit(self.pitch, pitch, limits.min_pitch, limits.max_pitch),
+        )
+
+    def zoomed(self, steps: float) -> ViewState:
+        """The view after turning the wheel; positive comes closer."""
+        zoom = self.zoom * ZOOM_PER_STEP ** min(max(steps, -50.0), 50.0)
+        return replace(self, zoom=min(max(zoom, MIN_ZOOM), MAX_ZOOM))
+
+
+@lru_cache(maxsize=8)
+def orbit_limits(plan: SeatPlan, spans: tuple[ViewSpan, ...]) -> OrbitLimits:
+    """How far the view may turn before somebody is seen from where their avatar was not trained,
+    which is torn there. A seat that is beyond that already may not get further.
+
+    Args:
+        plan: Who sits where.
+        spans: From where the avatar of each seat may be seen.
+    """
+    bounds = np.array([astuple(span) for span in spans], np.float64).reshape(len(spans), 2, 2)
+    bounds += [KEPT_DEGREES, -KEPT_DEGREES]
+
+    def reach(yaw: float, pitch: float, most: int) -> float:
+        """How far the view may turn towards this side."""
+        fine = np.full(most + 1, fill_value=True)
+        steps = np.radians(np.arange(most + 1.0))
+        centres = [_centre(plan, ViewState(yaw=yaw * step, pitch=pitch * step)) for step in steps]
+        for seat, (low, high) in zip(plan.seats, bounds.transpose(0, 2, 1), strict=True):
+            seen = np.matmul(np.array(centres) - seat[:3, 3], seat[:3, :3])
+            up = np.arctan2(seen[:, 1], np.hypot(seen[:, 0], seen[:, 2]))
+            angles = np.degrees(np.stack([np.arctan2(seen[:, 0], seen[:, 2]), up], axis=-1))
+            within = (angles >= np.minimum(low, angles[0])) & (
+                angles <= np.maximum(high, angles[0])
+            )
+            fine &= within.all(axis=-1)
+        return float(steps[most if fine.all() else fine.argmin() - 1])
+
+    return OrbitLimits(
+        min_yaw=-reach(-1, 0, MAX_YAW),
+        max_yaw=reach(1, 0, MAX_YAW),
+        min_pitch=-reach(0, -1, MAX_PITCH),
+        max_pitch=reach(0, 1, MAX_PITCH),
+    )
+
+
+def plan_camera(
+    plan: SeatPlan, view: ViewState, width: int, height: int, limits: OrbitLimits | None = None
+) -> Camera:
+    """The viewer's camera: that of the plan, turned and moved closer as the user wants.
+
+    Args:
+        plan: Who sits where.
+        view: What the user wants.
+        width: Columns of the picture.
+        height: Rows.
+        limits: How far it may turn; see `orbit_limits`.
+    """
+    limits = limits or OrbitLimits()
+    kept = replace(
+        view,
+        yaw=min(max(view.yaw, limits.min_yaw), limits.max_yaw),
+        pitch=min(max(view.pitch, limits.min_pitch), limits.max_pitch),
+    )
+    return look_at(
+        name="viewer",
+        centre_m=_centre(plan, kept),
+        target_m=plan.target_m,
+        vertical_fov=VERTICAL_FOV,
+        width=width,
+        height=height,
+    )
+
+
+def _centre(plan: SeatPlan, view: ViewState) -> Float64Array:
+    """Where the camera of a view is, world ``[3]``."""
+    offset = plan.camera_m - plan.target_m
+    distance = float(np.linalg.norm(offset))
+    yaw = math.atan2(offset[0], offset[2]) + view.yaw
+    pitch = math.asin(offset[1] / distance) + view.pitch
+    level = math.cos(pitch)
+    direction = np.array([math.sin(yaw) * level, math.sin(pitch), math.cos(yaw) * level])
+    # The nearer the camera comes to a head, the less a notch of the wheel moves it.
+    nearest = min(_nearest_m(plan, direction), distance)
+    zoom = min(max(view.zoom, MIN_ZOOM), MAX_ZOOM)
+    distance = nearest + (distance - nearest) / zoom if zoom > 1 else distance / zoom
+    centre: Float64Array = plan.target_m + distance * direction
+    return centre
+
+
+def stereo_cameras(
+    camera: Camera, eye_distance_m: float, screen_distance_m: float
+) -> tuple[Camera, Camera]:
+    """The cameras of the left and of the right eye.
+
+    Args:
+        camera: Between the eyes; of one eye's picture.
+        eye_distance_m: Between the eyes, metres; 0 gives the same camera twice.
+        screen_distance_m: How far before the camera things appear at the depth of the screen.
+
+    Raises:
+        ValueError: A distance is out of range.
+    """
+    if not 0 <= eye_distance_m <= MAX_EYE_DISTANCE_M:
+        raise ValueError(
+            f"eye distance is {eye_distance_m:g} m; 0 to {MAX_EYE_DISTANCE_M:g} is allowed"
+        )
+    if not (np.isfinite(screen_distance_m) and screen_distance_m > 0):
+        raise ValueError(f"screen distance is {screen_distance_m:g} m; it must be above 0")
+    return (
+        _moved(camera, -eye_distance_m / 2, screen_distance_m),
+        _moved(camera, eye_distance_m / 2, screen_distance_m),
+    )
+
+
+def _towards_limit(value: float, step: float, low: float, high: float) -> float:
+    """A value after a step that shrinks on the last part of the way to a limit."""
+    way = high - value if step > 0 else value - low
+    soft = SOFT_SHARE * (high if step > 0 else -low)
+    moved = value + step * min(max(way / max(soft, 1e-9), 0.0), 1.0)
+    return min(max(moved, low), high)
+
+
+def _nearest_m(plan: SeatPlan, direction: Float64Array) -> float:
+    """From the middle of the view along a direction to where no head is nearer than `NEAREST_M`
+    from there on: the farther root of |target + t direction - head| = NEAREST_M, of all heads."""
+    if not plan.seats:
+        return NEAREST_M
+    towards = np.array([seat[:3, 3] for seat in plan.seats]) - plan.target_m
+    along = np.matmul(towards, direction)
+    inside = NEAREST_M**2 - np.square(towards).sum(axis=1) + np.square(along)
+    roots = along + np.sqrt(np.maximum(inside, 0.0))
+    return max(float(np.where(inside > 0, roots, 0.0).max()), NEAREST_M)
+
+
+def _moved(camera: Camera, right_m: float, screen_distance_m: float) -> Camera:
+    """A camera that has moved to its right, its picture shifted back."""
+    centre = camera.centre_m + right_m * camera.rotation[0]
+    intrinsics = camera.intrinsics.copy()
+    intrinsics[0, 2] += intrinsics[0, 0] * right_m / screen_distance_m
+    return replace(camera, intrinsics=intrinsics, translation_m=-np.matmul(camera.rotation, centre))
