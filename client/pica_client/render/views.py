@@ -26,7 +26,7 @@ from pica_core.camera import Camera, look_at
 from pica_core.types import Float64Array
 
 USUAL_SPAN = ViewSpan(-60.0, 60.0, -30.0, 36.0)
-"""From where an avatar may be seen whose file does not say: as from our own captures."""
+"""The directions of our own captures, for an avatar whose file does not say its own."""
 KEPT_DEGREES = 4.0
 """Kept free of what an avatar was seen from, as people turn their heads themselves (chosen: hair at
 the far side tears 10 degrees beyond)."""

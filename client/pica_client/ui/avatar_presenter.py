@@ -132,7 +132,7 @@ class _Peer:
     """Its avatar before the cameras; None until that is there."""
     shoulders_m: float = SHOULDERS_M
     span: ViewSpan = USUAL_SPAN
-    """From where its avatar may be seen."""
+    """The directions that its avatar may be seen from."""
     problem: str = ""
     """Why there is a placeholder instead of the avatar."""
     captured_us: int = 0

@@ -32,7 +32,7 @@ DRAWN_VARIANTS = tuple(name for name, row in VARIANTS.items() if row.network == 
 
 @dataclass(frozen=True, slots=True)
 class ViewSpan:
-    """From where a head was seen in training, degrees about its middle, in its own axes."""
+    """The directions that a head was seen from in training, degrees, in its own axes."""
 
     min_yaw: float
     max_yaw: float
@@ -66,7 +66,7 @@ class Manifest:
     model_card: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     """What it was trained on, with which command, how well it does; free text by key."""
     view_span: ViewSpan | None = None
-    """From where it may be seen; None in files of before that was measured."""
+    """The directions that it may be seen from; None in files of before that was measured."""
     schema_version: int = SCHEMA_VERSION
 
     def to_json(self) -> dict[str, Any]:

@@ -144,7 +144,7 @@ def _bounds_m(
 
 
 def _view_span(data: TrainingData) -> ViewSpan:
-    """From where the cameras saw the head in training, but for the outermost hundredth of images,
+    """The directions that cameras saw the head from in training, but for the outermost hundredth,
     and at least a degree to each side of the front."""
     images = data.images
     x, y, z = np.array(
