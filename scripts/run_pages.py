@@ -1,7 +1,7 @@
 """Run the commands of pages, as a reader would type them, in a new folder.
 
     python scripts/run_pages.py README.md docs/quick-start.md
-    python scripts/run_pages.py docs/tutorial.md          # trains; half an hour on a slow machine
+    python scripts/run_pages.py docs/tutorial.md          # trains very little; a minute
 
 Every ``sh`` block of a page is run in order, and a command that fails ends the run. A comment in
 front of a block changes that:

@@ -3,10 +3,10 @@
     python scripts/window_pictures.py OUT [COLUMNSxROWS[@SCALE] ...]
 
 Needs Xvfb, xdotool and xprop. For each size it starts an X server, a relay, five people with names
-in six scripts, two who only watch, one who encrypts and one whose avatar nobody has; then it runs
-`pica view` with an invite link, as a process of its own, and moves and clicks the pointer of the X
-server. Where buttons are is noted by the window's process as it draws them. Pictures are taken of
-the screen: OUT/NAME-COLUMNSxROWS@SCALE.png.
+in six scripts, two of one name who only watch, one who encrypts and one whose avatar nobody has;
+then it runs `pica view` with an invite link, as a process of its own, and moves and clicks the
+pointer of the X server. Where buttons are is noted by the window's process as it draws them.
+Pictures are taken of the screen: OUT/NAME-COLUMNSxROWS@SCALE.png.
 """
 
 from __future__ import annotations
@@ -201,7 +201,7 @@ def room_of_people(children: Children) -> Iterator[tuple[Child, str]]:
     start_sender(children, url, "Nobody's friend", avatars[-1], "talk", *encrypts)
     start_sender(children, url, "Mina of nowhere", str(unknown), "talk")
     with ExitStack() as stack:
-        for name in ("Watching Wanda", "Watching Walter"):
+        for name in ("Watching Wanda", "Watching Wanda"):
             link = LinkConfig(url=url, room=ROOM, name=name, connect_timeout_s=20)
             stack.enter_context(Receiver(link, Call(library)))
         yield relay, url
