@@ -11,7 +11,7 @@ import numpy as np
 
 from helpers.head_checks import POKE_MM, SMALL_MM2, front_depth
 from pica_core.capture.dataset.multiface import MATERIALS
-from pica_core.capture.rig.features import Limits, find_features
+from pica_core.capture.rig.features import LidGuard, Limits, find_features
 from pica_core.capture.rig.mesh import RigMesh
 from pica_core.types import BoolArray, Float64Array, FloatArray, Int64Array, IntArray
 
@@ -49,7 +49,7 @@ class MeshChecks:
     def __init__(self, mesh: RigMesh) -> None:
         features = find_features(mesh)
         part = features.part
-        self._limits = Limits(mesh, features)
+        self._limits, self._guard = Limits(mesh, features), LidGuard(mesh)
         self._rest = 1000 * mesh.rest_m
         moving = np.abs(mesh.motion_m).max((1, 2)) > 0
         self._shapes = np.flatnonzero(moving)
@@ -88,7 +88,10 @@ class MeshChecks:
     def pose(self, arkit: Float64Array) -> Float64Array:
         """Vertices at the 52 shapes, millimetres ``[P, 3]``."""
         values = self._limits.apply(arkit)
-        return self._rest + (values[self._shapes] @ self._motion).reshape(-1, 3)
+        points = self._rest + (values[self._shapes] @ self._motion).reshape(-1, 3)
+        points /= 1000
+        self._guard.apply(points)
+        return 1000 * points
 
     def _folds(self, points: Float64Array) -> BoolArray:
         a, b, c = (points[self._outer[:, k]] for k in range(3))

@@ -95,6 +95,9 @@ class LossConfig:
     """Weight of the normal loss (paper 1)."""
     mesh: float = 0.1
     """Weight of the mesh loss (paper 0.1)."""
+    chroma: float = 4.0
+    """How much more differences of hue and saturation count than those of brightness in the image
+    loss (paper 0): a face is nearly of one hue, and its lips and tongue are what is missed."""
     smooth: float = 0.0
     """Weight of smoothness (paper 1)."""
     gradient: float = 1.0
@@ -246,7 +249,9 @@ class TrainConfig:
             raise CheckpointError(f"options of another version: {error}") from error
 
 
-PAPER_LOSSES = LossConfig(depth=10.0, normal=1.0, smooth=1.0, region_weight=1.0, lid_weight=1.0)
+PAPER_LOSSES = LossConfig(
+    chroma=0.0, depth=10.0, normal=1.0, smooth=1.0, region_weight=1.0, lid_weight=1.0
+)
 """The paper's weights (section 5 and appendix A.2), no region above another."""
 
 PRESETS: dict[str, TrainConfig] = {

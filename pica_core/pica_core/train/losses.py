@@ -23,6 +23,7 @@ DEPTH_LIMIT_M = 0.010
 """Depth that is further off teaches nothing (paper 5): it is a hole, an outlier, or another
 surface."""
 MILLIMETRES = 1000.0
+LUMA = (0.299, 0.587, 0.114)
 _LEAST_SQUARE = 1e-12
 """Keeps the root of a mean square differentiable where everything is smooth, square mm."""
 
@@ -50,15 +51,20 @@ def equal_shares(
     return counted / (num_images * counts.clamp_min(1))[image]
 
 
-def image_loss(predicted: Tensor, observed: Tensor, share: Tensor) -> Tensor:
+def image_loss(predicted: Tensor, observed: Tensor, share: Tensor, chroma: float = 0.0) -> Tensor:
     """Mean squared difference of colours, where 1.0 is 255 of 8-bit sRGB.
 
     Args:
         predicted: ``[P, 3]``.
         observed: ``[P, 3]``.
         share: From `equal_shares`, ``[P]``.
+        chroma: How much more what is left of the difference counts when that of the luma (ITU-R
+            BT.601) is taken off.
     """
-    return ((predicted - observed).square().mean(1) * share).sum()
+    difference = predicted - observed
+    luma = torch.matmul(difference, difference.new_tensor(LUMA))[:, None]
+    squares = difference.square() + chroma * (difference - luma).square()
+    return (squares.mean(1) * share).sum()
 
 
 def depth_mask(predicted_m: Tensor, observed_m: Tensor, limit_m: float = DEPTH_LIMIT_M) -> Tensor:

@@ -169,7 +169,7 @@ class Objectives:
             )
         with self.stopwatch("loss"):
             share = equal_shares(drawn.surface.image, len(frames))
-            losses = {"image": weights.image * image_loss(colours, observed, share)}
+            losses = {"image": weights.image * image_loss(colours, observed, share, weights.chroma)}
             losses |= self._depth(images, drawn)
             losses["mesh"] = self._mesh(mesh, frames)
             losses |= self._priors(mesh, kl)

@@ -50,6 +50,10 @@ def test_the_image_loss_of_one_colour_step_is_its_square() -> None:
     black, grey = torch.zeros(7, 3), torch.full((7, 3), 0.5)
 
     assert float(losses.image_loss(grey, black, one_image(7))) == pytest.approx(0.25)
+    assert float(losses.image_loss(grey, black, one_image(7), 4.0)) == pytest.approx(0.25)
+    red = grey * torch.tensor([1.0, 0.0, 0.0])  # two thirds of it is hue, 0.299 of it luma
+    plain, weighed = (float(losses.image_loss(red, black, one_image(7), w)) for w in (0.0, 1.0))
+    assert weighed - plain == pytest.approx(0.25 * (0.701**2 + 2 * 0.299**2) / 3)
 
 
 def test_the_image_loss_agrees_with_a_loop() -> None:

@@ -10,23 +10,14 @@ from dataclasses import replace
 import numpy as np
 
 from pica_core.avatar.arkit import ARKIT_INDEX
-from pica_core.capture.rig.features import LID_M, Features
+from pica_core.capture.rig.features import FORWARD, LID_M, STEPS, Features, lean_of, surface_of
 from pica_core.capture.rig.mesh import Eyeball, RigMesh
 from pica_core.types import Float64Array, FloatArray, Int64Array
 
 OVERLAP_M = 0.0004
 """How far lids of a closed eye go past each other: their picture meets."""
-ROOM_M, MOVING_ROOM_M = 0.0003, 0.0013
-"""Least distance of a lid from the eyeball; a lid that moves takes the chord of its way, half-way
-of which is nearer than both ends."""
-MOVES_M = 0.003
-"""What moves so far is a lid that moves."""
-NEAR, GAZE = 0.14, 0.5
-"""Angles, radians: within which an eyeball's surface is taken as level, and that a cornea moves by
-under a lid."""
-MOVERS = ("eyeBlink", "eyeLookDown", "eyeLookUp", "eyeLookIn", "eyeLookOut", "eyeSquint", "eyeWide",
-          "cheekSquint")  # fmt: skip
-"""Shapes that move lids."""
+ROOM_M = 0.0003
+"""Least distance of a lid from the eyeball at rest; `LidGuard` keeps it in every pose."""
 LIP_REACH_M, LIP_DEEP_M, LIP_GAP_M = 0.006, 0.008, 0.006
 """How far from the line of contact skin goes along with a lip; how deep behind it lips may touch;
 what opening is closed at most."""
@@ -40,41 +31,21 @@ def close_lids(mesh: RigMesh, features: Features) -> RigMesh:
         offset = rest[skin] - eye.centre_m
         far = np.linalg.norm(offset, axis=1)
         near = skin[(far < 1.9 * eye.radius_m) & (offset[:, 2] > 0)]
-        rest[near] += _out(rest[near], eye, rest, np.full(len(near), ROOM_M), moving=False)
-        for name in MOVERS:
-            shape = ARKIT_INDEX[f"{name}{'Left' if eye.side > 0 else 'Right'}"]
-            move = motion[shape, near].astype(np.float64)
-            if name == "eyeBlink":
-                move *= _farther(rest, motion[shape], near, features)[:, None]
-            share = np.clip(np.linalg.norm(move, axis=1) / MOVES_M, 0.0, 1.0)
-            room = ROOM_M + (MOVING_ROOM_M - ROOM_M) * share
-            moved = rest[near] + move
-            out = _out(moved, eye, rest, room, moving=True)
-            motion[shape, near] = (move + out).astype(np.float32)
+        rest[near] += _out(rest[near], eye, rest)
+        blink = motion[ARKIT_INDEX["eyeBlinkLeft" if eye.side > 0 else "eyeBlinkRight"]]
+        blink[near] *= _farther(rest, blink, near, features)[:, None]
     return replace(mesh, rest_m=rest, motion_m=motion)
 
 
-def _out(
-    points: Float64Array,
-    eye: Eyeball,
-    rest: Float64Array,
-    room_m: Float64Array,
-    *,
-    moving: bool,
-) -> Float64Array:
-    """What brings points out of an eyeball ``[n, 3]``; under a lid that moves it may look aside."""
+def _out(points: Float64Array, eye: Eyeball, rest: Float64Array) -> Float64Array:
+    """What brings points out of an eyeball ``[n, 3]``."""
+    widest = surface_of(*lean_of(rest[eye.vertices] - eye.centre_m, FORWARD))
     offset = points - eye.centre_m
-    far = np.maximum(np.linalg.norm(offset, axis=1), 1e-9)
-    ball = rest[eye.vertices] - eye.centre_m
-    reach = np.linalg.norm(ball, axis=1)
-    steps = np.radians(np.arange(0, 95, 5))
-    lean = np.arccos(np.clip(ball[:, 2] / np.maximum(reach, 1e-9), -1, 1))
-    near = NEAR + (GAZE if moving else 0.0)
-    widest = [reach[np.abs(lean - step) < near].max(initial=0.0) for step in steps]
-    surface = np.interp(np.arccos(np.clip(offset[:, 2] / far, -1, 1)), steps, widest)
+    at, far = lean_of(offset, FORWARD)
+    surface = np.interp(at, STEPS, widest)
     # What lies deep inside is the lid's own lining, which nobody sees.
-    lack = np.where(far > surface - 0.004, np.maximum(surface + room_m - far, 0.0), 0.0)
-    return offset / far[:, None] * lack[:, None]
+    lack = np.where(far > surface - 0.004, np.maximum(surface + ROOM_M - far, 0.0), 0.0)
+    return offset / np.maximum(far, 1e-9)[:, None] * lack[:, None]
 
 
 def _farther(

@@ -14,7 +14,7 @@ from pica_core.capture.dataset.files import Topology
 from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.chart import make_islands, mend_islands, pack
 from pica_core.capture.rig.drawn import PackedChart
-from pica_core.capture.rig.features import Features, Limits, find_features
+from pica_core.capture.rig.features import Features, LidGuard, Limits, find_features
 from pica_core.capture.rig.gltf import read_glb
 from pica_core.capture.rig.mesh import RigMesh, build_mesh
 from pica_core.capture.rig.names import NameMap, map_names
@@ -125,6 +125,7 @@ class RigHead:
         self._shapes = np.flatnonzero(moving)
         self._motion = mesh.motion_m[self._shapes][:, source].reshape(len(self._shapes), -1)
         self._limits = Limits(mesh, self.features)
+        self._guard = LidGuard(mesh, source)
         self._turns = self._find_turns()
 
     @property
@@ -163,6 +164,7 @@ class RigHead:
         points: FloatArray = self._rest + (values[self._shapes] @ self._motion).reshape(-1, 3)
         for eye in self._turns:
             points[eye.vertices] = _turned(eye, values)
+        self._guard.apply(points)
         return points
 
     def normals(self, vertices: FloatArray) -> FloatArray:

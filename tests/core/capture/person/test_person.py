@@ -162,6 +162,9 @@ def test_no_triangle_of_a_full_beard_turns_over_at_rest(model: FaceModel) -> Non
     checks = MeshChecks(mesh)
     assert checks.folded_at_rest.sum() == 0
     assert checks.faults(blend(eyeLookDown=1.0)).eyes == 0
+    for blink in (0.2, 0.4, 0.6, 0.8):
+        for gaze in ({}, {"eyeLookUp": 0.6}, {"eyeLookOut": 0.6}, {"eyeSquint": 0.7}):
+            assert checks.faults(blend(eyeBlink=blink, **gaze)).eyes == 0
 
 
 @needs_ict
