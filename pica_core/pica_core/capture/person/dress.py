@@ -26,6 +26,9 @@ BEARDS: dict[str, tuple[float, float, float]] = {
 """Moustache, share of the cheeks, and thickness in millimetres."""
 CAVITY_Z = 0.055
 """Depth of the middle of the mouth's cavity, metres."""
+FAST_M, FREE_M = 0.003, 0.015
+"""Skin so near to hanging hair or clothes stays where it is at rest, and from where on it moves as
+ever: neither of them moves, and skin would come through."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -75,7 +78,11 @@ def dress(mesh: RigMesh, person: Person) -> Dressed:
         hairs[:, 1:4] *= 0.05
     facial = beard > 0.02
     hairs[facial, 1:4] = [0.0, -0.9, 0.45]
-    mesh = _without(replace(mesh, rest_m=raised), under)
+    layers = [cloth.points] if sheet is None else [cloth.points, sheet.points]
+    _, apart = nearest(raised, np.concatenate(layers))
+    free = np.where(skin, smooth((apart - FAST_M) / (FREE_M - FAST_M)), 1.0)
+    motion = mesh.motion_m * free.astype(np.float32)[:, None]
+    mesh = _without(replace(mesh, rest_m=raised, motion_m=motion), under)
     mesh = _add(mesh, cloth, "collar")
     hairs, strand = _longer(hairs, len(cloth.points)), _longer(strand, len(cloth.points))
     if sheet is not None:
