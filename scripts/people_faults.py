@@ -3,8 +3,9 @@
 python scripts/people_faults.py --facekit ICT-FaceKit [--seeds 20] [--combinations 1000]
     [--recording FILE.csv] [--first 0] [--worst FOLDER]
 
-Every person is posed at each of the 52 shapes at 1 and at combinations: half of them from takes as
-training has them, half (evenly spread) from a real Live Link Face recording, where one is given.
+Every person is posed at each of the 52 shapes at 1, at 25 blinks that are half-way, and at
+combinations: half of them from takes as training has them, half (evenly spread) from a real Live
+Link Face recording, where one is given.
 Nothing is drawn, but for the worst pose of each kind with `--worst`. Prints a row per seed.
 """
 
@@ -27,7 +28,7 @@ from pica_core.capture.person.model import FaceModel, read_model
 from pica_core.capture.person.subject import PersonSubject
 from pica_core.capture.rig.mesh import build_mesh
 from pica_core.capture.rig.names import map_names
-from pica_core.capture.stage.expressions import sample_takes
+from pica_core.capture.stage.expressions import blend, sample_takes
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
@@ -35,6 +36,15 @@ from helpers.mesh_faults import MeshChecks
 
 SEED = 7
 KINDS = ("folded", "eyes", "teeth", "through")
+
+
+def half_blinks() -> npt.NDArray[np.float64]:
+    """Lids on their way, over eyes that look ahead, up, down and aside, and squint. ``[25, 52]``"""
+    also: tuple[dict[str, float], ...] = (
+        {}, {"eyeLookUp": 0.6}, {"eyeLookDown": 0.6}, {"eyeLookOut": 0.6}, {"eyeSquint": 0.7},
+    )  # fmt: skip
+    closed = (0.2, 0.35, 0.5, 0.65, 0.8)
+    return np.stack([blend(eyeBlink=share, **more) for share in closed for more in also])
 
 
 def combinations(count: int, recording: Path | None) -> npt.NDArray[np.float64]:
@@ -53,14 +63,16 @@ def count(model: FaceModel, seed: int, mixed: npt.NDArray[np.float64], worst: Pa
     source = model.person(person.coefficients)
     mesh = dress(build_mesh(source, map_names(list(source.shapes))), person).mesh
     checks = MeshChecks(mesh)
-    poses = np.concatenate([np.eye(NUM_ARKIT), mixed])
+    groups = (np.eye(NUM_ARKIT), half_blinks(), mixed)
+    poses = np.concatenate(groups)
     found = [checks.faults(each) for each in poses]
     table = np.array([[getattr(each, kind) for kind in KINDS] for each in found])
-    sums = [" + ".join(map(str, part.sum(0))) for part in (table[:NUM_ARKIT], table[NUM_ARKIT:])]
+    ends = np.cumsum([len(group) for group in groups])
+    sums = [" + ".join(map(str, part.sum(0))) for part in np.split(table, ends[:-1])]
     look = f"{person.hair}, {person.beard}, {person.clothes}"
-    bad = int((table[NUM_ARKIT:].sum(1) > 0).sum())
+    bad = int((table[ends[-2] :].sum(1) > 0).sum())
     at_rest = int(checks.folded_at_rest.sum())
-    print(f"| {seed} | {look} | {at_rest} | {sums[0]} | {sums[1]} | {bad} |", flush=True)
+    print(f"| {seed} | {look} | {at_rest} | {' | '.join(sums)} | {bad} |", flush=True)
     shapes = table[:NUM_ARKIT]
     for k, kind in enumerate(KINDS):
         names = {ARKIT_NAMES[j]: int(shapes[j, k]) for j in np.flatnonzero(shapes[:, k])}
@@ -104,9 +116,9 @@ def main() -> None:
     kinds = "folds + eyes + teeth + skin through"
     print(
         f"| seed | hair, beard, clothes | folded at rest | full shapes: {kinds} "
-        "| combinations: the same | combinations with a fault |"
+        "| half blinks | combinations | combinations with a fault |"
     )
-    print("|---|---|---|---|---|---|")
+    print("|---|---|---|---|---|---|---|")
     for seed in range(options.first, options.first + options.seeds):
         count(model, seed, mixed, options.worst)
 
