@@ -55,8 +55,6 @@ PART_MAP_SIZE = 1024
 SAMPLES_PER_TEXEL = 3
 GROWN_TEXELS = 16
 """How far charts of the map of parts bleed: a coarse mesh reaches a little beyond them."""
-SAME_UV = 1e-3
-"""How far texture coordinates of avatar and truth may lie apart."""
 WEBCAM = "webcam"
 """The stage in which a webcam's networks look at the drawn head."""
 POKE_COLOUR = (255, 0, 255)
@@ -221,33 +219,29 @@ def _subject(config: DriveBenchConfig, avatar: Avatar) -> Subject:
         raise OptionError(
             f"avatar {identity!r} is of no built-in head; name its --rig, or --person and --facekit"
         )
-    if same_vertices(avatar.tensors["mesh.vertex_uv"], subject.topology.vertex_uv) is None:
+    if same_vertices(avatar.tensors["mesh.faces"], subject.topology.faces) is None:
         raise OptionError(f"avatar {identity!r} has another mesh than {subject.name!r}")
     return subject
 
 
-def same_vertices(uv: FloatArray, wanted: FloatArray) -> IntArray | None:
+def same_vertices(faces: IntArray, wanted: IntArray) -> IntArray | None:
     """The vertex of the truth at each vertex of an avatar, whose bases may have reordered them.
 
+    An avatar keeps the triangles of its capture in their order; texture coordinates say nothing,
+    for another version of us may have packed the chart otherwise.
+
     Args:
-        uv: Texture coordinates of the avatar's vertices. float32 ``[V, 2]``.
-        wanted: Of the truth's. float32 ``[V, 2]``.
+        faces: The avatar's triangles, int32 ``[F, 3]``, which use all of its vertices.
+        wanted: The truth's.
 
     Returns:
-        int32 ``[V]``; None if they are not the same within `SAME_UV`.
+        int32 ``[V]``; None if they are not the same.
     """
-    if uv.shape != wanted.shape:
+    if faces.shape != wanted.shape or faces.max() != wanted.max():
         return None
-    if np.abs(uv - wanted).max() <= SAME_UV:
-        return np.arange(len(uv), dtype=np.int32)
-    along = np.argsort(wanted[:, 0], kind="stable")
-    first, last = (np.searchsorted(wanted[along, 0], uv[:, 0] + by) for by in (-SAME_UV, SAME_UV))
-    found = np.zeros(len(uv), np.int32)
-    for vertex, (start, end) in enumerate(zip(first.tolist(), last.tolist(), strict=True)):
-        if start < end:
-            near = along[start:end]
-            found[vertex] = near[np.square(wanted[near] - uv[vertex]).sum(1).argmin()]
-    return found if np.abs(wanted[found] - uv).max() <= SAME_UV else None
+    found = np.zeros(faces.max() + 1, np.int32)
+    found[faces] = wanted
+    return found if np.array_equal(found[faces], wanted) else None
 
 
 def _draw_truth(subject: Subject, arkit: FloatArray, config: DriveBenchConfig) -> _Truth:
@@ -265,14 +259,16 @@ class _Comparison:
 
     def __init__(self, avatar: Avatar, topology: Topology, renderer: FaceRenderer) -> None:
         self._avatar, self._renderer = avatar, renderer
-        self._parts = part_map(topology)
         self._used = {
             level: np.unique(avatar.level_faces(level)) for level in avatar.levels[:-1]
         } | {avatar.levels[-1]: np.arange(len(topology.vertex_uv))}
-        order = same_vertices(avatar.tensors["mesh.vertex_uv"], topology.vertex_uv)
+        order = same_vertices(avatar.tensors["mesh.faces"], topology.faces)
         assert order is not None  # `_subject` has looked
         self._order = order
-        self._regions = {name: topology.regions[name][order] for name in REGIONS}
+        regions = {name: mask[order] for name, mask in topology.regions.items()}
+        self._regions = {name: regions[name] for name in REGIONS}
+        uv, faces = (avatar.tensors[f"mesh.{name}"] for name in ("vertex_uv", "faces"))
+        self._parts = part_map(Topology(vertex_uv=uv, faces=faces, regions=regions))
 
     def __call__(self, latent: FloatArray, level: int, truth: _Truth) -> _Shown:
         """One moment at a level."""
