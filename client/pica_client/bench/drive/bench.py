@@ -83,10 +83,10 @@ class DriveBenchConfig:
     image_size: int = 320
     """Rows and columns of each picture, pixels."""
     worst: Path | None = None
-    """Folder for pictures of the worst moments: truth, avatar, and their difference, in magenta
-    where something pokes out."""
+    """Folder for the worst pictures: truth, avatar, and their difference, in magenta where
+    something pokes out."""
     num_worst: int = 4
-    """How many worst moments of each source and level."""
+    """How many of most error, and how many in which most pokes out, of each source and level."""
 
     def __post_init__(self) -> None:
         check_ranges(
@@ -112,13 +112,13 @@ class _Truth(NamedTuple):
 
 
 class _Shown(NamedTuple):
-    """One moment as an avatar shows it: errors by view, and truth, avatar and difference of the
-    worst view, ``[H, 3 W, 3]``."""
+    """One moment as an avatar shows it: errors by view, and truth, avatar and difference of each
+    view, ``[H, 3 W, 3]``."""
 
     mse: list[float]
     poke_ratio: list[float]
     region_mm: dict[str, float]
-    picture: Image
+    pictures: list[Image]
 
 
 def run_drive_bench(config: DriveBenchConfig, avatars: Sequence[Avatar]) -> dict[str, Any]:
@@ -284,7 +284,7 @@ class _Comparison:
             marked = np.where(where[..., None], POKE_COLOUR, apart).astype(np.uint8)
             pictures.append(np.hstack([image, laid, marked]))
         region_mm = self._region_errors(surfaces[0].position_map, level, truth.vertices_m)
-        return _Shown(errors, pokes, region_mm, pictures[int(np.argmax(errors))])
+        return _Shown(errors, pokes, region_mm, pictures)
 
     def _region_errors(
         self, position_map: FloatArray, level: int, truth_m: FloatArray
@@ -343,15 +343,19 @@ def _write_worst(
     moments: Sequence[int],
     count: int,
 ) -> None:
-    """A sheet of the moments of the largest errors, the worst first."""
-    worst = np.argsort([-max(each.mse) for each in shown])[:count]
-    height = shown[0].picture.shape[0]
-    sheet = Pillow.fromarray(np.vstack([shown[index].picture for index in worst]))
+    """A sheet of the pictures of the largest errors, then of those in which most pokes out, the
+    worst first."""
+    mse, poke = (
+        np.array([getattr(each, name) for each in shown]) for name in ("mse", "poke_ratio")
+    )
+    worst = np.concatenate([np.argsort(-of.ravel())[:count] for of in (mse, poke)])
+    seen = [divmod(int(place), len(VIEWS)) for place in dict.fromkeys(worst.tolist())]
+    sheet = Pillow.fromarray(np.vstack([shown[index].pictures[view] for index, view in seen]))
     pen = ImageDraw.Draw(sheet)
-    for row, index in enumerate(worst):
-        mse, poke = max(shown[index].mse), max(shown[index].poke_ratio)
-        words = f"{moments[index] / FPS:.2f} s  MSE {mse:.1f}  poke {poke:.3%}"
-        pen.text((4, row * height + 2), words, fill=(255, 255, 255))
+    for row, (index, view) in enumerate(seen):
+        words = f"{moments[index] / FPS:.2f} s  MSE {mse[index, view]:.1f}"
+        words += f"  poke {poke[index, view]:.3%}"
+        pen.text((4, row * sheet.height // len(seen) + 2), words, fill=(255, 255, 255))
     name = "-".join(Path(f"{value}").stem.replace(":", "-") for value in about.values())
     with writing(folder / f"{name}.png"):
         sheet.save(folder / f"{name}.png")

@@ -19,13 +19,14 @@ from pica_core.avatar.file import Avatar
 from pica_core.avatar.levels import JUDGED, NUM_DRAWINGS
 from pica_core.camera import Camera
 from pica_core.capture.stage.dome import NAMED_VIEWS, dome_cameras
+from pica_core.capture.triangles import nearest
 from pica_core.model.decoders import sample_map
 from pica_core.reference.face_errors import poking
 from pica_core.reference.pixel import decode_pixels
 from pica_core.train.lod.exits import FaceSet
 from pica_core.train.lod.simplify import weld
 from pica_core.train.rasterise import Rasteriser, interpolate
-from pica_core.types import Array, BoolArray, FloatArray, IntArray
+from pica_core.types import Array, BoolArray, ByteArray, FloatArray, IntArray
 
 SHOWN: tuple[dict[str, float], ...] = (
     {},
@@ -43,6 +44,11 @@ IMAGE_SIZE = 384
 """Rows of a picture; heads are about 350 high."""
 LEAST_SHARE = 0.3
 """A vertex belongs to eyes or mouth if it moves by so much of what the most moved one does."""
+
+POKE_VIEWS = (*VIEWS, "right")
+POKE_REACH_M = 0.006
+"""How far around a pixel that pokes through vertices are taken to be at fault (chosen: the distance
+of vertices of a collar)."""
 
 SEEN_SIZE = 768
 """Rows of the pictures that tell which vertices can be seen."""
@@ -106,6 +112,49 @@ def seen_vertices(shapes_m: Array, faces: Array) -> BoolArray:
     return seen
 
 
+class PokeFinder:
+    """Says where a coarser mesh lets one piece of a mesh show through another, and which vertices
+    are at fault.
+
+    Args:
+        shapes_m: The mesh at rest, then in other faces, metres, ``[K, V, 3]``.
+        faces: Its triangles, int32 ``[F, 3]``.
+    """
+
+    def __init__(self, shapes_m: Array, faces: Array) -> None:
+        self._shapes_m = np.ascontiguousarray(shapes_m, np.float32)
+        self._faces, self._piece = faces, _pieces(shapes_m[0], faces)
+        self._truth = list(self._draw(faces))
+
+    def find(self, mesh: Array) -> tuple[float, BoolArray]:
+        """Compare a mesh of the same vertices, int32 ``[F', 3]``, with the full one.
+
+        Returns:
+            The largest ratio of a head's pixels that poke through in a picture; and the vertices
+            within `POKE_REACH_M` of such a pixel, of the piece that shows and of the one that
+            should, bool ``[V]``.
+        """
+        most, near = 0.0, np.zeros(len(self._piece), bool)
+        for (shape_m, ids), (_, true_ids) in zip(self._draw(mesh), self._truth, strict=True):
+            shown = _pieces_of(self._piece, mesh, ids)
+            truth = _pieces_of(self._piece, self._faces, true_ids)
+            where = poking(shown, truth)
+            if where.any():
+                most = max(most, float(where.sum() / (truth > 0).sum()))
+                pixel, apart_m = nearest(shape_m, shape_m[self._faces[true_ids[where]]].mean(1))
+                at_fault = (self._piece == shown[where][pixel]) | (
+                    self._piece == truth[where][pixel]
+                )
+                near |= at_fault & (apart_m <= POKE_REACH_M)
+        return most, near
+
+    def _draw(self, mesh: Array) -> Iterator[tuple[FloatArray, IntArray]]:
+        with Rasteriser(mesh.astype(np.int32), len(self._piece)) as raster:
+            for shape_m in self._shapes_m:
+                for camera in _cameras(POKE_VIEWS):
+                    yield shape_m, raster.triangle_ids(shape_m, camera)
+
+
 class Judge:
     """Compares drawings of an avatar with its full level.
 
@@ -137,7 +186,7 @@ class Judge:
             is_part = [mask[corner] & (ids >= 0) for mask in regions]
             rest = (ids >= 0) & ~np.logical_or.reduce(is_part)
             self._region.append((*is_part, rest))
-        self._shown = [self._pieces_of(faces, ids) for _, ids in self._truth]
+        self._shown = [_pieces_of(self._piece, faces, ids) for _, ids in self._truth]
 
     def compare(self, mesh: Array, vertices_m: Array | None, maps: Tensor | None) -> Array:
         """What a drawing leaves: MSE 0-255 of eyes, mouth and the rest, and the ratio that pokes.
@@ -160,12 +209,10 @@ class Judge:
             for part, mask in enumerate(self._region[number]):
                 sums[part] += error[mask & both].sum()
                 counts[part] += (mask & both).sum()
-            sums[-1] += poking(self._pieces_of(mesh, ids), self._shown[number]).sum()
+            pieces = _pieces_of(self._piece, mesh, ids)
+            sums[-1] += poking(pieces, self._shown[number]).sum()
             counts[-1] += (true_ids >= 0).sum()
         return sums / np.maximum(counts, 1)
-
-    def _pieces_of(self, faces: Array, ids: IntArray) -> Array:
-        return np.where(ids < 0, 0, self._piece[faces[np.maximum(ids, 0), 0]]).astype(np.uint8)
 
     def _draw(
         self, faces: Array, vertices_m: Array, maps: Tensor
@@ -199,9 +246,14 @@ def judge_levels(
     return table
 
 
-def _cameras() -> list[Camera]:
+def _cameras(views: tuple[str, ...] = VIEWS) -> list[Camera]:
     cameras = dome_cameras(5, IMAGE_SIZE, IMAGE_SIZE)
-    return [camera for camera in cameras if camera.name in VIEWS]
+    return [camera for camera in cameras if camera.name in views]
+
+
+def _pieces_of(piece: Array, faces: Array, ids: IntArray) -> ByteArray:
+    """The piece of the triangle that each pixel shows, 0 where none is."""
+    return np.where(ids < 0, 0, piece[faces[np.maximum(ids, 0), 0]]).astype(np.uint8)
 
 
 def _tensor(latents: Array) -> Tensor:

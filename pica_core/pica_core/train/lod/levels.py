@@ -33,7 +33,14 @@ from pica_core.train.lod.exits import (
     fit_convolution,
     fit_sheet,
 )
-from pica_core.train.lod.judge import Judge, judge_levels, looked_at, seen_vertices, shown_faces
+from pica_core.train.lod.judge import (
+    Judge,
+    PokeFinder,
+    judge_levels,
+    looked_at,
+    seen_vertices,
+    shown_faces,
+)
 from pica_core.train.lod.simplify import Simplifier
 from pica_core.types import Array
 
@@ -44,12 +51,22 @@ MORE_OF = ("eyeBlinkLeft", "eyeBlinkRight", "jawOpen")
 """Faces are drawn the more often the more of these they show: rare, large, and looked at."""
 LEAST_CHANCE = 0.2
 """Chance of a face that shows nothing of them, where the most has 1.2."""
-IMPORTANCE = (30.0, 6.0)
+IMPORTANCE = (80.0, 6.0)
 """How much errors of a mesh count at eyes and at a mouth, where they count 1 elsewhere (measured on
-one head: docs/levels.md)."""
+three heads: docs/levels.md)."""
+MENDINGS = 3
+"""How often meshes are made anew because one piece pokes through another."""
+GOOD_POKE = 1e-4
+"""Ratio of a picture's pixels that may poke through before a mesh is made anew."""
+MENDED = (4.0, 300.0)
+"""How many times more errors count each time where something pokes through, and at most."""
+POKE_SHAPES = 24
+"""Faces in which meshes are looked at for what pokes through."""
 UNSEEN = 0.1
 """How much errors of a mesh count where no view sees it: triangles are spent where they show (with
 a fiftieth, necks poke through collars: docs/levels.md)."""
+STRONG_SHAPES = 8
+"""Faces far from rest in which a mesh is to keep its looks."""
 METRIC_FACES = 6
 """Faces that the slope of the pixel decoder is averaged over."""
 
@@ -64,9 +81,9 @@ class LevelOptions:
     """Performances of each kind to draw them from."""
     points: int = 24_000
     """Points of the surface at which colours are compared."""
-    mesh_ratios: tuple[float, ...] = (0.22, 0.28)
+    mesh_ratios: tuple[float, ...] = (0.22, 0.35)
     """Triangles of the levels' meshes, the coarsest first, as shares of the full mesh (chosen: with
-    0.16 collars and nostrils of people tear at heads 300 pixels high: docs/levels.md)."""
+    0.16 nostrils of people tear at heads 300 pixels high: docs/levels.md)."""
     texels: tuple[int, ...] = (2, 1)
     """Texels of the trunk per vertex, the coarsest level first (chosen: at 64, which weak machines
     draw most of the time, one leaves 0.063 mm and two 0.042, and half of what pokes out; at 128 one
@@ -146,9 +163,10 @@ def add_levels(
     levels = level_sizes(avatar.spec)[:-1]
     regions = looked_at(bare, vertices_of)
     importance = 1 + (np.array(IMPORTANCE) - 1) @ np.stack(regions)
-    shapes_m = surface.moving_vertices_m
+    shapes_m = surface.moving_vertices_m[: 1 + STRONG_SHAPES]
     importance[~seen_vertices(shapes_m, avatar.tensors["mesh.faces"])] *= UNSEEN
-    meshes = _simplify(bare, shapes_m, importance, options)
+    pokes = PokeFinder(surface.moving_vertices_m, avatar.tensors["mesh.faces"])
+    meshes = _simplify(bare, shapes_m, importance, options, pokes)
     reports = []
     seen, drawn = shown_faces(bare), []
     for level, mesh, texels in zip(
@@ -212,7 +230,8 @@ class _Surface:
     """What is known of the full model's surface over the faces.
 
     Attributes:
-        moving_vertices_m: Vertices at rest, and in some faces far from it, ``[K, V, 3]``.
+        moving_vertices_m: Vertices at rest, and in some faces far from it and from each other, the
+            farthest first, ``[K, V, 3]``.
         points: Points of the surface, UV, ``[P, 2]``: half of them spread over the area of the mesh
             at rest, half over the area of its UVs, which give mouth and eyes more room.
         xyz_m: Where the points are at rest, ``[P, 3]``.
@@ -231,7 +250,7 @@ class _Surface:
         shapes = _vertices_m(avatar, decoders, faces, None)
         # The mean map, not the mean of what is decoded: only there both sides of a seam meet.
         rest = avatar.mean_vertices_m
-        self.moving_vertices_m = np.concatenate([rest[None], _far_apart(shapes)])
+        self.moving_vertices_m = np.concatenate([rest[None], _far_apart(shapes, POKE_SHAPES)])
         rng = np.random.default_rng(options.seed)
         triangles = tensors["mesh.faces"]
         self.points, self.xyz_m = _scatter(
@@ -267,7 +286,7 @@ def _vertices_m(
     return np.asarray(avatar.mean_vertices_m[chosen] + moved)
 
 
-def _far_apart(shapes: Array, count: int = 8) -> Array:
+def _far_apart(shapes: Array, count: int) -> Array:
     """Choose some shapes of ``[N, V, 3]`` that differ most from each other."""
     rows = shapes.reshape(len(shapes), -1)
     chosen = [int(np.argmax(np.square(rows - rows.mean(axis=0)).sum(axis=1)))]
@@ -296,16 +315,29 @@ def _scatter(
 
 
 def _simplify(
-    avatar: Avatar, shapes_m: Array, importance: Array, options: LevelOptions
+    avatar: Avatar, shapes_m: Array, importance: Array, options: LevelOptions, pokes: PokeFinder
 ) -> list[Array]:
-    """A mesh for each level, the coarsest first; each uses vertices of the next finer one."""
-    full = avatar.tensors["mesh.faces"]
-    mesh = Simplifier(shapes_m, np.array(avatar.tensors["mesh.vertex_uv"]), full, importance)
-    meshes: list[Array] = []
-    for ratio in reversed(options.mesh_ratios):
-        mesh.reduce(round(ratio * len(full)), avatar.spec.map_size)
-        meshes.append(mesh.faces())
-    return meshes[::-1]
+    """A mesh for each level, the coarsest first; each uses vertices of the next finer one.
+
+    Where something pokes through the coarsest one, errors count more, and all are made anew; those
+    stay through which least pokes.
+    """
+    full, uv = (np.array(avatar.tensors[f"mesh.{name}"]) for name in ("faces", "vertex_uv"))
+    map_size = None if avatar.spec.geometry == "bases" else avatar.spec.map_size
+    least, found = np.inf, list[Array]()
+    for _ in range(1 + MENDINGS):
+        mesh, meshes = Simplifier(shapes_m, uv, full, importance), list[Array]()
+        for ratio in reversed(options.mesh_ratios):
+            mesh.reduce(round(ratio * len(full)), map_size)
+            meshes.insert(0, mesh.faces())
+        most, near = pokes.find(meshes[0])
+        if most < least:
+            least, found = most, meshes
+        if most <= GOOD_POKE:
+            break
+        more = np.minimum(np.maximum(importance, 1) * MENDED[0], MENDED[1])
+        importance = np.where(near, more, importance)
+    return found
 
 
 def _mesh_at_rest(avatar: Avatar, mesh: Array) -> tuple[Tensor, Tensor]:

@@ -11,7 +11,8 @@ vertices, tear seams or come without binaries:
 - Vertices in one place with several UVs (a seam) move together, each to the one of its own side, or
   not at all; a border or slit is only shortened along itself. So nothing tears.
 - No triangle may turn over, neither in space nor in UV.
-- Vertices that lie within a texel of the map go first: the map could not tell them apart.
+- Vertices that lie within a texel of the map go first: the map could not tell them apart. Vertices
+  that no map makes know nothing of it.
 """
 
 import heapq
@@ -80,18 +81,19 @@ class Simplifier:
         self._swallowed = self._pack_faces(whole)
         self._stamp = dict.fromkeys(self._around, 0)
         self._queue: list[tuple[float, int, int, int, int]] = []
-        self._map_size = 0
+        self._map_size: int | None = None
 
     def faces(self) -> IntArray:
         """What is left: same vertices, same winding, neighbours together. int32 ``[F', 3]``."""
         return order_faces(np.array(list(self._triangles.values()), np.int32), self._uv)
 
-    def reduce(self, num_triangles: int, map_size: int) -> None:
+    def reduce(self, num_triangles: int, map_size: int | None) -> None:
         """Collapse edges, cheapest first.
 
         Args:
             num_triangles: How many to stop at; seams and slits may need more.
-            map_size: Rows of the position map that vertices will be looked up in.
+            map_size: Rows of the position map that vertices will be looked up in; None if they are
+                not.
         """
         self._map_size = map_size
         self._queue.clear()
@@ -152,9 +154,11 @@ class Simplifier:
         if moves is not None:
             cost = 0.0
             for start, end in moves.items():
-                texels = self._map_size * float(np.abs(self._uv[start] - self._uv[end]).max())
-                near = min(1.0, texels / LEAST_TEXELS) ** 4
-                cost += near * float(self._swallowed[start] @ self._goals[end])
+                added = float(self._swallowed[start] @ self._goals[end])
+                if self._map_size is not None:
+                    texels = self._map_size * float(np.abs(self._uv[start] - self._uv[end]).max())
+                    added *= min(1.0, texels / LEAST_TEXELS) ** 4
+                cost += added
             heapq.heappush(self._queue, (cost, a, b, self._stamp[a], self._stamp[b]))
 
     def _moves(self, a: int, b: int) -> dict[int, int] | None:

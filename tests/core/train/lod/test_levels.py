@@ -23,7 +23,7 @@ from pica_core.reference.mesh import sample_vertices
 from pica_core.reference.pixel import decode_pixels, sample_bilinear
 from pica_core.train.cli.levels import AvatarLevelsOptions, avatar_levels
 from pica_core.train.lod.exits import fit_map
-from pica_core.train.lod.judge import seen_vertices
+from pica_core.train.lod.judge import PokeFinder, seen_vertices
 from pica_core.train.lod.levels import LevelOptions, LevelReport, add_levels
 from pica_core.train.lod.simplify import Simplifier, weld
 from pica_core.types import Array
@@ -189,11 +189,11 @@ def test_vertices_within_a_texel_of_the_map_go_first() -> None:
     squeezed = np.where(u < 0.5, 0.1 * u, 1.9 * u - 0.9)  # half of the mesh in a twentieth of UV
     uv = np.stack([squeezed, v], -1).reshape(-1, 2)
     crowded = []
-    for map_size in (16, 256):
+    for map_size in (16, 256, None):
         mesh = Simplifier(shape[None], uv, grid_faces(33, 33))
         mesh.reduce(800, map_size)
         crowded.append((uv[np.unique(mesh.faces()), 0] < 0.05).sum())
-    assert crowded[0] < 0.9 * crowded[1]
+    assert crowded[0] < 0.9 * crowded[1] <= 0.9 * crowded[2]
 
 
 @pytest.mark.parametrize(("level", "part"), [(64, 0.16), (128, 0.28)])
@@ -285,6 +285,24 @@ def test_what_another_surface_hides_from_every_view_is_not_seen() -> None:
     ]
     assert [side[81:].any() for side in seen] == [False, False]
     assert sorted(side[:81].all() for side in seen) == [False, True], "one side faces the views"
+
+
+def test_what_pokes_through_a_coarser_mesh_is_found_with_the_vertices_at_fault() -> None:
+    across = np.linspace(-1, 1, 9)
+    x, y = np.meshgrid(across, across)
+    dome = 0.04 * np.stack([x, y, 0.1 * (1 - x**2 - y**2)], -1).reshape(-1, 3)
+    behind = 0.01 * np.stack([x, y, np.zeros((9, 9))], -1).reshape(-1, 3)
+    sheet = grid_faces(9, 9)[:, ::-1]
+    flat = np.array([[0, 8, 72], [8, 80, 72]])  # the dome's corners, which lie behind the other
+    shapes_m, faces = np.concatenate([dome, behind])[None], np.concatenate([sheet, sheet + 81])
+    pokes = PokeFinder(shapes_m, faces)
+    whole, near = pokes.find(faces)
+    assert whole == 0
+    assert not near.any()
+    most, near = pokes.find(np.concatenate([flat, sheet + 81]))
+    assert 0.02 < most < 0.2, "a sixteenth of the dome, seen from the front"
+    assert near[81:].sum() > 16, "of the sheet that shows"
+    assert not near[[0, 8, 72, 80]].any()
 
 
 @pytest.mark.parametrize("value", [-1.0, np.nan])
