@@ -70,6 +70,9 @@ class SceneBenchConfig:
     """What everybody does: talk, listen or range-of-motion."""
     budget_shares: Floats = (0.75, 0.5)
     """Budgets of the largest scenes, as shares of what they cost unconstrained, with commas."""
+    expected_costs: bool = False
+    """Plan and count by expected costs (`schedule.cost_model`) instead of this machine's:
+    milliseconds are then the same everywhere, whatever else a machine does."""
     sheet: Path | None = None
     """Also write a picture of the nearest of the largest scenes in every treatment here, PNG, with
     the differences, amplified."""
@@ -277,9 +280,11 @@ class _Bench:
         wait_for_gpu(self._context)
         frame.draw_s = time.perf_counter() - begin_s
         frame.cpu_s = time.process_time() - begin_cpu_s
-        if case.is_scheduled:
-            shaded_px = sum(head.sight.visible_px for head in heads)
-            costs = case.planner.scheduler.costs
+        costs = case.planner.scheduler.costs
+        shaded_px = sum(head.sight.visible_px for head in heads)
+        if self._config.expected_costs:
+            frame.draw_s = costs.draw.seconds(stats.num_triangles, shaded_px)
+        elif case.is_scheduled:
             costs.observe_draw(stats.num_triangles, shaded_px, frame.draw_s)
         self._send(case, heads, choices, now, frame)
         case.triangles = stats.num_triangles
@@ -327,12 +332,15 @@ class _Bench:
             begin_s = time.perf_counter()
             plan = case.planner.plan(case.heads, [camera], self._config.size, case.budget_s, now)
             requests = case.planner.requests(case.heads, now)
-            frame.plan_s = time.perf_counter() - begin_s
+            if not self._config.expected_costs:
+                frame.plan_s = time.perf_counter() - begin_s
             frame.floor_s = plan.floor_s
             case.layers = {slot: choice.wanted_layer for slot, choice in plan.choices.items()}
             choices = {slot: choice for slot, choice in plan.choices.items() if choice.cost_s > 0}
         else:
             requests = [(head, _whole(head, camera)) for head in case.heads]
+            if self._config.expected_costs:  # which need to know what is seen of them
+                case.planner.plan(case.heads, [camera], self._config.size, math.inf, now)
         for head, request in requests:
             slot = head.slot
             decoder = self._decoders[int(slot.partition("-")[2])]
@@ -344,9 +352,14 @@ class _Bench:
             decoded_s = time.perf_counter()
             self._renderer.update_maps(slot, maps.position_map, maps.expression_map)
             upload_s = time.perf_counter() - decoded_s
+            frame.decodes += 1.0 if request.parts == "both" else 0.5
+            if self._config.expected_costs:
+                costs = case.planner.scheduler.costs
+                frame.decode_s += costs.decode_s(head.model, maps.level, request.parts)
+                head.show(maps.level, now)
+                continue
             frame.decode_s += decoded_s - begin_s
             frame.upload_s += upload_s
-            frame.decodes += 1.0 if request.parts == "both" else 0.5
             if case.is_scheduled:
                 result = DecodeResult(
                     slot,

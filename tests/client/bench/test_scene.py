@@ -105,3 +105,20 @@ def test_the_summary_compares_with_one_head_that_fills_the_screen() -> None:
 def test_settings_out_of_range_are_refused_by_name(changes: dict[str, Any]) -> None:
     with pytest.raises(OptionError, match=next(iter(changes))):
         SceneBenchConfig(**changes)
+
+
+def test_expected_costs_are_the_same_in_every_run() -> None:
+    config = SceneBenchConfig(
+        avatars=(2,),
+        distances_cm=(120.0,),
+        width=160,
+        height=90,
+        rounds=2,
+        budget_shares=(0.5,),
+        expected_costs=True,
+    )
+    runs = [run_scene_bench(config, [with_toy_levels(make_toy_avatar())]) for _ in range(2)]
+    totals = [[row["total_ms"] for row in run["rows"]] for run in runs]
+    assert totals[0] == totals[1]
+    whole, free = (rows_of(runs[0], avatars=2, scheduler=used)[0] for used in (False, True))
+    assert whole["total_ms"] > free["total_ms"] > 0
