@@ -17,11 +17,12 @@ COLUMNS = {
     "poke": "{poke_ratio:.3%}",
     "poke, p95": "{p95_poke_ratio:.3%}",
 }
-STILL = "still:"
+MOST = {"poke, most": "{most_poke_ratio:.3%}"}
+STILL, RECORDED = "still:", "csv:"
 
 
 def chart_drive() -> None:
-    """Means of each row's newest run: by avatar, by step and source, and for calibration."""
+    """Each row's newest run: recordings by avatar, and means by step and source and at rest."""
     lines = read_lines("drive")
     if lines:
         newest = {
@@ -30,21 +31,16 @@ def chart_drive() -> None:
             for row in line["result"]["rows"]
         }
         rows: list[Row] = list(newest.values())
-        webcam = _of(rows, "webcam")
-        moving = [row for row in rows if not row["source"].startswith(STILL)]
-        moving = [row for row in moving if row["stage"] != "webcam"]
         still = [row for row in rows if row["source"].startswith(STILL)]
-        coded = [row for row in moving if row["stage"] == "codec"]
+        moving = [row for row in rows if row["stage"] != "webcam" and row not in still]
+        recorded = [row for row in moving if row["source"].startswith(RECORDED)]
+        acted = [row for row in moving if row not in recorded]
+        by = ("source", "stage", "level")
         parts = {
-            "drive-avatars": table(_means(coded, ("avatar", "level")), _columns("avatar", "level")),
-            "drive-stages": table(
-                _means(moving, ("source", "stage", "level")), _columns("source", "stage", "level")
-            ),
-            "drive-webcam": table(webcam, _columns("avatar", "source", "level")),
-            "drive-calibration": table(
-                _means(_of(still, "driver", "offset", "calibrated"), ("source", "stage", "level")),
-                _columns("source", "stage", "level"),
-            ),
+            "drive-avatars": table(recorded, _columns("avatar", "level") | MOST),
+            "drive-stages": table(_means(acted, by), _columns(*by)),
+            "drive-webcam": table(_of(rows, "webcam"), _columns("avatar", "source", "level")),
+            "drive-calibration": table(_means(still, by), _columns(*by)),
         }
         for mark, text in parts.items():
             fill_in(PAGE, mark, text)
