@@ -72,7 +72,8 @@ class SceneBenchConfig:
     """Budgets of the largest scenes, as shares of what they cost unconstrained, with commas."""
     expected_costs: bool = False
     """Plan and count by expected costs (`schedule.cost_model`) instead of this machine's:
-    milliseconds are then the same everywhere, whatever else a machine does."""
+    milliseconds are then the same everywhere, whatever else a machine does, and budgets are shares
+    of what everybody whole costs."""
     sheet: Path | None = None
     """Also write a picture of the nearest of the largest scenes in every treatment here, PNG, with
     the differences, amplified."""
@@ -213,7 +214,10 @@ class _Bench:
                 budget_s=share * _middle_mean(_turn_means_ms(case.frames, "total")) / 1e3,
             )
             for case in measured
-            if case.is_scheduled and not case.is_away and case.num_avatars == most
+            if case.is_scheduled is not self._config.expected_costs
+            and not case.is_away
+            and case.num_avatars == most
+            and case.distance_cm != FULL_SCREEN_CM
             for share in self._config.budget_shares
         ]
 

@@ -87,7 +87,7 @@ class LevelOptions:
     texels: tuple[int, ...] = (2, 1)
     """Texels of the trunk per vertex, the coarsest level first (chosen: at 64, which weak machines
     draw most of the time, one leaves 0.063 mm and two 0.042, and half of what pokes out; at 128 one
-    leaves 0.076 and two 0.046, but only its mesh is drawn in calls)."""
+    leaves 0.076 and two 0.046, but both would not fit into a file of 4 MB)."""
     check_faces: int = 48
     """Other faces, to report the error on."""
     seed: int = 0
