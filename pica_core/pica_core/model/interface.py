@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from pica_core.avatar.arkit import NUM_ARKIT
+from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.avatar.spec import LEAKY_SLOPE, AvatarSpec
 from pica_core.avatar.variants import ModelCost, TopologyName
 from pica_core.latent import LATENT_CHANNELS, LATENT_SIZE, NUM_LATENT
@@ -107,6 +107,37 @@ class FacePrior:
     """Bases of the meshes; None where no model asks for them."""
 
 
+LID_BENDS: tuple[tuple[dict[str, float], tuple[float, ...]], ...] = (
+    ({"eyeBlink": 1.0}, (0.2, 0.4, 0.6, 0.8)),
+    ({"eyeBlink": 1.0, "eyeLookDown": 0.5, "eyeSquint": 0.3}, (0.2, 0.4, 0.6, 0.8, 1.0, 1.2)),
+    ({"eyeBlink": 1.0, "eyeLookDown": 1.0}, (0.3, 0.6, 0.9, 1.2)),
+    ({"eyeBlink": 1.0, "eyeLookUp": 1.0}, (0.3, 0.6, 0.9)),
+    ({"eyeBlink": 1.0, "eyeLookUp": -1.0}, (0.1, 0.3, 0.5)),
+    ({"eyeBlink": 1.0, "eyeSquint": 1.0}, (0.3, 0.6, 0.9)),
+    ({"eyeLookDown": 1.0}, (0.3, 0.6)),
+    ({"eyeSquint": 1.0}, (0.3,)),
+)
+"""Sums of an eye's shapes, and where along each of them the live encoder bends: lids slide around
+eyeballs, which no straight line follows (chosen among five such lists on one person)."""
+
+
+def _bends() -> tuple[Tensor, Tensor]:
+    """Sums of shapes ``[B, 52]`` and where they bend, ``[B]``; the last is the line on which lips
+    that close meet the jaw that opens."""
+    sums: list[Tensor] = []
+    places: list[float] = []
+    for shapes, bends in LID_BENDS:
+        for side in ("Left", "Right"):
+            row = torch.zeros(NUM_ARKIT)
+            for name, weight in shapes.items():
+                row[ARKIT_INDEX[name + side]] = weight
+            sums += [row] * len(bends)
+            places += bends
+    lips = torch.zeros(NUM_ARKIT)
+    lips[ARKIT_INDEX["mouthClose"]], lips[ARKIT_INDEX["jawOpen"]] = 1.0, -1.0
+    return torch.stack([*sums, lips]), torch.tensor([*places, 0.0])
+
+
 class ExpressionEncoder(nn.Module):
     """52 ARKit values to the latent: the sender's encoder, small enough for any CPU (ours)."""
 
@@ -117,10 +148,10 @@ class ExpressionEncoder(nn.Module):
 
     @torch.no_grad()
     def start_from(self, matrix: Tensor, offset: Tensor) -> None:
-        """Become latent = matrix . arkit + offset, ``[256, 52]`` and ``[256]``, flat.
+        """Become latent = matrix . lifted(arkit) + offset, ``[256, 52 + B]`` and ``[256]``, flat.
 
         A pair of units passes each value on, once with either sign: the difference of the two is
-        1 + slope times the value. The other units stay random, and silent at the end.
+        1 + slope times the value; one unit each bends. Others stay random, and silent at the end.
         """
         first, second, last = (layer for layer in self.layers if isinstance(layer, nn.Linear))
         both = 2 * NUM_ARKIT
@@ -129,9 +160,23 @@ class ExpressionEncoder(nn.Module):
         passed = gain * torch.cat([torch.cat([eye, -eye], 1), torch.cat([-eye, eye], 1)])
         second.weight[:both], second.bias[:both] = 0, 0
         second.weight[:both, :both] = passed
+        sums, places = _bends()
+        bent = slice(both, both + len(sums))
+        first.weight[bent], first.bias[bent] = sums, -places
+        second.weight[bent], second.bias[bent] = 0, 0
+        second.weight[bent, bent] = torch.eye(len(sums))
         last.weight.zero_()
-        last.weight[:, :both] = gain * torch.cat([matrix, -matrix], 1)
+        plain = matrix[:, :NUM_ARKIT]
+        last.weight[:, :both] = gain * torch.cat([plain, -plain], 1)
+        last.weight[:, bent] = matrix[:, NUM_ARKIT:]
         last.bias.copy_(offset)
+
+    @staticmethod
+    def lifted(arkit: Tensor) -> Tensor:
+        """Expressions ``[N, 52]``, and after them their sums that bend, ``[N, 52 + B]``."""
+        sums, places = (values.to(arkit) for values in _bends())
+        beyond = arkit @ sums.T - places
+        return torch.cat([arkit, torch.where(beyond > 0, beyond, LEAKY_SLOPE**2 * beyond)], 1)
 
     def forward(self, arkit: Tensor) -> Tensor:
         """Expressions ``[N, 52]`` to latents ``[N, 4, 8, 8]``; flat: row, column, channel."""

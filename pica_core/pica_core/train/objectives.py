@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.capture.stage.tracked_topology import COVER
 from pica_core.errors import CaptureError
 from pica_core.model.encoder import hold_log_variance, reparameterise
@@ -39,9 +40,9 @@ from pica_core.train.parallel import Ranks
 from pica_core.train.rasterise import Rasteriser
 from pica_core.train.trials.stopwatch import Stopwatch
 
-DRIVER_RIDGE = 1e-5
-"""Strength of the regression that a live encoder begins as, in squared tracker values
-(chosen: a shape that is never shown stays without effect)."""
+DRIVER_RIDGE, BEND_RIDGE = 1e-5, 3e-4
+"""Strength of the regression that a live encoder begins as, in squared tracker values, for them
+and for what bends (chosen: a shape that is never shown stays without effect)."""
 DRIVER_MESHES = 8
 """A step of the driver phase decodes the mesh of every eighth frame of its batch."""
 MASKED_REGION = "mouth"
@@ -219,16 +220,20 @@ class Objectives:
         }
 
     def start_driver(self) -> None:
-        """Begin the live encoder as the ridge regression from expressions to the model's codes."""
+        """Begin the live encoder as the ridge regression from expressions, and what of them bends,
+        to the model's codes."""
         codes, _ = self._model_codes()
         frames = self.data.train_frames
         wanted = flat_latent(torch.stack([codes[frame] for frame in frames])).double().cpu()
-        arkit = self.data.arkit[frames].double()
-        mean, rest = arkit.mean(0), wanted.mean(0)
-        offsets = arkit - mean
-        products = offsets.T @ offsets + DRIVER_RIDGE * len(frames) * torch.eye(len(mean))
+        encoder = self.model.expression_encoder
+        given = encoder.lifted(self.data.arkit[frames].double())
+        mean, rest = given.mean(0), wanted.mean(0)
+        offsets = given - mean
+        ridge = torch.full_like(mean, BEND_RIDGE)
+        ridge[:NUM_ARKIT] = DRIVER_RIDGE
+        products = offsets.T @ offsets + len(frames) * torch.diag(ridge)
         matrix = torch.linalg.solve(products, offsets.T @ (wanted - rest)).T
-        self.model.expression_encoder.start_from(matrix.float(), (rest - matrix @ mean).float())
+        encoder.start_from(matrix.float(), (rest - matrix @ mean).float())
 
     def colours(self, images: Images, pixels: PixelList) -> Tensor:
         """What the capture shows at pixels, 0 to 1, ``[P, 3]``."""

@@ -14,13 +14,20 @@ from helpers.tolerances import PIXEL_FLOAT32, PIXEL_ONNX
 from helpers.toy import PAPER_SPEC, grid_faces
 from helpers.trainable import grid_uv, toy_prior
 from pica_client.decode.onnx_runtime import onnxruntime
+from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.avatar.file import Avatar, Manifest, load_avatar, save_avatar
 from pica_core.avatar.manifest import DRAWN_VARIANTS
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import FULL, TABLE_1, TABLE_2
 from pica_core.errors import AvatarFileError
 from pica_core.model.avatar import PixelCodecAvatar
-from pica_core.model.interface import AvatarModel, FacePrior, Surface
+from pica_core.model.interface import (
+    AvatarModel,
+    ExpressionEncoder,
+    FacePrior,
+    Surface,
+    flat_latent,
+)
 from pica_core.model.variants import VARIANTS, make_model
 from pica_core.reference.pixel import count_parameters, decode_pixels
 from pica_core.reference.surface_encoding import encode_surface
@@ -230,3 +237,19 @@ def test_the_image_reaches_every_weight_that_makes_it(variant: str) -> None:
     silent = [name for name, p in model.named_parameters() if p not in encoder and p.grad is None]
     assert silent == []
     assert mesh.vertices_m.shape[1] == {"dense": 256, "tracked": 81}[model.topology]
+
+
+def test_a_live_encoder_begins_as_the_regression_that_it_is_given() -> None:
+    encoder, arkit = ExpressionEncoder(), torch.rand(40, 52)
+    lifted = ExpressionEncoder.lifted(arkit)
+    matrix, offset = torch.randn(256, lifted.shape[1]), torch.randn(256)
+
+    encoder.start_from(matrix, offset)
+
+    found = flat_latent(encoder(arkit))
+    torch.testing.assert_close(found, lifted @ matrix.T + offset, atol=1e-3, rtol=1e-4)
+    assert (lifted[:, :52] == arkit).all()
+    bent = ExpressionEncoder.lifted(
+        torch.linspace(0, 1, 11)[:, None] * torch.eye(52)[ARKIT_INDEX["eyeBlinkLeft"]]
+    )[:, 52:]
+    assert (bent.diff(n=2, dim=0).abs().amax(0) > 0.05).sum() >= 4  # a blink alone bends
