@@ -103,9 +103,10 @@ def orbit_limits(plan: SeatPlan, spans: tuple[ViewSpan, ...]) -> OrbitLimits:
         """How far the view may turn towards this side."""
         fine = np.full(most + 1, fill_value=True)
         steps = np.radians(np.arange(most + 1.0))
-        centres = [_centre(plan, ViewState(yaw=yaw * step, pitch=pitch * step)) for step in steps]
+        directions, distance = _outlook(plan, yaw * steps, pitch * steps)
+        centres = plan.target_m + distance * directions
         for seat, (low, high) in zip(plan.seats, bounds.transpose(0, 2, 1), strict=True):
-            seen = np.matmul(np.array(centres) - seat[:3, 3], seat[:3, :3])
+            seen = np.matmul(centres - seat[:3, 3], seat[:3, :3])
             up = np.arctan2(seen[:, 1], np.hypot(seen[:, 0], seen[:, 2]))
             angles = np.degrees(np.stack([np.arctan2(seen[:, 0], seen[:, 2]), up], axis=-1))
             within = (angles >= np.minimum(low, angles[0])) & (
@@ -152,18 +153,24 @@ def plan_camera(
 
 def _centre(plan: SeatPlan, view: ViewState) -> Float64Array:
     """Where the camera of a view is, world ``[3]``."""
-    offset = plan.camera_m - plan.target_m
-    distance = float(np.linalg.norm(offset))
-    yaw = math.atan2(offset[0], offset[2]) + view.yaw
-    pitch = math.asin(offset[1] / distance) + view.pitch
-    level = math.cos(pitch)
-    direction = np.array([math.sin(yaw) * level, math.sin(pitch), math.cos(yaw) * level])
+    (direction,), distance = _outlook(plan, np.array([view.yaw]), np.array([view.pitch]))
     # The nearer the camera comes to a head, the less a notch of the wheel moves it.
     nearest = min(_nearest_m(plan, direction), distance)
     zoom = min(max(view.zoom, MIN_ZOOM), MAX_ZOOM)
     distance = nearest + (distance - nearest) / zoom if zoom > 1 else distance / zoom
     centre: Float64Array = plan.target_m + distance * direction
     return centre
+
+
+def _outlook(plan: SeatPlan, yaw: Float64Array, pitch: Float64Array) -> tuple[Float64Array, float]:
+    """Where the camera is from what it looks at, turned by so much: directions ``[K, 3]``, and how
+    far away."""
+    offset = plan.camera_m - plan.target_m
+    distance = float(np.linalg.norm(offset))
+    around = math.atan2(offset[0], offset[2]) + yaw
+    up = math.asin(offset[1] / distance) + pitch
+    level = np.cos(up)
+    return np.stack([np.sin(around) * level, np.sin(up), np.cos(around) * level], axis=-1), distance
 
 
 def stereo_cameras(
