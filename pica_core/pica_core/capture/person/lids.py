@@ -10,14 +10,15 @@ from dataclasses import replace
 import numpy as np
 
 from pica_core.avatar.arkit import ARKIT_INDEX
-from pica_core.capture.rig.features import FORWARD, LID_M, STEPS, Features, lean_of, surface_of
+from pica_core.capture.rig.features import LID_M, EyeSurface, Features, outwards
 from pica_core.capture.rig.mesh import Eyeball, RigMesh
 from pica_core.types import Float64Array, FloatArray, Int64Array
 
 OVERLAP_M = 0.0004
 """How far lids of a closed eye go past each other: their picture meets."""
-ROOM_M = 0.0003
-"""Least distance of a lid from the eyeball at rest; `LidGuard` keeps it in every pose."""
+ROOM_M, LINING_M = 0.0003, 0.004
+"""Least distance of a lid from the eyeball at rest, which `LidGuard` keeps in every pose; and how
+deep in it nothing is moved."""
 LIP_REACH_M, LIP_DEEP_M, LIP_GAP_M = 0.006, 0.008, 0.006
 """How far from the line of contact skin goes along with a lip; how deep behind it lips may touch;
 what opening is closed at most."""
@@ -39,13 +40,10 @@ def close_lids(mesh: RigMesh, features: Features) -> RigMesh:
 
 def _out(points: Float64Array, eye: Eyeball, rest: Float64Array) -> Float64Array:
     """What brings points out of an eyeball ``[n, 3]``."""
-    widest = surface_of(*lean_of(rest[eye.vertices] - eye.centre_m, FORWARD))
     offset = points - eye.centre_m
-    at, far = lean_of(offset, FORWARD)
-    surface = np.interp(at, STEPS, widest)
+    clear = EyeSurface(rest[eye.vertices] - eye.centre_m).clearance(offset)
     # What lies deep inside is the lid's own lining, which nobody sees.
-    lack = np.where(far > surface - 0.004, np.maximum(surface + ROOM_M - far, 0.0), 0.0)
-    return offset / np.maximum(far, 1e-9)[:, None] * lack[:, None]
+    return outwards(offset, np.where(clear > -LINING_M, np.maximum(ROOM_M - clear, 0.0), 0.0))
 
 
 def _farther(

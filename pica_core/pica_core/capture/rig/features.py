@@ -288,6 +288,40 @@ class Limits:
         return values
 
 
+class EyeSurface:
+    """How wide an eyeball is at an angle from where it looks: as its farthest vertex there.
+
+    Args:
+        offset: Its vertices from its centre, looking along +z, ``[n, 3]``.
+    """
+
+    def __init__(self, offset: Float64Array) -> None:
+        self.lean, reach = _lean(offset, FORWARD)
+        """Angle of each vertex from where the eye looks, radians, ``[n]``."""
+        near = np.abs(self.lean - STEPS[:, None]) < NEAR
+        has = near.any(axis=1)
+        widest = np.where(near, reach, 0.0).max(axis=1)
+        self._widest = np.interp(STEPS, STEPS[has], widest[has])
+
+    def clearance(self, offset: Float64Array, forward: Float64Array = FORWARD) -> Float64Array:
+        """How far points from its centre are before it, where it looks along `forward`; below 0
+        they are in it. ``[n]``."""
+        lean, far = _lean(offset, forward)
+        return far - np.interp(lean, STEPS, self._widest)
+
+
+def outwards(offset: Float64Array, by_m: Float64Array) -> Float64Array:
+    """Steps of such lengths away from a centre, for points at these offsets. ``[n, 3]``."""
+    return offset * (by_m / np.maximum(np.linalg.norm(offset, axis=1), 1e-9))[:, None]
+
+
+def _lean(offset: Float64Array, forward: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Angle of each offset from a direction, radians, and its length. ``[n]`` each."""
+    far = np.linalg.norm(offset, axis=1)
+    along = np.matmul(offset, forward) / np.maximum(far * np.linalg.norm(forward), 1e-12)
+    return np.arccos(np.clip(along, -1.0, 1.0)), far
+
+
 class LidGuard:
     """Moves lids out of eyeballs in any pose.
 
@@ -309,41 +343,23 @@ class LidGuard:
             ball = np.flatnonzero(np.isin(of, eye.vertices))
             offset = rest - eye.centre_m
             near = skin & (np.linalg.norm(offset, axis=1) < 1.9 * eye.radius_m) & (offset[:, 2] > 0)
-            lean, reach = lean_of(rest[ball] - eye.centre_m, FORWARD)
-            widest = surface_of(lean, reach)
-            at, far = lean_of(offset, FORWARD)
-            clear = far - np.interp(at, STEPS, widest)
+            surface = EyeSurface(rest[ball] - eye.centre_m)
+            clear = surface.clearance(offset)
             lid = np.flatnonzero(near & (clear > 0.0) & (clear < LID_SWEEP_M))
             room = np.minimum(clear[lid], GUARD_M)
-            front = ball[lean < 2 * NEAR]
-            self._eyes.append((lid, room, ball, front, eye.centre_m - rest[ball].mean(0), widest))
+            front = ball[surface.lean < 2 * NEAR]
+            self._eyes.append((lid, room, ball, front, eye.centre_m - rest[ball].mean(0), surface))
 
     def apply(self, points: npt.NDArray[np.floating[Any]]) -> None:
         """Move lids of posed vertices ``[V, 3]``, metres, in place."""
-        for lid, room, ball, front, from_middle, widest in self._eyes:
+        for lid, room, ball, front, from_middle, surface in self._eyes:
             if not len(front) or not len(lid):
                 continue
             centre = points[ball].mean(0) + from_middle
             offset = points[lid] - centre
-            lean, far = lean_of(offset, points[front].mean(0) - centre)
-            lack = np.interp(lean, STEPS, widest) + room - far
+            lack = room - surface.clearance(offset, points[front].mean(0) - centre)
             out = GUARD_SOFT_M * np.logaddexp(0.0, lack / GUARD_SOFT_M)
-            points[lid] += (out / np.maximum(far, 1e-9))[:, None] * offset
-
-
-def surface_of(lean: Float64Array, reach: Float64Array) -> Float64Array:
-    """How wide an eyeball is at the angles `STEPS`, of its vertices' angles and distances."""
-    near = np.abs(lean - STEPS[:, None]) < NEAR
-    has = near.any(axis=1)
-    widest: Float64Array = np.where(near, reach, 0.0).max(axis=1)
-    return np.interp(STEPS, STEPS[has], widest[has])
-
-
-def lean_of(offset: Float64Array, forward: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Angle of each offset from a direction, radians, and its length. ``[n]`` each."""
-    far = np.linalg.norm(offset, axis=1)
-    along = np.matmul(offset, forward) / np.maximum(far * np.linalg.norm(forward), 1e-12)
-    return np.arccos(np.clip(along, -1.0, 1.0)), far
+            points[lid] += outwards(offset, out)
 
 
 def _is_corrective(mesh: RigMesh) -> bool:
