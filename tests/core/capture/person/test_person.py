@@ -18,7 +18,7 @@ from pica_core.capture.person.dress import dress
 from pica_core.capture.person.hair import STYLES, cover, grow, raise_cap
 from pica_core.capture.person.lids import close_lips
 from pica_core.capture.person.model import NUM_MODES, FaceModel, read_model
-from pica_core.capture.rig.features import Limits, find_features
+from pica_core.capture.rig.features import LID_M, Limits, find_features
 from pica_core.capture.rig.mesh import RigMesh, build_mesh
 from pica_core.capture.rig.names import map_names
 from pica_core.capture.rig.visibility import front_view
@@ -165,6 +165,31 @@ def test_no_triangle_of_a_full_beard_turns_over_at_rest(model: FaceModel) -> Non
     for blink in (0.2, 0.4, 0.6, 0.8):
         for gaze in ({}, {"eyeLookUp": 0.6}, {"eyeLookOut": 0.6}, {"eyeSquint": 0.7}):
             assert checks.faults(blend(eyeBlink=blink, **gaze)).eyes == 0
+
+
+@needs_ict
+@pytest.mark.parametrize("seed", [3, 7])
+def test_lids_meet_in_a_blink_whatever_else_they_do(model: FaceModel, seed: int) -> None:
+    person = draw_person(seed, model.sex_direction())
+    source = model.person(person.coefficients)
+    mesh = dress(build_mesh(source, map_names(list(source.shapes))), person).mesh
+    checks, features = MeshChecks(mesh), find_features(mesh)
+    edge = features.regions["lids"] & (features.eye_gap_m < LID_M)
+
+    def widest_gap_mm(arkit: Float64Array) -> float:
+        """Between upper and lower lid, over the middle half of both eyes."""
+        points, gaps = checks.pose(arkit), []
+        for eye in mesh.eyes:
+            for x in np.linspace(-0.4, 0.4, 5) * eye.radius_m + eye.centre_m[0]:
+                here = edge & (np.abs(mesh.rest_m[:, 0] - x) < 0.0015)
+                upper, lower = points[here & features.above_eye], points[here & ~features.above_eye]
+                gaps.append(upper[:, 1].min() - lower[:, 1].max())
+        return float(max(gaps))
+
+    assert widest_gap_mm(blend()) > 5.0
+    assert widest_gap_mm(blend(eyeBlink=0.7)) > 1.0, "a slit is seen"
+    for also in ({}, {"eyeSquint": 0.7}, {"eyeLookDown": 0.6}, {"mouthSmile": 0.8}):
+        assert widest_gap_mm(blend(eyeBlink=1.0, **also)) < 0.0
 
 
 @needs_ict
