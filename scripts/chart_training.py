@@ -26,8 +26,7 @@ from charting import (
     values,
 )
 from matplotlib.figure import Figure
-
-from pica_core.train.trials.stopwatch import PARTS
+from training_trials import PARTS
 
 PAGE = ROOT / "docs" / "training.md"
 STYLES = ("-", "--", ":")

@@ -1,6 +1,7 @@
-"""Run a `pica` command and append its result, with commit and machine, to docs/results/NAME.jsonl.
+"""Run a command and append its result, with commit and machine, to docs/results/NAME.jsonl.
 
 python scripts/record_result.py call bench call --seconds 20
+python scripts/record_result.py recipes scripts/training_trials.py recipes --capture captures/S1
 """
 
 from __future__ import annotations
@@ -66,13 +67,15 @@ def main() -> None:
     if len(sys.argv) < 3:
         sys.exit(__doc__)
     name, words = sys.argv[1], sys.argv[2:]
-    command = [sys.executable, "-m", "pica_command", *words, "--json"]
+    is_script = words[0].endswith(".py")
+    run_as = words if is_script else ["-m", "pica_command", *words, "--json"]
+    command = [sys.executable, *run_as]
     load_before = load_now()
     run = subprocess.run(command, stdout=subprocess.PIPE, text=True)
     if run.returncode:
         sys.exit(run.returncode)
     result = json.loads(run.stdout.splitlines()[-1])
-    append_result(name, "pica " + " ".join(words), result, load_before)
+    append_result(name, " ".join(words if is_script else ("pica", *words)), result, load_before)
 
 
 if __name__ == "__main__":

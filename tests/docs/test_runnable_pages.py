@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
 from helpers.paths import ROOT
+from helpers.script import load_script
 from pica_command.main import main
 
 pytestmark = pytest.mark.unit
@@ -17,17 +15,7 @@ pytestmark = pytest.mark.unit
 PAGES = ("README.md", "docs/quick-start.md", "docs/tutorial.md")
 
 
-def load_script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("run_pages", ROOT / "scripts" / "run_pages.py")
-    assert spec is not None
-    assert spec.loader is not None
-    script = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = script  # its dataclasses look there
-    spec.loader.exec_module(script)
-    return script
-
-
-SCRIPT = load_script()
+SCRIPT = load_script("run_pages")
 
 
 @pytest.mark.parametrize("name", PAGES)

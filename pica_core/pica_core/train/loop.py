@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.profiler import record_function
 
 from pica_core.avatar.variants import VARIANTS
 from pica_core.errors import (
@@ -210,17 +211,16 @@ class Trainer:
         ratio = 1.0 if schedule.constant_rate else rate_ratio(index, length)
         set_rates(optimiser, self._rate_scale * ratio)
         optimiser.zero_grad(set_to_none=True)
-        stopwatch = self.objectives.stopwatch
         after = self.step + 1
         if after < self.total_steps and self.phase_of(after)[0] == "joint":
             self.objectives.expect(np.random.default_rng([self.config.seed, after]))
         try:
             losses = self._losses(phase, rng, noise)
-            with stopwatch("backward"):
+            with record_function("backward"):
                 total = sum(losses.values(), torch.zeros((), device=self.device))
                 total.backward()  # type: ignore[no-untyped-call]
                 self.ranks.average_gradients(parameters_of(optimiser))
-            with stopwatch("optimiser"):
+            with record_function("optimiser"):
                 clip_groups(optimiser, schedule.clip_norm)
                 optimiser.step()
         except (MemoryError, RuntimeError) as error:

@@ -8,6 +8,7 @@ driver      code, mesh
 import numpy as np
 import torch
 from torch import Tensor
+from torch.profiler import record_function
 
 from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.capture.stage.tracked_topology import COVER
@@ -38,7 +39,6 @@ from pica_core.train.losses import (
 )
 from pica_core.train.parallel import Ranks
 from pica_core.train.rasterise import Rasteriser
-from pica_core.train.trials.stopwatch import Stopwatch
 
 DRIVER_RIDGE, BEND_RIDGE = 1e-5, 3e-4
 """Strength of the regression that a live encoder begins as, in squared tracker values, for them
@@ -83,7 +83,6 @@ class Objectives:
         self.model = model
         self.ranks = ranks
         self.device = device
-        self.stopwatch = Stopwatch()
         self.notes: list[str] = []
         losses = config.losses
         if not data.capture.has_expressions:
@@ -123,11 +122,11 @@ class Objectives:
     def geometry(self, rng: np.random.Generator, noise: torch.Generator) -> dict[str, Tensor]:
         """Losses of a step without images."""
         frames, _ = self._draw(self.config.schedule.geometry_batch, rng)
-        with self.stopwatch("encode"):
+        with record_function("encode"):
             latent, kl = self._latent(frames, noise)
-        with self.stopwatch("decode"):
+        with record_function("decode"):
             mesh = self.model.decode_mesh(latent)
-        with self.stopwatch("loss"):
+        with record_function("loss"):
             return {"mesh": self._mesh(mesh, frames), **self._priors(mesh, kl)}
 
     def joint(
@@ -143,17 +142,17 @@ class Objectives:
         config, weights = self.config, self.config.losses
         images, numbers = self._draw_images(rng)
         rngs = [np.random.default_rng([*pixel_seed, number]) for number in numbers]
-        with self.stopwatch("data"):
+        with record_function("data"):
             images = [self._readable(image, rng_) for image, rng_ in zip(images, rngs, strict=True)]
         frames = [frame for frame, _ in images]
         cameras = [self.data.images.camera(frame, name) for frame, name in images]
         view = torch.from_numpy(np.stack([view_direction(camera) for camera in cameras]))
-        with self.stopwatch("encode"):
+        with record_function("encode"):
             latent, kl = self._latent(frames, noise)
-        with self.stopwatch("decode"):
+        with record_function("decode"):
             mesh = self.model.decode_mesh(latent)
             appearance = self.model.appearance(latent, view.to(self.device))
-        with self.stopwatch("raster"):
+        with record_function("raster"):
             self.drawer.rasterise(mesh.vertices_m, cameras)
             drawn = self.drawer.draw(
                 mesh.vertices_m,
@@ -162,20 +161,20 @@ class Objectives:
                 normals=weights.normal > 0 and self._wants_depth,
                 detach_xyz=config.detach_pixel_xyz,
             )
-        with self.stopwatch("data"):
+        with record_function("data"):
             observed = self.colours(images, drawn.pixels)
-        with self.stopwatch("pixel"):
+        with record_function("pixel"):
             colours = self.model.shade(
                 appearance, drawn.surface, detach_xyz=config.detach_pixel_xyz
             )
-        with self.stopwatch("loss"):
+        with record_function("loss"):
             share = equal_shares(drawn.surface.image, len(frames))
             losses = {"image": weights.image * image_loss(colours, observed, share, weights.chroma)}
             losses |= self._depth(images, drawn)
             losses["mesh"] = self._mesh(mesh, frames)
             losses |= self._priors(mesh, kl)
         if weights.edge:
-            with self.stopwatch("raster"):
+            with record_function("raster"):
                 losses["edge"] = self._edges(images, mesh.vertices_m, appearance, rngs)
         return losses
 

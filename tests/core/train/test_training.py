@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 
+from helpers.script import load_script
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar
 from pica_core.capture.dataset.dataset import Capture
@@ -29,8 +30,8 @@ from pica_core.train.held_out import draw_held_out
 from pica_core.train.loop import Trainer, open_trainer
 from pica_core.train.losses import DEPTH_LIMIT_M, depth_loss, depth_mask
 from pica_core.train.optimiser import rate_ratio
-from pica_core.train.trials.failures import Failure, far_codes_reach_mm, spoil
 
+FAILURES = load_script("training_failures")
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
 LEARNED_FACTOR = 4.0
@@ -75,10 +76,11 @@ def trained(data: TrainingData, tmp_path_factory: pytest.TempPathFactory) -> Tra
         with torch.no_grad():
             codes, _ = trainer.encode(data.train_frames)
         views = {name: view_error(trainer, name) for name in data.images.camera_names}
-        with spoil(data, Failure(wrong_camera=True)):
+        with FAILURES.spoil(data, FAILURES.Failure(wrong_camera=True)):
             spoilt = {name: view_error(trainer, name) for name in data.images.camera_names}
         reach_mm = {
-            sigma: far_codes_reach_mm(trainer.model.vertices, codes, sigma) for sigma in (3.0, 6.0)
+            sigma: FAILURES.far_codes_reach_mm(trainer.model.vertices, codes, sigma)
+            for sigma in (3.0, 6.0)
         }
         return Trained(before, after, reach_mm, views, spoilt)
 

@@ -24,10 +24,6 @@ from pica_core.train.data.training import TrainingData
 from pica_core.train.guard import EXPLOSION_FACTOR, PATIENCE, DivergenceGuard
 from pica_core.train.loop import Losses, Trainer, open_trainer
 from pica_core.train.monitor import Monitor
-from pica_core.train.trials.failures import FAILURES
-from pica_core.train.trials.recipes import RECIPES
-from pica_core.train.trials.step_times import time_steps
-from pica_core.train.trials.stopwatch import PARTS
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
@@ -278,29 +274,3 @@ def test_the_paper_preset_is_the_papers_settings() -> None:
     assert schedule.clip_norm == 0
     assert paper.mesh_source == "tracked"
     assert paper.detach_pixel_xyz
-
-
-def test_a_profile_of_steps_names_every_part(data: TrainingData, tmp_path: Path) -> None:
-    with open_trainer(data, short(0, 3), tmp_path) as trainer:
-        row = time_steps(trainer, 2, warm_up=1)
-
-    parts = sum(row[f"{part}_ms"] for part in PARTS)
-    assert all(row[f"{part}_ms"] > 0 for part in PARTS)
-    assert 0.5 * row["step_ms"] < parts < 1.5 * row["step_ms"]
-    assert trainer.step == 3
-
-
-def test_every_recipe_and_every_failure_is_a_run_that_can_be() -> None:
-    tiny = PRESETS["tiny"]
-
-    recipes = {name: change(tiny) for name, change in RECIPES.items()}
-    failures = {name: failure.config(tiny) for name, failure in FAILURES.items()}
-
-    assert recipes.pop("as_is") == tiny
-    assert all(config != tiny for config in recipes.values())
-    spoilt_in_the_data = {"depth_outliers", "wrong_camera", "nothing"}
-    assert {name for name, config in failures.items() if config == tiny} == (
-        spoilt_in_the_data | {"no_smoothness"}  # tiny has none
-    )
-    for config in (*recipes.values(), *failures.values()):
-        assert TrainConfig.from_json(config.to_json()) == config

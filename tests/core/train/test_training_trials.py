@@ -1,4 +1,4 @@
-"""`pica bench recipes` and `pica bench failures`: short runs, compared."""
+"""``scripts/training_trials.py``: short runs compared, runs spoilt, and a step's time."""
 
 from __future__ import annotations
 
@@ -7,11 +7,15 @@ from pathlib import Path
 
 import pytest
 
+from helpers.script import load_script
 from helpers.small_capture import render_small
 from pica_core.errors import TrainingOptionError
-from pica_core.train.cli.trials import TrialOptions, bench_failures, bench_recipes
+from pica_core.train.config import PRESETS, TrainConfig
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
+
+
+SCRIPT = load_script("training_trials")
 
 
 @pytest.fixture(scope="module")
@@ -21,11 +25,11 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_recipes_give_points_of_their_curves(capture: Path, tmp_path: Path) -> None:
     names = ("as_is", "tracked_meshes")
-    options = TrialOptions(
+    options = SCRIPT.TrialOptions(
         capture=capture, names=names, preset="tiny", share=0.05, looks=2, out=tmp_path
     )
 
-    result = bench_recipes(options)
+    result = SCRIPT.recipes(options)
 
     assert [row["recipe"] for row in result["rows"]] == ["as_is"] * 2 + ["tracked_meshes"] * 2
     assert [row["step"] for row in result["rows"]] == [3, 6] * 2
@@ -36,11 +40,11 @@ def test_recipes_give_points_of_their_curves(capture: Path, tmp_path: Path) -> N
 
 
 def test_failures_tell_what_came_of_each_seed(capture: Path) -> None:
-    options = TrialOptions(
+    options = SCRIPT.TrialOptions(
         capture=capture, names=("kl_off",), preset="tiny", share=0.05, looks=2, seeds=2
     )
 
-    rows = bench_failures(options)["rows"]
+    rows = SCRIPT.failures(options)["rows"]
 
     assert [(row["failure"], row["seed"]) for row in rows] == [("kl_off", 0), ("kl_off", 1)]
     assert all(not row["diverged"] and len(row["curve"]) == 2 for row in rows)
@@ -58,4 +62,28 @@ def test_failures_tell_what_came_of_each_seed(capture: Path) -> None:
 )
 def test_bad_options_are_named(capture: Path, changes: dict[str, object], told: str) -> None:
     with pytest.raises(TrainingOptionError, match=told):
-        bench_recipes(TrialOptions(capture=capture, preset="tiny", **changes))  # type: ignore[arg-type]
+        SCRIPT.recipes(SCRIPT.TrialOptions(capture=capture, preset="tiny", **changes))
+
+
+def test_every_recipe_and_every_failure_is_a_run_that_can_be() -> None:
+    tiny = PRESETS["tiny"]
+
+    recipes = {name: change(tiny) for name, change in SCRIPT.RECIPES.items()}
+    failures = {name: failure.config(tiny) for name, failure in SCRIPT.FAILURES.items()}
+
+    assert recipes.pop("as_is") == tiny
+    assert all(config != tiny for config in recipes.values())
+    spoilt_in_the_data = {"depth_outliers", "wrong_camera", "nothing"}
+    assert {name for name, config in failures.items() if config == tiny} == (
+        spoilt_in_the_data | {"no_smoothness"}  # tiny has none
+    )
+    for config in (*recipes.values(), *failures.values()):
+        assert TrainConfig.from_json(config.to_json()) == config
+
+
+def test_a_profile_of_steps_names_every_part(capture: Path) -> None:
+    row = SCRIPT.steps(SCRIPT.StepOptions(capture=capture, preset="tiny", steps=2, threads=1))
+
+    parts = sum(row[f"{part}_ms"] for part in SCRIPT.PARTS)
+    assert all(row[f"{part}_ms"] > 0 for part in SCRIPT.PARTS)
+    assert 0.5 * row["step_ms"] < parts < 1.5 * row["step_ms"]

@@ -1,1 +1,0 @@
-"""Many short trainings compared: recipes, failures, and where a step's time goes."""
