@@ -1,4 +1,4 @@
-"""`pica bench models`: files of trained models, the errors that eval measured, and both joined."""
+"""``scripts/bench_models.py``: trained models, the errors that eval measured, and both joined."""
 
 from __future__ import annotations
 
@@ -10,18 +10,22 @@ from typing import Any
 import numpy as np
 import pytest
 
+from helpers.script import load_script
 from helpers.toy import grid_faces, head_surface, make_toy_avatar
-from pica_client.bench.eval_rows import EvalRows, ModelKey
-from pica_client.bench.model_files import Model, open_models
-from pica_client.bench.models import ModelsBenchConfig, join_errors, run_models_bench
 from pica_client.errors import OptionError
-from pica_command.main import main
 from pica_core.avatar.baseline import BaselineAvatar, BaselineSpec, baseline_channels, save_baseline
 from pica_core.avatar.file import save_avatar
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.errors import AvatarFileError
 
 pytestmark = pytest.mark.render
+
+SCRIPT = load_script("bench_models")
+ModelKey, open_models, held_out_errors = (
+    SCRIPT.ModelKey,
+    SCRIPT.open_models,
+    SCRIPT.held_out_errors,
+)
 
 SMALL = {"uv_encoding_size": 16, "axis_encoding_size": 20}
 VIEWS = ("front", "left")
@@ -69,17 +73,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def models(folder: Path) -> list[Model]:
+def models(folder: Path) -> list[Any]:
     return open_models([str(folder)])
 
 
-def eval_row(key: ModelKey, view: str = "front", **changes: Any) -> dict[str, Any]:
+def eval_row(key: Any, view: str = "front", **changes: Any) -> dict[str, Any]:
     row = {**key._asdict(), "view": view, "mse": 20.0, "mse_low": 18.0, "mse_high": 23.0}
     row |= {"psnr_db": 35.0, "ssim": 0.9, "temporal_mse": None, "frames": 25}
     return row | {"parameters": 10, "macs": 1, "steps": 100, "seed": 0} | changes
 
 
-def rows_of(models: Iterable[Model], **changes: Any) -> list[dict[str, Any]]:
+def rows_of(models: Iterable[Any], **changes: Any) -> list[dict[str, Any]]:
     return [
         eval_row(model.key, view, parameters=model.cost.parameters, **changes)
         for model in models
@@ -87,7 +91,7 @@ def rows_of(models: Iterable[Model], **changes: Any) -> list[dict[str, Any]]:
     ]
 
 
-def test_files_are_told_apart_by_what_they_hold(models: list[Model]) -> None:
+def test_files_are_told_apart_by_what_they_hold(models: list[Any]) -> None:
     assert [tuple(model.key)[1:] for model in models] == [
         ("full", "B"),
         ("full", "C"),
@@ -98,10 +102,10 @@ def test_files_are_told_apart_by_what_they_hold(models: list[Model]) -> None:
     assert all(model.file_bytes > 0 for model in models)
 
 
-def test_every_model_has_costs_at_every_distance_beside_its_error(models: list[Model]) -> None:
-    errors = join_errors(models, EvalRows(rows_of(models)))
-    config = ModelsBenchConfig(distances_cm=(40.0, 90.0), image_size=64, frames=3)
-    result = run_models_bench(config, models, errors)
+def test_every_model_has_costs_at_every_distance_beside_its_error(models: list[Any]) -> None:
+    errors = SCRIPT.join_errors(models, held_out_errors(rows_of(models)))
+    config = SCRIPT.ModelsBenchConfig(distances_cm=(40.0, 90.0), image_size=64, frames=3)
+    result = SCRIPT.run_models_bench(config, models, errors)
 
     rows = result["rows"]
     keys = [(row["variant"], row["block"], row["distance_cm"]) for row in rows]
@@ -115,10 +119,10 @@ def test_every_model_has_costs_at_every_distance_beside_its_error(models: list[M
     assert any(row["is_best"] for row in rows)
 
 
-def test_a_model_is_described_by_what_it_computes(models: list[Model]) -> None:
-    errors = join_errors(models, EvalRows(rows_of(models)))
-    config = ModelsBenchConfig(distances_cm=(65.0,), image_size=64, frames=3)
-    found = run_models_bench(config, models, errors)["models"]
+def test_a_model_is_described_by_what_it_computes(models: list[Any]) -> None:
+    errors = SCRIPT.join_errors(models, held_out_errors(rows_of(models)))
+    config = SCRIPT.ModelsBenchConfig(distances_cm=(65.0,), image_size=64, frames=3)
+    found = SCRIPT.run_models_bench(config, models, errors)["models"]
 
     b, c, no_uv, baseline = found
     assert b["macs"] > 3 * c["macs"]
@@ -136,40 +140,46 @@ def test_an_error_is_the_mean_over_views() -> None:
     first = eval_row(key, "front", mse=10.0, mse_low=8.0, mse_high=11.0)
     second = eval_row(key, "left", mse=20.0, mse_low=19.0, mse_high=24.0)
 
-    error = EvalRows([first, second]).error_of(key)
+    error = held_out_errors([first, second])[key]
 
-    assert (error.mse_low, error.mse, error.mse_high, error.views) == (13.5, 15.0, 17.5, 2)
+    means = [error[name] for name in ("mse_low", "mse", "mse_high", "views")]
+    assert means == [13.5, 15.0, 17.5, 2]
 
 
 def test_of_two_rows_about_the_same_the_later_counts() -> None:
     key = ModelKey("S1", "full", "C")
-    rows = EvalRows([eval_row(key, mse=10.0), eval_row(key, mse=12.0)])
-    assert rows.error_of(key).mse == 12.0
+    assert held_out_errors([eval_row(key, mse=10.0), eval_row(key, mse=12.0)])[key]["mse"] == 12.0
 
 
-def test_a_model_that_was_not_evaluated_is_named(models: list[Model]) -> None:
-    rows = EvalRows(rows_of(models[1:]))
+def test_a_model_that_was_not_evaluated_is_named(models: list[Any]) -> None:
+    rows = held_out_errors(rows_of(models[1:]))
     with pytest.raises(OptionError, match="no error of toy-7 full with block B; there are toy-7 b"):
-        join_errors(models, rows)
+        SCRIPT.join_errors(models, rows)
 
 
 def test_rows_of_two_seeds_are_not_mixed() -> None:
     key = ModelKey("S1", "baseline", None)
-    rows = EvalRows([eval_row(key), eval_row(key, seed=1)])
-    with pytest.raises(OptionError, match="S1 baseline was trained with seeds 0, 1"):
-        rows.error_of(key)
+    with pytest.raises(OptionError, match="S1 baseline was trained with several seeds"):
+        held_out_errors([eval_row(key), eval_row(key, seed=1)])
 
 
-def test_rows_of_a_model_of_another_size_are_refused(models: list[Model]) -> None:
-    rows = EvalRows([eval_row(model.key) for model in models])
+def test_a_row_that_lacks_a_field_names_it() -> None:
+    row = eval_row(ModelKey("S1", "full", "C"))
+    del row["block"]
+    with pytest.raises(OptionError, match="'block' is missing"):
+        held_out_errors([row])
+
+
+def test_rows_of_a_model_of_another_size_are_refused(models: list[Any]) -> None:
+    rows = held_out_errors([eval_row(model.key) for model in models])
     with pytest.raises(OptionError, match="has 10 parameters, its file"):
-        join_errors(models, rows)
+        SCRIPT.join_errors(models, rows)
 
 
-def test_models_that_were_measured_otherwise_are_not_compared(models: list[Model]) -> None:
+def test_models_that_were_measured_otherwise_are_not_compared(models: list[Any]) -> None:
     rows = rows_of(models[:1]) + rows_of(models[1:], frames=12)
     with pytest.raises(OptionError, match="in 2 views of 12 frames, others of toy-7 otherwise"):
-        join_errors(models, EvalRows(rows))
+        SCRIPT.join_errors(models, held_out_errors(rows))
 
 
 def test_rows_are_read_as_eval_writes_prints_and_as_they_are_recorded(tmp_path: Path) -> None:
@@ -182,38 +192,7 @@ def test_rows_are_read_as_eval_writes_prints_and_as_they_are_recorded(tmp_path: 
     }
     for name, text in texts.items():
         (tmp_path / name).write_text(text)
-        assert EvalRows.read([tmp_path / name]).error_of(key).mse == 20.0
-
-
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
-        ("# a table\n", "no JSON in it"),
-        ('{"rows": [\n{"rows":', "neither JSON nor lines"),
-        ('{"runs": []}', "field rows is missing"),
-        ('{"rows": [3]}', "rows has 3"),
-        (json.dumps({"rows": [eval_row(ModelKey("S1", "full", "C"), mse="x")]}), "rows.mse is 'x'"),
-        ('{"rows": [{"identity": "S1", "variant": "full", "view": 2}]}', "rows.view is 2"),
-        (json.dumps({"rows": [eval_row(ModelKey("S1", "full", "C"), ssim=None)]}), "rows.ssim"),
-        (json.dumps({"rows": [eval_row(ModelKey("S1", "full", "C"), block=1)]}), "rows.block is 1"),
-    ],
-)
-def test_what_are_no_rows_is_refused_by_file_and_field(
-    text: str, reason: str, tmp_path: Path
-) -> None:
-    path = tmp_path / "eval.json"
-    path.write_text(text)
-    with pytest.raises(OptionError, match=f"eval.json: .*{reason}"):
-        EvalRows.read([path])
-
-
-def test_rows_without_a_block_ask_for_a_new_evaluation(tmp_path: Path) -> None:
-    row = eval_row(ModelKey("S1", "full", "C"))
-    del row["block"]
-    path = tmp_path / "eval.json"
-    path.write_text(json.dumps({"rows": [row]}))
-    with pytest.raises(OptionError, match=r"rows\.block is missing; measure again"):
-        EvalRows.read([path])
+        assert held_out_errors(SCRIPT.read_rows(tmp_path / name))[key]["mse"] == 20.0
 
 
 def test_a_baseline_is_of_the_one_person_beside_it_or_of_whom_is_written(
@@ -253,28 +232,3 @@ def test_files_that_make_no_comparison_are_refused(folder: Path, tmp_path: Path)
     save_toy_baseline(tmp_path / "mute.pica", has_encoder=False)
     with pytest.raises(OptionError, match="no expression encoder"):
         open_models([f"S1={tmp_path / 'mute.pica'}"])
-
-
-def test_the_command_prints_one_line_and_refuses_a_file_without_rows(
-    folder: Path, models: list[Model], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    rows = tmp_path / "eval.json"
-    rows.write_text(json.dumps({"rows": rows_of(models)}))
-    words = ["bench", "models", str(folder), "--rows", str(rows), "--json"]
-    words += ["--distances-cm", "65", "--image-size", "64", "--frames", "3"]
-
-    assert main(words) == 0
-    result = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert len(result["rows"]) == len(result["models"]) == 4
-
-    rows.write_text(json.dumps({"rows": rows_of(models[:2])}))
-    assert main(words) == 2
-    assert "no error of toy-7 no_uv with block C" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    "changes", [{"distances_cm": ()}, {"image_size": 8}, {"frames": 2}, {"threads": 0}]
-)
-def test_settings_out_of_range_are_refused_by_name(changes: dict[str, Any]) -> None:
-    with pytest.raises(OptionError, match=next(iter(changes))):
-        ModelsBenchConfig(**changes)
