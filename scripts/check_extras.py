@@ -91,7 +91,7 @@ def check_client(folder: Path) -> None:
     """The viewer's install imports the client but its benches: no torch, SciPy, cryptography."""
     python = make_environment(folder, "view")
     assert_absent(python, "torch", "scipy", "cryptography")
-    others = ("pica_client.e2ee.", "pica_client.bench.", "pica_client.cli.bench.")
+    others = ("pica_client.e2ee.", "pica_client.bench.", "pica_client.cli.bench")
     print(f"view: {import_modules(python, 'pica_client', *others)}")
 
 

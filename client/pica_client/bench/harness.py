@@ -1,11 +1,11 @@
-"""What all benches share: fair turns, times with their spread, GL contexts.
+"""What all benches share: fair turns, times with their spread, tables, GL contexts.
 
 Cases of a bench take turns, round after round, so that a busy machine treats all alike; the
 first rounds warm up and are not counted. Results are medians with quartiles.
 """
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from statistics import median, quantiles
 from typing import Any, NamedTuple, TypeVar
@@ -87,6 +87,26 @@ def spread(samples: Sequence[float]) -> float:
         return 0.0
     low, middle, high = quantiles(samples, n=4)
     return round((high - low) / middle, 3)
+
+
+def say_rows(rows: Sequence[Mapping[str, Any]], columns: str) -> None:
+    """Tell the user some fields of the rows of a result, as a table.
+
+    Args:
+        rows: One a line.
+        columns: Names of fields, with spaces between.
+    """
+    names = columns.split()
+    lines = [names, *([_shown(row[name]) for name in names] for row in rows)]
+    widths = [max(map(len, cells)) for cells in zip(*lines, strict=True)]
+    for line in lines:
+        say("  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)))
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return ""
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
 @contextmanager

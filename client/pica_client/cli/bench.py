@@ -1,0 +1,235 @@
+"""The commands of `pica bench` that measure avatars and calls; `bench_relay` needs no numpy."""
+
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from tyro.conf import OmitArgPrefixes
+
+from pica_client.avatars.library import AvatarLibrary
+from pica_client.bench.call import BenchConfig, run_bench
+from pica_client.bench.codec import CodecConfig, run_codec_bench
+from pica_client.bench.decode import DecodeBenchConfig, run_decode_bench
+from pica_client.bench.drive.bench import DriveBenchConfig, run_drive_bench
+from pica_client.bench.harness import say_rows
+from pica_client.bench.network.impairment import Impairment
+from pica_client.bench.pareto import ParetoBenchConfig, run_pareto_bench
+from pica_client.bench.playout import BenchPlayoutConfig, run_bench_playout
+from pica_client.bench.render import RenderBenchConfig, run_render_bench
+from pica_client.bench.scene import SceneBenchConfig, run_scene_bench
+from pica_client.bench.voice import BenchVoiceConfig, run_bench_voice
+from pica_client.local_call.local_call import LocalCallConfig, choose_avatars
+from pica_client.output import check_writable, say
+from pica_client.playout.config import PlayoutConfig, playout_with_floor
+from pica_client.signals import terminate_as_interrupt
+from pica_core.avatar.file import Avatar
+
+Config = TypeVar("Config")
+Result = dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AvatarBenchOptions(Generic[Config]):
+    """Options of a bench of one avatar."""
+
+    avatar: str | None = None
+    """Name of a shipped avatar, or a .pica file; the first shipped one by default."""
+    config: OmitArgPrefixes[Config]
+
+    def load(self) -> Avatar:
+        """The avatar that is measured."""
+        return _load(self.avatar)[0]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AvatarsBenchOptions(Generic[Config]):
+    """Options of a bench of several avatars."""
+
+    avatar: str | None = None
+    """Names of shipped avatars or .pica files, separated by commas; by default all that ship."""
+    config: OmitArgPrefixes[Config]
+
+    def load(self) -> list[Avatar]:
+        """The avatars that are measured."""
+        return _load(self.avatar)
+
+
+def _load(names: str | None) -> list[Avatar]:
+    library = AvatarLibrary()
+    try:
+        return [library.load(library.find(name)) for name in choose_avatars(names, library)]
+    finally:
+        library.close()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NetworkOptions:
+    """How to worsen the receiver's network."""
+
+    delay: float = 0.0
+    """Milliseconds added each way."""
+    jitter: float = 0.0
+    """95th percentile of a further, varying delay, milliseconds."""
+    stall: float = 0.0
+    """Every few seconds nothing comes for so many milliseconds, then all at once."""
+    loss: float = 0.0
+    """Share of TCP segments that have to be sent again, which takes 200 ms each time, 0 to 0.9."""
+    rate: float = 0.0
+    """Bits a second that the receiver's network carries, all headers included; 0 is no limit."""
+
+    def impairment(self) -> Impairment | None:
+        """What they make of the way to the receiver; None leaves it as it is."""
+        if self == NetworkOptions():
+            return None
+        return Impairment(
+            delay_s=self.delay / 1e3,
+            jitter_s=self.jitter / 1e3,
+            stall_s=self.stall / 1e3,
+            loss_ratio=self.loss,
+            rate_bps=self.rate or None,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BenchCallOptions:
+    """Options of `pica bench call`."""
+
+    call: OmitArgPrefixes[LocalCallConfig]
+    seconds: float = 20.0
+    """Measured time, seconds."""
+    playout_floor_ms: float = PlayoutConfig().floor_s * 1e3
+    """Least playout delay, milliseconds."""
+    network: OmitArgPrefixes[NetworkOptions]
+
+
+def bench_call(options: BenchCallOptions) -> Result:
+    """Measure a call on this machine without drawing it: relay, senders and a decoding receiver.
+
+    Reports the latency from source sample to decoded avatar, with its parts, rates and bitrates.
+    """
+    config = BenchConfig(
+        call=options.call,
+        seconds=options.seconds,
+        playout=playout_with_floor(options.playout_floor_ms),
+        impairment=options.network.impairment(),
+    )
+    with terminate_as_interrupt():
+        result = run_bench(config)
+    latency = result["latency_ms"]
+    say(
+        f"{result['decoded_peers']} of {result['peers']} peers, source sample to decoded avatar: "
+        f"p50 {latency['p50']} ms, p95 {latency['p95']} ms, p99 {latency['p99']} ms"
+    )
+    if rendered := result.get("rendered"):
+        say(
+            f"on a display behind that network: rendered MSE {rendered['mse_delayed']} against the "
+            f"undisturbed stream, concealed {rendered['concealed_ratio']:.1%}, "
+            f"age p50 {rendered['age_ms']['p50']} ms, p95 {rendered['age_ms']['p95']} ms"
+        )
+    return result
+
+
+def bench_codec(options: AvatarBenchOptions[CodecConfig]) -> Result:
+    """Measure what the latent stream's bits buy: bitrate against rendered error.
+
+    Compares our qualities, thinned and whole, with plain 8 bit, 16-bit float, zlib and zstd with a
+    trained dictionary.
+    """
+    if options.config.sheet is not None:
+        check_writable(options.config.sheet, ".png")
+    result = run_codec_bench(options.config, options.load())
+    say_rows(result["rows"], "source profile payload_bps mse change_mse psnr_loss_db")
+    return result
+
+
+def bench_decode(options: AvatarBenchOptions[DecodeBenchConfig]) -> Result:
+    """Measure what decoding one face costs: levels, plain export, baseline, candidate blocks."""
+    result = run_decode_bench(options.config, options.load())
+    say_rows(
+        result["rows"],
+        "model level parts threads ms p95 spread plain_ms is_equal difference vertex_mm mse",
+    )
+    for threads, models in result["summary"]["by_threads"].items():
+        for model, ratios in models.items():
+            for level, ratio in ratios["baseline_ratio"].items():
+                say(
+                    f"{threads} threads, {model} {level}: baseline over it {ratio:.1f}, "
+                    f"plain over fast {ratios['plain_ratio'][level]:.2f}, "
+                    f"full over it {ratios['level_ratio'][level]:.2f}"
+                )
+    level = result["summary"]["level_at_head_px"]
+    say(f"the scheduler decodes a head of {result['head_px']:g} px at level {level}")
+    return result
+
+
+def bench_drive(options: AvatarsBenchOptions[DriveBenchConfig]) -> Result:
+    """Measure what a live face becomes at every level: picture, lids, lips, what pokes out.
+
+    The truth is the built-in head or the rig itself, at the same values.
+    """
+    result = run_drive_bench(options.config, options.load())
+    say_rows(result["rows"], "avatar source stage level mse p95_mse lid_mm lip_mm poke_ratio")
+    return result
+
+
+def bench_pareto(options: AvatarBenchOptions[ParetoBenchConfig]) -> Result:
+    """Measure error against milliseconds for every level, mesh, precision and block.
+
+    Set LP_NUM_THREADS to say how many threads software GL takes.
+    """
+    result = run_pareto_bench(options.config, options.load())
+    drawn = [row for row in result["rows"] if row["mse"] is not None]
+    say_rows(drawn, "distance_cm level mesh precision total_ms mse change_mse is_best")
+    return result
+
+
+def bench_playout(options: AvatarBenchOptions[BenchPlayoutConfig]) -> Result:
+    """Measure what the playout makes of troubled networks: rendered error, delay, recovery.
+
+    Runs on a virtual clock and needs no network. Compares the receiver's playout with a fixed
+    buffer of 100 ms and with none.
+    """
+    return run_bench_playout(options.config, options.load())
+
+
+def bench_render(options: AvatarBenchOptions[RenderBenchConfig]) -> Result:
+    """Measure what drawing a head costs: near and far, each level, and a textured baseline.
+
+    Set LP_NUM_THREADS to say how many threads software GL takes.
+    """
+    result = run_render_bench(options.config, options.load())
+    say_rows(
+        result["rows"],
+        "distance_cm model level mesh weights pixels triangles draw_ms vertex_ms draw_cpu_ms "
+        "vertex_cpu_ms",
+    )
+    say_rows(result["lines"], "model level time intercept_ms ns_per_pixel r2")
+    return result
+
+
+def bench_scene(options: AvatarsBenchOptions[SceneBenchConfig]) -> Result:
+    """Measure a scene of talking heads: its cost, and the error that the scheduler leaves.
+
+    Avatars are dealt to the heads in turn. Set LP_NUM_THREADS to say how many threads software GL
+    takes.
+    """
+    if options.config.sheet is not None:
+        check_writable(options.config.sheet, ".png")
+    result = run_scene_bench(options.config, options.load())
+    say_rows(
+        result["rows"],
+        "avatars distance_cm view scheduler total_ms budget_ms decode_ms upload_ms draw_ms plan_ms "
+        "error payload_bps",
+    )
+    say_rows(
+        result["summary"]["scenes"],
+        "distance_cm scheduled_over_full_screen unscheduled_over_full_screen error",
+    )
+    return result
+
+
+def bench_voice(options: AvatarBenchOptions[BenchVoiceConfig]) -> Result:
+    """Measure what arrives of a voice and its face on troubled networks: quality, delay, lip-sync.
+
+    Runs on a virtual clock and needs neither network nor sound card.
+    """
+    return run_bench_voice(options.config, options.load())

@@ -1,1 +1,0 @@
-"""The commands of `pica bench`, one module each."""
