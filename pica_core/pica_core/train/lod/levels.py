@@ -81,6 +81,9 @@ class LevelOptions:
     """Performances of each kind to draw them from."""
     points: int = 24_000
     """Points of the surface at which colours are compared."""
+    bias_points: int = 200_000
+    """Points at which the bias of a map is fitted: 12 for each texel of 128 (with 24,000, as many
+    as colours are compared at, single texels went wrong and showed as specks: docs/levels.md)."""
     mesh_ratios: tuple[float, ...] = (0.22, 0.35)
     """Triangles of the levels' meshes, the coarsest first, as shares of the full mesh (chosen: with
     0.16 nostrils of people tear at heads 300 pixels high: docs/levels.md)."""
@@ -99,6 +102,7 @@ class LevelOptions:
             faces=(8, 100_000),
             rounds=(1, 1000),
             points=(100, 1_000_000),
+            bias_points=(100, 10_000_000),
             check_faces=(1, 10_000),
         )
         if len(self.texels) != len(EXIT_DIVISORS) or not all(
@@ -179,7 +183,13 @@ def add_levels(
             rest = mean_m / avatar.manifest.position_scale_m
             geometry = fit_sheet(decoders["geometry"], faces, level, vertex_uv, rest, texels)
         expression = fit_convolution(
-            decoders["expression"], faces, level, surface.points, surface.metric, seed=options.seed
+            decoders["expression"],
+            faces,
+            level,
+            surface.points,
+            surface.metric,
+            surface.bias_points,
+            seed=options.seed,
         )
         tensors |= _exit_tensors(avatar, level, geometry, expression) | {faces_name(level): mesh}
         runs = list(decoders["expression"].run(seen, level))
@@ -235,6 +245,7 @@ class _Surface:
         points: Points of the surface, UV, ``[P, 2]``: half of them spread over the area of the mesh
             at rest, half over the area of its UVs, which give mouth and eyes more room.
         xyz_m: Where the points are at rest, ``[P, 3]``.
+        bias_points: More such points, UV, ``[B, 2]``.
         metric: See `colour_metric`; float32.
     """
 
@@ -252,10 +263,8 @@ class _Surface:
         rest = avatar.mean_vertices_m
         self.moving_vertices_m = np.concatenate([rest[None], _far_apart(shapes, POKE_SHAPES)])
         rng = np.random.default_rng(options.seed)
-        triangles = tensors["mesh.faces"]
-        self.points, self.xyz_m = _scatter(
-            rest, tensors["mesh.vertex_uv"], triangles, options.points, rng
-        )
+        mesh = rest, tensors["mesh.vertex_uv"], tensors["mesh.faces"]
+        self.points, self.xyz_m = _scatter(*mesh, options.points, rng)
         some = rng.choice(len(faces), METRIC_FACES, replace=False)
         chosen = FaceSet(faces.latents[some], faces.views[some])
         codes = torch.cat(
@@ -265,6 +274,7 @@ class _Surface:
             avatar, list(codes.double().numpy()), self.xyz_m, self.points.double().numpy()
         )
         self.metric = torch.from_numpy(metric.astype(np.float32))
+        self.bias_points, _ = _scatter(*mesh, options.bias_points, rng)
 
 
 def _vertices_m(

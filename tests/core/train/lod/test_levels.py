@@ -121,23 +121,29 @@ def test_a_fitted_map_gives_its_values_back_at_its_points() -> None:
     across = (2 * torch.arange(7) + 1.8) / 16
     points = torch.cartesian_prod(across, across)
     values = torch.randn(49, 2, generator=torch.Generator().manual_seed(0))
-    found = fit_map(points, values, torch.ones(49), torch.zeros(2, 16, 16))
-    assert (sample_map(found[None], points)[0] - values).abs().max() < 0.02
+    found = fit_map(points, values, torch.zeros(2, 16, 16))
+    assert (sample_map(found[None], points)[0] - values).abs().max() < 0.05
 
 
 def test_texels_that_no_point_reads_keep_their_start() -> None:
     points = torch.tensor([[0.1, 0.1]])
     start = torch.full((1, 8, 8), 3.0)
-    found = fit_map(points, torch.tensor([[5.0]]), torch.ones(1), start)
+    found = fit_map(points, torch.tensor([[5.0]]), start)
     assert torch.equal(found[:, 4:, 4:], start[:, 4:, 4:])
-    assert float(sample_map(found[None], points)[0, 0, 0]) == pytest.approx(5.0, abs=0.02)
+    assert float(sample_map(found[None], points)[0, 0, 0]) == pytest.approx(5.0, abs=0.1)
 
 
-def test_an_important_point_wins_over_another_in_the_same_texel() -> None:
-    points = torch.tensor([[0.5625, 0.5625], [0.5625, 0.5625]])
-    weights = torch.tensor([1.0, 9.0])
-    found = fit_map(points, torch.tensor([[0.0], [1.0]]), weights, torch.zeros(1, 8, 8))
-    assert float(found[0, 4, 4]) == pytest.approx(0.9, abs=0.01)
+def test_no_texel_goes_wrong_with_as_many_points_as_a_level_gets() -> None:
+    def waves(uv: torch.Tensor) -> torch.Tensor:
+        return torch.sin(25 * uv[:, :1]) + torch.cos(30 * uv[:, 1:])
+
+    generator = torch.Generator().manual_seed(2)
+    per_texel = LevelOptions().bias_points // 128**2
+    points = torch.rand(per_texel * 24 * 24, 2, generator=generator)
+    others = 0.05 + 0.9 * torch.rand(40 * 24 * 24, 2, generator=generator)
+    found = fit_map(points, waves(points), torch.zeros(1, 24, 24))
+    # 1.7 with three points a texel, and the mean hardly different
+    assert (sample_map(found[None], others)[0] - waves(others)).abs().max() < 0.6
 
 
 # Meshes
