@@ -4,8 +4,8 @@
     plan = scheduler.plan(heads, budget_s=0.008, now=now)
     heads[0].choice.level, .decode, .mesh_level, .wanted_layer
 
-Theory of operation. A head taller than a threshold gets the full maps, and the taller it is, the
-finer their mesh; below that threshold it gets the coarsest level. A face that has changed is
+Theory of operation. The taller a head is, the more it gets: the coarsest level, the middle one, the
+full maps on the middle mesh, and on their own. A face that has changed is
 decoded anew when its maps are old enough, at once unless the head is tiny. When a frame is expected
 to cost more than its budget (`cost_model`), every head counts as so many times smaller, until it
 fits. What the tests hold it to:
@@ -50,10 +50,11 @@ class SchedulerOptions:
     """Heights on the screen at which a head gets more, pixels, and times."""
 
     full_px: float = 80.0
-    """Height from which a head gets the full maps; below, it gets the coarsest (all thresholds are
-    tuned on one avatar, Sam, at 50 and 130 cm)."""
+    """Height from which a head gets more than the coarsest level: the next to full one, or full
+    maps on the coarsest mesh if there is none (all thresholds are tuned on one avatar, Sam, at 50
+    and 130 cm)."""
     mesh_px: tuple[float, ...] = (250.0, 500.0)
-    """Heights from which full maps get the next finer mesh, the full one at last."""
+    """Heights from which it gets full maps on the next finer mesh, on the full one at last."""
     refresh_px: float = 20.0
     """Height from which every face is decoded; of heads half as high every second one."""
     least_change: float = 0.05
@@ -196,9 +197,10 @@ class Scheduler:
         def is_reached(threshold_px: float, was_reached: bool) -> bool:
             return height >= threshold_px * (KEEP_RATIO if was_reached else 1.0)
 
-        if not is_reached(options.full_px, head.held_level == levels[top]):
+        held = 0 if head.held_level is None else levels.index(head.held_level)
+        if not is_reached(options.full_px, held > 0):
             return 0, 0
-        before = -1 if head.choice is None else levels.index(head.choice.mesh_level)
+        before = levels.index(head.choice.mesh_level) if head.choice and held == top else -1
         coarsest = top - len(options.mesh_px)
         finer = sum(
             is_reached(
@@ -207,6 +209,9 @@ class Scheduler:
             )
             for number, threshold_px in enumerate(options.mesh_px)
         )
+        if finer == 0 and top > 1:
+            # Full maps on the coarsest mesh cost more, and leave twice the error.
+            return top - 1, top - 1
         return top, max(coarsest + finer, 0)
 
     def _interval_s(self, head: Head, shrink: float) -> float:
