@@ -34,10 +34,10 @@ RIDGE = 1e-6
 """Added to the diagonal of a system, as a share of its mean: keeps idle features quiet."""
 VERTEX_RIDGE = 1e-3
 """The same for the weights of a vertex, as a share of the mean over all."""
-PRIOR = 0.01
+PRIOR = 1e-3
 """Weight of the start in a map, where a point's weight is 1."""
-MAP_STEPS = 60
-"""Steps of conjugate gradients for a map; 240 more change its mean misfit by less than a percent,
+MAP_STEPS = 100
+"""Steps of conjugate gradients for a map; 200 more change its mean misfit by less than a percent,
 where points are many times the texels."""
 METRIC_FLOOR = 0.02
 """Least weight of a direction of codes, as a share of the mean over directions and points."""

@@ -122,7 +122,7 @@ def test_a_fitted_map_gives_its_values_back_at_its_points() -> None:
     points = torch.cartesian_prod(across, across)
     values = torch.randn(49, 2, generator=torch.Generator().manual_seed(0))
     found = fit_map(points, values, torch.zeros(2, 16, 16))
-    assert (sample_map(found[None], points)[0] - values).abs().max() < 0.05
+    assert (sample_map(found[None], points)[0] - values).abs().max() < 0.02
 
 
 def test_texels_that_no_point_reads_keep_their_start() -> None:
@@ -130,7 +130,7 @@ def test_texels_that_no_point_reads_keep_their_start() -> None:
     start = torch.full((1, 8, 8), 3.0)
     found = fit_map(points, torch.tensor([[5.0]]), start)
     assert torch.equal(found[:, 4:, 4:], start[:, 4:, 4:])
-    assert float(sample_map(found[None], points)[0, 0, 0]) == pytest.approx(5.0, abs=0.1)
+    assert float(sample_map(found[None], points)[0, 0, 0]) == pytest.approx(5.0, abs=0.02)
 
 
 def test_no_texel_goes_wrong_with_as_many_points_as_a_level_gets() -> None:
