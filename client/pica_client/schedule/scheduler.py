@@ -7,8 +7,8 @@
 Theory of operation. The taller a head is, the more it gets: the coarsest level, the middle one, the
 full maps on the middle mesh, and on their own. A face that has changed is
 decoded anew when its maps are old enough, at once unless the head is tiny. When a frame is expected
-to cost more than its budget (`cost_model`), every head counts as so many times smaller, until it
-fits. What the tests hold it to:
+to cost more than its budget (`cost_model`), heads count as smaller, one after the other and the
+lowest first, until it fits. What the tests hold it to:
 
 - The budget is kept whenever the least of everybody fits, but for the one oldest head that is
   decoded in any case, so that nobody's maps grow older than `max_age_s`.
@@ -34,9 +34,9 @@ from pica_protocol.limits import MAX_LAYER
 FACE_S = 1 / 30
 """Seconds between two faces of a stream."""
 STEP = 1.1
-"""Ratio of the sizes that are tried for heads when the budget is short."""
-MOST_SHRUNK = 100.0
-"""No head counts as smaller than by this factor."""
+"""How many times smaller a head counts when its turn comes."""
+MOST_TURNS = 48
+"""No head has more turns: it counts as a hundredth."""
 RAISE_RATIO = 0.95
 """Detail comes back when it would leave the rest of the budget unspent."""
 KEEP_RATIO = 0.85
@@ -115,7 +115,7 @@ class Scheduler:
     ) -> None:
         self.options = options or SchedulerOptions()
         self.costs = costs or CostModel()
-        self._shrink = 1.0
+        self._turns = 0
         self._now = -math.inf
 
     def plan(self, heads: Sequence[Head], budget_s: float, now: float) -> Plan:
@@ -128,14 +128,14 @@ class Scheduler:
         """
         frame_s = min(now - self._now, FACE_S)
         self._now = now
-        seen = [head for head in heads if head.sight.is_visible]
-        self._fit(seen, budget_s, frame_s)
-        spent_s = self._draw_s(seen, self._shrink)
-        floor_s = self._draw_s(seen, MOST_SHRUNK)
+        seen = sorted((head for head in heads if head.sight.is_visible), key=_lowest_first)
+        shrinks = self._fit(seen, budget_s, frame_s)
+        spent_s = self._draw_s(seen, shrinks)
+        floor_s = self._draw_s(seen, _shrinks(len(seen), len(seen) * MOST_TURNS))
         has_decoded = False
-        for head in sorted(seen, key=_oldest_first):
+        for head, shrink in sorted(zip(seen, shrinks, strict=True), key=_oldest_first):
             head.seen_s = now
-            decode, level, mesh = self._wanted(head, self._shrink, now)
+            decode, level, mesh = self._wanted(head, shrink, now)
             decode_s = self._decode_s(head, level, decode)
             # One is decoded in any case, so that not everybody is overdue at once.
             asked_s = head.latent_asked_s if decode == "both" else head.asked_s
@@ -173,20 +173,24 @@ class Scheduler:
         """The level of the maps that a head gets while there is time."""
         return head.avatar.levels[self._places(head, 1.0)[0]]
 
-    def _fit(self, seen: Sequence[Head], budget_s: float, frame_s: float) -> None:
-        """Find how many times smaller heads must count."""
+    def _fit(self, seen: Sequence[Head], budget_s: float, frame_s: float) -> list[float]:
+        """How many times smaller each head must count, the lowest first."""
 
-        def cost_s(shrink: float) -> float:
-            return self._draw_s(seen, shrink) + sum(
+        def cost_s(turns: int) -> float:
+            shrinks = _shrinks(len(seen), turns)
+            return self._draw_s(seen, shrinks) + sum(
                 self._decode_s(head, self._places(head, shrink)[0], "both")
                 * min(frame_s / max(self._interval_s(head, shrink), FACE_S), 1.0)
-                for head in seen
+                for head, shrink in zip(seen, shrinks, strict=True)
             )
 
-        while self._shrink > 1 and cost_s(self._shrink / STEP) < RAISE_RATIO * budget_s:
-            self._shrink = max(self._shrink / STEP, 1.0)
-        while self._shrink < MOST_SHRUNK and cost_s(self._shrink) > budget_s:
-            self._shrink *= STEP
+        most = len(seen) * MOST_TURNS
+        self._turns = min(self._turns, most)
+        while self._turns > 0 and cost_s(self._turns - 1) < RAISE_RATIO * budget_s:
+            self._turns -= 1
+        while self._turns < most and cost_s(self._turns) > budget_s:
+            self._turns += 1
+        return _shrinks(len(seen), self._turns)
 
     def _places(self, head: Head, shrink: float) -> tuple[int, int]:
         """Places, among the avatar's levels, of the maps and of the mesh."""
@@ -248,10 +252,11 @@ class Scheduler:
         triangles = sight.num_views * head.num_triangles[mesh]
         return draw.pixel_s * sight.visible_px + draw.triangle_s * triangles
 
-    def _draw_s(self, seen: Sequence[Head], shrink: float) -> float:
+    def _draw_s(self, seen: Sequence[Head], shrinks: Sequence[float]) -> float:
         """Seconds to draw the frame."""
         return (self.costs.draw.frame_s if seen else 0.0) + sum(
-            self._head_s(head, self._places(head, shrink)[1]) for head in seen
+            self._head_s(head, self._places(head, shrink)[1])
+            for head, shrink in zip(seen, shrinks, strict=True)
         )
 
     def _unseen(self, head: Head, now: float) -> Choice:
@@ -277,5 +282,18 @@ def _kept(head: Head, level: int, mesh: int) -> tuple[int, int]:
     return held, min(mesh, held) if is_full else held
 
 
-def _oldest_first(head: Head) -> tuple[float, float, str]:
+def _shrinks(num_heads: int, turns: int) -> list[float]:
+    """How many times smaller heads count after so many turns, the lowest first.
+
+    Heads of one height would all lose a level in the same frame if they had no turns.
+    """
+    return [STEP ** ((turns + num_heads - 1 - rank) // num_heads) for rank in range(num_heads)]
+
+
+def _lowest_first(head: Head) -> tuple[float, str]:
+    return head.sight.head_px, head.slot
+
+
+def _oldest_first(turn: tuple[Head, float]) -> tuple[float, float, str]:
+    head, _ = turn
     return head.asked_s, -head.sight.head_px, head.slot
