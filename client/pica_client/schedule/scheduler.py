@@ -291,7 +291,9 @@ def _shrinks(num_heads: int, turns: int) -> list[float]:
 
 
 def _lowest_first(head: Head) -> tuple[float, str]:
-    return head.sight.head_px, head.slot
+    # What a head has counts as height: two who sway side by side must not change places.
+    held = 0 if head.choice is None else head.avatar.levels.index(head.choice.mesh_level)
+    return head.sight.head_px * STEP**held, head.slot
 
 
 def _oldest_first(turn: tuple[Head, float]) -> tuple[float, float, str]:

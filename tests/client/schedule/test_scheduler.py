@@ -173,6 +173,29 @@ def test_levels_do_not_flap_when_the_budget_is_on_the_edge() -> None:
     assert sum(a != b for a, b in itertools.pairwise(found)) <= 2
 
 
+def test_heads_of_one_height_lose_detail_one_after_the_other() -> None:
+    names = ("ada", "bea", "cho", "dan")
+    whole_s = plan(*(view(name) for name in names)).cost_s
+    found = set()
+    for share in np.linspace(1, 0.6, 30):
+        choices = plan(*(view(name) for name in names), budget_s=share * whole_s).choices
+        found.add(sum(choice.level == 64 for choice in choices.values()))
+    assert found == {0, 1, 2, 3, 4}
+
+
+def test_two_heads_that_sway_side_by_side_do_not_take_detail_from_each_other() -> None:
+    heads = [view("ada"), view("bea")]
+    scheduler, found = Scheduler(), []
+    budget_s = 0.8 * plan(*copies(heads)).cost_s
+    for frame in range(90):
+        for number, head in enumerate(heads):
+            height = 300 * (1 + 0.03 * np.sin(frame / 5 + np.pi * number))
+            head.sight = head.sight._replace(head_px=height)
+        made = scheduler.plan(heads, budget_s, frame * FRAME_S)
+        found.append(tuple(choice.mesh_level for choice in made.choices.values()))
+    assert len(set(found[30:])) == 1
+
+
 def test_detail_that_the_budget_took_comes_back_with_the_budget() -> None:
     scheduler, head = Scheduler(), view(head_px=600)
     assert scheduler.plan([head], 0.0, 1.0).choices["ada"].mesh_level == 64
