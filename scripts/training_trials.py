@@ -84,6 +84,7 @@ RECIPES: dict[str, Recipe] = {
     "silhouettes": _change(losses={"edge": 1.0}),
     "all_pixels": _change(schedule={"pixels_per_image": 0}),
     "tracked_meshes": lambda config: replace(config, mesh_source="tracked"),
+    **{name: _change(model={"variant": name}) for name in ("linear", "baseline")},
 }
 """all_at_once takes about the same time: a step without images costs a third of one with them."""
 
