@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from pica_client.render.gpu_program import (
     UNIT_POSITION,
+    UNIT_STILL,
     UNIT_U_ENCODING,
     UNIT_UV_ENCODING,
     UNIT_V_ENCODING,
@@ -21,6 +22,7 @@ from pica_core.avatar.bust import WHOLE_M, bust_of, fade_heights_m, seen_faces
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.level_tensors import sheet_uv
 from pica_core.avatar.spec import AvatarSpec
+from pica_core.reference.decoders import still_map
 from pica_core.reference.mesh import order_faces
 from pica_core.types import FloatArray
 
@@ -82,6 +84,8 @@ class Body:
     """Bound to uniform block 0; None if the program holds them as constants."""
     low_m: tuple[float, ...]
     high_m: tuple[float, ...]
+    still_size: int = 0
+    """Expression maps with fewer columns are added to its still map; 0 where it has none."""
     fade_m: tuple[float, float] = WHOLE_M
     """Heights below which nothing and above which all of it is seen, head frame."""
 
@@ -136,6 +140,11 @@ def upload_avatar(
     for unit, name in ((UNIT_U_ENCODING, "u_encoding"), (UNIT_V_ENCODING, "v_encoding")):
         if name in tensors:
             textures[unit] = _axis_texture(context, tensors[name])
+    still = still_map(avatar)
+    if still is not None:
+        size = (len(still), len(still))
+        textures[UNIT_STILL] = context.texture(size, still.shape[2], still.tobytes(), dtype="f4")
+        _clamp(textures[UNIT_STILL], moderngl.LINEAR)
     weights = None
     if weights_place == "block":
         weights = context.buffer(pack_weights(avatar.spec, tensors))
@@ -147,6 +156,7 @@ def upload_avatar(
         weights=weights,
         low_m=tuple(value - BOUNDS_MARGIN_M for value in manifest.bounds_min_m),
         high_m=tuple(value + BOUNDS_MARGIN_M for value in manifest.bounds_max_m),
+        still_size=0 if still is None else len(still),
         fade_m=fade_m,
     )
 

@@ -12,12 +12,13 @@ from pica_core.types import FloatArray
 
 UNIT_VISIBLE_XYZ, UNIT_VISIBLE_UV, UNIT_POSITION, UNIT_EXPRESSION = 0, 1, 2, 3
 UNIT_UV_ENCODING, UNIT_U_ENCODING, UNIT_V_ENCODING = 4, 5, 6
-UNIT_SKIN, UNIT_ROOM = 7, 8
+UNIT_SKIN, UNIT_ROOM, UNIT_STILL = 7, 8, 9
 _UNITS = {
     "visible_xyz": UNIT_VISIBLE_XYZ,
     "visible_uv": UNIT_VISIBLE_UV,
     "position_map": UNIT_POSITION,
     "expression_map": UNIT_EXPRESSION,
+    "still_map": UNIT_STILL,
     "uv_encoding": UNIT_UV_ENCODING,
     "u_encoding": UNIT_U_ENCODING,
     "v_encoding": UNIT_V_ENCODING,

@@ -292,6 +292,8 @@ class DrawPasses:
         body.bind()
         if head.expression is not None:
             head.expression.use(UNIT_EXPRESSION)
+            is_change = head.expression.width < body.still_size
+            set_values(body.shade.program, is_change=is_change)
         targets.textured.use()
         self._context.depth_func = ">"
         set_values(

@@ -9,6 +9,8 @@ channels of the trunk there, R the rows that hold the vertices of its mesh, T is
     level.{S}.geometry.weight    [R, S, 3 * C * T]: of x, of its first channel, of the first texel
     level.{S}.expression.weight  [4, C, 3, 3]
     level.{S}.expression.bias    [4, S, S]
+    level.still                  [8, 8, 4]: the latent whose full expression map, seen from the
+                                 front, is added to what levels below the full one make
     level.head_px                [K] heights of the head on screen, pixels, ascending
     level.errors                 [L, 2, K] MSE by level (ascending, the full one last): of its maps
                                  and its mesh, and of the full maps on its mesh; and by height
@@ -20,7 +22,7 @@ Where bases make the vertices (`linear`), a level has no ``geometry`` tensors: i
 same bases' vertices.
 
 A level is there as a whole or not at all, and so is the table of errors; one of judgements may be
-there without it. The geometry is a *sheet*:
+there without it; without ``level.still`` nothing is added. The geometry is a *sheet*:
 the k-th vertex that the level's mesh uses, counted from the lowest number, stands in row k // S and
 column k % S. What is left of the last row belongs to no vertex.
 """
@@ -33,6 +35,7 @@ from pica_core.avatar.decoder_layers import trunk_channels
 from pica_core.avatar.levels import JUDGED, NUM_DRAWINGS, LevelErrors, level_sizes
 from pica_core.avatar.linear import RANK
 from pica_core.avatar.spec import POSITION_CHANNELS, AvatarSpec
+from pica_core.latent import LATENT_SHAPE
 from pica_core.types import Array, FloatArray
 
 PREFIX = "level."
@@ -41,6 +44,7 @@ MAX_HEIGHTS = 64
 MAX_TEXELS = 4
 """Most texels of the trunk that a vertex is made of."""
 JUDGED_NAME = PREFIX + "judged"
+STILL_NAME = PREFIX + "still"
 _TABLE = ("head_px", "errors", "sensitivity")
 
 
@@ -150,6 +154,8 @@ def wanted_shapes(
         wanted[head_px] = (heights,)
         wanted[errors] = (len(levels), NUM_DRAWINGS, heights)
         wanted[sensitivity] = (2,)
+    if STILL_NAME in shapes:
+        wanted[STILL_NAME] = LATENT_SHAPE
     if JUDGED_NAME in shapes:
         wanted[JUDGED_NAME] = (len(levels), NUM_DRAWINGS, len(JUDGED))
     return wanted

@@ -4,6 +4,8 @@
 uniform sampler2D visible_xyz; // what surface.frag wrote
 uniform sampler2D visible_uv;
 uniform sampler2D expression_map;
+uniform sampler2D still_map;
+uniform bool is_change; // the expression map is what is added to the still one
 uniform float slot;
 uniform float mark; // whose the pixel is, for the passes after this one
 
@@ -25,6 +27,9 @@ void main() {
     }
     vec2 uv = texelFetch(visible_uv, pixel, 0).xy;
     vec4 expression = textureLod(expression_map, uv, 0.0);
+    if (is_change) {
+        expression += textureLod(still_map, uv, 0.0);
+    }
     vec3 rgb = colour_pixel(expression, surface.xyz, uv, unpack_footprint(surface.w));
     colour = vec4(before_room(clamp(rgb, 0.0, 1.0), surface.xyz), mark_of(mark));
 }

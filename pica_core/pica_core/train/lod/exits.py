@@ -8,10 +8,10 @@ What is asked for:
 
 - *Geometry*: each vertex of the level's mesh is where the full map has it. It has weights of its
   own over the texels of the trunk that are nearest to it, so vertices are fitted one by one.
-- *Expression*: at points of the surface, codes of the small map give the colours of the full one:
-  differences of codes are weighed by the pixel decoder's own slope there. The map is only ever read
-  at points inside charts; texels that no point reads keep an average of the full map. So a texel
-  that two charts share is fitted to both.
+- *Expression*: at points of the surface, codes of the small map and of a still full one together
+  give the colours of the full one: differences of codes are weighed by the pixel decoder's own
+  slope there. The map is only ever read at points inside charts; texels that no point reads keep an
+  average of the full map. So a texel that two charts share is fitted to both.
 """
 
 from collections.abc import Iterator
@@ -129,6 +129,7 @@ def fit_convolution(
     points: Tensor,
     metric: Tensor,
     bias_points: Tensor,
+    still: Tensor,
     points_per_face: int = 1000,
     seed: int = 0,
 ) -> MapExit:
@@ -142,6 +143,8 @@ def fit_convolution(
         metric: How differences count, per point, ``[P, C', C']``.
         bias_points: Where they are read while the bias is fitted, ``[B, 2]``: it has as many
             unknowns as texels, and with too few points for each, single texels go wrong.
+        still: The map that the exit's is added to, ``[C', S, S]``: what does not move keeps all of
+            its detail, and what does is smooth.
         points_per_face: How many of the points are read in each face.
         seed: Of the choice of points.
     """
@@ -156,7 +159,7 @@ def fit_convolution(
             system.add(features, targets, metric[chosen])
     weight = system.solve().reshape(mean_full.shape[0], mean_trunk.shape[0], 3, 3).float()
     at_rest = functional.conv2d(mean_trunk[None], weight, padding=1)[0]
-    return MapExit(weight, _fit_rest(bias_points, mean_full, at_rest))
+    return MapExit(weight, _fit_rest(bias_points, mean_full - still, at_rest))
 
 
 def fit_sheet(

@@ -163,6 +163,7 @@ class Judge:
         regions: Eyes and mouth, bool ``[V]`` each.
         full_vertices_m: Of `shown_faces`, ``[N, V, 3]``.
         full_maps: Their expression maps, ``[N, C, S, S]``.
+        still: The map that other maps are added to, ``[C, S, S]``.
     """
 
     def __init__(
@@ -171,8 +172,9 @@ class Judge:
         regions: tuple[Array, ...],
         full_vertices_m: Array,
         full_maps: Tensor,
+        still: Tensor,
     ) -> None:
-        self._avatar = avatar
+        self._avatar, self._still = avatar, still
         self._vertices_m, self._maps = full_vertices_m, full_maps
         tensors = avatar.tensors
         self._uv = torch.from_numpy(np.array(tensors["mesh.vertex_uv"]))
@@ -194,7 +196,7 @@ class Judge:
         Args:
             mesh: Triangles, ``[F, 3]``.
             vertices_m: As `full_vertices_m`, right where the mesh uses them; None for those.
-            maps: Expression maps of any size; None for the full ones.
+            maps: Changes of the still map, of any size; None for the full maps.
 
         Returns:
             As `JUDGED` names them, ``[4]``.
@@ -228,6 +230,8 @@ class Judge:
                     torch.from_numpy(points), self._uv, triangles, camera, ids, pixels
                 )
                 code = sample_map(maps[number][None], uv)[0]
+                if maps is not self._maps:
+                    code += sample_map(self._still[None], uv)[0]
                 rgb = decode_pixels(spec, tensors, code.numpy(), xyz_m.numpy(), uv.numpy())
                 image = np.zeros((*ids.shape, 3), np.float32)
                 image.reshape(-1, 3)[pixels] = 255 * np.clip(rgb, 0, 1)

@@ -17,12 +17,20 @@ from torch import Tensor
 from pica_core.avatar.arkit import ARKIT_NAMES
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.level_tensors import JUDGED_NAME, MAX_TEXELS, PREFIX, faces_name, sheet_rows
+from pica_core.avatar.level_tensors import (
+    JUDGED_NAME,
+    MAX_TEXELS,
+    PREFIX,
+    STILL_NAME,
+    faces_name,
+    sheet_rows,
+)
 from pica_core.avatar.levels import EXIT_DIVISORS, level_sizes
 from pica_core.avatar.linear import components_of, weights_of_latent
 from pica_core.capture.stage.stream_training_faces import stream_training_performances
 from pica_core.errors import TrainingOptionError, check_ranges
 from pica_core.model.decoders import sample_map
+from pica_core.reference.decoders import FRONT
 from pica_core.reference.pixel import decode_pixels
 from pica_core.train.lod.exits import (
     FaceSet,
@@ -165,6 +173,9 @@ def add_levels(
 
     show("meshes")
     levels = level_sizes(avatar.spec)[:-1]
+    rest = FaceSet(faces.latents.mean(dim=0, keepdim=True), torch.tensor([FRONT]))
+    ((_, (still,)),) = decoders["expression"].run(rest, levels[0])
+    tensors[STILL_NAME] = rest.latents[0].permute(1, 2, 0).numpy().copy()
     regions = looked_at(bare, vertices_of)
     importance = 1 + (np.array(IMPORTANCE) - 1) @ np.stack(regions)
     shapes_m = surface.moving_vertices_m[: 1 + STRONG_SHAPES]
@@ -189,6 +200,7 @@ def add_levels(
             surface.points,
             surface.metric,
             surface.bias_points,
+            still,
             seed=options.seed,
         )
         tensors |= _exit_tensors(avatar, level, geometry, expression) | {faces_name(level): mesh}
@@ -202,9 +214,11 @@ def add_levels(
         drawn.append((own, torch.cat([expression(trunk) for trunk, _ in runs])))
         full_maps = torch.cat([full for _, full in runs])
         show(f"level {level}: error")
-        reports.append(_report(bare, decoders, geometry, expression, level, mesh, check, surface))
+        reports.append(
+            _report(bare, decoders, geometry, expression, still, level, mesh, check, surface)
+        )
     show("judging")
-    judge = Judge(bare, regions, vertices_of(seen), full_maps)
+    judge = Judge(bare, regions, vertices_of(seen), full_maps, still)
     tensors[JUDGED_NAME] = judge_levels(judge, meshes[-len(levels) :], drawn)
     return Avatar(avatar.manifest, tensors), reports
 
@@ -395,6 +409,7 @@ def _report(
     decoders: dict[str, FrozenDecoder],
     geometry: SheetExit | None,
     expression: MapExit,
+    still: Tensor,
     level: int,
     mesh: Array,
     check: FaceSet,
@@ -406,9 +421,13 @@ def _report(
         trunks = (trunk for trunk, _ in decoders["geometry"].run(check, level))
         low = torch.cat([geometry(trunk) for trunk in trunks]) * avatar.manifest.position_scale_m
     distance = ((low - full) * 1000).norm(dim=2)
-    still = ((full - full.mean(0)) * 1000).norm(dim=2)
+    moved = ((full - full.mean(0)) * 1000).norm(dim=2)
+    at_rest = sample_map(still[None], surface.points)
     pairs = [
-        (sample_map(output, surface.points), sample_map(expression(trunk), surface.points))
+        (
+            sample_map(output, surface.points),
+            sample_map(expression(trunk), surface.points) + at_rest,
+        )
         for trunk, output in decoders["expression"].run(check, level)
     ]
     codes, low_codes = (torch.cat(column) for column in zip(*pairs, strict=True))
@@ -434,7 +453,7 @@ def _report(
         vertices=full.shape[1],
         vertex_error_mm=float(distance.mean()),
         vertex_error_p99_mm=float(distance.flatten().kthvalue(int(0.99 * distance.numel())).values),
-        vertex_rest_mm=float(still.mean()),
+        vertex_rest_mm=float(moved.mean()),
         colour_mse=float(np.square(colours(low_codes) - wanted).mean()),
         colour_still_mse=float(np.square(colours(codes.mean(0, keepdim=True)) - wanted).mean()),
     )
