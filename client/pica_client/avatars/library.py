@@ -15,6 +15,7 @@ from pica_client.errors import AvatarLookupError
 from pica_core.avatar.file import Avatar, avatar_id, load_avatar
 from pica_core.avatar.shipped import FORMER, SUFFIX, shipped_avatar_files
 from pica_core.errors import AvatarFileError
+from pica_core.reference.decoders import still_map
 
 
 class AvatarStore(Protocol):
@@ -149,6 +150,12 @@ class AvatarLibrary:
         with self._lock:
             future = self._loading.get(identity)
             if future is None:
-                future = self._pool.submit(load_avatar, self._paths[identity])
+                future = self._pool.submit(_load, self._paths[identity])
                 self._loading[identity] = future
         return future
+
+
+def _load(path: Path) -> Avatar:
+    avatar = load_avatar(path)
+    still_map(avatar)  # made here, so that the display need not wait for it
+    return avatar

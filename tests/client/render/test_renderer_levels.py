@@ -18,6 +18,7 @@ from pica_client.render.gpu_textured import TexturedMesh
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement, head_matrix
 from pica_client.render.shader_source import axis_levels
+from pica_core.avatar.level_tensors import STILL_NAME
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.camera import Camera, look_at
 from pica_core.errors import ShapeError
@@ -111,6 +112,24 @@ def test_a_level_looks_like_the_full_one(context: moderngl.Context, maps: Maps) 
     room = drawn(renderer_with(context, maps, 256), placed("nobody"))
     outlines = [(image != room).any(axis=-1) for image in (full, half)]
     assert (outlines[0] != outlines[1]).mean() < 0.02
+
+
+def test_a_coarse_map_is_added_to_the_still_one(context: moderngl.Context, maps: Maps) -> None:
+    latent = np.random.default_rng(6).standard_normal((8, 8, 4)).astype(np.float32)
+    moved = replace(TOY, tensors=TOY.tensors | {STILL_NAME: latent})
+    full = OnnxDecoder(TOY).decode(latent, FRONT).expression_map
+    renderer = Renderer(context, SIZE, SHARP)
+    renderer.add_avatar("p0", moved)
+    positions = maps[256][0]
+    renderer.update_maps("p0", positions, full)
+    wanted = drawn(renderer, placed())
+    renderer.update_maps("p0", positions, np.zeros((64, 64, 4), np.float32))
+    assert np.abs(drawn(renderer, placed()) - wanted).max() <= 1
+    renderer.update_maps("p0", positions, np.full((64, 64, 4), 0.3, np.float32))
+    changed = drawn(renderer, placed())
+    renderer.update_maps("p0", positions, full + np.float32(0.3))
+    assert np.abs(drawn(renderer, placed()) - changed).max() <= 1
+    assert np.abs(changed - wanted).max() > 5
 
 
 def test_a_map_that_does_not_come_stays(context: moderngl.Context, maps: Maps) -> None:

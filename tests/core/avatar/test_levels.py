@@ -17,6 +17,7 @@ from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_core.avatar.decoder_layers import decoder_layers, trunk_channels, trunk_layers
 from pica_core.avatar.file import Avatar, load_avatar, save_avatar
 from pica_core.avatar.level_tensors import (
+    STILL_NAME,
     error_tensors,
     exit_shapes,
     faces_name,
@@ -26,6 +27,7 @@ from pica_core.avatar.level_tensors import (
 from pica_core.avatar.levels import LevelErrors, default_errors, level_sizes
 from pica_core.avatar.spec import BLOCKS, AvatarSpec
 from pica_core.errors import AvatarFileError
+from pica_core.reference.decoders import FRONT, decode_expression_map, still_map
 from pica_core.types import Array
 
 pytestmark = pytest.mark.unit
@@ -191,6 +193,22 @@ def test_a_mean_keeps_sixteen_bits_and_convolutions_all_of_theirs(toy_bytes: byt
     texel = "level.64.geometry.texel"
     np.testing.assert_array_equal(loaded.tensors[texel], TOY.tensors[texel])
     np.testing.assert_array_equal(loaded.tensors[weight], TOY.tensors[weight])
+
+
+def test_the_face_of_the_still_map_comes_back_from_a_file(tmp_path: Path) -> None:
+    latent = np.linspace(-1, 1, 256, dtype=np.float32).reshape(8, 8, 4)
+    save_avatar(tmp_path / "a.pica", Avatar(TOY.manifest, {**TOY.tensors, STILL_NAME: latent}))
+    loaded = load_avatar(tmp_path / "a.pica")
+    found = still_map(loaded)
+    assert found is not None
+    np.testing.assert_allclose(found, decode_expression_map(loaded, latent, FRONT), atol=1e-6)
+    assert still_map(TOY) is None
+
+
+def test_a_still_latent_of_another_shape_is_refused(tmp_path: Path) -> None:
+    tensors = {**TOY.tensors, STILL_NAME: np.zeros((8, 8, 3), np.float32)}
+    with pytest.raises(AvatarFileError, match=STILL_NAME):
+        save_avatar(tmp_path / "bad.pica", Avatar(TOY.manifest, tensors))
 
 
 def test_the_table_of_errors_survives_the_trip_into_tensors() -> None:

@@ -173,9 +173,9 @@ def add_levels(
 
     show("meshes")
     levels = level_sizes(avatar.spec)[:-1]
-    rest = FaceSet(faces.latents.mean(dim=0, keepdim=True), torch.tensor([FRONT]))
-    ((_, (still,)),) = decoders["expression"].run(rest, levels[0])
-    tensors[STILL_NAME] = rest.latents[0].permute(1, 2, 0).numpy().copy()
+    mean_face = FaceSet(faces.latents.mean(dim=0, keepdim=True), torch.tensor([FRONT]))
+    ((_, (still,)),) = decoders["expression"].run(mean_face, levels[0])
+    tensors[STILL_NAME] = mean_face.latents[0].permute(1, 2, 0).numpy().copy()
     regions = looked_at(bare, vertices_of)
     importance = 1 + (np.array(IMPORTANCE) - 1) @ np.stack(regions)
     shapes_m = surface.moving_vertices_m[: 1 + STRONG_SHAPES]
