@@ -5,7 +5,10 @@ import os
 import signal
 import sys
 import threading
+from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,7 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from pica_core.avatar.baseline import save_baseline
-from pica_core.avatar.file import avatar_id, save_avatar
+from pica_core.avatar.file import Avatar, avatar_id, save_avatar
 from pica_core.avatar.storage import Precision, storage_of
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import CaptureError, CheckpointError, TrainingOptionError, check_ranges
@@ -100,7 +103,8 @@ class ExportOptions:
     """How weights and maps are stored: mixed is the smallest that shows no difference
     (docs/variants.md)."""
     threads: int = 2
-    """CPU threads of torch."""
+    """CPU threads of torch. From two on, levels are fitted in a process of their own while the
+    stream is learned."""
 
     def __post_init__(self) -> None:
         check_ranges(self, TrainingOptionError, threads=(1, 1024))
@@ -172,10 +176,6 @@ def export(options: ExportOptions) -> dict[str, Any]:
             save_baseline(options.out, make_baseline(model, data))
             return _written(options.out)
         assert isinstance(model, PixelCodecAvatar)
-        stream = None
-        if options.stream:
-            print("learning the latent stream", file=sys.stderr)
-            stream = make_stream_profile(ModelEvaluator(data, model, trainer.rasteriser))
         avatar = make_avatar(
             model,
             data,
@@ -184,18 +184,40 @@ def export(options: ExportOptions) -> dict[str, Any]:
             licence=options.licence,
             model_card=model_card(trainer, options.run),
             variant=config.model.variant,
-            stream=stream,
         )
-    reports: list[LevelReport] = []
-    if options.levels:
-        avatar, reports = add_levels(avatar, show=lambda text: print(text, file=sys.stderr))
-        print("\n".join(map(describe, reports)), file=sys.stderr)
+        # Neither needs the other; both take about as long, and neither keeps two cores busy.
+        tensors = dict(avatar.tensors)
+        reports: list[LevelReport] = []
+        with ExitStack() as stack:
+            levelled: Future[tuple[Avatar, list[LevelReport]]] | None = None
+            if options.levels and options.stream and options.threads > 1:
+                pool = ProcessPoolExecutor(1, get_context("spawn"))
+                stack.enter_context(pool)
+                levelled = pool.submit(_add_levels, avatar, options.threads // 2)
+                torch.set_num_threads(options.threads - options.threads // 2)
+            if options.stream:
+                print("learning the latent stream", file=sys.stderr)
+                profile = make_stream_profile(ModelEvaluator(data, model, trainer.rasteriser))
+                tensors |= profile.to_tensors()
+            if options.levels:
+                with_levels, reports = (
+                    levelled.result() if levelled else _add_levels(avatar, options.threads)
+                )
+                tensors |= with_levels.tensors
+                print("\n".join(map(describe, reports)), file=sys.stderr)
+    avatar = replace(avatar, tensors=tensors)
     save_avatar(options.out, avatar, storage_of(options.precision, avatar.tensors))
     return {
         **_written(options.out),
         "id": avatar_id(options.out),
         "levels": [asdict(report) for report in reports],
     }
+
+
+def _add_levels(avatar: Avatar, threads: int) -> tuple[Avatar, list[LevelReport]]:
+    """Fit levels with so many threads of torch, saying what is done."""
+    torch.set_num_threads(threads)
+    return add_levels(avatar, show=lambda text: print(text, file=sys.stderr))
 
 
 def _written(path: Path) -> dict[str, Any]:
