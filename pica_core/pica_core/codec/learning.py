@@ -319,18 +319,18 @@ def _count(profile: StreamProfile, codes: list[Float64Array], rng: np.random.Gen
         faces = np.stack([profile.analyse(latent) for latent in code])
         wanted = np.concatenate([faces, pose], axis=1)
         for quality in TRAINING_QUALITIES:
-            for kind, levels, quantised in _frames(profile, wanted, quality):
-                contexts = levels * (len(ACTIVITY_LEVELS) + 1) + _activity(
-                    quantised, profile.num_components
-                )
-                magnitudes = np.minimum(np.abs(quantised), ESCAPE)
-                symbols = 2 * magnitudes - (quantised > 0)
-                residuals[kind, places, contexts, symbols] += 1
-                header = HAS_LATENT * bool(quantised[:-NUM_POSE].any())
-                header += HAS_POSE * bool(quantised[-NUM_POSE:].any())
-                headers[kind, header] += 1
-                if header == 0:
-                    headers[kind, IS_STILL] += 0.2
+            kinds, levels, quantised = map(
+                np.array, zip(*_frames(profile, wanted, quality), strict=True)
+            )
+            contexts = levels * (len(ACTIVITY_LEVELS) + 1) + _activity(
+                quantised, profile.num_components
+            )
+            symbols = 2 * np.minimum(np.abs(quantised), ESCAPE) - (quantised > 0)
+            np.add.at(residuals, (kinds[:, None], places, contexts, symbols), 1)
+            header = HAS_LATENT * quantised[:, :-NUM_POSE].any(axis=1)
+            header += HAS_POSE * quantised[:, -NUM_POSE:].any(axis=1)
+            np.add.at(headers, (kinds, header), 1)
+            np.add.at(headers, (kinds[header == 0], IS_STILL), 0.2)
     return _Counts(residuals, headers)
 
 
@@ -359,14 +359,15 @@ def _frames(
 
 
 def _activity(quantised: npt.NDArray[np.int64], num_latent: int) -> npt.NDArray[np.int64]:
-    """The part of the contexts that comes from the residuals just before, per coefficient."""
-    levels = np.zeros(len(quantised), np.int64)
-    for begin, end in ((0, num_latent), (num_latent, len(quantised))):
-        sums = np.concatenate(([0], np.cumsum(np.abs(quantised[begin:end]))))
-        first = np.maximum(np.arange(end - begin) - ACTIVITY_WINDOW, 0)
-        before = sums[:-1] - sums[first]
+    """The part of the contexts that comes from the residuals just before, per frame and
+    coefficient, ``[T, C]`` both."""
+    levels = np.zeros(quantised.shape, np.int64)
+    for part in (slice(num_latent), slice(num_latent, None)):
+        sums = np.pad(np.abs(quantised[:, part]).cumsum(axis=1), ((0, 0), (1, 0)))
+        ends = np.arange(sums.shape[1] - 1)
+        before = sums[:, ends] - sums[:, np.maximum(ends - ACTIVITY_WINDOW, 0)]
         for level in ACTIVITY_LEVELS:
-            levels[begin:end] += before >= level
+            levels[:, part] += before >= level
     return levels
 
 
