@@ -57,7 +57,7 @@ class RegionDecoder:
         reach = np.linalg.norm(basis.reshape(len(basis), REGION, -1), axis=2).max(1, initial=0)
         self._reach = np.insert(reach, after, 0)
         ends = np.cumsum(rank + 1)
-        self._starts = ends - rank - 1
+        self._starts, self._counts = ends - rank - 1, rank + 1
         self._parts = [slice(*part) for part in np.stack([self._starts, ends], 1).tolist()]
         self._made_of = np.full(len(self._basis), NOWHERE, np.float32)
         self._made_of[ends - 1] = 1
@@ -70,12 +70,13 @@ class RegionDecoder:
         weights = self._weight @ latent.reshape(-1) + self._bias
         local = self._mix_m @ weights + self._offset
         moved_m = np.add.reduceat(self._reach * np.abs(local - self._made_of), self._starts)
-        rows = np.flatnonzero(~(moved_m <= self._skip_m))
-        for row in rows.tolist():
+        is_moved = ~(moved_m <= self._skip_m)
+        rows = np.flatnonzero(is_moved).tolist()
+        for row in rows:
             part = self._parts[row]
             np.dot(local[part], self._basis[part], out=self._sheet[row])
-            self._made_of[part] = local[part]
-        self._versions[rows] = next(_VERSIONS)
+        np.copyto(self._made_of, local, where=np.repeat(is_moved, self._counts))
+        self._versions[is_moved] = next(_VERSIONS)
         self.num_decoded += len(rows)
         self.num_skipped += len(self._sheet) - len(rows)
         # Copies: whoever uploads does so while the next face is decoded.
