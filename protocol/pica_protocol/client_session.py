@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 from typing import Final
 
+from pica_protocol import messages, session
 from pica_protocol.codec import decode_message
 from pica_protocol.errors import CloseCode, LocalProtocolError, RemoteProtocolError
 from pica_protocol.frames import (
@@ -17,40 +18,7 @@ from pica_protocol.frames import (
     media_message,
 )
 from pica_protocol.limits import MAX_CONTROL_BYTES, MAX_MEDIA_MESSAGE_BYTES, MAX_PEERS
-from pica_protocol.messages import (
-    Bye,
-    Hello,
-    Join,
-    Joined,
-    KeyframeRequest,
-    Leave,
-    Message,
-    Metadata,
-    Peer,
-    PeerAway,
-    PeerBack,
-    PeerJoined,
-    PeerLeft,
-    PeerUpdated,
-    Report,
-    StreamMuted,
-    Track,
-    UpdateMetadata,
-    Want,
-    Welcome,
-    Whisper,
-)
 from pica_protocol.ordered_queue import OrderedQueue, queue_for
-from pica_protocol.session import (
-    CLIENT_TABLE,
-    HANDSHAKE_TIMEOUT_S,
-    ClientEvent,
-    Media,
-    Session,
-    State,
-    binary,
-    check_version,
-)
 from pica_protocol.stream_queue import Put, StreamQueue
 
 MAX_QUEUED_MESSAGES: Final = 256
@@ -75,7 +43,7 @@ class Ticket:
     hole."""
 
 
-class ClientSession(Session):
+class ClientSession(session.Session):
     """The client's end: greets, joins one room, publishes frames, and keeps the list of peers.
 
     Attributes:
@@ -95,13 +63,13 @@ class ClientSession(Session):
         *,
         room: str,
         name: str,
-        tracks: tuple[Track, ...] = (),
+        tracks: tuple[messages.Track, ...] = (),
         software: str = "",
         now: float,
-        timeout_s: float = HANDSHAKE_TIMEOUT_S,
+        timeout_s: float = session.HANDSHAKE_TIMEOUT_S,
         seal: Callable[[Frame], bytes] | None = None,
         token: str = "",
-        metadata: Metadata = (),
+        metadata: messages.Metadata = (),
         resumable: bool = False,
         ticket: Ticket | None = None,
     ) -> None:
@@ -123,11 +91,11 @@ class ClientSession(Session):
         Raises:
             ValueError: A name, room, track, token or metadata is out of its limits.
         """
-        super().__init__(CLIENT_TABLE, MAX_CONTROL_BYTES, now + timeout_s)
+        super().__init__(session.CLIENT_TABLE, MAX_CONTROL_BYTES, now + timeout_s)
         self.peer_id = ""
         self.name = name
         self.tracks = tracks
-        self.peers: dict[str, Peer] = {}
+        self.peers: dict[str, messages.Peer] = {}
         self.away: set[str] = set()
         self.muted: set[int] = set()
         self.drops: Counter[str] = Counter()
@@ -141,9 +109,9 @@ class ClientSession(Session):
         self._riding_until_s = -math.inf
         self._came_with = ticket
         self._resume = ""
-        self._queue(Hello(software=software))
+        self._queue(messages.Hello(software=software))
         self._queue(
-            Join(
+            messages.Join(
                 room=room,
                 name=name,
                 tracks=tracks,
@@ -154,33 +122,35 @@ class ClientSession(Session):
             )
         )
 
-    def receive_data(self, data: bytes | str, now: float) -> list[ClientEvent]:
+    def receive_data(self, data: bytes | str, now: float) -> list[session.ClientEvent]:
         """Take one websocket message; a text one is the other side's mistake."""
-        if self.state is State.CLOSED:
+        if self.state is session.State.CLOSED:
             return []
         try:
-            data = binary(data)
+            data = session.binary(data)
             if data[0] == MEDIA_KIND:
                 frames = decode_media(data)
-                self._advance(Media)
-                return [] if self.state is State.LEAVING else list[ClientEvent](frames)
+                self._advance(session.Media)
+                return (
+                    [] if self.state is session.State.LEAVING else list[session.ClientEvent](frames)
+                )
             return self._receive_message(decode_message(data, self._max_bytes))
         except RemoteProtocolError as error:
             return [self._end(error.code, str(error), is_remote=False)]
 
     def messages_to_send(self, now: float) -> list[bytes]:
         """Take the websocket messages that must go out now, in order."""
-        messages, self._outgoing = self._outgoing, []
+        data, self._outgoing = self._outgoing, []
         due_s = self.frames_due_s
         if due_s is None or due_s > now:
-            return messages
+            return data
         if any(map(len, self._ordered)):
             self._riding_until_s = now + RIDE_S
         frames = [item.frame for queue in self._ordered for item in queue.take(_NO_LIMIT)]
         frames += [item.frame for queue in self._latest for item in queue.take(_NO_LIMIT)]
-        if self.state is State.JOINED:
-            messages += _media_messages(frames)
-        return messages
+        if self.state is session.State.JOINED:
+            data += _media_messages(frames)
+        return data
 
     @property
     def frames_due_s(self) -> float | None:
@@ -189,11 +159,11 @@ class ClientSession(Session):
             return -math.inf
         return self._riding_until_s if any(map(len, self._latest)) else None
 
-    def handle_timer(self, now: float) -> list[ClientEvent]:
+    def handle_timer(self, now: float) -> list[session.ClientEvent]:
         """Give up if the relay has not let us in, or out, by now."""
         if self._deadline is None or now < self._deadline:
             return []
-        if self.state is State.LEAVING:
+        if self.state is session.State.LEAVING:
             return [self._end(CloseCode.NORMAL, "left", is_remote=False)]
         reason = f"the relay did not answer in time while {self.state.value}"
         return [self._end(CloseCode.HANDSHAKE_TIMEOUT, reason, is_remote=False)]
@@ -206,7 +176,7 @@ class ClientSession(Session):
         track: int = 0,
         layer: int = 0,
         is_keyframe: bool = False,
-    ) -> list[ClientEvent]:
+    ) -> list[session.ClientEvent]:
         """Queue a frame of one of our tracks; what waits too long is thinned, see `StreamQueue`.
 
         Returns:
@@ -217,7 +187,7 @@ class ClientSession(Session):
             LocalProtocolError: Not joined, or there is no such track.
             ValueError: The payload is too long, or another field out of its limits.
         """
-        if self.state is not State.JOINED or not 0 <= track < len(self.tracks):
+        if self.state is not session.State.JOINED or not 0 <= track < len(self.tracks):
             raise LocalProtocolError(f"cannot send on track {track} while {self.state.value}")
         stream = self.tracks[track].stream
         sequence = self._next_sequence[track]
@@ -238,17 +208,17 @@ class ClientSession(Session):
         # The capture time is all the clock we have here; only differences count.
         queue = self._queues[track]
         fate = queue.put(encode_frame(frame), layer, is_keyframe, captured_us / 1e6)
-        return [] if fate in (Put.WAITS, Put.DROPPED) else [KeyframeRequest(stream=stream)]
+        return [] if fate in (Put.WAITS, Put.DROPPED) else [messages.KeyframeRequest(stream=stream)]
 
     def want(self, stream: int, layer: int | None) -> None:
         """Ask for the frames of a stream up to ``layer``, or for none."""
-        self._queue_when_joined(Want(stream=stream, layer=layer))
+        self._queue_when_joined(messages.Want(stream=stream, layer=layer))
 
     def request_keyframe(self, stream: int) -> None:
         """Ask the publisher of a stream for a keyframe."""
-        self._queue_when_joined(KeyframeRequest(stream=stream))
+        self._queue_when_joined(messages.KeyframeRequest(stream=stream))
 
-    def report(self, report: Report) -> None:
+    def report(self, report: messages.Report) -> None:
         """Tell the relay how streams arrived."""
         self._queue_when_joined(report)
 
@@ -259,16 +229,16 @@ class ClientSession(Session):
             LocalProtocolError: Not joined, or too much waits.
             ValueError: More than ``MAX_WHISPER_BYTES``, or no peer id.
         """
-        self._queue_when_joined(Whisper(peer_id=peer_id, data=data))
+        self._queue_when_joined(messages.Whisper(peer_id=peer_id, data=data))
 
-    def update_metadata(self, metadata: Metadata) -> None:
+    def update_metadata(self, metadata: messages.Metadata) -> None:
         """Say something else of ourselves, instead of all that was said before.
 
         Raises:
             LocalProtocolError: Not joined, or too much waits.
             ValueError: It is out of its limits.
         """
-        self._queue_when_joined(UpdateMetadata(metadata=metadata))
+        self._queue_when_joined(messages.UpdateMetadata(metadata=metadata))
 
     @property
     def ticket(self) -> Ticket | None:
@@ -280,27 +250,27 @@ class ClientSession(Session):
     @property
     def can_queue(self) -> bool:
         """Whether a control message can be queued now: joined, and not too many of them wait."""
-        return self.state is State.JOINED and len(self._outgoing) < MAX_QUEUED_MESSAGES
+        return self.state is session.State.JOINED and len(self._outgoing) < MAX_QUEUED_MESSAGES
 
     def leave(self, now: float, timeout_s: float = 1.0) -> None:
         """Go in good order: the relay answers with ``Bye``, or we stop waiting for it."""
-        if self.state in (State.CLOSED, State.LEAVING):
+        if self.state in (session.State.CLOSED, session.State.LEAVING):
             return
-        self.state = State.LEAVING
-        self._queue(Leave())
+        self.state = session.State.LEAVING
+        self._queue(messages.Leave())
         self._deadline = now + timeout_s
 
-    def _receive_message(self, message: Message) -> list[ClientEvent]:
-        if isinstance(message, Bye):
+    def _receive_message(self, message: messages.Message) -> list[session.ClientEvent]:
+        if isinstance(message, messages.Bye):
             return [self._end(message.code, message.reason, is_remote=True, url=message.url)]
         self._advance(type(message))
-        if self.state is State.LEAVING:
+        if self.state is session.State.LEAVING:
             return []
         match message:
-            case Welcome():
-                check_version(message.version)
+            case messages.Welcome():
+                session.check_version(message.version)
                 return []
-            case Joined():
+            case messages.Joined():
                 if [replace(track, stream=0) for track in message.tracks] != list(self.tracks):
                     raise RemoteProtocolError("joined with other tracks than ours")
                 if message.room != self._room:
@@ -317,41 +287,45 @@ class ClientSession(Session):
                         raise RemoteProtocolError("resumed, and we did not ask to")
                     self._next_sequence = list(self._came_with.next_sequences)
                 return [message]
-            case PeerJoined(peer=peer):
+            case messages.PeerJoined(peer=peer):
                 # A relay that does not keep to it would fill our memory.
                 if len(self.peers) >= MAX_PEERS and peer.peer_id not in self.peers:
                     raise RemoteProtocolError(f"more than {MAX_PEERS} peers in a room")
                 others = {**self.peers, peer.peer_id: peer}
                 self._check_peers(self.peer_id, self.tracks, others.values())
                 # One id is one peer: whoever had it has gone.
-                gone = [PeerLeft(peer_id=peer.peer_id)] if peer.peer_id in self.peers else []
+                gone = (
+                    [messages.PeerLeft(peer_id=peer.peer_id)] if peer.peer_id in self.peers else []
+                )
                 self.peers = others
                 self.away.discard(peer.peer_id)
                 return [*gone, message]
-            case PeerLeft(peer_id=peer_id):
+            case messages.PeerLeft(peer_id=peer_id):
                 self.peers.pop(peer_id, None)
                 self.away.discard(peer_id)
                 return [message]
-            case PeerAway(peer_id=peer_id):
+            case messages.PeerAway(peer_id=peer_id):
                 if peer_id in self.peers:  # else a relay could fill our memory
                     self.away.add(peer_id)
                 return [message]
-            case PeerBack(peer_id=peer_id):
+            case messages.PeerBack(peer_id=peer_id):
                 self.away.discard(peer_id)
                 return [message]
-            case PeerUpdated(peer_id=peer_id, metadata=metadata):
+            case messages.PeerUpdated(peer_id=peer_id, metadata=metadata):
                 if peer_id in self.peers:
                     self.peers[peer_id] = replace(self.peers[peer_id], metadata=metadata)
                 return [message]
-            case StreamMuted(stream=stream, is_muted=is_muted):
+            case messages.StreamMuted(stream=stream, is_muted=is_muted):
                 (self.muted.add if is_muted else self.muted.discard)(stream)
                 return [message]
-            case KeyframeRequest() | Whisper():
+            case messages.KeyframeRequest() | messages.Whisper():
                 return [message]
         raise AssertionError(f"the table admits {message} and nobody handles it")
 
     @staticmethod
-    def _check_peers(own_id: str, own: tuple[Track, ...], peers: Collection[Peer]) -> None:
+    def _check_peers(
+        own_id: str, own: tuple[messages.Track, ...], peers: Collection[messages.Peer]
+    ) -> None:
         """Refuse a room in which we are our own peer, or an id or a stream is there twice: faces
         are told apart by their streams."""
         ids = [own_id, *(peer.peer_id for peer in peers)]
@@ -361,8 +335,8 @@ class ClientSession(Session):
             if len(set(values)) < len(values):
                 raise RemoteProtocolError(f"a room that has a {what} twice")
 
-    def _queue_when_joined(self, message: Message) -> None:
-        if self.state is not State.JOINED:
+    def _queue_when_joined(self, message: messages.Message) -> None:
+        if self.state is not session.State.JOINED:
             raise LocalProtocolError(
                 f"cannot send {type(message).__name__} while {self.state.value}"
             )
@@ -375,15 +349,15 @@ class ClientSession(Session):
 
 def _media_messages(frames: list[bytes]) -> list[bytes]:
     """Put frames into as few messages as hold them, in order."""
-    messages: list[bytes] = []
+    found: list[bytes] = []
     batch: list[bytes] = []
     room_left = 0
     for frame in frames:
         room_left -= len(frame)
         if room_left < 0 and batch:
-            messages.append(media_message(batch))
+            found.append(media_message(batch))
             batch = []
         if not batch:
             room_left = MAX_MEDIA_MESSAGE_BYTES - 1 - len(frame)
         batch.append(frame)
-    return [*messages, media_message(batch)] if batch else messages
+    return [*found, media_message(batch)] if batch else found

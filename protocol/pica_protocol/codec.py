@@ -14,17 +14,8 @@ from typing import Any, Final, NamedTuple, Union, cast, get_args, get_origin, ge
 
 import msgpack
 
+from pica_protocol import limits
 from pica_protocol.errors import LocalProtocolError, RemoteProtocolError
-from pica_protocol.limits import (
-    MAX_CONTROL_BYTES,
-    MAX_MAP_FIELDS,
-    MAX_PASS_BYTES,
-    MAX_PEERS,
-    MAX_REPORT_STREAMS,
-    MAX_TEXT_BYTES,
-    MAX_WHISPER_BYTES,
-    quoted,
-)
 from pica_protocol.messages import LEFT_OUT, MESSAGE_TYPES, Message, Metadata
 from pica_protocol.store import STORE_MESSAGE_TYPES, StoreMessage
 
@@ -49,14 +40,14 @@ def encode_message(message: Message | StoreMessage) -> bytes:
     """
     record = {"type": _TYPE_NAMES[type(message)], **_plain_record(message)}
     data = _PREFIX + cast(bytes, msgpack.packb(record))
-    if len(data) > MAX_CONTROL_BYTES:
+    if len(data) > limits.MAX_CONTROL_BYTES:
         raise LocalProtocolError(
-            f"{record['type']} of {len(data)} bytes, the limit is {MAX_CONTROL_BYTES}"
+            f"{record['type']} of {len(data)} bytes, the limit is {limits.MAX_CONTROL_BYTES}"
         )
     return data
 
 
-def decode_message(data: bytes, max_bytes: int = MAX_CONTROL_BYTES) -> Message:
+def decode_message(data: bytes, max_bytes: int = limits.MAX_CONTROL_BYTES) -> Message:
     """Return the message that ``data`` carries.
 
     Raises:
@@ -66,7 +57,7 @@ def decode_message(data: bytes, max_bytes: int = MAX_CONTROL_BYTES) -> Message:
     return cast(Message, _decode(data, max_bytes, MESSAGE_TYPES))
 
 
-def decode_store_message(data: bytes, max_bytes: int = MAX_CONTROL_BYTES) -> StoreMessage:
+def decode_store_message(data: bytes, max_bytes: int = limits.MAX_CONTROL_BYTES) -> StoreMessage:
     """Return the message of the sub-protocol ``pica.store.1`` that ``data`` carries.
 
     Raises:
@@ -79,13 +70,13 @@ def _decode(data: bytes, max_bytes: int, message_types: Mapping[str, type]) -> o
     if len(data) > max_bytes:
         raise RemoteProtocolError(f"control message of {len(data)} bytes, the limit is {max_bytes}")
     if not data.startswith(_PREFIX):
-        raise RemoteProtocolError(f"not a control message: first byte {quoted(data[:1])}")
+        raise RemoteProtocolError(f"not a control message: first byte {limits.quoted(data[:1])}")
     record = _unpack(data)
     if not isinstance(record, dict):
         raise RemoteProtocolError(f"expected a map, got {type(record).__name__}")
     name = record.get("type")
     if not isinstance(name, str) or name not in message_types:
-        raise RemoteProtocolError(f"unknown message type {quoted(name)}")
+        raise RemoteProtocolError(f"unknown message type {limits.quoted(name)}")
     try:
         return _read_record(message_types[name], record, name)
     except ValueError as error:  # from the message's own check
@@ -100,17 +91,19 @@ def _unpack(data: bytes) -> object:
             strict_map_key=True,
             ext_hook=_refuse_extension,
             object_pairs_hook=unique_keys,
-            max_str_len=max(MAX_TEXT_BYTES, MAX_PASS_BYTES),
-            max_bin_len=MAX_WHISPER_BYTES,
-            max_array_len=max(MAX_PEERS, MAX_REPORT_STREAMS),
-            max_map_len=MAX_MAP_FIELDS,
+            max_str_len=max(limits.MAX_TEXT_BYTES, limits.MAX_PASS_BYTES),
+            max_bin_len=limits.MAX_WHISPER_BYTES,
+            max_array_len=max(limits.MAX_PEERS, limits.MAX_REPORT_STREAMS),
+            max_map_len=limits.MAX_MAP_FIELDS,
             max_ext_len=0,
         )
     # msgpack raises ValueError and its subclasses for bad bytes; RecursionError guards its
     # fallback, OverflowError a timestamp out of range.
     except (ValueError, RecursionError, OverflowError, msgpack.UnpackException) as error:
         what = str(error) or type(error).__name__
-        raise RemoteProtocolError(f"not msgpack within the limits: {quoted(what)}") from error
+        raise RemoteProtocolError(
+            f"not msgpack within the limits: {limits.quoted(what)}"
+        ) from error
 
 
 def unique_keys(pairs: list[tuple[Any, Any]]) -> dict[Any, Any]:
@@ -187,7 +180,7 @@ def _read_metadata(value: object, path: str) -> Metadata:
     return tuple(
         (
             cast(str, _read_value(str, key, f"{path} key")),
-            cast(str, _read_value(str, item, f"{path}.{quoted(key)}")),
+            cast(str, _read_value(str, item, f"{path}.{limits.quoted(key)}")),
         )
         for key, item in value.items()
     )
@@ -232,7 +225,7 @@ def _add_schema(cls: type) -> None:
 
 
 def _wrong(path: str, wanted: str, value: object) -> RemoteProtocolError:
-    return RemoteProtocolError(f"{path} must be {wanted}, got {quoted(value)}")
+    return RemoteProtocolError(f"{path} must be {wanted}, got {limits.quoted(value)}")
 
 
 _SCHEMAS: dict[type, tuple[_Field, ...]] = {}

@@ -19,14 +19,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
+from pica_protocol import limits
 from pica_protocol.errors import RemoteProtocolError
-from pica_protocol.limits import (
-    MAX_FRAME_BYTES,
-    MAX_LAYER,
-    MAX_MEDIA_MESSAGE_BYTES,
-    MAX_STREAM,
-    check_range,
-)
 
 MEDIA_KIND: Final = 2
 """First byte of a websocket message that carries media frames; ``codec.CONTROL_KIND`` is the
@@ -38,7 +32,7 @@ SEQUENCE_MODULUS: Final = 1 << 16
 
 _HEADER = struct.Struct(">HHBBHQ")
 HEADER_BYTES: Final = _HEADER.size
-MAX_PAYLOAD_BYTES: Final = MAX_FRAME_BYTES - HEADER_BYTES
+MAX_PAYLOAD_BYTES: Final = limits.MAX_FRAME_BYTES - HEADER_BYTES
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -53,11 +47,11 @@ class Frame:
     is_keyframe: bool = False
 
     def __post_init__(self) -> None:
-        check_range("frame.stream", self.stream, 1, MAX_STREAM)
-        check_range("frame.sequence", self.sequence, 0, SEQUENCE_MODULUS - 1)
-        check_range("frame.layer", self.layer, 0, MAX_LAYER)
-        check_range("frame.captured_us", self.captured_us, 0, 2**64 - 1)
-        check_range("frame.payload bytes", len(self.payload), 0, MAX_PAYLOAD_BYTES)
+        limits.check_range("frame.stream", self.stream, 1, limits.MAX_STREAM)
+        limits.check_range("frame.sequence", self.sequence, 0, SEQUENCE_MODULUS - 1)
+        limits.check_range("frame.layer", self.layer, 0, limits.MAX_LAYER)
+        limits.check_range("frame.captured_us", self.captured_us, 0, 2**64 - 1)
+        limits.check_range("frame.payload bytes", len(self.payload), 0, MAX_PAYLOAD_BYTES)
 
 
 class FrameSpan(NamedTuple):
@@ -98,9 +92,9 @@ def scan_frames(message: bytes) -> list[FrameSpan]:
             stream 0 or of a layer above ``MAX_LAYER``.
     """
     size = len(message)
-    if size > MAX_MEDIA_MESSAGE_BYTES:
+    if size > limits.MAX_MEDIA_MESSAGE_BYTES:
         raise RemoteProtocolError(
-            f"media message of {size} bytes, the limit is {MAX_MEDIA_MESSAGE_BYTES}"
+            f"media message of {size} bytes, the limit is {limits.MAX_MEDIA_MESSAGE_BYTES}"
         )
     if size < 1 + HEADER_BYTES or message[0] != MEDIA_KIND:
         raise RemoteProtocolError(f"no media frame in a message of {size} bytes")
@@ -119,8 +113,8 @@ def scan_frames(message: bytes) -> list[FrameSpan]:
             raise RemoteProtocolError(f"frame payload cut off, {end - size} bytes are missing")
         if stream == 0:
             raise RemoteProtocolError("frame of stream 0, which nobody owns")
-        if layer > MAX_LAYER:
-            raise RemoteProtocolError(f"frame of layer {layer}, the limit is {MAX_LAYER}")
+        if layer > limits.MAX_LAYER:
+            raise RemoteProtocolError(f"frame of layer {layer}, the limit is {limits.MAX_LAYER}")
         spans.append(FrameSpan(stream, layer, flags, start, end))
         start = end
     return spans

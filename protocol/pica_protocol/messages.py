@@ -14,29 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Final, cast, get_args, get_type_hints
 
-from pica_protocol import PROTOCOL_VERSION
-from pica_protocol.limits import (
-    MAX_DEADLINE_MS,
-    MAX_LAYER,
-    MAX_NAME_BYTES,
-    MAX_PEERS,
-    MAX_REASON_BYTES,
-    MAX_REPORT_STREAMS,
-    MAX_STREAM,
-    MAX_TRACKS,
-    MAX_WHISPER_BYTES,
-    check_bytes,
-    check_count,
-    check_metadata,
-    check_name,
-    check_pass,
-    check_range,
-    check_sha256,
-    check_text,
-    check_token,
-    check_url,
-    quoted,
-)
+from pica_protocol import PROTOCOL_VERSION, limits
 
 MAX_COUNTER: Final = 2**63 - 1
 MAX_TRACK_KIND_BYTES: Final = 16
@@ -56,39 +34,39 @@ Check = Callable[[str, Any], None]
 
 def within(low: int, high: int) -> Check:
     """Limit an integer."""
-    return lambda name, value: check_range(name, value, low, high)
+    return lambda name, value: limits.check_range(name, value, low, high)
 
 
 def _text(max_bytes: int) -> Check:
-    return lambda name, value: check_text(name, value, max_bytes)
+    return lambda name, value: limits.check_text(name, value, max_bytes)
 
 
 def _at_most(limit: int) -> Check:
-    return lambda name, items: check_count(name, items, limit)
+    return lambda name, items: limits.check_count(name, items, limit)
 
 
 def _bytes(max_bytes: int) -> Check:
-    return lambda name, value: check_bytes(name, value, max_bytes)
+    return lambda name, value: limits.check_bytes(name, value, max_bytes)
 
 
 def _tracks(lowest: int, highest: int) -> Check:
     """Limit tracks in their number, and their streams."""
 
     def check(name: str, tracks: tuple["Track", ...]) -> None:
-        check_count(name, tracks, MAX_TRACKS)
+        limits.check_count(name, tracks, limits.MAX_TRACKS)
         for track in tracks:
-            check_range(f"{name}.stream", track.stream, lowest, highest)
+            limits.check_range(f"{name}.stream", track.stream, lowest, highest)
 
     return check
 
 
-Token = Annotated[str, check_token]
-Sha256 = Annotated[str, check_sha256]
-Pass = Annotated[str, check_pass]
-Name = Annotated[str, _text(MAX_NAME_BYTES)]
-Reason = Annotated[str, _text(MAX_REASON_BYTES)]
-Said = Annotated[Metadata, check_metadata]
-Stream = Annotated[int, within(1, MAX_STREAM)]
+Token = Annotated[str, limits.check_token]
+Sha256 = Annotated[str, limits.check_sha256]
+Pass = Annotated[str, limits.check_pass]
+Name = Annotated[str, _text(limits.MAX_NAME_BYTES)]
+Reason = Annotated[str, _text(limits.MAX_REASON_BYTES)]
+Said = Annotated[Metadata, limits.check_metadata]
+Stream = Annotated[int, within(1, limits.MAX_STREAM)]
 Count = Annotated[int, within(0, MAX_COUNTER)]
 
 
@@ -137,7 +115,7 @@ class Track(Checked):
     """Drop policy, one of ``DROP_POLICIES``."""
     avatar: Sha256 = ""
     """SHA-256 of the avatar file a receiver needs to draw this track, in hexadecimal, or empty."""
-    stream: Annotated[int, within(0, MAX_STREAM)] = 0
+    stream: Annotated[int, within(0, limits.MAX_STREAM)] = 0
     """The stream its frames travel on; 0 in ``Join``, allotted by the relay in ``Joined``."""
     profile: Sha256 = ""
     """SHA-256 of the stream profile the payloads are encoded with, in hexadecimal; empty: plain."""
@@ -146,14 +124,14 @@ class Track(Checked):
 
     def __post_init__(self) -> None:
         Checked.__post_init__(self)
-        check_text("track.kind", self.kind, MAX_TRACK_KIND_BYTES)
+        limits.check_text("track.kind", self.kind, MAX_TRACK_KIND_BYTES)
         if self.policy not in DROP_POLICIES:
             raise ValueError(
-                f"track.policy must be one of {DROP_POLICIES}, got {quoted(self.policy)}"
+                f"track.policy must be one of {DROP_POLICIES}, got {limits.quoted(self.policy)}"
             )
         is_ordered = self.policy == "ordered"
-        longest_ms = MAX_DEADLINE_MS if is_ordered else 0
-        check_range("track.deadline_ms", self.deadline_ms, int(is_ordered), longest_ms)
+        longest_ms = limits.MAX_DEADLINE_MS if is_ordered else 0
+        limits.check_range("track.deadline_ms", self.deadline_ms, int(is_ordered), longest_ms)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -164,7 +142,7 @@ class Peer(Checked):
     """Opaque, unique in the room for its lifetime; made by the relay."""
     name: str
     """What the person is called; not unique, and a mere claim unless ``is_name_assured``."""
-    tracks: Annotated[tuple[Track, ...], _tracks(1, MAX_STREAM)] = ()
+    tracks: Annotated[tuple[Track, ...], _tracks(1, limits.MAX_STREAM)] = ()
     metadata: Said = ()
     """What it says of itself; not to be trusted."""
     identity: str = _added("")
@@ -174,9 +152,9 @@ class Peer(Checked):
 
     def __post_init__(self) -> None:
         Checked.__post_init__(self)
-        check_text("peer.name", self.name, MAX_NAME_BYTES, required=True)
+        limits.check_text("peer.name", self.name, limits.MAX_NAME_BYTES, required=True)
         if self.identity:
-            check_token("peer.identity", self.identity)
+            limits.check_token("peer.identity", self.identity)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -200,7 +178,7 @@ class Join(Checked):
     """Ask for a place in a room, naming what this client will publish (nothing: a mere viewer)."""
 
     room: Token
-    name: Annotated[str, check_name]
+    name: Annotated[str, limits.check_name]
     tracks: Annotated[tuple[Track, ...], _tracks(0, 0)] = ()
     token: Pass = field(default="", repr=False)
     """Proof that its owner may come in, where the relay wants one; a secret."""
@@ -218,9 +196,9 @@ class Joined(Checked):
 
     room: Token
     peer_id: Token
-    tracks: Annotated[tuple[Track, ...], _tracks(1, MAX_STREAM)] = ()
+    tracks: Annotated[tuple[Track, ...], _tracks(1, limits.MAX_STREAM)] = ()
     """The tracks of the ``Join`` in the same order, each with its stream."""
-    peers: Annotated[tuple[Peer, ...], _at_most(MAX_PEERS)] = ()
+    peers: Annotated[tuple[Peer, ...], _at_most(limits.MAX_PEERS)] = ()
     """The others who are here already."""
     resumed: bool = False
     """Whether this is the old place: own id and streams are those of before, and the others have
@@ -229,7 +207,7 @@ class Joined(Checked):
     """What to come back with, once; empty: the place is not kept. A secret."""
     resume_ms: Count = 0
     """How long the place is kept after the connection broke, milliseconds."""
-    name: Annotated[str, _text(MAX_NAME_BYTES)] = _added("")
+    name: Annotated[str, _text(limits.MAX_NAME_BYTES)] = _added("")
     """What the others are shown, where the token says it; empty: the name of the ``Join``."""
 
 
@@ -306,7 +284,7 @@ class Want(Checked):
     def __post_init__(self) -> None:
         Checked.__post_init__(self)
         if self.layer is not None:
-            check_range("want.layer", self.layer, 0, MAX_LAYER)
+            limits.check_range("want.layer", self.layer, 0, limits.MAX_LAYER)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -324,7 +302,7 @@ class Whisper(Checked):
     """
 
     peer_id: Token
-    data: Annotated[bytes, _bytes(MAX_WHISPER_BYTES)]
+    data: Annotated[bytes, _bytes(limits.MAX_WHISPER_BYTES)]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -343,7 +321,7 @@ class StreamReport(Checked):
 class Report(Checked):
     """What a receiver saw, for the relay's statistics."""
 
-    streams: Annotated[tuple[StreamReport, ...], _at_most(MAX_REPORT_STREAMS)] = ()
+    streams: Annotated[tuple[StreamReport, ...], _at_most(limits.MAX_REPORT_STREAMS)] = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -352,7 +330,7 @@ class Bye(Checked):
 
     code: int
     reason: Reason = ""
-    url: Annotated[str, check_url] = ""
+    url: Annotated[str, limits.check_url] = ""
     """Another relay, where the same join will be taken; a client may try there at once."""
 
     def __post_init__(self) -> None:

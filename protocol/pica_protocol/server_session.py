@@ -1,36 +1,13 @@
 """The relay's end of a connection; see `pica_protocol.session` for how a shell uses it."""
 
+from pica_protocol import messages, session
 from pica_protocol.codec import decode_message
 from pica_protocol.errors import CloseCode, LocalProtocolError, RemoteProtocolError
 from pica_protocol.frames import MEDIA_KIND, scan_frames
 from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
-from pica_protocol.messages import (
-    Bye,
-    Hello,
-    Join,
-    Joined,
-    KeyframeRequest,
-    Leave,
-    Message,
-    Report,
-    UpdateMetadata,
-    Want,
-    Welcome,
-    Whisper,
-)
-from pica_protocol.session import (
-    HANDSHAKE_TIMEOUT_S,
-    SERVER_TABLE,
-    Media,
-    ServerEvent,
-    Session,
-    State,
-    binary,
-    check_version,
-)
 
 
-class ServerSession(Session):
+class ServerSession(session.Session):
     """The relay's end: greets back, asks the relay to decide on the join, passes on what follows.
 
     Attributes:
@@ -38,24 +15,26 @@ class ServerSession(Session):
         closed: How it ended, or None.
     """
 
-    def __init__(self, *, software: str = "", now: float, timeout_s: float = HANDSHAKE_TIMEOUT_S):
+    def __init__(
+        self, *, software: str = "", now: float, timeout_s: float = session.HANDSHAKE_TIMEOUT_S
+    ):
         """Start on a websocket that is open; the client speaks first."""
-        super().__init__(SERVER_TABLE, MAX_CLIENT_MESSAGE_BYTES, now + timeout_s)
+        super().__init__(session.SERVER_TABLE, MAX_CLIENT_MESSAGE_BYTES, now + timeout_s)
         self._software = software
 
-    def receive_data(self, data: bytes | str, now: float) -> list[ServerEvent]:
+    def receive_data(self, data: bytes | str, now: float) -> list[session.ServerEvent]:
         """Take one websocket message.
 
         After a ``Join`` event the relay owes the client ``accept`` or ``close``.
         """
-        if self.state is State.CLOSED:
+        if self.state is session.State.CLOSED:
             return []
         try:
-            data = binary(data)
+            data = session.binary(data)
             if data[0] == MEDIA_KIND:
-                media = Media(data, scan_frames(data))
-                if self.state is not State.JOINED:  # where the table leads nowhere else
-                    self._advance(Media)
+                media = session.Media(data, scan_frames(data))
+                if self.state is not session.State.JOINED:  # where the table leads nowhere else
+                    self._advance(session.Media)
                 return [media]
             return self._receive_message(decode_message(data, self._max_bytes))
         except RemoteProtocolError as error:
@@ -63,37 +42,44 @@ class ServerSession(Session):
 
     def messages_to_send(self, now: float) -> list[bytes]:
         """Take the control messages that must go out now, in order."""
-        messages, self._outgoing = self._outgoing, []
-        return messages
+        data, self._outgoing = self._outgoing, []
+        return data
 
-    def handle_timer(self, now: float) -> list[ServerEvent]:
+    def handle_timer(self, now: float) -> list[session.ServerEvent]:
         """Close a connection that has not asked to join by now."""
         if self._deadline is None or now < self._deadline:
             return []
-        awaited = "hello" if self.state is State.GREETING else "join"
+        awaited = "hello" if self.state is session.State.GREETING else "join"
         reason = f"no {awaited} in time"
         return [self._end(CloseCode.HANDSHAKE_TIMEOUT, reason, is_remote=False)]
 
-    def accept(self, joined: Joined) -> None:
+    def accept(self, joined: messages.Joined) -> None:
         """Let the client in; ``close`` is the other answer to a ``Join``."""
-        if self.state is not State.DECIDING:
+        if self.state is not session.State.DECIDING:
             raise LocalProtocolError(f"nobody asked to join: {self.state.value}")
-        self.state = State.JOINED
+        self.state = session.State.JOINED
         self._deadline = None
         self._queue(joined)
 
-    def _receive_message(self, message: Message) -> list[ServerEvent]:
-        if isinstance(message, Bye):
+    def _receive_message(self, message: messages.Message) -> list[session.ServerEvent]:
+        if isinstance(message, messages.Bye):
             return [self._end(message.code, message.reason, is_remote=True)]
         self._advance(type(message))
         match message:
-            case Hello():
-                check_version(message.version)
-                self._queue(Welcome(software=self._software))
+            case messages.Hello():
+                session.check_version(message.version)
+                self._queue(messages.Welcome(software=self._software))
                 return []
-            case Leave():
-                self._queue(Bye(code=CloseCode.NORMAL, reason="left"))
+            case messages.Leave():
+                self._queue(messages.Bye(code=CloseCode.NORMAL, reason="left"))
                 return [self._end(CloseCode.NORMAL, "left", is_remote=True)]
-            case Join() | Want() | KeyframeRequest() | Report() | Whisper() | UpdateMetadata():
+            case (
+                messages.Join()
+                | messages.Want()
+                | messages.KeyframeRequest()
+                | messages.Report()
+                | messages.Whisper()
+                | messages.UpdateMetadata()
+            ):
                 return [message]
         raise AssertionError(f"the table admits {message} and nobody handles it")

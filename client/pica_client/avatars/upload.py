@@ -21,18 +21,10 @@ from pica_client.transport.config import read_token
 from pica_client.transport.connect import open_websocket, refusal
 from pica_core.avatar.file import MAX_FILE_BYTES
 from pica_core.errors import AvatarFileError
+from pica_protocol import store
 from pica_protocol.codec import decode_store_message, encode_message
 from pica_protocol.errors import CloseCode, RemoteProtocolError, is_worth_retrying
 from pica_protocol.messages import Bye
-from pica_protocol.store import (
-    MAX_CHUNK_BYTES,
-    STORE_SUBPROTOCOL,
-    Offer,
-    Ready,
-    Stored,
-    StoreMessage,
-    encode_chunk,
-)
 
 SEND_BUFFER_BYTES = 16 * 2**10
 """What the kernel may hold of a file, which it may double (chosen: 130 ms of a link with 1 Mbit/s
@@ -68,7 +60,9 @@ class Push:
     """File of certificates to trust with wss:// instead of the system's."""
 
 
-async def push_avatar(url: str, push: Push, progress: Progress = lambda ratio: None) -> Stored:
+async def push_avatar(
+    url: str, push: Push, progress: Progress = lambda ratio: None
+) -> store.Stored:
     """Give a relay, ws:// or wss://, an avatar's file, unless it has it.
 
     Returns:
@@ -83,15 +77,17 @@ async def push_avatar(url: str, push: Push, progress: Progress = lambda ratio: N
     token = push.token or read_token(push.token_file)
     async with _store_socket(url, push.ca_file) as websocket:
         try:
-            offer = Offer(sha256=push.identity, size=len(data), token=token)
+            offer = store.Offer(sha256=push.identity, size=len(data), token=token)
             await websocket.send(encode_message(offer))
             answer = await _answer(websocket)
-            if isinstance(answer, Ready):
-                for begin in range(0, len(data), MAX_CHUNK_BYTES):
-                    await websocket.send(encode_chunk(data[begin : begin + MAX_CHUNK_BYTES]))
-                    progress(min(begin + MAX_CHUNK_BYTES, len(data)) / len(data))
+            if isinstance(answer, store.Ready):
+                for begin in range(0, len(data), store.MAX_CHUNK_BYTES):
+                    await websocket.send(
+                        store.encode_chunk(data[begin : begin + store.MAX_CHUNK_BYTES])
+                    )
+                    progress(min(begin + store.MAX_CHUNK_BYTES, len(data)) / len(data))
                 answer = await _answer(websocket)
-            if not isinstance(answer, Stored):
+            if not isinstance(answer, store.Stored):
                 raise _not_understood()
             return answer
         except ConnectionClosed as error:
@@ -157,13 +153,13 @@ class AvatarGiver:
 @asynccontextmanager
 async def _store_socket(url: str, ca_file: Path | None) -> AsyncIterator[ClientConnection]:
     try:
-        websocket = await open_websocket(url, ca_file, subprotocol=STORE_SUBPROTOCOL)
+        websocket = await open_websocket(url, ca_file, subprotocol=store.STORE_SUBPROTOCOL)
     except (OSError, TimeoutError, InvalidHandshake, EOFError) as error:
         why = refusal(error)
         message = f"{url}: {why or 'nobody answers'}"
         raise PushError(message, is_worth_retrying=why is None) from error
     try:
-        if websocket.subprotocol != STORE_SUBPROTOCOL:
+        if websocket.subprotocol != store.STORE_SUBPROTOCOL:
             raise PushError("the relay keeps no avatars", is_worth_retrying=False)
         raw = websocket.transport.get_extra_info("socket")
         if raw is not None and raw.family in (socket.AF_INET, socket.AF_INET6):
@@ -175,7 +171,7 @@ async def _store_socket(url: str, ca_file: Path | None) -> AsyncIterator[ClientC
         websocket.transport.abort()  # in case we are cancelled
 
 
-async def _answer(websocket: ClientConnection) -> StoreMessage:
+async def _answer(websocket: ClientConnection) -> store.StoreMessage:
     try:
         async with asyncio.timeout(ANSWER_TIMEOUT_S):
             data = await websocket.recv()

@@ -33,16 +33,8 @@ from pica_client.bench.network.proxy import ImpairedProxy
 from pica_client.call.call import Call, CallConfig, DueFrame
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.errors import CallProcessError, OptionError
+from pica_client.local_call import local_call
 from pica_client.local_call.latency import FrameTimes, latency_summary
-from pica_client.local_call.local_call import (
-    CHECK_INTERVAL_S,
-    JOIN_TIMEOUT_S,
-    ROOM,
-    LocalCall,
-    LocalCallConfig,
-    bitrates,
-    require_all,
-)
 from pica_client.local_call.processes import Children
 from pica_client.output import say
 from pica_client.playout.config import PlayoutConfig
@@ -62,7 +54,7 @@ FRONT = np.array([0, 0, 1], np.float32)
 class BenchConfig:
     """What to measure."""
 
-    call: LocalCallConfig = field(default_factory=LocalCallConfig)
+    call: local_call.LocalCallConfig = field(default_factory=local_call.LocalCallConfig)
     seconds: float = 20.0
     """Measured time, after everybody is there and has warmed up."""
     warm_up_s: float = 2.0
@@ -144,13 +136,15 @@ def run_bench(config: BenchConfig, *, avatar_files: list[Path] | None = None) ->
     library = AvatarLibrary(avatar_files or ())
     try:
         with Children() as children:
-            local = LocalCall(config.call, library, children)
+            local = local_call.LocalCall(config.call, library, children)
             return asyncio.run(_measure(config, local, library))
     finally:
         library.close()
 
 
-async def _measure(config: BenchConfig, local: LocalCall, library: AvatarLibrary) -> dict[str, Any]:
+async def _measure(
+    config: BenchConfig, local: local_call.LocalCall, library: AvatarLibrary
+) -> dict[str, Any]:
     async with contextlib.AsyncExitStack() as stack:
         if config.impairment is None:
             return await _measure_through(local.url, None, config, local, library)
@@ -165,15 +159,15 @@ async def _measure_through(
     url: str,
     comparison: CallComparison | None,
     config: BenchConfig,
-    local: LocalCall,
+    local: local_call.LocalCall,
     library: AvatarLibrary,
 ) -> dict[str, Any]:
     call = Call(library, CallConfig(playout=config.playout))
     link = LinkConfig(
         url=url,
-        room=ROOM,
+        room=local_call.ROOM,
         name="bench",
-        connect_timeout_s=JOIN_TIMEOUT_S,
+        connect_timeout_s=local_call.JOIN_TIMEOUT_S,
         secret_file=local.secret_file,
     )
     receiver = Receiver(link, call)
@@ -184,12 +178,12 @@ async def _measure_through(
         work.append(comparison.run())
     tasks = [asyncio.create_task(each) for each in work]
     try:
-        deadline = loop.time() + JOIN_TIMEOUT_S
+        deadline = loop.time() + local_call.JOIN_TIMEOUT_S
         while call.num_live < len(local.names):
             await _pause(tasks)
             local.check()
             if local.crashed or loop.time() > deadline:
-                require_all(local.names, _missing(call, local, loop.time()), local)
+                local_call.require_all(local.names, _missing(call, local, loop.time()), local)
         await _pause(tasks, config.warm_up_s)
         begin_s = loop.time()
         call.begin_window(begin_s)
@@ -198,7 +192,7 @@ async def _measure_through(
             comparison.begin_window(begin_s)
         say(f"measuring {config.seconds:g} s of {len(local.names)} peers")
         while (left_s := begin_s + config.seconds - loop.time()) > 0:
-            await _pause(tasks, min(left_s, CHECK_INTERVAL_S))
+            await _pause(tasks, min(left_s, local_call.CHECK_INTERVAL_S))
             local.check()
         received = receiver.stats(loop.time())
         seconds = loop.time() - begin_s
@@ -220,7 +214,7 @@ async def _measure_through(
         "seconds": round(seconds, 2),
         "latency_ms": latency_summary(frames, local.encode_times_s()),
         "latents_per_s": {name: round(decoded[name] / seconds, 2) for name in local.names},
-        "bitrate_bps": bitrates(sent),
+        "bitrate_bps": local_call.bitrates(sent),
         "dropped": received["dropped"] + queue.num_dropped,
         "concealed": received["concealed"],
         "errors": received["errors"]
@@ -247,13 +241,15 @@ async def _release(receiver: Receiver, queue: DecodeQueue) -> None:
             queue.submit(due)
 
 
-async def _pause(tasks: list[asyncio.Task[None]], seconds: float = CHECK_INTERVAL_S) -> None:
+async def _pause(
+    tasks: list[asyncio.Task[None]], seconds: float = local_call.CHECK_INTERVAL_S
+) -> None:
     """Sleep, unless one of the tasks fails: then raise its error."""
     done, _ = await asyncio.wait(tasks, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
     for task in done:
         task.result()
 
 
-def _missing(call: Call, local: LocalCall, now: float) -> list[str]:
+def _missing(call: Call, local: local_call.LocalCall, now: float) -> list[str]:
     seen = {peer["name"] for peer in call.stats(now)["peers"] if peer["received"]}
     return [name for name in local.names if name not in seen]

@@ -30,20 +30,9 @@ from pica_core.avatar.file import Avatar
 from pica_core.avatar.streams import open_decoder
 from pica_core.codec.latent_sample import DecodedFrame
 from pica_core.errors import AvatarFileError, ProfileError
+from pica_protocol import messages
 from pica_protocol.frames import Frame
 from pica_protocol.limits import MAX_LAYER
-from pica_protocol.messages import (
-    Joined,
-    Peer,
-    PeerAway,
-    PeerBack,
-    PeerJoined,
-    PeerLeft,
-    PeerUpdated,
-    Report,
-    StreamMuted,
-    StreamReport,
-)
 from pica_protocol.session import ClientEvent
 
 KEYFRAME_REQUEST_INTERVAL_S = 0.5
@@ -143,7 +132,7 @@ class Call:
                 return
             self._roster.receive_event(event, now)
             match event:
-                case Joined(peers=peers):
+                case messages.Joined(peers=peers):
                     present = {peer.peer_id: peer for peer in peers}
                     for peer_id, seat in list(self._seats.items()):
                         if not seat.stays(present.get(peer_id)):
@@ -156,19 +145,19 @@ class Call:
                         seat.subscription.begin(now)
                     for peer in peers:
                         self._add(peer)
-                case PeerJoined(peer=peer):
+                case messages.PeerJoined(peer=peer):
                     self._add(peer)
-                case PeerLeft(peer_id=peer_id, reason=reason):
+                case messages.PeerLeft(peer_id=peer_id, reason=reason):
                     self._remove(peer_id, reason, now)
-                case PeerAway(peer_id=peer_id) | PeerBack(peer_id=peer_id):
+                case messages.PeerAway(peer_id=peer_id) | messages.PeerBack(peer_id=peer_id):
                     if peer_id in self._seats:
-                        self._seats[peer_id].is_away = isinstance(event, PeerAway)
-                case PeerUpdated(peer_id=peer_id, metadata=metadata):
+                        self._seats[peer_id].is_away = isinstance(event, messages.PeerAway)
+                case messages.PeerUpdated(peer_id=peer_id, metadata=metadata):
                     if peer_id in self._seats:
                         seat = self._seats[peer_id]
                         seat.peer = replace(seat.peer, metadata=metadata)
                         seat.note_silence(now)
-                case StreamMuted(stream=stream, is_muted=is_muted):
+                case messages.StreamMuted(stream=stream, is_muted=is_muted):
                     if stream in self._by_stream:
                         seat = self._by_stream[stream]
                         seat.is_muted = is_muted
@@ -176,7 +165,7 @@ class Call:
                 case _:
                     pass  # a keyframe is all we ever send; a closed session is the link's affair
 
-    def take_report(self) -> Report:
+    def take_report(self) -> messages.Report:
         """How the streams arrived since the last report, for the relay."""
         with self._lock:
             streams = []
@@ -184,14 +173,14 @@ class Call:
                 report, before = seat.playout.report(), seat.reported
                 seat.reported = report
                 streams.append(
-                    StreamReport(
+                    messages.StreamReport(
                         stream=stream,
                         received=report.received - before.received,
                         lost=max(report.lost - before.lost, 0),
                         concealed=report.concealed - before.concealed,
                     )
                 )
-            return Report(streams=tuple(streams))
+            return messages.Report(streams=tuple(streams))
 
     def take_keyframe_requests(self, now: float) -> list[int]:
         """Streams that can only go on with a keyframe, each at most once in
@@ -362,7 +351,7 @@ class Call:
                 "strays": self.strays,
             }
 
-    def _add(self, peer: Peer) -> None:
+    def _add(self, peer: messages.Peer) -> None:
         if peer.peer_id in self._seats:
             return
         for track in peer.tracks:

@@ -15,24 +15,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal, NamedTuple
 
-from pica_client.publish.face_track import (
-    FACE_KEY,
-    FACE_TRACK,
-    RECORDS_KEY,
-    RECORDS_YES,
-    FaceMode,
-)
+from pica_client.publish import face_track
 from pica_client.voice.track import VOICE_KEY, VOICE_MUTED, voice_of
-from pica_protocol.messages import (
-    Joined,
-    Peer,
-    PeerAway,
-    PeerBack,
-    PeerJoined,
-    PeerLeft,
-    PeerUpdated,
-    Whisper,
-)
+from pica_protocol import messages
 from pica_protocol.session import ClientEvent, Closed
 
 AWAY_IS_NEWS_AFTER_S: Final = 2.0
@@ -50,7 +35,7 @@ MAX_NEWS: Final = 64
 SECRET_NEEDED: Final = "encrypted: the room's secret is needed"
 """Why nothing is to be seen of who encrypts when we do not."""
 
-_FACE_MODES: dict[str, FaceMode] = {"frozen": "frozen", "muted": "muted"}
+_FACE_MODES: dict[str, face_track.FaceMode] = {"frozen": "frozen", "muted": "muted"}
 
 NewsKind = Literal["joined", "left", "away", "back", "records", "records no more"]
 
@@ -67,7 +52,7 @@ class News:
 class Member:
     """Somebody else in the room."""
 
-    peer: Peer
+    peer: messages.Peer
     place: int
     """Rises with the order of coming; nobody's changes while they are here."""
     namesake: int = 1
@@ -85,12 +70,12 @@ class Member:
     @property
     def is_watching(self) -> bool:
         """Whether there is no face to be expected."""
-        return all(track.kind != FACE_TRACK for track in self.peer.tracks)
+        return all(track.kind != face_track.FACE_TRACK for track in self.peer.tracks)
 
     @property
-    def face(self) -> FaceMode:
+    def face(self) -> face_track.FaceMode:
         """What becomes of the face, as far as its owner says."""
-        return _FACE_MODES.get(dict(self.peer.metadata).get(FACE_KEY, ""), "sent")
+        return _FACE_MODES.get(dict(self.peer.metadata).get(face_track.FACE_KEY, ""), "sent")
 
     @property
     def is_voice_muted(self) -> bool:
@@ -105,7 +90,7 @@ class Member:
     @property
     def is_recording(self) -> bool:
         """Whether this one says to keep what is seen."""
-        return dict(self.peer.metadata).get(RECORDS_KEY) == RECORDS_YES
+        return dict(self.peer.metadata).get(face_track.RECORDS_KEY) == face_track.RECORDS_YES
 
 
 class RoomState(NamedTuple):
@@ -177,22 +162,24 @@ class Roster:
     def receive_event(self, event: ClientEvent, now: float) -> None:
         """Take an event of the link's session at `now`, seconds."""
         match event:
-            case Joined():
+            case messages.Joined():
                 self._receive_joined(event, now)
-            case PeerJoined(peer=peer):
+            case messages.PeerJoined(peer=peer):
                 self._add(peer, is_news=True)
-            case PeerLeft(peer_id=peer_id) if peer_id in self._members:
+            case messages.PeerLeft(peer_id=peer_id) if peer_id in self._members:
                 self._away_s.pop(peer_id, None)
                 self._keep([self._members.pop(peer_id)], now, is_told=True)
-            case PeerAway(peer_id=peer_id) if peer_id in self._members:
+            case messages.PeerAway(peer_id=peer_id) if peer_id in self._members:
                 self._members[peer_id] = replace(self._members[peer_id], is_away=True)
                 self._away_s[peer_id] = now
-            case PeerBack(peer_id=peer_id) if peer_id in self._members:
+            case messages.PeerBack(peer_id=peer_id) if peer_id in self._members:
                 self._receive_back(peer_id)
-            case PeerUpdated(peer_id=peer_id, metadata=metadata) if peer_id in self._members:
+            case messages.PeerUpdated(peer_id=peer_id, metadata=metadata) if (
+                peer_id in self._members
+            ):
                 member = self._members[peer_id]
                 self._update(member, replace(member.peer, metadata=metadata))
-            case Whisper(peer_id=peer_id) if peer_id in self._members:
+            case messages.Whisper(peer_id=peer_id) if peer_id in self._members:
                 self._members[peer_id] = replace(self._members[peer_id], has_whispered=True)
             case Closed():
                 self.lost_s = now
@@ -216,7 +203,7 @@ class Roster:
         news, self._news = self._news, []
         return news
 
-    def _receive_joined(self, event: Joined, now: float) -> None:
+    def _receive_joined(self, event: messages.Joined, now: float) -> None:
         is_first = self.joined_s is None
         self.own_name = event.name or self.own_name
         self.joined_s = now if is_first else self.joined_s
@@ -237,13 +224,13 @@ class Roster:
         if self._away_s.pop(peer_id, None) is None:
             self._tell("back", self._members[peer_id])
 
-    def _update(self, before: Member, peer: Peer) -> None:
+    def _update(self, before: Member, peer: messages.Peer) -> None:
         """Take what a member says of itself by now."""
         after = self._members[peer.peer_id] = replace(before, peer=peer)
         if after.is_recording != before.is_recording:
             self._tell("records" if after.is_recording else "records no more", after)
 
-    def _add(self, peer: Peer, *, is_news: bool) -> None:
+    def _add(self, peer: messages.Peer, *, is_news: bool) -> None:
         if peer.peer_id in self._members:
             return
         found = self._find_missing(peer)
@@ -272,7 +259,7 @@ class Roster:
                 self._tell("left", member)
         del self._missing[:-MAX_KEPT]
 
-    def _find_missing(self, peer: Peer) -> _Missing | None:
+    def _find_missing(self, peer: messages.Peer) -> _Missing | None:
         """Whose place a newcomer has; of several of the name, best one with the same tracks."""
         found = [each for each in self._missing if each.member.peer.name == peer.name]
         alike = (each for each in found if _tracks(each.member.peer) == _tracks(peer))
@@ -282,6 +269,6 @@ class Roster:
         self._news = [*self._news, News(kind, member.title)][-MAX_NEWS:]
 
 
-def _tracks(peer: Peer) -> tuple[tuple[str, str], ...]:
+def _tracks(peer: messages.Peer) -> tuple[tuple[str, str], ...]:
     """What of a peer's tracks stays the same when a relay deals new ids and streams."""
     return tuple((track.kind, track.avatar) for track in peer.tracks)

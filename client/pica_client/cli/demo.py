@@ -17,14 +17,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.cli.options import parse_size
 from pica_client.errors import CallProcessError, OptionError
+from pica_client.local_call import local_call
 from pica_client.local_call.latency import frame_times, latency_summary
-from pica_client.local_call.local_call import (
-    CHECK_INTERVAL_S,
-    ROOM,
-    LocalCall,
-    LocalCallConfig,
-    bitrates,
-)
 from pica_client.local_call.processes import Child, Children
 from pica_client.output import make_folder, say, writing_whole
 from pica_client.signals import terminate_as_interrupt
@@ -40,8 +34,8 @@ VIEWER_NAME = "viewer"
 class DemoConfig:
     """What to show and where to put it; the options of `pica demo`."""
 
-    call: tyro.conf.OmitArgPrefixes[LocalCallConfig] = field(
-        default_factory=lambda: LocalCallConfig(has_voices=True)
+    call: tyro.conf.OmitArgPrefixes[local_call.LocalCallConfig] = field(
+        default_factory=lambda: local_call.LocalCallConfig(has_voices=True)
     )
     seconds: float = 20.0
     """How long the call is drawn."""
@@ -91,7 +85,7 @@ def run_demo(config: DemoConfig) -> dict[str, Any]:
     library = AvatarLibrary()
     try:
         with Children() as children:
-            stage = LocalCall(config.call, library, children)
+            stage = local_call.LocalCall(config.call, library, children)
             log = children.folder / "view.json"
             viewer = children.start("viewer", *_view_arguments(config, stage, log))
             _watch(config, stage, viewer)
@@ -109,8 +103,8 @@ def run_demo(config: DemoConfig) -> dict[str, Any]:
     return stats
 
 
-def _view_arguments(config: DemoConfig, stage: LocalCall, log: Path) -> list[str]:
-    arguments = ["view", "--url", stage.url, "--room", ROOM, "--name", VIEWER_NAME]
+def _view_arguments(config: DemoConfig, stage: local_call.LocalCall, log: Path) -> list[str]:
+    arguments = ["view", "--url", stage.url, "--room", local_call.ROOM, "--name", VIEWER_NAME]
     arguments += ["--size", config.size, "--seconds", f"{config.seconds:g}"]
     arguments += ["--expect", str(config.call.peers), "--frame-log", str(log)]
     arguments += ["--record", str(config.out / "call.mp4")]
@@ -125,7 +119,7 @@ def _view_arguments(config: DemoConfig, stage: LocalCall, log: Path) -> list[str
     return [*arguments, "--statistics", "--no-preferences"]
 
 
-def _watch(config: DemoConfig, stage: LocalCall, viewer: Child) -> None:
+def _watch(config: DemoConfig, stage: local_call.LocalCall, viewer: Child) -> None:
     """Wait for the viewer to end, looking after everybody meanwhile."""
     begin_s = time.monotonic()
     reported: list[str] = []
@@ -144,12 +138,12 @@ def _watch(config: DemoConfig, stage: LocalCall, viewer: Child) -> None:
             if time.monotonic() - begin_s > config.seconds + END_TIMEOUT_S:
                 raise CallProcessError(f"the viewer did not end in time: {viewer.last_words()}")
             bar.update(task, completed=time.monotonic() - begin_s)
-            time.sleep(CHECK_INTERVAL_S)
+            time.sleep(local_call.CHECK_INTERVAL_S)
 
 
 def _stats(
     config: DemoConfig,
-    stage: LocalCall,
+    stage: local_call.LocalCall,
     shown: dict[str, Any],
     sent: dict[str, dict[str, Any]],
     log: dict[str, Any],
@@ -168,7 +162,7 @@ def _stats(
         "render_fps": shown["render_fps"],
         "latents_per_s": {name: rates.get(name, 0.0) for name in stage.names},
         "decodes_per_s": round(len(log["decodes"]) / max(shown["seconds"], 0.01), 2),
-        "bitrate_bps": bitrates(sent),
+        "bitrate_bps": local_call.bitrates(sent),
         "latency_ms": latency,
         "dropped": received["dropped"],
         "concealed": received["concealed"],

@@ -25,16 +25,8 @@ from pica_client.e2ee.suites import (
     AES_128_GCM_SHA256_128,
     Suite,
 )
+from pica_protocol import messages
 from pica_protocol.frames import MAX_PAYLOAD_BYTES, Frame
-from pica_protocol.messages import (
-    Joined,
-    KeyframeRequest,
-    Peer,
-    PeerBack,
-    PeerJoined,
-    PeerLeft,
-    Whisper,
-)
 from pica_protocol.session import ClientEvent, Closed
 
 _MAX_HEADER_BYTES = 3
@@ -146,31 +138,31 @@ class Guard:
 
     def _receive_news(self, event: ClientEvent, now: float) -> list[ClientEvent]:
         match event:
-            case Whisper(peer_id=peer_id, data=data):
+            case messages.Whisper(peer_id=peer_id, data=data):
                 try:
                     self._keys.receive_note(peer_id, data, now)
                 except NoteError:
                     self.counters.notes_refused += 1
                 return self._keyframe_requests()
-            case Joined(tracks=tracks, peers=peers):
+            case messages.Joined(tracks=tracks, peers=peers):
                 self._keys.receive_joined(event, now)
                 # Only these know keyframes; of other tracks each frame stands alone.
                 self._own_streams = tuple(t.stream for t in tracks if t.policy == "latest")
                 self._owners.clear()
                 for peer in peers:
                     self._note_streams(peer)
-            case PeerJoined(peer=peer):
+            case messages.PeerJoined(peer=peer):
                 self._keys.receive_peer_joined(peer, now)
                 self._note_streams(peer)
-            case PeerLeft(peer_id=peer_id):
+            case messages.PeerLeft(peer_id=peer_id):
                 self._keys.receive_peer_left(peer_id, now)
                 self._owners = {s: who for s, who in self._owners.items() if who != peer_id}
-            case PeerBack(peer_id=peer_id):
+            case messages.PeerBack(peer_id=peer_id):
                 self._keys.receive_peer_back(peer_id, now)
             case Closed():
                 self._keys.receive_closed(now)
                 self._owners.clear()
-            case KeyframeRequest():
+            case messages.KeyframeRequest():
                 pass
         return [event]
 
@@ -190,7 +182,7 @@ class Guard:
         """Do what is due by now."""
         self._keys.handle_timer(now)
 
-    def _note_streams(self, peer: Peer) -> None:
+    def _note_streams(self, peer: messages.Peer) -> None:
         for track in peer.tracks:
             self._owners[track.stream] = peer.peer_id
 
@@ -198,7 +190,7 @@ class Guard:
         if not self._keys.has_newcomer:
             return []
         self._keys.has_newcomer = False
-        return [KeyframeRequest(stream=stream) for stream in self._own_streams]
+        return [messages.KeyframeRequest(stream=stream) for stream in self._own_streams]
 
     def _open(self, frame: Frame, now: float) -> list[ClientEvent]:
         counters, owner = self.counters, self._owners.get(frame.stream)

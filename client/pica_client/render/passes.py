@@ -16,16 +16,8 @@ from typing import Any
 import moderngl
 import numpy as np
 
+from pica_client.render import gpu_program
 from pica_client.render.gpu_avatar import Body, Mesh, upload_placeholder
-from pica_client.render.gpu_program import (
-    UNIT_EXPRESSION,
-    UNIT_POSITION,
-    UNIT_ROOM,
-    UNIT_SKIN,
-    build_program,
-    set_matrix,
-    set_values,
-)
 from pica_client.render.gpu_textured import TexturedHead
 from pica_client.render.room import Room, lens_of, world_from_view
 from pica_client.render.shader_source import compose
@@ -97,12 +89,12 @@ class DrawPasses:
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
         self.mesh_programs = (
-            build_program(context, compose("mesh.vert"), compose("surface.frag")),
-            build_program(
+            gpu_program.build_program(context, compose("mesh.vert"), compose("surface.frag")),
+            gpu_program.build_program(
                 context, compose("mesh.vert"), compose("surface.frag", defines={"SHARED": ""})
             ),
         )
-        self.textured_program = build_program(
+        self.textured_program = gpu_program.build_program(
             context, compose("textured.vert"), compose("textured.frag")
         )
         self._background = self._screen("background.frag")
@@ -126,7 +118,7 @@ class DrawPasses:
         for camera, rect in views:
             turned = np.ascontiguousarray(world_from_view(camera).T, np.float32)
             members["world_from_view"].write(turned.tobytes())
-            set_values(
+            gpu_program.set_values(
                 program,
                 lens=lens_of(camera),
                 eye_m=tuple(camera.centre_m.tolist()),
@@ -139,7 +131,7 @@ class DrawPasses:
             self._background.render(moderngl.TRIANGLE_STRIP, vertices=4)
             targets.room.use()
             targets.small_room_image.use(0)
-            set_values(self._enlarge.program, rect=clip_rect(rect, targets.size))
+            gpu_program.set_values(self._enlarge.program, rect=clip_rect(rect, targets.size))
             self._enlarge.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
     def surfaces(
@@ -188,15 +180,15 @@ class DrawPasses:
             program = self.mesh_programs[0 if is_whole else 1]
             left, bottom, right, top = head.place.view
             targets.surface.viewport = (left, bottom, right - left, top - bottom)
-            head.position.use(UNIT_POSITION)
-            set_matrix(program, "clip_from_head", head.place.matrix)
-            set_values(
+            head.position.use(gpu_program.UNIT_POSITION)
+            gpu_program.set_matrix(program, "clip_from_head", head.place.matrix)
+            gpu_program.set_values(
                 program, slot=float(head.number), low_m=head.body.low_m, high_m=head.body.high_m
             )
             if is_whole:
                 head.mesh.vertices.render(instances=times)
             else:
-                set_values(program, share=head.share)
+                gpu_program.set_values(program, share=head.share)
                 head.mesh.sharing.render(instances=times)
 
     def shade(
@@ -216,7 +208,7 @@ class DrawPasses:
         context.enable(moderngl.DEPTH_TEST)
         targets.textured.depth_mask = False
         targets.textured.viewport = (0, 0, *targets.size)
-        targets.room_image.use(UNIT_ROOM)
+        targets.room_image.use(gpu_program.UNIT_ROOM)
         for unit, texture in targets.visible.items():
             texture.use(unit)
         queries = self._queries_for(heads, count)
@@ -244,7 +236,7 @@ class DrawPasses:
         """
         if not heads:
             return []
-        targets.room_image.use(UNIT_ROOM)
+        targets.room_image.use(gpu_program.UNIT_ROOM)
         targets.textured.use()
         self._context.enable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         program = self.textured_program
@@ -253,9 +245,9 @@ class DrawPasses:
             place = painted.place
             left, bottom, right, top = place.view
             targets.textured.viewport = (left, bottom, right - left, top - bottom)
-            painted.head.texture.use(UNIT_SKIN)
-            set_matrix(program, "clip_from_head", place.matrix)
-            set_values(
+            painted.head.texture.use(gpu_program.UNIT_SKIN)
+            gpu_program.set_matrix(program, "clip_from_head", place.matrix)
+            gpu_program.set_values(
                 program,
                 slot=float(painted.number),
                 shown=place.shown,
@@ -272,7 +264,7 @@ class DrawPasses:
         context.disable(moderngl.CULL_FACE)
         context.enable(moderngl.DEPTH_TEST)
         targets.shaded_image.use(0)
-        set_values(self._smooth.program, texel=(1 / size[0], 1 / size[1]))
+        gpu_program.set_values(self._smooth.program, texel=(1 / size[0], 1 / size[1]))
         targets.depth.use()
         targets.depth.clear(depth=0.0)
         for target, screen, depth_func in (
@@ -282,7 +274,9 @@ class DrawPasses:
             target.use()
             context.depth_func = depth_func
             for place in places:
-                set_values(screen.program, rect=clip_rect(inset_rect(place.rect, size), size))
+                gpu_program.set_values(
+                    screen.program, rect=clip_rect(inset_rect(place.rect, size), size)
+                )
                 screen.render(moderngl.TRIANGLE_STRIP, vertices=4)
         context.depth_func = "<"
         context.disable(moderngl.DEPTH_TEST)
@@ -291,12 +285,12 @@ class DrawPasses:
         body = head.body
         body.bind()
         if head.expression is not None:
-            head.expression.use(UNIT_EXPRESSION)
+            head.expression.use(gpu_program.UNIT_EXPRESSION)
             is_change = head.expression.width < body.still_size
-            set_values(body.shade.program, is_change=is_change)
+            gpu_program.set_values(body.shade.program, is_change=is_change)
         targets.textured.use()
         self._context.depth_func = ">"
-        set_values(
+        gpu_program.set_values(
             body.shade.program,
             slot=float(head.number),
             mark=float(head.mark),
@@ -317,7 +311,7 @@ class DrawPasses:
 
     def _screen(self, name: str) -> moderngl.VertexArray:
         """A rectangle of the screen, drawn by a program of its own."""
-        program = build_program(self._context, compose("rect.vert"), compose(name))
+        program = gpu_program.build_program(self._context, compose("rect.vert"), compose(name))
         return self._context.vertex_array(program, [])
 
 

@@ -24,6 +24,7 @@ from pica_client.call.status import AvatarFigures
 from pica_client.decode.pool import DecodePool
 from pica_client.decode.request import DecodeResult
 from pica_client.errors import ShaderError
+from pica_client.render import views
 from pica_client.render.renderer import Renderer
 from pica_client.render.room import Room
 from pica_client.render.scene import Placement, head_matrix
@@ -33,13 +34,6 @@ from pica_client.render.seats import (
     Layout,
     SeatPlan,
     plan_seats,
-)
-from pica_client.render.views import (
-    USUAL_SPAN,
-    OrbitLimits,
-    ViewState,
-    orbit_limits,
-    plan_camera,
 )
 from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.head import Head
@@ -99,7 +93,7 @@ class Seating:
     """How the user wants everybody to be seated and seen."""
 
     layout: Layout = "arc"
-    view: ViewState = field(default_factory=ViewState)
+    view: views.ViewState = field(default_factory=views.ViewState)
     pinned: int | None = None
     """The place of who fills the picture; see `FaceState.place`."""
     free: FreeShares = field(default_factory=FreeShares)
@@ -117,7 +111,7 @@ class CallScene:
     """Where their heads are, in the order of the faces."""
     camera: Camera
     plan: SeatPlan
-    limits: OrbitLimits
+    limits: views.OrbitLimits
     """How far the view may turn."""
     room: Room
     """What is behind them."""
@@ -131,7 +125,7 @@ class _Peer:
     head: Head | None = None
     """Its avatar before the cameras; None until that is there."""
     shoulders_m: float = SHOULDERS_M
-    span: ViewSpan = USUAL_SPAN
+    span: ViewSpan = views.USUAL_SPAN
     """The directions that its avatar may be seen from."""
     problem: str = ""
     """Why there is a placeholder instead of the avatar."""
@@ -222,7 +216,7 @@ class AvatarPresenter:
             free=seating.free,
             shoulders_m=max((entry.shoulders_m for entry in entries), default=SHOULDERS_M),
         )
-        limits = orbit_limits(plan, tuple(entry.span for entry in entries))
+        limits = views.orbit_limits(plan, tuple(entry.span for entry in entries))
         since_s = math.inf if self._arranged_s is None else max(now - self._arranged_s, 0.0)
         self._arranged_s, step = now, since_s / FADE_S
         plan = self._settled(plan, [face.peer_id for face in faces], size, since_s)
@@ -241,7 +235,7 @@ class AvatarPresenter:
                     fade=entry.fade,
                 )
             )
-        camera = plan_camera(plan, seating.view, width, height, limits)
+        camera = views.plan_camera(plan, seating.view, width, height, limits)
         room = Room(
             seats_m=plan.places_m,
             speaking=tuple(entry.glow(now, step) for entry in entries),
@@ -404,7 +398,7 @@ class AvatarPresenter:
         alike = (each for each in self._peers.values() if each.head and each.head.avatar is avatar)
         shared = next(alike, None)
         entry.head = Head(slot=peer_id, avatar=avatar)
-        entry.span = avatar.manifest.view_span or USUAL_SPAN
+        entry.span = avatar.manifest.view_span or views.USUAL_SPAN
         entry.shoulders_m = shared.shoulders_m if shared else bust_of(avatar).width_m
         # Some frames' worth of work (25 ms), so peers who look alike share it.
         entry.jaw = shared.jaw if shared is not None else JawReader(avatar)

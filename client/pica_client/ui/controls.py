@@ -18,16 +18,7 @@ from typing import Literal
 
 from pica_client.render.seats import LAYOUTS, Layout
 from pica_client.render.views import OrbitLimits, ViewState
-from pica_client.ui.events import (
-    CloseWanted,
-    InputEvent,
-    KeyPressed,
-    KeyReleased,
-    MouseMoved,
-    MousePressed,
-    MouseReleased,
-    Scrolled,
-)
+from pica_client.ui import events
 from pica_client.ui.settings import OwnChoice, Settings
 from pica_client.voice.sound.settings import SoundSettings
 
@@ -305,7 +296,7 @@ class Controls:
 
     def receive(
         self,
-        event: InputEvent,
+        event: events.InputEvent,
         *,
         places: Sequence[int] = (),
         pick: Picker = lambda x_px, y_px: None,
@@ -318,22 +309,22 @@ class Controls:
             pick: Who is seen at a point of the picture.
         """
         match event:
-            case KeyPressed():
+            case events.KeyPressed():
                 self._press_key(event, places)
-            case KeyReleased(key=key) if key == TALK_KEY:
+            case events.KeyReleased(key=key) if key == TALK_KEY:
                 self.state = replace(self.state, is_talking=False)
-            case Scrolled(steps=steps) if math.isfinite(steps):
+            case events.Scrolled(steps=steps) if math.isfinite(steps):
                 self.state = _zoom(steps)(self.state)
-            case MousePressed(x_px=x, y_px=y, button=0):
+            case events.MousePressed(x_px=x, y_px=y, button=0):
                 self._pressed_at = self._pointer = (x, y)
                 self._is_drag = False
-            case MouseMoved(x_px=x, y_px=y):
+            case events.MouseMoved(x_px=x, y_px=y):
                 self._move(x, y)
-            case MouseReleased(x_px=x, y_px=y, button=0):
+            case events.MouseReleased(x_px=x, y_px=y, button=0):
                 if self._pressed_at is not None and not self._is_drag:
                     self._toggle_pin(pick(x, y))
                 self._pressed_at = None
-            case CloseWanted():
+            case events.CloseWanted():
                 self.obey(Order.LEAVE)
             case _:
                 pass
@@ -371,7 +362,7 @@ class Controls:
         orders, self._orders = self._orders, []
         return orders
 
-    def _press_key(self, event: KeyPressed, places: Sequence[int]) -> None:
+    def _press_key(self, event: events.KeyPressed, places: Sequence[int]) -> None:
         if event.has_control:
             return  # the desktop's own
         if event.key == TALK_KEY:

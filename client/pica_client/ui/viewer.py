@@ -33,19 +33,12 @@ from pica_client.render.scene import pick_head
 from pica_client.render.views import stereo_cameras
 from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Plan, Scheduler
+from pica_client.ui import controls
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter, Seating
 from pica_client.ui.call_sound import CallSound
 from pica_client.ui.call_surface import CallSurface
 from pica_client.ui.call_view import NOTHING, OwnFaceView
 from pica_client.ui.captures_on_disk import CapturesOnDisk, Recording
-from pica_client.ui.controls import (
-    LAYOUT_TITLES,
-    Controls,
-    ControlState,
-    CopyText,
-    Order,
-    UserOrder,
-)
 from pica_client.ui.events import InputEvent, MouseMoved, MousePressed, MouseReleased
 from pica_client.ui.own_face import OwnFaceCorner
 from pica_client.ui.settings import OwnChoice
@@ -117,8 +110,8 @@ class Viewer:
         self._sound = sound or CallSound()
         self._on_recording = on_recording
         self._was_recording = False
-        self.controls = Controls(
-            ControlState(
+        self.controls = controls.Controls(
+            controls.ControlState(
                 layout=self.options.layout,
                 show_statistics=self.options.show_statistics,
                 own_face="none" if desk is None else "sent",
@@ -419,37 +412,37 @@ class Viewer:
         surface = self._surface
         return self._own_face.draw(now, height_px, surface.painter, surface.notice)
 
-    def _obey(self, order: UserOrder, now: float) -> None:
+    def _obey(self, order: controls.UserOrder, now: float) -> None:
         """Do once what the user asked for."""
         match order:
-            case Order.SCREENSHOT:
+            case controls.Order.SCREENSHOT:
                 self._keep(lambda: self._captures.save_picture(self._renderer.read_image()))
-            case Order.TOGGLE_RECORDING:
+            case controls.Order.TOGGLE_RECORDING:
                 self._keep(lambda: self._captures.toggle_recording(self._renderer.size))
-            case Order.TOGGLE_FULL_SCREEN:
+            case controls.Order.TOGGLE_FULL_SCREEN:
                 if self._window is not None:
                     self._window.toggle_full_screen()
-            case Order.EXPLAIN_NO_FACE:
+            case controls.Order.EXPLAIN_NO_FACE:
                 self._surface.notice(
                     "You show no face: choose a face source in the settings (--send)", now
                 )
-            case Order.EXPLAIN_NO_VOICE:
+            case controls.Order.EXPLAIN_NO_VOICE:
                 self._surface.notice(
                     "You send no voice: choose a microphone in the settings (--voice mic)", now
                 )
-            case Order.NEXT_LAYOUT:
-                layout = LAYOUT_TITLES[self.controls.state.layout]
+            case controls.Order.NEXT_LAYOUT:
+                layout = controls.LAYOUT_TITLES[self.controls.state.layout]
                 self._surface.notice(f"People sit: {layout}", now)
-            case Order.TEST_SOUND:
+            case controls.Order.TEST_SOUND:
                 self._sound.play_test()
-            case Order.REJOIN:
+            case controls.Order.REJOIN:
                 if trouble := self._on_rejoin(self.controls.state.choice):
                     self._surface.notice(trouble, now)
                 else:
-                    self.controls.obey(Order.LEAVE)
-            case Order.CALIBRATE | OwnChoice() if self._own_face is not None:
+                    self.controls.obey(controls.Order.LEAVE)
+            case controls.Order.CALIBRATE | OwnChoice() if self._own_face is not None:
                 self._own_face.obey(order, now)
-            case CopyText(text=text, notice=notice):
+            case controls.CopyText(text=text, notice=notice):
                 if self._window is not None:
                     self._window.copy(text)
                 self._surface.notice(notice, now)

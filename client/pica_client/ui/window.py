@@ -18,18 +18,8 @@ from typing import Any, Self
 import glfw
 import moderngl
 
+from pica_client.ui import events
 from pica_client.ui.display import has_display
-from pica_client.ui.events import (
-    CloseWanted,
-    InputEvent,
-    KeyPressed,
-    KeyReleased,
-    MouseMoved,
-    MousePressed,
-    MouseReleased,
-    Scrolled,
-    TextTyped,
-)
 from pica_core.errors import GraphicsError
 from pica_core.gl import GL_VERSION
 
@@ -77,7 +67,7 @@ class Window:
     """
 
     def __init__(self, title: str, size: tuple[int, int], *, vertical_sync: bool = True) -> None:
-        self._events: list[InputEvent] = []
+        self._events: list[events.InputEvent] = []
         self._complaint = ""
         self._windowed: tuple[int, int, int, int] | None = None
         glfw.set_error_callback(self._note_error)
@@ -139,13 +129,13 @@ class Window:
         """Pixels a point of the display that the window is on."""
         return max(float(glfw.get_window_content_scale(self._window)[0]), 0.5)
 
-    def poll(self) -> list[InputEvent]:
+    def poll(self) -> list[events.InputEvent]:
         """What the user did since the last call, in order. Does not wait."""
         glfw.poll_events()
-        events, self._events = self._events, []
+        seen, self._events = self._events, []
         if glfw.window_should_close(self._window):
-            events.append(CloseWanted())
-        return events
+            seen.append(events.CloseWanted())
+        return seen
 
     def show(self, paint: Callable[[moderngl.Framebuffer], None]) -> None:
         """Have the screen painted; waits for the display if that was asked for."""
@@ -193,7 +183,7 @@ class Window:
     def _reason(self) -> str:
         return self._complaint or "glfw gives no reason"
 
-    def _note(self, event: InputEvent) -> None:
+    def _note(self, event: events.InputEvent) -> None:
         if len(self._events) < MAX_EVENTS:
             self._events.append(event)
 
@@ -204,28 +194,30 @@ class Window:
         has_control = bool(modifiers & (glfw.MOD_CONTROL | glfw.MOD_SUPER))
         has_shift = bool(modifiers & glfw.MOD_SHIFT)
         if action == glfw.RELEASE:
-            self._note(KeyReleased(name, has_control=has_control, has_shift=has_shift))
+            self._note(events.KeyReleased(name, has_control=has_control, has_shift=has_shift))
             return
         is_repeat = action == glfw.REPEAT
         self._note(
-            KeyPressed(name, is_repeat=is_repeat, has_control=has_control, has_shift=has_shift)
+            events.KeyPressed(
+                name, is_repeat=is_repeat, has_control=has_control, has_shift=has_shift
+            )
         )
 
     def _on_character(self, _window: Any, code_point: int) -> None:
-        self._note(TextTyped(chr(code_point)))
+        self._note(events.TextTyped(chr(code_point)))
 
     def _on_scroll(self, _window: Any, _right: float, up: float) -> None:
-        self._note(Scrolled(up))
+        self._note(events.Scrolled(up))
 
     def _on_button(self, window: Any, button: int, action: int, _modifiers: int) -> None:
         if button <= glfw.MOUSE_BUTTON_MIDDLE:
             place = self._in_pixels(*glfw.get_cursor_pos(window))
-            kind = MousePressed if action == glfw.PRESS else MouseReleased
+            kind = events.MousePressed if action == glfw.PRESS else events.MouseReleased
             self._note(kind(*place, button))
 
     def _on_move(self, _window: Any, x: float, y: float) -> None:
-        event = MouseMoved(*self._in_pixels(x, y))
-        if self._events and isinstance(self._events[-1], MouseMoved):
+        event = events.MouseMoved(*self._in_pixels(x, y))
+        if self._events and isinstance(self._events[-1], events.MouseMoved):
             self._events[-1] = event  # fast mice move often; only the last place counts
         else:
             self._note(event)

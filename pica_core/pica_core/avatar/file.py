@@ -41,20 +41,9 @@ import numpy as np
 import safetensors
 import safetensors.numpy
 
+from pica_core.avatar import level_tensors
 from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.decoder_layers import decoder_layers
-from pica_core.avatar.level_tensors import (
-    JUDGED_NAME,
-    check_indices,
-    check_sheets,
-    faces_name,
-    is_faces,
-    is_index,
-    levels_of,
-    read_errors,
-    sheet_rows,
-    wanted_shapes,
-)
 from pica_core.avatar.level_tensors import PREFIX as LEVEL_PREFIX
 from pica_core.avatar.levels import LevelErrors
 from pica_core.avatar.linear import check_linear, linear_shapes, mean_vertices
@@ -113,7 +102,7 @@ class Avatar:
     @property
     def levels(self) -> tuple[int, ...]:
         """Map sizes that it can be decoded to, ascending; ends with `spec.map_size`."""
-        return levels_of(self.spec, self.tensors)
+        return level_tensors.levels_of(self.spec, self.tensors)
 
     def level_faces(self, level: int) -> IntArray:
         """Triangles to draw at a level, int32 ``[F, 3]``.
@@ -124,7 +113,7 @@ class Avatar:
         if level not in self.levels:
             known = ", ".join(map(str, self.levels))
             raise ValueError(f"level is {level}; this avatar has {known}")
-        name = "mesh.faces" if level == self.spec.map_size else faces_name(level)
+        name = "mesh.faces" if level == self.spec.map_size else level_tensors.faces_name(level)
         faces: IntArray = self.tensors[name]
         return faces
 
@@ -136,7 +125,7 @@ class Avatar:
             ValueError: The avatar does not have this level.
         """
         used = self.sheet_vertices(level)
-        return level if used is None else sheet_rows(len(used), level)
+        return level if used is None else level_tensors.sheet_rows(len(used), level)
 
     @property
     def mean_vertices_m(self) -> FloatArray:
@@ -176,13 +165,13 @@ class Avatar:
     @property
     def level_errors(self) -> LevelErrors | None:
         """The measured error of its levels; None if it was never measured (`default_errors`)."""
-        return read_errors(self.spec, self.tensors)
+        return level_tensors.read_errors(self.spec, self.tensors)
 
     @property
     def judged(self) -> FloatArray | None:
         """How its levels look where people look, ``[L, 2, 4]`` as `levels.JUDGED` says; None if
         nobody judged."""
-        found: FloatArray | None = self.tensors.get(JUDGED_NAME)
+        found: FloatArray | None = self.tensors.get(level_tensors.JUDGED_NAME)
         return found
 
     def stream_profile(self) -> StreamProfile | None:
@@ -404,7 +393,7 @@ def _check_header(spec: AvatarSpec, header: Mapping[str, Any]) -> None:
         shapes[name] = tuple(shape)
     _check_shapes(spec, shapes)
     for name, entry in header.items():
-        allowed = _INDEX_TYPES if is_index(name) else _WEIGHT_TYPES
+        allowed = _INDEX_TYPES if level_tensors.is_index(name) else _WEIGHT_TYPES
         if name.startswith(STREAM_PREFIX):
             allowed = _STREAM_TYPES
         if (stored := str(entry.get("dtype"))) not in allowed:
@@ -435,7 +424,7 @@ def _check_shapes(spec: AvatarSpec, shapes: Mapping[str, tuple[int, ...]]) -> No
         if rows > limit:
             raise ValueError(f"tensor {name} has {rows} rows; the limit is {limit}")
         wanted[name] = (rows, columns)
-    wanted |= wanted_shapes(spec, shapes, MAX_FACES)
+    wanted |= level_tensors.wanted_shapes(spec, shapes, MAX_FACES)
     if spec.geometry == "bases":
         wanted |= linear_shapes(shapes, wanted["mesh.vertex_uv"][0])
     stream = {
@@ -461,22 +450,22 @@ def _check_tensors(spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
     StreamProfile.from_tensors(tensors)
     own = {name: a for name, a in tensors.items() if not name.startswith(STREAM_PREFIX)}
     for name, array in own.items():
-        wanted = np.int32 if is_index(name) else np.float32
+        wanted = np.int32 if level_tensors.is_index(name) else np.float32
         if array.dtype != wanted:
             raise ValueError(f"tensor {name} is {array.dtype}; {np.dtype(wanted)} is needed")
-    check_finite({name: array for name, array in own.items() if not is_index(name)})
+    check_finite({name: array for name, array in own.items() if not level_tensors.is_index(name)})
     uv = tensors["mesh.vertex_uv"]
     if uv.min() < 0 or uv.max() > 1:
         raise ValueError(
             f"tensor mesh.vertex_uv spans {uv.min():g} to {uv.max():g}; 0 to 1 is allowed"
         )
-    for name in filter(is_faces, tensors):
-        check_indices(name, tensors[name], len(uv), "vertices")
+    for name in filter(level_tensors.is_faces, tensors):
+        level_tensors.check_indices(name, tensors[name], len(uv), "vertices")
     if spec.geometry == "bases":
         check_linear(tensors)
-    check_sheets(spec, tensors)
+    level_tensors.check_sheets(spec, tensors)
     try:
-        read_errors(spec, tensors)
+        level_tensors.read_errors(spec, tensors)
     except ValueError as error:
         raise ValueError(f"{LEVEL_PREFIX}{error}") from error
 

@@ -5,14 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.codec.frames import (
-    MAX_RESIDUAL,
-    FrameState,
-    encode_frame,
-    frame_type,
-    predict,
-    quantise,
-)
+from pica_core.codec import frames
 from pica_core.codec.latent_sample import EncodedFrame
 from pica_core.codec.profile import (
     MAX_COEFFICIENT,
@@ -137,8 +130,8 @@ class LatentEncoder:
     def restart(self) -> None:
         """Begin with a keyframe at once: what was encoded before has not arrived anywhere."""
         self._phase = 0
-        self._base: FrameState | None = None
-        self._lower: FrameState | None = None  # newest frame below the top layer
+        self._base: frames.FrameState | None = None
+        self._lower: frames.FrameState | None = None  # newest frame below the top layer
         self._quiet_since_us: int | None = None
         self._is_silent = False
         self._sent_us = 0
@@ -226,18 +219,18 @@ class LatentEncoder:
         np.clip(face, -MAX_COEFFICIENT // 2, MAX_COEFFICIENT // 2, out=face)
         return np.concatenate((face, units.astype(np.int64)))
 
-    def _is_quiet(self, wanted: Int64Array, base: FrameState) -> bool:
+    def _is_quiet(self, wanted: Int64Array, base: frames.FrameState) -> bool:
         """Whether a face looks as the last base frame does: a dead zone everywhere, or it would tip
         at every rounding edge."""
         steps = self.profile.steps[self._quality]
-        return not quantise(wanted - base.coefficients, steps, QUIET_ROUNDING).any()
+        return not frames.quantise(wanted - base.coefficients, steps, QUIET_ROUNDING).any()
 
     def _residual(
-        self, wanted: Int64Array, reference: FrameState | None, kind: int, quality: int
+        self, wanted: Int64Array, reference: frames.FrameState | None, kind: int, quality: int
     ) -> Int64Array:
         """Quantised difference from what a frame type predicts."""
-        expected = predict(self.profile, kind, reference)
-        return quantise(wanted - expected, self.profile.steps[quality], self._rounding[kind])
+        expected = frames.predict(self.profile, kind, reference)
+        return frames.quantise(wanted - expected, self.profile.steps[quality], self._rounding[kind])
 
     @property
     def _quality(self) -> int:
@@ -247,7 +240,7 @@ class LatentEncoder:
         self,
         wanted: Int64Array,
         layer: int,
-        reference: FrameState | None,
+        reference: frames.FrameState | None,
         now_us: int,
         *,
         is_still: bool = False,
@@ -256,19 +249,19 @@ class LatentEncoder:
         sequence = self._sequence + 1
         if reference is not None and sequence - reference.sequence > MAX_DISTANCE:
             layer, reference = 0, None
-        kind = frame_type(layer, reference)
+        kind = frames.frame_type(layer, reference)
         controller, now_s = self._controller, now_us / 1e6
         quality = self._quality if controller is None else controller.propose(layer)
         quality = min(quality + is_still, self.profile.num_qualities - 1)
         while True:
             residual = self._residual(wanted, reference, kind, quality)
-            if reference is not None and np.abs(residual).max() > MAX_RESIDUAL:
+            if reference is not None and np.abs(residual).max() > frames.MAX_RESIDUAL:
                 # A leap that no face makes, as when a tracker takes one side for the other.
-                layer, reference, kind = 0, None, frame_type(0, None)
+                layer, reference, kind = 0, None, frames.frame_type(0, None)
                 residual = self._residual(wanted, None, kind, quality)
-            payload, state = encode_frame(
+            payload, state = frames.encode_frame(
                 self.profile,
-                np.clip(residual, -MAX_RESIDUAL, MAX_RESIDUAL),
+                np.clip(residual, -frames.MAX_RESIDUAL, frames.MAX_RESIDUAL),
                 sequence=sequence,
                 layer=layer,
                 quality=quality,

@@ -20,17 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.codec.frames import (
-    HAS_LATENT,
-    HAS_POSE,
-    IS_STILL,
-    FrameState,
-    frame_type,
-    motion_levels,
-    next_state,
-    predict,
-    quantise,
-)
+from pica_core.codec import frames
 from pica_core.codec.latent_encoder import LAYER_PATTERNS, rounding_by_type
 from pica_core.codec.profile import (
     ACTIVITY_LEVELS,
@@ -327,10 +317,10 @@ def _count(profile: StreamProfile, codes: list[Float64Array], rng: np.random.Gen
             )
             symbols = 2 * np.minimum(np.abs(quantised), ESCAPE) - (quantised > 0)
             np.add.at(residuals, (kinds[:, None], places, contexts, symbols), 1)
-            header = HAS_LATENT * quantised[:, :-NUM_POSE].any(axis=1)
-            header += HAS_POSE * quantised[:, -NUM_POSE:].any(axis=1)
+            header = frames.HAS_LATENT * quantised[:, :-NUM_POSE].any(axis=1)
+            header += frames.HAS_POSE * quantised[:, -NUM_POSE:].any(axis=1)
             np.add.at(headers, (kinds, header), 1)
-            np.add.at(headers, (kinds[header == 0], IS_STILL), 0.2)
+            np.add.at(headers, (kinds[header == 0], frames.IS_STILL), 0.2)
     return _Counts(residuals, headers)
 
 
@@ -340,18 +330,18 @@ def _frames(
     """Frame type, motion levels and quantised residuals of a stream, with a keyframe a second."""
     pattern = LAYER_PATTERNS[3]
     rounding = rounding_by_type(profile.num_components)
-    base: FrameState | None = None
-    lower: FrameState | None = None
+    base: frames.FrameState | None = None
+    lower: frames.FrameState | None = None
     for number, values in enumerate(wanted):
         layer = pattern[number % len(pattern)]
         reference = lower if layer == 2 else base
         if number % 32 == 0:
             reference = None
-        kind = frame_type(layer, reference)
-        expected = predict(profile, kind, reference)
-        quantised = quantise(values - expected, profile.steps[quality], rounding[kind])
-        yield kind, motion_levels(profile, quality, reference), quantised
-        state = next_state(profile, quantised, kind, number, layer, quality, reference)
+        kind = frames.frame_type(layer, reference)
+        expected = frames.predict(profile, kind, reference)
+        quantised = frames.quantise(values - expected, profile.steps[quality], rounding[kind])
+        yield kind, frames.motion_levels(profile, quality, reference), quantised
+        state = frames.next_state(profile, quantised, kind, number, layer, quality, reference)
         if layer == 0:
             base = state
         if layer < 2:

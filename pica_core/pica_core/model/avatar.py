@@ -15,6 +15,7 @@ from torch import Tensor
 
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import ModelCost, TopologyName, pixel_codec_cost
+from pica_core.model import interface
 from pica_core.model.decoders import (
     MapDecoder,
     sample_map,
@@ -22,21 +23,11 @@ from pica_core.model.decoders import (
     tile_view_direction,
 )
 from pica_core.model.encoder import make_encoder
-from pica_core.model.interface import (
-    AvatarModel,
-    DecodedMesh,
-    ExpressionEncoder,
-    FacePrior,
-    LatentEncoder,
-    ParameterGroups,
-    Surface,
-    uv_buffer,
-)
 from pica_core.model.linear import LinearEncoder, LinearGeometry
 from pica_core.model.pixel_decoder import FIRST_FREQUENCY, PixelDecoder
 
 
-class PixelCodecAvatar(AvatarModel):
+class PixelCodecAvatar(interface.AvatarModel):
     """Encoder, decoders and pixel decoder of one person.
 
     Args:
@@ -57,7 +48,7 @@ class PixelCodecAvatar(AvatarModel):
     def __init__(
         self,
         spec: AvatarSpec,
-        prior: FacePrior,
+        prior: interface.FacePrior,
         *,
         topology: TopologyName = "dense",
         encoder: str = "light",
@@ -75,10 +66,10 @@ class PixelCodecAvatar(AvatarModel):
         }[topology]
         mean = torch.as_tensor(mean_map, dtype=torch.float32).permute(2, 0, 1)
         self.register_buffer("position_mean", mean.contiguous())
-        self.register_buffer("_drawn_uv", uv_buffer(drawn), persistent=False)
-        self.register_buffer("_tracked_uv", uv_buffer(prior.tracked_uv), persistent=False)
+        self.register_buffer("_drawn_uv", interface.uv_buffer(drawn), persistent=False)
+        self.register_buffer("_tracked_uv", interface.uv_buffer(prior.tracked_uv), persistent=False)
         self._draws_tracked = drawn is prior.tracked_uv
-        self.encoder: LatentEncoder = make_encoder(encoder)
+        self.encoder: interface.LatentEncoder = make_encoder(encoder)
         self.geometry: MapDecoder | LinearGeometry
         if spec.geometry == "bases":
             assert prior.linear is not None  # whoever makes the prior asks the variant
@@ -95,7 +86,7 @@ class PixelCodecAvatar(AvatarModel):
             xyz_m = sample_map(self.position_mean[None], self._drawn_uv)[0]
             uv = torch.from_numpy(np.ascontiguousarray(drawn, np.float32))
             self.pixel_decoder.start_from(texture, texture_contrast, xyz_m, uv)
-        self.expression_encoder = ExpressionEncoder()
+        self.expression_encoder = interface.ExpressionEncoder()
 
     def decode_geometry(self, latent: Tensor) -> Tensor:
         """Latents ``[N, 4, 8, 8]`` to position maps in metres ``[N, 3, 256, 256]``."""
@@ -108,23 +99,27 @@ class PixelCodecAvatar(AvatarModel):
         codes: Tensor = self.expression(grid)
         return codes
 
-    def decode_mesh(self, latent: Tensor) -> DecodedMesh:
+    def decode_mesh(self, latent: Tensor) -> interface.DecodedMesh:
         """The position map of each latent and what the vertices find in it, or the vertices that
         its bases make."""
         if isinstance(self.geometry, LinearGeometry):
             dense_m, tracked_m = self.geometry(latent)
-            return DecodedMesh(dense_m, tracked_m, None)
+            return interface.DecodedMesh(dense_m, tracked_m, None)
         position_map = self.decode_geometry(latent)
         vertices_m = sample_map(position_map, self._drawn_uv)
         if self._draws_tracked:
-            return DecodedMesh(vertices_m, vertices_m, position_map)
-        return DecodedMesh(vertices_m, sample_map(position_map, self._tracked_uv), position_map)
+            return interface.DecodedMesh(vertices_m, vertices_m, position_map)
+        return interface.DecodedMesh(
+            vertices_m, sample_map(position_map, self._tracked_uv), position_map
+        )
 
     def appearance(self, latent: Tensor, view_direction: Tensor) -> Tensor:
         """Expression maps, ``[N, 4, 256, 256]``."""
         return self.decode_expression(latent, view_direction)
 
-    def shade(self, appearance: Tensor, surface: Surface, *, detach_xyz: bool = True) -> Tensor:
+    def shade(
+        self, appearance: Tensor, surface: interface.Surface, *, detach_xyz: bool = True
+    ) -> Tensor:
         """Colours by the pixel decoder, from expression maps."""
         codes = sample_per_image(appearance, surface)
         xyz_m = surface.xyz_m.detach() if detach_xyz else surface.xyz_m
@@ -144,7 +139,7 @@ class PixelCodecAvatar(AvatarModel):
             )
         return cost
 
-    def parameter_groups(self) -> ParameterGroups:
+    def parameter_groups(self) -> interface.ParameterGroups:
         """Groups as the interface names them."""
         pixel = self.pixel_decoder
         return {

@@ -30,20 +30,9 @@ from pica_core.avatar.baseline import FIRST_SIZE, VIEW_FEATURES, BaselineSpec, b
 from pica_core.avatar.spec import LEAKY_SLOPE, VIEW_CHANNELS, AvatarSpec
 from pica_core.avatar.variants import ModelCost
 from pica_core.latent import NUM_LATENT
+from pica_core.model import interface
 from pica_core.model.decoders import UntiedBias, sample_map, sample_per_image
 from pica_core.model.encoder import resize_texture
-from pica_core.model.interface import (
-    AvatarModel,
-    DecodedMesh,
-    ExpressionEncoder,
-    FacePrior,
-    LatentEncoder,
-    ParameterGroups,
-    Surface,
-    flat_latent,
-    grid_of_latent,
-    uv_buffer,
-)
 
 TEXTURE_SCALE = 0.25
 """Unit of the texture decoder's output, where 1.0 is white (chosen: about the deviation of a
@@ -120,7 +109,7 @@ class Doubling(EqualizedLayer):
         return functional.conv_transpose2d(values, self.weight, stride=2, padding=1)
 
 
-class DeepAppearanceEncoder(LatentEncoder):
+class DeepAppearanceEncoder(interface.LatentEncoder):
     """Average texture and tracked vertices to the latent.
 
     Args:
@@ -134,12 +123,12 @@ class DeepAppearanceEncoder(LatentEncoder):
 
     _uv: Tensor
 
-    def __init__(self, name: str, prior: FacePrior) -> None:
+    def __init__(self, name: str, prior: interface.FacePrior) -> None:
         super().__init__()
         if name not in _ENCODERS:
             raise ValueError(f"encoder is {name!r}; known are 'paper' and 'light'")
         self.texture_size, channels = _ENCODERS[name]
-        self.register_buffer("_uv", uv_buffer(prior.tracked_uv), persistent=False)
+        self.register_buffer("_uv", interface.uv_buffer(prior.tracked_uv), persistent=False)
         steps: list[nn.Module] = []
         for c_in, c_out in pairwise((3, *channels)):
             steps += [Halving(c_in, c_out), nn.LeakyReLU(LEAKY_SLOPE)]
@@ -158,7 +147,9 @@ class DeepAppearanceEncoder(LatentEncoder):
             self.mesh_feature(vertices),
         ]
         joint = functional.leaky_relu(torch.cat(features, 1), LEAKY_SLOPE)
-        return grid_of_latent(self.mean(joint)), grid_of_latent(self.log_variance(joint))
+        return interface.grid_of_latent(self.mean(joint)), interface.grid_of_latent(
+            self.log_variance(joint)
+        )
 
 
 class TextureDecoder(nn.Module):
@@ -191,7 +182,7 @@ class TextureDecoder(nn.Module):
         return values
 
 
-class DeepAppearanceModel(AvatarModel):
+class DeepAppearanceModel(interface.AvatarModel):
     """Encoder and decoders of one person.
 
     Args:
@@ -210,7 +201,7 @@ class DeepAppearanceModel(AvatarModel):
     def __init__(
         self,
         spec: AvatarSpec,
-        prior: FacePrior,
+        prior: interface.FacePrior,
         *,
         encoder: str = "light",
         texture_size: int = 1024,
@@ -231,13 +222,13 @@ class DeepAppearanceModel(AvatarModel):
         self.texture = TextureDecoder(self.baseline_spec)
         texture = torch.as_tensor(prior.texture_mean, dtype=torch.float32).permute(2, 0, 1)[None]
         self._texel_bias.data.copy_(resize_texture(texture, texture_size)[0] / TEXTURE_SCALE)
-        self.expression_encoder = ExpressionEncoder()
+        self.expression_encoder = interface.ExpressionEncoder()
 
-    def decode_mesh(self, latent: Tensor) -> DecodedMesh:
+    def decode_mesh(self, latent: Tensor) -> interface.DecodedMesh:
         """Vertices of the tracked topology; there is no map."""
         offsets = self.mesh(self._code(latent)).view(len(latent), -1, 3)
         vertices_m = self.tracked_mean_m + self.position_scale_m * offsets
-        return DecodedMesh(vertices_m, vertices_m, None)
+        return interface.DecodedMesh(vertices_m, vertices_m, None)
 
     def appearance(self, latent: Tensor, view_direction: Tensor) -> Tensor:
         """Textures, sRGB with 1.0 for 255, ``[N, 3, T, T]``."""
@@ -245,7 +236,9 @@ class DeepAppearanceModel(AvatarModel):
         texture: Tensor = self.texture(torch.cat([self._code(latent), view], 1))
         return TEXTURE_SCALE * texture
 
-    def shade(self, appearance: Tensor, surface: Surface, *, detach_xyz: bool = True) -> Tensor:
+    def shade(
+        self, appearance: Tensor, surface: interface.Surface, *, detach_xyz: bool = True
+    ) -> Tensor:
         """Colours by lookup in the texture."""
         return sample_per_image(appearance, surface)
 
@@ -259,7 +252,7 @@ class DeepAppearanceModel(AvatarModel):
             per_pixel_multiply_adds=0,
         )
 
-    def parameter_groups(self) -> ParameterGroups:
+    def parameter_groups(self) -> interface.ParameterGroups:
         """Groups as the interface names them; the bias of each texel counts as an encoding."""
         texels = self._texel_bias
         return {
@@ -295,7 +288,7 @@ class DeepAppearanceModel(AvatarModel):
         return tensors
 
     def _code(self, latent: Tensor) -> Tensor:
-        return functional.leaky_relu(self.latent(flat_latent(latent)), LEAKY_SLOPE)
+        return functional.leaky_relu(self.latent(interface.flat_latent(latent)), LEAKY_SLOPE)
 
     @property
     def _texel_bias(self) -> nn.Parameter:

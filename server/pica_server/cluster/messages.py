@@ -21,16 +21,9 @@ from typing import Any, Final, NamedTuple
 
 import msgpack
 
+from pica_protocol import limits
 from pica_protocol.codec import decode_message, encode_message, unique_keys
 from pica_protocol.errors import ProtocolError
-from pica_protocol.limits import (
-    MAX_CONTROL_BYTES,
-    MAX_LAYER,
-    MAX_MEDIA_MESSAGE_BYTES,
-    MAX_STREAM,
-    check_range,
-    check_token,
-)
 from pica_protocol.messages import Peer, PeerJoined, Whisper
 from pica_server.errors import ClusterMessageError
 from pica_server.room.rulings import RoomRulings, Ruling, Subject
@@ -38,7 +31,7 @@ from pica_server.room.rulings import RoomRulings, Ruling, Subject
 VERSION: Final = 2
 NUM_SLOTS: Final = 128
 """Nodes of one cluster: each allots streams from a part of the numbers that is its own."""
-STREAMS_PER_SLOT: Final = (MAX_STREAM + 1) // NUM_SLOTS
+STREAMS_PER_SLOT: Final = (limits.MAX_STREAM + 1) // NUM_SLOTS
 MAX_RECORD_BYTES: Final = 1_000_000
 """One room as it is kept; a message of NATS takes 1 MiB by default."""
 _MAX_ITEMS: Final = 4096
@@ -220,7 +213,7 @@ def decode_node_message(data: bytes) -> NodeMessage:
     Raises:
         ClusterMessageError: It is none.
     """
-    kind, *rest = _unpack(data, MAX_CONTROL_BYTES)
+    kind, *rest = _unpack(data, limits.MAX_CONTROL_BYTES)
     try:
         if kind == "interest":
             room, node, number, (epoch, revision, wants_answer), layers = rest
@@ -232,17 +225,20 @@ def decode_node_message(data: bytes) -> NodeMessage:
                 _count(epoch),
                 _count(revision),
                 bool(wants_answer),
-                {_count(s, MAX_STREAM): _count(n, MAX_LAYER) for s, n in layers.items()},
+                {
+                    _count(s, limits.MAX_STREAM): _count(n, limits.MAX_LAYER)
+                    for s, n in layers.items()
+                },
             )
         if kind == "ask":
             room, stream, why = rest
-            return Ask(_text(room), _count(stream, MAX_STREAM), _text(why))
+            return Ask(_text(room), _count(stream, limits.MAX_STREAM), _text(why))
         if kind == "order":
             room, what, target = rest
             return Order(_text(room), _text(what), _text(target))
         if kind == "whisper":
             room, sender, body = rest
-            check_token("sender", _text(sender))
+            limits.check_token("sender", _text(sender))
             whisper = decode_message(_bytes(body))
             if isinstance(whisper, Whisper):
                 return Passed(_text(room), sender, whisper)
@@ -262,7 +258,7 @@ def decode_media_header(data: bytes) -> MediaHeader:
     Raises:
         ClusterMessageError: It is too short or too long, or of another version.
     """
-    if not MEDIA_HEADER_BYTES < len(data) <= MEDIA_HEADER_BYTES + MAX_MEDIA_MESSAGE_BYTES:
+    if not MEDIA_HEADER_BYTES < len(data) <= MEDIA_HEADER_BYTES + limits.MAX_MEDIA_MESSAGE_BYTES:
         raise ClusterMessageError("media of a wrong size")
     version, slot, _, epoch, number = _MEDIA_HEADER.unpack_from(data)
     if version != VERSION:
@@ -284,7 +280,7 @@ def _unpack(data: bytes, max_bytes: int, num_items: int | None = None) -> list[A
             raw=False,
             strict_map_key=False,
             max_str_len=1024,
-            max_bin_len=MAX_CONTROL_BYTES,
+            max_bin_len=limits.MAX_CONTROL_BYTES,
             max_array_len=_MAX_ITEMS,
             max_map_len=_MAX_ITEMS,
             max_ext_len=0,
@@ -310,7 +306,7 @@ def _read_member(item: Any) -> Member:
         arrival = decode_message(_bytes(body))
         if not isinstance(arrival, PeerJoined):
             raise ValueError("no peer")
-        streams = tuple(_count(stream, MAX_STREAM) for stream in muted)
+        streams = tuple(_count(stream, limits.MAX_STREAM) for stream in muted)
         return Member(node, arrival.peer, bool(is_away), streams)
     except (ValueError, TypeError, ProtocolError) as error:
         raise ClusterMessageError("malformed member of a record") from error
@@ -346,5 +342,5 @@ def _bytes(value: object) -> bytes:
 def _count(value: object, limit: int = 2**63) -> int:
     if not isinstance(value, int):
         raise ClusterMessageError("a field that should be a number")
-    check_range("number", value, 0, limit)
+    limits.check_range("number", value, 0, limit)
     return value

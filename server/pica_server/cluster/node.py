@@ -12,22 +12,9 @@ from typing import Final
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import Join, Peer, Whisper
 from pica_server.auth.tokens import Admission
+from pica_server.cluster import messages
 from pica_server.cluster.exchanges import ClusterExchanges
 from pica_server.cluster.liveness import Liveness, Standing
-from pica_server.cluster.messages import (
-    STREAMS_PER_SLOT,
-    Ask,
-    Interest,
-    Member,
-    NodeId,
-    NodeMessage,
-    Order,
-    Passed,
-    decode_node_message,
-    encode_node_message,
-    room_key,
-    slot_of,
-)
 from pica_server.cluster.room import (
     Admitted,
     Answer,
@@ -93,7 +80,7 @@ class ClusterNode:
         standing: What this node is to the cluster.
     """
 
-    def __init__(self, hub: Hub, me: NodeId, capacity: int, now: float) -> None:
+    def __init__(self, hub: Hub, me: messages.NodeId, capacity: int, now: float) -> None:
         """Begin with a lease that was confirmed just now.
 
         Args:
@@ -191,11 +178,11 @@ class ClusterNode:
 
     def note_rulings(self, room_name: str) -> None:
         """Note that an admin has ruled something; see `ClusterPeers`."""
-        self._dirty[room_key(room_name)] = None
+        self._dirty[messages.room_key(room_name)] = None
 
     def order(self, room: Room, what: str, target: str) -> None:
         """Have something done elsewhere; see `ClusterPeers`."""
-        key = room_key(room.name)
+        key = messages.room_key(room.name)
         shared = self._rooms.get(key)
         if shared is None:
             return
@@ -207,21 +194,21 @@ class ClusterNode:
         else:
             nodes = {room.node_of(target)}
         for node in sorted(nodes):
-            self._tell(node, Order(key, what, target))
+            self._tell(node, messages.Order(key, what, target))
 
     def note_subscriptions(self, room: Room) -> None:
         """Look at what the peers here want; see `ClusterPeers`."""
-        self._dirty[room_key(room.name)] = None
+        self._dirty[messages.room_key(room.name)] = None
 
     def ask_for_keyframe(self, room: Room, publisher: str, stream: int, why: str) -> None:
         """Ask a publisher elsewhere; see `ClusterPeers`."""
-        self._tell(room.node_of(publisher), Ask(room_key(room.name), stream, why))
+        self._tell(room.node_of(publisher), messages.Ask(messages.room_key(room.name), stream, why))
 
     def whisper(self, room: Room, sender: str, whisper: Whisper) -> bool:
         """Send a whisper elsewhere; see `ClusterPeers`."""
         node = room.node_of(whisper.peer_id)
         if node:
-            self._tell(node, Passed(room_key(room.name), sender, whisper))
+            self._tell(node, messages.Passed(messages.room_key(room.name), sender, whisper))
         return bool(node)
 
     # What NATS brought.
@@ -287,7 +274,7 @@ class ClusterNode:
     def receive_node_message(self, data: bytes, now: float) -> None:
         """Take what another node said to this one."""
         try:
-            message = decode_node_message(data)
+            message = messages.decode_node_message(data)
         except ClusterMessageError:
             self._count("unreadable")
             return
@@ -296,14 +283,14 @@ class ClusterNode:
         if shared is None or room is None or self.standing is Standing.LOCAL:
             return
         match message:
-            case Interest():
+            case messages.Interest():
                 self._follow(shared, room, message, now)
-            case Ask(stream=stream, why=why):
+            case messages.Ask(stream=stream, why=why):
                 if not room.is_remote(stream):
                     self._hub.forwarding.ask_for_keyframe(room, stream, why, now)
-            case Order():
+            case messages.Order():
                 self._obey(room, message, now)
-            case Passed(sender=sender, whisper=whisper):
+            case messages.Passed(sender=sender, whisper=whisper):
                 if room.node_of(sender):
                     self._hub.forwarding.pass_whisper(room, sender, whisper, now)
 
@@ -326,7 +313,7 @@ class ClusterNode:
             self._tick_s = now + TICK_S
             self._look(now)
 
-    def restart(self, me: NodeId, now: float) -> None:
+    def restart(self, me: messages.NodeId, now: float) -> None:
         """Be another node: the slot has been given away while this one was cut off.
 
         Its streams may be somebody else's now, so all who are in a room must come anew.
@@ -400,7 +387,7 @@ class ClusterNode:
             case Arrived(member=member):
                 self._hub.membership.arrive(shared.name, member.node, member.peer, now)
                 self._hub.membership.follow(
-                    shared.name, Member(member.node, member.peer), member, now
+                    shared.name, messages.Member(member.node, member.peer), member, now
                 )
             case Changed(before=before, member=member):
                 self._hub.membership.follow(shared.name, before, member, now)
@@ -411,7 +398,9 @@ class ClusterNode:
             case Heard(node=node):
                 self.liveness.receive_beat(node, now)
 
-    def _follow(self, shared: SharedRoom, room: Room, interest: Interest, now: float) -> None:
+    def _follow(
+        self, shared: SharedRoom, room: Room, interest: messages.Interest, now: float
+    ) -> None:
         """Follow the subscriptions of another node."""
         if interest.revision > shared.revision and shared.revision > 0:
             shared.doubt()  # news was lost
@@ -419,7 +408,7 @@ class ClusterNode:
         if self._exchanges.follow(shared, room, interest, now):
             self._dirty[shared.key] = None
 
-    def _obey(self, room: Room, order: Order, now: float) -> None:
+    def _obey(self, room: Room, order: messages.Order, now: float) -> None:
         """Do what an admin wants who has asked another node."""
         match order.what:
             case "close":
@@ -459,14 +448,16 @@ class ClusterNode:
     def _new_stream(self, shared: SharedRoom) -> int:
         # Counting up over all rooms: a late frame of a departed peer must not find a new owner.
         while True:
-            self._last_stream = self._last_stream % (STREAMS_PER_SLOT - 1) + 1
-            stream = self._me.slot * STREAMS_PER_SLOT + self._last_stream
+            self._last_stream = self._last_stream % (messages.STREAMS_PER_SLOT - 1) + 1
+            stream = self._me.slot * messages.STREAMS_PER_SLOT + self._last_stream
             if not shared.uses(stream):
                 return stream
 
-    def _tell(self, node: str, message: NodeMessage) -> None:
+    def _tell(self, node: str, message: messages.NodeMessage) -> None:
         if node:
-            self._commands.append(Tell(slot_of(node), encode_node_message(message)))
+            self._commands.append(
+                Tell(messages.slot_of(node), messages.encode_node_message(message))
+            )
 
     def _count(self, what: str) -> None:
         self._stats.cluster[what] += 1

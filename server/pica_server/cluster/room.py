@@ -32,16 +32,8 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from pica_protocol.messages import Peer
+from pica_server.cluster import messages
 from pica_server.cluster.liveness import Liveness, Standing
-from pica_server.cluster.messages import (
-    MAX_RECORD_BYTES,
-    Member,
-    NodeId,
-    Record,
-    decode_record,
-    encode_record,
-    room_key,
-)
 from pica_server.errors import ClusterMessageError
 from pica_server.room.rulings import Rulings
 
@@ -121,15 +113,15 @@ class Refused:
 class Arrived:
     """A peer of another node is in the room."""
 
-    member: Member
+    member: messages.Member
 
 
 @dataclass(frozen=True, slots=True)
 class Changed:
     """Something is different about a peer of another node."""
 
-    before: Member
-    member: Member
+    before: messages.Member
+    member: messages.Member
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,26 +163,26 @@ class SharedRoom:
         revision: Of the record that is known.
     """
 
-    def __init__(self, name: str, capacity: int, me: NodeId, rulings: Rulings) -> None:
+    def __init__(self, name: str, capacity: int, me: messages.NodeId, rulings: Rulings) -> None:
         self.name = name
-        self.key = room_key(name)
+        self.key = messages.room_key(name)
         self.revision = 0
         self._capacity = capacity
         self._me = me.name
         self._rulings = rulings
-        self._own: dict[str, Member] = {}
-        self._pending: dict[str, Member] = {}
+        self._own: dict[str, messages.Member] = {}
+        self._pending: dict[str, messages.Member] = {}
         self._since_s: dict[str, float] = {}  # when who is pending came
-        self._shown: dict[str, Member] = {}
+        self._shown: dict[str, messages.Member] = {}
         self._farewells: dict[str, str] = {}
-        self._record: Record | None = None
+        self._record: messages.Record | None = None
         self._last_words: dict[str, str] = {}
         self._learned_s = 0.0
         # Whether the record may hold peers of this node.
         self._may_be_listed = False
         # Under way: the request, and for a write the record it puts.
         self._request: Request | None = None
-        self._written: Record | None = None
+        self._written: messages.Record | None = None
         self._is_overtaken = False
         self._outgoing: Request | None = None
         self._last_ticket = 0
@@ -223,7 +215,7 @@ class SharedRoom:
 
     def join(self, peer: Peer, now: float) -> None:
         """Ask for a place; ``Admitted`` or ``Refused`` follows, unless ``leave`` does."""
-        member = Member(self._me, peer)
+        member = messages.Member(self._me, peer)
         for places in (self._own, self._pending):
             for peer_id in [p for p, m in places.items() if m.is_same_person(member)]:
                 del places[peer_id]
@@ -254,7 +246,7 @@ class SharedRoom:
         """
         if revision <= self.revision:
             return
-        record = decode_record(data)
+        record = messages.decode_record(data)
         self._is_overtaken = True
         if data:
             if record.writer != self._me:
@@ -280,7 +272,7 @@ class SharedRoom:
                 if self._is_overtaken:
                     return  # news came while it was under way
                 try:
-                    self._learn(decode_record(data), revision, now)
+                    self._learn(messages.decode_record(data), revision, now)
                 except ClusterMessageError:
                     self._retry_s = now + RETRY_S
             case Written(revision=revision):
@@ -315,8 +307,8 @@ class SharedRoom:
             return
         wanted = self._wanted(self._record, liveness, now)
         if wanted is not None:
-            data = b"" if _is_nothing(wanted) else encode_record(wanted)
-            if len(data) <= MAX_RECORD_BYTES:
+            data = b"" if _is_nothing(wanted) else messages.encode_record(wanted)
+            if len(data) <= messages.MAX_RECORD_BYTES:
                 self._may_be_listed = True
                 self._begin(Write(self.key, self._ticket(), data, self.revision))
                 self._written = wanted
@@ -341,7 +333,7 @@ class SharedRoom:
         self._request = self._outgoing = request
         self._is_overtaken = False
 
-    def _learn(self, record: Record, revision: int, now: float) -> None:
+    def _learn(self, record: messages.Record, revision: int, now: float) -> None:
         """Know a record from now on, and let those in who are in it."""
         self._record, self.revision, self._learned_s = record, revision, now
         self._last_words = dict(record.farewells)
@@ -357,7 +349,9 @@ class SharedRoom:
             self._show_members([m for m in record.members if m.node != self._me])
             self._events += [Admitted(member.peer) for member in admitted]
 
-    def _wanted(self, record: Record, liveness: Liveness, now: float) -> Record | None:
+    def _wanted(
+        self, record: messages.Record, liveness: Liveness, now: float
+    ) -> messages.Record | None:
         """Return the record as it should be, or None when this node need not write it."""
         here = self._me
         dead = {
@@ -391,9 +385,9 @@ class SharedRoom:
             is_old = now - self._learned_s >= REWRITE_S
             if not (dead or is_old) or (living and living[0].node != here):
                 return None
-        return Record(tuple(members), dict(self._farewells), here, rulings)
+        return messages.Record(tuple(members), dict(self._farewells), here, rulings)
 
-    def _without_one_away(self, members: list[Member]) -> list[Member]:
+    def _without_one_away(self, members: list[messages.Member]) -> list[messages.Member]:
         """Give up the place of one of this node who is away and has no identity, if there is one:
         else whoever comes and drops connections keeps a room full of nobody."""
         for member in members:
@@ -403,7 +397,7 @@ class SharedRoom:
                 return [other for other in members if other is not member]
         return members
 
-    def _as_ordered(self, member: Member) -> Member:
+    def _as_ordered(self, member: messages.Member) -> messages.Member:
         """Return somebody who comes in, with those streams stopped that an admin's ruling stops."""
         who, tracks = member.peer.identity, member.peer.tracks
         muted = [t.stream for t in tracks if self._rulings.holds(self.name, who, t.kind)]
@@ -428,14 +422,14 @@ class SharedRoom:
         for peer_id in [p for p in self._since_s if p not in self._pending]:
             del self._since_s[peer_id]
 
-    def _show(self, record: Record, liveness: Liveness, now: float) -> None:
+    def _show(self, record: messages.Record, liveness: Liveness, now: float) -> None:
         """Tell the peers here who is in the room on other nodes."""
         if self._own:
             others = [m for m in record.members if m.node != self._me]
             dead = {m.node for m in others if liveness.is_expired(m.node, now)}
             self._show_members([m for m in others if m.node not in dead])
 
-    def _show_members(self, members: list[Member]) -> None:
+    def _show_members(self, members: list[messages.Member]) -> None:
         shown = {member.peer.peer_id: member for member in members}
         if shown == self._shown:
             return
@@ -471,6 +465,6 @@ class SharedRoom:
         self._farewells[peer_id] = reason
 
 
-def _is_nothing(record: Record) -> bool:
+def _is_nothing(record: messages.Record) -> bool:
     """Say whether a record need not be kept: nobody is in it, and nobody is to stay out."""
     return not (record.members or record.rulings)

@@ -15,16 +15,7 @@ from nats.js import JetStreamContext
 from nats.js.api import Header, RePublish
 from nats.js.kv import KV_DEL, KV_OP, KeyValue
 
-from pica_server.cluster.room import (
-    REWRITE_S,
-    Answer,
-    Conflict,
-    Failed,
-    Found,
-    Read,
-    Write,
-    Written,
-)
+from pica_server.cluster import room
 from pica_server.errors import ClusterError
 
 NODES: Final = "pica_nodes"
@@ -102,35 +93,35 @@ class ClusterStore:
         except (nats.errors.Error, TimeoutError, OSError):
             return
 
-    async def read(self, request: Read) -> Answer:
+    async def read(self, request: room.Read) -> room.Answer:
         """Fetch a record."""
         try:
             entry = await self._rooms.get(request.key)
         except nats.js.errors.KeyNotFoundError as error:
-            return Found(b"", 0 if error.entry is None else error.entry.revision or 0)
+            return room.Found(b"", 0 if error.entry is None else error.entry.revision or 0)
         except (nats.errors.Error, TimeoutError, OSError):
-            return Failed()
-        return Found(entry.value or b"", entry.revision or 0)
+            return room.Failed()
+        return room.Found(entry.value or b"", entry.revision or 0)
 
-    async def write(self, request: Write) -> Answer:
+    async def write(self, request: room.Write) -> room.Answer:
         """Put a record, or remove it."""
         try:
             if request.data:
-                return Written(
+                return room.Written(
                     await self._rooms.update(request.key, request.data, last=request.revision)
                 )
-            return Written(await self._remove(request))
+            return room.Written(await self._remove(request))
         except nats.js.errors.KeyWrongLastSequenceError:
-            return Conflict()
+            return room.Conflict()
         except nats.js.errors.APIError as error:
-            return Conflict() if error.err_code in _WRONG_REVISION else Failed()
+            return room.Conflict() if error.err_code in _WRONG_REVISION else room.Failed()
         except nats.js.errors.NoStreamResponseError:
             self.is_lost = True
-            return Failed()
+            return room.Failed()
         except (nats.errors.Error, TimeoutError, OSError):
-            return Failed()
+            return room.Failed()
 
-    async def _remove(self, request: Write) -> int:
+    async def _remove(self, request: room.Write) -> int:
         subject = f"$KV.{ROOMS}.{request.key}"
         headers = {
             KV_OP: KV_DEL,
@@ -154,7 +145,7 @@ async def open_store(client: Client, timeout_s: float) -> ClusterStore:
     # Of a cluster of servers one may die. They know of each other, so one of them in the URL does.
     num_replicas = 3 if len(client.servers) >= 3 else 1
     nodes = await _open(stream, NODES, "pica.beat.>", SLOT_KEPT_S, num_replicas)
-    rooms = await _open(stream, ROOMS, "pica.record.>", 4 * REWRITE_S, num_replicas)
+    rooms = await _open(stream, ROOMS, "pica.record.>", 4 * room.REWRITE_S, num_replicas)
     return ClusterStore(stream, nodes, rooms, await _made_when(stream))
 
 

@@ -18,14 +18,8 @@ import httpx
 
 from pica_server.config.relay import WebhookConfig
 from pica_server.errors import ConfigurationError
+from pica_server.hooks import webhooks
 from pica_server.hooks.events import RoomEvent
-from pica_server.hooks.webhooks import (
-    ID_HEADER,
-    SIGNATURE_HEADER,
-    Delivery,
-    WebhookQueue,
-    signature,
-)
 from pica_server.ops.certificate import trusting
 
 MIN_SECRET_BYTES: Final = 16
@@ -53,7 +47,7 @@ class WebhookSender:
         Raises:
             ConfigurationError: The secret, or the certificates to trust, cannot be read.
         """
-        self.queue = WebhookQueue(
+        self.queue = webhooks.WebhookQueue(
             max_waiting=config.max_waiting,
             give_up_s=config.give_up_s,
             new_id=lambda: secrets.token_hex(16),
@@ -125,17 +119,17 @@ class WebhookSender:
                     "webhook fails" if trouble else "webhook works again", extra={"why": trouble}
                 )
 
-    async def _post(self, delivery: Delivery) -> int:
+    async def _post(self, delivery: webhooks.Delivery) -> int:
         """Send one event and return the status of the answer, the rest of which is not read."""
         headers = {
             "Content-Type": "application/json",
             "User-Agent": "pica-relay",
             "Connection": "close",
-            ID_HEADER: delivery.event_id,
+            webhooks.ID_HEADER: delivery.event_id,
         }
         if self._secret:
-            signed = signature(self._secret, delivery.body, int(self._unix_time()))
-            headers[SIGNATURE_HEADER] = signed
+            signed = webhooks.signature(self._secret, delivery.body, int(self._unix_time()))
+            headers[webhooks.SIGNATURE_HEADER] = signed
         # It follows no redirects, and no proxy that the environment names.
         async with (
             httpx.AsyncClient(verify=self._tls, trust_env=False, timeout=None) as client,

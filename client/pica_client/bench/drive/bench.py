@@ -26,14 +26,7 @@ from PIL import ImageDraw
 
 from pica_client.bench.codec import FPS
 from pica_client.bench.difference_sheet import AMPLIFIED
-from pica_client.bench.drive.steps import (
-    STAGES,
-    live_values,
-    open_driven_source,
-    shown_latents,
-    stage_values,
-    values_of,
-)
+from pica_client.bench.drive import steps
 from pica_client.bench.head import FaceRenderer, evaluation_cameras
 from pica_client.bench.option_types import Words, check_ranges
 from pica_client.errors import OptionError
@@ -67,7 +60,7 @@ class DriveBenchConfig:
     sources: Words = ("performance:talk", "performance:listen", "performance:range_of_motion")
     """What the person does, separated by commas; csv:FILE or take:FILE for recordings, still:rest
     and still:eyes-closed for calibration."""
-    stages: Words = STAGES
+    stages: Words = steps.STAGES
     """Which of driver, codec, live, offset, calibrated, and webcam, which needs pica webcam
     setup."""
     rig: Path | None = None
@@ -92,7 +85,7 @@ class DriveBenchConfig:
         check_ranges(
             self, seconds=(1, 600), moments=(1, 2000), image_size=(64, 1024), num_worst=(1, 32)
         )
-        known = (*STAGES, WEBCAM)
+        known = (*steps.STAGES, WEBCAM)
         if unknown := sorted(set(self.stages) - set(known)):
             raise OptionError(f"stage {unknown[0]!r} is unknown; known are {', '.join(known)}")
 
@@ -154,7 +147,7 @@ def _measure(config: DriveBenchConfig, avatar: Avatar) -> list[dict[str, Any]]:
     try:
         for source in config.sources:
             say(f"{name}: {source}: the head itself")
-            arkit = values_of(open_driven_source(source), num_frames)
+            arkit = steps.values_of(steps.open_driven_source(source), num_frames)
             truth[source] = [_draw_truth(subject, arkit[each], config) for each in moments]
             if WEBCAM in config.stages:
                 say(f"{name}: {source}: as a webcam sees it")
@@ -170,9 +163,9 @@ def _measure(config: DriveBenchConfig, avatar: Avatar) -> list[dict[str, Any]]:
                 values = (
                     seen[source]
                     if stage == WEBCAM
-                    else stage_values(stage, open_driven_source(source), num_frames)
+                    else steps.stage_values(stage, steps.open_driven_source(source), num_frames)
                 )
-                latents = shown_latents(avatar, values, coded=stage != "driver")
+                latents = steps.shown_latents(avatar, values, coded=stage != "driver")
                 for level in avatar.levels:
                     shown = [
                         compare(latents[moment], level, true)
@@ -190,8 +183,8 @@ def _webcam_values(subject: Subject, source: str, num_frames: int) -> FloatArray
     from pica_client.bench.drive.webcam import WEBCAM_FPS, SeenByWebcam  # its networks are extra
 
     webcam = SeenByWebcam(subject)
-    tracker = webcam.tracker(open_driven_source(source))
-    return live_values(tracker, num_frames, webcam.calibration, WEBCAM_FPS)
+    tracker = webcam.tracker(steps.open_driven_source(source))
+    return steps.live_values(tracker, num_frames, webcam.calibration, WEBCAM_FPS)
 
 
 def _subject(config: DriveBenchConfig, avatar: Avatar) -> Subject:

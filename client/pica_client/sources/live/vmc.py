@@ -17,13 +17,7 @@ import pythonosc
 from pythonosc.osc_packet import OscPacket
 
 from pica_client.playout.rotation import rotation_vector_from_quaternion, turned
-from pica_client.sources.live.sample import (
-    INDEX_BY_FOLDED_NAME,
-    VALUE_LIMIT,
-    PacketError,
-    TrackerSample,
-    arkit_from_names,
-)
+from pica_client.sources.live import sample
 from pica_core.capture.stage.gaze import EYE_PITCH_DOWN, EYE_PITCH_UP, EYE_YAW
 from pica_core.types import FloatArray
 
@@ -77,7 +71,7 @@ class VmcDecoder:
         self._turns: dict[str, FloatArray] = {}
         self._tracker_s: float | None = None
 
-    def decode(self, packet: bytes) -> list[TrackerSample]:
+    def decode(self, packet: bytes) -> list[sample.TrackerSample]:
         """Read one datagram; a sample for each Apply in it.
 
         Raises:
@@ -86,7 +80,7 @@ class VmcDecoder:
         try:
             messages = [timed.message for timed in OscPacket(packet).messages]
         except Exception as error:  # the library raises what the bytes lead it to
-            raise PacketError("not an OSC datagram") from error
+            raise sample.PacketError("not an OSC datagram") from error
         samples = []
         for message in messages:
             match message.address, message.params:
@@ -103,21 +97,21 @@ class VmcDecoder:
         return samples
 
     def _take_value(self, name: str, value: float) -> None:
-        if not abs(value) <= VALUE_LIMIT:
-            raise PacketError(f"a value lies outside of ±{VALUE_LIMIT:g}")
+        if not abs(value) <= sample.VALUE_LIMIT:
+            raise sample.PacketError(f"a value lies outside of ±{sample.VALUE_LIMIT:g}")
         if len(self._values) >= MAX_NAMES and name not in self._values:
-            raise PacketError(f"more than {MAX_NAMES} blendshapes")
+            raise sample.PacketError(f"more than {MAX_NAMES} blendshapes")
         self._values[name] = value
 
-    def _sample(self) -> TrackerSample:
+    def _sample(self) -> sample.TrackerSample:
         values = {name.lower(): value for name, value in self._values.items()}
-        if INDEX_BY_FOLDED_NAME.keys().isdisjoint(values):
+        if sample.INDEX_BY_FOLDED_NAME.keys().isdisjoint(values):
             values = _from_vrm(values)
         if not any(name.startswith("eyelook") for name in values):
             values |= self._gaze()
         rotation = turned(self._turns.get("Head", _STILL), self._turns.get("Neck", _STILL))
-        return TrackerSample(
-            tracker_s=self._tracker_s, arkit=arkit_from_names(values), rotation=rotation
+        return sample.TrackerSample(
+            tracker_s=self._tracker_s, arkit=sample.arkit_from_names(values), rotation=rotation
         )
 
     def _gaze(self) -> dict[str, float]:
@@ -151,9 +145,9 @@ def _from_vrm(values: dict[str, float]) -> dict[str, float]:
 def _rotation(numbers: list[Any]) -> FloatArray:
     """The rotation vector of a bone: px py pz qx qy qz qw, mirrored in x."""
     if len(numbers) < 7 or not all(isinstance(each, float) for each in numbers[:7]):
-        raise PacketError("a bone without seven numbers")
+        raise sample.PacketError("a bone without seven numbers")
     x, y, z, w = numbers[3:7]
     length = math.hypot(x, y, z, w)
     if not 0.5 < length < 2:  # no unit quaternion, or none at all
-        raise PacketError("a bone without a rotation")
+        raise sample.PacketError("a bone without a rotation")
     return rotation_vector_from_quaternion((w / length, x / length, -y / length, -z / length))

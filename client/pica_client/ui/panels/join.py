@@ -10,20 +10,8 @@ from pica_client.ui.joining.form import MAX_CHARACTERS, SECRETS, SOURCES, Fields
 from pica_client.ui.joining.trouble import Trouble
 from pica_client.ui.panels.control_bar import EDGE_PT
 from pica_client.ui.panels.sound import MICROPHONE, microphone_picker, sound_part
-from pica_client.ui.surface import icons
+from pica_client.ui.surface import icons, widgets
 from pica_client.ui.surface.theme import BUTTON_PT, GAP_PT, PADDING_PT, SMALL_PT, Metrics
-from pica_client.ui.surface.widgets import (
-    FIXED,
-    action_button,
-    card,
-    choice_of,
-    hint,
-    ink,
-    note,
-    ringed,
-    title,
-    type_size,
-)
 from pica_client.voice.sound.settings import SoundState
 
 WIDTH_PT = 420.0
@@ -64,8 +52,8 @@ def join_panel(view: JoinView, metrics: Metrics) -> list[Fields | JoinOrder]:
     orders: list[Fields | JoinOrder] = []
     imgui.set_next_window_size_constraints((width, 0), (width, rows - 2 * edge))
     place = (columns / 2, rows / 2)
-    with card("join", place, metrics, pivot=(0.5, 0.5), flags=FIXED & ~KEYS):
-        title("Join a call")
+    with widgets.card("join", place, metrics, pivot=(0.5, 0.5), flags=widgets.FIXED & ~KEYS):
+        widgets.title("Join a call")
         # What does not fit is scrolled to; the button stays in sight.
         room = rows - 2 * edge - 2 * metrics.px(PADDING_PT + GAP_PT + BUTTON_PT)
         imgui.set_next_window_size_constraints((0, 0), (columns, max(room, metrics.px(60))))
@@ -77,7 +65,7 @@ def join_panel(view: JoinView, metrics: Metrics) -> list[Fields | JoinOrder]:
             orders.append(fields)
         imgui.end_child()
         wide = imgui.get_content_region_avail().x
-        if action_button("Join", metrics, tone="accent", width_px=wide):
+        if widgets.action_button("Join", metrics, tone="accent", width_px=wide):
             orders.append(JoinOrder.JOIN)
     is_open = imgui.is_popup_open("", imgui.PopupFlags_.any_popup_id)
     if is_entered() and not is_open and JoinOrder.JOIN not in orders:
@@ -94,13 +82,13 @@ def connecting_panel(what: str, metrics: Metrics, now: float) -> bool:
     # frame alone.
     height = 2 * px(PADDING_PT) + imgui.get_frame_height() + px(2 + 38) + 2 * px(GAP_PT)
     size = (px(240) + 2 * px(PADDING_PT), height)
-    with card("connecting", (columns / 2, rows / 2), metrics, pivot=(0.5, 0.5), size=size):
+    with widgets.card("connecting", (columns / 2, rows / 2), metrics, pivot=(0.5, 0.5), size=size):
         _spinner(metrics, now)
         imgui.same_line()
         imgui.align_text_to_frame_padding()
         imgui.text_unformatted(what)
         imgui.dummy((0, metrics.px(2)))
-        is_cancelled = action_button("Cancel", metrics, width_px=metrics.px(240))
+        is_cancelled = widgets.action_button("Cancel", metrics, width_px=metrics.px(240))
     return is_cancelled or imgui.is_key_pressed(imgui.Key.escape, repeat=False)
 
 
@@ -121,12 +109,12 @@ def _trouble(trouble: Trouble, metrics: Metrics) -> None:
     imgui.text_unformatted(f"{icons.WARNING}  {trouble.what}")
     imgui.pop_text_wrap_pos()
     if trouble.remedy:
-        note(trouble.remedy, metrics)
+        widgets.note(trouble.remedy, metrics)
     if trouble.details:
-        with type_size(SMALL_PT):
+        with widgets.type_size(SMALL_PT):
             is_open = imgui.tree_node("Details")
         if is_open:
-            note(trouble.details, metrics)
+            widgets.note(trouble.details, metrics)
             imgui.tree_pop()
     imgui.end_child()
     imgui.pop_style_var()
@@ -153,8 +141,8 @@ def _typed(view: JoinView, metrics: Metrics, orders: list[Fields | JoinOrder]) -
     imgui.end_group()
     if view.portraits:
         fields = _avatars(fields, view, metrics)
-    note("Your face", metrics)
-    fields = replace(fields, source=choice_of("##source", SOURCES, fields.source))
+    widgets.note("Your face", metrics)
+    fields = replace(fields, source=widgets.choice_of("##source", SOURCES, fields.source))
     if view.sound is not None:
         fields = _sound(fields, view.sound, metrics, orders)
     if imgui.tree_node_ex("More", FOLDED):
@@ -167,7 +155,7 @@ def _sound(
     fields: Fields, state: SoundState, metrics: Metrics, orders: list[Fields | JoinOrder]
 ) -> Fields:
     """The microphone; and, once they are wanted, meters and loudspeaker to try."""
-    note("Your microphone", metrics)
+    widgets.note("Your microphone", metrics)
     voice, microphone = microphone_picker(fields.voice, fields.sound, state)
     sound = replace(fields.sound, microphone=microphone)
     if imgui.tree_node_ex("Try the sound", FOLDED):
@@ -182,14 +170,14 @@ def _sound(
 def _field(fields: Fields, name: str, *, width_px: float = -1.0, focus: bool = False) -> Fields:
     """A line of text with its label above it."""
     label, example = LABELS[name]
-    with type_size(SMALL_PT):
+    with widgets.type_size(SMALL_PT):
         imgui.text_disabled(label)
     imgui.set_next_item_width(width_px)
     if focus:
         imgui.set_keyboard_focus_here()
     flags = imgui.InputTextFlags_.password if name in SECRETS else 0
     value = getattr(fields, name)
-    with ringed():
+    with widgets.ringed():
         _, typed = imgui.input_text_with_hint(f"##{name}", example, value, flags)
     texts: dict[str, Any] = {name: typed[:MAX_CHARACTERS]}
     return replace(fields, **texts)
@@ -197,7 +185,7 @@ def _field(fields: Fields, name: str, *, width_px: float = -1.0, focus: bool = F
 
 def _avatars(fields: Fields, view: JoinView, metrics: Metrics) -> Fields:
     """A row of pictures; the one that is worn has a frame."""
-    note("Your avatar", metrics)
+    widgets.note("Your avatar", metrics)
     gap = metrics.px(GAP_PT)
     count = len(view.portraits)
     room = (imgui.get_content_region_avail().x - (count - 1) * gap) / count
@@ -211,15 +199,17 @@ def _avatars(fields: Fields, view: JoinView, metrics: Metrics) -> Fields:
         low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
         shapes, palette, round_px = imgui.get_window_draw_list(), metrics.palette, metrics.px(8)
         if texture is None:
-            shapes.add_rect_filled(low, high, ink(palette.field), round_px)
+            shapes.add_rect_filled(low, high, widgets.ink(palette.field), round_px)
         else:
             picture = imgui.ImTextureRef(texture)
             white = 0xFFFFFFFF
             shapes.add_image_rounded(picture, low, high, (0, 0), (1, 1), white, round_px)
         if imgui.is_item_hovered() or name == worn:
             colour = palette.accent if name == worn else palette.faint
-            shapes.add_rect(low, high, ink(colour), round_px, metrics.px(2.5))
-        hint(name.title() if fields.avatar else f"{name.title()}: by default it goes by your name")
+            shapes.add_rect(low, high, widgets.ink(colour), round_px, metrics.px(2.5))
+        widgets.hint(
+            name.title() if fields.avatar else f"{name.title()}: by default it goes by your name"
+        )
     return fields
 
 
@@ -231,5 +221,5 @@ def _spinner(metrics: Metrics, now: float) -> None:
     begin = 5.0 * now
     shapes = imgui.get_window_draw_list()
     shapes.path_arc_to(centre, 0.3 * side, begin, begin + 4.2)
-    shapes.path_stroke(ink(metrics.palette.accent), metrics.px(3))
+    shapes.path_stroke(widgets.ink(metrics.palette.accent), metrics.px(3))
     imgui.dummy((side, side))

@@ -10,19 +10,9 @@ from pica_client.ui.call_view import CallView
 from pica_client.ui.controls import CopyText, Order, Pin, SetVolume, UserOrder
 from pica_client.ui.panels.side import side_panel
 from pica_client.ui.panels.sound import volume_slider
-from pica_client.ui.surface import icons
+from pica_client.ui.surface import icons, widgets
 from pica_client.ui.surface.fonts import TEXT_PT
 from pica_client.ui.surface.theme import Metrics, Tone
-from pica_client.ui.surface.widgets import (
-    action_button,
-    hint,
-    icon_button,
-    ink,
-    note,
-    shortened,
-    text_size,
-    type_size,
-)
 
 CODE_PT: Final = 19.0
 MENU_PT: Final = 24.0
@@ -40,15 +30,15 @@ def participants_panel(view: CallView, metrics: Metrics) -> list[UserOrder]:
     speaking = {person.peer_id for person in view.people if person.is_speaking}
     with side_panel("Participants", metrics, orders):
         many = f"{len(status.participants)} in {status.room}, {duration_text(status.duration_s)}"
-        note(many, metrics)
+        widgets.note(many, metrics)
         for person in status.participants:
             orders += _row(person, view, metrics, speaking)
         imgui.separator()
         _encryption(view, metrics)
         imgui.separator()
-        note("To invite somebody, send them this link.", metrics)
-        note(status.invitation, metrics, tone="accent")
-        if action_button(f"{icons.COPY}  Copy the invitation", metrics):
+        widgets.note("To invite somebody, send them this link.", metrics)
+        widgets.note(status.invitation, metrics, tone="accent")
+        if widgets.action_button(f"{icons.COPY}  Copy the invitation", metrics):
             orders.append(CopyText(status.invitation, "Invitation copied"))
     return orders
 
@@ -88,33 +78,33 @@ def _row(
     width, indent = imgui.get_content_region_avail().x, px(20)
     volume = view.state.volumes.get(person.place, 1.0)
     signs = signs_of(person, is_encrypted=view.status.is_encrypted, volume=volume)
-    signs_px = sum(text_size(icon, TEXT_PT)[0] + px(6) for icon, _, _ in signs)
+    signs_px = sum(widgets.text_size(icon, TEXT_PT)[0] + px(6) for icon, _, _ in signs)
     name = f"{person.name} (you)" if person.is_self else person.name
     if person.peer_id in speaking:
         place = imgui.get_cursor_screen_pos()
-        centre = (place.x + px(7), place.y + text_size("A", TEXT_PT)[1] / 2)
-        imgui.get_window_draw_list().add_circle_filled(centre, px(5), ink(palette.good))
+        centre = (place.x + px(7), place.y + widgets.text_size("A", TEXT_PT)[1] / 2)
+        imgui.get_window_draw_list().add_circle_filled(centre, px(5), widgets.ink(palette.good))
     imgui.set_cursor_pos((left + indent, top))
     imgui.begin_group()
     imgui.push_style_var(imgui.StyleVar_.item_spacing, (px(6), px(2)))
     room = width - indent - signs_px - px(MENU_PT + 8)
-    imgui.text_unformatted(shortened(name, room, TEXT_PT))
+    imgui.text_unformatted(widgets.shortened(name, room, TEXT_PT))
     for icon, tone, meaning in signs:
         imgui.same_line()
         imgui.push_style_color(imgui.Col_.text, palette.tone(tone))
         imgui.text_unformatted(icon)
         imgui.pop_style_color()
-        hint(meaning)
+        widgets.hint(meaning)
     remarks: list[tuple[str, Tone]] = [(person.warning, "warning"), (person.line, "plain")]
     for text, tone in remarks:
         if text:
-            note(text, metrics, tone=tone, wrap_px=width - indent - px(MENU_PT + 8))
+            widgets.note(text, metrics, tone=tone, wrap_px=width - indent - px(MENU_PT + 8))
     imgui.pop_style_var()
     imgui.end_group()
     after = imgui.get_cursor_pos()
     if not person.is_self:
         imgui.set_cursor_pos((left + width - px(MENU_PT), top - px(3)))
-        if icon_button(icons.MORE, f"More on {person.name}", metrics, size_pt=MENU_PT):
+        if widgets.icon_button(icons.MORE, f"More on {person.name}", metrics, size_pt=MENU_PT):
             imgui.open_popup(f"menu {person.peer_id}")
         orders += _menu(person, view, metrics)
     imgui.set_cursor_pos((left, max(after.y, top + px(MENU_PT))))
@@ -153,14 +143,14 @@ def _encryption(view: CallView, metrics: Metrics) -> None:
     """How the encryption stands, with the code in a form that one can read aloud."""
     status = view.status
     if not status.is_encrypted:
-        note("Not encrypted end to end: who runs the relay can read the faces.", metrics)
+        widgets.note("Not encrypted end to end: who runs the relay can read the faces.", metrics)
         return
     if not status.code:
-        note("Encrypted end to end. Nobody else here is verified yet.", metrics)
+        widgets.note("Encrypted end to end. Nobody else here is verified yet.", metrics)
         return
-    note("Encrypted end to end. Everybody must read the same code:", metrics)
+    widgets.note("Encrypted end to end. Everybody must read the same code:", metrics)
     groups = status.code.split()
-    with type_size(CODE_PT, is_bold=True):
+    with widgets.type_size(CODE_PT, is_bold=True):
         for begin in range(0, len(groups), 3):
             imgui.text_unformatted("   ".join(groups[begin : begin + 3]))
-    note("If somebody reads another one, the relay shows you different people.", metrics)
+    widgets.note("If somebody reads another one, the relay shows you different people.", metrics)

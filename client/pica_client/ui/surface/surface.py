@@ -16,16 +16,7 @@ from typing import Protocol
 
 from imgui_bundle import imgui
 
-from pica_client.ui.events import (
-    InputEvent,
-    KeyPressed,
-    KeyReleased,
-    MouseMoved,
-    MousePressed,
-    MouseReleased,
-    Scrolled,
-    TextTyped,
-)
+from pica_client.ui import events
 from pica_client.ui.settings import Mode
 from pica_client.ui.surface.fonts import add_fonts
 from pica_client.ui.surface.theme import Metrics, apply_theme, metrics_for
@@ -124,25 +115,25 @@ class Surface:
             imgui.get_io().display_size = imgui.ImVec2(*size)
             apply_theme(imgui.get_style(), metrics)
 
-    def receive(self, event: InputEvent) -> None:
+    def receive(self, event: events.InputEvent) -> None:
         """Take something that the user did."""
         self._use()
         io = imgui.get_io()
         match event:
-            case MouseMoved(x_px=x, y_px=y):
+            case events.MouseMoved(x_px=x, y_px=y):
                 io.add_mouse_pos_event(x, y)
-            case MousePressed(x_px=x, y_px=y, button=button):
+            case events.MousePressed(x_px=x, y_px=y, button=button):
                 io.add_mouse_pos_event(x, y)
                 io.add_mouse_button_event(button, True)
-            case MouseReleased(x_px=x, y_px=y, button=button):
+            case events.MouseReleased(x_px=x, y_px=y, button=button):
                 io.add_mouse_pos_event(x, y)
                 io.add_mouse_button_event(button, False)
-            case Scrolled(steps=steps):
+            case events.Scrolled(steps=steps):
                 io.add_mouse_wheel_event(0.0, steps)
-            case TextTyped(text=text):
+            case events.TextTyped(text=text):
                 io.add_input_characters_utf8(text)
-            case KeyPressed(is_repeat=False) | KeyReleased():
-                is_down = isinstance(event, KeyPressed)
+            case events.KeyPressed(is_repeat=False) | events.KeyReleased():
+                is_down = isinstance(event, events.KeyPressed)
                 io.add_key_event(imgui.Key.mod_ctrl, event.has_control)
                 io.add_key_event(imgui.Key.mod_shift, event.has_shift)
                 if event.key in KEYS:
@@ -173,18 +164,23 @@ class Surface:
         finally:
             self.end()
 
-    def claims(self, event: InputEvent) -> bool:
+    def claims(self, event: events.InputEvent) -> bool:
         """Whether an event belongs to the surface: the pointer is on it, or a field is typed in."""
         self._use()
         io = imgui.get_io()
         match event:
-            case MouseMoved() | MousePressed() | MouseReleased() | Scrolled():
+            case (
+                events.MouseMoved()
+                | events.MousePressed()
+                | events.MouseReleased()
+                | events.Scrolled()
+            ):
                 return self.wants_mouse
-            case TextTyped():
+            case events.TextTyped():
                 return True
-            case KeyPressed(key="Escape"):
+            case events.KeyPressed(key="Escape"):
                 return False
-            case KeyPressed():
+            case events.KeyPressed():
                 return bool(io.want_text_input)
         return False
 

@@ -13,18 +13,9 @@ from functools import lru_cache
 
 from imgui_bundle import imgui
 
-from pica_client.ui.surface import icons
+from pica_client.ui.surface import icons, theme
 from pica_client.ui.surface.surface import PLAIN
 from pica_client.ui.surface.text_order import as_drawn
-from pica_client.ui.surface.theme import (
-    BUTTON_PT,
-    SMALL_PT,
-    TITLE_PT,
-    Colour,
-    Metrics,
-    Palette,
-    Tone,
-)
 
 FIXED = (
     imgui.WindowFlags_.no_decoration
@@ -44,7 +35,7 @@ REFERENCE_PX = 64.0
 def card(
     name: str,
     place: Place,
-    metrics: Metrics,
+    metrics: theme.Metrics,
     *,
     pivot: Place = (0.0, 0.0),
     size: Place | None = None,
@@ -77,7 +68,7 @@ def card(
         imgui.end()
 
 
-def _ground(palette: Palette) -> None:
+def _ground(palette: theme.Palette) -> None:
     """The area of a panel and the line around it; all but its corners is `PLAIN`."""
     shapes, rounding = imgui.get_window_draw_list(), imgui.get_style().window_rounding
     low, size = imgui.get_window_pos(), imgui.get_window_size()
@@ -111,7 +102,7 @@ def _ground(palette: Palette) -> None:
     shapes.pop_clip_rect()
 
 
-def _over(upper: Colour, lower: Colour) -> Colour:
+def _over(upper: theme.Colour, lower: theme.Colour) -> theme.Colour:
     """What is seen of a colour on an opaque one."""
     share = upper[3]
     red, green, blue = (
@@ -133,13 +124,15 @@ def type_size(points: float, *, is_bold: bool = False) -> Iterator[None]:
 
 def title(text: str) -> None:
     """The title of a panel."""
-    with type_size(TITLE_PT, is_bold=True):
+    with type_size(theme.TITLE_PT, is_bold=True):
         imgui.text_unformatted(text)
 
 
-def note(text: str, metrics: Metrics, *, tone: Tone = "plain", wrap_px: float = 0.0) -> None:
+def note(
+    text: str, metrics: theme.Metrics, *, tone: theme.Tone = "plain", wrap_px: float = 0.0
+) -> None:
     """Small faint text; wrapped at the panel's edge, or at so many pixels."""
-    with type_size(SMALL_PT):
+    with type_size(theme.SMALL_PT):
         imgui.push_style_color(imgui.Col_.text, metrics.palette.tone(tone))
         imgui.push_text_wrap_pos(imgui.get_cursor_pos_x() + wrap_px if wrap_px else 0.0)
         imgui.text_unformatted(text)
@@ -150,12 +143,12 @@ def note(text: str, metrics: Metrics, *, tone: Tone = "plain", wrap_px: float = 
 def icon_button(
     icon: str,
     tooltip: str,
-    metrics: Metrics,
+    metrics: theme.Metrics,
     *,
     keys: str = "",
     is_on: bool = False,
-    tone: Tone = "plain",
-    size_pt: float = BUTTON_PT,
+    tone: theme.Tone = "plain",
+    size_pt: float = theme.BUTTON_PT,
 ) -> bool:
     """A round button with an icon. Its tooltip names the key that does the same.
 
@@ -183,7 +176,7 @@ def icon_button(
     return is_pressed
 
 
-def radio(label: str, metrics: Metrics, *, is_on: bool) -> bool:
+def radio(label: str, metrics: theme.Metrics, *, is_on: bool) -> bool:
     """One of several to choose from; whether it was chosen now. ImGui's own costs four times as
     many triangles."""
     side, gap, palette = metrics.px(18), metrics.px(6), metrics.palette
@@ -201,7 +194,7 @@ def radio(label: str, metrics: Metrics, *, is_on: bool) -> bool:
     return is_pressed
 
 
-def _draw_disc(shapes: imgui.ImDrawList, middle: Place, side: float, colour: Colour) -> None:
+def _draw_disc(shapes: imgui.ImDrawList, middle: Place, side: float, colour: theme.Colour) -> None:
     """A disc that is a glyph has two triangles, and not forty: on software GL they count most."""
     _draw_icon(shapes, icons.RECORD, middle, side / _icon_box(icons.RECORD, 1.0)[2], ink(colour))
 
@@ -223,7 +216,7 @@ def _icon_box(icon: str, size_px: float) -> tuple[float, float, float]:
 
 
 def action_button(
-    label: str, metrics: Metrics, *, tone: Tone = "plain", width_px: float = 0.0
+    label: str, metrics: theme.Metrics, *, tone: theme.Tone = "plain", width_px: float = 0.0
 ) -> bool:
     """A button with words; of the "accent" tone it is what the panel is for."""
     palette = metrics.palette
@@ -244,7 +237,7 @@ def choice_of(label: str, titles: Sequence[tuple[str, str]], chosen: str) -> str
 
 
 @contextmanager
-def button_colours(fill: Colour, ink: Colour) -> Iterator[None]:
+def button_colours(fill: theme.Colour, ink: theme.Colour) -> Iterator[None]:
     """Buttons of another colour, a little lighter under the pointer."""
     imgui.push_style_color(imgui.Col_.button, fill)
     imgui.push_style_color(imgui.Col_.button_hovered, _lighter(fill))
@@ -256,7 +249,7 @@ def button_colours(fill: Colour, ink: Colour) -> Iterator[None]:
         imgui.pop_style_color(4)
 
 
-def _lighter(colour: Colour) -> Colour:
+def _lighter(colour: theme.Colour) -> theme.Colour:
     red, green, blue = (0.88 * part + 0.12 for part in colour[:3])
     return red, green, blue, colour[3]
 
@@ -281,7 +274,7 @@ def hint(text: str) -> None:
     if imgui.is_item_hovered(_POINTED_AT):
         low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
         edge, _ = imgui.get_io().display_size
-        with type_size(SMALL_PT):
+        with type_size(theme.SMALL_PT):
             padding = imgui.get_style().window_padding.x
             half = imgui.calc_text_size(text).x / 2 + padding
             middle = min(max((low.x + high.x) / 2, half), edge - half)
@@ -316,7 +309,7 @@ def shortened(text: str, width_px: float, points: float) -> str:
 
 
 @lru_cache(maxsize=256)
-def ink(colour: Colour, alpha: float = 1.0) -> int:
+def ink(colour: theme.Colour, alpha: float = 1.0) -> int:
     """A colour as draw lists take it."""
     red, green, blue, opacity = (round(255 * part) for part in (*colour[:3], colour[3] * alpha))
     return red | green << 8 | blue << 16 | opacity << 24

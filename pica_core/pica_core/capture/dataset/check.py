@@ -14,17 +14,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from pica_core.capture.dataset import multiface
+from pica_core.capture.dataset import files, multiface
 from pica_core.capture.dataset.check_geometry import depth_problem, silhouette_problem
 from pica_core.capture.dataset.dataset import Capture, CaptureFrame
-from pica_core.capture.dataset.files import (
-    SPLITS,
-    check_image_header,
-    read_expressions,
-    read_frame_list,
-    read_topology,
-    spread_evenly,
-)
 from pica_core.errors import CaptureError
 
 Result = TypeVar("Result")
@@ -90,7 +82,7 @@ def check_capture(directory: Path, pixel_frames: int = PIXEL_FRAMES) -> dict[str
     findings = _Findings(directory)
     _check_leftovers(findings)
     result: dict[str, Any] = {"frames": 0, "cameras": 0, "images": 0, "decoded": 0}
-    result["split"] = dict.fromkeys(SPLITS, 0)
+    result["split"] = dict.fromkeys(files.SPLITS, 0)
     try:
         capture = Capture.open(directory)
     except CaptureError as error:
@@ -103,10 +95,10 @@ def check_capture(directory: Path, pixel_frames: int = PIXEL_FRAMES) -> dict[str
         _check_split(findings, capture)
         result["cameras"] = len(capture.cameras)
         result["frames"] = len(capture.frames)
-        result["split"] = {split: len(capture.frames_of(split)) for split in SPLITS}
+        result["split"] = {split: len(capture.frames_of(split)) for split in files.SPLITS}
         for frame in capture.frames:
             result["images"] += _check_frame(findings, capture, frame)
-        for frame in spread_evenly(capture.frames, pixel_frames or len(capture.frames)):
+        for frame in files.spread_evenly(capture.frames, pixel_frames or len(capture.frames)):
             result["decoded"] += _check_pixels(findings, capture, frame)
     if findings.uncounted:
         findings.problems.append(
@@ -131,10 +123,10 @@ def _check_descriptions(findings: _Findings, message: str) -> None:
     attempts: list[tuple[str, Callable[[Path], object]]] = [
         (multiface.CAPTURE, multiface.read_json),
         (multiface.KRT, lambda path: multiface.read_krt(path, 1, 1)),  # no matter of what size
-        (multiface.TOPOLOGY, read_topology),
-        (multiface.TRACKED_TOPOLOGY, read_topology),
-        (multiface.EXPRESSIONS, read_expressions),
-        (multiface.FRAME_LIST, read_frame_list),
+        (multiface.TOPOLOGY, files.read_topology),
+        (multiface.TRACKED_TOPOLOGY, files.read_topology),
+        (multiface.EXPRESSIONS, files.read_expressions),
+        (multiface.FRAME_LIST, files.read_frame_list),
     ]
     for name, read in attempts:
         if (root / name).exists() or name in (multiface.KRT, multiface.FRAME_LIST):
@@ -177,7 +169,7 @@ def _check_tables(findings: _Findings, capture: Capture) -> None:
     if not isinstance(split, dict):
         findings.add(described, f"split is {split!r:.40}; a map is needed")
         return
-    for name in SPLITS:
+    for name in files.SPLITS:
         found = {frame.segment for frame in capture.frames_of(name)}
         told = split.get(name, [])
         if not isinstance(told, list) or not found <= {str(segment) for segment in told}:
@@ -192,7 +184,7 @@ def _check_tables(findings: _Findings, capture: Capture) -> None:
 
 def _check_split(findings: _Findings, capture: Capture) -> None:
     """Segments, expressions or meshes that are in both splits."""
-    train, test = (capture.frames_of(split) for split in SPLITS)
+    train, test = (capture.frames_of(split) for split in files.SPLITS)
     for split, frames in (("train", train), ("test", test)):
         if not frames:
             findings.add(capture.path, f"no frame is for {split}ing")
@@ -236,7 +228,7 @@ def _check_frame(findings: _Findings, capture: Capture, frame: CaptureFrame) -> 
         findings.add(root / path, "not a rotation")
     side = capture.texture_size
     texture = root / multiface.texture_path(side, frame.segment, frame.name)
-    findings.attempt(check_image_header, texture, "RGB", (side, side))
+    findings.attempt(files.check_image_header, texture, "RGB", (side, side))
     kinds = [("images", "RGB")]
     kinds += [("mask", "L")] if capture.has_masks else []
     kinds += [(multiface.TRUTH_DEPTH, "I;16")] if capture.has_truth else []
@@ -249,7 +241,7 @@ def _check_frame(findings: _Findings, capture: Capture, frame: CaptureFrame) -> 
             continue  # published captures miss frames of single cameras
         for kind, mode in kinds:
             path = root / multiface.image_path(kind, frame.segment, camera.name, frame.name)
-            findings.attempt(check_image_header, path, mode, (camera.width, camera.height))
+            findings.attempt(files.check_image_header, path, mode, (camera.width, camera.height))
     return len(present)
 
 

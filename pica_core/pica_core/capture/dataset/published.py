@@ -13,15 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pica_core.capture.dataset import multiface
-from pica_core.capture.dataset.files import (
-    MAX_VERTICES,
-    CaptureFrame,
-    Description,
-    Topology,
-    check_image_header,
-    read_frame_list,
-)
+from pica_core.capture.dataset import files, multiface
 from pica_core.capture.dataset.obj import read_obj
 from pica_core.errors import CaptureError
 from pica_core.types import ByteArray, Int64Array
@@ -37,9 +29,9 @@ def is_published(root: Path) -> bool:
     return all((root / name).exists() for name in (multiface.KRT, "images", "tracked_mesh"))
 
 
-def open_published(root: Path, test_segments: Collection[str] | None = None) -> Description:
+def open_published(root: Path, test_segments: Collection[str] | None = None) -> files.Description:
     """Find out what describes a published directory; None holds out the fifth of ten segments."""
-    names = read_frame_list(root / multiface.FRAME_LIST)
+    names = files.read_frame_list(root / multiface.FRAME_LIST)
     segments = sorted({segment for segment, _ in names})
     if test_segments is None:
         middle = min(HELD_OUT_EVERY // 2, len(segments) - 1)
@@ -48,7 +40,7 @@ def open_published(root: Path, test_segments: Collection[str] | None = None) -> 
     if unknown:
         raise CaptureError(f"{root / multiface.FRAME_LIST}: no segment {unknown[0]!r} to hold out")
     frames = tuple(
-        CaptureFrame(
+        files.CaptureFrame(
             index=index,
             segment=segment,
             name=name,
@@ -58,7 +50,7 @@ def open_published(root: Path, test_segments: Collection[str] | None = None) -> 
     )
     topology, mesh_vertex, count = _read_topology(_first_obj(root, names))
     width, height = _image_size(root)
-    return Description(
+    return files.Description(
         info={
             "schema": multiface.SCHEMA,
             "source": "a directory in the layout of the Multiface dataset",
@@ -86,7 +78,7 @@ def _first_obj(root: Path, names: list[tuple[str, str]]) -> Path:
 def _image_size(root: Path) -> tuple[int, int]:
     for path in (root / "images").glob("*/*/*.png"):
         try:
-            return check_image_header(path, "RGB", None)
+            return files.check_image_header(path, "RGB", None)
         except CaptureError:
             continue
     raise CaptureError(f"{root / 'images'}: no image to take the size of")
@@ -100,22 +92,22 @@ def _texture_size(root: Path) -> int:
     raise CaptureError(f"{root}: no unwrapped_uv_SIZE directory")
 
 
-def _read_topology(path: Path) -> tuple[Topology, Int64Array, int]:
+def _read_topology(path: Path) -> tuple[files.Topology, Int64Array, int]:
     """Topology of an OBJ file, the OBJ's vertex for each of its vertices, and how many it has."""
     obj = read_obj(path)
     vertex_faces, uv_faces, _, _ = obj.triangles()
     count = len(obj.vertices)
-    if not len(uv_faces) or (uv_faces < 0).any() or count > MAX_VERTICES:
+    if not len(uv_faces) or (uv_faces < 0).any() or count > files.MAX_VERTICES:
         raise CaptureError(
-            f"{path}: {count} vertices, {len(uv_faces)} triangles; at most {MAX_VERTICES} vertices "
-            "and triangles with texture coordinates are needed"
+            f"{path}: {count} vertices, {len(uv_faces)} triangles; at most {files.MAX_VERTICES} "
+            "vertices and triangles with texture coordinates are needed"
         )
     corners = np.stack([vertex_faces, uv_faces], -1).reshape(-1, 2).astype(np.int64)
     pairs, faces = np.unique(corners, axis=0, return_inverse=True)
     uv = obj.uv().astype(np.float32)[pairs[:, 1]]
     if not np.isfinite(uv).all():
         raise CaptureError(f"{path}: a texture coordinate is not finite")
-    topology = Topology(vertex_uv=uv, faces=faces.reshape(-1, 3).astype(np.int32), regions={})
+    topology = files.Topology(vertex_uv=uv, faces=faces.reshape(-1, 3).astype(np.int32), regions={})
     return topology, np.ascontiguousarray(pairs[:, 0]), count
 
 
