@@ -15,6 +15,8 @@
 `pica_core.errors`).
 """
 
+import pica_core.errors
+
 
 class ClientError(Exception):
     """Root of the errors of this package: the input or the machine is at fault."""
@@ -24,6 +26,11 @@ class ClientError(Exception):
 
 class OptionError(ClientError):
     """An option is out of range: names the option, the value and the limit."""
+
+
+def check_ranges(owner: object, **ranges: tuple[float, float]) -> None:
+    """Refuse options out of range; see `pica_core.errors.check_ranges`."""
+    pica_core.errors.check_ranges(owner, OptionError, **ranges)
 
 
 class SourceError(ClientError):

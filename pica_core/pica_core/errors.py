@@ -71,16 +71,16 @@ class TrainingOptionError(PicaCoreError, ValueError):
 
 
 def check_ranges(
-    owner: object, error: type[Exception] = ValueError, **ranges: tuple[float, float]
+    owner: object, error: type[Exception] = ValueError, /, **ranges: tuple[float, float]
 ) -> None:
     """Refuse numbers that are out of range.
 
     Args:
         owner: The object whose attributes are checked.
         error: What to raise: it names the attribute, its value and the range.
-        ranges: The lowest and the highest value allowed, by attribute.
+        ranges: The lowest and the highest value allowed, by attribute; None is always.
     """
     for name, (low, high) in ranges.items():
         value = getattr(owner, name)
-        if not low <= value <= high:
-            raise error(f"{name} is {value}; {low} to {high} is allowed")
+        if value is not None and not low <= value <= high:
+            raise error(f"{name} is {value:.12g}; {low:.12g} to {high:.12g} is allowed")

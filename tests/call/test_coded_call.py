@@ -32,7 +32,7 @@ from pica_client.transport.receiver import Receiver
 from pica_core.avatar import streams as stream_ends
 from pica_core.avatar.file import Avatar, load_avatar
 from pica_core.avatar.streams import FaceDecoder, FaceEncoder
-from pica_core.codec import latent_encoder
+from pica_core.codec import frames as coded_frames
 from pica_core.codec.frames import FrameState, encode_frame
 from pica_core.codec.latent_sample import DecodedFrame, EncodedFrame, ReceivedFrame
 from pica_core.codec.latent_stream import StreamConfig
@@ -90,7 +90,7 @@ class WatchedEncoder:
             states.append(state)
             return payload, state
 
-        with mock.patch.object(latent_encoder, "encode_frame", spy):
+        with mock.patch.object(coded_frames, "encode_frame", spy):
             frame = self._encoder.encode(latent, rotation, translation, now_us)
         if isinstance(frame, EncodedFrame):
             count = self._profile.num_components

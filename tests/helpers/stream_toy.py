@@ -17,7 +17,7 @@ import numpy as np
 
 from helpers.toy import make_toy_avatar
 from pica_core.avatar.file import Avatar
-from pica_core.codec import latent_encoder
+from pica_core.codec import frames as coded_frames
 from pica_core.codec.frames import FrameState, encode_frame
 from pica_core.codec.latent_sample import DecodedFrame, ReceivedFrame
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
@@ -136,7 +136,7 @@ class Publisher:
             states.append(state)
             return payload, state
 
-        with mock.patch.object(latent_encoder, "encode_frame", spy):
+        with mock.patch.object(coded_frames, "encode_frame", spy):
             frame = self.encoder.encode(face, pose[0], pose[1], now_us)
         if frame is None:
             return None

@@ -19,7 +19,8 @@ import numpy as np
 from pica_client.bench.difference_sheet import Cell, write_sheet
 from pica_client.bench.harness import timed
 from pica_client.bench.head import FaceRenderer, evaluation_cameras, psnr_db
-from pica_client.bench.option_types import Ints, Words, check_ranges
+from pica_client.bench.option_types import Ints, Words
+from pica_client.errors import check_ranges
 from pica_client.output import say
 from pica_client.playout.motion import blend
 from pica_client.render.drawing import Drawing, change_mse, drawn_mse, masked_mse

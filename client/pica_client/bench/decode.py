@@ -17,7 +17,7 @@ from tyro.constructors import PrimitiveConstructorSpec
 
 from pica_client.bench.harness import Took, gl_context, median_ms, spread, take_turns, timed
 from pica_client.bench.head import FRAME_S, front_camera, textured_mesh
-from pica_client.bench.option_types import Ints, Words, check_names, check_ranges
+from pica_client.bench.option_types import Ints, Words, check_names
 from pica_client.decode.decoder import (
     BaselineDecoder,
     OnnxDecoder,
@@ -26,7 +26,7 @@ from pica_client.decode.decoder import (
 )
 from pica_client.decode.onnx_runtime import onnxruntime
 from pica_client.decode.request import DecodedMaps, Parts
-from pica_client.errors import OptionError
+from pica_client.errors import OptionError, check_ranges
 from pica_client.output import say
 from pica_client.render.renderer import Renderer
 from pica_client.schedule.frame_planner import FramePlanner

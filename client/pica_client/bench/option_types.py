@@ -34,18 +34,6 @@ Words = Annotated[tuple[str, ...], _listed(str, "NAMES")]
 Arguments = Annotated[tuple[str, ...], _listed(str, "ARGUMENTS", between=" ")]
 
 
-def check_ranges(config: object, **ranges: tuple[float, float]) -> None:
-    """Refuse settings out of range.
-
-    Raises:
-        OptionError: The attribute of that name is not between these two values.
-    """
-    for name, (low, high) in ranges.items():
-        value = getattr(config, name)
-        if not low <= value <= high:
-            raise OptionError(f"{name} is {value:g}; {low:g} to {high:g} is allowed")
-
-
 def check_names(option: str, names: Iterable[str], known: Collection[str]) -> None:
     """Refuse names that an option does not have.
 

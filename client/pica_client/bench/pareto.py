@@ -21,8 +21,9 @@ from pica_client.avatars.level_errors import averaged
 from pica_client.bench.decode import random_decoders
 from pica_client.bench.harness import gl_context, median_ms, take_turns, timed
 from pica_client.bench.head import check_distances, front_camera, talk_frames
-from pica_client.bench.option_types import Floats, check_ranges
+from pica_client.bench.option_types import Floats
 from pica_client.decode.decoder import OnnxDecoder
+from pica_client.errors import check_ranges
 from pica_client.render.drawing import Drawing, HeadRenderer, change_mse, drawn_mse
 from pica_client.render.scene import view_direction
 from pica_client.stats import describe_machine

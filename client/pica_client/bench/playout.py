@@ -27,8 +27,8 @@ from pica_client.bench.network.stream_trial import (
     deliver,
     play,
 )
-from pica_client.bench.option_types import Words, check_names, check_ranges
-from pica_client.errors import OptionError
+from pica_client.bench.option_types import Words, check_names
+from pica_client.errors import OptionError, check_ranges
 from pica_client.output import say
 from pica_client.playout.buffer import Playout
 from pica_client.render.drawing import Drawing, drawn_mse

@@ -15,8 +15,9 @@ import numpy as np
 
 from pica_client.bench.harness import Took, gl_context, median_ms, spread, take_turns, timed
 from pica_client.bench.head import FIELD_OF_VIEW, check_distances, front_camera, textured_mesh
-from pica_client.bench.option_types import Floats, check_ranges
+from pica_client.bench.option_types import Floats
 from pica_client.decode.decoder import OnnxDecoder
+from pica_client.errors import check_ranges
 from pica_client.render.drawing import HEAD
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement, view_direction
@@ -53,12 +54,7 @@ class RenderBenchConfig:
     """Distances of the sweep over pixels."""
 
     def __post_init__(self) -> None:
-        check_ranges(
-            self,
-            image_size=(64, 4096),
-            rounds=(3, 1000),
-            sweep_points=(3, 100),
-        )
+        check_ranges(self, image_size=(64, 4096), rounds=(3, 1000), sweep_points=(3, 100))
         check_distances(self.distances_cm)
 
 

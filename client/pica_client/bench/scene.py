@@ -20,11 +20,11 @@ import numpy.typing as npt
 from pica_client.bench.difference_sheet import Cell, write_sheet
 from pica_client.bench.harness import gl_context
 from pica_client.bench.head import FIELD_OF_VIEW, check_distances, front_camera
-from pica_client.bench.option_types import Floats, Ints, check_ranges
+from pica_client.bench.option_types import Floats, Ints
 from pica_client.bench.scene_summary import AWAY, FULL_SCREEN_CM, summarise
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.request import DecodeRequest, DecodeResult
-from pica_client.errors import OptionError
+from pica_client.errors import OptionError, check_ranges
 from pica_client.render.drawing import Drawing, drawn_mse, read_drawing
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement, head_matrix, view_direction

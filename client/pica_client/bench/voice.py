@@ -45,10 +45,10 @@ from pica_client.bench.network.stream_trial import (
     Schedule,
     deliver,
 )
-from pica_client.bench.option_types import Words, check_ranges
+from pica_client.bench.option_types import Words
 from pica_client.bench.playout import open_ends, true_face
 from pica_client.call.held_lips import HeldLips
-from pica_client.errors import OptionError
+from pica_client.errors import OptionError, check_ranges
 from pica_client.output import say
 from pica_client.playout.buffer import Playout
 from pica_client.stats import percentile

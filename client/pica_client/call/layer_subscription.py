@@ -16,7 +16,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from pica_client.errors import OptionError
+from pica_client.errors import check_ranges
 from pica_protocol.limits import MAX_LAYER
 
 NOTHING: Final = -1
@@ -34,9 +34,7 @@ class LayerSubscriptionConfig:
     """Shortest time between two requests for less of one stream."""
 
     def __post_init__(self) -> None:
-        for name in ("lower_after_s", "lower_interval_s"):
-            if not 0 <= getattr(self, name) <= 60:
-                raise OptionError(f"{name} is {getattr(self, name)}; 0 to 60 is allowed")
+        check_ranges(self, lower_after_s=(0, 60), lower_interval_s=(0, 60))
 
 
 class LayerSubscription:

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.cli.options import parse_size
-from pica_client.errors import CallProcessError, OptionError
+from pica_client.errors import CallProcessError, check_ranges
 from pica_client.local_call import local_call
 from pica_client.local_call.latency import frame_times, latency_summary
 from pica_client.local_call.processes import Child, Children
@@ -47,8 +47,7 @@ class DemoConfig:
     """Folder for call.mp4, frame.png and stats.json."""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.seconds <= 3600:
-            raise OptionError(f"seconds is {self.seconds:g}; 1 to 3600 is allowed")
+        check_ranges(self, seconds=(1, 3600))
         parse_size(self.size)
 
 

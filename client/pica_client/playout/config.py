@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 from pica_client.errors import OptionError
 from pica_client.playout.motion import Distance
+from pica_core.errors import check_ranges
 
 CORRECTION_LIMIT = Distance(latent=10.0, turn_rad=3.0, move_m=0.5)
 """Fastest correction, per second: slower than faces move by themselves. The latents of the shipped
@@ -59,20 +60,9 @@ class PlayoutConfig:
             )
         if not 0 < self.jitter_quantile <= 1:
             raise ValueError(f"jitter_quantile is {self.jitter_quantile}; (0, 1] is allowed")
-        for name, low, high in (
-            ("floor_intervals", 0, 10),
-            ("window_s", 0.1, 60),
-            ("faster", 0, 10),
-            ("slower", 0, 0.9),
-            ("leap_s", 0, 60),
-            ("max_frames", 2, 1000),
-            ("max_gap_s", 0.001, 10),
-            ("extrapolate_s", 0, 10),
-            ("blend_s", 0, 10),
-            ("still_s", 0, 3600),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{name} is {getattr(self, name)}; {low} to {high} is allowed")
+        small = dict.fromkeys(("floor_intervals", "faster", "extrapolate_s", "blend_s"), (0, 10))
+        check_ranges(self, **small, window_s=(0.1, 60), slower=(0, 0.9), leap_s=(0, 60))
+        check_ranges(self, max_frames=(2, 1000), max_gap_s=(0.001, 10), still_s=(0, 3600))
 
 
 def playout_with_floor(floor_ms: float) -> PlayoutConfig:

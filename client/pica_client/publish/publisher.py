@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import tyro
 
 from pica_client.call.reflection import Reflection
-from pica_client.errors import OptionError
+from pica_client.errors import OptionError, check_ranges
 from pica_client.publish.face_track import FACE_KEY, FACE_LOST, FACE_TRACK, FaceMode
 from pica_client.publish.pacer import Pacer
 from pica_client.sources import LiveSource, Source
@@ -59,8 +59,7 @@ class SenderConfig:
     """Move the mouth by the voice while the tracker sees no face, if there is a voice."""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.fps <= 240:
-            raise OptionError(f"fps is {self.fps:g}; 1 to 240 is allowed")
+        check_ranges(self, fps=(1, 240))
         if not self.seconds >= 0:
             raise OptionError(f"seconds is {self.seconds:g}; 0 (for ever) or more is allowed")
         self.stream()

@@ -26,7 +26,7 @@ from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from pica_client.errors import OptionError
+from pica_client.errors import OptionError, check_ranges
 from pica_client.schedule.cost_model import CostModel
 from pica_client.schedule.head import Choice, Decode, Head
 from pica_protocol.limits import MAX_LAYER
@@ -69,15 +69,8 @@ class SchedulerOptions:
     high)."""
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("full_px", 0, 1e4),
-            ("refresh_px", 0, 1e4),
-            ("least_change", 0, 10),
-            ("max_age_s", 0.001, 60),
-            ("stream_hold_s", 0, 600),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise OptionError(f"{name} is {getattr(self, name)}; {low} to {high} is allowed")
+        check_ranges(self, full_px=(0, 1e4), refresh_px=(0, 1e4), least_change=(0, 10))
+        check_ranges(self, max_age_s=(0.001, 60), stream_hold_s=(0, 600))
         for name, most in (("mesh_px", 8), ("layer_px", MAX_LAYER)):
             values = getattr(self, name)
             if list(values) != sorted(values) or len(values) > most:

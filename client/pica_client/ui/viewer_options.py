@@ -5,7 +5,7 @@ from pathlib import Path
 
 from pica_client.decode.decoder import OnnxOptions
 from pica_client.decode.pool import DecodePoolOptions
-from pica_client.errors import OptionError
+from pica_client.errors import check_ranges
 from pica_client.render.renderer import RenderOptions
 from pica_client.render.seats import Layout
 from pica_client.render.views import MAX_EYE_DISTANCE_M
@@ -58,16 +58,8 @@ class ViewerOptions:
     onnx: OnnxOptions = field(default_factory=OnnxOptions)
 
     def __post_init__(self) -> None:
-        if not 1 <= self.max_fps <= 1000:
-            raise OptionError(f"max_fps is {self.max_fps:g}; allowed are 1 to 1000")
-        if not 0 <= self.frame_budget_ms <= 10_000:
-            raise OptionError(
-                f"frame_budget_ms is {self.frame_budget_ms:g}; 0 (from max_fps) to 10000 is allowed"
-            )
-        if not 0 <= self.eye_distance_m <= MAX_EYE_DISTANCE_M:
-            raise OptionError(
-                f"eye_distance_m is {self.eye_distance_m:g}; 0 to {MAX_EYE_DISTANCE_M:g} is allowed"
-            )
+        check_ranges(self, max_fps=(1, 1000), frame_budget_ms=(0, 10_000))
+        check_ranges(self, eye_distance_m=(0, MAX_EYE_DISTANCE_M))
 
     @property
     def frame_budget_s(self) -> float:

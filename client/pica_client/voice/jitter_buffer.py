@@ -48,6 +48,7 @@ from pica_client.voice.packet import FRAME_SAMPLES as FRAME
 from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
 from pica_client.voice.sound.settings import Moment
 from pica_core.codec.latent_sample import ReceivedFrame
+from pica_core.errors import check_ranges
 from pica_core.types import Array, Float64Array, FloatArray
 from pica_protocol.frames import Frame
 
@@ -112,18 +113,9 @@ class JitterBufferConfig:
     """Whether packets carry the frame before them once more: only datagrams get lost."""
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("ceiling_s", FRAME_S, 2.0),
-            ("least_jitter_s", 0.0, 0.2),
-            ("jitter_quantile", 0.5, 1.0),
-            ("release_s", 0.01, 60.0),
-            ("window_s", 0.5, 60.0),
-            ("leap_s", 0.1, 10.0),
-            ("quiet_error_s", 0.001, 1.0),
-            ("voiced_error_s", 0.001, 1.0),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{name} is {getattr(self, name)}; {low} to {high} is allowed")
+        check_ranges(self, ceiling_s=(FRAME_S, 2), least_jitter_s=(0, 0.2), leap_s=(0.1, 10))
+        check_ranges(self, jitter_quantile=(0.5, 1), release_s=(0.01, 60), window_s=(0.5, 60))
+        check_ranges(self, quiet_error_s=(0.001, 1), voiced_error_s=(0.001, 1))
 
 
 @dataclass(kw_only=True, slots=True)

@@ -15,7 +15,7 @@ from pica_core.codec.profile import (
     StreamProfile,
 )
 from pica_core.codec.rate_control import RateController
-from pica_core.errors import LatentError, ShapeError
+from pica_core.errors import LatentError, ShapeError, check_ranges
 from pica_core.latent import LATENT_SHAPE, NUM_LATENT
 from pica_core.types import Int64Array
 
@@ -64,19 +64,9 @@ class StreamConfig:
     """Time between two frames of a silent face."""
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("fps", 0.1, 1000),
-            ("quality", 0, 15),
-            ("target_bps", 100, 1e7),
-            ("num_layers", 1, 3),
-            ("keyframe_interval_s", 0.1, 3600),
-            ("keyframe_pause_s", 0, 60),
-            ("still_after_s", 0, 60),
-            ("heartbeat_s", 0.1, 60),
-        ):
-            value = getattr(self, name)
-            if value is not None and not low <= value <= high:
-                raise ValueError(f"{name} is {value}; {low} to {high} is allowed")
+        check_ranges(self, fps=(0.1, 1000), num_layers=(1, 3), keyframe_interval_s=(0.1, 3600))
+        check_ranges(self, keyframe_pause_s=(0, 60), still_after_s=(0, 60), heartbeat_s=(0.1, 60))
+        check_ranges(self, quality=(0, 15), target_bps=(100, 1e7))
 
     @property
     def layers(self) -> int:

@@ -41,7 +41,7 @@ from pica_core.codec.profile import (
     StreamProfile,
 )
 from pica_core.codec.range_coder import TOTAL
-from pica_core.errors import ProfileError, ShapeError
+from pica_core.errors import ProfileError, ShapeError, check_ranges
 from pica_core.latent import LATENT_SHAPE, NUM_LATENT
 from pica_core.types import Float64Array
 
@@ -78,14 +78,8 @@ class LearningConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("num_components", 1, 128),
-            ("num_tables", 1, 256),
-            ("turn_sweeps", 0, 100),
-            ("turn_frames", 100, 1_000_000),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{name} is {getattr(self, name)}; {low} to {high} is allowed")
+        check_ranges(self, num_components=(1, 128), num_tables=(1, 256))
+        check_ranges(self, turn_sweeps=(0, 100), turn_frames=(100, 1_000_000))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -28,8 +28,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pica_client.bench.option_types import check_ranges
-from pica_client.errors import OptionError
+from pica_client.errors import OptionError, check_ranges
 
 JITTER_MEMORY_S = 0.1
 """Time constant of the jitter (chosen: what a queue behind another's burst takes to drain)."""
@@ -74,14 +73,12 @@ class Impairment:
     """A stream (TCP) if true, datagrams (UDP) if not."""
 
     def __post_init__(self) -> None:
-        check_ranges(
-            self, **dict.fromkeys(("delay_s", "jitter_s", "stall_s", "reorder_s"), (0, 10))
-        )
+        times = ("delay_s", "jitter_s", "stall_s", "reorder_s")
+        check_ranges(self, **dict.fromkeys(times, (0, 10)))
         ratios = ("loss_ratio", "thin_ratio", "reorder_ratio", "duplicate_ratio")
         check_ranges(self, **dict.fromkeys(ratios, (0, 0.9)))
         check_ranges(self, stall_interval_s=(0.1, 600), queue_bytes=(0, 1 << 20))
-        if self.rate_bps is not None:
-            check_ranges(self, rate_bps=(1000, 1e10))
+        check_ranges(self, rate_bps=(1000, 1e10))
         if self.is_ordered and (self.reorder_ratio or self.duplicate_ratio):
             raise OptionError("a stream is neither reordered nor doubled; set is_ordered to False")
 

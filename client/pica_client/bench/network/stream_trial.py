@@ -24,7 +24,7 @@ import numpy as np
 
 from pica_client.bench.network.frame_path import FramePath, PathCounters
 from pica_client.bench.network.scenarios import Scenario
-from pica_client.bench.option_types import check_ranges
+from pica_client.errors import check_ranges
 from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
 from pica_client.playout.sender_clock import SenderClock
 from pica_core.avatar.streams import FaceDecoder, FaceEncoder

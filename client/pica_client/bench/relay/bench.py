@@ -18,7 +18,7 @@ from urllib.parse import urlsplit
 
 import tyro
 
-from pica_client.bench.option_types import Arguments, check_ranges
+from pica_client.bench.option_types import Arguments
 from pica_client.bench.relay.figures import (
     close_codes,
     describe,
@@ -39,7 +39,7 @@ from pica_client.bench.relay.processes import (
     summed,
 )
 from pica_client.bench.relay.swarm import DRAIN_S, SwarmConfig
-from pica_client.errors import CallProcessError, OptionError
+from pica_client.errors import CallProcessError, OptionError, check_ranges
 from pica_client.local_call.processes import Child, Children
 from pica_client.output import say
 from pica_client.stats import describe_machine
@@ -96,9 +96,7 @@ class RelayBenchConfig:
     def __post_init__(self) -> None:
         check_ranges(self, rooms=(1, 10_000), peers=(2, 64), fps=(1, 240), seconds=(0.5, 7200))
         check_ranges(self, processes=(1, min(64, self.rooms)), max_rooms=(1, 10_000))
-        check_ranges(self, bar_ms=(0.1, 10_000))
-        if self.joins_per_s is not None:
-            check_ranges(self, joins_per_s=(0.1, 10_000))
+        check_ranges(self, bar_ms=(0.1, 10_000), joins_per_s=(0.1, 10_000))
         if self.url is not None:
             check_url(self.url)
 

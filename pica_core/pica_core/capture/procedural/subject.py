@@ -10,7 +10,8 @@ from pica_core.capture.procedural.heads import ProceduralHead, make_head
 from pica_core.capture.rig.gpu import RigRenderer
 from pica_core.capture.stage.gpu import BAKE_SIZE
 from pica_core.capture.stage.subject import Subject
-from pica_core.capture.stage.synth import Progress, RenderOptions, check_range, render_subject
+from pica_core.capture.stage.synth import Progress, RenderOptions, render_subject
+from pica_core.errors import CaptureError, check_ranges
 
 
 class ProceduralSubject(Subject):
@@ -63,7 +64,7 @@ class StageOptions(RenderOptions):
 
     def __post_init__(self) -> None:
         RenderOptions.__post_init__(self)
-        check_range(self, "bake_size", 64, 8192)
+        check_ranges(self, CaptureError, bake_size=(64, 8192))
 
 
 def render_capture(

@@ -35,7 +35,7 @@ from pica_core.capture.stage.own_take import own_take, read_own_take
 from pica_core.capture.stage.subject import Subject
 from pica_core.capture.stage.tracked_topology import NUM_VERTICES, track_topology
 from pica_core.capture.stage.tracker import SimulatedTracker, lagged_arkit
-from pica_core.errors import CaptureError
+from pica_core.errors import CaptureError, check_ranges
 from pica_core.types import FloatArray
 
 Progress = Callable[[int, int], None]
@@ -82,26 +82,13 @@ class RenderOptions:
     """Recording of a user's own face; a fifth of the frames are its most different moments."""
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("frames", 5 if self.take else 4, 100_000),
-            ("cameras", 1, 100),
-            ("width", 16, 8192),
-            ("height", 16, 8192),
-            ("texture_size", 16, 4096),
-            ("seed", 0, 2**31),
-            ("depth_every", 1, 100_000),
-            ("tracked_vertices", 100, 100_000),
-        ):
-            check_range(self, name, low, high)
+        many, size = 100_000, (16, 8192)
+        check_ranges(self, CaptureError, frames=(5 if self.take else 4, many), cameras=(1, 100))
+        check_ranges(self, CaptureError, width=size, height=size, texture_size=(16, 4096))
+        check_ranges(self, CaptureError, seed=(0, 2**31), depth_every=(1, many))
+        check_ranges(self, CaptureError, tracked_vertices=(100, many))
         if self.lenses not in LENSES:
             raise CaptureError(f"lenses is {self.lenses!r}; there are {', '.join(LENSES)}")
-
-
-def check_range(options: RenderOptions, name: str, low: int, high: int) -> None:
-    """Refuse a value outside of what is allowed."""
-    value = getattr(options, name)
-    if not low <= value <= high:
-        raise CaptureError(f"{name} is {value}; allowed are {low} to {high}")
 
 
 def render_subject(
