@@ -266,7 +266,9 @@ class _Bench:
         now = case.frame / FPS
         is_compared = is_measured and case.frame % ERROR_EVERY == 0
         case.frame += 1
-        camera = self._camera(case)
+        camera = front_camera(
+            self._avatars[0].manifest, case.distance_cm, self._config.size, away=case.is_away
+        )
         heads = self._place_heads(case, now)
         frame = _Frame()
         begin_cpu_s = time.process_time()
@@ -406,11 +408,6 @@ class _Bench:
             )
         self._renderer.draw(placements, camera)
         return read_drawing(self._renderer)
-
-    def _camera(self, case: _Case) -> Camera:
-        """Before the middle head of the line."""
-        size = self._config.size
-        return front_camera(self._avatars[0].manifest, case.distance_cm, size, away=case.is_away)
 
 
 def _write_sheet(path: Path, config: SceneBenchConfig, cases: Sequence[_Case]) -> None:

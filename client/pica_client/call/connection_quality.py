@@ -89,37 +89,33 @@ class QualityMeter:
 
     def __init__(self) -> None:
         self._samples: deque[tuple[float, StreamHealth]] = deque(maxlen=MAX_SAMPLES)
-        self._level: Quality = "unknown"
+        self.level: Quality = "unknown"
+        """What is shown."""
         self._differs_since_s: float | None = None
         self._is_worse = False
-
-    @property
-    def level(self) -> Quality:
-        """What is shown."""
-        return self._level
 
     def receive(self, health: StreamHealth, now: float) -> Quality:
         """Take how the stream stands at `now`, seconds, and say what to show."""
         if health.is_paused:
             self._samples.clear()
-            self._level, self._differs_since_s = "unknown", None
-            return self._level
+            self.level, self._differs_since_s = "unknown", None
+            return self.level
         if self._samples and health.received < self._samples[-1][1].received:
             self._samples.clear()  # the stream began anew
         self._samples.append((now, health))
         while len(self._samples) > 2 and now - self._samples[1][0] >= WINDOW_S:
             self._samples.popleft()
         found = quality_between(self._samples[0][1], health)
-        if found == "unknown" or found == self._level:
+        if found == "unknown" or found == self.level:
             self._differs_since_s = None  # a stream that is silent is as good as it was
-            return self._level
-        is_worse = _RANK[found] > _RANK[self._level]
+            return self.level
+        is_worse = _RANK[found] > _RANK[self.level]
         if self._differs_since_s is None or is_worse != self._is_worse:
             self._differs_since_s, self._is_worse = now, is_worse
         patience_s = WORSE_AFTER_S if is_worse else BETTER_AFTER_S
-        if self._level == "unknown" or now - self._differs_since_s >= patience_s:
-            self._level, self._differs_since_s = found, None
-        return self._level
+        if self.level == "unknown" or now - self._differs_since_s >= patience_s:
+            self.level, self._differs_since_s = found, None
+        return self.level
 
 
 def own_quality(peers: Sequence[Quality], *, replaced_ratio: float | None = None) -> Quality:

@@ -84,6 +84,9 @@ class Publisher:
     Attributes:
         track: What the link has to publish.
         is_muted_by_admin: Whether an admin has stopped the stream.
+        mode: What becomes of the face, as far as its owner says.
+        source: What plays the face.
+        num_sent: Frames handed to the link.
         seen: The source's latest face, whether it is sent or not; None before the first.
         frame_log: Capture time and encoding time of each frame sent, both in microseconds; drops
             its oldest when full.
@@ -97,7 +100,7 @@ class Publisher:
         self._reflection: Reflection | None = None
         self.frame_log: deque[tuple[int, int]] = deque(maxlen=MAX_LOGGED_FRAMES)
         self.is_muted_by_admin = False
-        self._source = source
+        self.source = source
         self.seen: ExpressionFrame | None = None
         self._encoder = ExpressionEncoder(avatar)
         self._stream, profile = open_encoder(avatar, config.stream(), plain=config.plain)
@@ -105,10 +108,10 @@ class Publisher:
         self._encode = Samples()
         self._first_sent_s: float | None = None
         self._last_sent_s = 0.0
-        self._sent = self._unheard = self._faceless = self._payload_bytes = 0
+        self.num_sent = self._unheard = self._faceless = self._payload_bytes = 0
         self._own_streams: tuple[int, ...] = ()
         self._skipped = self._silent = self._keyframes = 0
-        self._mode: FaceMode = "sent"
+        self.mode: FaceMode = "sent"
         self._mode_before: FaceMode = "sent"
         self._frozen: ExpressionFrame | None = None
         self._is_lost = False
@@ -120,7 +123,7 @@ class Publisher:
     def set_mode(self, mode: FaceMode) -> None:
         """Mute or freeze the face, or let it go on; holds from the next frame. Any thread may call
         it."""
-        self._mode = mode
+        self.mode = mode
 
     def listen_to(self, voice: VoicePublisher | None) -> None:
         """Let the voice of the face's owner move the mouth while nobody is seen, if it may."""
@@ -137,31 +140,21 @@ class Publisher:
         return self._reflection
 
     @property
-    def mode(self) -> FaceMode:
-        """What becomes of the face, as far as its owner says."""
-        return self._mode
-
-    @property
     def trouble(self) -> str:
         """What is wrong with the tracker, for its user; empty: nothing, or there is none."""
-        source = self._source  # another thread may replace it
+        source = self.source  # another thread may replace it
         return source.trouble if isinstance(source, LiveSource) else ""
-
-    @property
-    def source(self) -> Source:
-        """What plays the face."""
-        return self._source
 
     def replace_source(self, source: Source) -> None:
         """Take the face from another source from the next frame on, and let go of the one before.
         Any thread may call it."""
-        before, self._source = self._source, source
+        before, self.source = self.source, source
         if isinstance(before, LiveSource):
             before.close()
 
     def close(self) -> None:
         """Let go of the tracker."""
-        source = self._source
+        source = self.source
         if isinstance(source, LiveSource):
             source.close()
 
@@ -204,7 +197,7 @@ class Publisher:
         seconds = self._last_sent_s - (self._first_sent_s or 0.0)
         return {
             "seconds": round(seconds, 3),
-            "sent": self._sent,
+            "sent": self.num_sent,
             "skipped": self._skipped,
             "not_connected": self._unheard,
             "without_face": self._faceless,
@@ -217,18 +210,13 @@ class Publisher:
         }
 
     @property
-    def num_sent(self) -> int:
-        """Frames handed to the link."""
-        return self._sent
-
-    @property
     def seconds_sent(self) -> float:
         """Time from the first frame to the last."""
         return self._last_sent_s - (self._first_sent_s or 0.0)
 
     def _tell_mode(self, link: Link) -> None:
         """Let the others know why the face stands still."""
-        reason = self._mode if self._mode != "sent" else FACE_LOST if self._is_lost else ""
+        reason = self.mode if self.mode != "sent" else FACE_LOST if self._is_lost else ""
         if reason != self._told:
             self._told = reason
             link.describe(FACE_KEY, reason)
@@ -242,13 +230,13 @@ class Publisher:
 
     def _face(self, time_s: float) -> ExpressionFrame:
         """The face to send: the source's, or the last one of it."""
-        frame = self.seen = self._source.frame_at(time_s)
+        frame = self.seen = self.source.frame_at(time_s)
         if self._spoken is not None:
             frame = self._spoken.fill(frame, time_s)
         self._is_lost = not frame.has_face
-        if self._mode == "frozen" and self._frozen is not None:
+        if self.mode == "frozen" and self._frozen is not None:
             return replace(self._frozen, captured_us=frame.captured_us)
-        if self._mode == "muted":
+        if self.mode == "muted":
             return replace(frame, has_face=False)
         self._frozen = frame if frame.has_face else None
         return frame
@@ -258,10 +246,10 @@ class Publisher:
         if not link.is_joined:
             self._unheard += 1
             return
-        if self._mode != self._mode_before:
+        if self.mode != self._mode_before:
             if self._mode_before == "muted":
                 self._stream.request_keyframe()  # they have seen nothing for a while
-            self._mode_before = self._mode
+            self._mode_before = self.mode
         began_s = time.perf_counter()
         frame = self._face(time_s)
         if not frame.has_face:
@@ -284,7 +272,7 @@ class Publisher:
                 self._reflection.receive(coded, captured_us, now)
             self._first_sent_s = now if self._first_sent_s is None else self._first_sent_s
             self._last_sent_s = now
-            self._sent += 1
+            self.num_sent += 1
             self._keyframes += coded.is_keyframe
             self._payload_bytes += len(coded.payload)
             self._encode.add(encode_s)

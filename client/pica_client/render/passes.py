@@ -175,7 +175,7 @@ class DrawPasses:
         targets.surface.use()
         self._context.enable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         # Near ones first: what they hide is tested away before it is written.
-        for head in sorted(heads, key=_depth):
+        for head in sorted(heads, key=lambda head: float(head.place.matrix[3, 3])):
             is_whole = head.share == WHOLE
             program = self.mesh_programs[0 if is_whole else 1]
             left, bottom, right, top = head.place.view
@@ -317,8 +317,3 @@ class DrawPasses:
 
 def _samples(query: moderngl.Query | nullcontext[None]) -> int | None:
     return None if isinstance(query, nullcontext) else int(query.samples)
-
-
-def _depth(head: DecodedHead) -> float:
-    """Metres from the camera to the head's origin."""
-    return float(head.place.matrix[3, 3])

@@ -109,13 +109,9 @@ def _within(recording: Recording, name: str) -> Recording:
     return recording
 
 
-def _open_take(name: str, start_s: float) -> Source:
-    return TakeSource(load_take(Path(name).expanduser()), None, start_s)
-
-
 OPENERS: dict[str, Callable[[str, float], Source]] = {
     "csv": _open_csv,
-    "take": _open_take,
+    "take": lambda name, start_s: TakeSource(load_take(Path(name).expanduser()), None, start_s),
     "performance": _open_performance,
 }
 """Each kind of source by the word before the colon."""

@@ -32,12 +32,11 @@ class LinkNews:
             case Joined() if self._lost_s is not None:
                 self._say(f"back in the room after {now - self._lost_s:.1f} s")
                 self._lost_s = None
-            case Closed(code=code, reason=reason) if self._is_lost(code):
+            case Closed(code=code, reason=reason) if (
+                self._has_been_there and self._lost_s is None and is_worth_retrying(code)
+            ):
                 self._lost_s = now
                 why = f" ({reason})" if reason else ""
                 self._say(f"connection to the relay lost{why}; coming back by itself")
             case _:
                 pass
-
-    def _is_lost(self, code: int) -> bool:
-        return self._has_been_there and self._lost_s is None and is_worth_retrying(code)

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -44,7 +45,6 @@ from pica_client.ui.own_face import OwnFaceCorner
 from pica_client.ui.settings import OwnChoice
 from pica_client.ui.viewer_options import ViewerOptions
 from pica_client.ui.window import Window
-from pica_core.avatar.file import Avatar
 from pica_core.camera import Camera
 from pica_core.gl import create_context
 
@@ -156,8 +156,9 @@ class Viewer:
             stack.callback(self._recording.close)
             self._captures = CapturesOnDisk(self.options.keep_in, begin_sound)
             stack.callback(lambda: self.outputs.attempt(self._captures.close))
+            make_decoder = partial(OnnxDecoder, options=self.options.onnx)
             self._pool = stack.enter_context(
-                DecodePool(self.options.decode, self._make_decoder, self._clock)
+                DecodePool(self.options.decode, make_decoder, self._clock)
             )
             self._draw_clock: DrawClock[_DrawnFrame] = DrawClock(context)
             self._scheduler = Scheduler(self.options.scheduler)
@@ -331,9 +332,6 @@ class Viewer:
             "draw_calls": self.last_draw.num_draw_calls if self.last_draw else 0,
             **self._meter.summaries(),
         }
-
-    def _make_decoder(self, avatar: Avatar) -> OnnxDecoder:
-        return OnnxDecoder(avatar, self.options.onnx)
 
     def _arrange(self, now: float) -> CallScene:
         state = self.controls.state

@@ -99,8 +99,10 @@ class Window:
             ) from error
         self.context.gc_mode = "context_gc"
         glfw.set_key_callback(self._window, self._on_key)
-        glfw.set_char_callback(self._window, self._on_character)
-        glfw.set_scroll_callback(self._window, self._on_scroll)
+        glfw.set_char_callback(
+            self._window, lambda _, code: self._note(events.TextTyped(chr(code)))
+        )
+        glfw.set_scroll_callback(self._window, lambda _, right, up: self._note(events.Scrolled(up)))
         glfw.set_mouse_button_callback(self._window, self._on_button)
         glfw.set_cursor_pos_callback(self._window, self._on_move)
 
@@ -202,12 +204,6 @@ class Window:
                 name, is_repeat=is_repeat, has_control=has_control, has_shift=has_shift
             )
         )
-
-    def _on_character(self, _window: Any, code_point: int) -> None:
-        self._note(events.TextTyped(chr(code_point)))
-
-    def _on_scroll(self, _window: Any, _right: float, up: float) -> None:
-        self._note(events.Scrolled(up))
 
     def _on_button(self, window: Any, button: int, action: int, _modifiers: int) -> None:
         if button <= glfw.MOUSE_BUTTON_MIDDLE:

@@ -26,6 +26,9 @@ class RateController:
         target_bps: Payload bits a second to keep to.
         num_qualities: How many there are; the last is the finest.
         start: Quality to begin with.
+
+    Attributes:
+        quality: That of the last frame: where the next one of an upper layer begins.
     """
 
     def __init__(self, target_bps: float, num_qualities: int, start: int) -> None:
@@ -33,18 +36,13 @@ class RateController:
             raise ValueError(f"target_bps is {target_bps}; it must be above 0")
         self._target_bps = target_bps
         self._highest = num_qualities - 1
-        self._quality = start
+        self.quality = start
         self._bits = target_bps * CAPACITY_S
         self._filled_s: float | None = None
 
-    @property
-    def quality(self) -> int:
-        """The quality of the last frame: where the next one of an upper layer begins."""
-        return self._quality
-
     def propose(self, layer: int) -> int:
         """The finest quality that a frame of a layer may have."""
-        return min(self._quality + (layer == 0), self._highest)
+        return min(self.quality + (layer == 0), self._highest)
 
     def has_room(self, num_bytes: int, layer: int, now_s: float) -> bool:
         """Whether a frame of this size is within its share."""
@@ -54,7 +52,7 @@ class RateController:
     def sent(self, num_bytes: int, quality: int, now_s: float) -> None:
         """Take a frame out of the bucket; it may owe as much as it holds."""
         self._fill(now_s)
-        self._quality = quality
+        self.quality = quality
         self._bits = max(self._bits - 8 * num_bytes, -self._target_bps * CAPACITY_S)
 
     def _fill(self, now_s: float) -> None:

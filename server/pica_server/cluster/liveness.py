@@ -74,13 +74,11 @@ class Liveness:
         """Say whether a node is dead."""
         if self._heard_s.get(node) == float("-inf"):
             return True
-        return now - self._last_s(node) > LEASE_S
+        last_s = max(self._heard_s.get(node, 0.0), self._listening_since_s)
+        return now - last_s > LEASE_S
 
     def alive(self, now: float) -> list[str]:
         """Return the other nodes that were heard within the lease; forget those long gone."""
         for node in [n for n, at in self._heard_s.items() if now - at > 100 * LEASE_S]:
             del self._heard_s[node]
         return [node for node, at in self._heard_s.items() if now - at <= LEASE_S]
-
-    def _last_s(self, node: str) -> float:
-        return max(self._heard_s.get(node, 0.0), self._listening_since_s)

@@ -240,7 +240,7 @@ class ClusterNode:
             self.liveness.receive_beat(name, now)
             if name not in self._alive:
                 self._look(now)
-            self._settle()
+            self._dirty |= {key: None for key, each in self._rooms.items() if each.is_unsettled}
         elif not data:
             for node in self.liveness.alive(now):
                 if node.partition("-")[0] == slot:
@@ -430,12 +430,6 @@ class ClusterNode:
         self.standing, self._alive = standing, alive
         for key, shared in self._rooms.items():
             if has_changed or shared.is_unsettled or self._exchanges.is_due(key, now):
-                self._dirty[key] = None
-
-    def _settle(self) -> None:
-        """Look at the rooms where somebody waits."""
-        for key, shared in self._rooms.items():
-            if shared.is_unsettled:
                 self._dirty[key] = None
 
     def _room(self, name: str) -> SharedRoom:

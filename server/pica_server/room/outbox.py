@@ -86,7 +86,11 @@ class ArrivedFrame:
 
 
 class Outbox:
-    """The queue between the room and one receiver's socket."""
+    """The queue between the room and one receiver's socket.
+
+    Attributes:
+        waiting_control_bytes: Bytes of control messages that wait.
+    """
 
     def __init__(
         self,
@@ -111,7 +115,7 @@ class Outbox:
         self._may_flow, self._rides = flows, rides
         self._brake = brake or Brake()
         self._control: deque[bytes] = deque()
-        self._control_bytes = 0
+        self.waiting_control_bytes = 0
         self._queues: dict[int, StreamQueue | OrderedQueue] = {}
         self._ordered: dict[int, OrderedQueue] = {}
         # Streams with something in their queue; dict order is the order of waiting.
@@ -153,21 +157,18 @@ class Outbox:
         """Whether there are ordered streams for this receiver."""
         return bool(self._ordered)
 
-    @property
-    def waiting_control_bytes(self) -> int:
-        """How many bytes of control messages wait."""
-        return self._control_bytes
-
     def put_control(self, data: bytes) -> None:
         """Queue a control message.
 
         Raises:
             OutboxFullError: The receiver has let too many pile up; nothing was queued.
         """
-        if self._control_bytes + len(data) > self._max_control_bytes:
-            raise OutboxFullError(f"{self._control_bytes} bytes of control messages wait unread")
+        if self.waiting_control_bytes + len(data) > self._max_control_bytes:
+            raise OutboxFullError(
+                f"{self.waiting_control_bytes} bytes of control messages wait unread"
+            )
         self._control.append(data)
-        self._control_bytes += len(data)
+        self.waiting_control_bytes += len(data)
 
     def put(self, frame: ArrivedFrame) -> Put:
         """Queue a frame, or drop it, and what it replaces; see `StreamQueue.put`."""
@@ -243,7 +244,7 @@ class Outbox:
         for emptied in (self._flowing, self._queues, self._ordered, self._line, self._voices):
             emptied.clear()
         self._control.extend(last_words)
-        self._control_bytes += sum(map(len, last_words))
+        self.waiting_control_bytes += sum(map(len, last_words))
         return dropped
 
     def take(self, now: float = -math.inf) -> OutboundMessage | None:
@@ -254,7 +255,7 @@ class Outbox:
         """
         if self._control:
             data = self._control.popleft()
-            self._control_bytes -= len(data)
+            self.waiting_control_bytes -= len(data)
             return OutboundMessage(data, ())
         room_left = MAX_MEDIA_MESSAGE_BYTES - 1
         voices = self._take_voices(room_left, now) if self._voices else []

@@ -12,6 +12,7 @@ import json
 from math import prod
 from typing import Any, Final, TypeGuard
 
+from pica_protocol.codec import unique_keys
 from pica_protocol.limits import quoted
 from pica_server.errors import UnfitFileError
 
@@ -73,9 +74,7 @@ def check_header(text: bytes, num_data_bytes: int) -> None:
         UnfitFileError: It is no JSON, no avatar's, or its tensors do not fit it and each other.
     """
     try:
-        header = json.loads(
-            text, parse_constant=_refuse_constant, object_pairs_hook=_refuse_duplicates
-        )
+        header = json.loads(text, parse_constant=_refuse_constant, object_pairs_hook=unique_keys)
     except (ValueError, RecursionError) as error:
         raise UnfitFileError("its header is not valid JSON") from error
     if not isinstance(header, dict):
@@ -119,10 +118,3 @@ def _are_sizes(values: Any) -> TypeGuard[list[int]]:
 
 def _refuse_constant(constant: str) -> None:
     raise ValueError(f"the constant {constant} is not allowed")
-
-
-def _refuse_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) != len(pairs):  # two readers could see two different files
-        raise ValueError("a key appears twice")
-    return found
