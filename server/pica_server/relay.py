@@ -227,7 +227,7 @@ class Relay:
         # Nobody waits for those until their handshake is late.
         for websocket in list(self._silent):
             websocket.give_up()
-        self.hub.close_all(CloseCode.GOING_AWAY, "the relay is stopping", self._now())
+        self.hub.membership.close_all(CloseCode.GOING_AWAY, "the relay is stopping", self._now())
         self._pump.after_events()
         for websocket in self._transfers:
             websocket.transport.abort()

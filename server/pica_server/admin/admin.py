@@ -75,7 +75,11 @@ class Admin:
             query = parse_qs(parts.query)
             if path == ("v1", "rooms"):
                 _allow(method, "GET")
-                rooms = [room for room in self._hub.rooms if scope in (ANY_ROOM, room.name)]
+                rooms = [
+                    room
+                    for room in self._hub.membership.rooms.values()
+                    if scope in (ANY_ROOM, room.name)
+                ]
                 return _ok({"rooms": [_summary(room) for room in rooms]})
             if len(path) >= 3 and path[:2] == ("v1", "rooms"):
                 if scope not in (ANY_ROOM, path[2]):
@@ -114,7 +118,7 @@ class Admin:
         hub = self._hub
         room = hub.room(name)
         match rest:
-            case ("bars", identity) if room is not None or hub.cluster_peers is None:
+            case ("bars", identity) if room is not None or hub.connections.cluster_peers is None:
                 _allow(method, "PUT", "DELETE")
                 is_barred, lasts_s = method == "PUT", _duration_s(query)
                 hub.moderation.bar(name, identity, is_barred=is_barred, lasts_s=lasts_s, now=now)
@@ -158,7 +162,7 @@ class Admin:
         return {**_summary(room), "peers": peers}
 
     def _peer_details(self, room: Room, peer: Peer) -> dict[str, Any]:
-        connection = self._hub.connection_of(peer.peer_id)
+        connection = self._hub.connections.by_peer.get(peer.peer_id)
         outbox = None if connection is None else connection.outbox
         muted = {number for number, stream in room.streams if stream.is_muted}
         return {

@@ -66,7 +66,7 @@ class StatusPages:
                 # No reason to start it again: its rooms go on, and it comes back by itself.
                 return _verdict(trouble, self._cluster_trouble)
             case "/readyz":
-                if self._hub.is_draining:
+                if self._hub.connections.is_draining:
                     return _verdict("draining")
                 if self._hub.brake.level:
                     page = _verdict("late, nobody joins anew and upper layers are dropped")
@@ -81,11 +81,12 @@ class StatusPages:
 
     @property
     def _cluster_trouble(self) -> str:
-        return "" if self._hub.cluster_peers is None else self._hub.cluster_peers.trouble
+        cluster = self._hub.connections.cluster_peers
+        return "" if cluster is None else cluster.trouble
 
     def _metrics(self, now: float) -> str:
         hub = self._hub
-        cluster = hub.cluster_peers
+        cluster = hub.connections.cluster_peers
         num_nodes = 0 if cluster is None else cluster.num_nodes
         is_up = cluster is not None and not cluster.trouble
         store = self._store
@@ -100,7 +101,7 @@ class StatusPages:
                 "cluster_nodes": ("Nodes of the cluster that live, with this one.", num_nodes),
                 "open_connections": ("Connections that are open now.", hub.num_connections),
                 "rooms": ("Rooms with somebody in them.", hub.num_rooms),
-                "draining": ("1 while everybody is sent away.", float(hub.is_draining)),
+                "draining": ("1 while everybody is sent away.", float(hub.connections.is_draining)),
                 "waiting_frames": ("Frames that wait for receivers.", hub.num_waiting_frames),
                 "waiting_control_bytes": (
                     "Bytes of control messages that wait for receivers.",

@@ -15,7 +15,7 @@ A connection is over when its ``closed`` is set; what it still has to send ends 
 import heapq
 import math
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
 from pica_protocol.errors import CloseCode
@@ -26,7 +26,6 @@ from pica_server.cluster.peers import ClusterPeers
 from pica_server.config.relay import RelayConfig
 from pica_server.hooks.events import RoomEvent
 from pica_server.ops.stats import RelayStats
-from pica_server.room.brake import Brake
 from pica_server.room.connection import Connection
 from pica_server.room.connections import Connections
 from pica_server.room.drain import departures
@@ -49,6 +48,9 @@ class Hub:
 
     Attributes:
         stats: What it has done so far.
+        connections: The peers that are here, and the other nodes of the cluster.
+        brake: What it gives up as it has too much to do.
+        busy_ratio: How much of the time the event loop has worked lately, 0 to 1.
         forwarding: What goes from peer to peer.
         membership: Who is in which room.
         rulings: What an admin has ruled that outlasts connections.
@@ -78,11 +80,12 @@ class Hub:
         self.stats = RelayStats()
         grace_s = 0.0 if new_secret is None else config.resume_grace_s
         self._tickets = ResumeTickets(grace_s, new_secret or str)
-        self._connections = Connections(config, self.stats)
-        self.forwarding = Forwarding(self._connections)
+        self.connections = Connections(config, self.stats)
+        self.brake = self.connections.brake
+        self.forwarding = Forwarding(self.connections)
         self.rulings = Rulings(unix_time)
         self.membership = Membership(
-            self._connections,
+            self.connections,
             self.forwarding,
             self._tickets,
             self.rulings,
@@ -90,12 +93,12 @@ class Hub:
             notify or (lambda notice: None),
         )
         self.moderation = Moderation(
-            self._connections, self.membership, self.forwarding, self.rulings
+            self.connections, self.membership, self.forwarding, self.rulings
         )
         self._config = config
-        self._ready, self._timers = self._connections.ready, self._connections.timers
+        self._ready, self._timers = self.connections.ready, self.connections.timers
         self._load = (0.0, 0.0)
-        self._busy_ratio = 0.0
+        self.busy_ratio = 0.0
         self._departures: deque[tuple[float, str]] = deque()
         # Whose messages wait for more to share them with: each stands here once.
         self._held: list[tuple[float, int, Connection]] = []
@@ -107,62 +110,33 @@ class Hub:
             cluster_peers: The other nodes.
             prefix: Begins the id of every peer of this node, and of no other one's.
         """
-        self._connections.cluster_peers, self._connections.prefix = cluster_peers, prefix
-
-    @property
-    def cluster_peers(self) -> ClusterPeers | None:
-        """The other nodes of its cluster, or None."""
-        return self._connections.cluster_peers
+        self.connections.cluster_peers, self.connections.prefix = cluster_peers, prefix
 
     @property
     def num_connections(self) -> int:
         """Connections that are not over yet."""
-        return len(self._connections.by_peer)
+        return len(self.connections.by_peer)
 
     @property
     def num_rooms(self) -> int:
         """Rooms with somebody in them."""
         return len(self.membership.rooms)
 
-    @property
-    def rooms(self) -> Iterable[Room]:
-        """Every room, to look at."""
-        return self.membership.rooms.values()
-
     def room(self, name: str) -> Room | None:
         """Return a room, or None if nobody is in it here."""
         return self.membership.rooms.get(name)
 
-    def connection_of(self, peer_id: str) -> Connection | None:
-        """Return the connection of a peer to look at, or None: it is away, elsewhere, or gone."""
-        return self._connections.by_peer.get(peer_id)
-
-    @property
-    def is_draining(self) -> bool:
-        """Whether everybody is being sent away, and nobody let in."""
-        return self._connections.is_draining
-
     @property
     def num_waiting_frames(self) -> int:
         """Frames that wait for their receivers."""
-        connections = self._connections.by_peer.values()
+        connections = self.connections.by_peer.values()
         return sum(each.outbox.waiting_frames for each in connections)
 
     @property
     def num_waiting_control_bytes(self) -> int:
         """Bytes of control messages that wait."""
-        connections = self._connections.by_peer.values()
+        connections = self.connections.by_peer.values()
         return sum(each.outbox.waiting_control_bytes for each in connections)
-
-    @property
-    def busy_ratio(self) -> float:
-        """How much of the time the event loop has worked lately, 0 to 1."""
-        return self._busy_ratio
-
-    @property
-    def brake(self) -> Brake:
-        """What it gives up as it has too much to do."""
-        return self._connections.brake
 
     def note_turn(self, late_s: float, processor_s: float, now: float) -> None:
         """Note how late the event loop has just been, and what processor time it has used until
@@ -170,20 +144,20 @@ class Hub:
         before_s, since_s = self._load
         if now - since_s >= BUSY_PERIOD_S:
             self._load = (processor_s, now)
-            self._busy_ratio = (processor_s - before_s) / (now - since_s)
-        self.brake.note_turn(late_s, self._busy_ratio, now)
+            self.busy_ratio = (processor_s - before_s) / (now - since_s)
+        self.brake.note_turn(late_s, self.busy_ratio, now)
 
     def connect(self, now: float, address: str = "") -> Connection:
         """Take a new websocket, see `Connections.connect`."""
-        return self._connections.connect(now, address)
+        return self.connections.connect(now, address)
 
     def receive(self, connection: Connection, data: bytes | str, now: float) -> None:
         """Take one websocket message of a connection."""
         self.stats.bytes_in += len(data)
         if not connection.bytes_in.take(now, len(data)):
-            self._connections.close_too_fast(connection, "bytes", now)
+            self.connections.close_too_fast(connection, "bytes", now)
         elif not connection.messages_in.take(now):
-            self._connections.close_too_fast(connection, "messages", now)
+            self.connections.close_too_fast(connection, "messages", now)
         elif self.brake.level and self.forwarding.drop_late(connection, data, now):
             return
         for event in connection.session.receive_data(data, now):
@@ -191,7 +165,7 @@ class Hub:
                 self.forwarding.forward(connection, event, now)
                 return
             self._handle(connection, event, now)
-        self._connections.flush(connection, now)
+        self.connections.flush(connection, now)
 
     def drop_late(self, connection: Connection, data: bytes, now: float) -> bool:
         """Drop a message as it comes if nobody is to get it because the relay is late; return
@@ -200,7 +174,7 @@ class Hub:
             return False
         self.stats.bytes_in += len(data)
         if not connection.messages_in.take(now):
-            self._connections.close_too_fast(connection, "messages", now)
+            self.connections.close_too_fast(connection, "messages", now)
         return True
 
     def disconnect(self, connection: Connection, code: int, reason: str, now: float) -> None:
@@ -212,21 +186,17 @@ class Hub:
         """End a connection from this side; one that is lost, for good."""
         self.membership.close(connection, code, reason, now)
 
-    def close_all(self, code: CloseCode, reason: str, now: float) -> None:
-        """End every connection: the relay is stopping."""
-        self.membership.close_all(code, reason, now)
-
     def drain(self, now: float) -> None:
         """Begin to send everybody away: who has no room at once, the rooms one after the other.
 
         All that waits for them goes out before their goodbye. Nobody is let in any more.
         """
-        config, connections = self._config, self._connections
+        config, connections = self._config, self.connections
         connections.is_draining = True
         roomless = [each for each in connections.by_peer.values() if each.room is None]
         connections.send_elsewhere(roomless, now)
         offsets_s = departures(
-            [len(connections.connected(room)) for room in self.rooms],
+            [len(connections.connected(room)) for room in self.membership.rooms.values()],
             per_s=config.limits.joins_per_s,
             burst=config.limits.joins_burst,
             longest_s=config.drain_s,
@@ -238,7 +208,7 @@ class Hub:
     def take_ready(self) -> list[Connection]:
         """Take the list of connections that have got something to send, voices first, or have
         closed."""
-        first, ready = self._connections.first, self._ready
+        first, ready = self.connections.first, self._ready
         taken = list(first | ready) if first else list(ready)
         first.clear()
         ready.clear()
@@ -297,14 +267,14 @@ class Hub:
                 self._ready[connection] = None
         self._send_rooms_away(now)
         self.membership.handle_timer(now)
-        self._connections.handle_timer(now)
+        self.connections.handle_timer(now)
 
     def _send_rooms_away(self, now: float) -> None:
         while self._departures and self._departures[0][0] <= now:
             _, name = self._departures.popleft()
             room = self.room(name)
             if room is not None:  # else it has emptied by itself
-                self._connections.send_elsewhere(self._connections.connected(room), now)
+                self.connections.send_elsewhere(self.connections.connected(room), now)
                 self.membership.give_up_away(room, "lost", now)
 
     def _handle(self, connection: Connection, event: ServerEvent, now: float) -> None:

@@ -180,7 +180,7 @@ def test_a_closed_room_is_empty_and_its_peers_know_why() -> None:
     cyd.lose_connection(now=0.5)
     assert hub.moderation.close_room("lobby", now=1.0) == 3
     assert ada.closed_code == bob.closed_code == CloseCode.ROOM_CLOSED
-    assert [room.name for room in hub.rooms] == ["elsewhere"]
+    assert [room.name for room in hub.membership.rooms.values()] == ["elsewhere"]
     assert other.closed_code is None
     assert not any(isinstance(each, PeerLeft) for each in ada.listen(now=1.0))
 

@@ -185,7 +185,7 @@ def test_a_room_that_is_full_of_nobody_begins_anew_with_whoever_comes() -> None:
     hub, (ada,) = hub_with("Ada", config=RelayConfig(room_capacity=1), resumable=True)
     ada.lose_connection(now=1.0)
     assert Member(hub, "Bob", now=2.0).closed_code is None
-    assert [len(room) for room in hub.rooms] == [1]
+    assert [len(room) for room in hub.membership.rooms.values()] == [1]
 
 
 def test_a_newcomer_learns_who_is_away() -> None:
