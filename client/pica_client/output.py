@@ -65,17 +65,19 @@ class Outputs:
         return self.attempt(write)
 
 
-def check_writable(path: Path, suffix: str = "") -> None:
+def check_writable(path: Path | None, suffix: str = "") -> None:
     """Refuse before the work what could not be written after it. Writes nothing.
 
     Args:
-        path: The file.
+        path: The file; None: there will be none.
         suffix: What the name of such a file ends in; a name without any ending will do, too.
 
     Raises:
         OptionError: A folder stands there, its folder is not there, it is not ours to write, or its
             name promises another kind of file.
     """
+    if path is None:
+        return
     if suffix and path.suffix.lower() not in ("", suffix):
         better = path.with_suffix(suffix)
         raise OptionError(f"{path}: would hold {suffix[1:].upper()} all the same; name it {better}")

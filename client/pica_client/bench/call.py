@@ -134,12 +134,9 @@ def run_bench(config: BenchConfig, *, avatar_files: list[Path] | None = None) ->
             sender crashed is no measurement.
     """
     library = AvatarLibrary(avatar_files or ())
-    try:
-        with Children() as children:
-            local = local_call.LocalCall(config.call, library, children)
-            return asyncio.run(_measure(config, local, library))
-    finally:
-        library.close()
+    with contextlib.closing(library), Children() as children:
+        local = local_call.LocalCall(config.call, library, children)
+        return asyncio.run(_measure(config, local, library))
 
 
 async def _measure(

@@ -2,6 +2,7 @@
 
 import asyncio
 import sys
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -81,11 +82,8 @@ def avatar_thumbnail(options: ThumbnailOptions) -> dict[str, Any]:
 
     check_writable(options.out, ".png")
     size = parse_size(options.size)
-    library = AvatarLibrary()
-    try:
+    with closing(AvatarLibrary()) as library:
         avatar = library.load(library.find(options.avatar))
-    finally:
-        library.close()
     save_png(options.out, draw_thumbnail(avatar, size))
     say(f"wrote {options.out}")
     return {"name": avatar.manifest.name, "out": str(options.out)}

@@ -1,5 +1,6 @@
 """The commands of `pica bench` that measure avatars and calls; `bench_relay` needs no numpy."""
 
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -54,11 +55,8 @@ class AvatarsBenchOptions(Generic[Config]):
 
 
 def _load(names: str | None) -> list[Avatar]:
-    library = AvatarLibrary()
-    try:
+    with closing(AvatarLibrary()) as library:
         return [library.load(library.find(name)) for name in choose_avatars(names, library)]
-    finally:
-        library.close()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -134,8 +132,7 @@ def bench_codec(options: AvatarBenchOptions[CodecConfig]) -> Result:
     Compares our qualities, thinned and whole, with plain 8 bit, 16-bit float, zlib and zstd with a
     trained dictionary.
     """
-    if options.config.sheet is not None:
-        check_writable(options.config.sheet, ".png")
+    check_writable(options.config.sheet, ".png")
     result = run_codec_bench(options.config, options.load())
     say_rows(result["rows"], "source profile payload_bps mse change_mse psnr_loss_db")
     return result
@@ -212,8 +209,7 @@ def bench_scene(options: AvatarsBenchOptions[SceneBenchConfig]) -> Result:
     Avatars are dealt to the heads in turn. Set LP_NUM_THREADS to say how many threads software GL
     takes.
     """
-    if options.config.sheet is not None:
-        check_writable(options.config.sheet, ".png")
+    check_writable(options.config.sheet, ".png")
     result = run_scene_bench(options.config, options.load())
     say_rows(
         result["rows"],

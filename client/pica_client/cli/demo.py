@@ -6,6 +6,7 @@ latency is waiting for the picture before.
 
 import json
 import time
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -81,19 +82,15 @@ def run_demo(config: DemoConfig) -> dict[str, Any]:
             sender crashed the call goes on without it, the files are written, and then it raises.
     """
     make_folder(config.out)
-    library = AvatarLibrary()
-    try:
-        with Children() as children:
-            stage = local_call.LocalCall(config.call, library, children)
-            log = children.folder / "view.json"
-            viewer = children.start("viewer", *_view_arguments(config, stage, log))
-            _watch(config, stage, viewer)
-            shown = viewer.result()
-            sent = stage.finish()
-            stats = _stats(config, stage, shown, sent, json.loads(log.read_text()))
-            failures = stage.failures()
-    finally:
-        library.close()
+    with closing(AvatarLibrary()) as library, Children() as children:
+        stage = local_call.LocalCall(config.call, library, children)
+        log = children.folder / "view.json"
+        viewer = children.start("viewer", *_view_arguments(config, stage, log))
+        _watch(config, stage, viewer)
+        shown = viewer.result()
+        sent = stage.finish()
+        stats = _stats(config, stage, shown, sent, json.loads(log.read_text()))
+        failures = stage.failures()
     stats_file = config.out / "stats.json"
     with writing_whole(stats_file) as unfinished:
         unfinished.write_text(json.dumps(stats, indent=2) + "\n")

@@ -81,8 +81,7 @@ def send(options: SendOptions) -> dict[str, Any]:
     voice, K calibrates a tracker to a relaxed face, and Q leaves. It comes back by itself when the
     relay goes away and returns.
     """
-    if options.frame_log is not None:
-        check_writable(options.frame_log)
+    check_writable(options.frame_log)
     link = LinkConfig(
         url=options.url,
         room=options.room,
@@ -98,11 +97,8 @@ def send(options: SendOptions) -> dict[str, Any]:
     voice = open_voice(options.voice, cleans=options.clean)
     is_sealed = link.secret_file is not None
     publisher = None if voice is None else VoicePublisher(voice, is_sealed=is_sealed)
-    library = AvatarLibrary()
-    try:
+    with closing(AvatarLibrary()) as library:
         own = choose_own_avatar(options.avatar, link.name, library)
-    finally:
-        library.close()
     where = f"room {link.room} at {link.url}"
     news = LinkNews(f"sending {options.source} as {link.name} to {where}", say)
     giver = own.giver(link, say, options.give_avatar)

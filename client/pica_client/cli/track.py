@@ -13,7 +13,7 @@ from rich.live import Live
 from rich.table import Table
 from tyro.conf import Positional
 
-from pica_client.errors import OptionError, SourceError
+from pica_client.errors import OptionError, SourceError, check_ranges
 from pica_client.output import check_writable, say
 from pica_client.sources.live.calibration import MAX_GAIN, Calibration
 from pica_client.sources.live.calibration import calibrate as calibration_of_samples
@@ -77,8 +77,7 @@ class CalibrateOptions:
 
 def track(options: TrackOptions) -> dict[str, Any]:
     """Show what a tracker sends: rate, gaps, shapes, head, and what would mend it."""
-    if options.record is not None:
-        check_writable(options.record)
+    check_writable(options.record)
     report, recorder = TrackReport(options.source), TakeRecorder()
 
     def tap(sample: TrackerSample, arrived_s: float, process_s: float) -> None:
@@ -117,10 +116,7 @@ def calibrate(options: CalibrateOptions) -> dict[str, Any]:
     """
     if not options.seconds > 0:
         raise OptionError(f"seconds is {options.seconds:g}; above 0 is needed")
-    if not 1 <= options.gain <= MAX_GAIN:
-        raise OptionError(f"gain is {options.gain:g}; 1 (off) to {MAX_GAIN:g} is allowed")
-    if not 0 <= options.plosives <= 60:
-        raise OptionError(f"plosives is {options.plosives}; 0 to 60 is allowed")
+    check_ranges(options, gain=(1, MAX_GAIN), plosives=(0, 60))
     kind, _ = split_source(options.source)
     offset_s = (calibration_of(options.name, kind) or Calibration()).sound_offset_s
     samples: list[FloatArray] = []

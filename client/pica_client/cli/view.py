@@ -1,5 +1,6 @@
 """`pica view`: everybody in a room, in a window or a recording."""
 
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -188,8 +189,7 @@ def view(options: ViewOptions) -> dict[str, Any]:
         fetch=options.fetch,
         avatar_cache=options.avatar_cache,
     )
-    library = AvatarLibrary(folder=options.avatar_folder)
-    try:
+    with closing(AvatarLibrary(folder=options.avatar_folder)) as library:
         for name in (options.avatar or "").split(","):
             if name:
                 library.load(library.find(name))
@@ -198,8 +198,6 @@ def view(options: ViewOptions) -> dict[str, Any]:
             result = ask_and_look(config, library, face, on_stop_signal, kept=kept, form=form)
         else:
             result = look(config, library, face, on_stop_signal, kept=kept)
-    finally:
-        library.close()
     say(f"drew {result['frames_rendered']} images at {result['render_fps']} a second")
     return result
 

@@ -119,13 +119,9 @@ class View:
         Raises:
             OptionError: A file or folder that is to be written cannot be.
         """
-        for path, suffix in (
-            (config.png, ".png"),
-            (config.frame_log, ""),
-            (config.viewer.record, ".mp4"),
-        ):
-            if path is not None:
-                check_writable(path, suffix)
+        check_writable(config.png, ".png")
+        check_writable(config.frame_log)
+        check_writable(config.viewer.record, ".mp4")
         if config.png_folder is not None:
             make_folder(config.png_folder)
         self._config = config

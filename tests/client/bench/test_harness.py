@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import pytest
 
 from pica_client.bench.harness import median_ms, spread, take_turns
-from pica_client.bench.option_types import check_ranges
-from pica_client.errors import OptionError
+from pica_client.errors import OptionError, check_ranges
 
 pytestmark = pytest.mark.unit
 
