@@ -3,11 +3,12 @@ stage."""
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple, Protocol, Self
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from pica_client.closing import Closing
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.errors import OptionError
 from pica_client.render.drawing import HEAD, Drawing, HeadRenderer, drawn_mse
@@ -132,7 +133,7 @@ class Surface(NamedTuple):
     position_map: FloatArray
 
 
-class FaceRenderer:
+class FaceRenderer(Closing):
     """Draws the latents of one avatar from views of the stage, through the real decoder and
     renderer; belongs to one thread.
 
@@ -203,12 +204,6 @@ class FaceRenderer:
     def close(self) -> None:
         """Give the GL context back."""
         self._context.release()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def evaluation_cameras(views: Sequence[str], size_px: int) -> tuple[Camera, ...]:

@@ -24,8 +24,8 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Self
 
+from pica_client.closing import Closing
 from pica_client.decode.decoder import ObjectDecoder
 from pica_client.decode.request import DecodeRequest, DecodeResult, Parts
 from pica_client.errors import OptionError
@@ -61,7 +61,7 @@ class _Slot:
     """What to get ready for when there is time; the last first."""
 
 
-class DecodePool:
+class DecodePool(Closing):
     """Decodes the newest latent of every avatar on worker threads.
 
     Args:
@@ -92,12 +92,6 @@ class DecodePool:
         ]
         for worker in self._workers:
             worker.start()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     @property
     def num_replaced(self) -> int:

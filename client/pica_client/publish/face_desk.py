@@ -11,15 +11,14 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Final, Protocol, runtime_checkable
 
-import numpy as np
-
 from pica_client.errors import SourceError
 from pica_client.publish.publisher import Publisher
 from pica_client.sources import LiveSource, open_source
 from pica_client.sources.live.calibration import Calibration, CalibrationStore, calibrate
 from pica_client.sources.live.live_face import LiveFace
 from pica_client.sources.registry import calibrations, split_source
-from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT, ExpressionFrame
+from pica_client.sources.source import Unseen
+from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.types import Image
 
 REST_S: Final = 1.5
@@ -160,19 +159,10 @@ class FaceDesk:
         return f"Calibrated for {self._person} and {kind}"
 
     def _open(self, source: str) -> None:
-        self.publisher.replace_source(_Nobody())  # both may want the same port or camera
+        self.publisher.replace_source(Unseen())  # both may want the same port or camera
         try:
             opened = open_source(source, person=self._person)
         except (SourceError, ModuleNotFoundError):
             self.publisher.replace_source(open_source(self.source, person=self._person))
             raise
         self.publisher.replace_source(opened)
-
-
-class _Nobody:
-    """A source without a face."""
-
-    def frame_at(self, time_s: float) -> ExpressionFrame:
-        return ExpressionFrame(
-            captured_us=round(time_s * 1e6), arkit=np.zeros(NUM_ARKIT, np.float32), has_face=False
-        )

@@ -12,10 +12,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
+from pica_client.closing import Closing
 from pica_client.errors import OptionError
 from pica_client.output import writing, writing_whole
 from pica_client.voice.packet import SAMPLE_RATE_HZ
@@ -37,7 +38,7 @@ KEY_FRAMES = 60
 """A key frame after so many frames, two seconds of a call: the most that a kill costs (chosen)."""
 
 
-class Recorder:
+class Recorder(Closing):
     """Writes an MP4: H.264 where this build of FFmpeg has it, else MPEG-4 part 2; AAC.
 
     Args:
@@ -89,12 +90,6 @@ class Recorder:
             self._sound_stream = self._container.add_stream("aac", rate=SAMPLE_RATE_HZ)
             self._sound_stream.layout = "stereo"
             self._sound_stream.bit_rate = SOUND_BPS
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def write(self, image: Image, time_s: float) -> None:
         """Append a frame.

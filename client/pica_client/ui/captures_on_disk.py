@@ -5,8 +5,8 @@ Names count up and say nothing of the time: ``picture-0001.png``, ``recording-00
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Self
 
+from pica_client.closing import Closing
 from pica_client.errors import OptionError
 from pica_client.output import Outputs, make_folder, writing
 from pica_client.render.recorder import Recorder, save_png
@@ -55,7 +55,7 @@ class Recording:
             self._outputs.attempt(recorder.close)
 
 
-class CapturesOnDisk:
+class CapturesOnDisk(Closing):
     """Writes into folders that are made when they are first needed.
 
     Its methods return what to tell the user, empty for nothing.
@@ -71,12 +71,6 @@ class CapturesOnDisk:
         self._videos = folder or videos_folder()
         self._recorder: Recorder | None = None
         self._path = Path()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     @property
     def is_recording(self) -> bool:

@@ -14,13 +14,14 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import moderngl
 import numpy as np
 
 from pica_client.call.faces import FaceSource
 from pica_client.call.status import CallStatus
+from pica_client.closing import Closing
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool
 from pica_client.decode.request import DecodeResult
@@ -63,7 +64,7 @@ class _DrawnFrame:
     num_triangles: int = 0
 
 
-class Viewer:
+class Viewer(Closing):
     """Shows the faces of a source in a window or off the screen.
 
     Args:
@@ -178,12 +179,6 @@ class Viewer:
                 stack.callback(self._own_face.close)
             self._resources = stack.pop_all()
         self._started_s = self._clock()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Stop decoding, finish the recordings, close the window if it is the viewer's own."""

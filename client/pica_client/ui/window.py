@@ -13,11 +13,12 @@ One window per process; everything on the thread that made it.
 """
 
 from collections.abc import Callable
-from typing import Any, Self
+from typing import Any
 
 import glfw
 import moderngl
 
+from pica_client.closing import Closing
 from pica_client.ui import events
 from pica_client.ui.display import has_display
 from pica_core.errors import GraphicsError
@@ -54,7 +55,7 @@ KEY_NAMES: dict[int, str] = {
 }
 
 
-class Window:
+class Window(Closing):
     """A glfw window with a GL 3.3 context.
 
     Args:
@@ -105,12 +106,6 @@ class Window:
         glfw.set_scroll_callback(self._window, lambda _, right, up: self._note(events.Scrolled(up)))
         glfw.set_mouse_button_callback(self._window, self._on_button)
         glfw.set_cursor_pos_callback(self._window, self._on_move)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     @property
     def size_px(self) -> tuple[int, int]:

@@ -3,12 +3,13 @@
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from typing import Any, Self
+from typing import Any
 
 import moderngl
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.own_avatar import avatar_by_name
+from pica_client.closing import Closing
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.room import STILL
 from pica_client.ui.events import CloseWanted
@@ -25,7 +26,7 @@ from pica_client.voice.sound.process import SoundProcess
 PERIOD_S = 1 / 30
 
 
-class Lobby:
+class Lobby(Closing):
     """An empty room in a window.
 
     Args:
@@ -55,12 +56,6 @@ class Lobby:
             stack.callback(self._portraits.close)
             self._textures: dict[str, int] = {}
             self._resources = stack.pop_all()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Give back what is on the GPU."""
