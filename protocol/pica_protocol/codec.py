@@ -89,7 +89,7 @@ def _unpack(data: bytes) -> object:
             memoryview(data)[1:],
             raw=False,
             strict_map_key=True,
-            ext_hook=_refuse_extension,
+            ext_hook=refuse_extension,
             object_pairs_hook=unique_keys,
             max_str_len=max(limits.MAX_TEXT_BYTES, limits.MAX_PASS_BYTES),
             max_bin_len=limits.MAX_WHISPER_BYTES,
@@ -118,7 +118,8 @@ def unique_keys(pairs: list[tuple[Any, Any]]) -> dict[Any, Any]:
     return record
 
 
-def _refuse_extension(code: int, _data: bytes) -> object:
+def refuse_extension(code: int, _data: bytes) -> object:
+    """Raise ValueError: msgpack's extension types have no place in our messages."""
     raise ValueError(f"extension type {code}")
 
 

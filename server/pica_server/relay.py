@@ -65,20 +65,12 @@ class Relay:
         ClusterError: On entry, when the cluster cannot be joined.
     """
 
-    def __init__(
-        self,
-        config: RelayConfig,
-        *,
-        unix_time: Callable[[], float] = time.time,
-        processor_time: Callable[[], float] | None = None,
-    ) -> None:
+    def __init__(self, config: RelayConfig, *, unix_time: Callable[[], float] = time.time) -> None:
         """Prepare to listen.
 
         Args:
             config: Where, and the limits.
             unix_time: The clock that tokens are checked against.
-            processor_time: What the event loop's thread has used of its core until now, seconds;
-                `time.thread_time` by default.
         """
         self.config = config
         keys: KeyRing | None = None
@@ -87,7 +79,7 @@ class Relay:
         self.hub = Hub(
             config,
             None if keys is None else lambda join: admit(keys, join, now=unix_time()),
-            new_secret=_new_secret,
+            new_secret=lambda: secrets.token_urlsafe(16),  # 128 bits
             notify=self._notify,
             unix_time=unix_time,
         )
@@ -140,7 +132,6 @@ class Relay:
         self._server: Server | None = None
         self._cluster: Cluster | None = None
         self._watch = LoopWatch()
-        self._processor_time = processor_time or time.thread_time
         self._pages = StatusPages(self.hub, self._watch, config, self.store)
         self._watching: asyncio.TimerHandle | None = None
 
@@ -294,7 +285,7 @@ class Relay:
         def look() -> None:
             now = loop.time()
             self._watch.note(due_s, now)
-            self.hub.note_turn(now - due_s, self._processor_time(), now)
+            self.hub.note_turn(now - due_s, time.thread_time(), now)
             self._watch_later()
 
         self._watching = loop.call_at(due_s, look)
@@ -323,11 +314,6 @@ class Relay:
 
     def _now(self) -> float:
         return asyncio.get_running_loop().time()
-
-
-def _new_secret() -> str:
-    """Return 128 bits that nobody can guess."""
-    return secrets.token_urlsafe(16)
 
 
 def _select_subprotocol(

@@ -411,7 +411,7 @@ class Call:
 
     def _lacks_secret(self, peer_id: str) -> bool:
         """Whether a peer's payloads are encrypted, as it has told us, and we have no secret."""
-        return self.seal_status() is None and self._roster.has_whispered(peer_id)
+        return self.seal_status() is None and self._roster.member(peer_id).has_whispered
 
     def _is_silent(self, seat: RemoteParticipant, now: float) -> bool:
         """Whether nothing has come for so long that it is to be shown."""
@@ -444,13 +444,14 @@ class Call:
         heard_us = self.heard_us(seat.peer.peer_id, now)
         played, is_held = seat.play(now, heard_us)
         peer, avatar_id, note = seat.peer, seat.track.avatar, self._note(seat, now)
+        member = self._roster.member(peer.peer_id)
         face = FaceState(
             peer_id=peer.peer_id,
-            name=self._roster.title(peer.peer_id),
+            name=member.title,
             avatar_id=avatar_id,
             latent=None,
             status="waiting",
-            place=self._roster.place(peer.peer_id),
+            place=member.place,
         )
         if played is None or self._lacks_secret(peer.peer_id):
             return replace(face, note=note)

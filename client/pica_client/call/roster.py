@@ -147,17 +147,9 @@ class Roster:
         """Everybody else, in the order of coming."""
         return sorted(self._members.values(), key=lambda member: member.place)
 
-    def place(self, peer_id: str) -> int:
-        """The place of somebody who is here."""
-        return self._members[peer_id].place
-
-    def title(self, peer_id: str) -> str:
-        """See `Member.title`, of somebody who is here."""
-        return self._members[peer_id].title
-
-    def has_whispered(self, peer_id: str) -> bool:
-        """See `Member.has_whispered`, of somebody who is here."""
-        return self._members[peer_id].has_whispered
+    def member(self, peer_id: str) -> Member:
+        """Somebody who is here."""
+        return self._members[peer_id]
 
     def receive_event(self, event: ClientEvent, now: float) -> None:
         """Take an event of the link's session at `now`, seconds."""

@@ -4,7 +4,7 @@ training."""
 import numpy as np
 import numpy.typing as npt
 
-from pica_client.decode.decoder import ObjectDecoder, OnnxDecoder
+from pica_client.decode.decoder import OnnxDecoder
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import (
     Placement,
@@ -26,7 +26,6 @@ def draw_thumbnail(
     *,
     arkit: npt.ArrayLike | None = None,
     view: ViewState | None = None,
-    decoder: ObjectDecoder | None = None,
 ) -> Image:
     """Draw an avatar on its own.
 
@@ -35,7 +34,6 @@ def draw_thumbnail(
         size: Columns and rows, pixels.
         arkit: Expression, ``[52]``; the neutral face by default.
         view: From where; straight ahead by default.
-        decoder: Its decoder, if there is one already.
 
     Returns:
         uint8 ``[H, W, 3]``, top row first.
@@ -49,7 +47,7 @@ def draw_thumbnail(
     plan = plan_seats("grid", 1, size[0] / size[1])
     camera = plan_camera(plan, view or ViewState(), *size)
     matrix = head_matrix(plan.seats[0], np.zeros(3), np.zeros(3))
-    maps = (decoder or OnnxDecoder(avatar)).decode(latent, view_direction(matrix, camera.centre_m))
+    maps = OnnxDecoder(avatar).decode(latent, view_direction(matrix, camera.centre_m))
     context = create_context()
     try:
         renderer = Renderer(context, size, RenderOptions(fade_busts=True))

@@ -103,11 +103,9 @@ class Scheduler:
         costs: What things cost here; the owner tells it what it measures.
     """
 
-    def __init__(
-        self, options: SchedulerOptions | None = None, costs: CostModel | None = None
-    ) -> None:
+    def __init__(self, options: SchedulerOptions | None = None) -> None:
         self.options = options or SchedulerOptions()
-        self.costs = costs or CostModel()
+        self.costs = CostModel()
         self._turns = 0
         self._now = -math.inf
 

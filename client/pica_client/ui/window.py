@@ -61,13 +61,12 @@ class Window(Closing):
     Args:
         title: Of the window.
         size: Columns and rows to open with, in the screen's units; at least `MIN_SIZE`.
-        vertical_sync: Wait for the display in `show`.
 
     Raises:
         GraphicsError: No display, or no context on it; names the fix.
     """
 
-    def __init__(self, title: str, size: tuple[int, int], *, vertical_sync: bool = True) -> None:
+    def __init__(self, title: str, size: tuple[int, int]) -> None:
         self._events: list[events.InputEvent] = []
         self._complaint = ""
         self._windowed: tuple[int, int, int, int] | None = None
@@ -89,7 +88,7 @@ class Window(Closing):
         no_limit = glfw.DONT_CARE
         glfw.set_window_size_limits(self._window, *MIN_SIZE, no_limit, no_limit)
         glfw.make_context_current(self._window)
-        glfw.swap_interval(1 if vertical_sync else 0)
+        glfw.swap_interval(1)  # `show` waits for the display
         try:
             self.context = moderngl.create_context(require=GL_VERSION)
         except Exception as error:  # moderngl raises bare Exception for whatever the driver refuses

@@ -52,27 +52,26 @@ def vertex_parts(regions: Mapping[str, BoolArray], num_vertices: int) -> ByteArr
     return parts
 
 
-def poking(shown: ByteArray, truth: ByteArray, reach_px: int = REACH_PX) -> BoolArray:
-    """Pixels that show a part which the truth has nowhere within `reach_px`.
+def poking(shown: ByteArray, truth: ByteArray) -> BoolArray:
+    """Pixels that show a part which the truth has nowhere within `REACH_PX`.
 
     Args:
         shown: Parts that were drawn, 0 where no head is. uint8 ``[H, W]``.
         truth: Parts as they should be. uint8 ``[H, W]``.
-        reach_px: How far edges may be off, both ways.
 
     Returns:
         bool ``[H, W]``; False where only one of the two shows a head.
     """
-    side = 2 * reach_px + 1
-    around = sliding_window_view(np.pad(truth, reach_px), (side, side))
+    side = 2 * REACH_PX + 1
+    around = sliding_window_view(np.pad(truth, REACH_PX), (side, side))
     elsewhere = (around != shown[..., None, None]).all(axis=(-2, -1))
     found: BoolArray = elsewhere & (shown > 0) & (truth > 0)
     return found
 
 
-def poke_ratio(shown: ByteArray, truth: ByteArray, reach_px: int = REACH_PX) -> float:
+def poke_ratio(shown: ByteArray, truth: ByteArray) -> float:
     """Pixels that poke out as a share of those on which the truth shows a head; 0 if none does."""
-    return float(poking(shown, truth, reach_px).sum() / max(np.count_nonzero(truth), 1))
+    return float(poking(shown, truth).sum() / max(np.count_nonzero(truth), 1))
 
 
 def region_errors_mm(

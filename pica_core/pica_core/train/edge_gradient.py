@@ -59,15 +59,14 @@ class Edges(NamedTuple):
         return Edges(self.front[places], self.back[places], self.axis[places], self.sign[places])
 
 
-def find_edges(depth_m: FloatArray, gap_m: float = GAP_M) -> Edges:
+def find_edges(depth_m: FloatArray) -> Edges:
     """Pairs of neighbours between which the surface breaks off.
 
-    Two covered neighbours do so if their depths differ by more than the gap, and neither depth is
+    Two covered neighbours do so if their depths differ by more than `GAP_M`, and neither depth is
     what the other side leads to in a straight line (so that slanted surfaces stay whole).
 
     Args:
         depth_m: Depth along the camera's axis, 0 where nothing is, ``[H, W]``.
-        gap_m: Least step, metres.
     """
     index = np.arange(depth_m.size, dtype=np.int64).reshape(depth_m.shape)
     parts = []
@@ -79,9 +78,9 @@ def find_edges(depth_m: FloatArray, gap_m: float = GAP_M) -> Edges:
         from_first = np.where(before > 0, 2 * first - before, first)
         from_second = np.where(after > 0, 2 * second - after, second)
         broken = (
-            (np.abs(second - first) > gap_m)
-            & (np.abs(second - from_first) > gap_m)
-            & (np.abs(first - from_second) > gap_m)
+            (np.abs(second - first) > GAP_M)
+            & (np.abs(second - from_first) > GAP_M)
+            & (np.abs(first - from_second) > GAP_M)
         )
         both = (first > 0) & (second > 0)
         edge = (both & broken) | ((first > 0) != (second > 0))

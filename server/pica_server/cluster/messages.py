@@ -22,7 +22,7 @@ from typing import Any, Final, NamedTuple
 import msgpack
 
 from pica_protocol import limits
-from pica_protocol.codec import decode_message, encode_message, unique_keys
+from pica_protocol.codec import decode_message, encode_message, refuse_extension, unique_keys
 from pica_protocol.errors import ProtocolError
 from pica_protocol.messages import Peer, PeerJoined, Whisper
 from pica_server.errors import ClusterMessageError
@@ -284,7 +284,7 @@ def _unpack(data: bytes, max_bytes: int, num_items: int | None = None) -> list[A
             max_array_len=_MAX_ITEMS,
             max_map_len=_MAX_ITEMS,
             max_ext_len=0,
-            ext_hook=_refuse_extension,
+            ext_hook=refuse_extension,
             object_pairs_hook=unique_keys,
         )
     # A key that is a list is a TypeError, a timestamp out of range an OverflowError.
@@ -293,10 +293,6 @@ def _unpack(data: bytes, max_bytes: int, num_items: int | None = None) -> list[A
     if not isinstance(value, list) or not value or num_items not in (None, len(value)):
         raise ClusterMessageError("not a message of a node")
     return value
-
-
-def _refuse_extension(code: int, _data: bytes) -> object:
-    raise ValueError(f"extension type {code}")
 
 
 def _read_member(item: Any) -> Member:

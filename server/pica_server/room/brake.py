@@ -50,6 +50,7 @@ class Brake:
         level: Of the table.
         is_full: Whether the core has hardly a moment left, or the loop was late: what saves
             processor time is worth a delay.
+        retry_after_s: When who is told to come later should.
         highest_layer: Of frames that are forwarded; -1: keyframes alone are.
     """
 
@@ -59,14 +60,9 @@ class Brake:
         self.highest_layer = MAX_LAYER
         self._late_s = 0.0
         self._has_fallen = False
-        self._calm_s = CALM_S
+        self.retry_after_s = CALM_S
         self._late_at_s = float("-inf")
         self._changed_s = float("-inf")
-
-    @property
-    def retry_after_s(self) -> float:
-        """When who is told to come later should."""
-        return self._calm_s
 
     def note_turn(self, late_s: float, busy_ratio: float, now: float) -> None:
         """Note how late the loop has just been, and how much of the time it works."""
@@ -78,15 +74,15 @@ class Brake:
             is_no_better = late_s >= BETTER * before_s and before_s >= LATE_S
             late_enough_s = (*_LATE_ENOUGH_S, math.inf)[self.level]
             if is_no_better and late_s >= late_enough_s:
-                if self._has_fallen and now - self._changed_s < self._calm_s:
-                    self._calm_s = min(2 * self._calm_s, LONGEST_CALM_S)
+                if self._has_fallen and now - self._changed_s < self.retry_after_s:
+                    self.retry_after_s = min(2 * self.retry_after_s, LONGEST_CALM_S)
                 self._set(self.level + 1, now)
             return
-        calm_s = SPARE_CALM_S if busy_ratio < SPARE_BUSY_RATIO else self._calm_s
+        calm_s = SPARE_CALM_S if busy_ratio < SPARE_BUSY_RATIO else self.retry_after_s
         if self.level and now - max(self._late_at_s, self._changed_s) >= calm_s:
             self._set(self.level - 1, now)
         elif not self.level and now - self._late_at_s >= LONGEST_CALM_S:
-            self._calm_s = CALM_S
+            self.retry_after_s = CALM_S
 
     def _set(self, level: int, now: float) -> None:
         self._has_fallen = level < self.level

@@ -126,7 +126,7 @@ def test_who_left_and_comes_again_sits_where_they_sat_but_not_for_ever(roster: R
         roster.handle_timer(20.0 + away_s)
         roster.receive_event(PeerJoined(peer=person(f"p{away_s}", "Ada", avatar="b" * 64)), 200.0)
         assert news(roster) == [("left", "Ada"), ("joined", "Ada")]
-        assert roster.place(f"p{away_s}") == place
+        assert roster.member(f"p{away_s}").place == place
 
 
 def test_of_two_people_of_one_name_each_finds_the_place_of_their_avatar() -> None:
@@ -137,7 +137,7 @@ def test_of_two_people_of_one_name_each_finds_the_place_of_their_avatar() -> Non
     roster.receive_event(joined(), now=2.0)
     for peer_id, avatar in (("p8", "b"), ("p9", "a")):
         roster.receive_event(PeerJoined(peer=person(peer_id, "Ada", avatar=avatar * 64)), now=3.0)
-    assert [roster.place(peer_id) for peer_id in ("p9", "p8")] == [0, 1]
+    assert [roster.member(peer_id).place for peer_id in ("p9", "p8")] == [0, 1]
 
 
 def test_back_in_the_old_place_ids_mean_whom_they_meant(roster: Roster) -> None:
