@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
 from pica_core.avatar.file import Avatar, Manifest, spec_tensor_shapes
 from pica_core.avatar.level_tensors import error_tensors, exit_shapes, faces_name, sheet_rows
-from pica_core.avatar.levels import default_errors, level_sizes
+from pica_core.avatar.levels import LevelErrors, level_sizes
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import VARIANTS
 from pica_core.types import FloatArray
@@ -83,6 +85,20 @@ def make_toy_avatar(
     return Avatar(manifest, tensors)
 
 
+def guessed_errors(levels: Sequence[int]) -> LevelErrors:
+    """A table in which less detail and larger heads leave more error, as in measured ones."""
+    heights, full = 2.0 ** np.arange(4, 12), max(levels)
+    blur = np.array([[0.0 if each == full else 20.0 / each] for each in levels]) * heights
+    mse = 5.0 + np.stack([blur, 0.5 * blur], axis=1)
+    return LevelErrors(
+        levels=tuple(levels),
+        head_px=heights.astype(np.float32),
+        mse=mse.astype(np.float32),
+        view_mse_per_rad2=200.0,
+        latent_mse_per_unit2=200.0,
+    )
+
+
 def with_toy_levels(avatar: Avatar, *, seed: int = 8, errors: bool = True) -> Avatar:
     """A toy avatar with exits of random weights, coarser grids as their meshes, and a guessed
     table of errors."""
@@ -108,7 +124,7 @@ def with_toy_levels(avatar: Avatar, *, seed: int = 8, errors: bool = True) -> Av
         texel = rng.integers(level * level, size=(rows, level, 2))
         tensors[f"level.{level}.geometry.texel"] = texel.astype(np.int32)
     if errors:
-        tensors |= error_tensors(default_errors((*exits, full)))
+        tensors |= error_tensors(guessed_errors((*exits, full)))
     return Avatar(avatar.manifest, tensors)
 
 

@@ -164,7 +164,7 @@ class Avatar:
 
     @property
     def level_errors(self) -> LevelErrors | None:
-        """The measured error of its levels; None if it was never measured (`default_errors`)."""
+        """The measured error of its levels; None if it was never measured."""
         return level_tensors.read_errors(self.spec, self.tensors)
 
     @property

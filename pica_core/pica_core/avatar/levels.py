@@ -20,7 +20,6 @@ An avatar may have exits at a quarter and a half of its full map: 64 and 128 of 
     avatar.level_errors.at(64, head_px=200.0)       MSE, 0-255
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -119,31 +118,3 @@ class LevelErrors:
         height = float(np.clip(head_px, self.head_px[0], self.head_px[-1]))
         known = np.log(np.maximum(row, LEAST_MSE))
         return float(np.exp(np.interp(np.log(height), np.log(self.head_px), known)))
-
-
-def default_errors(levels: Sequence[int]) -> LevelErrors:
-    """A guess for avatars without a measured table.
-
-    Half of a map's rows lie on what is seen of a head from the front, so a level is sharp up to a
-    head of about half its size in pixels; a map of half the size, or a head of twice the height,
-    leaves twice the error. Half of it is the mesh's. The full level is the truth but for its
-    pixels' edges. No measurement stands behind the factors: they are there so that far heads get
-    less and near ones more.
-
-    Args:
-        levels: The avatar's levels, ascending.
-    """
-    heights = 2.0 ** np.arange(4, 12)
-    full = max(levels)
-    mse = np.empty((len(levels), NUM_DRAWINGS, len(heights)))
-    for index, level in enumerate(levels):
-        blur = 0.0 if level == full else 20.0 * heights / level
-        mse[index, 0] = 5.0 + blur
-        mse[index, 1] = 5.0 + 0.5 * blur
-    return LevelErrors(
-        levels=tuple(levels),
-        head_px=heights.astype(np.float32),
-        mse=mse.astype(np.float32),
-        view_mse_per_rad2=200.0,
-        latent_mse_per_unit2=200.0,
-    )

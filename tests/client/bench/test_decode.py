@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers.toy import make_toy_avatar, with_toy_levels
+from helpers.toy import guessed_errors, make_toy_avatar, with_toy_levels
 from pica_client.bench.decode import (
     DecodeBenchConfig,
     export_difference,
@@ -19,7 +19,6 @@ from pica_client.bench.decode import (
 from pica_client.decode.decoder import OnnxOptions
 from pica_client.errors import OptionError
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.levels import default_errors
 from pica_core.avatar.spec import BLOCKS, AvatarSpec
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]
@@ -58,7 +57,7 @@ def test_both_exports_are_equal_wherever_both_were_timed(result: dict[str, Any])
 
 
 def test_a_level_has_its_error_and_random_weights_have_none(result: dict[str, Any]) -> None:
-    errors = default_errors(TOY.levels)
+    errors = guessed_errors(TOY.levels)
     for row in result["rows"]:
         if row["model"] == "pica":
             assert row["mse"] == pytest.approx(errors.at(row["level"], 640.0), abs=2e-3)

@@ -13,7 +13,7 @@ import safetensors.numpy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from helpers.toy import make_toy_avatar, with_toy_levels
+from helpers.toy import guessed_errors, make_toy_avatar, with_toy_levels
 from pica_core.avatar.decoder_layers import decoder_layers, trunk_channels, trunk_layers
 from pica_core.avatar.file import Avatar, load_avatar, save_avatar
 from pica_core.avatar.level_tensors import (
@@ -24,7 +24,7 @@ from pica_core.avatar.level_tensors import (
     sheet_rows,
     sheet_uv,
 )
-from pica_core.avatar.levels import LevelErrors, default_errors, level_sizes
+from pica_core.avatar.levels import LevelErrors, level_sizes
 from pica_core.avatar.spec import BLOCKS, AvatarSpec
 from pica_core.errors import AvatarFileError
 from pica_core.reference.decoders import FRONT, decode_expression_map, still_map
@@ -125,15 +125,6 @@ def test_beyond_the_table_its_nearest_entry_holds() -> None:
 def test_an_unknown_level_has_no_error() -> None:
     with pytest.raises(ValueError, match="level 32; known are 64, 128, 256"):
         some_errors().at(32, 100.0)
-
-
-@pytest.mark.parametrize("levels", [(256,), (128, 256), (64, 128, 256)])
-def test_the_guess_never_calls_less_detail_better(levels: tuple[int, ...]) -> None:
-    guess = default_errors(levels)
-    assert (np.diff(guess.mse, axis=0) <= 0).all()
-    assert (guess.mse[:, 1] <= guess.mse[:, 0]).all()
-    np.testing.assert_array_equal(guess.mse[-1, 1], guess.mse[-1, 0])
-    assert (np.diff(guess.mse[:, 0], axis=1) >= 0).all()
 
 
 @pytest.mark.parametrize(
@@ -242,7 +233,7 @@ def test_vertices_stand_in_the_middle_of_their_texels_row_by_row() -> None:
 
 
 def test_an_avatar_with_one_exit_alone_is_whole(tmp_path: Path) -> None:
-    lacking = {*exit_shapes(SPEC, 64, 1, 1), faces_name(64), *error_tensors(default_errors((256,)))}
+    lacking = {*exit_shapes(SPEC, 64, 1, 1), faces_name(64), *error_tensors(guessed_errors((256,)))}
     tensors = {name: array for name, array in TOY.tensors.items() if name not in lacking}
     save_avatar(tmp_path / "one.pica", Avatar(TOY.manifest, tensors))
     assert load_avatar(tmp_path / "one.pica").levels == (128, 256)
@@ -261,9 +252,9 @@ def test_a_mesh_without_its_level_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_table_of_an_avatar_without_exits_has_one_row(tmp_path: Path) -> None:
-    one = {**PLAIN.tensors, **error_tensors(default_errors((256,)))}
+    one = {**PLAIN.tensors, **error_tensors(guessed_errors((256,)))}
     save_avatar(tmp_path / "one.pica", Avatar(PLAIN.manifest, one))
-    three = {**PLAIN.tensors, **error_tensors(default_errors((64, 128, 256)))}
+    three = {**PLAIN.tensors, **error_tensors(guessed_errors((64, 128, 256)))}
     with pytest.raises(AvatarFileError, match=r"level\.errors has shape \[3, 2, 8\]; \[1, 2, 8\]"):
         save_avatar(tmp_path / "three.pica", Avatar(PLAIN.manifest, three))
 
@@ -354,5 +345,5 @@ def test_any_mutation_of_the_levels_loads_or_raises_an_avatar_file_error(
         avatar = load_avatar(safetensors.numpy.save(tensors, metadata))
         for level in avatar.levels:
             assert avatar.level_faces(level).max() < 64
-        errors = avatar.level_errors or default_errors(avatar.levels)
+        errors = avatar.level_errors or guessed_errors(avatar.levels)
         assert np.isfinite(errors.at(avatar.levels[0], 100.0))
