@@ -201,7 +201,6 @@ class _Comparison:
         )
 
     def _longest_gap_ms(self, ticks: Sequence[Tick]) -> float:
-        """The longest run of concealed refreshes."""
         runs = itertools.groupby(ticks, key=_is_concealed)
         longest = max((sum(1 for _ in run) for is_gap, run in runs if is_gap), default=0)
         return round(longest / self._schedule.display_hz * 1e3, 1)

@@ -52,8 +52,6 @@ class Reflection:
 
 
 class _OneAvatar:
-    """An `AvatarStore` of one that is loaded."""
-
     def __init__(self, identity: str, avatar: Avatar) -> None:
         self._identity, self._avatar = identity, avatar
 

@@ -238,13 +238,11 @@ class Scheduler:
         return self.costs.decode_s(head.model, head.avatar.levels[level], decode)
 
     def _head_s(self, head: Head, mesh: int) -> float:
-        """Seconds to draw a head."""
         draw, sight = self.costs.draw, head.sight
         triangles = sight.num_views * head.num_triangles[mesh]
         return draw.pixel_s * sight.visible_px + draw.triangle_s * triangles
 
     def _draw_s(self, seen: Sequence[Head], shrinks: Sequence[float]) -> float:
-        """Seconds to draw the frame."""
         return (self.costs.draw.frame_s if seen else 0.0) + sum(
             self._head_s(head, self._places(head, shrink)[1])
             for head, shrink in zip(seen, shrinks, strict=True)

@@ -269,7 +269,6 @@ class View:
         )
 
     def _wait_for_peers(self) -> None:
-        """Wait for the room, and for the peers that are expected."""
         config = self._config
         deadline = time.monotonic() + config.expect_timeout_s
         while not self._is_stopping:

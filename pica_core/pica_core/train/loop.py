@@ -348,7 +348,6 @@ class Trainer:
         return bool(torch.isfinite(sums).all())
 
     def _all_go_on(self, goes_on: bool) -> bool:
-        """Whether every process wants to go on."""
         if self.ranks.count == 1:
             return goes_on
         return float(self.ranks.average(torch.tensor(float(goes_on)))) == 1.0

@@ -202,7 +202,6 @@ class Cluster:
             ) from error
 
     async def _claim(self) -> tuple[NodeId, int]:
-        """Take a free slot."""
         for slot in random.sample(range(NUM_SLOTS), NUM_SLOTS):
             me = NodeId(slot, secrets.token_hex(4))
             revision = await self._store.claim(slot, me.name)

@@ -445,7 +445,6 @@ class SharedRoom:
                 self._events.append(Changed(before, member))
 
     def _be_alone(self) -> None:
-        """Be a room of this node alone."""
         self.doubt()
         self._request = self._written = self._outgoing = None
         self._retry_s = 0.0

@@ -68,8 +68,6 @@ def metrics_text(stats: RelayStats, gauges: Mapping[str, tuple[str, float]]) -> 
 
 
 class _Page(Collector):
-    """The families of one page."""
-
     def __init__(self, stats: RelayStats, gauges: Mapping[str, tuple[str, float]]) -> None:
         self._stats = stats
         self._gauges = gauges
