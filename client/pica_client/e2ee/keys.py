@@ -38,21 +38,10 @@ from typing import Final
 
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
+from pica_client.e2ee import notes
 from pica_client.e2ee.description import describe
 from pica_client.e2ee.errors import NoteError, SealError
 from pica_client.e2ee.frames import FrameKey, derive_key
-from pica_client.e2ee.notes import (
-    BASE_KEY_BYTES,
-    MAX_GENERATION,
-    PUBLIC_KEY_BYTES,
-    Note,
-    RoomKeys,
-    Way,
-    agree,
-    decode_note,
-    encode_note,
-    fingerprint,
-)
 from pica_client.e2ee.peer_keys import FIRST_WAIT_S, OpeningKey, OwnKey, PeerKeys, ReplayWindow
 from pica_client.e2ee.secret import RandomBytes, RoomSecret
 from pica_client.e2ee.status import PeerSeal, SealState, SealStatus
@@ -89,7 +78,7 @@ NOTES_AT_ONCE: Final = 96.0
 
 _ONE_NOTE = 1 - 1e-6
 """A timer that fires just in time finds a budget of one, give or take rounding."""
-_GIVEN_UP: Final = MAX_GENERATION
+_GIVEN_UP: Final = notes.MAX_GENERATION
 """The floor of a public key that another one has replaced."""
 
 
@@ -139,7 +128,7 @@ class KeyExchange:
         """We are about to ask for this room, and will be shown under this name. Whatever the relay
         says later, keys are bound to that."""
         self._room, self._name = room, name
-        self._room_keys = RoomKeys.of(self._secret, room)
+        self._room_keys = notes.RoomKeys.of(self._secret, room)
 
     def receive_joined(self, joined: Joined, now: float) -> None:
         """We are in a room: begin anew, with keys that are used nowhere else."""
@@ -202,19 +191,19 @@ class KeyExchange:
             peer.seal = PeerSeal()
 
     def _take_note(self, peer: PeerKeys, data: bytes) -> None:
-        now, way = self._now, Way(peer.peer.peer_id, self._own_id)
-        note = decode_note(data, self._room_keys.note_key, way)
+        now, way = self._now, notes.Way(peer.peer.peer_id, self._own_id)
+        note = notes.decode_note(data, self._room_keys.note_key, way)
         if note.description != peer.description:
             raise NoteError(
                 "the relay gives it another name, avatar, track or stream than it has itself",
                 SealState.RELABELLED,
             )
-        echoes_us = note.echo == fingerprint(self._public_key)
+        echoes_us = note.echo == notes.fingerprint(self._public_key)
         if note.public_key != peer.public_key:
             if peer.public_key is None or echoes_us:
                 self._meet(peer, note.public_key)
             else:  # let it prove itself
-                note = Note(public_key=note.public_key, wants_answer=True)
+                note = notes.Note(public_key=note.public_key, wants_answer=True)
         if echoes_us:
             peer.knows_us = True
             peer.acknowledged = max(peer.acknowledged, min(note.acknowledged, self._generation))
@@ -253,13 +242,15 @@ class KeyExchange:
             for peer_id, peer in self._peers.items()
             if peer.due_s is not None and peer.due_s <= now
         ]
-        notes = []
+        ready = []
         for _, peer_id, peer in sorted(due, key=lambda item: item[0]):
             if self._budget < _ONE_NOTE:
                 break
             self._budget -= 1
-            way = Way(self._own_id, peer_id)
-            notes.append((peer_id, encode_note(self._note(peer), self._room_keys.note_key, way)))
+            way = notes.Way(self._own_id, peer_id)
+            ready.append(
+                (peer_id, notes.encode_note(self._note(peer), self._room_keys.note_key, way))
+            )
             peer.sent_s = now
             is_silent = peer.public_key is None and now - peer.came_s >= SILENT_S
             if is_silent and peer.seal.state is SealState.WAITING:
@@ -272,7 +263,7 @@ class KeyExchange:
             else:
                 peer.due_s, peer.is_repeat = now + peer.wait_s, True
                 peer.wait_s = min(2 * peer.wait_s, LONGEST_WAIT_S)
-        return notes
+        return ready
 
     def next_timer(self) -> float | None:
         """Return when `handle_timer` and `messages_to_send` have something to do, or None."""
@@ -342,7 +333,9 @@ class KeyExchange:
 
     def _draw_key_pair(self) -> None:
         """Take another public key; all that was agreed with the last one is worth nothing now."""
-        self._private = X25519PrivateKey.from_private_bytes(self._random_bytes(PUBLIC_KEY_BYTES))
+        self._private = X25519PrivateKey.from_private_bytes(
+            self._random_bytes(notes.PUBLIC_KEY_BYTES)
+        )
         self._public_key = self._private.public_key().public_bytes_raw()
         self._floors.clear()
         self._left.clear()
@@ -367,7 +360,7 @@ class KeyExchange:
             public_key == other.public_key for other in self._peers.values()
         ):
             raise NoteError("a public key of somebody else in the room")
-        wraps = agree(self._private, self._public_key, public_key, self._room_keys.pair_salt)
+        wraps = notes.agree(self._private, self._public_key, public_key, self._room_keys.pair_salt)
         if peer.public_key is not None:
             self._part(peer, _GIVEN_UP)
         peer.is_returned = peer.is_returned or floor is not None
@@ -389,7 +382,7 @@ class KeyExchange:
     def _is_key_old(self) -> bool:
         return self._own is not None and self._now - self._own.made_s >= YOUNG_KEY_S
 
-    def _take_key(self, peer: PeerKeys, note: Note) -> None:
+    def _take_key(self, peer: PeerKeys, note: notes.Note) -> None:
         if peer.is_returned and peer.acknowledged < peer.proof:
             return  # this may be an old note; the next one shows whether it is
         suite = SUITES.get(note.suite)
@@ -412,11 +405,11 @@ class KeyExchange:
         self._say_more(peer)
 
     def _change_key(self) -> None:
-        if self._generation >= MAX_GENERATION:
-            raise SealError(f"{MAX_GENERATION} keys are enough for one process")
+        if self._generation >= notes.MAX_GENERATION:
+            raise SealError(f"{notes.MAX_GENERATION} keys are enough for one process")
         self._generation += 1
         self.key_changes += 1
-        base_key = self._random_bytes(BASE_KEY_BYTES)
+        base_key = self._random_bytes(notes.BASE_KEY_BYTES)
         key = derive_key(base_key, self._generation % KEY_IDS, self._suite)
         self._own = OwnKey(self._generation, base_key, key, self._now)
         for peer in self._peers.values():
@@ -432,10 +425,10 @@ class KeyExchange:
         """Whether a peer has told us all that we want to hear."""
         return peer.knows_us and peer.acknowledged == self._generation and bool(peer.keys)
 
-    def _note(self, peer: PeerKeys) -> Note:
+    def _note(self, peer: PeerKeys) -> notes.Note:
         own, wrap = self._own, peer.wrap
         assert own is not None  # a note is written in a room
-        note = Note(
+        note = notes.Note(
             public_key=self._public_key,
             description=self._description,
             acknowledged=peer.newest,
@@ -447,7 +440,7 @@ class KeyExchange:
         peer.given = own.generation
         return replace(
             note,
-            echo=fingerprint(peer.public_key),
+            echo=notes.fingerprint(peer.public_key),
             generation=own.generation,
             first=peer.first,
             suite=self._suite.number,

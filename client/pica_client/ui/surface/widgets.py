@@ -282,14 +282,14 @@ def hint(text: str) -> None:
             imgui.set_tooltip(text)
 
 
-def text_size(text: str, points: float, *, is_bold: bool = False) -> Place:
+def text_size(text: str, points: float) -> Place:
     """Pixels that a line of text takes."""
-    return _text_size(text, points, is_bold, imgui.get_style().font_scale_dpi)
+    return _text_size(text, points, imgui.get_style().font_scale_dpi)
 
 
 @lru_cache(maxsize=2048)
-def _text_size(text: str, points: float, is_bold: bool, scale: float) -> Place:
-    with type_size(points, is_bold=is_bold):
+def _text_size(text: str, points: float, scale: float) -> Place:
+    with type_size(points):
         found = imgui.calc_text_size(text)
     return found.x, found.y
 
