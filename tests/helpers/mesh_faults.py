@@ -11,8 +11,10 @@ import numpy as np
 
 from helpers.head_checks import POKE_MM, SMALL_MM2, front_depth
 from pica_core.capture.dataset.multiface import MATERIALS
-from pica_core.capture.rig.features import LidGuard, Limits, find_features
+from pica_core.capture.rig.features import Limits, find_features
+from pica_core.capture.rig.guards import PoseGuard
 from pica_core.capture.rig.mesh import RigMesh
+from pica_core.capture.triangles import face_neighbours
 from pica_core.types import BoolArray, Float64Array, FloatArray, Int64Array, IntArray
 
 SKIN, EYE, TEETH, COLLAR, HAIR = (
@@ -49,14 +51,14 @@ class MeshChecks:
     def __init__(self, mesh: RigMesh) -> None:
         features = find_features(mesh)
         part = features.part
-        self._limits, self._guard = Limits(mesh, features), LidGuard(mesh)
+        self._limits, self._guard = Limits(mesh, features), PoseGuard(mesh, features)
         self._rest = 1000 * mesh.rest_m
         moving = np.abs(mesh.motion_m).max((1, 2)) > 0
         self._shapes = np.flatnonzero(moving)
         self._motion: FloatArray = 1000 * mesh.motion_m[self._shapes].reshape(moving.sum(), -1)
         faces = mesh.faces.astype(np.int64)
         self._outer = faces[np.isin(part, [SKIN, HAIR, COLLAR])]
-        self._order, self._start, self._pairs = _neighbours(self._outer)
+        self._order, self._start, self._pairs = face_neighbours(self._outer)
         self.folded_at_rest = self._folds(self._rest)
         middle = self._rest[faces].mean(1)
         eyes = self._rest[np.unique(faces[part == EYE])]
@@ -133,17 +135,3 @@ class MeshChecks:
 def _turned(points: Float64Array, degrees: float) -> Float64Array:
     cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return points @ np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])
-
-
-def _neighbours(faces: Int64Array) -> tuple[Int64Array, Int64Array, Int64Array]:
-    """Faces that have neighbours, where each one's neighbours begin in a list, and the list."""
-    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    owner = np.repeat(np.arange(len(faces)), 3)
-    order = np.lexsort((edges[:, 1], edges[:, 0]))
-    edges, owner = edges[order], owner[order]
-    same = (edges[1:] == edges[:-1]).all(1)
-    first, second = owner[:-1][same], owner[1:][same]
-    own, other = np.concatenate([first, second]), np.concatenate([second, first])
-    sort = np.argsort(own, kind="stable")
-    faces_with, start = np.unique(own[sort], return_index=True)
-    return faces_with, start, other[sort]

@@ -1,7 +1,7 @@
 """What the capture rooms ask of triangle meshes: areas, edges, normals, samples and pieces."""
 
 import numpy as np
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
@@ -56,6 +56,29 @@ def components(faces: IntArray, count: int) -> Int64Array:
     start, end = edges(faces).T
     graph = coo_array((np.ones(len(start), np.bool_), (start, end)), (count, count))
     return connected_components(graph, directed=False)[1].astype(np.int64)
+
+
+def face_neighbours(faces: IntArray) -> tuple[Int64Array, Int64Array, Int64Array]:
+    """Faces that have neighbours, where each one's neighbours begin in a list, and the list."""
+    sides, owner = np.sort(edges(faces), axis=1), np.repeat(np.arange(len(faces)), 3)
+    order = np.lexsort((sides[:, 1], sides[:, 0]))
+    sides, owner = sides[order], owner[order]
+    same = (sides[1:] == sides[:-1]).all(1)
+    first, second = owner[:-1][same], owner[1:][same]
+    own, other = np.concatenate([first, second]), np.concatenate([second, first])
+    sort = np.argsort(own, kind="stable")
+    with_some, start = np.unique(own[sort], return_index=True)
+    return with_some, start, other[sort]
+
+
+def mean_of_neighbours(faces: IntArray, count: int) -> csr_array:
+    """What makes of each vertex's values the mean of those around it. ``[count, count]``."""
+    start, end = edges(faces).T
+    ends = np.concatenate([start, end]), np.concatenate([end, start])
+    beside = coo_array((np.ones(len(ends[0])), ends), (count, count)).tocsr()
+    beside.data[:] = 1.0
+    beside.data /= np.repeat(np.diff(beside.indptr), np.diff(beside.indptr))
+    return beside
 
 
 def nearest(points: Array, others: Array) -> tuple[Int64Array, Float64Array]:

@@ -13,6 +13,7 @@ from pica_core.capture.person.clothes import CUTS, Garment, dress_surface
 from pica_core.capture.person.hair import STYLES, Sheet, cover, flow, grow, raise_cap, smooth
 from pica_core.capture.person.lids import close_lids, close_lips
 from pica_core.capture.rig.features import Features, find_features
+from pica_core.capture.rig.guards import PoseGuard
 from pica_core.capture.rig.mesh import RigMesh
 from pica_core.capture.rig.skin import Growth
 from pica_core.capture.triangles import nearest, unfolded, vertex_normals
@@ -26,7 +27,7 @@ BEARDS: dict[str, tuple[float, float, float]] = {
 """Moustache, share of the cheeks, and thickness in millimetres."""
 CAVITY_Z = 0.055
 """Depth of the middle of the mouth's cavity, metres."""
-FAST_M, FREE_M = 0.003, 0.015
+FAST_M, FREE_M = 0.006, 0.020
 """Skin so near to hanging hair or clothes stays where it is at rest, and from where on it moves as
 ever: neither of them moves, and skin would come through."""
 
@@ -51,6 +52,7 @@ def dress(mesh: RigMesh, person: Person) -> Dressed:
         raise CaptureError("a person needs a head with texture coordinates and eyeballs")
     features, notes = find_features(mesh), list[str]()
     mesh = close_lips(close_lids(mesh, features), features)
+    PoseGuard(mesh, features, mend=True).apply(mesh.rest_m)
     skin = mesh.of_part("skin")
     rest, style = mesh.rest_m, STYLES[person.hair]
     skin_faces = mesh.faces[mesh.part == MATERIALS.index("skin")]

@@ -10,7 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from pica_core.avatar.arkit import ARKIT_INDEX
-from pica_core.capture.rig.features import LID_M, EyeSurface, Features, outwards
+from pica_core.capture.rig.features import LID_M, Features
+from pica_core.capture.rig.guards import EyeSurface, outwards
 from pica_core.capture.rig.mesh import Eyeball, RigMesh
 from pica_core.types import Float64Array, FloatArray, Int64Array
 

@@ -8,7 +8,6 @@ A rig without jawOpen, or without eyeballs, lacks what hangs on it.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +19,7 @@ from pica_core.capture.rig.visibility import FrontView, front_view, visibility
 from pica_core.capture.rig.zones import find_ears, find_neck, hair_coverage
 from pica_core.capture.triangles import components, nearest
 from pica_core.errors import ShapeError
-from pica_core.types import BoolArray, Float64Array, FloatArray, Int64Array, IntArray
+from pica_core.types import BoolArray, Float64Array, FloatArray, IntArray
 
 UPPER_LIP_M, LOWER_LIP_M = 0.0075, 0.0095
 """Heights of the vermilion (Farkas 1994, as the built-in heads), where nothing else is known."""
@@ -30,13 +29,6 @@ LID_M = 0.0012
 """Skin so near to the eye opening is the lids' edge."""
 FAR_M = 0.1
 """Distance to an eye opening where there is none."""
-GUARD_M, GUARD_SOFT_M = 0.001, 0.0001
-"""Distance that lids keep from an eyeball if they had it at rest, and how softly."""
-LID_SWEEP_M = 0.008
-"""Skin farther from an eyeball than that is no lid."""
-NEAR, STEPS, FORWARD = 0.14, np.radians(np.arange(0, 95, 5)), np.array([0.0, 0.0, 1.0])
-"""Angles within which an eyeball's surface is taken as level, at which it is looked up, and where
-eyes look at rest."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -286,80 +278,6 @@ class Limits:
             beyond = float(closing @ np.clip(values, 0.0, None)) - 1.0
             values[blink] -= np.clip(beyond, 0.0, max(float(values[blink]), 0.0))
         return values
-
-
-class EyeSurface:
-    """How wide an eyeball is at an angle from where it looks: as its farthest vertex there.
-
-    Args:
-        offset: Its vertices from its centre, looking along +z, ``[n, 3]``.
-    """
-
-    def __init__(self, offset: Float64Array) -> None:
-        self.lean, reach = _lean(offset, FORWARD)
-        """Angle of each vertex from where the eye looks, radians, ``[n]``."""
-        near = np.abs(self.lean - STEPS[:, None]) < NEAR
-        has = near.any(axis=1)
-        widest = np.where(near, reach, 0.0).max(axis=1)
-        self._widest = np.interp(STEPS, STEPS[has], widest[has])
-
-    def clearance(self, offset: Float64Array, forward: Float64Array = FORWARD) -> Float64Array:
-        """How far points from its centre are before it, where it looks along `forward`; below 0
-        they are in it. ``[n]``."""
-        lean, far = _lean(offset, forward)
-        return far - np.interp(lean, STEPS, self._widest)
-
-
-def outwards(offset: Float64Array, by_m: Float64Array) -> Float64Array:
-    """Steps of such lengths away from a centre, for points at these offsets. ``[n, 3]``."""
-    return offset * (by_m / np.maximum(np.linalg.norm(offset, axis=1), 1e-9))[:, None]
-
-
-def _lean(offset: Float64Array, forward: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Angle of each offset from a direction, radians, and its length. ``[n]`` each."""
-    far = np.linalg.norm(offset, axis=1)
-    along = np.matmul(offset, forward) / np.maximum(far * np.linalg.norm(forward), 1e-12)
-    return np.arccos(np.clip(along, -1.0, 1.0)), far
-
-
-class LidGuard:
-    """Moves lids out of eyeballs in any pose.
-
-    Shapes add up along straight lines, and the line from an open lid to a closed one leads through
-    the eyeball. What was before an eyeball at rest stays before it, as far as it was, or `GUARD_M`;
-    the eyeball is as wide at an angle from where it looks as its farthest vertex there, so that a
-    cornea lifts the lid that it is under.
-
-    Args:
-        mesh: Welded, at rest.
-        source: Which of its vertices each posed vertex is, ``[V]``; its own by default.
-    """
-
-    def __init__(self, mesh: RigMesh, source: Int64Array | None = None) -> None:
-        of = np.arange(len(mesh.rest_m)) if source is None else source
-        skin, rest = mesh.of_part("skin")[of], mesh.rest_m[of]
-        self._eyes = []
-        for eye in mesh.eyes:
-            ball = np.flatnonzero(np.isin(of, eye.vertices))
-            offset = rest - eye.centre_m
-            near = skin & (np.linalg.norm(offset, axis=1) < 1.9 * eye.radius_m) & (offset[:, 2] > 0)
-            surface = EyeSurface(rest[ball] - eye.centre_m)
-            clear = surface.clearance(offset)
-            lid = np.flatnonzero(near & (clear > 0.0) & (clear < LID_SWEEP_M))
-            room = np.minimum(clear[lid], GUARD_M)
-            front = ball[surface.lean < 2 * NEAR]
-            self._eyes.append((lid, room, ball, front, eye.centre_m - rest[ball].mean(0), surface))
-
-    def apply(self, points: npt.NDArray[np.floating[Any]]) -> None:
-        """Move lids of posed vertices ``[V, 3]``, metres, in place."""
-        for lid, room, ball, front, from_middle, surface in self._eyes:
-            if not len(front) or not len(lid):
-                continue
-            centre = points[ball].mean(0) + from_middle
-            offset = points[lid] - centre
-            lack = room - surface.clearance(offset, points[front].mean(0) - centre)
-            out = GUARD_SOFT_M * np.logaddexp(0.0, lack / GUARD_SOFT_M)
-            points[lid] += outwards(offset, out)
 
 
 def _is_corrective(mesh: RigMesh) -> bool:

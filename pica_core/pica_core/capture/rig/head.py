@@ -14,8 +14,9 @@ from pica_core.capture.dataset.files import Topology
 from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.chart import make_islands, mend_islands, pack
 from pica_core.capture.rig.drawn import PackedChart
-from pica_core.capture.rig.features import Features, LidGuard, Limits, find_features
+from pica_core.capture.rig.features import Features, Limits, find_features
 from pica_core.capture.rig.gltf import read_glb
+from pica_core.capture.rig.guards import PoseGuard
 from pica_core.capture.rig.mesh import RigMesh, build_mesh
 from pica_core.capture.rig.names import NameMap, map_names
 from pica_core.capture.rig.obj import read_obj_folder
@@ -120,28 +121,27 @@ class RigHead:
         one_of = np.zeros(len(mesh.rest_m), np.int32)
         one_of[source] = np.arange(len(source))
         self._welded, self._welded_faces = one_of[source], one_of[mesh.faces]
-        self._rest = mesh.rest_m[source].astype(np.float32)
+        self._rest = mesh.rest_m.astype(np.float32)
         moving = np.abs(mesh.motion_m).max((1, 2)) > 0
         self._shapes = np.flatnonzero(moving)
-        self._motion = mesh.motion_m[self._shapes][:, source].reshape(len(self._shapes), -1)
+        self._motion = mesh.motion_m[self._shapes].reshape(len(self._shapes), -1)
         self._limits = Limits(mesh, self.features)
-        self._guard = LidGuard(mesh, source)
+        self._guard = PoseGuard(mesh, self.features)
         self._turns = self._find_turns()
 
     @property
     def num_vertices(self) -> int:
         """Number of split vertices, V."""
-        return len(self._rest)
+        return len(self.chart.source)
 
     def _find_turns(self) -> tuple[_Turn, ...]:
         turns = []
         for eye in self.mesh.eyes:
             if eye.turned:
                 continue
-            index = np.flatnonzero(np.isin(self.chart.source, eye.vertices))
             centre = eye.centre_m.astype(np.float32)
-            local = self._rest[index] - centre
-            turns.append(_Turn(vertices=index, local=local, centre=centre, side=eye.side))
+            local = self._rest[eye.vertices] - centre
+            turns.append(_Turn(vertices=eye.vertices, local=local, centre=centre, side=eye.side))
         return tuple(turns)
 
     @property
@@ -165,7 +165,7 @@ class RigHead:
         for eye in self._turns:
             points[eye.vertices] = _turned(eye, values)
         self._guard.apply(points)
-        return points
+        return points[self.chart.source]
 
     def normals(self, vertices: FloatArray) -> FloatArray:
         """Unit vertex normals, area weighted, smooth across seams of the chart. ``[V, 3]``."""

@@ -8,9 +8,9 @@ import numpy as np
 
 from pica_core.capture.dataset.files import MAP_SIZE
 from pica_core.capture.dataset.multiface import describe_masks
+from pica_core.capture.rig.chart import map_error_m
 from pica_core.capture.rig.gpu import RigRenderer
 from pica_core.capture.rig.head import RigHead, make_rig, read_rig
-from pica_core.capture.rig.map_error import map_error_m
 from pica_core.capture.rig.names import read_names
 from pica_core.capture.rig.skin import Albedo, Growth, read_albedos
 from pica_core.capture.rig.source import RigSource

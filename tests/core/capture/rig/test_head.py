@@ -1,6 +1,5 @@
 """A rig as a head of ours: one chart without overlaps, eyes that turn, regions, small errors."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +9,8 @@ import pytest
 from helpers.paths import SHARED_DATA
 from helpers.rig_toy import toy_rig, write_glb, write_obj_folder
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
-from pica_core.capture.rig.chart import equalise, pack
-from pica_core.capture.rig.features import LidGuard
+from pica_core.capture.rig.chart import equalise, map_error_m, pack
 from pica_core.capture.rig.head import RigHead, make_rig, read_rig
-from pica_core.capture.rig.map_error import map_error_m
 from pica_core.capture.rig.subject import chart_error_mm
 from pica_core.capture.rig.uv_gutter import add_gutters
 from pica_core.capture.stage.expressions import blend
@@ -168,20 +165,6 @@ def test_eyeballs_that_the_shapes_leave_alone_are_turned_about_their_centres(toy
         np.arange(toy.num_vertices), np.flatnonzero(toy.topology.regions["eyeballs"])
     )
     np.testing.assert_allclose(looking[other], rest[other], atol=1e-6)
-
-
-def test_a_lid_that_would_pass_through_its_eyeball_passes_before_it(toy: RigHead) -> None:
-    eye, points = toy.mesh.eyes[0], toy.mesh.rest_m.copy()
-    lid, before = np.flatnonzero(toy.mesh.of_part("skin"))[:8], np.array([0.0, 0.0, 1.0])
-    points[lid] = eye.centre_m + 1.1 * eye.radius_m * before
-    guard = LidGuard(replace(toy.mesh, rest_m=points.copy()))
-    points[lid] = eye.centre_m + 0.5 * eye.radius_m * before
-
-    moved = points.copy()
-    guard.apply(moved)
-
-    assert np.linalg.norm(moved[lid] - eye.centre_m, axis=1).min() > eye.radius_m
-    np.testing.assert_allclose(moved[8:], points[8:], atol=2e-4)
 
 
 def test_split_shapes_add_up_and_values_are_checked(toy: RigHead) -> None:
