@@ -3,7 +3,7 @@
     python scripts/make_avatars.py --facekit ICT-FaceKit --work work                # all six
     python scripts/make_avatars.py --facekit ICT-FaceKit --work work --names nora   # one of them
 
-A quarter of an hour each on a core. What is done is left alone and what was stopped goes on, so
+About twenty minutes each on a core. What is done is left alone and what was stopped goes on, so
 several processes can share the work. Who they are stands in `scripts/people`.
 """
 
@@ -19,7 +19,7 @@ from claims import give_back, take
 HERE = Path(__file__).resolve().parent
 PEOPLE = {file.stem: file for file in sorted((HERE / "people").glob("*.json"))}
 FOLDER = HERE.parent / "pica_core" / "pica_core" / "avatars"
-STAGE = "--frames 160 --cameras 10 --size 384x384"
+STAGE = "--frames 320 --cameras 10 --size 384x384"
 TRAINING = "--variant linear --preset long --threads 1"
 LICENCE = "Apache-2.0; face model ICT-FaceKit: MIT, (c) 2020 USC ICT"
 
