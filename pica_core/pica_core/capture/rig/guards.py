@@ -18,7 +18,7 @@ from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.features import Features
 from pica_core.capture.rig.mesh import RigMesh
 from pica_core.capture.triangles import face_neighbours, mean_of_neighbours
-from pica_core.types import BoolArray, Float64Array, Int64Array, IntArray
+from pica_core.types import BoolArray, Float64Array, IntArray
 
 GUARD_M, GUARD_SOFT_M = 0.001, 0.0001
 """Distance that lids keep from an eyeball if they had it at rest, and how softly."""
@@ -35,10 +35,11 @@ LIP_DEEPEST_M = 0.006
 """Skin so far behind the front of a tooth is not a lip that went through it."""
 LIP_BLEND, LIP_RINGS = 0.85, 3
 """Share of a lip's step that each ring of neighbours takes along, and how many do."""
-ROUNDS, ALONE = 24, 6
-"""Times that folded skin is smoothed at most; after how many the skin around is, too."""
-LEAST_COSINE, LEAST_MM2 = -0.1, 0.1
-"""A triangle folds if it faces against its neighbours by this cosine, and is as large as that."""
+ROUNDS = 16
+"""Times that folded skin is smoothed at most."""
+FOLDED, NEARLY = (-0.25, 0.2), (-0.1, 0.1)
+"""Triangles are folded, or nearly, that face against their neighbours by this cosine and are as
+large as that, mm²: where any is folded, all that nearly are become smoother."""
 MOVES_M = 0.0005
 """Skin that no shape moves farther cannot fold."""
 
@@ -189,32 +190,30 @@ class FoldGuard:
         self._around: csr_array = mean_of_neighbours(self._faces, len(self._vertices))
         self._order, self._start, self._pairs = face_neighbours(self._faces)
         self._as_ever = np.zeros(len(self._order), np.bool_)
-        if not mend:
-            self._as_ever = self._folded(mesh.rest_m[self._vertices])
+        if not mend and len(self._order):
+            self._as_ever = self._folded(mesh.rest_m[self._vertices])[0]
 
-    def _folded(self, points: Float64Array) -> BoolArray:
+    def _folded(self, points: Float64Array) -> tuple[BoolArray, BoolArray]:
         a, b, c = (points[self._faces[:, k]] for k in range(3))
         normal = np.cross(b - a, c - a)
         around = np.add.reduceat(normal[self._pairs], self._start, axis=0)
         normal = normal[self._order]
         size = np.linalg.norm(normal, axis=1)
-        limit = LEAST_COSINE * size * np.linalg.norm(around, axis=1)
-        return ((normal * around).sum(1) < limit) & (0.5e6 * size > LEAST_MM2)
+        along = (normal * around).sum(1) / np.maximum(size * np.linalg.norm(around, axis=1), 1e-30)
+        folded, nearly = (
+            (along < cosine) & (0.5e6 * size > least) for cosine, least in (FOLDED, NEARLY)
+        )
+        return folded, nearly
 
-    def apply(self, points: npt.NDArray[np.floating[Any]], *, around: bool = False) -> bool:
-        """Smooth folds of posed vertices ``[V, 3]``, metres, in place; False if there are none.
-
-        With `around` the vertices beside them are smoothed, too.
-        """
+    def apply(self, points: npt.NDArray[np.floating[Any]]) -> bool:
+        """Smooth folds of posed vertices ``[V, 3]``, metres, in place; False if there are none."""
         if not len(self._order):
             return False
         here = points[self._vertices].astype(np.float64)
-        folded: Int64Array = self._order[self._folded(here) & ~self._as_ever]
-        if not len(folded):
+        folded, nearly = self._folded(here)
+        if not (folded & ~self._as_ever).any():
             return False
-        of = np.unique(self._faces[folded])
-        if around:
-            of = np.unique(self._around[of].indices)
+        of = np.unique(self._faces[self._order[nearly & ~self._as_ever]])
         points[self._vertices[of]] = 0.5 * (here[of] + self._around[of] @ here)
         return True
 
@@ -237,8 +236,8 @@ class PoseGuard:
         """Keep posed vertices ``[V, 3]``, metres, whole, in place."""
         self._lids.apply(points)
         self._lips.apply(points)
-        for turn in range(ROUNDS):
-            if not self._folds.apply(points, around=turn >= ALONE):
+        for _ in range(ROUNDS):
+            if not self._folds.apply(points):
                 return
             self._lids.apply(points, soft_m=1e-6)
             self._lips.apply(points)
