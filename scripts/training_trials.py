@@ -285,10 +285,12 @@ def time_steps(trainer: Trainer, steps: int, *, warm_up: int = 5) -> dict[str, A
     return row
 
 
-def main() -> None:
+def main(words: list[str] | None = None) -> None:
     """Run one kind of trial."""
     kinds = {"recipes": recipes, "failures": failures, "steps": steps}
-    print(json.dumps(tyro.extras.subcommand_cli_from_dict(kinds)))
+    config = (tyro.conf.OmitArgPrefixes,)
+    found = tyro.extras.subcommand_cli_from_dict(kinds, args=words, config=config)
+    print(json.dumps(found))
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
@@ -87,3 +88,14 @@ def test_a_profile_of_steps_names_every_part(capture: Path) -> None:
     parts = sum(row[f"{part}_ms"] for part in SCRIPT.PARTS)
     assert all(row[f"{part}_ms"] > 0 for part in SCRIPT.PARTS)
     assert 0.5 * row["step_ms"] < parts < 1.5 * row["step_ms"]
+
+
+def test_options_are_written_as_its_help_says(
+    capture: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--preset", "tiny", "--steps", "1", "--threads", "1"]
+
+    SCRIPT.main(["steps", "--capture", str(capture), *words])
+
+    result = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (result["preset"], result["steps"]) == ("tiny", 1)
