@@ -24,6 +24,8 @@ from pica_core.capture.stage.expressions import blend
 PEOPLE = sorted((Path(__file__).resolve().parent / "people").glob("*.json"))
 SIDES = {False: 200, True: 160}
 """Rows and columns of each picture, pixels; with --expressions."""
+FACE = (0.16, 0.1, 0.84, 0.78)
+"""Left, top, right and bottom of the face in a picture of the head, as shares of its side."""
 SMILE = blend(mouthSmile=0.8, jawOpen=0.2, cheekSquint=0.5, eyeSquint=0.3)
 ASTONISHED = blend(jawOpen=0.9, browInnerUp=0.8, eyeWide=0.6)
 VIEWS = (
@@ -76,6 +78,9 @@ def main() -> None:
             subject.pose(expression)
             camera = aimed_camera(part, azimuth, elevation, part, width=2 * side, height=2 * side)
             picture = Image.fromarray(subject.draw(camera).image)
+            if options.expressions and part == "head":
+                left, top, right, bottom = (2 * side * share for share in FACE)
+                picture = picture.crop((left, top, right, bottom))
             row.append(picture.resize((side, side), Image.Resampling.BOX))
         subject.release()
         rows.append(np.hstack([np.asarray(picture) for picture in row]))
