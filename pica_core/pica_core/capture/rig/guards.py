@@ -18,7 +18,7 @@ from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.features import Features
 from pica_core.capture.rig.mesh import RigMesh
 from pica_core.capture.triangles import face_neighbours, mean_of_neighbours
-from pica_core.types import BoolArray, Float64Array, IntArray
+from pica_core.types import BoolArray, Float64Array
 
 GUARD_M, GUARD_SOFT_M = 0.001, 0.0001
 """Distance that lids keep from an eyeball if they had it at rest, and how softly."""
@@ -161,8 +161,8 @@ class LipGuard:
         """Move lips of posed vertices ``[V, 3]``, metres, in place."""
         if not len(self._lips):
             return
-        lips = points[self._lips]
-        lack = self._front(points, lips) + self._room - lips[:, 2]
+        lips = points[self._lips].astype(np.float64)
+        lack = self._front(points.astype(np.float64), lips) + self._room - lips[:, 2]
         lack[(lack < 0) | (lack > LIP_DEEPEST_M)] = 0.0
         if not lack.any():
             return
@@ -186,7 +186,7 @@ class FoldGuard:
         moves = np.linalg.norm(mesh.motion_m, axis=2).max(0) > MOVES_M
         faces = mesh.faces[outer & moves[mesh.faces].any(1)]
         self._vertices, local = np.unique(faces, return_inverse=True)
-        self._faces: IntArray = local.reshape(-1, 3)
+        self._faces = local.reshape(-1, 3).astype(np.int32)
         self._around: csr_array = mean_of_neighbours(self._faces, len(self._vertices))
         self._order, self._start, self._pairs = face_neighbours(self._faces)
         self._as_ever = np.zeros(len(self._order), np.bool_)
