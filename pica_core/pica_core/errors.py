@@ -17,6 +17,8 @@
 input or the machine is at fault and the message says how to mend it, 1 that the work failed.
 """
 
+from dataclasses import fields
+
 
 class PicaCoreError(Exception):
     """Root of the errors of this package."""
@@ -78,9 +80,14 @@ def check_ranges(
     Args:
         owner: The object whose attributes are checked.
         error: What to raise: it names the attribute, its value and the range.
-        ranges: The lowest and the highest value allowed, by attribute; None is always.
+        ranges: The lowest and the highest value allowed, by attribute; None only where it is the
+            field's default.
     """
+    unset = {field.name for field in fields(owner) if field.default is None}  # type: ignore[arg-type]
     for name, (low, high) in ranges.items():
         value = getattr(owner, name)
-        if value is not None and not low <= value <= high:
-            raise error(f"{name} is {value:.12g}; {low:.12g} to {high:.12g} is allowed")
+        if value is None and name in unset:
+            continue
+        if value is None or not low <= value <= high:
+            told = "None" if value is None else f"{value:.12g}"
+            raise error(f"{name} is {told}; {low:.12g} to {high:.12g} is allowed")
