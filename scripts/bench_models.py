@@ -37,11 +37,11 @@ from pica_client.bench.head import (
     talk_frames,
     textured_mesh,
 )
-from pica_client.bench.option_types import Floats, check_ranges
+from pica_client.bench.option_types import Floats
 from pica_client.bench.pareto import mark_best
 from pica_client.decode.decoder import BaselineDecoder, OnnxDecoder, OnnxOptions
 from pica_client.decode.onnx_runtime import onnxruntime
-from pica_client.errors import OptionError
+from pica_client.errors import OptionError, check_ranges
 from pica_client.render.draw_list import DrawStats
 from pica_client.render.renderer import Renderer
 from pica_client.render.scene import Placement, view_direction

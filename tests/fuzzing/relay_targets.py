@@ -153,7 +153,8 @@ def hub(rng: random.Random, meter: Meter) -> None:
 
 def _administer(rng: random.Random, relay: Hub, now: float) -> None:
     """Do to the room of strangers alone what an admin may do."""
-    peers = [peer.peer_id for room in relay.rooms if room.name == "attic" for peer in room.peers]
+    attic = relay.room("attic")
+    peers = [] if attic is None else [peer.peer_id for peer in attic.peers]
     match rng.randrange(5):
         case 0:
             relay.moderation.close_room("attic", now)
