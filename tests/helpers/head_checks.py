@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.capture.procedural.heads import ProceduralHead
+from pica_core.capture.triangles import edge_neighbours
 from pica_core.types import Float64Array, Int64Array
 
 SMALL_MM2 = 0.25
@@ -53,7 +54,7 @@ class HeadChecks:
         skin = head.charts["skin"]
         on_skin = ((head.faces >= skin.span.start) & (head.faces < skin.span.stop)).all(1)
         self._skin = head.faces[on_skin].astype(np.int64)
-        self._pairs = _edge_neighbours(self._skin)
+        self._pairs = edge_neighbours(self._skin)
         rest = head.vertices(np.zeros(52)).astype(np.float64) * 1000.0
         self.rest = rest
         self._folded_at_rest = self._folds(rest)
@@ -126,16 +127,6 @@ class HeadChecks:
 
 
 _ARCHES = ("teeth_upper", "teeth_lower")
-
-
-def _edge_neighbours(faces: Int64Array) -> tuple[Int64Array, Int64Array]:
-    """Pairs of faces that share an edge."""
-    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    owner = np.repeat(np.arange(len(faces)), 3)
-    order = np.lexsort((edges[:, 1], edges[:, 0]))
-    edges, owner = edges[order], owner[order]
-    same = (edges[1:] == edges[:-1]).all(1)
-    return owner[:-1][same], owner[1:][same]
 
 
 def front_depth(vertices: Float64Array, faces: Int64Array, points: Float64Array) -> Float64Array:

@@ -58,13 +58,18 @@ def components(faces: IntArray, count: int) -> Int64Array:
     return connected_components(graph, directed=False)[1].astype(np.int64)
 
 
-def face_neighbours(faces: IntArray) -> tuple[Int64Array, Int64Array, Int64Array]:
-    """Faces that have neighbours, where each one's neighbours begin in a list, and the list."""
+def edge_neighbours(faces: IntArray) -> tuple[Int64Array, Int64Array]:
+    """Pairs of faces that share an edge. ``[n]`` each."""
     sides, owner = np.sort(edges(faces), axis=1), np.repeat(np.arange(len(faces)), 3)
     order = np.lexsort((sides[:, 1], sides[:, 0]))
     sides, owner = sides[order], owner[order]
     same = (sides[1:] == sides[:-1]).all(1)
-    first, second = owner[:-1][same], owner[1:][same]
+    return owner[:-1][same], owner[1:][same]
+
+
+def face_neighbours(faces: IntArray) -> tuple[Int64Array, Int64Array, Int64Array]:
+    """Faces that have neighbours, where each one's neighbours begin in a list, and the list."""
+    first, second = edge_neighbours(faces)
     own, other = np.concatenate([first, second]), np.concatenate([second, first])
     sort = np.argsort(own, kind="stable")
     with_some, start = np.unique(own[sort], return_index=True)
@@ -76,8 +81,8 @@ def mean_of_neighbours(faces: IntArray, count: int) -> csr_array:
     start, end = edges(faces).T
     ends = np.concatenate([start, end]), np.concatenate([end, start])
     beside = coo_array((np.ones(len(ends[0])), ends), (count, count)).tocsr()
-    beside.data[:] = 1.0
-    beside.data /= np.repeat(np.diff(beside.indptr), np.diff(beside.indptr))
+    num_around = np.diff(beside.indptr)
+    beside.data = 1.0 / np.repeat(num_around, num_around)
     return beside
 
 

@@ -20,8 +20,9 @@ from pica_core.capture.rig.mesh import RigMesh
 from pica_core.capture.triangles import face_neighbours, mean_of_neighbours
 from pica_core.types import BoolArray, Float64Array
 
-GUARD_M, GUARD_SOFT_M = 0.001, 0.0001
-"""Distance that lids keep from an eyeball if they had it at rest, and how softly."""
+GUARD_M, GUARD_SOFT_M, GUARD_HARD_M = 0.001, 0.0001, 1e-6
+"""Distance that lids keep from an eyeball if they had it at rest; how softly at first, and again
+after skin was smoothed, since each soft step goes a little too far."""
 LID_SWEEP_M = 0.008
 """Skin farther from an eyeball than that is no lid."""
 NEAR, STEPS, FORWARD = 0.14, np.radians(np.arange(0, 95, 5)), np.array([0.0, 0.0, 1.0])
@@ -138,9 +139,9 @@ class LipGuard:
         self._room = np.minimum(clear[clear > 0] - LIP_CLOSER_M, LIP_ROOM_M)
         self._around = mean_of_neighbours(skin_faces, len(rest))
 
-    def _front(self, points: Float64Array, at: Float64Array) -> Float64Array:
+    def _front(self, points: npt.NDArray[np.floating[Any]], at: Float64Array) -> Float64Array:
         """Depth of the foremost tooth at each place in a front view; -1 where there is none."""
-        corners = points[self._teeth]
+        corners = points[self._teeth].astype(np.float64)
         edges = 0.5 * (corners + np.roll(corners, 1, axis=1))
         places = np.concatenate([corners.reshape(-1, 3), edges.reshape(-1, 3), corners.mean(1)])
         origin = places[:, :2].min(0) - 2 * CELL_M
@@ -162,7 +163,7 @@ class LipGuard:
         if not len(self._lips):
             return
         lips = points[self._lips].astype(np.float64)
-        lack = self._front(points.astype(np.float64), lips) + self._room - lips[:, 2]
+        lack = self._front(points, lips) + self._room - lips[:, 2]
         lack[(lack < 0) | (lack > LIP_DEEPEST_M)] = 0.0
         if not lack.any():
             return
@@ -239,5 +240,5 @@ class PoseGuard:
         for _ in range(ROUNDS):
             if not self._folds.apply(points):
                 return
-            self._lids.apply(points, soft_m=1e-6)
+            self._lids.apply(points, soft_m=GUARD_HARD_M)
             self._lips.apply(points)
