@@ -109,6 +109,8 @@ def main() -> None:
     parser.add_argument("--recording", type=Path)
     parser.add_argument("--worst", type=Path)
     options = parser.parse_args()
+    if options.worst:
+        options.worst.mkdir(parents=True, exist_ok=True)
     model, mixed = (
         read_model(options.facekit),
         combinations(options.combinations, options.recording),

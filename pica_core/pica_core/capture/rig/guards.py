@@ -38,6 +38,9 @@ LIP_BLEND, LIP_RINGS = 0.85, 3
 """Share of a lip's step that each ring of neighbours takes along, and how many do."""
 ROUNDS = 16
 """Times that folded skin is smoothed at most."""
+WIDER_AFTER, WIDER_BY = 4, 2
+"""Skin that is still folded after so many rounds lies against skin that stays as it is, or is pushed
+back by a lid: so many rings around it become smoother, too."""
 FOLDED, NEARLY = (-0.25, 0.2), (-0.1, 0.1)
 """Triangles are folded, or nearly, that face against their neighbours by this cosine and are as
 large as that, mm²: where any is folded, all that nearly are become smoother."""
@@ -206,15 +209,22 @@ class FoldGuard:
         )
         return folded, nearly
 
-    def apply(self, points: npt.NDArray[np.floating[Any]]) -> bool:
-        """Smooth folds of posed vertices ``[V, 3]``, metres, in place; False if there are none."""
+    def apply(self, points: npt.NDArray[np.floating[Any]], rings: int = 0) -> bool:
+        """Smooth folds of posed vertices ``[V, 3]``, metres, and so many rings of skin around them,
+        in place; False if there are none."""
         if not len(self._order):
             return False
         here = points[self._vertices].astype(np.float64)
         folded, nearly = self._folded(here)
-        if not (folded & ~self._as_ever).any():
+        new = folded & ~self._as_ever
+        if not new.any():
             return False
-        of = np.unique(self._faces[self._order[nearly & ~self._as_ever]])
+        smooth = np.zeros(len(here), np.bool_)
+        smooth[self._faces[self._order[new]]] = True
+        for _ in range(rings):
+            smooth |= self._around @ smooth > 0
+        smooth[self._faces[self._order[nearly & ~self._as_ever]]] = True
+        of = np.flatnonzero(smooth)
         points[self._vertices[of]] = 0.5 * (here[of] + self._around[of] @ here)
         return True
 
@@ -237,8 +247,9 @@ class PoseGuard:
         """Keep posed vertices ``[V, 3]``, metres, whole, in place."""
         self._lids.apply(points)
         self._lips.apply(points)
-        for _ in range(ROUNDS):
-            if not self._folds.apply(points):
+        for number in range(ROUNDS):
+            rings = WIDER_BY if number >= WIDER_AFTER else 0
+            if not self._folds.apply(points, rings):
                 return
             self._lids.apply(points, soft_m=GUARD_HARD_M)
             self._lips.apply(points)
