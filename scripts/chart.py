@@ -21,7 +21,7 @@ from chart_playout import chart_playout
 from chart_receiver import chart_receiver
 from chart_relay import chart_relay
 from chart_tables import chart_tables
-from chart_training import chart_failures, chart_recipes, chart_step
+from chart_training import chart_curves, chart_failures, chart_recipes, chart_step
 from chart_voice import chart_voice
 
 CHARTS: dict[str, Callable[[], None]] = {
@@ -35,6 +35,7 @@ CHARTS: dict[str, Callable[[], None]] = {
     "models": chart_models,
     "tables": chart_tables,
     "recipes": chart_recipes,
+    "training-curves": chart_curves,
     "failures": chart_failures,
     "training-step": chart_step,
     "voice": chart_voice,

@@ -29,6 +29,9 @@ from matplotlib.figure import Figure
 from training_trials import PARTS
 
 PAGE = ROOT / "docs" / "training.md"
+CURVES_PAGE = ROOT / "docs" / "results" / "linear.md"
+MODELS = {"linear": "linear", "as_is": "full", "baseline": "baseline"}
+"""Recipes of the long runs, and the rows of docs/variants.md that they train."""
 STYLES = ("-", "--", ":")
 PANEL_COLUMNS = 3
 UNSPOILT = "nothing"
@@ -41,6 +44,15 @@ def chart_recipes() -> None:
         save(_draw_recipes(rows, lines[-1]), "recipes")
         text = "![error against seconds of training, by recipe](results/recipes.svg)"
         fill_in(PAGE, "recipes", f"{text}\n\n{_recipe_table(rows)}")
+
+
+def chart_curves() -> None:
+    """The newest long run of each model on one head, against steps and against seconds."""
+    if lines := read_lines("training-curves"):
+        rows = newest(lines, "recipe")
+        save(_draw_curves(rows, lines[-1]), "training-curves")
+        text = "![error of three models against steps and seconds](training-curves.svg)"
+        fill_in(CURVES_PAGE, "training-curves", f"{text}\n\n{_curve_table(rows)}")
 
 
 def chart_failures() -> None:
@@ -91,6 +103,37 @@ def _draw_recipes(rows: Sequence[Row], line: Line) -> Figure:
     axis.set_ylabel("MSE, 0–255, held-out frames from the front")
     axis.legend(frameon=False, fontsize=7, ncols=2)
     return finish(figure, _foot(line), size=6)
+
+
+def _draw_curves(rows: Sequence[Row], line: Line) -> Figure:
+    figure, axes = plt.subplots(1, 2, figsize=(7.2, 3.4), sharey=True, layout="constrained")
+    for (recipe, model), colour in zip(MODELS.items(), COLOURS, strict=False):
+        points = rows_where(rows, recipe=recipe)
+        for axis, field in zip(axes, ("step", "seconds"), strict=True):
+            axis.plot(values(points, field), values(points, "mse"), ".-", color=colour, label=model)
+            axis.set_xlabel({"step": "steps", "seconds": "seconds of training"}[field])
+    axes[0].set_yscale("log")
+    plain_ticks(axes[0].yaxis)
+    axes[0].set_ylabel("MSE, 0–255, held-out frames from the front", fontsize=8)
+    axes[1].legend(frameon=False, fontsize=8)
+    return finish(figure, _foot(line), size=6)
+
+
+def _curve_table(rows: Sequence[Row]) -> str:
+    """What each model has reached at the ends of the shorter runs, and its last four looks."""
+    last = {recipe: rows_where(rows, recipe=recipe)[-1] for recipe in MODELS}
+    header = ["model", "steps", "seconds", "MSE of the last four looks"]
+    header += [f"at {last[recipe]['seconds']:.0f} s" for recipe in ("linear", "as_is")]
+    lines = []
+    for recipe, model in MODELS.items():
+        points = rows_where(rows, recipe=recipe)
+        cells = [model, last[recipe]["step"], f"{last[recipe]['seconds']:.0f}"]
+        cells.append(", ".join(f"{point['mse']:.1f}" for point in points[-4:]))
+        for until in ("linear", "as_is"):
+            before = [row for row in points if row["seconds"] <= last[until]["seconds"]]
+            cells.append(f"{before[-1]['mse']:.1f}")
+        lines.append(cells)
+    return markdown_table(header, lines)
 
 
 def _foot(line: Line) -> str:

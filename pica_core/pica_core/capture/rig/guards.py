@@ -39,8 +39,8 @@ LIP_BLEND, LIP_RINGS = 0.85, 3
 ROUNDS = 16
 """Times that folded skin is smoothed at most."""
 WIDER_AFTER, WIDER_BY = 4, 2
-"""Skin that is still folded after so many rounds lies against skin that stays as it is, or is pushed
-back by a lid: so many rings around it become smoother, too."""
+"""Skin that is still folded after so many rounds lies in a hollow, against skin that stays as it
+is, or is pushed back by a lid: then steps from rest are smoothed, so many rings around it, too."""
 FOLDED, NEARLY = (-0.25, 0.2), (-0.1, 0.1)
 """Triangles are folded, or nearly, that face against their neighbours by this cosine and are as
 large as that, mm²: where any is folded, all that nearly are become smoother."""
@@ -194,8 +194,10 @@ class FoldGuard:
         self._around: csr_array = mean_of_neighbours(self._faces, len(self._vertices))
         self._order, self._start, self._pairs = face_neighbours(self._faces)
         self._as_ever = np.zeros(len(self._order), np.bool_)
+        self._rest_m = np.zeros((len(self._vertices), 3))  # its own folds are no place to go back to
         if not mend and len(self._order):
-            self._as_ever = self._folded(mesh.rest_m[self._vertices])[0]
+            self._rest_m = mesh.rest_m[self._vertices]
+            self._as_ever = self._folded(self._rest_m)[0]
 
     def _folded(self, points: Float64Array) -> tuple[BoolArray, BoolArray]:
         a, b, c = (points[self._faces[:, k]] for k in range(3))
@@ -210,8 +212,10 @@ class FoldGuard:
         return folded, nearly
 
     def apply(self, points: npt.NDArray[np.floating[Any]], rings: int = 0) -> bool:
-        """Smooth folds of posed vertices ``[V, 3]``, metres, and so many rings of skin around them,
-        in place; False if there are none."""
+        """Smooth folds of posed vertices ``[V, 3]``, metres, in place; False if there are none.
+
+        With rings of skin around them, what is smoothed is how far each vertex came from rest.
+        """
         if not len(self._order):
             return False
         here = points[self._vertices].astype(np.float64)
@@ -225,7 +229,9 @@ class FoldGuard:
             smooth |= self._around @ smooth > 0
         smooth[self._faces[self._order[nearly & ~self._as_ever]]] = True
         of = np.flatnonzero(smooth)
-        points[self._vertices[of]] = 0.5 * (here[of] + self._around[of] @ here)
+        start = self._rest_m if rings else np.zeros_like(here)
+        step = here - start
+        points[self._vertices[of]] = start[of] + 0.5 * (step[of] + self._around[of] @ step)
         return True
 
 

@@ -79,6 +79,27 @@ def test_skin_that_folds_is_smoothed_and_what_folds_at_rest_only_to_mend(
     np.testing.assert_array_equal(posed[far], folded[far])
 
 
+def test_rings_smooth_skin_around_a_fold_and_nothing_farther(toy: RigHead) -> None:
+    mesh = toy.mesh
+    vertex = int(np.linalg.norm(mesh.motion_m[ARKIT_INDEX["browInnerUp"]], axis=1).argmax())
+    outer = toy.features.part == 0
+    folded = mesh.rest_m.copy()
+    ring = np.unique(mesh.faces[outer & (mesh.faces == vertex).any(1)])
+    folded[vertex] += 4.0 * (folded[ring].mean(0) - folded[vertex])
+    folded[vertex] += [3 * CREASE_M, 3 * CREASE_M, 0.0]
+    guard, moved = FoldGuard(mesh, outer), []
+
+    for rings in range(3):
+        posed = folded.copy()
+        assert guard.apply(posed, rings)
+        moved.append(set(np.flatnonzero((posed != folded).any(1))))
+
+    skin = mesh.faces[outer]
+    around = set(skin[np.isin(skin, list(moved[0])).any(1)].ravel())
+    assert moved[0] < moved[1] < moved[2]
+    assert moved[1] <= around
+
+
 def test_a_head_at_rest_is_left_as_it_is(toy: RigHead) -> None:
     points = toy.mesh.rest_m.copy()
     PoseGuard(toy.mesh, toy.features).apply(points)
