@@ -38,9 +38,10 @@ LIP_BLEND, LIP_RINGS = 0.85, 3
 """Share of a lip's step that each ring of neighbours takes along, and how many do."""
 ROUNDS = 16
 """Times that folded skin is smoothed at most."""
-WIDER_AFTER, WIDER_BY = 4, 2
+WIDER_AFTER, ON_AFTER, WIDER_BY = 4, 10, 2
 """Skin that is still folded after so many rounds lies in a hollow, against skin that stays as it
-is, or is pushed back by a lid: then steps from rest are smoothed, so many rings around it, too."""
+is, or is pushed back by a lid. Then so many rings around it become smoother, too: first their steps
+from rest, which keeps hollows, and after ten rounds their places."""
 FOLDED, NEARLY = (-0.25, 0.2), (-0.1, 0.1)
 """Triangles are folded, or nearly, that face against their neighbours by this cosine and are as
 large as that, mm²: where any is folded, all that nearly are become smoother."""
@@ -194,7 +195,7 @@ class FoldGuard:
         self._around: csr_array = mean_of_neighbours(self._faces, len(self._vertices))
         self._order, self._start, self._pairs = face_neighbours(self._faces)
         self._as_ever = np.zeros(len(self._order), np.bool_)
-        self._rest_m = np.zeros((len(self._vertices), 3))  # its own folds are no place to go back to
+        self._rest_m = np.zeros((len(self._vertices), 3))  # where rest folds, no way leads back
         if not mend and len(self._order):
             self._rest_m = mesh.rest_m[self._vertices]
             self._as_ever = self._folded(self._rest_m)[0]
@@ -211,11 +212,11 @@ class FoldGuard:
         )
         return folded, nearly
 
-    def apply(self, points: npt.NDArray[np.floating[Any]], rings: int = 0) -> bool:
-        """Smooth folds of posed vertices ``[V, 3]``, metres, in place; False if there are none.
-
-        With rings of skin around them, what is smoothed is how far each vertex came from rest.
-        """
+    def apply(
+        self, points: npt.NDArray[np.floating[Any]], rings: int = 0, *, to_rest: bool = False
+    ) -> bool:
+        """Smooth folds of posed vertices ``[V, 3]``, metres, and so many rings of skin around them,
+        in place; False if there are none. What is smoothed are places, or steps from rest."""
         if not len(self._order):
             return False
         here = points[self._vertices].astype(np.float64)
@@ -229,7 +230,7 @@ class FoldGuard:
             smooth |= self._around @ smooth > 0
         smooth[self._faces[self._order[nearly & ~self._as_ever]]] = True
         of = np.flatnonzero(smooth)
-        start = self._rest_m if rings else np.zeros_like(here)
+        start = self._rest_m if to_rest else np.zeros_like(here)
         step = here - start
         points[self._vertices[of]] = start[of] + 0.5 * (step[of] + self._around[of] @ step)
         return True
@@ -255,7 +256,8 @@ class PoseGuard:
         self._lips.apply(points)
         for number in range(ROUNDS):
             rings = WIDER_BY if number >= WIDER_AFTER else 0
-            if not self._folds.apply(points, rings):
+            to_rest = WIDER_AFTER <= number < ON_AFTER
+            if not self._folds.apply(points, rings, to_rest=to_rest):
                 return
             self._lids.apply(points, soft_m=GUARD_HARD_M)
             self._lips.apply(points)

@@ -94,6 +94,10 @@ def test_rings_smooth_skin_around_a_fold_and_nothing_farther(toy: RigHead) -> No
         assert guard.apply(posed, rings)
         moved.append(set(np.flatnonzero((posed != folded).any(1))))
 
+    back = folded.copy()
+    guard.apply(back, to_rest=True)
+    half = 0.5 * (folded[vertex] + mesh.rest_m[vertex])  # its neighbours are at rest
+    np.testing.assert_allclose(back[vertex], half, atol=1e-9)
     skin = mesh.faces[outer]
     around = set(skin[np.isin(skin, list(moved[0])).any(1)].ravel())
     assert moved[0] < moved[1] < moved[2]
