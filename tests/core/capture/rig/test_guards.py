@@ -9,6 +9,7 @@ from helpers.rig_toy import toy_rig, write_glb
 from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.capture.rig.guards import FoldGuard, LidGuard, LipGuard, PoseGuard
 from pica_core.capture.rig.head import RigHead, make_rig, read_rig
+from pica_core.types import BoolArray, Float64Array
 
 pytestmark = pytest.mark.unit
 CREASE_M = 0.004
@@ -17,6 +18,19 @@ CREASE_M = 0.004
 @pytest.fixture(scope="module")
 def toy(tmp_path_factory: pytest.TempPathFactory) -> RigHead:
     return make_rig(read_rig(write_glb(tmp_path_factory.mktemp("rig") / "toy.glb", toy_rig())))
+
+
+def creased(toy: RigHead) -> tuple[Float64Array, int, BoolArray]:
+    """The head at rest with one vertex of its brow pushed over its neighbours; which vertex; and
+    which faces are skin."""
+    mesh = toy.mesh
+    vertex = int(np.linalg.norm(mesh.motion_m[ARKIT_INDEX["browInnerUp"]], axis=1).argmax())
+    outer = toy.features.part == 0
+    folded = mesh.rest_m.copy()
+    ring = np.unique(mesh.faces[outer & (mesh.faces == vertex).any(1)])
+    folded[vertex] += 4.0 * (folded[ring].mean(0) - folded[vertex])
+    folded[vertex] += [3 * CREASE_M, 3 * CREASE_M, 0.0]
+    return folded, vertex, outer
 
 
 def test_a_lid_that_would_pass_through_its_eyeball_passes_before_it(toy: RigHead) -> None:
@@ -57,13 +71,7 @@ def test_skin_that_folds_is_smoothed_and_what_folds_at_rest_only_to_mend(
     toy: RigHead, mend: bool
 ) -> None:
     mesh = toy.mesh
-    brow = np.linalg.norm(mesh.motion_m[ARKIT_INDEX["browInnerUp"]], axis=1)
-    vertex = int(brow.argmax())
-    outer = toy.features.part == 0
-    folded = mesh.rest_m.copy()
-    ring = np.unique(mesh.faces[outer & (mesh.faces == vertex).any(1)])
-    folded[vertex] += 4.0 * (folded[ring].mean(0) - folded[vertex])
-    folded[vertex] += [3 * CREASE_M, 3 * CREASE_M, 0.0]
+    folded, vertex, outer = creased(toy)
 
     posed, rested = folded.copy(), folded.copy()
     guard = FoldGuard(mesh, outer)
@@ -81,12 +89,7 @@ def test_skin_that_folds_is_smoothed_and_what_folds_at_rest_only_to_mend(
 
 def test_rings_smooth_skin_around_a_fold_and_nothing_farther(toy: RigHead) -> None:
     mesh = toy.mesh
-    vertex = int(np.linalg.norm(mesh.motion_m[ARKIT_INDEX["browInnerUp"]], axis=1).argmax())
-    outer = toy.features.part == 0
-    folded = mesh.rest_m.copy()
-    ring = np.unique(mesh.faces[outer & (mesh.faces == vertex).any(1)])
-    folded[vertex] += 4.0 * (folded[ring].mean(0) - folded[vertex])
-    folded[vertex] += [3 * CREASE_M, 3 * CREASE_M, 0.0]
+    folded, vertex, outer = creased(toy)
     guard, moved = FoldGuard(mesh, outer), []
 
     for rings in range(3):
