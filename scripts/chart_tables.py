@@ -12,7 +12,7 @@ PAGE = RESULTS / "tables.md"
 
 
 def chart_tables() -> None:
-    """The newest evaluation of each person, in each table."""
+    """The newest evaluation of each run, in each table."""
     lines = read_lines("tables")
     for number in TABLES:
         own = [line for line in lines if line["result"]["table"] == number]
@@ -26,23 +26,23 @@ def chart_tables() -> None:
 
 
 def merge(lines: list[Line]) -> tuple[list[Line], dict[str, Any]]:
-    """Evaluations of several people as one; of one person the newest counts.
+    """Evaluations of several runs as one; of one identity, model and seed the newest counts.
 
     Returns:
         The lines that something was taken of, and the whole.
     """
-    newest = {
-        identity: line
-        for line in lines
-        for identity in dict.fromkeys(row["identity"] for row in line["result"]["rows"])
-    }
+    newest = {_run(run): line for line in lines for run in line["result"]["runs"]}
     whole: dict[str, Any] = {"rows": [], "runs": [], "tracked_mesh": {}}
-    for identity, line in sorted(newest.items()):
+    for line in lines:
         result = line["result"]
         for part in ("rows", "runs"):
-            whole[part] += [each for each in result[part] if each["identity"] == identity]
-        whole["tracked_mesh"][identity] = result["tracked_mesh"].get(identity, {})
+            whole[part] += [each for each in result[part] if newest[_run(each)] is line]
+        whole["tracked_mesh"] |= {who: mm for who, mm in result["tracked_mesh"].items() if mm}
     return [line for line in lines if line in newest.values()], whole
+
+
+def _run(row: dict[str, Any]) -> tuple[str, str, int]:
+    return row["identity"], row["variant"], row["seed"]
 
 
 def _machine(line: Line) -> str:

@@ -4,7 +4,6 @@ All take values on 0-255, and judge the pixels that a mesh covers, as the paper'
 Squared Error between rendered image and original image on rasterized pixels", section 6).
 """
 
-from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -84,15 +83,23 @@ def change_mse(
     return float(np.square((after - before) - (seen_after - seen_before)).mean())
 
 
-def bootstrap_interval(values: Sequence[float], seed: int = 0) -> tuple[float, float]:
+def bootstrap_interval(values: npt.ArrayLike, seed: int = 0) -> tuple[float, float]:
     """The 95 % percentile interval of the mean, over resamples of the values with repetition.
 
-    The values are taken as independent; frames of one take are not quite, so for them it is a
-    little narrow.
+    Args:
+        values: Of frames ``[T]``, or of several runs on the same frames ``[runs, T]``; then runs
+            and frames are drawn independently of each other.
+        seed: Of what is drawn.
+
+    Frames are taken as independent; those of one take are not quite, so for them it is a little
+    narrow.
     """
-    array = np.asarray(values, np.float64)
+    array = np.atleast_2d(np.asarray(values, np.float64))
     rng = np.random.default_rng(seed)
-    means = array[rng.integers(len(array), size=(RESAMPLES, len(array)))].mean(1)
+    runs, frames = array.shape
+    frame = rng.integers(frames, size=(RESAMPLES, frames))
+    run = rng.integers(runs, size=(RESAMPLES, runs))
+    means = array[run[:, :, None], frame[:, None]].mean((1, 2))
     low, high = np.percentile(means, [2.5, 97.5])
     return float(low), float(high)
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from pica_core.train.eval.tables import paired_table
+from pica_core.train.eval.metrics import bootstrap_interval
+from pica_core.train.eval.tables import distribution_table, error_table, paired_table
 
 pytestmark = pytest.mark.unit
 
@@ -28,3 +29,57 @@ def test_models_are_compared_with_the_full_one_frame_by_frame() -> None:
     assert len(table) == 4
     assert table[2].startswith("| S1 | baseline | +2.00 (+1.50 to +2.50) | 3 of 3 |")
     assert table[3].startswith("| S1 | coarse | -1.00 (-1.00 to -1.00) | 0 of 3 |")
+
+
+def test_seeds_are_shown_as_their_mean_with_the_lowest_and_the_highest() -> None:
+    row = {"identity": "S1", "view": "front", "mse_low": 0.0, "mse_high": 9.0, "variant": "full"}
+    rows = [{**row, "seed": seed, "mse": mse} for seed, mse in enumerate((3.0, 2.0, 4.0))]
+    rows.append({**row, "variant": "baseline", "seed": 0, "mse": 2.5})
+
+    lines = error_table(rows, ("full", "baseline")).splitlines()
+
+    assert lines[2:] == [
+        "| S1 | full | 3.00 (2.00 to 4.00) |",
+        "| S1 | baseline | **2.50** (0.00 to 9.00) |",
+    ]
+
+
+def test_models_are_compared_with_the_full_one_of_the_same_seed() -> None:
+    def frames(*values: float) -> list[dict[str, object]]:
+        return [{"frame": str(number), "mse": value} for number, value in enumerate(values)]
+
+    distributions = {
+        ("S1", "full", "", 0): frames(10.0, 20.0),
+        ("S1", "full", "", 1): frames(30.0, 40.0),
+        ("S1", "coarse", "", 0): frames(11.0, 21.0),
+        ("S1", "coarse", "", 1): frames(33.0, 43.0),
+        ("S1", "coarse", "", 2): frames(99.0, 99.0),  # no full model of this seed
+    }
+
+    (line,) = paired_table(distributions, ("full", "coarse")).splitlines()[2:]
+
+    assert line == "| S1 | coarse | +2.00 (+1.00 to +3.00) | 2 of 2 |"
+
+
+def test_an_interval_over_seeds_is_wider_than_that_of_their_mean() -> None:
+    seeds = [[9.0, 10.0, 11.0], [19.0, 20.0, 21.0]]
+
+    low, high = bootstrap_interval(seeds)
+
+    assert bootstrap_interval([14.0, 15.0, 16.0]) == pytest.approx((14.0, 16.0), abs=0.35)
+    assert low < 11 < 19 < high
+
+
+def test_the_spread_over_expressions_is_of_the_mean_over_seeds() -> None:
+    distributions = {
+        ("S1", "full", "", seed): [
+            {"frame": "a", "mse": 10.0 + seed},
+            {"frame": "b", "mse": 20.0 + seed},
+        ]
+        for seed in range(3)
+    }
+
+    (line,) = distribution_table(distributions, ("full",)).splitlines()[2:]
+
+    assert line.startswith("| S1 | full | 16.00 (")
+    assert line.endswith("| 21.00 | 20.00 | 18.50 | 16.00 | 13.50 | 12.00 | 11.00 |")
